@@ -1,0 +1,1 @@
+"""System to Density by theory: stochastic averaging, exact and Gaussian solutions."""

@@ -1,0 +1,1 @@
+"""Scenes, three-way comparison, report and command line."""

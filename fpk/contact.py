@@ -1,0 +1,77 @@
+"""Contact of a mass with a stop, Eqs. (2) and (5)."""
+
+from dataclasses import dataclass, replace
+from math import isfinite
+from typing import Any, Literal
+
+import fpk.laws  # noqa: F401  (its modules register the laws)
+from fpk.contact_law import LAWS
+from fpk.errors import InvalidInput
+
+Side = Literal["left", "right", "both"]
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Stop beside one mass, Eq. (2): ``stiffness · law(overlap)``, ``overlap = ±q − clearance``.
+
+    ``mass`` counts from 0; ``side`` is where the stop stands seen from the mass; ``stiffness`` is
+    B of Eq. (2), in force / length**exponent; ``clearance`` δ >= 0 in length. ``exponent`` is
+    needed by the law "power" and refused where the law has its own.
+
+    Raises ``InvalidInput`` naming the field that cannot be used.
+    """
+
+    mass: int
+    side: Side
+    stiffness: float
+    clearance: float
+    law: str = "hertz"
+    exponent: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check every field and fill in the law's own exponent."""
+        if self.side not in ("left", "right", "both"):
+            raise InvalidInput("side", self.side, 'is not a side; use "left", "right" or "both"')
+        if not (isfinite(self.stiffness) and self.stiffness > 0):
+            raise InvalidInput("stiffness", self.stiffness, "must be a finite number > 0")
+        if not (isfinite(self.clearance) and self.clearance >= 0):
+            raise InvalidInput("clearance", self.clearance, "must be a finite number >= 0")
+        if self.law not in LAWS:
+            raise InvalidInput("law", self.law, f"is not a contact law; use one of {sorted(LAWS)}")
+        own = LAWS[self.law].exponent
+        if own is None:
+            if self.exponent is None or not (isfinite(self.exponent) and self.exponent >= 1):
+                raise InvalidInput(
+                    "exponent", self.exponent, f'must be a finite number >= 1 for law "{self.law}"'
+                )
+        elif self.exponent not in (None, own):
+            raise InvalidInput(
+                "exponent", self.exponent, f'leave it out: the law "{self.law}" has its own, {own}'
+            )
+        else:
+            object.__setattr__(self, "exponent", own)
+
+    def one_sided(self) -> tuple["Contact", ...]:
+        """Return the stops of this contact: one, or left and right for "both"."""
+        if self.side != "both":
+            return (self,)
+        return (replace(self, side="left"), replace(self, side="right"))
+
+    @property
+    def power(self) -> float:
+        """The exponent in force, never None."""
+        assert self.exponent is not None
+        return self.exponent
+
+    def force(self, overlap: Any) -> Any:
+        """Contact force at the given overlap >= 0, Eq. (2)."""
+        return self.stiffness * LAWS[self.law].force(overlap, self.power)
+
+    def energy(self, overlap: Any) -> Any:
+        """Contact energy U at the given overlap >= 0, Eq. (5)."""
+        return self.stiffness * LAWS[self.law].energy(overlap, self.power)
+
+    def slope(self, overlap: Any) -> Any:
+        """Tangent contact stiffness dg/dx at the given overlap >= 0."""
+        return self.stiffness * LAWS[self.law].slope(overlap, self.power)

@@ -1,0 +1,252 @@
+"""Probability densities that carry their error, their certificate and where they come from."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_coeffs
+
+from fpk.observable import Observable, observable_name
+
+Array = NDArray[np.float64]
+ErrorKind = Literal["numerical", "sampling"]
+
+GAUSS_POINTS = 20
+"""Nodes per panel of the integrals below: exact for polynomials of degree 39."""
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Checks that an answer passed or failed; nothing was mended to make them pass.
+
+    ``mass_defect`` is |∫p − 1| over the support, before any tail; ``minimum`` the smallest value
+    of p divided by its largest; ``residual`` the algebraic residual relative to the terms that
+    cancel in it (for sampling: the largest |z| of the moment identities); ``tail_mass`` a bound
+    (for sampling: the share) of the mass outside the support; ``net_flux`` the largest
+    probability flux through an element relative to its one-way parts. ``failures`` says in words
+    what does not hold; the answer is certified when it is empty.
+    """
+
+    mass_defect: float
+    minimum: float
+    residual: float
+    tail_mass: float
+    net_flux: float = 0.0
+    failures: tuple[str, ...] = ()
+
+    @property
+    def certified(self) -> bool:
+        """Whether every check holds."""
+        return not self.failures
+
+
+@dataclass(frozen=True)
+class Density:
+    """Density of one or two coordinates, as a function, with its numerical error.
+
+    ``panels`` holds for every axis the ascending nodes between which the density is smooth; the
+    first and last are its support. ``pdf`` takes one array per axis (broadcast together) and
+    returns the density; ``pointwise`` likewise the estimate of its error there. ``l1_error``
+    estimates ∫|p − p_exact| including the mass outside the support.
+    """
+
+    observable: Observable
+    panels: tuple[Array, ...]
+    pdf: Callable[..., Array]
+    pointwise: Callable[..., Array]
+    l1_error: float
+    certificate: Certificate
+    provenance: Mapping[str, str | float | int] = field(default_factory=dict)
+    error_kind: ErrorKind = "numerical"
+
+    @property
+    def name(self) -> str:
+        """The observable's name, such as ``q2,p2``."""
+        return observable_name(self.observable)
+
+    def at(self, *points: Array) -> tuple[Array, Array]:
+        """Return the density and its error at ``points``, one array per axis."""
+        return self.pdf(*points), self.pointwise(*points)
+
+    def cell_averages(self, *edges: Array) -> Array:
+        """Return the mean of the density over each cell of the grid of ``edges``."""
+        grids = [_quadrature(_refined_by(e, p)) for e, p in zip(edges, self.panels, strict=True)]
+        values = self.pdf(*np.meshgrid(*(x for x, _ in grids), indexing="ij", sparse=True))
+        for axis, (e, (x, w)) in enumerate(zip(edges, grids, strict=True)):
+            cell = np.searchsorted(e, x, side="right") - 1
+            starts = np.searchsorted(cell, np.arange(e.size - 1))
+            shape = [-1 if a == axis else 1 for a in range(values.ndim)]
+            values = np.add.reduceat(values * w.reshape(shape), starts, axis=axis)
+            values = values / np.diff(e).reshape(shape)
+        return values
+
+
+@dataclass(frozen=True)
+class SampledDensity:
+    """Histogram density of one or two coordinates with its sampling error.
+
+    ``edges`` are the bin edges of every axis (equidistant), ``values`` the share of samples in each
+    bin divided by its area, ``batch_values`` (batches, *bins) the same of each of the independent
+    batches, so that any linear function of the bins has an honest standard error. Samples outside
+    are counted in ``certificate.tail_mass``, never folded in.
+    """
+
+    observable: Observable
+    edges: tuple[Array, ...]
+    values: Array
+    batch_values: Array
+    certificate: Certificate
+    provenance: Mapping[str, str | float | int] = field(default_factory=dict)
+    error_kind: ErrorKind = "sampling"
+
+    @property
+    def name(self) -> str:
+        """The observable's name, such as ``q2,p2``."""
+        return observable_name(self.observable)
+
+    @property
+    def panels(self) -> tuple[Array, ...]:
+        """The bin edges: between them the density is constant."""
+        return self.edges
+
+    @property
+    def standard_error(self) -> Array:
+        """One standard error of each bin, from the spread of the independent batches."""
+        return _standard_error(self.batch_values)
+
+    def coarsened(self, factor: int) -> "SampledDensity":
+        """Return the histogram with ``factor`` neighbouring bins joined along every axis."""
+        if any((e.size - 1) % factor for e in self.edges):
+            raise ValueError(f"factor = {factor}: must divide the number of bins of every axis")
+        values, batches = self.values, self.batch_values
+        for axis, e in enumerate(self.edges):
+            bins = (e.size - 1) // factor
+            values = _joined(values, axis, bins)
+            batches = _joined(batches, axis + 1, bins)
+        return SampledDensity(
+            self.observable,
+            tuple(e[::factor] for e in self.edges),
+            values,
+            batches,
+            self.certificate,
+            self.provenance,
+        )
+
+    def at(self, *points: Array) -> tuple[Array, Array]:
+        """Return the density and one standard error at ``points``, one array per axis.
+
+        One axis: local quadratic fit over eleven bins (Savitzky-Golay), evaluated at the nearest
+        bin centre; two axes: the value of the bin. Zero outside the bins.
+        """
+        index, inside = [], np.ones(np.broadcast_shapes(*(np.shape(x) for x in points)), bool)
+        for x, e in zip(points, self.edges, strict=True):
+            i = np.floor((np.asarray(x) - e[0]) / (e[1] - e[0])).astype(int)
+            inside &= (i >= 0) & (i < e.size - 1)
+            index.append(np.clip(i, 0, e.size - 2))
+        values, batches = self.values, self.batch_values
+        if len(self.edges) == 1:
+            values, batches = _smoothed(values), _smoothed(batches)
+        error = _standard_error(batches)
+        where = tuple(index)
+        return np.where(inside, values[where], 0.0), np.where(inside, error[where], 0.0)
+
+
+AnyDensity = Density | SampledDensity
+
+
+def l1_distance(a: AnyDensity, b: AnyDensity) -> float:
+    """Return ∫|p_a − p_b|; beside a histogram a function enters by its averages over the bins.
+
+    Raises ``ValueError`` for different observables, or two histograms on different bins.
+    """
+    if a.observable != b.observable:
+        raise ValueError(f"densities of {a.name} and of {b.name} cannot be compared")
+    if isinstance(a, SampledDensity) or isinstance(b, SampledDensity):
+        first, second = (a, b) if isinstance(a, SampledDensity) else (b, a)
+        assert isinstance(first, SampledDensity)
+        return float(np.sum(np.abs(bin_differences(first, second)) * _cell_areas(first.edges)))
+    grids = [
+        _quadrature(np.unique(np.concatenate(pair)))
+        for pair in zip(a.panels, b.panels, strict=True)
+    ]
+    mesh = np.meshgrid(*(x for x, _ in grids), indexing="ij", sparse=True)
+    total = np.abs(a.pdf(*mesh) - b.pdf(*mesh))
+    for _, w in reversed(grids):
+        total = total @ w
+    return float(total)
+
+
+def bin_differences(sampled: SampledDensity, other: AnyDensity) -> Array:
+    """Return the bin values of ``sampled`` minus the averages of ``other`` over the same bins."""
+    if isinstance(other, Density):
+        return sampled.values - other.cell_averages(*sampled.edges)
+    if not all(map(np.array_equal, sampled.edges, other.edges)):
+        raise ValueError("two histograms can be compared on the same bins only")
+    return sampled.values - other.values
+
+
+def moment(density: AnyDensity, *powers: int) -> float:
+    """Return E[x^a y^b ...] for one non-negative power per axis, over the support."""
+    if isinstance(density, SampledDensity):
+        # The midpoint of a bin stands for its samples: bias h²/12 times the second derivative.
+        total = density.values * _cell_areas(density.edges)
+        for e, power in zip(reversed(density.edges), reversed(powers), strict=True):
+            total = total @ (0.5 * (e[1:] + e[:-1])) ** power
+        return float(total)
+    grids = [_quadrature(panels) for panels in density.panels]
+    total = density.pdf(*np.meshgrid(*(x for x, _ in grids), indexing="ij", sparse=True))
+    for (x, w), power in zip(reversed(grids), reversed(powers), strict=True):
+        total = total @ (w * x**power)
+    return float(total)
+
+
+def mass(density: AnyDensity) -> float:
+    """Return ∫p over the support."""
+    return moment(density, *(0 for _ in density.panels))
+
+
+def _standard_error(batch_values: Array) -> Array:
+    spread: Array = np.std(batch_values, axis=0, ddof=1) / np.sqrt(batch_values.shape[0])
+    return spread
+
+
+def _smoothed(values: Array) -> Array:
+    """Local quadratic fit over eleven bins along the last axis; plain bins near the ends."""
+    window = 11
+    if values.shape[-1] < 4 * window:
+        return values
+    kernel = savgol_coeffs(window, 2)
+    result = values.copy()
+    half = window // 2
+    shifted = np.lib.stride_tricks.sliding_window_view(values, window, axis=-1)
+    result[..., half:-half] = shifted @ kernel
+    return result
+
+
+def _joined(values: Array, axis: int, bins: int) -> Array:
+    shape = (*values.shape[:axis], bins, -1, *values.shape[axis + 1 :])
+    joined: Array = values.reshape(shape).mean(axis=axis + 1)
+    return joined
+
+
+def _cell_areas(edges: tuple[Array, ...]) -> Array:
+    areas = np.diff(edges[0])
+    for e in edges[1:]:
+        areas = np.multiply.outer(areas, np.diff(e))
+    return areas
+
+
+def _refined_by(nodes: Array, others: Array) -> Array:
+    """``nodes`` and those of ``others`` that lie between its first and last."""
+    between = (others > nodes[0]) & (others < nodes[-1])
+    return np.unique(np.concatenate([nodes, others[between]]))
+
+
+def _quadrature(nodes: Array) -> tuple[Array, Array]:
+    """Composite Gauss-Legendre points and weights on the panels between ``nodes``."""
+    x, w = np.polynomial.legendre.leggauss(GAUSS_POINTS)
+    half = 0.5 * np.diff(nodes)
+    middle = 0.5 * (nodes[1:] + nodes[:-1])
+    return (middle[:, None] + half[:, None] * x).ravel(), (half[:, None] * w).ravel()

@@ -1,0 +1,51 @@
+"""Names of what can be observed: q1..qn, p1..pn, H, H1..Hn, or a pair of them."""
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+from fpk.errors import InvalidInput
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One observed quantity: displacement, momentum, energy (index None) or modal energy.
+
+    ``index`` counts from 0 inside; the name that users write and read counts from 1.
+    """
+
+    kind: Literal["q", "p", "H"]
+    index: int | None = None
+
+    def __str__(self) -> str:
+        """Return the user's name, such as ``q2``."""
+        return self.kind if self.index is None else f"{self.kind}{self.index + 1}"
+
+
+Observable = tuple[Coordinate, ...]
+"""One coordinate, or two for a joint density."""
+
+
+def parse_observable(text: str, n: int) -> Observable:
+    """Return the observable that ``text`` names in a system of ``n`` masses.
+
+    Raises ``InvalidInput`` for an unknown name, an index beyond ``n``, or a coordinate named twice.
+    """
+    remedy = f"is not an observable; use q1..q{n}, p1..p{n}, H, H1..H{n}, or two of them as a,b"
+    coordinates = []
+    for part in text.split(","):
+        match = re.fullmatch(r"([qpH])([1-9][0-9]{0,3})?", part.strip(), flags=re.ASCII)
+        if match is None or (match[2] is None and match[1] != "H"):
+            raise InvalidInput("observable", text, remedy)
+        index = None if match[2] is None else int(match[2]) - 1
+        if index is not None and index >= n:
+            raise InvalidInput("observable", text, remedy)
+        coordinates.append(Coordinate(match[1], index))  # type: ignore[arg-type]
+    if not 1 <= len(coordinates) <= 2 or len(set(coordinates)) != len(coordinates):
+        raise InvalidInput("observable", text, remedy)
+    return tuple(coordinates)
+
+
+def observable_name(observable: Observable) -> str:
+    """Return the name that a user writes, such as ``q2,p2``."""
+    return ",".join(map(str, observable))

@@ -1,0 +1,190 @@
+"""The chain of masses, springs, dampers, noises and contacts of Eq. (1)."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fpk.contact import Contact
+from fpk.errors import InvalidInput
+
+Array = NDArray[np.float64]
+
+SEMIDEFINITE_SLACK = 1e-12
+"""An eigenvalue above minus this share of the largest one counts as not negative (round-off of
+an input written with twelve digits or more)."""
+
+
+class SystemArrays(NamedTuple):
+    """The plain arrays that compiled code gets of a system; stops are one-sided contacts."""
+
+    mass: Array  # (n,)
+    stiffness_matrix: Array  # (n, n), the K of Eq. (13)
+    damping: Array  # (n, n)
+    noise_matrix: Array  # (n, n), f D fᵀ
+    stop_mass: NDArray[np.int64]  # (stops,), counted from 0
+    stop_sign: Array  # (stops,), +1 right, −1 left
+    stop_clearance: Array  # (stops,)
+    stop_stiffness: Array  # (stops,)
+    stop_exponent: Array  # (stops,)
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Randomly excited and dissipated Hamiltonian system, Eqs. (1), (4), (6).
+
+    ``dq = M⁻¹p dt``, ``dp = (−K q − g(q) − c M⁻¹ p) dt + f √(2D) dB`` (Ito; corrected from (6),
+    which omits the factor √(2D) although ``E[W_k W_l'] = 2 D_kl δ``).
+
+    ``mass`` (n,) > 0. ``stiffness`` (n,) > 0: k_i joins mass i to mass i−1, k_1 to the wall.
+    ``damping`` c: (n,) for a diagonal or (n, n); its symmetric part must not be negative.
+    ``noise_intensity`` D: (l,) for a diagonal or (l, l), symmetric, positive semidefinite.
+    ``noise_gain`` f: (n, l), the identity when left out. ``contacts``: any number on any masses.
+    All are kept as read-only float64 arrays in full matrix form.
+
+    Raises ``InvalidInput`` naming the field that cannot be used.
+    """
+
+    mass: Array
+    stiffness: Array
+    damping: Array
+    noise_intensity: Array
+    noise_gain: Array | None = None
+    contacts: tuple[Contact, ...] = ()
+    noise_matrix: Array = field(init=False)
+    stiffness_matrix: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Check the fields, bring them to matrix form and derive f D fᵀ and K."""
+        mass = _vector("mass", self.mass)
+        n = mass.size
+        stiffness = _vector("stiffness", self.stiffness)
+        if stiffness.size != n:
+            raise InvalidInput("stiffness", self.stiffness, f"must have {n} entries, one per mass")
+        damping = _matrix("damping", self.damping)
+        if damping.shape[0] != n:
+            raise InvalidInput("damping", self.damping, f"must have {n} entries or be {n} x {n}")
+        _refuse_negative("damping", damping, "does not dissipate: its symmetric part has")
+        intensity = _matrix("noise_intensity", self.noise_intensity)
+        noises = intensity.shape[0]
+        if not np.allclose(intensity, intensity.T, rtol=SEMIDEFINITE_SLACK, atol=0.0):
+            raise InvalidInput("noise_intensity", self.noise_intensity, "must be symmetric")
+        _refuse_negative("noise_intensity", intensity, "is not positive semidefinite: it has")
+        if self.noise_gain is None:
+            if noises != n:
+                raise InvalidInput(
+                    "noise_intensity",
+                    self.noise_intensity,
+                    f"must have {n} entries or be {n} x {n} (or give noise_gain, {n} x {noises})",
+                )
+            gain = np.eye(n)
+        else:
+            gain = _finite("noise_gain", self.noise_gain)
+            if gain.shape != (n, noises):
+                raise InvalidInput("noise_gain", self.noise_gain, f"must be {n} x {noises}")
+        for contact in self.contacts:
+            if not 0 <= contact.mass < n:
+                raise InvalidInput("contact.mass", contact.mass + 1, f"is not a mass; use 1 to {n}")
+        k = np.append(stiffness, 0.0)
+        spring = np.diag(k[:-1] + k[1:]) - np.diag(k[1:-1], 1) - np.diag(k[1:-1], -1)
+        derived = {
+            "mass": mass,
+            "stiffness": stiffness,
+            "damping": damping,
+            "noise_intensity": intensity,
+            "noise_gain": gain,
+            "noise_matrix": gain @ intensity @ gain.T,
+            "stiffness_matrix": spring,
+        }
+        for name, value in derived.items():
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    @property
+    def n(self) -> int:
+        """Number of masses, the degrees of freedom."""
+        return self.mass.size
+
+    @property
+    def stops(self) -> tuple[Contact, ...]:
+        """The contacts as one-sided stops."""
+        return tuple(stop for contact in self.contacts for stop in contact.one_sided())
+
+    @property
+    def contact_masses(self) -> tuple[int, ...]:
+        """The masses that can touch something, counted from 0, ascending."""
+        return tuple(sorted({contact.mass for contact in self.contacts}))
+
+    def arrays(self) -> SystemArrays:
+        """Return the arrays for compiled code: the only bridge into it."""
+        stops = self.stops
+        return SystemArrays(
+            mass=self.mass,
+            stiffness_matrix=self.stiffness_matrix,
+            damping=self.damping,
+            noise_matrix=self.noise_matrix,
+            stop_mass=np.array([stop.mass for stop in stops], dtype=np.int64),
+            stop_sign=np.array([1.0 if stop.side == "right" else -1.0 for stop in stops]),
+            stop_clearance=np.array([stop.clearance for stop in stops], dtype=float),
+            stop_stiffness=np.array([stop.stiffness for stop in stops], dtype=float),
+            stop_exponent=np.array([stop.power for stop in stops], dtype=float),
+        )
+
+    def contact_energy(self, mass: int, q: ArrayLike) -> Array:
+        """Contact energy U_i(q) of one mass (counted from 0), Eq. (5)."""
+        q = np.asarray(q, dtype=float)
+        energy = np.zeros_like(q)
+        for stop in self.stops:
+            if stop.mass == mass:
+                sign = 1.0 if stop.side == "right" else -1.0
+                energy = energy + stop.energy(np.maximum(sign * q - stop.clearance, 0.0))
+        return energy
+
+    def potential(self, q: ArrayLike) -> Array:
+        """Potential V(q) = ½ qᵀ K q + Σ U_i(q_i) of Eq. (5); ``q`` has shape (..., n)."""
+        q = np.asarray(q, dtype=float)
+        springs: Array = 0.5 * np.einsum("...i,ij,...j->...", q, self.stiffness_matrix, q)
+        return springs + sum(self.contact_energy(i, q[..., i]) for i in self.contact_masses)
+
+    def hamiltonian(self, q: ArrayLike, p: ArrayLike) -> Array:
+        """Hamiltonian H(q, p) of Eq. (5); ``q`` and ``p`` have shape (..., n)."""
+        p = np.asarray(p, dtype=float)
+        kinetic: Array = 0.5 * np.sum(p * p / self.mass, axis=-1)
+        return kinetic + self.potential(q)
+
+
+def _finite(key: str, value: ArrayLike) -> Array:
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InvalidInput(
+            key, value, "must be numbers in a list, or lists of equal length"
+        ) from None
+    if not np.all(np.isfinite(array)):
+        raise InvalidInput(key, value, "must hold finite numbers only")
+    return array
+
+
+def _vector(key: str, value: ArrayLike) -> Array:
+    array = _finite(key, value)
+    if array.ndim != 1 or array.size == 0:
+        raise InvalidInput(key, value, "must be a list of one number per mass")
+    if np.any(array <= 0):
+        raise InvalidInput(key, value, "must hold positive numbers only")
+    return array
+
+
+def _matrix(key: str, value: ArrayLike) -> Array:
+    array = _finite(key, value)
+    if array.ndim == 1 and array.size:
+        return np.diag(array)
+    if array.ndim != 2 or array.shape[0] != array.shape[1] or array.size == 0:
+        raise InvalidInput(key, value, "must be a list of numbers or a square matrix")
+    return array
+
+
+def _refuse_negative(key: str, matrix: Array, words: str) -> None:
+    eigenvalues = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
+    if eigenvalues[0] < -SEMIDEFINITE_SLACK * np.max(np.abs(eigenvalues)):
+        raise InvalidInput(key, matrix, f"{words} the eigenvalue {eigenvalues[0]:.3g} < 0")
