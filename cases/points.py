@@ -59,7 +59,7 @@ def _number(item: str, text: str) -> Decimal:
         usable = isfinite(float(number)) and abs(number) < Decimal("1e100")
     except (InvalidOperation, OverflowError, ValueError):
         usable = False
-    if not usable or number.adjusted() < -100 and number != 0:
+    if not usable or (number.adjusted() < -100 and number != 0):
         raise _wrong(text, f"{toml_value(item.strip())} is not a finite number")
     return number
 

@@ -23,7 +23,9 @@ def read_toml(path: Path, label: str) -> tuple[dict[str, Any], str]:
     try:
         return tomllib.loads(text), text
     except RecursionError:
-        raise BadInput(f"{label}: nested too deeply; a scene needs no more than two levels") from None
+        raise BadInput(
+            f"{label}: nested too deeply; a scene needs no more than two levels"
+        ) from None
     except ValueError as error:  # TOMLDecodeError and numbers of thousands of digits
         raise BadInput(f"{label}: is not valid TOML: {_first(str(error))}") from None
 

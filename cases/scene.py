@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 from cases.errors import BadInput, refused
 from cases.reading import read_toml
@@ -81,7 +82,7 @@ def _scene(path: Path, label: str) -> Scene:
 
 def _system(table: SceneTable, label: str) -> System:
     contacts = tuple(_contact(c, i, label) for i, c in enumerate(table.contact))
-    s = table.system
+    s: Any = table.system  # System takes lists and matrices and checks them
     try:
         system = System(s.mass, s.stiffness, s.damping, s.noise_intensity, s.noise_gain)
     except InvalidInput as error:
@@ -89,7 +90,10 @@ def _system(table: SceneTable, label: str) -> System:
     for i, contact in enumerate(contacts):
         if contact.mass >= system.n:
             raise refused(
-                label, f"contact[{i + 1}].mass", contact.mass + 1, f"is not a mass; use 1 to {system.n}"
+                label,
+                f"contact[{i + 1}].mass",
+                contact.mass + 1,
+                f"is not a mass; use 1 to {system.n}",
             )
     return replace(system, contacts=contacts)
 

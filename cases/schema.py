@@ -159,7 +159,9 @@ def _refusal(error: ErrorDetails, label: str) -> BadInput:
     key = toml_key(place)
     if kind == "missing":
         if place == ["system"]:
-            return BadInput(f"{label}: [system] is missing: give mass, stiffness, damping, noise_intensity")
+            return BadInput(
+                f"{label}: [system] is missing: give mass, stiffness, damping, noise_intensity"
+            )
         return BadInput(f"{label}: {key} is missing; add it")
     if kind == "extra_forbidden":
         return refused(label, key, error["input"], _known_keys(place))

@@ -20,7 +20,7 @@ class Curve:
     system: System
 
 
-def _contacts(system: System, **changes: float) -> System:
+def _contacts(system: System, **changes: Any) -> System:
     return replace(system, contacts=tuple(replace(c, **changes) for c in system.contacts))
 
 
@@ -86,7 +86,11 @@ def curves_of(system: System, vary: VaryTable | None, label: str) -> tuple[Curve
 def _common_ratio(system: System) -> float | None:
     """The ratio c_i/D_i where both are diagonal and it is the same for all i."""
     c, d = system.damping, system.noise_matrix
-    if np.any(c != np.diag(np.diag(c))) or np.any(d != np.diag(np.diag(d))) or not np.all(np.diag(d)):
+    if (
+        np.any(c != np.diag(np.diag(c)))
+        or np.any(d != np.diag(np.diag(d)))
+        or not np.all(np.diag(d))
+    ):
         return None
     ratios = np.diag(c) / np.diag(d)
     return float(ratios[0]) if np.allclose(ratios, ratios[0], rtol=1e-12) else None

@@ -1,0 +1,258 @@
+"""The command ``fpk``: a thin edge; heavy parts are imported inside the commands only."""
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from cases.run import Outcome
+    from cases.scene import Scene
+
+app = typer.Typer(
+    name="fpk",
+    help="Stationary densities of randomly excited vibro-impact systems: closed form, finite"
+    " elements and simulation, compared. Exit status: 0 all checks hold, 1 one does not, 2 bad"
+    " input.",
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+SceneName = Annotated[
+    str, typer.Argument(metavar="SCENE", help="A shipped scene's name or a path.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
+Tol = Annotated[float | None, typer.Option(help="L1 error wanted; a solver adapts to meet it.")]
+Seed = Annotated[int | None, typer.Option(min=0, max=2**64 - 1, help="Seed of the simulation.")]
+Threads = Annotated[int | None, typer.Option(min=1, help="Threads of the simulation.")]
+
+
+@app.command("list")
+def list_scenes(as_json: Json = False) -> None:
+    """List the shipped scenes."""
+    from cases.scene import load_scene, shipped_scenes
+
+    scenes = [(path.parent.name, load_scene(name)) for name, path in shipped_scenes().items()]
+    if as_json:
+        keys = ("name", "folder", "title", "source")
+        _print_json(
+            {
+                "scenes": [
+                    dict(zip(keys, (s.name, f, s.title, s.source), strict=True)) for f, s in scenes
+                ]
+            }
+        )
+        return
+    width = max(len(s.name) for _, s in scenes)
+    for folder, s in scenes:
+        typer.echo(f"{s.name:{width}}  {folder:5}  {s.title}")
+
+
+@app.command()
+def show(scene: SceneName, as_json: Json = False) -> None:
+    """Show the system, its effects, frequencies, and which theories apply and why."""
+    from cases.scene import load_scene
+    from cases.show import show_record, show_text
+
+    record = show_record(load_scene(scene))
+    if as_json:
+        _print_json(record)
+    else:
+        typer.echo(show_text(record))
+
+
+@app.command()
+def run(
+    scene: SceneName,
+    tol: Tol = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for report, netCDF, pictures.")] = None,
+    seed: Seed = None,
+    threads: Threads = None,
+    as_json: Json = False,
+) -> None:
+    """Run every applicable route of a scene, compare them, and write a report."""
+    from cases.files import make_folder
+    from cases.report import write_report
+    from cases.routes import Sampling, all_methods
+    from cases.scene import load_scene
+    from cases.summary import run_record
+    from cases.tables import run_text
+
+    loaded = load_scene(scene)
+    _check_tol(tol)
+    if out is not None:
+        make_folder(out)
+    outcome = _outcome(loaded, all_methods(tol=tol, sampling=Sampling(seed, threads)))
+    written = [] if out is None else write_report(outcome, out)
+    if as_json:
+        _print_json(run_record(outcome))
+    else:
+        typer.echo(run_text(outcome))
+        for path in written:
+            typer.echo(f"wrote {path}")
+    _end_with(outcome.problems)
+
+
+@app.command()
+def density(
+    scene: SceneName,
+    method: Annotated[
+        str, typer.Option(help="exact, linear, nonintegrable, integrable or montecarlo.")
+    ],
+    of: Annotated[str, typer.Option(metavar="OBS", help="q1.., p1.., H, H1.. or a pair a,b.")],
+    at: Annotated[
+        str, typer.Option(metavar="LIST", help='"-1.5:1.5:0.1", "-1,0,0.3", a pair "A x B".')
+    ],
+    solver: Annotated[
+        str | None, typer.Option(help="closed-form, quadrature or fem (default).")
+    ] = None,
+    tol: Tol = None,
+    seed: Seed = None,
+    threads: Threads = None,
+    as_json: Json = False,
+) -> None:
+    """Give one density at the points asked for."""
+    from cases.errors import BadInput
+    from cases.points import parse_points
+    from cases.routes import Request, Sampling, method_for
+    from cases.scene import load_scene
+    from cases.summary import density_record
+    from cases.tables import density_text
+    from cases.terminal import progress_bar
+    from fpk.errors import InvalidInput
+    from fpk.observable import parse_observable
+
+    loaded = load_scene(scene)
+    _check_tol(tol)
+    route = method_for(Request(method, solver, tol, Sampling(seed, threads)))
+    try:
+        observable = parse_observable(of, loaded.system.n)
+    except InvalidInput as error:
+        raise BadInput(f'--of "{of}": {error.remedy}') from None
+    points = parse_points(at, len(observable))
+    reason = route.refusal(loaded.system, observable)
+    if reason is not None:
+        raise BadInput(f"{loaded.name}: {method} does not apply: {reason}")
+    with progress_bar() as progress:
+        result = route.solve(loaded.system, [observable], progress=progress)
+    record = density_record(loaded, route, result, points)
+    if as_json:
+        _print_json(record)
+    else:
+        typer.echo(density_text(record))
+    _end_with([f"{of} is not certified: {f}" for f in record["certificate"]["failures"]])
+
+
+@app.command()
+def export(
+    scene: SceneName,
+    out: Annotated[Path, typer.Option(help="File to write; its ending says how: .nc or .csv.")],
+    tol: Tol = None,
+    as_json: Json = False,
+) -> None:
+    """Write the densities of a scene by theory, of all its curves, to one file."""
+    from cases.errors import BadInput
+    from cases.fields import csv_text, write_netcdf
+    from cases.files import write_text
+    from cases.routes import all_methods
+    from cases.scene import load_scene
+
+    loaded = load_scene(scene)
+    _check_tol(tol)
+    if out.suffix == ".vtu":
+        raise BadInput(f"--out {out}: .vtu comes with fields in two energies; use .nc or .csv")
+    if out.suffix not in (".nc", ".csv"):
+        raise BadInput(f"--out {out}: the ending says the format; use .nc or .csv")
+    if not out.parent.is_dir():
+        raise BadInput(f"--out {out}: the folder {out.parent} does not exist")
+    outcome = _outcome(loaded, [m for m in all_methods(tol=tol) if m.name != "montecarlo"])
+    if out.suffix == ".nc":
+        write_netcdf(outcome, out)
+    else:
+        write_text(out, csv_text(outcome))
+    if as_json:
+        _print_json({"scene": loaded.name, "file": str(out), "seconds": outcome.seconds})
+    else:
+        typer.echo(f"wrote {out}")
+    _end_with(outcome.problems)
+
+
+def main() -> None:
+    """Run the command line; everything a user can get wrong ends in one line and status 2."""
+    with _one_line_errors():
+        # Outside standalone mode typer hands usage errors over instead of printing four lines.
+        sys.exit(app(standalone_mode=False) or 0)
+
+
+@contextmanager
+def _one_line_errors() -> Iterator[None]:
+    try:
+        yield
+    except (KeyboardInterrupt, typer.Abort):
+        _fail("stopped; nothing half-written was left", 130)
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader has gone: say nothing more
+        sys.exit(1)
+    except Exception as error:
+        if hasattr(error, "format_message"):  # a usage error of the command line itself
+            _usage(error)
+        status = _status(error)
+        if status is None:
+            raise
+        _fail(str(error), status)
+
+
+def _usage(error: Any) -> None:
+    if type(error).__name__ == "NoArgsIsHelpError":
+        typer.echo(error.format_message(), err=True)
+        sys.exit(2)
+    command = error.ctx.command_path if getattr(error, "ctx", None) else "fpk"
+    _fail(f"{error.format_message()} ({command} --help says more)", 2)
+
+
+def _status(error: Exception) -> int | None:
+    """Return the exit status of an error made for users, None for a fault of the program."""
+    from cases.errors import BadInput
+    from fpk.errors import InvalidInput, NotApplicable, NotCertified
+
+    if isinstance(error, NotCertified):
+        return 1
+    return 2 if isinstance(error, (BadInput, InvalidInput, NotApplicable)) else None
+
+
+def _fail(message: str, status: int) -> None:
+    typer.echo("fpk: " + " ".join(message.split()), err=True)
+    sys.exit(status)
+
+
+def _end_with(problems: Any) -> None:
+    for problem in problems:
+        typer.echo(f"fpk: {problem}", err=True)
+    if problems:
+        raise typer.Exit(1)
+
+
+def _outcome(scene: "Scene", methods: Any) -> "Outcome":
+    from cases.run import run_scene
+    from cases.terminal import progress_bar
+
+    with progress_bar() as progress:
+        return run_scene(scene, methods, progress=progress)
+
+
+def _check_tol(tol: float | None) -> None:
+    from cases.errors import BadInput
+
+    if tol is not None and not 1e-15 <= tol <= 0.5:
+        raise BadInput(f"--tol {tol:g}: must be between 1e-15 and 0.5")
+
+
+def _print_json(record: dict[str, Any]) -> None:
+    typer.echo(json.dumps(record, ensure_ascii=False, allow_nan=False))

@@ -1,0 +1,103 @@
+"""The report of a run: one self-contained page, the pictures beside it, the fields as netCDF."""
+
+import platform
+import re
+from datetime import UTC, datetime
+from importlib.metadata import version
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from cases.compare import route_name
+from cases.fields import program_version, write_netcdf
+from cases.figures import INK, STYLE, figures
+from cases.files import write_text
+from cases.run import Outcome
+from cases.show import theories
+from cases.summary import effects_record, system_record
+
+LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "xarray")
+
+
+def write_report(outcome: Outcome, folder: Path) -> list[Path]:
+    """Write ``report.html``, ``result.nc`` and the pictures into ``folder``; return their paths.
+
+    Every file appears whole or not at all. Raises ``BadInput`` where the folder cannot be written.
+    """
+    pictures, written = [], []
+    for stem, caption, figure in figures(outcome):
+        svg = svg_text(figure, salt=stem)
+        written.append(folder / f"{stem}.svg")
+        write_text(written[-1], svg)
+        pictures.append({"stem": stem, "caption": caption, "svg": inline_svg(svg, caption)})
+    write_netcdf(outcome, folder / "result.nc")
+    write_text(folder / "report.html", report_html(outcome, pictures))
+    return [folder / "report.html", folder / "result.nc", *written]
+
+
+def report_html(outcome: Outcome, pictures: list[dict[str, Any]]) -> str:
+    """Return the page; every text that comes from a scene is escaped by the template."""
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["num"] = number
+    environment.filters["route"] = route_name
+    base = outcome.curves[0]
+    return environment.get_template("report.html").render(
+        outcome=outcome,
+        scene=outcome.scene,
+        base=base,
+        system=system_record(base.system),
+        effects=effects_record(base.effects),
+        theories=theories(outcome.scene),
+        pictures=pictures,
+        judged=sum(c.band is not None for curve in outcome.curves for c in curve.comparisons),
+        made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        versions=[("vibro-fpk", program_version()), ("Python", platform.python_version())]
+        + [(name, version(name)) for name in LIBRARIES],
+    )
+
+
+def number(value: Any, digits: int = 3) -> str:
+    """Return a number as a table shows it: plain where it is short, else with a power of ten."""
+    if value is None:
+        return "–"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(number(v, digits) for v in value)
+    if not isinstance(value, float):
+        return str(value)
+    mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
+    if value == 0 or -3 <= int(exponent or 0) < 5:
+        return f"{value:.{digits + 1}g}"
+    return f"{mantissa} × 10{str(int(exponent)).translate(SUPERSCRIPTS)}"
+
+
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def svg_text(figure: Figure, *, salt: str) -> str:
+    """Return the figure as SVG that is the same every time, with identifiers of its own."""
+    stream = StringIO()
+    with rc_context({**STYLE, "svg.hashsalt": salt}):
+        nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+        figure.savefig(stream, format="svg", metadata=nothing)
+    return stream.getvalue()
+
+
+def inline_svg(svg: str, words: str) -> Markup:
+    """Return SVG to stand inside a page: ink takes the page's colour, the background is left out."""
+    body = svg[svg.index("<svg") :].replace(INK, "currentColor")
+    body = re.sub(r'(<g id="patch_1">\s*<path [^>]*?)fill: #ffffff', r"\1fill: none", body)
+    body = re.sub(r'(<g id="patch_2">\s*<path [^>]*?)fill: #ffffff', r"\1fill: none", body)
+    body = re.sub(r' (?:width|height)="[\d.]+pt"', "", body, count=2)
+    label = Markup('<svg role="img" aria-label="{}" ').format(words)
+    return label + Markup(body.removeprefix("<svg "))  # drawn by this program

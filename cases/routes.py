@@ -1,0 +1,99 @@
+"""The routes from a system to densities that the command line offers: one entry each."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from averaging.exact import Exact
+from averaging.gaussian import Linear
+from averaging.nonintegrable import NonIntegrable
+from sim.montecarlo import MonteCarlo
+
+from cases.errors import BadInput
+from fpk.method import Method
+
+
+@dataclass(frozen=True)
+class Route:
+    """One METHOD of the command line: how it is made from a SOLVER, or why it cannot be yet.
+
+    ``solvers`` are the choices, the default first; ``sampled`` routes take seed and threads.
+    """
+
+    make: Callable[[str], Any] | None
+    solvers: tuple[str, ...] = ()
+    sampled: bool = False
+    refusal: str = ""
+
+
+ROUTES: dict[str, Route] = {
+    "exact": Route(lambda solver: Exact()),
+    "linear": Route(lambda solver: Linear()),
+    "nonintegrable": Route(
+        lambda solver: NonIntegrable(solver=solver), ("fem", "closed-form", "quadrature")
+    ),
+    "integrable": Route(
+        None,
+        ("closed-form", "fem", "quadrature"),
+        refusal="quasi-integrable averaging (34) is not in this version; use nonintegrable",
+    ),
+    "montecarlo": Route(lambda solver: MonteCarlo(), ("simulation",), sampled=True),
+}
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """What a user may say of the simulation; None leaves it to the method."""
+
+    seed: int | None = None
+    threads: int | None = None
+
+    def given(self) -> dict[str, int]:
+        """Return the settings that were given."""
+        settings = {"seed": self.seed, "threads": self.threads}
+        return {key: value for key, value in settings.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class Request:
+    """One METHOD with its SOLVER and settings, as asked for on the command line."""
+
+    method: str
+    solver: str | None = None
+    tol: float | None = None
+    sampling: Sampling = field(default_factory=Sampling)
+
+
+def method_for(request: Request) -> Method:
+    """Return the method asked for; raise ``BadInput`` with the reason where there is none."""
+    route = ROUTES.get(request.method)
+    if route is None:
+        raise BadInput(f"--method {request.method}: use one of {', '.join(ROUTES)}")
+    solver = request.solver
+    if solver is not None and solver not in route.solvers:
+        choices = f"use one of {', '.join(route.solvers)}" if route.solvers else "leave it out"
+        raise BadInput(f"--solver {solver}: not a solver of {request.method}; {choices}")
+    if route.make is None:
+        raise BadInput(f"--method {request.method}: {route.refusal}")
+    method = route.make(solver or (route.solvers[0] if route.solvers else ""))
+    settings: dict[str, Any] = request.sampling.given() if route.sampled else {}
+    if request.tol is not None and hasattr(method, "tol"):
+        settings["tol"] = request.tol
+    result: Method = replace(method, **settings) if settings else method
+    return result
+
+
+def all_methods(
+    *, tol: float | None = None, sampling: Sampling | None = None
+) -> tuple[Method, ...]:
+    """Return every route that there is, with every solver; ``tol`` is for the solvers alone.
+
+    The simulation keeps its own tolerance: what takes a solver a millisecond more takes sampling
+    a hundred times as long for every digit.
+    """
+    return tuple(
+        method_for(Request(name, solver, None if route.sampled else tol, sampling or Sampling()))
+        for name, route in ROUTES.items()
+        if route.make is not None
+        for solver in (route.solvers or (None,))
+    )

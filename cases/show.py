@@ -1,0 +1,111 @@
+"""What a scene is before anything is solved: system, effects, frequencies, theories, boundaries."""
+
+from dataclasses import asdict
+from typing import Any
+
+from cases.regime import regime_of
+from cases.routes import ROUTES, Request, method_for
+from cases.run import boundaries_of, incompatibility
+from cases.scene import Scene
+from cases.summary import effects_record, plain, system_record
+from fpk.effects import effects_of
+from fpk.observable import observable_name
+
+MEANING = {
+    "exact": "exact solution of the full system, Eq. (7)",
+    "linear": "Gaussian of a system without contact",
+    "nonintegrable": "averaging of one energy, Eq. (11)",
+    "integrable": "averaging of the modal energies, Eq. (34)",
+    "montecarlo": "simulation of the full system, Eq. (6)",
+}
+
+
+def show_record(scene: Scene) -> dict[str, Any]:
+    """Return the record of ``fpk show``."""
+    methods = [method_for(Request(name)) for name, route in ROUTES.items() if route.make]
+    regime = regime_of(scene.system, incompatibility(scene.system, methods))
+    record = {
+        "scene": scene.name,
+        "title": scene.title,
+        "source": scene.source,
+        "system": system_record(scene.system),
+        "observables": [observable_name(o) for o in scene.observables],
+        "curves": [curve.label for curve in scene.curves],
+        "effects": effects_record(effects_of(scene.system)),
+        "natural_frequencies": regime.natural_frequencies,
+        "regime": {**asdict(regime), "contacts_negligible": regime.contacts_negligible},
+        "theories": theories(scene),
+        "boundaries": [asdict(b) for b in boundaries_of(scene.system)],
+    }
+    result: dict[str, Any] = plain(record)
+    return result
+
+
+def theories(scene: Scene) -> list[dict[str, Any]]:
+    """Return for every METHOD whether it applies to the scene's own system, and why not."""
+    found = []
+    for name, route in ROUTES.items():
+        reasons: dict[str, str | None] = {}
+        for observable in scene.observables:
+            reason: str | None = route.refusal
+            if route.make is not None:
+                reason = method_for(Request(name)).refusal(scene.system, observable)
+            reasons[observable_name(observable)] = reason
+        refused = list(dict.fromkeys(r for r in reasons.values() if r is not None))
+        found.append(
+            {
+                "method": name,
+                "meaning": MEANING[name],
+                "solvers": route.solvers,
+                "applies": any(r is None for r in reasons.values()),
+                "reason": "; ".join(refused) or None,
+            }
+        )
+    return found
+
+
+def show_text(record: dict[str, Any]) -> str:
+    """Return the record of ``show_record`` for reading."""
+    system, effects = record["system"], record["effects"]
+    lines = [record["title"], record["source"], "", "System, Eq. (1)"]
+    lines += [f"  {key:16} {_short(system[key])}" for key in ("mass", "stiffness")]
+    lines += [f"  {key:16} {_diagonal(system[key])}" for key in ("damping", "noise_intensity")]
+    lines += [
+        f"  contact {i:<8} mass {c['mass']}, {c['side']}, {c['law']} ({c['exponent']:g}),"
+        f" B = {c['stiffness']:g}, δ = {c['clearance']:g}"
+        for i, c in enumerate(system["contacts"], start=1)
+    ] or ["  no contact"]
+    words = [f"{key} {_short(value)}" for key, value in effects.items()]
+    lines += ["", "Effects", *(f"  {w}" for w in words)]
+    lines += ["", "Natural frequencies", f"  {_short(record['natural_frequencies'])}"]
+    lines += ["", "Clearance against motion (section 6.3: negligible beyond 2 rms)"]
+    lines += [
+        f"  mass {s['mass']} {s['side']:5} clearance {s['clearance']:g}"
+        + (f" = {s['ratio']:.3g} rms without contact" if s["ratio"] is not None else "")
+        for s in record["regime"]["stops"]
+    ] or ["  no contact"]
+    lines += ["", "Theories"]
+    for t in record["theories"]:
+        lines.append(
+            f"  {t['method']:14} {'applies' if t['applies'] else 'does not apply'}: {t['meaning']}"
+        )
+        if t["reason"]:
+            lines.append(f"  {'':14} {t['reason']}")
+    lines += ["", "Boundaries of the averaged process"]
+    lines += [f"  {b['end']}: {b['kind']} ({b['reason']})" for b in record["boundaries"]] or [
+        "  none"
+    ]
+    return "\n".join(lines)
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, list):
+        return ", ".join(_short(v) for v in value) or "none"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _diagonal(matrix: list[list[float]]) -> str:
+    off = [x for i, row in enumerate(matrix) for j, x in enumerate(row) if i != j]
+    if any(off):
+        return "; ".join(_short(row) for row in matrix)
+    return _short([row[i] for i, row in enumerate(matrix)])
