@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_coeffs
 
 from fpk.observable import Observable, observable_name
+from fpk.quadrature import panel_rule
 
 Array = NDArray[np.float64]
 ErrorKind = Literal["numerical", "sampling"]
@@ -246,7 +247,5 @@ def _refined_by(nodes: Array, others: Array) -> Array:
 
 def _quadrature(nodes: Array) -> tuple[Array, Array]:
     """Composite Gauss-Legendre points and weights on the panels between ``nodes``."""
-    x, w = np.polynomial.legendre.leggauss(GAUSS_POINTS)
-    half = 0.5 * np.diff(nodes)
-    middle = 0.5 * (nodes[1:] + nodes[:-1])
-    return (middle[:, None] + half[:, None] * x).ravel(), (half[:, None] * w).ravel()
+    x, w = panel_rule(nodes, GAUSS_POINTS)
+    return x.ravel(), w.ravel()

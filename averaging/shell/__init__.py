@@ -1,0 +1,1 @@
+"""Shells of constant energy: reduced potential, rays, directions, density of states."""

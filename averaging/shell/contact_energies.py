@@ -1,0 +1,54 @@
+"""Energies at which the shell first reaches a stop, or several: T(H) is not smooth there."""
+
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from averaging.shell.reduced import ReducedPotential
+
+Array = NDArray[np.float64]
+
+MOST_AT_ONCE = 3
+"""Stops touched at once that are looked at: beyond, the loss of smoothness is of ever higher
+order (each stop adds half a derivative at least)."""
+
+
+def contact_energies(potential: ReducedPotential) -> tuple[float, ...]:
+    """Return the energies, ascending, at which T(H) loses smoothness.
+
+    They are the minima of V_red over the points where one or several stops are just touched; for
+    one stop and no other in the way this is H_c = ½ k_eff δ², which is 0 without clearance.
+    """
+    energies = set()
+    indices = range(len(potential.stops))
+    for size in range(1, min(potential.count, MOST_AT_ONCE) + 1):
+        for subset in combinations(indices, size):
+            if len({potential.stops[s].mass for s in subset}) == size:
+                energies.add(_lowest(potential, subset))
+    return tuple(sorted(energies))
+
+
+def _lowest(potential: ReducedPotential, subset: tuple[int, ...]) -> float:
+    rows = potential.rows[list(subset)]
+    foot = np.linalg.lstsq(rows, potential.clearance[list(subset)], rcond=None)[0]
+    others = [s for s in range(len(potential.stops)) if s not in subset]
+    overlap = potential.rows[others] @ foot - potential.clearance[others]
+    if len(subset) == potential.count or np.all(overlap <= 0.0):
+        return float(0.5 * foot @ foot + _energy_of(potential, others, foot))
+    _, _, basis = np.linalg.svd(rows)
+    free = basis[len(subset) :].T
+    found = minimize(
+        lambda t: float(potential(foot + free @ t)), np.zeros(free.shape[1]), tol=1e-12
+    )
+    return float(found.fun)
+
+
+def _energy_of(potential: ReducedPotential, stops: list[int], y: Array) -> float:
+    return float(
+        sum(
+            potential.stops[s].energy(max(potential.rows[s] @ y - potential.clearance[s], 0.0))
+            for s in stops
+        )
+    )

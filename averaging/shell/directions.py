@@ -1,0 +1,100 @@
+"""Quadrature over the directions of whitened coordinates: two on a line, a circle, a sphere."""
+
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from averaging.shell.reduced import ReducedPotential
+from fpk.quadrature import gauss_legendre
+
+Array = NDArray[np.float64]
+
+BISECTIONS = 60
+
+
+def line_rule(potential: ReducedPotential) -> tuple[tuple[float, ...], float]:
+    """One contact mass: the directions ±1, or one of them counted twice where V is even."""
+    return ((1.0,), 2.0) if potential.mirror else ((1.0, -1.0), 1.0)
+
+
+def circle_rule(
+    potential: ReducedPotential, energy: Array, nodes: int
+) -> tuple[Array, Array, Array]:
+    """Two contact masses: Gauss panels over the angle, cut where a stop joins or leaves the shell.
+
+    Returns the index of each ray's energy (rays,), the directions (rays, 2), the weights (rays,).
+    The substitution sin² towards both ends of a panel turns the half-integer powers that Hertz
+    contact leaves there into smooth functions.
+    """
+    period = pi if potential.mirror else 2.0 * pi
+    cuts = np.sort(_cut_angles(potential, energy) % period, axis=1)
+    cuts = np.concatenate([cuts, cuts[:, :1] + period], axis=1)
+    t, w = gauss_legendre(nodes)
+    psi = 0.25 * pi * (1.0 + t)
+    share, slope = np.sin(psi) ** 2, 0.25 * pi * np.sin(2.0 * psi) * w
+    length = np.diff(cuts, axis=1)
+    angle = cuts[:, :-1, None] + length[:, :, None] * share
+    weight = np.broadcast_to(length[:, :, None] * slope, angle.shape)
+    keep = weight > 0
+    which = np.broadcast_to(np.arange(energy.size)[:, None, None], angle.shape)[keep]
+    directions = np.stack([np.cos(angle[keep]), np.sin(angle[keep])], axis=1)
+    return which, directions, weight[keep] * (2.0 * pi / period)
+
+
+def hyperspherical(angles: Array) -> tuple[Array, Array]:
+    """Unit vectors (points, k+1) of ``angles`` (points, k) and the measure on the sphere."""
+    sine, cosine = np.sin(angles), np.cos(angles)
+    products = np.cumprod(np.hstack([np.ones((angles.shape[0], 1)), sine]), axis=1)
+    directions = products * np.hstack([cosine, np.ones((angles.shape[0], 1))])
+    powers = np.arange(angles.shape[1] - 1, -1, -1)
+    return directions, np.prod(sine**powers, axis=1)
+
+
+def _cut_angles(potential: ReducedPotential, energy: Array) -> Array:
+    """Angles (energies, cuts) at which the rays change their panels; 0 where a cut is absent."""
+    fixed = [0.0, 0.5 * pi]
+    rows, clearance = potential.rows, potential.clearance
+    moving = []
+    for i in range(clearance.size):
+        moving.extend(_line_crossings(potential, rows[i], clearance[i], energy))
+        for j in range(i):
+            determinant = np.linalg.det(rows[[i, j]])
+            if abs(determinant) > 1e-12 * np.linalg.norm(rows[i]) * np.linalg.norm(rows[j]):
+                corner = np.linalg.solve(rows[[i, j]], clearance[[i, j]])
+                fixed.append(float(np.arctan2(corner[1], corner[0])))
+    return np.stack([np.full(energy.size, angle) for angle in fixed] + moving, axis=1)
+
+
+def _line_crossings(
+    potential: ReducedPotential, row: Array, clearance: float, energy: Array
+) -> list[Array]:
+    """Angles of the two points with V = H on the line where a stop is just touched."""
+    size = np.linalg.norm(row)
+    foot = clearance * row / size**2
+    along = np.array([-row[1], row[0]]) / size
+    bound = np.sqrt(2.0 * energy)
+
+    def value(t: Array) -> Array:
+        return potential(foot + t[:, None] * along)
+
+    # V is convex along the line: the sign of a central difference brackets its minimum, and one
+    # root lies on either side of it (the springs alone reach H at |t| <= bound).
+    low, high = -bound, bound.copy()
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        step = 1e-6 * bound
+        rising = value(middle + step) > value(middle - step)
+        low, high = np.where(rising, low, middle), np.where(rising, middle, high)
+    lowest = 0.5 * (low + high)
+    angles = []
+    for end in (bound, -bound):
+        inside, outside = lowest, end
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (inside + outside)
+            below = value(middle) < energy
+            inside, outside = np.where(below, middle, inside), np.where(below, outside, middle)
+        point = foot + inside[:, None] * along
+        angle = np.arctan2(point[:, 1], point[:, 0])
+        angles.append(np.where(value(lowest) < energy, angle, 0.0))
+    return angles

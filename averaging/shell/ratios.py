@@ -1,0 +1,161 @@
+"""Density of states and phase volume of a system with contacts, relative to the one without.
+
+Without contact ``T ~ H^(n−1)`` and the phase volume is ``T H / n``. Contact multiplies both by
+ratios between 0 and 1 that depend on H only; they are all that quadrature is needed for, they are
+well scaled for any number of masses, and they are exactly 1 below the energy where contact begins.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import cubature
+from scipy.special import gammaln
+
+from averaging.shell.contact_energies import contact_energies
+from averaging.shell.directions import circle_rule, hyperspherical, line_rule
+from averaging.shell.radial import shell_ray_integrals
+from averaging.shell.reduced import ReducedPotential, reduced_potential
+from fpk.system import System
+
+Array = NDArray[np.float64]
+
+REFINEMENTS = (12, 16, 24, 48, 96, 192)
+"""Gauss points per panel; an energy moves on to the next while two levels disagree."""
+TARGET = 3e-12
+"""Relative disagreement of two levels that ends the refinement; as the convergence is geometric,
+the finer of the two is better than that by orders of magnitude."""
+ROUND_OFF = 2e-15
+"""Relative error of a sum of some dozens of positive terms."""
+CUBATURE_TOLERANCE = 1e-8
+"""Relative tolerance over the directions of three or more contact masses."""
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyShell:
+    """Shells of constant energy of one system: its reduced potential and contact energies."""
+
+    potential: ReducedPotential
+    contact_energies: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ShellRatios:
+    """Ratios of the energy shell at some energies; each array has the energies' shape.
+
+    ``states`` = T(H)/T_lin(H) with T the density of states ∫δ(H − H(q,p)) dq dp (twice the T of
+    (10), which integrates over ∂H/∂p_1 > 0 only; for n = 1 it is the period), ``volume`` the same
+    of the phase volume Φ = ∫T dH, ``log_slope`` = H T'/T, ``error`` the relative error of each.
+    """
+
+    states: Array
+    volume: Array
+    log_slope: Array
+    error: Array
+
+
+def energy_shell(system: System) -> EnergyShell:
+    """Return the shells of ``system``."""
+    potential = reduced_potential(system)
+    return EnergyShell(potential, contact_energies(potential))
+
+
+def log_linear_states(system: System, energy: Array) -> Array:
+    """Return ln T_lin(H) of the chain without contacts, (2π)^n √(Π m / det K) H^(n−1)/Γ(n)."""
+    n = system.n
+    # det K of a chain that is fixed at one end is the product of its springs.
+    prefactor = n * np.log(2.0 * pi) + 0.5 * np.sum(np.log(system.mass / system.stiffness))
+    return np.asarray(prefactor - gammaln(n) + (n - 1) * np.log(energy))
+
+
+def shell_ratios(shell: EnergyShell, energy: Array) -> ShellRatios:
+    """Return the ratios at energies > 0, Eqs. (10), (25), (28) for any n and any contacts.
+
+    The (2n−1)-fold integrals of (10) are reduced to the contact masses: momenta and the other
+    displacements are integrated out exactly, which leaves ∫(H − V_red)^(n − c/2 − 1) dq_c.
+    """
+    n, c = shell.potential.n, shell.potential.count
+    ones = np.ones_like(energy)
+    result = ShellRatios(ones.copy(), ones.copy(), (n - 1.0) * ones, np.zeros_like(energy))
+    touching = np.flatnonzero(energy > min(shell.contact_energies, default=np.inf))
+    if touching.size:
+        sums, error = _refined(shell.potential, energy[touching])
+        a = n - 0.5 * c - 1.0
+        flat = (2.0 * pi) ** (0.5 * c) * float(np.exp(gammaln(a + 1.0) - gammaln(n)))
+        result.states[touching] = sums[:, 0] / flat
+        result.volume[touching] = sums[:, 1] / (flat * (a + 1.0) / n)
+        result.log_slope[touching] = sums[:, 2] / sums[:, 0]
+        result.error[touching] = error
+    return result
+
+
+def _refined(potential: ReducedPotential, energy: Array) -> tuple[Array, Array]:
+    """The three integrals over the shell (energies, 3) and their relative error (energies,)."""
+    if potential.count > 2:
+        return _over_sphere(potential, energy)
+    coarse, sums = _over_rays(potential, energy, REFINEMENTS[:2])
+    error = _disagreement(coarse, sums)
+    for points in REFINEMENTS[2:]:
+        open_ = np.flatnonzero(error > TARGET)
+        if not open_.size:
+            break
+        finer = _over_rays(potential, energy[open_], (points,))[0]
+        error[open_] = _disagreement(sums[open_], finer)
+        sums[open_] = finer
+    return sums, error
+
+
+def _disagreement(coarse: Array, fine: Array) -> Array:
+    relative: Array = np.max(np.abs(coarse / fine - 1.0), axis=1) + ROUND_OFF
+    return relative
+
+
+def _over_rays(potential: ReducedPotential, energy: Array, rules: Sequence[int]) -> Array:
+    """Sums over one or two directions of contact, (rules, energies, 3)."""
+    if potential.count == 1:
+        ends, weight = line_rule(potential)
+        sums = np.zeros((len(rules), energy.size, 3))
+        for end in ends:
+            rays = np.full((energy.size, 1), end)
+            sums += weight * shell_ray_integrals(potential, energy, rays, rules=rules)
+        return sums
+    return np.stack([_over_circle(potential, energy, points) for points in rules])
+
+
+def _over_circle(potential: ReducedPotential, energy: Array, points: int) -> Array:
+    which, directions, weights = circle_rule(potential, energy, points)
+    rays = shell_ray_integrals(potential, energy[which], directions, rules=(points,))[0]
+    parts = [np.bincount(which, weights * part, minlength=energy.size) for part in rays.T]
+    return np.stack(parts, axis=1)
+
+
+def _over_sphere(potential: ReducedPotential, energy: Array) -> tuple[Array, Array]:
+    """Three or more contact masses: adaptive cubature over the directions."""
+    angles = potential.count - 1
+    upper = np.full(angles, pi)
+    upper[-1] = pi if potential.mirror else 2.0 * pi
+    factor = 2.0 if potential.mirror else 1.0
+
+    def integrand(points: Array) -> Array:
+        directions, jacobian = hyperspherical(points)
+        size = (points.shape[0], energy.size)
+        rays = shell_ray_integrals(
+            potential,
+            np.broadcast_to(energy, size).ravel(),
+            np.repeat(directions, energy.size, axis=0),
+            rules=REFINEMENTS[:1],
+        )[0]
+        return np.asarray(jacobian[:, None, None] * rays.reshape(*size, 3))
+
+    found = cubature(
+        integrand,
+        np.zeros(angles),
+        upper,
+        rule="gk15" if angles < 4 else "genz-malik",
+        rtol=CUBATURE_TOLERANCE,
+        max_subdivisions=2000,
+    )
+    error = np.max(np.abs(found.error / found.estimate), axis=1) + ROUND_OFF
+    return factor * found.estimate, error

@@ -1,0 +1,96 @@
+"""Meshes of one energy: where they end, and how they follow the coefficients."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpk.errors import NotCertified
+from fpk.process import DiffusionProcess, log_density_slope
+
+Array = NDArray[np.float64]
+
+NATS_PER_ELEMENT = 3.0
+"""Fall of ln(p/T) over one element: exp(−3 t) is met by degree 10 to 1e-11."""
+GRADING = 0.15
+"""Ratio of neighbouring lengths towards a point where smoothness is lost."""
+GRADED_LAYERS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """Coarse look at the coefficients, from which a mesh starts; the answer does not rest on it.
+
+    ``slope`` is d ln p/dH and ``roughness`` |d ln(p/T)/dH| at ``energy``, all (points,).
+    """
+
+    energy: Array
+    slope: Array
+    roughness: Array
+
+
+def survey(process: DiffusionProcess) -> Survey:
+    """Evaluate the slopes on a grid from far below to far above the process's energy scale."""
+    grid = np.concatenate([np.logspace(-3.0, 0.0, 10), np.logspace(0.0, 4.0, 60)[1:]])
+    energy = process.energy_scale * grid
+    c = process.coefficients(energy)
+    return Survey(energy, log_density_slope(c), np.abs(2.0 * c.dissipation / c.diffusion))
+
+
+def truncation_energy(view: Survey, tail: float) -> float:
+    """Return an energy beyond which about the share ``tail`` of the probability lies.
+
+    The solver bounds the tail again from its own solution. Raises ``NotCertified`` where the
+    density does not fall to that share.
+    """
+    # In the variable ln H, where the slope varies slowly: d ln(p H)/d ln H = 1 + H d ln p/dH.
+    rate = 1.0 + view.energy * view.slope
+    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(np.log(view.energy))
+    log_mass = np.concatenate([[0.0], np.cumsum(steps)])
+    depth = log_mass - log_mass.max()
+    beyond = np.flatnonzero((depth < np.log(tail)) & (view.energy > view.energy[depth.argmax()]))
+    if not beyond.size:
+        raise NotCertified(
+            "the density does not fall off: damping does not balance the noise at high energy"
+        )
+    i = beyond[0]
+    share = (np.log(tail) - depth[i - 1]) / (depth[i] - depth[i - 1])
+    return float(view.energy[i - 1] * (view.energy[i] / view.energy[i - 1]) ** share)
+
+
+def initial_nodes(view: Survey, end: float, nonsmooth: tuple[float, ...]) -> Array:
+    """Return nodes from 0 to ``end``: on the nonsmooth energies, dense where p/T varies fast.
+
+    Geometric layers lie above every nonsmooth energy (below it, the density is smooth up to it).
+    """
+    energy = np.linspace(0.0, end, 65)
+    rate = np.interp(energy, view.energy, view.roughness) / NATS_PER_ELEMENT
+    steps = 0.5 * (rate[1:] + rate[:-1]) * energy[1]
+    count = np.concatenate([[0.0], np.cumsum(steps)])
+    levels = np.linspace(0.0, count[-1], max(int(np.ceil(count[-1])), 2) + 1)
+    nodes = np.interp(levels, count, energy)
+    fixed = [H for H in nonsmooth if H < end]
+    for H in fixed:
+        spacing = np.diff(nodes)[min(np.searchsorted(nodes, H), nodes.size - 1) - 1]
+        nodes = nodes[(np.abs(nodes - H) > 0.3 * spacing) | (nodes == 0.0) | (nodes == end)]
+    nodes = np.unique(np.concatenate([nodes, fixed]))
+    layers = GRADING ** np.arange(1.0, GRADED_LAYERS + 1.0)
+    for H in fixed:
+        gap = nodes[np.searchsorted(nodes, H, side="right")] - H
+        nodes = np.concatenate([nodes, H + gap * layers])
+    return np.unique(nodes)
+
+
+def split_points(left: Array, right: Array, special: Array) -> Array:
+    """Return where to cut elements in two: towards a special point they begin at, else half-way."""
+    share = np.where(np.isin(left, special), GRADING, 0.5)
+    return left + share * (right - left)
+
+
+def tail_bound(view: Survey, end: float, density_at_end: float) -> float:
+    """Return a bound of the mass above ``end``: p(end) over the least rate at which p falls there.
+
+    The rate is that of the survey above ``end``, and taken not to drop below it further out.
+    """
+    rate = float(np.min(-view.slope[view.energy >= end], initial=np.inf))
+    return density_at_end / rate if 0.0 < rate < np.inf else float("inf")

@@ -1,0 +1,49 @@
+"""Diffusion processes of one energy: the coefficients that the FPK solvers get to see."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Coefficients(NamedTuple):
+    """Coefficients of ``dH = s dt + √b dB`` at some energies, each array of the energies' shape.
+
+    ``drift`` s and ``diffusion`` b = σ² (the ½ stays in the FPK equation), ``diffusion_slope`` b'.
+    ``dissipation`` is the part of the drift that damping causes and ``log_density_of_states`` is
+    ln T up to a constant, so that ``s = dissipation + ½ (b T)'/T``. ``relative_error`` estimates the
+    error of the quadratures behind them, relative to each.
+    """
+
+    drift: Array
+    diffusion: Array
+    diffusion_slope: Array
+    dissipation: Array
+    log_density_of_states: Array
+    relative_error: Array
+
+
+@dataclass(frozen=True)
+class DiffusionProcess:
+    """Diffusion process of one energy on (0, ∞), Ito, Eqs. (9) and (24).
+
+    ``coefficients`` evaluates it at energies > 0; ``nonsmooth`` holds the energies, ascending,
+    where the coefficients lose smoothness (where contact begins); ``energy_scale`` is an energy
+    of the order of the mean, from which meshes start; ``degrees_of_freedom`` is n in T ~ H^(n−1)
+    at H → 0.
+    """
+
+    coefficients: Callable[[Array], Coefficients]
+    energy_scale: float
+    nonsmooth: tuple[float, ...]
+    degrees_of_freedom: int
+
+
+def log_density_slope(c: Coefficients) -> Array:
+    """Return d ln p/dH = (2 s − b')/b, the slope that zero flux demands, from (11)."""
+    slope: Array = (2.0 * c.drift - c.diffusion_slope) / c.diffusion
+    return slope
