@@ -1,0 +1,165 @@
+"""The contract of the command line: keys, exit statuses, one JSON object and nothing else."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import xarray as xr
+
+pytest.importorskip("averaging.exact")
+pytest.importorskip("averaging.nonintegrable")
+pytest.importorskip("sim.montecarlo")
+
+from cases.routes import ROUTES, Request, all_methods, method_for
+from cases.run import run_scene
+from cases.scene import load_scene, shipped_scenes
+
+RUN = {"scene", "effects", "regime", "methods", "comparisons", "identities", "seconds"}
+COMPARISON = {"observable", "a", "b", "measures", "L1", "band", "holds"}
+DENSITY = {
+    "scene", "method", "solver", "observable", "points", "density", "error", "error_kind",
+    "certificate", "seconds",
+}  # fmt: skip
+CERTIFICATE = {"mass_defect", "minimum", "residual", "tail_mass"}
+AT = ["--at", "-1.5:1.5:0.5"]
+
+
+def density(fpk, *arguments):
+    status, out, err = fpk("density", *arguments, "--json")
+    assert (status, err) == (0, "")
+    assert out.count("\n") == 1
+    return json.loads(out)
+
+
+@pytest.mark.parametrize("solver", ROUTES["nonintegrable"].solvers)
+def test_density_has_the_keys_of_the_contract(solver, fpk):
+    record = density(
+        fpk, "fig6a", "--method", "nonintegrable", "--solver", solver, "--of", "q2", *AT
+    )
+    assert record.keys() >= DENSITY and record["certificate"].keys() >= CERTIFICATE
+    assert record["solver"] == solver and record["error_kind"] == "numerical"
+    assert record["points"] == [-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5]
+    assert len(record["density"]) == len(record["error"]) == 7
+    assert record["density"] == pytest.approx(record["density"][::-1], rel=1e-9)
+
+
+def test_finite_elements_are_what_nonintegrable_means_when_nothing_is_said(fpk):
+    record = density(fpk, "fig6a", "--method", "nonintegrable", "--of", "H", "--at", "0.1,0.2")
+    assert record["solver"] == "fem"
+
+
+def test_a_pair_takes_two_lists(fpk):
+    record = density(fpk, "fig3a", "--method", "exact", "--of", "q2,p2", "--at", "-1:1:1 x 0,0.5")
+    assert record["points"] == [[-1, 0], [-1, 0.5], [0, 0], [0, 0.5], [1, 0], [1, 0.5]]
+    assert len(record["density"]) == 6
+
+
+@pytest.mark.slow
+def test_a_simulation_is_the_same_for_any_number_of_threads(fpk):
+    records = [
+        density(
+            fpk, "fig6a", "--method", "montecarlo", "--of", "q2", *AT, "--seed", 3, "--threads", t
+        )
+        for t in (1, 2)
+    ]
+    assert records[0]["error_kind"] == "sampling"
+    assert records[0]["density"] == records[1]["density"]
+
+
+REFUSED = [
+    (["fig6a", "--method", "exact", "--of", "q2", "--at", "0"], "exact"),
+    (["fig6a", "--method", "linear", "--of", "q2", "--at", "0"], "contact"),
+    (["fig6a", "--method", "integrable", "--of", "q2", "--at", "0"], "integrable"),
+    (["fig6a", "--method", "guess", "--of", "q2", "--at", "0"], "use one of exact"),
+    (["fig3a", "--method", "exact", "--solver", "fem", "--of", "q2", "--at", "0"], "leave it out"),
+    (["fig6a", "--method", "nonintegrable", "--solver", "fen", "--of", "q2", "--at", "0"], "fem"),
+    (["fig6a", "--method", "nonintegrable", "--of", "q3", "--at", "0"], "q1..q2"),
+    (["fig6a", "--method", "nonintegrable", "--of", "q2", "--at", "0:1"], "start:end:step"),
+    (["fig6a", "--method", "nonintegrable", "--of", "q2", "--at", "0", "--tol", "0"], "--tol"),
+    (["fig6a", "--method", "nonintegrable", "--of", "q2"], "--at"),
+    (["fig6a", "--method", "montecarlo", "--of", "q2", "--at", "0", "--seed", "x"], "--seed"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "word"), REFUSED)
+def test_what_does_not_apply_is_refused_with_the_reason(arguments, word, fpk):
+    status, out, err = fpk("density", *arguments)
+    assert (status, out) == (2, "") and err.count("\n") == 1 and word in err
+
+
+def test_every_shipped_scene_loads_and_can_be_shown(fpk):
+    names = list(shipped_scenes())
+    assert len(names) >= 11
+    listed = json.loads(fpk("list", "--json")[1])["scenes"]
+    assert [s["name"] for s in listed] == names
+    for name in names:
+        status, out, err = fpk("show", name, "--json")
+        record = json.loads(out)
+        assert (status, err) == (0, "")
+        assert len(record["natural_frequencies"]) == len(record["system"]["mass"])
+        assert record["boundaries"] and any(t["applies"] for t in record["theories"])
+
+
+def test_run_judges_and_reports(fpk, tmp_path):
+    status, out, err = fpk("run", "fig3a", "--json", "--out", tmp_path / "out", "--seed", 1)
+    record = json.loads(out)
+    assert (status, err) == (0, "")
+    assert record.keys() >= RUN
+    for curve in [record, *record["curves"]]:
+        assert curve["comparisons"] and all(c.keys() >= COMPARISON for c in curve["comparisons"])
+        assert {c["measures"] for c in curve["comparisons"]} == {"numerical", "sampling"}
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "<svg" in page and "http://" not in page.replace("http://www.w3.org/", "")
+    with xr.open_dataset(tmp_path / "out" / "result.nc", engine="h5netcdf") as data:
+        assert np.all(np.isfinite(data["p_q2"].sel(route_q2="exact")))
+        assert data.attrs["scene"] == "fig3a"
+    assert len(list((tmp_path / "out").glob("*.svg"))) == 6
+
+
+def test_a_scene_is_text_in_the_report(tmp_path, scene_text):
+    from cases.report import report_html  # noqa: PLC0415
+
+    path = tmp_path / "evil.toml"
+    path.write_text(scene_text.replace('"A scene"', '"<script>alert(1)</script>"'))
+    outcome = run_scene(load_scene(str(path)), [method_for(Request("nonintegrable"))])
+    page = report_html(outcome, [])
+    assert "<script" not in page and "&lt;script&gt;" in page
+
+
+@pytest.mark.parametrize("ending", ["csv", "nc"])
+def test_export_by_ending(ending, fpk, tmp_path):
+    path = tmp_path / f"field.{ending}"
+    status, _, err = fpk("export", "fig6a", "--out", path)
+    assert (status, err) == (0, "") and path.stat().st_size > 1000
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("name", ["field.vtu", "field.txt", "nowhere/field.csv"])
+def test_export_says_what_it_cannot_write(name, fpk, tmp_path):
+    status, out, err = fpk("export", "fig6a", "--out", tmp_path / name)
+    assert (status, out) == (2, "") and err.count("\n") == 1 and "--out" in err
+
+
+def test_run_says_where_it_cannot_write(fpk, tmp_path):
+    (tmp_path / "file").write_text("kept")
+    status, out, err = fpk("run", "fig6a", "--out", tmp_path / "file")
+    assert (status, out) == (2, "") and err.count("\n") == 1
+    assert (tmp_path / "file").read_text() == "kept"
+
+
+def test_the_tolerance_reaches_solvers_and_not_the_simulation():
+    usual = {m.name: m.tol for m in all_methods() if m.name == "montecarlo"}
+    for method in all_methods(tol=1e-7):
+        if hasattr(method, "tol"):
+            assert method.tol == usual.get(method.name, 1e-7)
+
+
+def test_help_needs_nothing_heavy():
+    code = (
+        "import sys, cases.cli; heavy = {'numpy', 'scipy', 'matplotlib', 'xarray', 'numba',"
+        " 'pydantic', 'skfem'} & sys.modules.keys(); sys.exit(str(sorted(heavy)) if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

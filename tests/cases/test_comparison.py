@@ -1,0 +1,93 @@
+"""The comparison calls a right answer wrong as rarely as promised, and a wrong one wrong."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from cases.compare import chance_l1, compared, what_is_measured
+from fpk.density import Certificate, Density, SampledDensity, l1_distance
+from fpk.method import Result
+from fpk.observable import parse_observable
+
+FINE = Certificate(0.0, 0.0, 0.0, 0.0)
+Q1 = parse_observable("q1", 1)
+
+
+@dataclass(frozen=True)
+class Named:
+    name: str
+    solver: str = "fem"
+
+
+def gaussian(scale=1.0, l1_error=1e-12):
+    return Density(
+        Q1,
+        (np.linspace(-9, 9, 60),),
+        lambda x: np.exp(-0.5 * (x / scale) ** 2) / (scale * np.sqrt(2 * np.pi)),
+        lambda x: np.full_like(x, 1e-13),
+        l1_error,
+        FINE,
+    )
+
+
+def sample(seed, batches=32, size=4000):
+    rng = np.random.default_rng(seed)
+    edges = np.linspace(-6, 6, 257)
+    counts = np.array([np.histogram(rng.normal(size=size), edges)[0] for _ in range(batches)])
+    values = counts / size / (edges[1] - edges[0])
+    return SampledDensity(Q1, (edges,), values.mean(0), values, FINE)
+
+
+def compare(a, b, *, names=("montecarlo", "exact"), exact=True):
+    results = [Result(Named(n), (d,), 0.0) for n, d in zip(names, (a, b), strict=True)]
+    (comparison,) = compared(results, averaging_is_exact=exact)
+    return comparison
+
+
+def test_chance_is_measured_as_it_is():
+    """Mean and spread of the L1 distance over 200 samples are those the bootstrap of one states."""
+    truth = gaussian()
+    found = np.array([l1_distance(sample(s).coarsened(2), truth) for s in range(200)])
+    mean, quantile = chance_l1(sample(1000).coarsened(2))
+    assert mean == pytest.approx(found.mean(), rel=0.1)
+    assert found.max() < quantile < 2 * found.mean()
+
+
+def test_a_right_density_holds_and_one_two_percent_off_fails():
+    right, wrong = compare(sample(7), gaussian()), compare(sample(7), gaussian(1.02))
+    assert right.measures == "sampling" and right.holds
+    assert not wrong.holds and wrong.band < wrong.L1
+
+
+def test_averaging_is_reported_and_not_judged():
+    comparison = compare(
+        sample(7), gaussian(1.5), names=("montecarlo", "nonintegrable"), exact=False
+    )
+    assert comparison.measures == "averaging" and comparison.band is None and comparison.holds
+    assert 0 < comparison.error < comparison.L1
+
+
+def test_solvers_are_held_to_their_own_estimates():
+    names = ("nonintegrable", "nonintegrable")
+    assert compare(gaussian(), gaussian(1 + 1e-13), names=names).holds
+    assert not compare(gaussian(), gaussian(1 + 1e-9), names=names).holds
+    assert compare(gaussian(l1_error=0.0), gaussian(l1_error=0.0), names=names).holds
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "coincide", "expected"),
+    [
+        ("nonintegrable", "nonintegrable", False, "numerical"),
+        ("exact", "linear", True, "numerical"),
+        ("nonintegrable", "exact", True, "numerical"),
+        ("nonintegrable", "linear", False, "averaging"),
+        ("nonintegrable", "montecarlo", False, "averaging"),
+        ("nonintegrable", "montecarlo", True, "sampling"),
+        ("montecarlo", "exact", True, "sampling"),
+        ("linear", "montecarlo", False, "sampling"),
+    ],
+)
+def test_which_error_a_pair_measures(a, b, coincide, expected):
+    assert what_is_measured(Named(a), Named(b), averaging_is_exact=coincide) == expected
+    assert what_is_measured(Named(b), Named(a), averaging_is_exact=coincide) == expected
