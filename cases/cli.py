@@ -59,9 +59,11 @@ def list_scenes(as_json: Json = False) -> None:
 def show(scene: SceneName, as_json: Json = False) -> None:
     """Show the system, its effects, frequencies, and which theories apply and why."""
     from cases.scene import load_scene
+
+    loaded = load_scene(scene)  # before the heavy imports: a refusal answers at once
     from cases.show import show_record, show_text
 
-    record = show_record(load_scene(scene))
+    record = show_record(loaded)
     if as_json:
         _print_json(record)
     else:
@@ -79,16 +81,17 @@ def run(
 ) -> None:
     """Run every applicable route of a scene, compare them, and write a report."""
     from cases.files import make_folder
-    from cases.report import write_report
-    from cases.routes import Sampling, all_methods
     from cases.scene import load_scene
-    from cases.summary import run_record
-    from cases.tables import run_text
 
     loaded = load_scene(scene)
     _check_tol(tol)
     if out is not None:
         make_folder(out)
+    from cases.report import write_report
+    from cases.routes import Sampling, all_methods
+    from cases.summary import run_record
+    from cases.tables import run_text
+
     outcome = _outcome(loaded, all_methods(tol=tol, sampling=Sampling(seed, threads)))
     written = [] if out is None else write_report(outcome, out)
     if as_json:
@@ -121,22 +124,23 @@ def density(
     """Give one density at the points asked for."""
     from cases.errors import BadInput
     from cases.points import parse_points
-    from cases.routes import Request, Sampling, method_for
     from cases.scene import load_scene
-    from cases.summary import density_record
-    from cases.tables import density_text
-    from cases.terminal import progress_bar
     from fpk.errors import InvalidInput
     from fpk.observable import parse_observable
 
     loaded = load_scene(scene)
     _check_tol(tol)
-    route = method_for(Request(method, solver, tol, Sampling(seed, threads)))
     try:
         observable = parse_observable(of, loaded.system.n)
     except InvalidInput as error:
         raise BadInput(f'--of "{of}": {error.remedy}') from None
     points = parse_points(at, len(observable))
+    from cases.routes import Request, Sampling, method_for
+    from cases.summary import density_record
+    from cases.tables import density_text
+    from cases.terminal import progress_bar
+
+    route = method_for(Request(method, solver, tol, Sampling(seed, threads)))
     reason = route.refusal(loaded.system, observable)
     if reason is not None:
         raise BadInput(f"{loaded.name}: {method} does not apply: {reason}")
@@ -159,9 +163,6 @@ def export(
 ) -> None:
     """Write the densities of a scene by theory, of all its curves, to one file."""
     from cases.errors import BadInput
-    from cases.fields import csv_text, write_netcdf
-    from cases.files import write_text
-    from cases.routes import all_methods
     from cases.scene import load_scene
 
     loaded = load_scene(scene)
@@ -172,6 +173,10 @@ def export(
         raise BadInput(f"--out {out}: the ending says the format; use .nc or .csv")
     if not out.parent.is_dir():
         raise BadInput(f"--out {out}: the folder {out.parent} does not exist")
+    from cases.fields import csv_text, write_netcdf
+    from cases.files import write_text
+    from cases.routes import all_methods
+
     outcome = _outcome(loaded, [m for m in all_methods(tol=tol) if m.name != "montecarlo"])
     if out.suffix == ".nc":
         write_netcdf(outcome, out)

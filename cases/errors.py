@@ -7,7 +7,7 @@ from fpk.errors import shown
 
 
 class BadInput(ValueError):
-    """Something a user gave that cannot be used; the message is one line that says what would do."""
+    """What a user gave and cannot be used; the message is one line that says what would do."""
 
     def __init__(self, message: str) -> None:
         """Keep ``message`` on one line, whatever was quoted in it."""

@@ -116,7 +116,7 @@ def density_figure(curves: list[CurveOutcome], observable: Observable) -> Figure
 
 
 def solver_figure(curves: list[CurveOutcome], observable: Observable) -> Figure:
-    """Draw |finite elements − closed form| and what the solver said of its error, on a log scale."""
+    """Draw |finite elements − closed form| and the error that the solver states, log scale."""
     figure, axes = _figure(3.4)
     for curve, colour in zip(curves, _cycle(COLOURS), strict=False):
         pair = _both(curve, observable, "fem")

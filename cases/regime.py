@@ -33,7 +33,7 @@ class StopClearance:
 
 @dataclass(frozen=True)
 class Regime:
-    """What decides between the theories; ``incompatible`` says why (8) fails, None where it holds."""
+    """What decides between the theories; ``incompatible``: why (8) fails, None where it holds."""
 
     natural_frequencies: tuple[float, ...]
     incompatible: str | None

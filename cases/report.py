@@ -94,7 +94,7 @@ def svg_text(figure: Figure, *, salt: str) -> str:
 
 
 def inline_svg(svg: str, words: str) -> Markup:
-    """Return SVG to stand inside a page: ink takes the page's colour, the background is left out."""
+    """Return SVG to stand inside a page: ink takes the page's colour, no background."""
     body = svg[svg.index("<svg") :].replace(INK, "currentColor")
     body = re.sub(r'(<g id="patch_1">\s*<path [^>]*?)fill: #ffffff', r"\1fill: none", body)
     body = re.sub(r'(<g id="patch_2">\s*<path [^>]*?)fill: #ffffff', r"\1fill: none", body)

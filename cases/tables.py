@@ -16,7 +16,8 @@ def run_text(outcome: Outcome) -> str:
             allowed = "-" if c.band is None else f"{c.band:.2e}"
             verdict = "" if c.holds else "  FAILS"
             lines.append(
-                f"  {c.observable:8}{c.a:27}{c.b:27}{c.measures:11}{c.L1:9.2e} {allowed:>9}{verdict}"
+                f"  {c.observable:8}{c.a:27}{c.b:27}{c.measures:11}{c.L1:9.2e} {allowed:>9}"
+                f"{verdict}"
             )
         lines += [
             f"  {r.route}: {'failed' if r.failed else 'not taken'} ({', '.join(r.observables)}):"
