@@ -1,0 +1,37 @@
+"""Contact laws of the registry as compiled scalar functions that a kernel can close over."""
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+from numba import vectorize
+
+from fpk.contact_law import LAWS
+
+Compiled = Any
+"""A ``numba.vectorize`` object of signature (law, overlap, exponent): kernels that close over one
+are found again in the disk cache, those that close over an ``njit`` function never are."""
+
+
+@lru_cache
+def compiled_laws(names: tuple[str, ...], part: str) -> Compiled:
+    """Return "force", "energy" or "slope" of the laws; its first argument picks one of them."""
+    functions = [vectorize(["f8(f8,f8)"])(getattr(LAWS[name], part)) for name in names]
+    choice = vectorize(["f8(i8,f8,f8)"])(_only(functions[-1]))
+    for function in reversed(functions[:-1]):
+        choice = vectorize(["f8(i8,f8,f8)"])(_first_or(function, choice))
+    return choice
+
+
+def _only(function: Compiled) -> Callable[[Any, Any, Any], Any]:
+    def only(law: Any, x: Any, e: Any) -> Any:
+        return function(x, e)
+
+    return only
+
+
+def _first_or(first: Compiled, others: Compiled) -> Callable[[Any, Any, Any], Any]:
+    def first_or(law: Any, x: Any, e: Any) -> Any:
+        return first(x, e) if law == 0 else others(law - 1, x, e)
+
+    return first_or

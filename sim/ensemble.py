@@ -1,0 +1,135 @@
+"""An ensemble of trajectories that advances together and adds to histograms and moments."""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpk.effects import effects_of
+from fpk.system import System
+from sim.flow import factored
+from sim.histogram import Histogram, starts, watch_arrays
+from sim.kernel import KernelKey, StepArrays, WatchArrays, compiled_kernel
+from sim.plan import step_arrays
+from sim.random import LANES, START, mixed_seed, normals
+from sim.scheme import Scheme
+from sim.step_size import temperature
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Product = tuple[str, int, str, int]
+
+BATCHES = 64
+"""Independent batches at most; a batch is made of whole blocks of lanes."""
+
+
+def kernel_key(
+    system: System, scheme: Scheme, histograms: Sequence[Histogram], products: Sequence[Product]
+) -> KernelKey:
+    """Return what the kernel must be compiled for: the effects and the observables asked for."""
+    kinds = {c.kind for h in histograms for c in h.observable}
+    return KernelKey(
+        laws=effects_of(system).laws,
+        kick_first=scheme.kick_first or not system.stops,
+        observed=bool(kinds or products),
+        momenta=bool(kinds & {"p", "H"} or products),
+        energy="H" in kinds,
+        moments=bool(products),
+    )
+
+
+@dataclass(eq=False)
+class Ensemble:
+    """States of ``paths`` trajectories, kept in blocks of lanes; a block is never divided.
+
+    A batch of blocks is one task of one thread, all counts are integers, and each lane sums its
+    own moments: the result is bitwise the same for any number of threads and any division of the
+    steps into calls of ``advance``. Lanes beyond ``paths`` run but are not counted.
+    """
+
+    system: System
+    scheme: Scheme
+    dt: float
+    paths: int
+    seed: int
+    threads: int
+    step: StepArrays = field(init=False)
+    states: Array = field(init=False)  # (blocks, 2n, LANES)
+    live: Integers = field(init=False)
+    edges: Integers = field(init=False)  # first block of each batch, and the number of blocks
+    done: int = 0
+
+    def __post_init__(self) -> None:
+        """Start from q = 0 and momenta of the temperature (covariance kT M)."""
+        n, blocks = self.system.n, -(-self.paths // LANES)
+        self.step = step_arrays(self.system, self.scheme, self.dt)
+        kT = temperature(self.system)
+        z = normals(self.seed, blocks * LANES, START, n)
+        L = factored(np.diag((kT if np.isfinite(kT) else 0.0) * self.system.mass))
+        p = L @ z[: L.shape[1]]
+        self.states = np.zeros((blocks, 2 * n, LANES))
+        self.states[:, n:] = p.reshape(n, blocks, LANES).transpose(1, 0, 2)
+        self.live = np.minimum(LANES, self.paths - LANES * np.arange(blocks))
+        batches = min(BATCHES, blocks)
+        self.edges = np.arange(batches + 1, dtype=np.int64) * blocks // batches
+        self.watch()
+
+    def watch(
+        self, histograms: Sequence[Histogram] = (), products: Sequence[Product] = ()
+    ) -> None:
+        """Observe these from now on, all counts and sums starting from zero."""
+        self._watch: WatchArrays = watch_arrays(
+            self.system, self.scheme, self.step, histograms, products
+        )
+        self._kernel = compiled_kernel(
+            kernel_key(self.system, self.scheme, histograms, products)
+        )
+        self.counts: Integers = np.zeros((self.edges.size - 1, starts(histograms)[-1]), np.int64)
+        self.sums: Array = np.zeros((self.states.shape[0], len(products), LANES))
+        self.samples = 0
+        self._phase = 0
+
+    def advance(self, steps: int, *, stride: int = 1) -> None:
+        """Advance all trajectories; every ``stride``-th step since ``watch`` is observed."""
+        counter = np.uint64(self.done * self.step.pairs)
+        offset = mixed_seed(self.seed)
+        blocks = self.states.shape[0]
+        x = self.states.reshape(blocks, -1)
+        sums = self.sums.reshape(blocks, -1)
+
+        def batch(b: int) -> None:
+            part = slice(self.edges[b], self.edges[b + 1])
+            self._kernel(
+                x[part], sums[part], self.live[part], int(self.edges[b]), counter, steps,
+                self._phase, stride, offset, self.step, self._watch, self.counts[b],
+            )  # fmt: skip
+
+        batches = range(self.edges.size - 1)
+        if self.threads == 1:
+            for b in batches:
+                batch(b)
+        else:
+            with ThreadPoolExecutor(self.threads) as pool:
+                list(pool.map(batch, batches))
+        self.samples += -(-(self._phase + steps) // stride) - -(-self._phase // stride)
+        self._phase += steps
+        self.done += steps
+
+    def phase_points(self) -> tuple[Array, Array]:
+        """Return the states (paths, n) of q and p just before the next kick."""
+        lanes = self.states.transpose(1, 0, 2).reshape(2 * self.system.n, -1)[:, : self.paths].T
+        return lanes[:, : self.system.n], lanes[:, self.system.n :]
+
+    def lost(self) -> int:
+        """Return how many trajectories have left the finite range."""
+        return int(np.sum(~np.all(np.isfinite(np.hstack(self.phase_points())), axis=1)))
+
+    def batch_means(self) -> Array:
+        """Return (batches, products) means over the samples of each batch, in fixed order."""
+        alive = np.arange(LANES) < self.live[:, None]
+        per_block = np.where(alive[:, None, :], self.sums, 0.0).sum(axis=2)
+        sums = np.add.reduceat(per_block, self.edges[:-1], axis=0)
+        paths = np.add.reduceat(self.live, self.edges[:-1])
+        return sums / (paths[:, None] * max(1, self.samples))

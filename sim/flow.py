@@ -1,0 +1,94 @@
+"""Exact flow of everything linear in Eq. (6): springs, constant damping and noise."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from fpk.system import System
+
+Array = NDArray[np.float64]
+
+RANK_SLACK = 1e-13
+"""A pivot below this share of its own variance is round-off: no normal number is drawn for it."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearMap:
+    """The random linear map ``x' = propagator x + factor z`` of the state ``x = (q, p)``.
+
+    ``propagator`` (2n, 2n); ``factor`` (2n, r); ``z`` are r independent standard normals.
+    """
+
+    propagator: Array
+    factor: Array
+
+    @property
+    def normals(self) -> int:
+        """The number of normals a step draws: the rank of its covariance."""
+        return int(self.factor.shape[1])
+
+
+def linear_drift(system: System) -> Array:
+    """Return the drift matrix A of ``x = (q, p)`` without contact, Eq. (6)."""
+    n = system.n
+    velocity = np.diag(1.0 / system.mass)
+    return np.block(
+        [[np.zeros((n, n)), velocity], [-system.stiffness_matrix, -system.damping @ velocity]]
+    )
+
+
+def linear_diffusion(system: System) -> Array:
+    """Return the diffusion matrix b = σσᵀ of ``x = (q, p)``: 2 f D fᵀ in the momenta."""
+    n = system.n
+    diffusion = np.zeros((2 * n, 2 * n))
+    diffusion[n:, n:] = 2.0 * system.noise_matrix
+    return diffusion
+
+
+def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, Array]:
+    """Return ``exp(A dt)`` and ``∫ exp(A s) b exp(Aᵀ s) ds`` over 0..dt.
+
+    Van Loan's block exponential (IEEE Trans. Automat. Control 23, 1978, 395) holds for a short
+    step, ``|A| h <= ½``, only, since it contains exp(−A h); doubling ``h`` then adds covariances,
+    all positive, so that nothing cancels however long the step is.
+    """
+    doublings = max(0, int(np.ceil(np.log2(2.0 * np.linalg.norm(drift, 2) * dt + 1e-300))))
+    h = dt / 2**doublings
+    m = drift.shape[0]
+    block = expm(np.block([[-drift, diffusion], [np.zeros((m, m)), drift.T]]) * h)
+    propagator = block[m:, m:].T
+    covariance = propagator @ block[:m, m:]
+    for _ in range(doublings):
+        covariance = covariance + propagator @ covariance @ propagator.T
+        propagator = propagator @ propagator
+    return expm(drift * dt), 0.5 * (covariance + covariance.T)
+
+
+def factored(covariance: Array) -> Array:
+    """Return a factor L (m, rank) with L Lᵀ = ``covariance``, which may be singular.
+
+    Cholesky with pivoting of the matrix scaled to unit diagonal, so that variances of different
+    units and powers of the step (h, h³, h⁵ ...) count alike; what is left at a pivot of round-off
+    is dropped.
+    """
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
+    rest = covariance * np.outer(inverse, inverse)
+    columns = []
+    for _ in range(scale.size):
+        pivot = int(np.argmax(np.diag(rest)))
+        if rest[pivot, pivot] <= RANK_SLACK * scale.size:
+            break
+        column = rest[:, pivot] / np.sqrt(rest[pivot, pivot])
+        rest = rest - np.outer(column, column)
+        rest[pivot, :] = rest[:, pivot] = 0.0
+        columns.append(column * scale)
+    return np.array(columns).T if columns else np.zeros((scale.size, 0))
+
+
+def exact_flow(system: System, dt: float) -> LinearMap:
+    """Return the flow over ``dt`` of the system without its contacts, exact for any ``dt``."""
+    propagator, covariance = flow_covariance(linear_drift(system), linear_diffusion(system), dt)
+    return LinearMap(propagator, factored(covariance))

@@ -1,0 +1,132 @@
+"""What is observed and where it is counted: coordinates, ranges, bins."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpk.density import Certificate, SampledDensity
+from fpk.observable import Coordinate, Observable
+from fpk.system import System
+from sim.kernel import StepArrays, WatchArrays, observed_rows
+from sim.scheme import Scheme
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+BINS = (1024, 128)
+"""Bins of each axis of a histogram of one and of two coordinates."""
+
+MARGIN = 0.3
+"""Share of the pilot's range that is added beyond its extremes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Histogram:
+    """Bins of one observable: equidistant edges of each axis."""
+
+    observable: Observable
+    edges: tuple[Array, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of bins, without that for outside."""
+        return int(np.prod([e.size - 1 for e in self.edges]))
+
+
+def pilot_coordinate(system: System, coordinate: Coordinate, q: Array, p: Array) -> Array:
+    """Return one coordinate of states ``q``, ``p`` (samples, n), uncorrected for the step."""
+    if coordinate.kind == "H":
+        return system.hamiltonian(q, p)
+    return (q if coordinate.kind == "q" else p)[:, coordinate.index]
+
+
+def ranged(
+    system: System, observables: Sequence[Observable], q: Array, p: Array, *, mirror: bool
+) -> tuple[Histogram, ...]:
+    """Return histograms that cover the pilot states with a margin; H starts at 0."""
+    histograms = []
+    for observable in observables:
+        edges = []
+        for coordinate in observable:
+            x = pilot_coordinate(system, coordinate, q, p)
+            x = x[np.isfinite(x)]
+            low, high = (float(x.min()), float(x.max())) if x.size else (-1.0, 1.0)
+            if coordinate.kind == "H":
+                low, high = 0.0, (1.0 + 2.0 * MARGIN) * high
+            elif mirror:
+                high = (1.0 + 2.0 * MARGIN) * max(-low, high)
+                low = -high
+            else:
+                reach = MARGIN * (high - low)
+                low, high = low - reach, high + reach
+            edges.append(np.linspace(low, high, BINS[len(observable) - 1] + 1))
+        histograms.append(Histogram(observable, tuple(edges)))
+    return tuple(histograms)
+
+
+def watch_arrays(
+    system: System,
+    scheme: Scheme,
+    step: StepArrays,
+    histograms: Sequence[Histogram],
+    products: Sequence[tuple[str, int, str, int]],
+) -> WatchArrays:
+    """Return what the kernel reads to observe: processor, histograms, products of moments."""
+    n, slots = system.n, step.slot_mass.size
+    first = observed_rows(n, slots, step.matrix.shape[1])
+    kinds = {"q": first, "p": first + n, "f": first + 2 * n, "H": first + 3 * n}
+    rows = np.full((len(histograms), 2), -1, dtype=np.int64)
+    low, scale = np.zeros(rows.shape), np.ones(rows.shape)
+    bins = np.ones(rows.shape, dtype=np.int64)
+    for m, histogram in enumerate(histograms):
+        for axis, (c, e) in enumerate(zip(histogram.observable, histogram.edges, strict=True)):
+            rows[m, axis] = kinds[c.kind] + (c.index or 0)
+            low[m, axis], bins[m, axis] = e[0], e.size - 1
+            scale[m, axis] = (e.size - 1) / (e[-1] - e[0])
+    half = 0.5 * step.dt if scheme.symmetric else 0.0
+    mass = system.mass[step.slot_mass]
+    springs = half if scheme.springs_kicked else 0.0
+    pairs = [(kinds[a] + i, kinds[b] + j) for a, i, b, j in products]
+    return WatchArrays(
+        half_kick=half,
+        half_springs=springs * system.stiffness_matrix,
+        cross=scheme.modified * step.dt**2 * system.damping[:, step.slot_mass] / mass,
+        stiffness_matrix=system.stiffness_matrix,
+        mass=system.mass,
+        rows=rows,
+        low=low,
+        scale=scale,
+        bins=bins,
+        start=starts(histograms)[:-1],
+        products=np.array(pairs, dtype=np.int64).reshape(-1, 2),
+    )
+
+
+def starts(histograms: Sequence[Histogram]) -> Integers:
+    """Return the first counter of each histogram, and the number of all; one more for outside."""
+    return np.cumsum([0] + [h.size + 1 for h in histograms], dtype=np.int64)
+
+
+def sampled_density(
+    histogram: Histogram,
+    counts: Integers,
+    certificate: Certificate,
+    provenance: dict[str, str | float | int],
+) -> SampledDensity:
+    """Return the density of ``counts`` (batches, bins + 1); nothing is folded in or rescaled."""
+    shape = tuple(e.size - 1 for e in histogram.edges)
+    area = float(np.prod([e[1] - e[0] for e in histogram.edges]))
+    total = counts.sum(axis=0)
+    values = total[:-1] / (max(1, total.sum()) * area)
+    samples = np.maximum(1, counts.sum(axis=1, keepdims=True))
+    batch_values = counts[:, :-1] / (samples * area)
+    return SampledDensity(
+        histogram.observable,
+        histogram.edges,
+        values.reshape(shape),
+        batch_values.reshape(-1, *shape),
+        certificate,
+        provenance,
+    )

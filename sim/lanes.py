@@ -1,0 +1,114 @@
+"""Loops over lanes that every step is made of; rows of a block lie one after the other.
+
+Each loop works on views of neighbouring rows, one group that is read and one that is written: an
+index into a view is seen not to be negative, and two groups need one overlap check, so that the
+compiler turns the loop into vector instructions whatever the number of masses. All are inlined
+into the kernel.
+"""
+
+import numpy as np
+from numba import njit
+
+from sim.random import FLAGS, LANES
+
+COLUMNS = 4
+"""Columns of the linear map that one loop joins; its matrix is padded to a multiple."""
+
+W = LANES
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def row(s, first, rows=1):
+    """Return a view of ``rows`` rows from ``first`` on."""
+    return s[first * W : (first + rows) * W]
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def apply_map(s, matrix, scratch):
+    """Replace the first rows x by ``matrix @ (x, z)``, z the rows behind x."""
+    for i in range(0, matrix.shape[0], 2):
+        y = row(s, scratch + i, 2)
+        for j in range(0, matrix.shape[1], COLUMNS):
+            a0, a1, a2, a3 = matrix[i, j], matrix[i, j + 1], matrix[i, j + 2], matrix[i, j + 3]
+            b0, b1 = matrix[i + 1, j], matrix[i + 1, j + 1]
+            b2, b3 = matrix[i + 1, j + 2], matrix[i + 1, j + 3]
+            x = row(s, j, COLUMNS)
+            if j == 0:
+                for k in range(W):
+                    x0, x1, x2, x3 = x[k], x[W + k], x[2 * W + k], x[3 * W + k]
+                    y[k] = a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
+                    y[W + k] = b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3
+            else:
+                for k in range(W):
+                    x0, x1, x2, x3 = x[k], x[W + k], x[2 * W + k], x[3 * W + k]
+                    y[k] += a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
+                    y[W + k] += b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3
+    for i in range(matrix.shape[0]):
+        copy(row(s, i), row(s, scratch + i))
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def kick(p, g, h, a):
+    """Take ``h g (1 − a g')`` from p; g holds the rows of g and of g'."""
+    for k in range(W):
+        p[k] -= h * g[k] * (1.0 - a * g[W + k])
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def fill(target, value):
+    """Set a row to one value."""
+    for k in range(W):
+        target[k] = value
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def copy(target, source):
+    """Copy one row."""
+    for k in range(W):
+        target[k] = source[k]
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def add(target, source, factor):
+    """Add ``factor`` times one row to another; no work where the factor is 0."""
+    if factor != 0.0:
+        for k in range(W):
+            target[k] += factor * source[k]
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def grow(target, source, factor):
+    """Multiply one row by ``1 + factor · source``."""
+    for k in range(W):
+        target[k] *= 1.0 + factor * source[k]
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def add_product(target, a, b, factor):
+    """Add ``factor`` times the product of two rows to another; no work where it is 0."""
+    if factor != 0.0:
+        for k in range(W):
+            target[k] += factor * a[k] * b[k]
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def bin_of(x, low, scale, bins, index):
+    """Write the bin of every lane into ``index``; ``bins`` stands for outside and for NaN."""
+    for k in range(W):
+        t = (x[k] - low) * scale
+        index[k] = np.int64(t) if (t >= 0.0) & (t < bins) else np.int64(bins)
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def join_bins(index, second, rows, columns):
+    """Replace ``index`` by the bin of a pair; rows · columns stands for outside."""
+    for k in range(W):
+        inside = (index[k] < rows) & (second[k] < columns)
+        index[k] = index[k] * columns + second[k] if inside else rows * columns
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def count(counts, index, live):
+    """Add one to the bin of each of the first ``live`` lanes."""
+    for k in range(live):
+        counts[index[k]] += 1
