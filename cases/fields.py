@@ -56,9 +56,9 @@ def program_version() -> str:
         return "(not installed)"
 
 
-def common_grid(densities: Mapping[Any, AnyDensity]) -> tuple[Array, ...]:
-    """Return one ascending array per axis that covers where any of ``densities`` counts."""
-    ends = [_reach(d) for d in densities.values()]
+def common_grid(densities: Mapping[Any, AnyDensity], *, cut: float = CUT) -> tuple[Array, ...]:
+    """Return one ascending array per axis: where any density exceeds ``cut`` of its largest."""
+    ends = [_reach(d, cut) for d in densities.values()]
     count = GRID_1D if len(ends[0]) == 1 else GRID_2D
     return tuple(
         np.linspace(min(e[axis][0] for e in ends), max(e[axis][1] for e in ends), count)
@@ -158,13 +158,13 @@ def _provenance(outcome: Outcome) -> list[dict[str, Any]]:
     ]
 
 
-def _reach(density: AnyDensity) -> list[tuple[float, float]]:
-    """Per axis, the interval in which the density exceeds ``CUT`` of its largest value."""
+def _reach(density: AnyDensity, cut: float) -> list[tuple[float, float]]:
+    """Per axis, the interval in which the density exceeds ``cut`` of its largest value."""
     coarse = 400 if len(density.panels) == 1 else 60
     edges = [np.linspace(nodes[0], nodes[-1], coarse + 1) for nodes in density.panels]
     middles = [0.5 * (e[1:] + e[:-1]) for e in edges]
     value, _ = density.at(*np.meshgrid(*middles, indexing="ij"))
-    counts = value > CUT * value.max()
+    counts = value > cut * value.max()
     reach = []
     for axis, e in enumerate(edges):
         others = tuple(a for a in range(counts.ndim) if a != axis)

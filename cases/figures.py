@@ -25,6 +25,8 @@ STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 9.5,
     "mathtext.fontset": "dejavusans",
+    "axes.facecolor": "none",
+    "axes.formatter.use_mathtext": True,
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
     "axes.titlecolor": INK,
@@ -185,7 +187,7 @@ def pair_figure(curve: CurveOutcome, observable: Observable) -> Figure:
     found = curve.densities(observable)
     names = [r for r in (*THEORIES, "montecarlo") if r in found and not _coincides(r, found, curve)]
     figure = Figure(figsize=(3.4 * len(names) + 0.6, 3.2), layout="constrained")
-    grid = common_grid({r: found[r] for r in names})
+    grid = common_grid({r: found[r] for r in names}, cut=SHOWN)
     values = {r: values_on(found[r], *np.meshgrid(*grid, indexing="ij"))[0] for r in names}
     top = max(float(v.max()) for v in values.values())
     panels = figure.subplots(1, len(names), sharex=True, sharey=True, squeeze=False)[0]
@@ -196,7 +198,7 @@ def pair_figure(curve: CurveOutcome, observable: Observable) -> Figure:
         axes.set_title(THEORIES.get(route, "simulation"))
         axes.set_xlabel(_long(observable[0]))
     panels[0].set_ylabel(_long(observable[1]))
-    bar = figure.colorbar(filled, ax=list(panels), shrink=0.9)
+    bar = figure.colorbar(filled, ax=list(panels), shrink=0.9, format="%.2f")
     bar.set_label(f"density $p({_symbol(observable[0])}, {_symbol(observable[1])})$")
     return figure
 
