@@ -20,7 +20,7 @@ class Route:
     ``solvers`` are the choices, the default first; ``sampled`` routes take seed and threads.
     """
 
-    make: Callable[[str], Any] | None
+    make: Callable[[Any], Any] | None
     solvers: tuple[str, ...] = ()
     sampled: bool = False
     refusal: str = ""

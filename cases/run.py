@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from time import perf_counter
 
-from averaging.nonintegrable import energy_process
+from averaging.energy_process import energy_process
 from fpk.boundary import classify
 
 from cases.compare import Comparison, compared, route_name
