@@ -81,8 +81,7 @@ def chosen_step(system: System) -> float:
     frequency, interval = contact_frequency(system), sampling_interval(system)
     if frequency == 0.0:
         return interval
-    step = min(interval, STEP_PER_CONTACT_FREQUENCY / frequency)
-    return interval / max(1, round(interval / step))
+    return min(interval, STEP_PER_CONTACT_FREQUENCY / frequency)
 
 
 def check_step(system: System, scheme: Scheme, dt: float) -> None:

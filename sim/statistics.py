@@ -1,0 +1,96 @@
+"""Means with standard errors from independent batches, and the identities that they must meet."""
+
+from dataclasses import dataclass
+from math import pi, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpk.density import SampledDensity
+from fpk.method import Identity
+from fpk.system import System
+
+Array = NDArray[np.float64]
+Product = tuple[str, int, str, int]
+
+
+def moment_products(n: int) -> tuple[Product, ...]:
+    """Return the products that are summed: p p, q p, q F, p F and q q, F = K q + g(q)."""
+    masses = range(n)
+    return (
+        *(("p", i, "p", j) for i in masses for j in range(i, n)),
+        *(("q", i, "p", j) for i in masses for j in masses),
+        *(("q", i, "f", i) for i in masses),
+        *(("p", i, "f", i) for i in masses),
+        *(("q", i, "q", i) for i in masses),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Mean:
+    """A mean and one standard error of it."""
+
+    value: float
+    error: float
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Stationary second moments of each batch; any linear function of them has its error."""
+
+    system: System
+    batch_means: Array  # (batches, products)
+
+    def _batches(self, a: str, i: int, b: str, j: int) -> Array:
+        products = moment_products(self.system.n)
+        key = (a, i, b, j) if (a, i, b, j) in products else (b, j, a, i)
+        column: Array = self.batch_means[:, products.index(key)]
+        return column
+
+    def displacement_square(self, i: int) -> Mean:
+        """Return E q_i², the mass counted from 0."""
+        return _mean(self._batches("q", i, "q", i))
+
+    def velocity_square(self, i: int) -> Mean:
+        """Return E v_i², the mass counted from 0."""
+        return _mean(self._batches("p", i, "p", i) / self.system.mass[i] ** 2)
+
+    def identities(self) -> tuple[Identity, ...]:
+        """Return the moment identities, exact in the stationary state of Eq. (6).
+
+        The generator applied to H, q_i p_i and p_i² has mean zero:
+        ``Σ_ij c_ij E v_i v_j = Σ_i N_ii/m_i``; ``m_i E v_i² = E q_i F_i + Σ_j c_ij E q_i v_j``;
+        ``E p_i F_i + Σ_j c_ij E p_i v_j = N_ii``; N = f D fᵀ and F = K q + g(q).
+        """
+        system, m, c = self.system, self.system.mass, self.system.damping
+        masses = range(system.n)
+
+        def damped(a: str, i: int) -> Array:
+            terms = [c[i, j] / m[j] * self._batches(a, i, "p", j) for j in masses]
+            return np.sum(terms, axis=0)
+
+        noise = np.diag(system.noise_matrix)
+        loss = np.sum([damped("p", i) / m[i] for i in masses], axis=0)
+        found = [_identity("energy balance", loss, float(np.sum(noise / m)))]
+        for i in masses:
+            kinetic = self._batches("p", i, "p", i) / m[i]
+            virial = kinetic - self._batches("q", i, "f", i) - damped("q", i)
+            found.append(_identity(f"virial of mass {i + 1}", virial, 0.0))
+            work = self._batches("p", i, "f", i) + damped("p", i)
+            found.append(_identity(f"kinetic balance of mass {i + 1}", work, float(noise[i])))
+        return tuple(found)
+
+
+def l1_error(density: SampledDensity) -> float:
+    """Return the expected L1 sampling error: √(2/π) standard errors summed over the bins."""
+    area = float(np.prod([e[1] - e[0] for e in density.edges]))
+    return sqrt(2.0 / pi) * area * float(np.sum(density.standard_error))
+
+
+def _mean(batches: Array) -> Mean:
+    return Mean(float(batches.mean()), float(batches.std(ddof=1) / np.sqrt(batches.size)))
+
+
+def _identity(name: str, batches: Array, expected: float) -> Identity:
+    mean = _mean(batches)
+    return Identity(name, mean.value, expected, mean.error)
