@@ -7,10 +7,9 @@ from typing import Any
 from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.nonintegrable import NonIntegrable
-from sim.montecarlo import MonteCarlo
-
 from cases.errors import BadInput
 from fpk.method import Method
+from sim.montecarlo import MonteCarlo
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 from time import perf_counter
 
 from averaging.energy_process import energy_process
-from fpk.boundary import classify
-
 from cases.compare import Comparison, compared, route_name
 from cases.regime import Regime, regime_of
 from cases.scene import Scene
 from cases.vary import Curve
+from fpk.boundary import classify
 from fpk.density import AnyDensity
 from fpk.effects import Effects, effects_of
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
