@@ -4,7 +4,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
-from numba import vectorize
+import numba
 
 from fpk.contact_law import LAWS
 
@@ -12,14 +12,16 @@ Compiled = Any
 """A ``numba.vectorize`` object of signature (law, overlap, exponent): kernels that close over one
 are found again in the disk cache, those that close over an ``njit`` function never are."""
 
+_vectorize: Any = numba.vectorize
+
 
 @lru_cache
 def compiled_laws(names: tuple[str, ...], part: str) -> Compiled:
     """Return "force", "energy" or "slope" of the laws; its first argument picks one of them."""
-    functions = [vectorize(["f8(f8,f8)"])(getattr(LAWS[name], part)) for name in names]
-    choice = vectorize(["f8(i8,f8,f8)"])(_only(functions[-1]))
+    functions = [_vectorize(["f8(f8,f8)"])(getattr(LAWS[name], part)) for name in names]
+    choice = _vectorize(["f8(i8,f8,f8)"])(_only(functions[-1]))
     for function in reversed(functions[:-1]):
-        choice = vectorize(["f8(i8,f8,f8)"])(_first_or(function, choice))
+        choice = _vectorize(["f8(i8,f8,f8)"])(_first_or(function, choice))
     return choice
 
 

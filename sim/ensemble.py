@@ -76,16 +76,12 @@ class Ensemble:
         self.edges = np.arange(batches + 1, dtype=np.int64) * blocks // batches
         self.watch()
 
-    def watch(
-        self, histograms: Sequence[Histogram] = (), products: Sequence[Product] = ()
-    ) -> None:
+    def watch(self, histograms: Sequence[Histogram] = (), products: Sequence[Product] = ()) -> None:
         """Observe these from now on, all counts and sums starting from zero."""
         self._watch: WatchArrays = watch_arrays(
             self.system, self.scheme, self.step, histograms, products
         )
-        self._kernel = compiled_kernel(
-            kernel_key(self.system, self.scheme, histograms, products)
-        )
+        self._kernel = compiled_kernel(kernel_key(self.system, self.scheme, histograms, products))
         self.counts: Integers = np.zeros((self.edges.size - 1, starts(histograms)[-1]), np.int64)
         self.sums: Array = np.zeros((self.states.shape[0], len(products), LANES))
         self.samples = 0
@@ -132,4 +128,5 @@ class Ensemble:
         per_block = np.where(alive[:, None, :], self.sums, 0.0).sum(axis=2)
         sums = np.add.reduceat(per_block, self.edges[:-1], axis=0)
         paths = np.add.reduceat(self.live, self.edges[:-1])
-        return sums / (paths[:, None] * max(1, self.samples))
+        means: Array = sums / (paths[:, None] * max(1, self.samples))
+        return means

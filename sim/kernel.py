@@ -97,12 +97,25 @@ def compiled_kernel(key: KernelKey) -> Any:
     contact, observed = bool(key.laws), key.observed
     kick_first, momenta, energy, moments = key.kick_first, key.momenta, key.energy, key.moments
     stamp = source_stamp()
-    force = compiled_laws(key.laws, "force") if contact else None
-    slope = compiled_laws(key.laws, "slope") if contact else None
-    potential = compiled_laws(key.laws, "energy") if contact and energy else None
+    force: Any = compiled_laws(key.laws, "force") if contact else None
+    slope: Any = compiled_laws(key.laws, "slope") if contact else None
+    potential: Any = compiled_laws(key.laws, "energy") if contact and energy else None
 
     @njit(fastmath=FLAGS, error_model="numpy", cache=True, nogil=True)
-    def advance(x, sums, live, first, counter, steps, phase, stride, offset, step, watch, counts):
+    def advance(
+        x: Array,
+        sums: Array,
+        live: Integers,
+        first: int,
+        counter: np.uint64,
+        steps: int,
+        phase: int,
+        stride: int,
+        offset: np.uint64,
+        step: StepArrays,
+        watch: WatchArrays,
+        counts: Integers,
+    ) -> None:
         """Advance blocks ``x`` (blocks, 2n·W), the first being block ``first`` of the ensemble.
 
         Observes at the start of a step where ``(phase + step number) % stride == 0``; adds to

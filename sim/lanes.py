@@ -8,8 +8,12 @@ into the kernel.
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from sim.random import FLAGS, LANES
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 COLUMNS = 4
 """Columns of the linear map that one loop joins; its matrix is padded to a multiple."""
@@ -18,13 +22,13 @@ W = LANES
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def row(s, first, rows=1):
+def row(s: Array, first: int, rows: int = 1) -> Array:
     """Return a view of ``rows`` rows from ``first`` on."""
     return s[first * W : (first + rows) * W]
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def apply_map(s, matrix, scratch):
+def apply_map(s: Array, matrix: Array, scratch: int) -> None:
     """Replace the first rows x by ``matrix @ (x, z)``, z the rows behind x."""
     for i in range(0, matrix.shape[0], 2):
         y = row(s, scratch + i, 2)
@@ -48,28 +52,28 @@ def apply_map(s, matrix, scratch):
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def kick(p, g, h, a):
+def kick(p: Array, g: Array, h: float, a: float) -> None:
     """Take ``h g (1 − a g')`` from p; g holds the rows of g and of g'."""
     for k in range(W):
         p[k] -= h * g[k] * (1.0 - a * g[W + k])
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def fill(target, value):
+def fill(target: Array, value: float) -> None:
     """Set a row to one value."""
     for k in range(W):
         target[k] = value
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def copy(target, source):
+def copy(target: Array, source: Array) -> None:
     """Copy one row."""
     for k in range(W):
         target[k] = source[k]
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def add(target, source, factor):
+def add(target: Array, source: Array, factor: float) -> None:
     """Add ``factor`` times one row to another; no work where the factor is 0."""
     if factor != 0.0:
         for k in range(W):
@@ -77,14 +81,14 @@ def add(target, source, factor):
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def grow(target, source, factor):
+def grow(target: Array, source: Array, factor: float) -> None:
     """Multiply one row by ``1 + factor · source``."""
     for k in range(W):
         target[k] *= 1.0 + factor * source[k]
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def add_product(target, a, b, factor):
+def add_product(target: Array, a: Array, b: Array, factor: float) -> None:
     """Add ``factor`` times the product of two rows to another; no work where it is 0."""
     if factor != 0.0:
         for k in range(W):
@@ -92,7 +96,7 @@ def add_product(target, a, b, factor):
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def bin_of(x, low, scale, bins, index):
+def bin_of(x: Array, low: float, scale: float, bins: int, index: Integers) -> None:
     """Write the bin of every lane into ``index``; ``bins`` stands for outside and for NaN."""
     for k in range(W):
         t = (x[k] - low) * scale
@@ -100,7 +104,7 @@ def bin_of(x, low, scale, bins, index):
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def join_bins(index, second, rows, columns):
+def join_bins(index: Integers, second: Integers, rows: int, columns: int) -> None:
     """Replace ``index`` by the bin of a pair; rows · columns stands for outside."""
     for k in range(W):
         inside = (index[k] < rows) & (second[k] < columns)
@@ -108,7 +112,7 @@ def join_bins(index, second, rows, columns):
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def count(counts, index, live):
+def count(counts: Integers, index: Integers, live: int) -> None:
     """Add one to the bin of each of the first ``live`` lanes."""
     for k in range(live):
         counts[index[k]] += 1

@@ -52,10 +52,33 @@ _LN2 = 0.6931471805599453
 
 # Chebyshev interpolants: −2 log(1+f)/f on [√½ − 1, √2 − 1]; sin(π/2 x)/x and cos(π/2 x) in x² on
 # |x| <= ½.
-_L0, _L1, _L2, _L3, _L4 = -2.0, 0.9999997658828385, -0.6666664804728056, 0.50003170246095, -0.4000414334947199
-_L5, _L6, _L7, _L8, _L9 = 0.3321825300958903, -0.28360157439284756, 0.2648168539206597, -0.2582834063711923, 0.1527718487405013
-_A0, _A1, _A2, _A3 = 1.5707963219600276, -0.6459634781534174, 0.07968022285810664, -0.004602163104763622
-_B0, _B1, _B2, _B3, _B4 = 0.9999999999525453, -1.233700540640271, 0.2536692037973008, -0.020860070410270565, 0.0009036298864368199
+_L0, _L1, _L2, _L3, _L4 = (
+    -2.0,
+    0.9999997658828385,
+    -0.6666664804728056,
+    0.50003170246095,
+    -0.4000414334947199,
+)
+_L5, _L6, _L7, _L8, _L9 = (
+    0.3321825300958903,
+    -0.28360157439284756,
+    0.2648168539206597,
+    -0.2582834063711923,
+    0.1527718487405013,
+)
+_A0, _A1, _A2, _A3 = (
+    1.5707963219600276,
+    -0.6459634781534174,
+    0.07968022285810664,
+    -0.004602163104763622,
+)
+_B0, _B1, _B2, _B3, _B4 = (
+    0.9999999999525453,
+    -1.233700540640271,
+    0.2536692037973008,
+    -0.020860070410270565,
+    0.0009036298864368199,
+)
 
 
 def mixed_seed(seed: int) -> np.uint64:
@@ -68,7 +91,7 @@ def mixed_seed(seed: int) -> np.uint64:
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def fill_normals(rows, trajectory, counter, offset):
+def fill_normals(rows: Array, trajectory: np.uint64, counter: np.uint64, offset: np.uint64) -> None:
     """Write one Box-Muller pair a lane: a row of cosines, then a row of sines.
 
     ``trajectory`` is that of the first lane, ``counter`` the word within it, ``offset`` the
@@ -99,7 +122,7 @@ def fill_normals(rows, trajectory, counter, offset):
 
 
 @njit(fastmath=FLAGS, error_model="numpy", cache=True, nogil=True)
-def _fill_blocks(out, counter, offset):
+def _fill_blocks(out: Array, counter: np.uint64, offset: np.uint64) -> None:
     for block in range(out.shape[0]):
         for pair in range(out.shape[1] // (2 * LANES)):
             fill_normals(

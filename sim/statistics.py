@@ -67,7 +67,8 @@ class Moments:
 
         def damped(a: str, i: int) -> Array:
             terms = [c[i, j] / m[j] * self._batches(a, i, "p", j) for j in masses]
-            return np.sum(terms, axis=0)
+            total: Array = np.sum(terms, axis=0)
+            return total
 
         noise = np.diag(system.noise_matrix)
         loss = np.sum([damped("p", i) / m[i] for i in masses], axis=0)

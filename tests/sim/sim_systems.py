@@ -1,0 +1,49 @@
+"""Systems that the tests of the simulation share."""
+
+from fpk.contact import Contact
+from fpk.system import System
+
+
+def fig6(*, clearance: float = 0.5) -> System:
+    return System(
+        mass=[1.0, 1.0],
+        stiffness=[1.0, 1.0],
+        damping=[0.08, 0.04],
+        noise_intensity=[0.01, 0.02],
+        contacts=(Contact(1, "both", 10.0, clearance),),
+    )
+
+
+def exact(*, clearance: float = 0.5) -> System:
+    """c_i/D_i = 2 for both: the stationary density is exp(−2 H)."""
+    return System(
+        mass=[1.0, 1.0],
+        stiffness=[1.0, 1.0],
+        damping=[0.2, 0.4],
+        noise_intensity=[0.1, 0.2],
+        contacts=(Contact(1, "both", 10.0, clearance),),
+    )
+
+
+def mixed() -> System:
+    """Three unequal masses, two laws, two stops on one side, full damping, correlated noise."""
+    return System(
+        mass=[1.0, 0.7, 1.6],
+        stiffness=[1.0, 2.0, 0.5],
+        damping=[[0.2, 0.05, 0.0], [0.05, 0.3, -0.02], [0.0, -0.02, 0.1]],
+        noise_intensity=[[0.05, 0.02, 0.0], [0.02, 0.08, 0.0], [0.0, 0.0, 0.03]],
+        contacts=(
+            Contact(0, "right", 3.0, 0.1),
+            Contact(2, "both", 8.0, 0.3, law="bilinear"),
+            Contact(2, "left", 5.0, 0.4, law="power", exponent=2.0),
+        ),
+    )
+
+
+def linear(n: int = 2) -> System:
+    return System(
+        mass=[1.0 + 0.3 * i for i in range(n)],
+        stiffness=[1.0] * n,
+        damping=[0.1] * n,
+        noise_intensity=[0.05] * n,
+    )

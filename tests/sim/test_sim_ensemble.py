@@ -1,0 +1,103 @@
+"""Ensembles: bitwise the same however they are run, and only what is asked for."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sim_systems import fig6, linear, mixed
+
+import sim.compiled_laws
+import sim.schemes  # noqa: F401
+from fpk.observable import parse_observable
+from sim.ensemble import Ensemble, kernel_key
+from sim.histogram import ranged
+from sim.kernel import KernelKey
+from sim.random import LANES
+from sim.scheme import SCHEMES
+from sim.statistics import moment_products
+
+EXACT_FLOW = SCHEMES["exact_flow"]
+
+
+def run(threads: int, chunks: tuple[int, ...], paths: int = 5 * LANES - 17) -> Ensemble:
+    system = mixed()
+    ensemble = Ensemble(system, EXACT_FLOW, 0.1, paths, 31, threads)
+    observables = [parse_observable(name, 3) for name in ("q1", "p3", "H", "q3,p3")]
+    q = np.array([[-1.0] * 3, [1.0] * 3])
+    ensemble.watch(ranged(system, observables, q, q, mirror=False), moment_products(3))
+    for steps in chunks:
+        ensemble.advance(steps, stride=3)
+    return ensemble
+
+
+@pytest.mark.parametrize(("threads", "chunks"), [(1, (60,)), (2, (60,)), (2, (1, 7, 20, 32))])
+def test_bitwise_the_same_for_any_threads_and_chunks(threads: int, chunks: tuple[int, ...]) -> None:
+    reference, other = run(1, (30, 30)), run(threads, chunks)
+    np.testing.assert_array_equal(reference.states, other.states)
+    np.testing.assert_array_equal(reference.counts, other.counts)
+    np.testing.assert_array_equal(reference.batch_means(), other.batch_means())
+    assert reference.samples == other.samples == 20
+
+
+def test_dead_lanes_are_not_counted() -> None:
+    ensemble = run(1, (60,))
+    assert ensemble.counts.sum() == 4 * ensemble.samples * ensemble.paths
+    more = run(1, (60,), 5 * LANES)
+    q, _ = ensemble.phase_points()
+    np.testing.assert_array_equal(q, more.phase_points()[0][: ensemble.paths])
+
+
+def test_what_is_not_in_the_scene_is_not_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("a law was compiled")
+
+    monkeypatch.setattr("sim.kernel.compiled_laws", refuse)
+    system = linear(2)
+    ensemble = Ensemble(system, EXACT_FLOW, 0.5, 2 * LANES, 1, 1)
+    assert kernel_key(system, EXACT_FLOW, (), ()) == KernelKey()
+    assert ensemble.step.stop_slot.size == ensemble.step.slot_mass.size == 0
+    q = np.array([[-1.0] * 2, [1.0] * 2])
+    for name, momenta, energy in (("q2", False, False), ("p1", True, False), ("H", True, True)):
+        h = ranged(system, [parse_observable(name, 2)], q, q, mirror=True)
+        key = kernel_key(system, EXACT_FLOW, h, ())
+        assert (key.observed, key.momenta, key.energy) == (True, momenta, energy)
+        assert key.laws == () and not key.moments
+    assert kernel_key(fig6(), EXACT_FLOW, (), ()).laws == ("hertz",)
+
+
+def test_a_stop_equal_on_both_sides_is_evaluated_once() -> None:
+    both = Ensemble(fig6(), EXACT_FLOW, 0.1, LANES, 1, 1).step
+    assert both.stop_sign.tolist() == [0.0]
+    assert Ensemble(mixed(), EXACT_FLOW, 0.1, LANES, 1, 1).step.stop_sign.tolist() == [1, 0, -1]
+
+
+SECOND_PROCESS = """
+import numpy as np
+import sim.schemes
+from sim.ensemble import Ensemble
+from sim.scheme import SCHEMES
+from sim_systems import fig6
+e = Ensemble(fig6(), SCHEMES["exact_flow"], 0.2, 128, 1, 1)
+e.advance(2)
+print(sum(e._kernel.stats.cache_hits.values()), sum(e._kernel.stats.cache_misses.values()))
+"""
+
+
+def test_a_second_process_finds_the_kernel_in_the_disk_cache(tmp_path: Path) -> None:
+    root = Path(__file__).parents[2]
+    environment = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(tmp_path),
+        "PYTHONPATH": f"{root}{os.pathsep}{root}/tests/sim",
+    }
+    answers = [
+        subprocess.run(
+            [sys.executable, "-c", SECOND_PROCESS],
+            env=environment, cwd=root, capture_output=True, text=True, check=True,
+        ).stdout.split()
+        for _ in range(2)
+    ]  # fmt: skip
+    assert answers == [["0", "1"], ["1", "0"]]

@@ -1,0 +1,85 @@
+"""Each integrator against a twin of a few lines of NumPy on the same stream of normals."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.linalg import expm
+from sim_systems import exact, fig6, linear, mixed
+
+import sim.schemes
+from fpk.system import System
+from sim.ensemble import Ensemble
+from sim.flow import exact_flow, factored, flow_covariance
+from sim.random import normals
+from sim.scheme import SCHEMES
+
+Array = NDArray[np.float64]
+Step = Callable[[System, float, Array, Array, Callable[[int], Array]], tuple[Array, Array]]
+
+
+def contact(system: System, q: Array) -> tuple[Array, Array]:
+    g, slope = np.zeros_like(q), np.zeros_like(q)
+    for stop in system.stops:
+        sign = 1.0 if stop.side == "right" else -1.0
+        overlap = np.maximum(sign * q[stop.mass] - stop.clearance, 0.0)
+        g[stop.mass] += sign * stop.force(overlap)
+        slope[stop.mass] += np.where(overlap > 0, stop.slope(overlap), 0.0)
+    return g, slope
+
+
+def exact_flow_twin(system, h, q, p, draw):
+    g, slope = contact(system, q)
+    m = system.mass[:, None]
+    flow = exact_flow(system, h)
+    x = np.vstack([q, p - h * g * (1 - h**2 * slope / (12 * m))])
+    x = flow.propagator @ x + flow.factor @ draw(flow.normals)
+    return x[: system.n], x[system.n :]
+
+
+def baoab_twin(system, h, q, p, draw):
+    m, c = system.mass[:, None], system.damping / system.mass
+    force = contact(system, q)[0] + system.stiffness_matrix @ q
+    p = p - h / 2 * force - h / 2 * force  # the half kicks of two steps: stored before both
+    q = q + h / 2 * p / m
+    L = factored(flow_covariance(-c, 2 * system.noise_matrix, h)[1])
+    p = expm(-c * h) @ p + L @ draw(L.shape[1])
+    return q + h / 2 * p / m, p
+
+
+def euler_twin(system, h, q, p, draw):
+    m, n = system.mass[:, None], system.n
+    force = contact(system, q)[0] + system.stiffness_matrix @ q + system.damping @ (p / m)
+    zero = np.zeros((n, n))
+    L = factored(np.block([[zero, zero], [zero, 2 * h * system.noise_matrix]]))[n:]
+    return q + h * p / m, p - h * force + L @ draw(L.shape[1])
+
+
+TWINS: dict[str, Step] = {
+    "exact_flow": exact_flow_twin,
+    "baoab": baoab_twin,
+    "euler_maruyama": euler_twin,
+}
+
+
+@pytest.mark.parametrize("make", [fig6, exact, mixed, linear, lambda: linear(1), lambda: linear(5)])
+@pytest.mark.parametrize("name", sorted(SCHEMES))
+def test_kernel_equals_its_twin(name: str, make: Callable[[], System]) -> None:
+    system, h, paths, seed = make(), 0.11, 150, 977
+    ensemble = Ensemble(system, SCHEMES[name], h, paths, seed, 1)
+    q, p = (x.T * 3.0 for x in ensemble.phase_points())
+    ensemble.states *= 3.0
+    for step in range(20):
+        pairs = ensemble.step.pairs
+        draw = lambda r, s=step, k=pairs: normals(seed, paths, s * k, max(r, 1))[:r]  # noqa: E731
+        q, p = TWINS[name](system, h, q, p, draw)
+    ensemble.advance(20)
+    found = ensemble.phase_points()
+    np.testing.assert_allclose(found[0].T, q, rtol=0, atol=1e-12 * np.abs(q).max())
+    np.testing.assert_allclose(found[1].T, p, rtol=0, atol=1e-12 * np.abs(p).max())
+
+
+def test_every_scheme_of_the_folder_has_a_twin() -> None:
+    assert set(SCHEMES) == set(TWINS)
+    assert sim.schemes.__path__
