@@ -1,0 +1,114 @@
+"""Measure ns per particle-step of the simulation: stepping, with histograms, without contact.
+
+    python benchmarks/montecarlo.py [--json]
+
+Warm-up, seven repeats, medians; one thread, and all of them. A figure is wall time times one core
+of work: with several threads it is wall time per particle-step of the whole machine.
+"""
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import sys
+from time import perf_counter
+
+import llvmlite.binding
+import numba
+import numpy as np
+
+import sim.schemes  # noqa: F401  (its modules register the integrators)
+from fpk.contact import Contact
+from fpk.observable import parse_observable
+from fpk.system import System
+from sim.ensemble import Ensemble
+from sim.histogram import ranged
+from sim.scheme import SCHEMES
+from sim.statistics import moment_products
+from sim.step_size import chosen_step
+
+PATHS, STEPS, REPEATS = 8192, 500, 7
+Row = dict[str, str | int | float]
+
+
+def scene(*, contact: bool) -> System:
+    """Return fig6 with B = 10, δ = 0.5, or the same without contact."""
+    contacts = (Contact(1, "both", 10.0, 0.5),) if contact else ()
+    return System([1.0, 1.0], [1.0, 1.0], [0.08, 0.04], [0.01, 0.02], contacts=contacts)
+
+
+def measured(
+    system: System, scheme: str, names: tuple[str, ...], *, moments: bool, stride: int, threads: int
+) -> Row:
+    """Return one row of the table."""
+    dt = 0.01 if scheme == "euler_maruyama" else min(0.2, chosen_step(system))
+    ensemble = Ensemble(system, SCHEMES[scheme], dt, PATHS, 1, threads)
+    reach = np.array([[-3.0, -3.0], [3.0, 3.0]])
+    observables = [parse_observable(name, 2) for name in names]
+    histograms = ranged(system, observables, reach, reach, mirror=True)
+    ensemble.watch(histograms, moment_products(2) if moments else ())
+    ensemble.advance(20)
+    times = []
+    for _ in range(REPEATS):
+        start = perf_counter()
+        ensemble.advance(STEPS, stride=stride)
+        times.append(perf_counter() - start)
+    observed = ", ".join(names) + (" and moments" if moments else "")
+    return {
+        "scheme": scheme,
+        "contact": "yes" if system.stops else "no",
+        "observed": f"{observed} every {stride}" if observed else "nothing",
+        "threads": threads,
+        "ns": 1e9 * statistics.median(times) / (PATHS * STEPS),
+        "fastest": 1e9 * min(times) / (PATHS * STEPS),
+    }
+
+
+def main() -> None:
+    """Measure and print the table, or JSON with --json."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    rows = []
+    for threads in sorted({1, len(os.sched_getaffinity(0))}):
+        for scheme in sorted(SCHEMES):
+            for contact in (True, False):
+                rows.append(
+                    measured(
+                        scene(contact=contact), scheme, (), moments=False, stride=1, threads=threads
+                    )
+                )
+        for names, moments, stride in (
+            (("q2",), False, 1),
+            (("q2",), False, 3),
+            (("q2",), True, 3),
+            (("H",), False, 3),
+            (("q2,p2",), False, 3),
+        ):
+            rows.append(
+                measured(
+                    scene(contact=True),
+                    "exact_flow",
+                    names,
+                    moments=moments,
+                    stride=stride,
+                    threads=threads,
+                )
+            )
+    if arguments.json:
+        machine = f"{platform.machine()}, {llvmlite.binding.get_host_cpu_name()}"
+        print(json.dumps({"machine": machine, "numba": numba.__version__, "rows": rows}))
+        return
+    print("| scheme | contact | observed | threads | ns per particle-step | fastest |")
+    print("|---|---|---|---|---|---|")
+    for r in rows:
+        print(
+            f"| {r['scheme']} | {r['contact']} | {r['observed']} | {r['threads']} "
+            f"| {r['ns']:.2f} | {r['fastest']:.2f} |"
+        )
+    print(f"\nnumba {numba.__version__}, Python {sys.version.split()[0]}, {platform.machine()}")
+
+
+if __name__ == "__main__":
+    main()
