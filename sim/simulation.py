@@ -140,7 +140,9 @@ def _judged(
         for identity in found.identities():
             worst = max(worst, abs(identity.z))
             if abs(identity.z) > LARGEST_Z:
-                failures.append(f"{identity.name} is off by {identity.z:.1f} standard errors")
+                failures.append(
+                    f"{identity.name} is off by {identity.z:.1f} standard errors; use a smaller dt"
+                )
     densities, first = [], starts(histograms)
     for m, histogram in enumerate(histograms):
         counts = ensemble.counts[:, first[m] : first[m + 1]]

@@ -9,6 +9,8 @@ from scipy.linalg import expm
 from sim_systems import exact, fig6, linear, mixed
 
 import sim.schemes
+from fpk.contact import Contact
+from fpk.contact_law import LAWS, ContactLaw
 from fpk.system import System
 from sim.ensemble import Ensemble
 from sim.flow import exact_flow, factored, flow_covariance
@@ -83,3 +85,13 @@ def test_kernel_equals_its_twin(name: str, make: Callable[[], System]) -> None:
 def test_every_scheme_of_the_folder_has_a_twin() -> None:
     assert set(SCHEMES) == set(TWINS)
     assert sim.schemes.__path__
+
+
+def test_a_law_registered_by_someone_else_is_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    cubic = ContactLaw(
+        "cubic", 3.0, lambda x, e: x**3, lambda x, e: x**4 / 4, lambda x, e: 3 * x * x
+    )
+    monkeypatch.setitem(LAWS, cubic.name, cubic)
+    contact_with_law = Contact(1, "both", 10.0, 0.5, law="cubic")
+    system = System([1.0, 1.0], [1.0, 1.0], [0.1, 0.1], [0.1, 0.1], contacts=(contact_with_law,))
+    test_kernel_equals_its_twin("exact_flow", lambda: system)
