@@ -77,8 +77,8 @@ def initial_nodes(view: Survey, end: float, nonsmooth: tuple[float, ...]) -> Arr
     layers = GRADING ** np.arange(1.0, GRADED_LAYERS + 1.0)
     for H in fixed:
         gap = nodes[np.searchsorted(nodes, H, side="right")] - H
-        nodes = np.concatenate([nodes, H + gap * layers])
-    return np.unique(nodes)
+        nodes = np.unique(np.concatenate([nodes, H + gap * layers]))
+    return nodes
 
 
 def split_points(left: Array, right: Array, special: Array) -> Array:

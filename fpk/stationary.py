@@ -73,6 +73,12 @@ class StationarySolution:
             return u
         return u * np.exp(-self._log_states(energy))
 
+    def phase_space_error(self, energy: Array) -> Array:
+        """Estimate of |p_h − p|/T at energies of any shape."""
+        return self._error(energy) * (
+            1.0 if self.form == "flux" else np.exp(-self._log_states(energy))
+        )
+
     def density(self, energy: Array) -> Array:
         """p_h at energies of any shape; 0 outside the mesh."""
         u = self._expand(self.coefficients_u, self.log_scale, self.degree, energy)
@@ -80,12 +86,16 @@ class StationarySolution:
 
     def pointwise_error(self, energy: Array) -> Array:
         """Estimate of |p_h − p| at energies of any shape."""
-        weight = self._weight(energy)
-        p = weight * self._expand(self.coefficients_u, self.log_scale, self.degree, energy)
-        degree = self.degree + ENRICHMENT
-        better = weight * self._expand(self.enriched_u, self.enriched_log_scale, degree, energy)
+        return self._error(energy) * self._weight(energy)
+
+    def _error(self, energy: Array) -> Array:
+        """Error of u: distance to the enriched solution and what shifts all of p alike."""
+        u = self._expand(self.coefficients_u, self.log_scale, self.degree, energy)
+        better = self._expand(
+            self.enriched_u, self.enriched_log_scale, self.degree + ENRICHMENT, energy
+        )
         floor = self.coefficient_error + self.certificate.tail_mass + ROUND_OFF * self.nodes.size
-        return SAFETY * np.abs(p - better) + floor * np.abs(p)
+        return np.asarray(SAFETY * np.abs(u - better) + floor * np.abs(u))
 
     def _log_states(self, energy: Array) -> Array:
         safe = np.clip(energy, np.finfo(float).tiny, self.nodes[-1])

@@ -29,6 +29,9 @@ TARGET = 3e-12
 the finer of the two is better than that by orders of magnitude."""
 ROUND_OFF = 2e-15
 """Relative error of a sum of some dozens of positive terms."""
+RADIAL_POINTS = 20
+"""Gauss points along a ray are enough at this number for any contact stiffness; over the angle,
+where stiff contact leaves boundary layers, more are taken."""
 CUBATURE_TOLERANCE = 1e-8
 """Relative tolerance over the directions of three or more contact masses."""
 
@@ -126,7 +129,8 @@ def _over_rays(potential: ReducedPotential, energy: Array, rules: Sequence[int])
 
 def _over_circle(potential: ReducedPotential, energy: Array, points: int) -> Array:
     which, directions, weights = circle_rule(potential, energy, points)
-    rays = shell_ray_integrals(potential, energy[which], directions, rules=(points,))[0]
+    radial = (min(points, RADIAL_POINTS),)
+    rays = shell_ray_integrals(potential, energy[which], directions, rules=radial)[0]
     parts = [np.bincount(which, weights * part, minlength=energy.size) for part in rays.T]
     return np.stack(parts, axis=1)
 

@@ -1,0 +1,212 @@
+"""Stochastic averaging of quasi-non-integrable Hamiltonian systems as a method, section 4."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from time import perf_counter
+from typing import Literal, Self, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from averaging.back_transformation import back_transformed
+from averaging.energy_density import EnergyDensity, averaged_closed_form
+from averaging.energy_process import energy_balance, energy_process
+from averaging.quadrature import QuadratureSolution, solve_by_quadrature
+from averaging.shell.ratios import energy_shell, log_linear_states
+from averaging.weyl import WeylTable, weyl_table
+from fpk.density import Certificate
+from fpk.elements import Form
+from fpk.errors import InvalidInput, NotApplicable
+from fpk.method import Progress, Result, silent
+from fpk.observable import Observable, observable_name
+from fpk.process import DiffusionProcess
+from fpk.stationary import StationarySolution, solve_stationary
+from fpk.system import System
+
+Array = NDArray[np.float64]
+Solver = Literal["fem", "quadrature", "closed-form"]
+
+
+@dataclass(frozen=True)
+class NonIntegrable:
+    """Averaged energy process (24)-(28), its stationary density and what follows from it, (30).
+
+    ``solver``: "fem" solves the FPK equation of the process by finite elements, in the given
+    ``form``; "quadrature" evaluates (11); "closed-form" is (29) in its general form. ``tol`` is
+    the L1 tolerance. The theory is exact where the damping and noise meet (8), an approximation
+    otherwise, and the better the more the contacts matter.
+    """
+
+    solver: Solver = "fem"
+    form: Form = "flux"
+    tol: float = 1e-10
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown solver, or a tolerance that double precision cannot meet."""
+        if self.solver not in get_args(Solver):
+            raise InvalidInput("solver", self.solver, f"use one of {sorted(get_args(Solver))}")
+        if not 1e-12 <= self.tol <= 0.1:
+            raise InvalidInput("tol", self.tol, "must lie between 1e-12 and 0.1")
+
+    @property
+    def name(self) -> str:
+        """The method's name on the command line."""
+        return "nonintegrable"
+
+    def refusal(self, system: System, observable: Observable) -> str | None:
+        """Return why the theory does not give ``observable``, or None where it does."""
+        try:
+            energy_balance(system)
+        except NotApplicable as reason:
+            return str(reason)
+        return energy_only_refusal(system, observable)
+
+    def solve(
+        self,
+        system: System,
+        observables: Sequence[Observable],
+        *,
+        progress: Progress = silent,
+    ) -> Result:
+        """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses."""
+        for observable in observables:
+            if reason := self.refusal(system, observable):
+                raise NotApplicable(reason)
+        start = perf_counter()
+        source, settings = self._energy_density(system, energy_process(system))
+        densities = tuple(back_transformed(source, observable) for observable in observables)
+        return Result(self, densities, perf_counter() - start, settings=settings)
+
+    def refined(self) -> Self:
+        """Return the method with a tolerance ten times smaller, down to 1e-12."""
+        return replace(self, tol=max(0.1 * self.tol, 1e-12))
+
+    def _energy_density(
+        self, system: System, process: DiffusionProcess
+    ) -> tuple[EnergyDensity, dict[str, str | float | int]]:
+        if self.solver == "closed-form":
+            return averaged_closed_form(system, process), {"equation": "(29)"}
+        if self.solver == "quadrature":
+            by_quadrature = solve_by_quadrature(process, tol=self.tol)
+            return _from_quadrature(system, by_quadrature), {
+                "equation": "(11)",
+                "panels": by_quadrature.nodes.size - 1,
+                "last energy": float(by_quadrature.nodes[-1]),
+                "tol": self.tol,
+            }
+        by_elements = solve_stationary(process, tol=self.tol, form=self.form)
+        return _from_elements(system, by_elements), {
+            "equation": "FPK of (24)",
+            "form": self.form,
+            "degree": by_elements.degree,
+            "elements": by_elements.nodes.size - 1,
+            "unknowns": by_elements.unknowns,
+            "last energy": float(by_elements.nodes[-1]),
+            "tol": self.tol,
+        }
+
+
+def energy_only_refusal(system: System, observable: Observable) -> str | None:
+    """Return why ``observable`` does not follow from a density u(H), or None where it does."""
+    kinds = {c.kind for c in observable}
+    if "H" in kinds and (len(observable) > 1 or observable[0].index is not None):
+        return (
+            f"{observable_name(observable)}: this theory knows the total energy only; "
+            "ask for H, q, p or pairs of q and p"
+        )
+    seen = {c.index for c in observable if c.kind == "q"}
+    hidden = [i for i in system.contact_masses if i not in seen]
+    if "H" not in kinds and len(hidden) > 2:
+        return (
+            f"{observable_name(observable)}: {len(hidden)} contact masses would have to be "
+            "integrated out numerically, at most 2 are"
+        )
+    return None
+
+
+def _from_elements(system: System, solution: StationarySolution) -> EnergyDensity:
+    offset = _log_unit(system, solution.process)
+    scale = np.exp(-offset)
+
+    def u(energy: Array) -> Array:
+        return np.asarray(scale * solution.phase_space_density(energy))
+
+    def u_error(energy: Array) -> Array:
+        return np.asarray(scale * solution.phase_space_error(energy))
+
+    return _tabulated(
+        system,
+        solution.process,
+        solution.nodes,
+        u,
+        u_error,
+        l1_error=solution.l1_error,
+        certificate=solution.certificate,
+    )
+
+
+def _from_quadrature(system: System, solution: QuadratureSolution) -> EnergyDensity:
+    process = solution.process
+    offset = _log_unit(system, process)
+
+    def u(energy: Array) -> Array:
+        flat = np.maximum(np.asarray(energy, dtype=float), np.finfo(float).tiny).ravel()
+        log_t = process.coefficients(flat).log_density_of_states.reshape(np.shape(energy))
+        return np.asarray(np.exp(solution.log_density(energy) - log_t - offset))
+
+    tolerance_met = solution.l1_error
+    return _tabulated(
+        system,
+        process,
+        solution.nodes,
+        u,
+        lambda energy: tolerance_met * u(energy),
+        l1_error=solution.l1_error,
+        certificate=Certificate(
+            mass_defect=solution.mass_defect,
+            minimum=0.0,
+            residual=0.0,
+            tail_mass=solution.tail_mass,
+        ),
+    )
+
+
+def _tabulated(
+    system: System,
+    process: DiffusionProcess,
+    nodes: Array,
+    u: Callable[[Array], Array],
+    u_error: Callable[[Array], Array],
+    *,
+    l1_error: float,
+    certificate: Certificate,
+) -> EnergyDensity:
+    @lru_cache
+    def table(order: float, of_error: bool) -> WeylTable:
+        return weyl_table(order, nodes, u_error if of_error else u)
+
+    def weyl(order: float, energy: Array, *, of_error: bool) -> Array:
+        return table(order, of_error)(energy)
+
+    return EnergyDensity(
+        system=system,
+        shell=energy_shell(system),
+        nodes=nodes,
+        temperature=process.energy_scale / process.degrees_of_freedom,
+        u=u,
+        u_error=u_error,
+        weyl=partial(weyl, of_error=False),
+        weyl_error=partial(weyl, of_error=True),
+        l1_error=l1_error,
+        certificate=certificate,
+    )
+
+
+def _log_unit(system: System, process: DiffusionProcess) -> float:
+    """ln of the density of states in full units over that of the process, a constant.
+
+    The process measures T in units of the chain without contacts at its energy scale.
+    """
+    scale = np.array([process.energy_scale])
+    return float(log_linear_states(system, scale)[0])
