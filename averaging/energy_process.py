@@ -1,4 +1,4 @@
-"""Stochastic averaging of a quasi-non-integrable Hamiltonian system: the energy process (9), (24)."""
+"""Averaged energy process of a quasi-non-integrable Hamiltonian system, Eqs. (9), (24)."""
 
 from dataclasses import dataclass
 

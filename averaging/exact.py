@@ -86,7 +86,10 @@ class Exact:
         start = perf_counter()
         source = exact_energy_density(system)
         densities = tuple(back_transformed(source, observable) for observable in observables)
-        settings = {"equation": "(7), (22)", "h": compatibility(system)}
+        settings: dict[str, str | float | int] = {
+            "equation": "(7), (22)",
+            "h": compatibility(system),
+        }
         return Result(self, densities, perf_counter() - start, settings=settings)
 
     def refined(self) -> Self:

@@ -14,9 +14,9 @@ class ContactLaw:
     """Force, contact energy and slope of one law at unit contact stiffness, as in Eqs. (2), (5).
 
     ``force(x, e)``, ``energy(x, e)`` (its integral from 0) and ``slope(x, e)`` (its derivative)
-    take the overlap ``x >= 0`` and the exponent ``e``. ``exponent`` is the law's own one, or None where
-    the contact has to state it. All are non-negative, the force increases with the overlap, and
-    the slope stays finite at first touch.
+    take the overlap ``x >= 0`` and the exponent ``e``. ``exponent`` is the law's own one, or None
+    where the contact has to state it. All are non-negative, the force increases with the
+    overlap, and the slope stays finite at first touch.
     """
 
     name: str

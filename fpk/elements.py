@@ -43,7 +43,7 @@ def gauss_rule(degree: int) -> tuple[Array, Array]:
 
 @lru_cache
 def shapes_at_gauss(degree: int, rule: int) -> tuple[Array, Array]:
-    """Return the shape functions of ``degree`` and slopes at the Gauss points of degree ``rule``."""
+    """Return the shape functions of ``degree`` and slopes at the Gauss points of ``rule``."""
     return shape_functions(degree, gauss_rule(rule)[0])
 
 

@@ -69,9 +69,10 @@ def initial_nodes(view: Survey, end: float, nonsmooth: tuple[float, ...]) -> Arr
     count = np.concatenate([[0.0], np.cumsum(steps)])
     levels = np.linspace(0.0, count[-1], max(int(np.ceil(count[-1])), 2) + 1)
     nodes = np.interp(levels, count, energy)
-    fixed = [H for H in nonsmooth if H < end]
+    fixed = np.array(nonsmooth)
+    fixed = fixed[fixed < end]
     for H in fixed:
-        spacing = np.diff(nodes)[min(np.searchsorted(nodes, H), nodes.size - 1) - 1]
+        spacing = np.diff(nodes)[min(int(np.searchsorted(nodes, H)), nodes.size - 1) - 1]
         nodes = nodes[(np.abs(nodes - H) > 0.3 * spacing) | (nodes == 0.0) | (nodes == end)]
     nodes = np.unique(np.concatenate([nodes, fixed]))
     layers = GRADING ** np.arange(1.0, GRADED_LAYERS + 1.0)

@@ -13,10 +13,10 @@ Array = NDArray[np.float64]
 class Coefficients(NamedTuple):
     """Coefficients of ``dH = s dt + √b dB`` at some energies, each array of the energies' shape.
 
-    ``drift`` s and ``diffusion`` b = σ² (the ½ stays in the FPK equation), ``diffusion_slope`` b'.
-    ``dissipation`` is the part of the drift that damping causes and ``log_density_of_states`` is
-    ln T up to a constant, so that ``s = dissipation + ½ (b T)'/T``. ``relative_error`` estimates the
-    error of the quadratures behind them, relative to each.
+    ``drift`` s and ``diffusion`` b = σ² (the ½ stays in the FPK equation), ``diffusion_slope``
+    b'. ``dissipation`` is the part of the drift that damping causes and ``log_density_of_states``
+    is ln T up to a constant, so that ``s = dissipation + ½ (b T)'/T``. ``relative_error``
+    estimates the error of the quadratures behind them, relative to each.
     """
 
     drift: Array

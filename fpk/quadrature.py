@@ -18,7 +18,7 @@ def gauss_legendre(points: int) -> tuple[Array, Array]:
 
 
 def panel_rule(nodes: Array, points: int) -> tuple[Array, Array]:
-    """Return nodes and weights, each (panels, points), on the panels between ascending ``nodes``."""
+    """Return nodes and weights (panels, points) on the panels between ascending ``nodes``."""
     x, w = gauss_legendre(points)
     half = 0.5 * np.diff(nodes)[:, None]
     middle = 0.5 * (nodes[1:] + nodes[:-1])[:, None]

@@ -201,17 +201,20 @@ def _merged(old: _Elements, new: _Elements, keep: NDArray[np.bool_]) -> _Element
         return LocalSolutions(*(joined(getattr(a, f), getattr(b, f)) for f in fields))
 
     return _Elements(
-        *(
-            joined(a, b) if isinstance(a, np.ndarray) else record(a, b)
-            for a, b in zip(old, new, strict=True)
-        )
+        left=joined(old.left, new.left),
+        right=joined(old.right, new.right),
+        base=record(old.base, new.base),
+        better=record(old.better, new.better),
+        values=joined(old.values, new.values),
+        better_values=joined(old.better_values, new.better_values),
+        coefficient_error=joined(old.coefficient_error, new.coefficient_error),
     )
 
 
 def _chain(local: LocalSolutions) -> tuple[Array, Array, Array]:
-    """Signs and logs of the elements' scales of u that make it continuous, and logs of their masses.
+    """Signs and logs of the elements' scales of u, and logs of their masses.
 
-    The masses sum to one; the sign is that of the element with most mass.
+    The scales make u continuous, the masses sum to one, and where mass is most u is positive.
     """
     leaving, entering = local.u[:-1, 1], local.u[1:, 0]
     tiny = np.finfo(float).tiny

@@ -32,16 +32,18 @@ def contact_energies(potential: ReducedPotential) -> tuple[float, ...]:
 
 def _lowest(potential: ReducedPotential, subset: tuple[int, ...]) -> float:
     rows = potential.rows[list(subset)]
-    foot = np.linalg.lstsq(rows, potential.clearance[list(subset)], rcond=None)[0]
+    foot: Array = np.linalg.pinv(rows) @ potential.clearance[list(subset)]
     others = [s for s in range(len(potential.stops)) if s not in subset]
     overlap = potential.rows[others] @ foot - potential.clearance[others]
     if len(subset) == potential.count or np.all(overlap <= 0.0):
         return float(0.5 * foot @ foot + _energy_of(potential, others, foot))
     _, _, basis = np.linalg.svd(rows)
     free = basis[len(subset) :].T
-    found = minimize(
-        lambda t: float(potential(foot + free @ t)), np.zeros(free.shape[1]), tol=1e-12
-    )
+
+    def energy(t: Array) -> float:
+        return float(potential(foot + free @ t))
+
+    found = minimize(energy, np.zeros(free.shape[1]), tol=1e-12)
     return float(found.fun)
 
 

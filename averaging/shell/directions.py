@@ -20,7 +20,7 @@ def line_rule(potential: ReducedPotential) -> tuple[tuple[float, ...], float]:
 
 def circle_rule(
     potential: ReducedPotential, energy: Array, nodes: int
-) -> tuple[Array, Array, Array]:
+) -> tuple[NDArray[np.intp], Array, Array]:
     """Two contact masses: Gauss panels over the angle, cut where a stop joins or leaves the shell.
 
     Returns the index of each ray's energy (rays,), the directions (rays, 2), the weights (rays,).
@@ -37,7 +37,8 @@ def circle_rule(
     angle = cuts[:, :-1, None] + length[:, :, None] * share
     weight = np.broadcast_to(length[:, :, None] * slope, angle.shape)
     keep = weight > 0
-    which = np.broadcast_to(np.arange(energy.size)[:, None, None], angle.shape)[keep]
+    index = np.arange(energy.size, dtype=np.intp)[:, None, None]
+    which = np.broadcast_to(index, angle.shape)[keep]
     directions = np.stack([np.cos(angle[keep]), np.sin(angle[keep])], axis=1)
     return which, directions, weight[keep] * (2.0 * pi / period)
 

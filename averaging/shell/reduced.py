@@ -35,7 +35,7 @@ class ReducedPotential:
 
     def __call__(self, y: Array) -> Array:
         """V_red at whitened coordinates of shape (..., c)."""
-        value = 0.5 * np.sum(y * y, axis=-1)
+        value: Array = 0.5 * np.sum(y * y, axis=-1)
         for stop, row, clearance in zip(self.stops, self.rows, self.clearance, strict=True):
             value = value + stop.energy(np.maximum(y @ row - clearance, 0.0))
         return value
