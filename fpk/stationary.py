@@ -6,33 +6,26 @@ natural. The equation is solved from its coefficients alone, never from the know
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fpk.assembly import ENRICHMENT, Assembled, SolvedElements, assembled, merged, solve_elements
 from fpk.density import Certificate
-from fpk.elements import (
-    Form,
-    LocalSolutions,
-    gauss_rule,
-    local_density,
-    local_solutions,
-    shape_functions,
-)
+from fpk.elements import Form, shape_functions
 from fpk.mesh import Survey, initial_nodes, split_points, survey, tail_bound, truncation_energy
-from fpk.process import Coefficients, DiffusionProcess
+from fpk.process import DiffusionProcess
 
 Array = NDArray[np.float64]
 
-ENRICHMENT = 2
-"""Degrees by which the comparison solution exceeds the answer."""
 SAFETY = 2.0
 """Factor on the distance to the comparison solution: at an algebraic singularity of order r the
 enriched solution keeps the share (p/(p+2))^(2r+2) of the error, at most a half for p >= 4."""
 MOST_ROUNDS = 40
 MOST_ELEMENTS = 20_000
 ROUND_OFF = 4e-16
+RESIDUAL = 1e-13
+"""Largest algebraic residual that counts as round-off, relative to the terms that cancel in it."""
 NEGATIVE = -1e-14
 """Smallest p / max p that counts as round-off."""
 NET_FLUX = 1e-10
@@ -116,18 +109,6 @@ class StationarySolution:
         return np.where(inside, value, 0.0).reshape(np.shape(energy))
 
 
-class _Elements(NamedTuple):
-    """Solved elements, each array or record indexed by element; concatenated as the mesh grows."""
-
-    left: Array
-    right: Array
-    base: LocalSolutions
-    better: LocalSolutions
-    values: Array  # densities of mass 1 at the Gauss points, of the answer ...
-    better_values: Array  # ... and of the enriched twin
-    coefficient_error: Array  # largest relative error of the coefficients
-
-
 def solve_stationary(
     process: DiffusionProcess, *, tol: float = 1e-10, form: Form = "flux", degree: int | None = None
 ) -> StationarySolution:
@@ -140,159 +121,89 @@ def solve_stationary(
     view = survey(process)
     end = truncation_energy(view, 1e-2 * tol)
     nodes = initial_nodes(view, end, process.nonsmooth)
-    elements = _solve(process, nodes[:-1], nodes[1:], degree, form)
+    elements = solve_elements(process, nodes[:-1], nodes[1:], degree, form)
     special = np.array([0.0, *process.nonsmooth])
     for _ in range(MOST_ROUNDS):
-        solution, indicator = _assemble(process, view, elements, degree, form, tol)
-        marked = indicator > 0.1 * tol / indicator.size
-        if not marked.any() or indicator.size > MOST_ELEMENTS:
+        whole = assembled(elements, degree)
+        negative = whole.p.min(axis=1) < NEGATIVE * whole.p.max()
+        # Half of the tolerance is left to the tail, the coefficients and round-off.
+        if SAFETY * whole.distance.sum() <= 0.5 * tol and not negative.any():
             break
+        marked = negative | (whole.indicator > 0.1 * tol / whole.indicator.size)
         left, right = elements.left[marked], elements.right[marked]
         cut = split_points(left, right, special)
-        if np.any((cut <= left) | (cut >= right)):
+        if (
+            not marked.any()
+            or marked.size > MOST_ELEMENTS
+            or np.any((cut <= left) | (cut >= right))
+        ):
             break
-        new = _solve(
+        new = solve_elements(
             process, np.concatenate([left, cut]), np.concatenate([cut, right]), degree, form
         )
-        elements = _merged(elements, new, ~marked)
-    return solution
+        elements = merged(elements, new, ~marked)
+    return _certified(process, view, elements, whole, degree, form, tol)
 
 
 def solve_on_mesh(
     process: DiffusionProcess, nodes: Array, degree: int, *, form: Form = "flux"
 ) -> StationarySolution:
     """Return the finite element solution on a given mesh, for convergence studies."""
-    elements = _solve(process, nodes[:-1], nodes[1:], degree, form)
-    return _assemble(process, survey(process), elements, degree, form, np.inf)[0]
+    elements = solve_elements(process, nodes[:-1], nodes[1:], degree, form)
+    whole = assembled(elements, degree)
+    return _certified(process, survey(process), elements, whole, degree, form, np.inf)
 
 
-def _solve(
-    process: DiffusionProcess, left: Array, right: Array, degree: int, form: Form
-) -> _Elements:
-    # Each degree has its own Gauss points, so that their distance shows quadrature errors too.
-    degrees = (degree, degree + ENRICHMENT)
-    grids = [left[:, None] + (right - left)[:, None] * gauss_rule(k)[0] for k in degrees]
-    flat = process.coefficients(np.concatenate([grid.ravel() for grid in grids]))
-    c, finer = (
-        Coefficients(*(part.reshape(grid.shape) for part in parts))
-        for grid, parts in zip(
-            grids,
-            zip(*(np.split(part, [grids[0].size]) for part in flat), strict=True),
-            strict=True,
-        )
-    )
-    base = local_solutions(c, right - left, degree, form)
-    better = local_solutions(finer, right - left, degree + ENRICHMENT, form)
-    values, better_values = (
-        local_density(c, local, rule=degree, form=form) for local in (base, better)
-    )
-    error = c.relative_error.max(axis=1)
-    return _Elements(left, right, base, better, values, better_values, error)
-
-
-def _merged(old: _Elements, new: _Elements, keep: NDArray[np.bool_]) -> _Elements:
-    order = np.argsort(np.concatenate([old.left[keep], new.left]))
-
-    def joined(a: Array, b: Array) -> Array:
-        return np.concatenate([a[keep], b])[order]
-
-    def record(a: LocalSolutions, b: LocalSolutions) -> LocalSolutions:
-        fields = ("u", "log_factor", "residual", "net_flux", "one_way")
-        return LocalSolutions(*(joined(getattr(a, f), getattr(b, f)) for f in fields))
-
-    return _Elements(
-        left=joined(old.left, new.left),
-        right=joined(old.right, new.right),
-        base=record(old.base, new.base),
-        better=record(old.better, new.better),
-        values=joined(old.values, new.values),
-        better_values=joined(old.better_values, new.better_values),
-        coefficient_error=joined(old.coefficient_error, new.coefficient_error),
-    )
-
-
-def _chain(local: LocalSolutions) -> tuple[Array, Array, Array]:
-    """Signs and logs of the elements' scales of u, and logs of their masses.
-
-    The scales make u continuous, the masses sum to one, and where mass is most u is positive.
-    """
-    leaving, entering = local.u[:-1, 1], local.u[1:, 0]
-    tiny = np.finfo(float).tiny
-    steps = np.log(np.maximum(np.abs(leaving), tiny)) - np.log(np.maximum(np.abs(entering), tiny))
-    log_scale = np.concatenate([[0.0], np.cumsum(steps)])
-    sign = np.concatenate([[1.0], np.cumprod(np.where(leaving * entering < 0, -1.0, 1.0))])
-    log_mass = log_scale + local.log_factor
-    top = np.argmax(log_mass)
-    sign *= sign[top]
-    total = log_mass[top] + np.log(np.sum(sign * np.exp(log_mass - log_mass[top])))
-    return sign, log_scale - total, log_mass - total
-
-
-def _assemble(
+def _certified(
     process: DiffusionProcess,
     view: Survey,
-    e: _Elements,
+    elements: SolvedElements,
+    whole: Assembled,
     degree: int,
     form: Form,
     tol: float,
-) -> tuple[StationarySolution, Array]:
-    """Scale the elements to a global solution; return it with the error indicator per element."""
-    sign, scale, log_mass = _chain(e.base)
-    better_sign, better_scale, better_log_mass = _chain(e.better)
-    lengths = e.right - e.left
-    weights = lengths[:, None] * gauss_rule(degree)[1]
-    share, better_share = sign * np.exp(log_mass), better_sign * np.exp(better_log_mass)
-    p = e.values * share[:, None]
-    distance = np.sum(weights * np.abs(p - e.better_values * better_share[:, None]), axis=1)
-    shape = np.abs(share) * np.sum(weights * np.abs(e.values - e.better_values), axis=1)
-    # A wrong step between two neighbours moves the smaller of the masses on its sides.
-    step = np.abs(np.diff(log_mass) - np.diff(better_log_mass))
-    below = np.cumsum(np.abs(share))[:-1]
-    moved = step * np.minimum(below, np.maximum(1.0 - below, 0.0))
-    indicator = shape + np.concatenate([moved, [0.0]]) + np.concatenate([[0.0], moved])
-
-    end_value = abs(float(e.base.u[-1, 1])) * np.exp(scale[-1])
+) -> StationarySolution:
+    """Bound the tail, estimate the error and check what must hold of the assembled solution."""
+    nodes = np.append(elements.left, elements.right[-1])
+    end_value = abs(float(whole.u[-1, 1])) * float(np.exp(whole.log_scale[-1]))
     if form == "flux":
-        end = process.coefficients(e.right[-1:])
-        end_value *= float(np.exp(end.log_density_of_states[0]))
-    tail = tail_bound(view, float(e.right[-1]), end_value)
-    coefficient_error = _coefficient_error(e.coefficient_error, np.abs(share))
-    round_off = ROUND_OFF * (lengths.size + degree**2)
-    estimate = SAFETY * float(distance.sum()) + 2.0 * tail + coefficient_error + round_off
-    lowest = p.min(axis=1)
-    minimum = float(lowest.min() / p.max())
-    indicator = np.where(lowest < NEGATIVE * p.max(), np.inf, indicator)
-    residual = float(e.base.residual.max())
-    net_flux = float(np.max(np.abs(share) * e.base.net_flux) / np.max(share * e.base.one_way))
+        end_value *= float(np.exp(process.coefficients(nodes[-1:]).log_density_of_states[0]))
+    tail = tail_bound(view, float(nodes[-1]), end_value)
+    share = np.abs(whole.share)
+    coefficient_error = _coefficient_error(elements.coefficient_error, share)
+    round_off = ROUND_OFF * (share.size + degree**2)
+    estimate = SAFETY * float(whole.distance.sum()) + 2.0 * tail + coefficient_error + round_off
+    minimum = float(whole.p.min() / whole.p.max())
+    residual = float(elements.base.residual.max())
+    net_flux = float(np.max(share * elements.base.net_flux) / np.max(share * elements.base.one_way))
     checks = {
         f"the density falls to {minimum:.2g} of its maximum": minimum < NEGATIVE,
         f"the estimated error {estimate:.2g} exceeds the tolerance {tol:.2g}": not estimate <= tol,
-        f"the algebraic residual is {residual:.2g}": not residual < 1e-13,
+        f"the algebraic residual is {residual:.2g}": not residual < RESIDUAL,
         f"the net flux is {net_flux:.2g} of the one-way flux": not net_flux < NET_FLUX,
         "the density does not fall off at the end of the mesh": not np.isfinite(tail),
     }
     certificate = Certificate(
-        mass_defect=abs(float(np.sum(weights * p)) - 1.0),
+        mass_defect=abs(float(np.sum(whole.weights * whole.p)) - 1.0),
         minimum=minimum,
         residual=residual,
         tail_mass=tail,
         net_flux=net_flux,
         failures=tuple(words for words, failed in checks.items() if failed),
     )
-    solution = StationarySolution(
-        process,
-        form,
-        degree,
-        np.append(e.left, e.right[-1]),
-        sign[:, None] * e.base.u,
-        scale,
-        better_sign[:, None] * e.better.u,
-        better_scale,
-        coefficient_error,
-        estimate,
-        certificate,
+    return StationarySolution(
+        process=process,
+        form=form,
+        degree=degree,
+        nodes=nodes,
+        coefficients_u=whole.u,
+        log_scale=whole.log_scale,
+        enriched_u=whole.enriched_u,
+        enriched_log_scale=whole.enriched_log_scale,
+        coefficient_error=coefficient_error,
+        l1_error=estimate,
+        certificate=certificate,
     )
-    return solution, indicator
 
 
 def _coefficient_error(relative: Array, share: Array) -> float:
