@@ -1,0 +1,117 @@
+"""Contact laws: force = energy', slope = force', monotone, zero at first touch, Eqs. (2), (5)."""
+
+import numpy as np
+import pytest
+
+from fpk.contact import Contact
+from fpk.contact_law import LAWS, ContactLaw, register
+from fpk.errors import InvalidInput
+
+ROWS = [
+    (name, exponent)
+    for name, law in sorted(LAWS.items())
+    for exponent in ([law.exponent] if law.exponent is not None else [1.0, 1.3, 2.0, 3.5])
+]
+OVERLAPS = np.geomspace(1e-3, 10.0, 41)
+
+
+def slope_of(function, x):
+    """Five-point difference with the step h = 1e-3 x.
+
+    For x^r, r <= 4.5, its truncation is |r (r−1) … (r−4)| 1e-12/30 < 1e-11/r relative, and its
+    round-off a few ε/1e-3 = 1e-12.
+    """
+    h = 1e-3 * x
+    return (
+        8.0 * (function(x + h) - function(x - h)) - (function(x + 2.0 * h) - function(x - 2.0 * h))
+    ) / (12.0 * h)
+
+
+def test_laws_were_found():
+    assert {"hertz", "bilinear", "power"} <= set(LAWS)
+    assert {name for name, _ in ROWS} == set(LAWS)
+
+
+@pytest.mark.parametrize("name, exponent", ROWS)
+def test_force_is_the_slope_of_energy_and_slope_that_of_force(name, exponent):
+    law = LAWS[name]
+    np.testing.assert_allclose(
+        slope_of(lambda x: law.energy(x, exponent), OVERLAPS),
+        law.force(OVERLAPS, exponent),
+        rtol=1e-11,
+    )
+    np.testing.assert_allclose(
+        slope_of(lambda x: law.force(x, exponent), OVERLAPS),
+        law.slope(OVERLAPS, exponent),
+        rtol=1e-11,
+    )
+
+
+@pytest.mark.parametrize("name, exponent", ROWS)
+def test_energy_of_another_exponent_is_seen(name, exponent):
+    with pytest.raises(AssertionError):
+        np.testing.assert_allclose(
+            slope_of(lambda x: x ** (exponent + 1.01) / (exponent + 1.01), OVERLAPS),
+            LAWS[name].force(OVERLAPS, exponent),
+            rtol=1e-11,
+        )
+
+
+@pytest.mark.parametrize("name, exponent", ROWS)
+def test_force_starts_at_zero_and_rises(name, exponent):
+    law = LAWS[name]
+    zero = np.zeros(1)
+    assert law.force(zero, exponent)[0] == 0.0
+    assert law.energy(zero, exponent)[0] == 0.0
+    assert np.isfinite(law.slope(zero, exponent)[0])
+    x = np.concatenate([zero, OVERLAPS])
+    assert np.all(np.diff(law.force(x, exponent)) > 0)
+    assert np.all(np.diff(law.energy(x, exponent)) > 0)
+    assert np.all(law.slope(OVERLAPS, exponent) > 0)
+
+
+def test_hertz_is_the_three_halves_power_of_eq_2():
+    contact = Contact(0, "right", 7.0, 0.5)
+    assert contact.force(4.0) == pytest.approx(7.0 * 8.0, rel=1e-15)
+    assert contact.energy(4.0) == pytest.approx(0.4 * 7.0 * 32.0, rel=1e-15)
+    assert contact.power == 1.5
+
+
+@pytest.mark.parametrize(
+    "field, value",
+    [
+        ("side", "up"),
+        ("stiffness", 0.0),
+        ("stiffness", -1.0),
+        ("stiffness", np.inf),
+        ("stiffness", np.nan),
+        ("clearance", -1e-9),
+        ("clearance", np.nan),
+        ("law", "glue"),
+        ("exponent", 2.0),
+    ],
+)
+def test_a_bad_field_is_named(field, value):
+    fields = {"mass": 0, "side": "both", "stiffness": 1.0, "clearance": 0.5} | {field: value}
+    with pytest.raises(InvalidInput, match=rf"^{field} = ") as caught:
+        Contact(**fields)
+    assert caught.value.key == field
+
+
+@pytest.mark.parametrize("exponent", [None, 0.9, np.nan, np.inf])
+def test_the_power_law_needs_its_exponent(exponent):
+    with pytest.raises(InvalidInput, match=r"^exponent = "):
+        Contact(0, "left", 1.0, 0.0, law="power", exponent=exponent)
+
+
+def test_a_law_of_a_name_that_is_taken_is_refused():
+    one = LAWS["hertz"]
+    with pytest.raises(ValueError, match="registered already"):
+        register(ContactLaw("hertz", 1.5, one.force, one.energy, one.slope))
+
+
+def test_both_sides_are_a_left_and_a_right_stop():
+    left, right = Contact(1, "both", 2.0, 0.3).one_sided()
+    assert {left.side, right.side} == {"left", "right"}
+    assert (left.stiffness, left.clearance, left.mass) == (2.0, 0.3, 1)
+    assert Contact(1, "left", 2.0, 0.3).one_sided()[0].side == "left"

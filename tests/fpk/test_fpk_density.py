@@ -1,0 +1,204 @@
+"""Densities and histograms: integrals, cell averages, standard errors, smoothing, refusals."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from fpk.density import (
+    Certificate,
+    Density,
+    SampledDensity,
+    bin_differences,
+    l1_distance,
+    mass,
+    moment,
+)
+from fpk.observable import parse_observable
+
+PASSED = Certificate(mass_defect=0.0, minimum=0.0, residual=0.0, tail_mass=0.0)
+REACH = 9.0
+SEED = 30577
+
+
+def normal(shift=0.0, scale=1.0, *, panels=36, name="q1"):
+    def pdf(x):
+        return norm.pdf(x, shift, scale)
+
+    nodes = np.linspace(shift - REACH * scale, shift + REACH * scale, panels + 1)
+    return Density(parse_observable(name, 2), (nodes,), pdf, lambda x: 0.0 * x, 0.0, PASSED)
+
+
+def correlated(r=0.6):
+    """Two standard normal variables with the correlation ``r``."""
+
+    def pdf(x, y):
+        form = (x * x - 2.0 * r * x * y + y * y) / (1.0 - r * r)
+        return np.exp(-0.5 * form) / (2.0 * np.pi * np.sqrt(1.0 - r * r))
+
+    nodes = np.linspace(-REACH, REACH, 37)
+    zero = lambda x, y: 0.0 * x * y  # noqa: E731
+    return Density(parse_observable("q1,p1", 1), (nodes, nodes), pdf, zero, 0.0, PASSED)
+
+
+def histogram(*, batches=100, samples=100_000, bins=480, shift=0.0, seed=SEED):
+    """Independent batches drawn from the cell probabilities of the standard normal density."""
+    edges = np.linspace(-6.0, 6.0, bins + 1)
+    share = np.diff(norm.cdf(edges, shift))
+    share = np.append(share, max(1.0 - share.sum(), 0.0))
+    rng = np.random.default_rng(seed)
+    counts = rng.multinomial(samples, share, size=batches)[:, :-1]
+    batch_values = counts / samples / np.diff(edges)
+    return SampledDensity(
+        parse_observable("q1", 2), (edges,), batch_values.mean(axis=0), batch_values, PASSED
+    )
+
+
+# 20 Gauss points per half a standard deviation: only round-off is left, some 1e-15.
+
+
+@pytest.mark.parametrize("power, expected", [(0, 1.0), (1, 0.3), (2, 0.09 + 4.0), (4, 50.1681)])
+def test_moments_of_a_normal_density(power, expected):
+    # E x⁴ = μ⁴ + 6 μ² σ² + 3 σ⁴ = 0.0081 + 2.16 + 48 for μ = 0.3, σ = 2.
+    assert moment(normal(0.3, 2.0), power) == pytest.approx(expected, rel=1e-13)
+
+
+def test_moments_of_two_coordinates():
+    density = correlated(0.6)
+    assert mass(density) == pytest.approx(1.0, rel=1e-13)
+    assert moment(density, 1, 1) == pytest.approx(0.6, rel=1e-13)
+    assert moment(density, 2, 2) == pytest.approx(1.0 + 2.0 * 0.36, rel=1e-13)
+    assert density.name == "q1,p1"
+
+
+@pytest.mark.parametrize("shift", [0.5, 1.0, 3.0])
+def test_l1_distance_of_two_normal_densities(shift):
+    # They cross half-way, so the distance is 2 (2 Φ(shift/2) − 1). The kink of the absolute value
+    # sits on a node where shift/2 is a multiple of a quarter.
+    a, b = normal(panels=72), normal(shift, panels=72)
+    expected = 2.0 * (2.0 * norm.cdf(0.5 * shift) - 1.0)
+    assert l1_distance(a, b) == pytest.approx(expected, rel=1e-13)
+    assert l1_distance(b, a) == pytest.approx(expected, rel=1e-13)
+    assert l1_distance(a, a) == 0.0
+
+
+def test_a_kink_off_the_nodes_costs_little():
+    # Inside a panel of width h the kink of slope jump J costs at most J h²/400 (Gauss, 20 points).
+    shift = 0.37
+    expected = 2.0 * (2.0 * norm.cdf(0.5 * shift) - 1.0)
+    found = l1_distance(normal(panels=360), normal(shift, panels=360))
+    assert found == pytest.approx(expected, abs=2.0 * 0.37 * 0.05**2 / 400.0)
+
+
+def test_cell_averages_of_a_normal_density():
+    edges = np.array([-4.0, -1.3, 0.1, 0.2, 2.7, 8.0])
+    expected = np.diff(norm.cdf(edges)) / np.diff(edges)
+    np.testing.assert_allclose(normal().cell_averages(edges), expected, rtol=1e-12)
+    two = correlated(0.0).cell_averages(edges, edges[1:])
+    np.testing.assert_allclose(two, np.outer(expected, expected[1:]), rtol=1e-12)
+
+
+def test_standard_errors_are_those_of_the_multinomial():
+    sampled = histogram()
+    (edges,) = sampled.edges
+    share = np.diff(norm.cdf(edges))
+    samples = 100 * 100_000
+    exact = np.sqrt(share * (1.0 - share) / samples) / np.diff(edges)
+    full = share * samples > 1000.0
+    assert full.sum() > 200
+    # The ratio of each is known to 1/√(2·99) = 7 %; the mean of some 240 to 0.4 %: 5 σ = 2 %.
+    ratio = sampled.standard_error[full] / exact[full]
+    assert ratio.mean() == pytest.approx(1.0, abs=0.02)
+    z = bin_differences(sampled, normal())[full] / exact[full]
+    # χ² of some 240 bins: 5 σ is 5 √(2/300); the largest of 240 |z| stays below 5 (1 in 5000).
+    assert np.mean(z * z) == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / full.sum()))
+    assert np.abs(z).max() < 5.0
+
+
+def z_scores(sampled, density):
+    """z of the smoothed values at every eleventh bin: their windows do not overlap."""
+    (edges,) = sampled.edges
+    centre = 0.5 * (edges[1:] + edges[:-1])
+    centre = centre[np.abs(centre) < 3.5][::11]
+    values, error = sampled.at(centre)
+    return (values - density.at(centre)[0]) / error
+
+
+def assert_unbiased(z):
+    # With 100 batches each z is Student's t of 99 degrees of freedom: one of 27 beyond 5.2 has
+    # the odds 1 in 35000; their mean square is 1.02 ± √(2.1/27), taken at 5 σ.
+    assert z.size >= 25
+    assert np.abs(z).max() < 5.2
+    assert np.mean(z * z) < 1.02 + 5.0 * np.sqrt(2.1 / z.size)
+
+
+def test_smoothing_is_unbiased_for_a_smooth_density():
+    # Bias: h²/24 p'' from the bins and 1.1e2 h⁴ p'''' /24 from the fit, 5e-5 together at the
+    # most for h = 0.025, against a standard error of 4e-4.
+    sampled = histogram()
+    assert_unbiased(z_scores(sampled, normal()))
+    # Smoothing pays: the local quadratic has the variance 0.207 of one bin's (Savitzky-Golay, 11).
+    _, error = sampled.at(np.array([0.0125]))
+    single = sampled.standard_error[sampled.values.size // 2]
+    # Both are known to 7 %, and are correlated.
+    assert error[0] / single == pytest.approx(np.sqrt(0.2075), rel=0.35)
+    with pytest.raises(AssertionError):
+        assert_unbiased(z_scores(sampled, normal(0.05)))
+    with pytest.raises(AssertionError):
+        assert_unbiased(z_scores(sampled, normal(0.0, 1.03)))
+
+
+def test_outside_the_bins_is_nothing():
+    values, error = histogram().at(np.array([-6.1, 6.1]))
+    assert np.all(values == 0.0) and np.all(error == 0.0)
+
+
+@pytest.mark.parametrize("factor", [2, 5, 48])
+def test_coarser_bins_hold_the_same_mass(factor):
+    sampled = histogram()
+    coarse = sampled.coarsened(factor)
+    assert mass(coarse) == pytest.approx(mass(sampled), rel=1e-14)
+    assert coarse.values.size * factor == sampled.values.size
+    # The errors are those of the joined counts, and the differences stay linear.
+    np.testing.assert_allclose(coarse.batch_values.mean(axis=0), coarse.values, rtol=1e-12)
+    np.testing.assert_allclose(
+        bin_differences(coarse, normal()),
+        bin_differences(sampled, normal()).reshape(-1, factor).mean(axis=1),
+        atol=1e-14,
+    )
+    with pytest.raises(ValueError, match="factor = 7"):
+        sampled.coarsened(7)
+
+
+def test_coarser_bins_of_two_coordinates():
+    rng = np.random.default_rng(SEED)
+    edges = np.linspace(0.0, 1.0, 7)
+    values = rng.random((6, 6))
+    two = SampledDensity(
+        parse_observable("q1,p1", 1), (edges, edges), values, np.stack([values, values]), PASSED
+    )
+    coarse = two.coarsened(3)
+    assert coarse.values[1, 0] == pytest.approx(values[3:, :3].mean(), rel=1e-14)
+    assert mass(coarse) == pytest.approx(mass(two), rel=1e-14)
+
+
+def test_distance_to_a_histogram_is_that_of_the_bins():
+    sampled = histogram()
+    # Expected L1 of pure sampling noise: Σ √(2/π) σ_bin · width.
+    expected = np.sqrt(2.0 / np.pi) * np.sum(sampled.standard_error * np.diff(sampled.edges[0]))
+    assert l1_distance(sampled, normal()) == pytest.approx(expected, rel=0.25)
+    assert l1_distance(normal(), sampled) == l1_distance(sampled, normal())
+    assert l1_distance(sampled, normal(0.5)) > 0.3
+
+
+def test_what_cannot_be_compared_is_refused():
+    with pytest.raises(ValueError, match="q1 and of q2"):
+        l1_distance(normal(), normal(name="q2"))
+    with pytest.raises(ValueError, match="same bins"):
+        l1_distance(histogram(), histogram(bins=240))
+    with pytest.raises(ValueError, match="q2 and of q1"):
+        l1_distance(normal(name="q2"), histogram())
+
+
+def test_a_certificate_is_certified_when_nothing_failed():
+    assert PASSED.certified
+    assert not Certificate(0.0, 0.0, 0.0, 0.0, failures=("the mass",)).certified
