@@ -5,8 +5,9 @@ ratios between 0 and 1 that depend on H only; they are all that quadrature is ne
 well scaled for any number of masses, and they are exactly 1 below the energy where contact begins.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from math import pi
 
 import numpy as np
@@ -18,6 +19,7 @@ from averaging.shell.contact_energies import contact_energies
 from averaging.shell.directions import circle_rule, hyperspherical, line_rule
 from averaging.shell.radial import shell_ray_integrals
 from averaging.shell.reduced import ReducedPotential, reduced_potential
+from averaging.shell.table import ShellTable
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -38,10 +40,15 @@ CUBATURE_TOLERANCE = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class EnergyShell:
-    """Shells of constant energy of one system: its reduced potential and contact energies."""
+    """Shells of constant energy of one system: its reduced potential and contact energies.
+
+    ``integrals`` gives the three ratios and their relative error (energies, 4) at energies above
+    the first contact energy.
+    """
 
     potential: ReducedPotential
     contact_energies: tuple[float, ...]
+    integrals: Callable[[Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +66,18 @@ class ShellRatios:
     error: Array
 
 
+@lru_cache(maxsize=16)
 def energy_shell(system: System) -> EnergyShell:
-    """Return the shells of ``system``."""
+    """Return the shells of ``system``, the same ones each time: they remember what they integrated.
+
+    One contact mass is cheap and evaluated afresh; more are kept as piecewise polynomials.
+    """
     potential = reduced_potential(system)
-    return EnergyShell(potential, contact_energies(potential))
+    energies = contact_energies(potential)
+    direct = partial(_integrated_ratios, potential)
+    if potential.count < 2:
+        return EnergyShell(potential, energies, direct)
+    return EnergyShell(potential, energies, ShellTable(direct, energies))
 
 
 def log_linear_states(system: System, energy: Array) -> Array:
@@ -79,19 +94,27 @@ def shell_ratios(shell: EnergyShell, energy: Array) -> ShellRatios:
     The (2n−1)-fold integrals of (10) are reduced to the contact masses: momenta and the other
     displacements are integrated out exactly, which leaves ∫(H − V_red)^(n − c/2 − 1) dq_c.
     """
-    n, c = shell.potential.n, shell.potential.count
+    n = shell.potential.n
     ones = np.ones_like(energy)
     result = ShellRatios(ones.copy(), ones.copy(), (n - 1.0) * ones, np.zeros_like(energy))
     touching = np.flatnonzero(energy > min(shell.contact_energies, default=np.inf))
     if touching.size:
-        sums, error = _refined(shell.potential, energy[touching])
-        a = n - 0.5 * c - 1.0
-        flat = (2.0 * pi) ** (0.5 * c) * float(np.exp(gammaln(a + 1.0) - gammaln(n)))
-        result.states[touching] = sums[:, 0] / flat
-        result.volume[touching] = sums[:, 1] / (flat * (a + 1.0) / n)
-        result.log_slope[touching] = sums[:, 2] / sums[:, 0]
-        result.error[touching] = error
+        found = shell.integrals(energy[touching])
+        result.states[touching] = found[:, 0]
+        result.volume[touching] = found[:, 1]
+        result.log_slope[touching] = found[:, 2]
+        result.error[touching] = found[:, 3]
     return result
+
+
+def _integrated_ratios(potential: ReducedPotential, energy: Array) -> Array:
+    """Columns states, volume, log_slope and their relative error, by quadrature."""
+    n, c = potential.n, potential.count
+    sums, error = _refined(potential, energy)
+    a = n - 0.5 * c - 1.0
+    flat = (2.0 * pi) ** (0.5 * c) * float(np.exp(gammaln(a + 1.0) - gammaln(n)))
+    states, volume = sums[:, 0] / flat, sums[:, 1] / (flat * (a + 1.0) / n)
+    return np.column_stack([states, volume, sums[:, 2] / sums[:, 0], error])
 
 
 def _refined(potential: ReducedPotential, energy: Array) -> tuple[Array, Array]:
