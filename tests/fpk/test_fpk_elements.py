@@ -135,7 +135,7 @@ ROWS = [
     ("flux, of shape", 1.5, 4, 5, 8 * TWO),
     ("drift-diffusion", 1.5, 1, 2, 20 * FOUR),
     ("drift-diffusion", 1.5, 2, 3, 20 * FOUR),
-    ("drift-diffusion", 1.5, 4, 3, 26 * FOUR),
+    ("drift-diffusion", 1.5, 4, 3, 32 * FOUR),
 ]
 assert {bool((H_C * row[-1][0] / END) % 1.0) for row in ROWS if row[1]} == {True, False}
 

@@ -1,0 +1,262 @@
+"""The averaged process and its density: Eqs. (25), (28), (29) with their corrections, (11)."""
+
+import numpy as np
+import pytest
+from averaging_systems import SKEW, TWO_MASSES, both, chain, fig6, integral
+from scipy.integrate import dblquad, quad
+from scipy.optimize import brentq
+
+from averaging.energy_density import averaged_closed_form
+from averaging.energy_process import energy_balance, energy_process
+from averaging.quadrature import solve_by_quadrature
+from averaging.shell.ratios import energy_shell, log_linear_states, shell_ratios
+from fpk.contact import Contact
+from fpk.errors import NotApplicable, NotCertified
+from fpk.process import DiffusionProcess
+from fpk.quadrature import panel_rule
+from fpk.stationary import solve_stationary
+from fpk.system import System
+
+
+def eq_25(system, energy, *, with_masses=True):
+    """T, s and σ² of Eq. (25) by integrals over q1 and q2, contact of mass 2 only.
+
+    As printed for unit masses; ``with_masses`` puts c_i/m_i, D_i/m_i and √(m1 m2) in.
+    """
+    m = system.mass if with_masses else np.ones(2)
+    c, D = np.diag(system.damping) / m, np.diag(system.noise_intensity) / m
+    k1, k2 = system.stiffness
+    B1, B2 = -np.pi * c.sum(), np.pi * D.sum()
+
+    def U(y):
+        return float(system.contact_energy(1, y))
+
+    def lowest(y):
+        return 0.5 * k1 * k2 / (k1 + k2) * y * y + U(y) - energy
+
+    high, low = brentq(lowest, 0.0, 10.0), brentq(lowest, -10.0, 0.0)
+    middle, half = 0.5 * (high + low), 0.5 * (high - low)
+
+    def root_of(y):
+        return np.sqrt(max(-lowest(y) * 2.0 / (k1 + k2), 0.0))
+
+    def over_the_ellipse(function):
+        # q2 = middle + half sin t; the limits of q1 are those of (26), corrected: U2(Q2) for G(Q2).
+        def inner(x, t):
+            y = middle + half * np.sin(t)
+            V = 0.5 * k1 * x * x + 0.5 * k2 * (y - x) ** 2 + U(y)
+            return function(energy - V) * half * np.cos(t)
+
+        def limit(sign):
+            return lambda t: (
+                k2 * (middle + half * np.sin(t)) / (k1 + k2)
+                + sign * root_of(middle + half * np.sin(t))
+            )
+
+        value, _ = dblquad(
+            inner, -0.5 * np.pi, 0.5 * np.pi, limit(-1.0), limit(+1.0), epsabs=1e-12, epsrel=1e-9
+        )
+        return value
+
+    area, kinetic = over_the_ellipse(lambda K: 1.0), over_the_ellipse(lambda K: K)
+    T = np.pi * area
+    s = (B1 * kinetic + B2 * area) / T
+    return T * np.sqrt(np.prod(m)), s, 2.0 * B2 * kinetic / T
+
+
+@pytest.mark.parametrize("mass", [(1.0, 1.0), (0.5, 3.0)])
+@pytest.mark.parametrize(
+    "contacts, energy", [(both(10.0), 0.2), ((Contact(1, "right", 10.0, 0.5),), 0.5)]
+)
+def test_coefficients_are_those_of_eq_25(mass, contacts, energy):
+    system = fig6(contacts, mass=mass)
+    process = energy_process(system)
+    T, s, b = eq_25(system, energy)
+    c = process.coefficients(np.array([energy]))
+    # dblquad to 1e-9 over panels with half-integer powers: 1e-7.
+    assert c.drift[0] == pytest.approx(s, rel=1e-7)
+    assert c.diffusion[0] == pytest.approx(b, rel=1e-7)
+    # T of (10), (25) counts ∂H/∂p_1 > 0 only: half the density of states.
+    states = shell_ratios(energy_shell(system), np.array([energy])).states
+    density_of_states = np.exp(log_linear_states(system, np.array([energy]))) * states
+    assert density_of_states[0] == pytest.approx(2.0 * T, rel=1e-7)
+    if mass != (1.0, 1.0):
+        T, s, b = eq_25(system, energy, with_masses=False)
+        assert abs(c.drift[0] / s - 1.0) > 0.1 and abs(c.diffusion[0] / b - 1.0) > 0.1
+        assert abs(density_of_states[0] / (2.0 * T) - 1.0) > 0.1
+
+
+SYSTEMS = {
+    "no contact": fig6(),
+    "Hertz": fig6(both(10.0)),
+    "masses": fig6(both(10.0), mass=(0.5, 3.0)),
+    "stiff": fig6(both(1e4)),
+    "skew": fig6(SKEW),
+    "two contact masses": fig6(TWO_MASSES),
+    "n = 1": chain(1, both(10.0, mass=0)),
+    "n = 10": chain(10, both(10.0, mass=9)),
+    "full noise": System(
+        [1.0, 2.0],
+        [1.0, 1.0],
+        [[0.1, 0.03], [0.01, 0.2]],
+        [[0.1, 0.02], [0.02, 0.05]],
+        contacts=both(10.0),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_noise_drift_is_half_the_slope_of_diffusion_times_states(name):
+    # (σ² T)' = 2 s_noise T, s_noise = s − dissipation, integrated over a smooth panel; 1e-11 is
+    # the accuracy of the ratios, over a panel on which σ² T changes by about its size.
+    system = SYSTEMS[name]
+    process = energy_process(system)
+    begin = 1.5 * max((*process.nonsmooth, 0.1))
+    x, w = panel_rule(np.array([begin, 1.5 * begin]), 20)
+    c = process.coefficients(x.ravel())
+    ends = process.coefficients(np.array([begin, 1.5 * begin]))
+    T, T_ends = np.exp(c.log_density_of_states), np.exp(ends.log_density_of_states)
+    rise = np.diff(ends.diffusion * T_ends)[0]
+    assert w.ravel() @ (2.0 * (c.drift - c.dissipation) * T) == pytest.approx(rise, rel=1e-10)
+    assert w.ravel() @ c.diffusion_slope == pytest.approx(np.diff(ends.diffusion)[0], rel=1e-10)
+    balance = energy_balance(system)
+    np.testing.assert_allclose(c.drift - c.dissipation, balance.noise, rtol=1e-12)
+    np.testing.assert_allclose(
+        -2.0 * c.dissipation / c.diffusion, balance.inverse_temperature, rtol=1e-13
+    )
+    # Without contact ⟨v²⟩ carries H/n; with it, more than H/n and at most all of H is kinetic.
+    tau = c.diffusion / (2.0 * balance.noise)
+    assert np.all(tau >= x.ravel() / system.n * (1.0 - 1e-12))
+    assert np.all(tau <= 2.0 * x.ravel())
+
+
+def test_units_do_not_matter():
+    # mass a, length L, time t: energy E = a L²/t², D (force² × time) a² L²/t³.
+    a, L, t = 3.0, 0.02, 7.0
+    E = a * L**2 / t**2
+    for contacts, e in ((both(10.0), 1.5), (both(10.0, law="power", exponent=2.0), 2.0)):
+        one = fig6(contacts)
+        stop = contacts[0]
+        scaled = Contact(
+            1, "both", stop.stiffness * a * L / t**2 / L**e, 0.5 * L, stop.law, stop.exponent
+        )
+        two = System(
+            a * one.mass,
+            a / t**2 * one.stiffness,
+            a / t * np.diag(one.damping),
+            a**2 * L**2 / t**3 * np.diag(one.noise_intensity),
+            contacts=(scaled,),
+        )
+        if stop.law == "power":
+            two = System(
+                two.mass,
+                two.stiffness,
+                two.damping,
+                two.noise_intensity,
+                contacts=(scaled,),
+            )
+        energy = np.array([0.01, 0.1, 0.5, 3.0])
+        p, q = energy_process(one), energy_process(two)
+        c, d = p.coefficients(energy), q.coefficients(E * energy)
+        np.testing.assert_allclose(d.drift, c.drift * E / t, rtol=1e-10)
+        np.testing.assert_allclose(d.diffusion, c.diffusion * E**2 / t, rtol=1e-10)
+        np.testing.assert_allclose(d.diffusion_slope, c.diffusion_slope * E / t, rtol=1e-10)
+        u, v = averaged_closed_form(one, p), averaged_closed_form(two, q)
+        np.testing.assert_allclose(v.energy_pdf(E * energy) * E, u.energy_pdf(energy), rtol=1e-10)
+
+
+def eq_11(process, nodes, sign):
+    """C/σ² exp(sign ∫2s/σ²) at ``nodes``, normalised over them by the trapezoidal rule."""
+
+    def rate(x):
+        c = process.coefficients(x.ravel())
+        return (2.0 * c.drift / c.diffusion).reshape(x.shape)
+
+    x, w = panel_rule(nodes, 12)
+    exponent = np.concatenate([[0.0], np.cumsum(np.sum(w * rate(x), axis=1))])
+    log_p = sign * exponent - np.log(process.coefficients(nodes).diffusion)
+    p = np.exp(log_p - log_p.max())
+    return p / np.trapezoid(p, nodes)
+
+
+@pytest.mark.parametrize("name", ["Hertz", "masses", "n = 1", "two contact masses"])
+def test_the_printed_sign_of_eq_11_fails(name):
+    system = SYSTEMS[name]
+    process = energy_process(system)
+    nodes = process.energy_scale * np.geomspace(1e-3, 10.0, 1500)
+    nodes = np.union1d(nodes, process.nonsmooth)
+    reference = averaged_closed_form(system, process).energy_pdf(nodes)
+    reference = reference / np.trapezoid(reference, nodes)
+    # Gauss panels of 0.6 % width: 1e-12 each, graded to contact by the density of the nodes.
+    np.testing.assert_allclose(eq_11(process, nodes, +1.0), reference, rtol=1e-8)
+    wrong = eq_11(process, nodes, -1.0)
+    assert np.trapezoid(np.abs(wrong - reference), nodes) > 1.0
+
+
+def test_the_printed_sign_of_eq_28_is_not_confined():
+    process = energy_process(SYSTEMS["Hertz"])
+
+    def printed(energy):
+        c = process.coefficients(energy)
+        return c._replace(drift=c.drift - 2.0 * c.dissipation, dissipation=-c.dissipation)
+
+    wrong = DiffusionProcess(printed, process.energy_scale, process.nonsmooth, 2)
+    for form in ("flux", "drift-diffusion"):
+        with pytest.raises(NotCertified, match="does not fall off"):
+            solve_stationary(wrong, form=form)
+        assert solve_stationary(process, form=form).certificate.certified
+
+
+def test_eq_29_needs_the_masses():
+    system = SYSTEMS["masses"]
+    process = energy_process(system)
+    reference = averaged_closed_form(system, process)
+    solution = solve_stationary(process, tol=1e-10)
+    printed = np.trace(system.damping) / np.trace(system.noise_intensity)
+
+    def as_printed(H):
+        return np.exp(reference.log_states(H) - printed * H)
+
+    norm = integral(as_printed, np.append(reference.nodes, 40.0))
+    nodes = np.union1d(reference.nodes, solution.nodes)
+    right = integral(lambda H: abs(solution.density(H) - reference.energy_pdf(H)), nodes)
+    wrong = integral(lambda H: abs(solution.density(H) - as_printed(H) / norm), nodes)
+    assert right < 1e-10 < 0.1 < wrong
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_quadrature_of_eq_11_meets_its_estimate(name):
+    system = SYSTEMS[name]
+    process = energy_process(system)
+    reference = averaged_closed_form(system, process)
+    for tol in (1e-6, 1e-10):
+        solution = solve_by_quadrature(process, tol=tol)
+        nodes = np.union1d(solution.nodes, reference.nodes)
+        nodes = np.union1d(nodes, nodes[1] * 0.15 ** np.arange(1.0, 13.0))
+        error = integral(
+            lambda H, s=solution: abs(np.exp(s.log_density(H)) - reference.energy_pdf(H)), nodes
+        )
+        assert error <= solution.l1_error + reference.l1_error
+        assert solution.l1_error <= max(10.0 * tol, 1e-9)
+        assert solution.mass_defect <= solution.l1_error
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_the_closed_form_has_mass_one(name):
+    system = SYSTEMS[name]
+    density = averaged_closed_form(system, energy_process(system))
+    low, *cuts = density.nodes
+    mass = sum(
+        quad(lambda H: float(density.energy_pdf(np.array(H))), a, b, epsrel=1e-11, epsabs=1e-13)[0]
+        for a, b in zip([low, *cuts[:-1]], cuts, strict=True)
+    )
+    # quad reaches 1e-10 where T starts as a root.
+    assert mass == pytest.approx(1.0, abs=max(density.l1_error, 1e-9))
+
+
+def test_without_noise_or_damping_there_is_no_process():
+    quiet = System([1.0], [1.0], [0.1], [0.0])
+    free = System([1.0], [1.0], [0.0], [0.1])
+    for system, reason in ((quiet, "no noise"), (free, "nothing is damped")):
+        with pytest.raises(NotApplicable, match=reason):
+            energy_process(system)
