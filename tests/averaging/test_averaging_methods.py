@@ -125,8 +125,7 @@ def test_exact_density_of_the_contact_displacement_against_scipy(contact):
 
     cuts = [-8.0, -0.5, 0.0, 0.5, 8.0]
     norm = sum(
-        quad(weight, a, b, epsabs=1e-15, epsrel=1e-12, limit=200)[0]
-        for a, b in pairwise(cuts)
+        quad(weight, a, b, epsabs=1e-15, epsrel=1e-12, limit=200)[0] for a, b in pairwise(cuts)
     )
     (density,) = solved(Exact(), system, f"q{i + 1}")
     q = np.linspace(-1.2, 1.2, 49)
