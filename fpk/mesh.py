@@ -93,5 +93,7 @@ def tail_bound(view: Survey, end: float, density_at_end: float) -> float:
 
     The rate is that of the survey above ``end``, and taken not to drop below it further out.
     """
-    rate = float(np.min(-view.slope[view.energy >= end], initial=np.inf))
+    # The least rate may be that at the end itself, between two points of the survey.
+    at_end = -float(np.interp(end, view.energy, view.slope))
+    rate = float(np.min(-view.slope[view.energy >= end], initial=at_end))
     return density_at_end / rate if 0.0 < rate < np.inf else float("inf")
