@@ -94,18 +94,7 @@ def what_is_measured(a: Method, b: Method, *, averaging_is_exact: bool) -> Measu
 def _comparison(
     name_a: str, name_b: str, a: AnyDensity, b: AnyDensity, *, kind: Measures
 ) -> Comparison:
-    estimates = sum(d.l1_error for d in (a, b) if isinstance(d, Density))
-    sampled = [_joined(d) for d in (a, b) if isinstance(d, SampledDensity)]
-    if sampled:
-        a, b = (_joined(d) if isinstance(d, SampledDensity) else d for d in (a, b))
-        chance = np.array([chance_l1(d) for d in sampled])
-        expected, band = (
-            float(chance[:, 0].sum()) + estimates,
-            float(chance[:, 1].sum()) + estimates,
-        )
-    else:
-        expected = band = estimates + ROUND_OFF
-    distance = l1_distance(a, b)
+    distance, expected, band = _measured(a, b)
     allowed = None if kind == "averaging" else band
     return Comparison(
         observable=a.name,
@@ -117,6 +106,23 @@ def _comparison(
         error=expected,
         holds=allowed is None or bool(distance <= allowed),
     )
+
+
+def distance_between(a: AnyDensity, b: AnyDensity) -> tuple[float, float]:
+    """Return ∫|p_a − p_b| and how far chance and the solvers may have moved it."""
+    return _measured(a, b)[:2]
+
+
+def _measured(a: AnyDensity, b: AnyDensity) -> tuple[float, float, float]:
+    """∫|p_a − p_b|, its expectation were both right, and what it then exceeds in 1e-4."""
+    estimates = sum(d.l1_error for d in (a, b) if isinstance(d, Density))
+    sampled = [_joined(d) for d in (a, b) if isinstance(d, SampledDensity)]
+    if not sampled:
+        distance = l1_distance(a, b)
+        return distance, estimates + ROUND_OFF, estimates + ROUND_OFF
+    a, b = (_joined(d) if isinstance(d, SampledDensity) else d for d in (a, b))
+    mean, quantile = np.array([chance_l1(d) for d in sampled]).sum(axis=0)
+    return l1_distance(a, b), float(mean) + estimates, float(quantile) + estimates
 
 
 def chance_l1(sampled: SampledDensity) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from cases.claims import ACCEPTABLE_L1, ALMOST_KURTOSIS, ALMOST_L1
 from cases.compare import route_name
 from cases.fields import program_version, write_netcdf
 from cases.figures import INK, STYLE, figures
@@ -60,6 +61,11 @@ def report_html(outcome: Outcome, pictures: list[dict[str, Any]]) -> str:
         effects=effects_record(base.effects),
         theories=theories(outcome.scene),
         pictures=pictures,
+        limits={
+            "gaussian": ALMOST_L1,
+            "kurtosis": ALMOST_KURTOSIS,
+            "acceptable": ACCEPTABLE_L1,
+        },
         judged=sum(c.band is not None for curve in outcome.curves for c in curve.comparisons),
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         versions=[("vibro-fpk", program_version()), ("Python", platform.python_version())]

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from time import perf_counter
 
 from averaging.energy_process import energy_process
+from cases.claims import Finding, findings
 from cases.compare import Comparison, compared, route_name
 from cases.regime import Regime, regime_of
 from cases.scene import Scene
@@ -50,6 +51,7 @@ class CurveOutcome:
     results: tuple[Result, ...]
     refusals: tuple[Refusal, ...]
     comparisons: tuple[Comparison, ...]
+    value: float | None = None
 
     def densities(self, observable: Observable) -> dict[str, AnyDensity]:
         """Return the densities of one observable by route name."""
@@ -63,11 +65,15 @@ class CurveOutcome:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The curves of a scene, the scene's own first, and the time it all took."""
+    """The curves of a scene, the scene's own first, and the time it all took.
+
+    ``findings`` says what became of the claims in ``[expect]``; they do not count as problems.
+    """
 
     scene: Scene
     curves: tuple[CurveOutcome, ...]
     seconds: float
+    findings: tuple[Finding, ...] = ()
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -79,7 +85,8 @@ def run_scene(scene: Scene, methods: Sequence[Method], *, progress: Progress = s
     """Return what ``methods`` find for every curve of ``scene``."""
     start = perf_counter()
     curves = tuple(_run_curve(scene, curve, methods, progress=progress) for curve in scene.curves)
-    return Outcome(scene, curves, perf_counter() - start)
+    found = findings(scene.expect, curves)
+    return Outcome(scene, curves, perf_counter() - start, found)
 
 
 def boundaries_of(system: System) -> tuple[Boundary, ...]:
@@ -128,6 +135,7 @@ def _run_curve(
         results=tuple(results),
         refusals=tuple(refusals),
         comparisons=compared(results, averaging_is_exact=incompatible is None),
+        value=curve.value,
     )
 
 

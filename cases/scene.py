@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from cases.errors import BadInput, refused
+from cases.expect import Expect, expect_of
 from cases.reading import read_toml
 from cases.schema import ContactTable, SceneTable, validated
 from cases.vary import Curve, curves_of
@@ -33,6 +34,7 @@ class Scene:
     system: System
     observables: tuple[Observable, ...]
     curves: tuple[Curve, ...]
+    expect: Expect | None = None
 
 
 def shipped_scenes() -> dict[str, Path]:
@@ -69,14 +71,17 @@ def _scene(path: Path, label: str) -> Scene:
     data, text = read_toml(path, label)
     table = validated(data, label)
     system = _system(table, label)
+    observables = _observables(table, system, label)
+    curves = curves_of(system, table.vary, label)
     return Scene(
         name=path.stem,
         title=table.title or path.stem,
         source=table.source,
         text=text,
         system=system,
-        observables=_observables(table, system, label),
-        curves=curves_of(system, table.vary, label),
+        observables=observables,
+        curves=curves,
+        expect=expect_of(table.expect, observables, curves, label),
     )
 
 

@@ -103,6 +103,27 @@ class VaryTable(Table):
     system: VarySystemTable | None = None
 
 
+class RangeTable(Table):
+    """Values of the varied key for which a claim is made; exactly one end is given."""
+
+    above: Number | None = None
+    below: Number | None = None
+    at_least: Number | None = None
+    at_most: Number | None = None
+
+
+class ExpectTable(Table):
+    """``[expect]``: what the source claims of the figure, as checks on numbers."""
+
+    of: Text | None = None
+    non_gaussian: RangeTable | None = None
+    almost_gaussian: RangeTable | None = None
+    nonintegrable_better_with: Text | None = None
+    better: Annotated[list[Text], Field(min_length=2, max_length=2)] | None = None
+    acceptable: Annotated[list[Text], Field(min_length=1, max_length=2)] | None = None
+    clearance_rule: Number | None = None
+
+
 class SceneTable(Table):
     """The whole file."""
 
@@ -112,6 +133,7 @@ class SceneTable(Table):
     contact: Annotated[list[ContactTable], Field(max_length=MAX_MASSES)] = []
     observe: ObserveTable | None = None
     vary: VaryTable | None = None
+    expect: ExpectTable | None = None
 
 
 TABLES: Mapping[tuple[str, ...], type[Table]] = {
@@ -122,6 +144,9 @@ TABLES: Mapping[tuple[str, ...], type[Table]] = {
     ("vary",): VaryTable,
     ("vary", "contact"): VaryContactTable,
     ("vary", "system"): VarySystemTable,
+    ("expect",): ExpectTable,
+    ("expect", "non_gaussian"): RangeTable,
+    ("expect", "almost_gaussian"): RangeTable,
 }
 
 REMEDIES = {

@@ -24,6 +24,7 @@ def run_record(outcome: Outcome) -> dict[str, Any]:
             **_curve_record(base),
             "curves": [{"label": c.label, **_curve_record(c)} for c in others],
             "problems": outcome.problems,
+            "claims": [asdict(f) for f in outcome.findings],
             "seconds": outcome.seconds,
         }
     )

@@ -25,10 +25,22 @@ def run_text(outcome: Outcome) -> str:
             for r in curve.refusals
         ]
         lines.append("")
+    lines += claims_lines(outcome)
     judged = sum(c.band is not None for curve in outcome.curves for c in curve.comparisons)
     verdict = f"{len(outcome.problems)} checks fail" if outcome.problems else "every check holds"
     lines.append(f"{judged} judged comparisons, {verdict}, {outcome.seconds:.1f} s")
     return "\n".join(lines)
+
+
+def claims_lines(outcome: Outcome) -> list[str]:
+    """Return what became of the claims of the source, one line each."""
+    if not outcome.findings:
+        return []
+    lines = ["What the source claims"]
+    for f in outcome.findings:
+        where = f"{f.curve}: " if f.curve else ""
+        lines.append(f"  {f.verdict:14}{f.claim}; {where}{f.measured}")
+    return [*lines, ""]
 
 
 def density_text(record: dict[str, Any]) -> str:

@@ -14,10 +14,15 @@ from fpk.system import System
 
 @dataclass(frozen=True)
 class Curve:
-    """One curve of a figure: its label such as ``B = 10`` (empty for a lone one) and its system."""
+    """One curve of a figure: its label such as ``B = 10`` (empty for a lone one) and its system.
+
+    ``value`` is what is varied as one number: B, δ, the common ratio c/D, or else the trace of the
+    matrix; None for a lone curve.
+    """
 
     label: str
     system: System
+    value: float | None = None
 
 
 def _contacts(system: System, **changes: Any) -> System:
@@ -79,8 +84,14 @@ def curves_of(system: System, vary: VaryTable | None, label: str) -> tuple[Curve
         if not any(np.array_equal(read(other), read(s)) for s in systems):
             systems.append(other)
     if key == "system.damping" and all(_common_ratio(s) is not None for s in systems):
-        return tuple(Curve(f"c/D = {_common_ratio(s):g}", s) for s in systems)
-    return tuple(Curve(f"{symbol} = {_words(read(s))}", s) for s in systems)
+        return tuple(Curve(f"c/D = {_common_ratio(s):g}", s, _common_ratio(s)) for s in systems)
+    return tuple(Curve(f"{symbol} = {_words(read(s))}", s, _size(read(s))) for s in systems)
+
+
+def _size(value: Any) -> float:
+    """One number for a value: a contact's own (the first contact's), the trace of a matrix."""
+    array = np.asarray(value, dtype=float)
+    return float(np.trace(array) if array.ndim == 2 else array[0])
 
 
 def _common_ratio(system: System) -> float | None:

@@ -49,6 +49,16 @@ BAD = [  # what is replaced, by what, and what the line must say
     ("[observe]", "[vary]\ncontact.clearance = [-1]\n[observe]", ["vary.contact.clearance[1]"]),
     ("[observe]", "[[damping_term]]\ni = 1\n[observe]", ["damping_term", "constant damping"]),
     ("[observe]", "[observe", ["TOML", "line 16"]),
+    ("[observe]", "[expect]\nnon_gausian = 1\n[observe]", ["did you mean", "non_gaussian"]),
+    ("[observe]", "[expect]\nof = 'p1'\n[observe]", ["expect.of", '"p1"', "q2, H"]),
+    ("[observe]", "[expect]\nbetter = ['integrable', 'exact']\n[observe]", ["expect.better[2]"]),
+    ("[observe]", "[expect]\nbetter = ['integrable']\n[observe]", ["expect.better", "at least 2"]),
+    ("[observe]", "[expect]\nacceptable = ['x']\n[observe]", ["expect.acceptable[1]", '"x"']),
+    ("[observe]", "[expect]\nclearance_rule = 0\n[observe]", ["clearance_rule = 0", "> 0"]),
+    ("[observe]", "[expect]\nnon_gaussian = {}\n[observe]", ["exactly one of above"]),
+    ("[observe]", "[expect]\nnon_gaussian = { over = 1 }\n[observe]", ["over", "known: above"]),
+    ("[observe]", "[expect]\nnon_gaussian = { above = 1 }\n[observe]", ["[vary]"]),
+    ("[observe]", "[expect]\nnonintegrable_better_with = 'B'\n[observe]", ["larger", "smaller"]),
     ("[observe]", "x = " + "[" * 5000 + "\n[observe]", ["nested too deeply"]),
 ]
 

@@ -1,0 +1,153 @@
+"""Claims of a source: judged by numbers known beforehand, undecided within the noise."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from cases.claims import ACCEPTABLE_L1, findings, shape_of
+from cases.expect import Expect, Range
+from cases.regime import Regime, StopClearance
+from cases.scene import load_scene, shipped_scenes
+from fpk.density import Certificate, Density, SampledDensity
+from fpk.observable import parse_observable
+
+FLAT = lambda x: np.where(np.abs(x) <= 1, 0.5, 0.0)  # noqa: E731
+FINE = Certificate(0.0, 0.0, 0.0, 0.0)
+Q1 = parse_observable("q1", 1)
+
+
+def density(pdf, reach, l1_error=1e-12):
+    nodes = np.linspace(-reach, reach, 61)
+    return Density(Q1, (nodes,), pdf, np.zeros_like, l1_error, FINE)
+
+
+def gaussian(scale=1.0, l1_error=1e-12):
+    def pdf(x):
+        return np.exp(-0.5 * (x / scale) ** 2) / (scale * np.sqrt(2 * np.pi))
+
+    return density(pdf, 9 * scale, l1_error)
+
+
+def histogram(draw, seed=5, batches=32, size=20_000):
+    rng = np.random.default_rng(seed)
+    edges = np.linspace(-6, 6, 241)
+    counts = np.array([np.histogram(draw(rng, size), edges)[0] for _ in range(batches)])
+    values = counts / size / (edges[1] - edges[0])
+    return SampledDensity(Q1, (edges,), values.mean(0), values, FINE)
+
+
+@dataclass(frozen=True)
+class Found:
+    """One curve whose answers are given."""
+
+    answers: dict
+    label: str = ""
+    value: float | None = None
+    ratio: float | None = 1.0
+    regime: Regime = field(init=False)
+
+    def __post_init__(self):
+        stops = (StopClearance(1, "right", 1.0, 1.0, self.ratio),)
+        object.__setattr__(self, "regime", Regime((1.0,), None, stops))
+
+    def densities(self, observable):
+        return self.answers if observable == Q1 else {}
+
+
+def verdicts(expect, *curves):
+    return [f.verdict for f in findings(expect, curves)]
+
+
+def test_the_measures_of_a_gaussian_and_of_a_uniform_density():
+    """Uniform: kurtosis −6/5; L1 to its Gaussian from the two points where they cross."""
+    normal, flat = shape_of(gaussian(0.7)), shape_of(density(FLAT, 1.0))
+    assert normal.l1 < 1e-12 and abs(normal.kurtosis) < 1e-8 and normal.almost_gaussian
+    x = np.linspace(-6, 6, 400_001)
+    g = np.exp(-1.5 * x**2) * np.sqrt(1.5 / np.pi)
+    expected = np.sum(np.abs(g - 0.5 * (np.abs(x) < 1))) * (x[1] - x[0])
+    assert flat.kurtosis == pytest.approx(-1.2, abs=1e-9)
+    assert flat.l1 == pytest.approx(expected, abs=1e-4) and flat.almost_gaussian is False
+
+
+def test_a_sample_knows_how_well_it_knows_its_shape():
+    normal = shape_of(histogram(lambda rng, n: rng.normal(size=n)))
+    flat = shape_of(histogram(lambda rng, n: rng.uniform(-2, 2, size=n)))
+    assert abs(normal.kurtosis) < normal.kurtosis_error < 0.05 and normal.almost_gaussian
+    assert abs(flat.kurtosis + 1.2) < flat.kurtosis_error + 0.01
+    assert flat.almost_gaussian is False
+    few = shape_of(histogram(lambda rng, n: rng.normal(size=n), size=30))
+    assert few.almost_gaussian is None
+
+
+def test_gaussian_claims_are_about_the_curves_in_their_range():
+    flat = density(FLAT, 1.0)
+    curves = [
+        Found({"exact": gaussian()}, "B = 0.1", 0.1),
+        Found({"exact": flat}, "B = 1", 1.0),
+        Found({}, "B = 9", 9.0),
+    ]
+    above = Range(0.1, np.inf, closed=False, words="> 0.1")
+    least = Range(0.1, np.inf, closed=True, words="≥ 0.1")
+    assert verdicts(Expect(Q1, non_gaussian=above), *curves) == ["holds", "not checked"]
+    assert verdicts(Expect(Q1, almost_gaussian=least), *curves) == [
+        "holds",
+        "does not hold",
+        "not checked",
+    ]
+
+
+def test_theories_are_ordered_beyond_the_noise_only():
+    near, far = gaussian(1.01), gaussian(1.5)
+    expect = Expect(Q1, better=("integrable", "nonintegrable"), acceptable=("nonintegrable",))
+    for integrable, nonintegrable, expected in (
+        (near, far, ["holds", "does not hold"]),
+        (far, near, ["does not hold", "holds"]),
+        (near, near, ["undecided", "holds"]),
+    ):
+        answers = {
+            "exact": gaussian(),
+            "integrable/closed-form": integrable,
+            "nonintegrable/fem": nonintegrable,
+        }
+        assert verdicts(expect, Found(answers)) == expected
+    sampled = histogram(lambda rng, n: rng.normal(size=n), size=200)
+    noisy = {
+        "montecarlo": sampled,
+        "integrable/fem": gaussian(),
+        "nonintegrable/fem": gaussian(1.001),
+    }
+    assert verdicts(expect, Found(noisy))[0] == "undecided"
+    assert verdicts(expect, Found({"exact": gaussian()})) == ["not checked", "not checked"]
+
+
+@pytest.mark.parametrize("direction", ["larger", "smaller"])
+def test_better_with_larger_is_asked_of_neighbours(direction):
+    def curve(value, scale):
+        answers = {"exact": gaussian(), "nonintegrable/closed-form": gaussian(scale)}
+        return Found(answers, f"B = {value:g}", value)
+
+    curves = [curve(10.0, 1.01), curve(0.1, 1.5), curve(1.0, 1.1)]
+    found = verdicts(Expect(Q1, nonintegrable_better_with=direction), *curves)
+    assert found == ["holds" if direction == "larger" else "does not hold"] * 2
+
+
+@pytest.mark.parametrize(
+    ("ratio", "scale", "expected"),
+    [
+        (2.5, 1.01, "holds"),
+        (2.5, 1.5, "does not hold"),
+        (1.5, 1.5, "not checked"),
+        (None, 1.0, "not checked"),
+    ],
+)
+def test_the_clearance_rule_speaks_beyond_its_clearance(ratio, scale, expected):
+    answers = {"exact": gaussian(), "integrable/closed-form": gaussian(scale)}
+    assert verdicts(Expect(Q1, clearance_rule=2.0), Found(answers, ratio=ratio)) == [expected]
+    assert 0 < ACCEPTABLE_L1 < 0.5
+
+
+def test_every_figure_of_the_paper_states_what_it_claims():
+    paper = [n for n, p in shipped_scenes().items() if p.parent.name == "paper"]
+    assert len(paper) >= 12
+    assert all(load_scene(name).expect is not None for name in paper)
