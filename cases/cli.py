@@ -1,17 +1,25 @@
 """The command ``fpk``: a thin edge; heavy parts are imported inside the commands only."""
 
-import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-if TYPE_CHECKING:
-    from cases.run import Outcome
-    from cases.scene import Scene
+from cases.command_parts import (
+    Json,
+    SceneName,
+    Seed,
+    Threads,
+    Tol,
+    check_tol,
+    end_with,
+    outcome_of,
+    print_json,
+)
+from cases.command_verify import verify
 
 app = typer.Typer(
     name="fpk",
@@ -25,14 +33,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-SceneName = Annotated[
-    str, typer.Argument(metavar="SCENE", help="A shipped scene's name or a path.")
-]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
-Tol = Annotated[float | None, typer.Option(help="L1 error wanted; a solver adapts to meet it.")]
-Seed = Annotated[int | None, typer.Option(min=0, max=2**64 - 1, help="Seed of the simulation.")]
-Threads = Annotated[int | None, typer.Option(min=1, help="Threads of the simulation.")]
-
 
 @app.command("list")
 def list_scenes(as_json: Json = False) -> None:
@@ -42,7 +42,7 @@ def list_scenes(as_json: Json = False) -> None:
     scenes = [(path.parent.name, load_scene(name)) for name, path in shipped_scenes().items()]
     if as_json:
         keys = ("name", "folder", "title", "source")
-        _print_json(
+        print_json(
             {
                 "scenes": [
                     dict(zip(keys, (s.name, f, s.title, s.source), strict=True)) for f, s in scenes
@@ -65,7 +65,7 @@ def show(scene: SceneName, as_json: Json = False) -> None:
 
     record = show_record(loaded)
     if as_json:
-        _print_json(record)
+        print_json(record)
     else:
         typer.echo(show_text(record))
 
@@ -84,7 +84,7 @@ def run(
     from cases.scene import load_scene
 
     loaded = load_scene(scene)
-    _check_tol(tol)
+    check_tol(tol)
     if out is not None:
         make_folder(out)
     from cases.report import write_report
@@ -92,15 +92,15 @@ def run(
     from cases.summary import run_record
     from cases.tables import run_text
 
-    outcome = _outcome(loaded, all_methods(tol=tol, sampling=Sampling(seed, threads)))
+    outcome = outcome_of(loaded, all_methods(tol=tol, sampling=Sampling(seed, threads)))
     written = [] if out is None else write_report(outcome, out)
     if as_json:
-        _print_json(run_record(outcome))
+        print_json(run_record(outcome))
     else:
         typer.echo(run_text(outcome))
         for path in written:
             typer.echo(f"wrote {path}")
-    _end_with(outcome.problems)
+    end_with(outcome.problems)
 
 
 @app.command()
@@ -129,7 +129,7 @@ def density(
     from fpk.observable import parse_observable
 
     loaded = load_scene(scene)
-    _check_tol(tol)
+    check_tol(tol)
     try:
         observable = parse_observable(of, loaded.system.n)
     except InvalidInput as error:
@@ -148,10 +148,10 @@ def density(
         result = route.solve(loaded.system, [observable], progress=progress)
     record = density_record(loaded, route, result, points)
     if as_json:
-        _print_json(record)
+        print_json(record)
     else:
         typer.echo(density_text(record))
-    _end_with([f"{of} is not certified: {f}" for f in record["certificate"]["failures"]])
+    end_with([f"{of} is not certified: {f}" for f in record["certificate"]["failures"]])
 
 
 @app.command()
@@ -166,7 +166,7 @@ def export(
     from cases.scene import load_scene
 
     loaded = load_scene(scene)
-    _check_tol(tol)
+    check_tol(tol)
     if out.suffix == ".vtu":
         raise BadInput(f"--out {out}: .vtu comes with fields in two energies; use .nc or .csv")
     if out.suffix not in (".nc", ".csv"):
@@ -177,16 +177,19 @@ def export(
     from cases.files import write_text
     from cases.routes import all_methods
 
-    outcome = _outcome(loaded, [m for m in all_methods(tol=tol) if m.name != "montecarlo"])
+    outcome = outcome_of(loaded, [m for m in all_methods(tol=tol) if m.name != "montecarlo"])
     if out.suffix == ".nc":
         write_netcdf(outcome, out)
     else:
         write_text(out, csv_text(outcome))
     if as_json:
-        _print_json({"scene": loaded.name, "file": str(out), "seconds": outcome.seconds})
+        print_json({"scene": loaded.name, "file": str(out), "seconds": outcome.seconds})
     else:
         typer.echo(f"wrote {out}")
-    _end_with(outcome.problems)
+    end_with(outcome.problems)
+
+
+app.command()(verify)
 
 
 def main() -> None:
@@ -235,29 +238,3 @@ def _status(error: Exception) -> int | None:
 def _fail(message: str, status: int) -> None:
     typer.echo("fpk: " + " ".join(message.split()), err=True)
     sys.exit(status)
-
-
-def _end_with(problems: Any) -> None:
-    for problem in problems:
-        typer.echo(f"fpk: {problem}", err=True)
-    if problems:
-        raise typer.Exit(1)
-
-
-def _outcome(scene: "Scene", methods: Any) -> "Outcome":
-    from cases.run import run_scene
-    from cases.terminal import progress_bar
-
-    with progress_bar() as progress:
-        return run_scene(scene, methods, progress=progress)
-
-
-def _check_tol(tol: float | None) -> None:
-    from cases.errors import BadInput
-
-    if tol is not None and not 1e-15 <= tol <= 0.5:
-        raise BadInput(f"--tol {tol:g}: must be between 1e-15 and 0.5")
-
-
-def _print_json(record: dict[str, Any]) -> None:
-    typer.echo(json.dumps(record, ensure_ascii=False, allow_nan=False))

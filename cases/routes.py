@@ -1,7 +1,7 @@
 """The routes from a system to densities that the command line offers: one entry each."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from averaging.exact import Exact
@@ -42,15 +42,19 @@ ROUTES: dict[str, Route] = {
 
 @dataclass(frozen=True)
 class Sampling:
-    """What a user may say of the simulation; None leaves it to the method."""
+    """What may be said of the simulation; None leaves it to the method.
+
+    ``paths`` trajectories are sampled for ``time`` each.
+    """
 
     seed: int | None = None
     threads: int | None = None
+    paths: int | None = None
+    time: float | None = None
 
-    def given(self) -> dict[str, int]:
+    def given(self) -> dict[str, Any]:
         """Return the settings that were given."""
-        settings = {"seed": self.seed, "threads": self.threads}
-        return {key: value for key, value in settings.items() if value is not None}
+        return {key: value for key, value in asdict(self).items() if value is not None}
 
 
 @dataclass(frozen=True)

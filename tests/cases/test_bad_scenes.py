@@ -56,7 +56,7 @@ BAD = [  # what is replaced, by what, and what the line must say
     ("[observe]", "[expect]\nacceptable = ['x']\n[observe]", ["expect.acceptable[1]", '"x"']),
     ("[observe]", "[expect]\nclearance_rule = 0\n[observe]", ["clearance_rule = 0", "> 0"]),
     ("[observe]", "[expect]\nnon_gaussian = {}\n[observe]", ["exactly one of above"]),
-    ("[observe]", "[expect]\nnon_gaussian = { over = 1 }\n[observe]", ["over", "known: above"]),
+    ("[observe]", "[expect]\nnon_gaussian = { beside = 1 }\n[observe]", ["beside", "known: above"]),
     ("[observe]", "[expect]\nnon_gaussian = { above = 1 }\n[observe]", ["[vary]"]),
     ("[observe]", "[expect]\nnonintegrable_better_with = 'B'\n[observe]", ["larger", "smaller"]),
     ("[observe]", "x = " + "[" * 5000 + "\n[observe]", ["nested too deeply"]),

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from averaging.integrable import LEFT_OUT
 from cases.compare import chance_l1, compared, what_is_measured
 from fpk.density import Certificate, Density, SampledDensity, l1_distance
 from fpk.method import Result
@@ -39,8 +40,11 @@ def sample(seed, batches=32, size=4000):
     return SampledDensity(Q1, (edges,), values.mean(0), values, FINE)
 
 
-def compare(a, b, *, names=("montecarlo", "exact"), exact=True):
-    results = [Result(Named(n), (d,), 0.0) for n, d in zip(names, (a, b), strict=True)]
+def compare(a, b, *, names=("montecarlo", "exact"), exact=True, settings=()):
+    results = [
+        Result(Named(n), (d,), 0.0, settings=dict(settings) if n == "integrable" else {})
+        for n, d in zip(names, (a, b), strict=True)
+    ]
     (comparison,) = compared(results, averaging_is_exact=exact)
     return comparison
 
@@ -68,6 +72,16 @@ def test_averaging_is_reported_and_not_judged():
     assert 0 < comparison.error < comparison.L1
 
 
+def test_what_left_contacts_out_is_not_held_to_the_exact_density():
+    """With contacts the exact theory may apply, and the integrable one is still another."""
+    names, left_out = ("exact", "integrable"), {LEFT_OUT: "2"}
+    assert compare(gaussian(), gaussian(1.5), names=names).measures == "numerical"
+    comparison = compare(gaussian(), gaussian(1.5), names=names, settings=left_out)
+    assert comparison.measures == "averaging" and comparison.holds and comparison.band is None
+    others = compare(gaussian(), gaussian(), names=("exact", "nonintegrable"), settings=left_out)
+    assert others.measures == "numerical"
+
+
 def test_solvers_are_held_to_their_own_estimates():
     names = ("nonintegrable", "nonintegrable")
     assert compare(gaussian(), gaussian(1 + 1e-13), names=names).holds
@@ -86,6 +100,12 @@ def test_solvers_are_held_to_their_own_estimates():
         ("nonintegrable", "montecarlo", True, "sampling"),
         ("montecarlo", "exact", True, "sampling"),
         ("linear", "montecarlo", False, "sampling"),
+        ("integrable", "integrable", False, "numerical"),
+        ("integrable", "nonintegrable", False, "averaging"),
+        ("integrable", "nonintegrable", True, "numerical"),
+        ("integrable", "exact", True, "numerical"),
+        ("integrable", "linear", False, "averaging"),
+        ("integrable", "montecarlo", False, "averaging"),
     ],
 )
 def test_which_error_a_pair_measures(a, b, coincide, expected):

@@ -1,0 +1,48 @@
+"""What the commands of ``fpk`` share: options, ends, JSON; nothing heavy is imported here."""
+
+import json
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from cases.run import Outcome
+    from cases.scene import Scene
+
+SceneName = Annotated[
+    str, typer.Argument(metavar="SCENE", help="A shipped scene's name or a path.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
+Tol = Annotated[float | None, typer.Option(help="L1 error wanted; a solver adapts to meet it.")]
+Seed = Annotated[int | None, typer.Option(min=0, max=2**64 - 1, help="Seed of the simulation.")]
+Threads = Annotated[int | None, typer.Option(min=1, help="Threads of the simulation.")]
+
+
+def end_with(problems: Any) -> None:
+    """Say every problem on standard error; status 1 where there is one."""
+    for problem in problems:
+        typer.echo(f"fpk: {problem}", err=True)
+    if problems:
+        raise typer.Exit(1)
+
+
+def outcome_of(scene: "Scene", methods: Any) -> "Outcome":
+    """Run ``scene`` by ``methods`` under a progress bar."""
+    from cases.run import run_scene
+    from cases.terminal import progress_bar
+
+    with progress_bar() as progress:
+        return run_scene(scene, methods, progress=progress)
+
+
+def check_tol(tol: float | None) -> None:
+    """Refuse a tolerance that no solver can mean."""
+    from cases.errors import BadInput
+
+    if tol is not None and not 1e-15 <= tol <= 0.5:
+        raise BadInput(f"--tol {tol:g}: must be between 1e-15 and 0.5")
+
+
+def print_json(record: dict[str, Any]) -> None:
+    """Print the one JSON object of a command."""
+    typer.echo(json.dumps(record, ensure_ascii=False, allow_nan=False))
