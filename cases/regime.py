@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from fpk.linear import natural_frequencies, stationary_covariance
 
 from fpk.errors import NotApplicable
+from fpk.linear import natural_frequencies, stationary_covariance
 from fpk.system import System
 
 CLEARANCE_RULE = 2.0
