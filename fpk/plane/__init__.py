@@ -1,0 +1,1 @@
+"""Stationary FPK equation of two energies: tensor hp elements, statically condensed."""

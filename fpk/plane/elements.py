@@ -1,0 +1,95 @@
+"""Element matrices of the stationary FPK equation of two energies, by sum factorisation.
+
+The weak form of (19) with zero flux at infinity is ``∫ J · ∇v = 0`` for all test functions, with
+``J_i = (s_i − ½ ∂_j b_ij) p − ½ b_ij ∂_j p``. Shape functions are products of scikit-fem's line
+elements; every sum over two-dimensional quadrature points is done one direction at a time.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpk.elements import gauss_rule, shapes_at_gauss
+from fpk.vector_process import VectorProcess
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneCoefficients:
+    """Coefficients at the Gauss points of all elements, each (elements, points, points).
+
+    ``a1``, ``a2`` are s_i − ½ ∂_j b_ij; the second index of the points runs along H1.
+    """
+
+    a1: Array
+    a2: Array
+    b11: Array
+    b12: Array
+    b22: Array
+
+
+def gauss_energies(nodes: tuple[Array, Array], degree: int) -> tuple[Array, Array]:
+    """Return the Gauss energies of the elements along each axis, (elements, points) each."""
+    t, _ = gauss_rule(degree)
+    first, second = (x[:-1, None] + np.diff(x)[:, None] * t for x in nodes)
+    return first, second
+
+
+def coefficients_at(
+    process: VectorProcess, nodes: tuple[Array, Array], degree: int
+) -> PlaneCoefficients:
+    """Evaluate the process at the Gauss points; elements run along H2 fastest."""
+    first, second = gauss_energies(nodes, degree)
+    shape = (first.shape[0], second.shape[0], first.shape[1], second.shape[1])
+    H1 = np.broadcast_to(first[:, None, :, None], shape)
+    H2 = np.broadcast_to(second[None, :, None, :], shape)
+    points = np.stack([H1.ravel(), H2.ravel()], axis=1)
+    a = process.drift(points) - 0.5 * process.diffusion_divergence(points)
+    b = process.diffusion(points)
+    grid = (-1, first.shape[1], second.shape[1])
+    return PlaneCoefficients(
+        a[:, 0].reshape(grid),
+        a[:, 1].reshape(grid),
+        b[:, 0, 0].reshape(grid),
+        b[:, 0, 1].reshape(grid),
+        b[:, 1, 1].reshape(grid),
+    )
+
+
+@lru_cache
+def _products(degree: int) -> tuple[Array, Array, Array, Array]:
+    """Weighted products of test and trial functions at Gauss points, (points, (degree+1)²) each.
+
+    Order: value·value, slope·value, value·slope, slope·slope (test first), on the unit interval.
+    """
+    _, w = gauss_rule(degree)
+    phi, dphi = shapes_at_gauss(degree, degree)
+    pairs = [(phi, phi), (dphi, phi), (phi, dphi), (dphi, dphi)]
+    vv, sv, vs, ss = (
+        np.einsum("q,iq,jq->qij", w, test, trial).reshape(w.size, -1) for test, trial in pairs
+    )
+    return vv, sv, vs, ss
+
+
+def element_matrices(c: PlaneCoefficients, sizes: Array, degree: int) -> Array:
+    """Return the element matrices (elements, m, m), m = (degree+1)², test functions first.
+
+    ``sizes`` (elements, 2) are the lengths along H1 and H2. Local number of φ_i ψ_k: i(degree+1)+k.
+    """
+    vv, sv, vs, ss = _products(degree)
+    h1, h2 = sizes[:, 0, None, None], sizes[:, 1, None, None]
+    # Along H2 first: for every Gauss point of H1 a small matrix over (k, l).
+    slope_slope = (-0.5 * h2 / h1 * c.b11) @ vv
+    slope_value = (h2 * c.a1) @ vv
+    value_value = (h1 * c.a2) @ sv + (-0.5 * h1 / h2 * c.b22) @ ss
+    parts = [(ss, slope_slope), (sv, slope_value), (vv, value_value)]
+    if np.any(c.b12):
+        parts[1] = (sv, slope_value + (-0.5 * c.b12) @ vs)
+        parts.append((vs, (-0.5 * c.b12) @ sv))
+    total = sum(outer.T @ inner for outer, inner in parts)
+    k = degree + 1
+    matrices: Array = np.asarray(total).reshape(-1, k, k, k, k).transpose(0, 1, 3, 2, 4)
+    return matrices.reshape(-1, k * k, k * k)

@@ -1,0 +1,159 @@
+"""The two-dimensional solver against (34), against manufactured problems, and its orders."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+
+from fpk.errors import InvalidInput, NotCertified
+from fpk.plane.stationary import PlaneSolution, solve_plane, solve_plane_on_mesh
+from fpk.quadrature import panel_rule
+from fpk.vector_process import VectorProcess
+
+Array = NDArray[np.float64]
+Log = Callable[[Array, Array], Array]
+
+
+def square_root_process(c: tuple[float, float], d: tuple[float, float]) -> VectorProcess:
+    """Two independent CIR processes, (33) with unit modal masses: ln p = −Σ c_i H_i/d_i."""
+    damping, noise = np.array(c), np.array(d)
+
+    def diffusion(H: Array) -> Array:
+        return 2.0 * noise * H[:, :, None] * np.eye(2)
+
+    return VectorProcess(
+        lambda H: noise - damping * H,
+        diffusion,
+        lambda H: np.broadcast_to(2.0 * noise, H.shape),
+        (d[0] / c[0], d[1] / c[1]),
+    )
+
+
+def manufactured(cross: float, swirl: float) -> tuple[VectorProcess, Log]:
+    """Coupled process with the stationary density exp(−H1 − 1.5 H2 − 0.3 H1 H2), by construction.
+
+    b is full (off-diagonal by ``cross``) and depends on both energies. The drift is what makes
+    J = (∂ψ/∂H2, −∂ψ/∂H1), ψ = swirl H1 H2 p: free of divergence, tangential to both axes, and
+    zero without ``swirl``. So p is stationary with, in general, circulating probability.
+    """
+
+    def log_p(x: Array, y: Array) -> Array:
+        return -x - 1.5 * y - 0.3 * x * y
+
+    def slope(H: Array) -> Array:
+        return np.stack([-1.0 - 0.3 * H[:, 1], -1.5 - 0.3 * H[:, 0]], axis=1)
+
+    def diffusion(H: Array) -> Array:
+        x, y = H.T
+        b = np.empty((x.size, 2, 2))
+        b[:, 0, 0], b[:, 1, 1] = 2.0 * x * (1.0 + 0.2 * y), 2.0 * y * (1.0 + 0.1 * x)
+        b[:, 0, 1] = b[:, 1, 0] = cross * x * y / (1.0 + x + y)
+        return b
+
+    def divergence(H: Array) -> Array:
+        x, y = H.T
+        q = 1.0 + x + y
+        first = 2.0 * (1.0 + 0.2 * y) + cross * x * (1.0 + x) / q**2
+        second = 2.0 * (1.0 + 0.1 * x) + cross * y * (1.0 + y) / q**2
+        return np.stack([first, second], axis=1)
+
+    def drift(H: Array) -> Array:
+        x, y = H.T
+        g = slope(H)
+        s = 0.5 * divergence(H) + 0.5 * np.einsum("nij,nj->ni", diffusion(H), g)
+        s[:, 0] += swirl * x * (1.0 + y * g[:, 1])
+        s[:, 1] -= swirl * y * (1.0 + x * g[:, 0])
+        return s
+
+    return VectorProcess(drift, diffusion, divergence, (1.0, 0.7)), log_p
+
+
+def l1_error(solution: PlaneSolution, log_p: Log, *, beyond: float = 1.5) -> float:
+    """∫|p_h − p| as far as ``beyond`` times the mesh, p normalised by the same fine rule."""
+    rules = [panel_rule(np.unique(np.append(x, beyond * x[-1])), 24) for x in solution.nodes]
+    (x, wx), (y, wy) = ((a.ravel(), w.ravel()) for a, w in rules)
+    p = np.exp(log_p(x[:, None], y))
+    p /= wx @ p @ wy
+    return float(wx @ np.abs(solution.density(x[:, None], y) - p) @ wy)
+
+
+FIG8 = ((0.0511, 0.0689), (0.0155, 0.0145))
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-7, 1e-10])
+def test_two_square_root_processes_give_34_within_an_honest_estimate(tol: float) -> None:
+    c, d = FIG8
+    solution = solve_plane(square_root_process(c, d), tol=tol)
+    error = l1_error(solution, lambda x, y: -c[0] / d[0] * x - c[1] / d[1] * y)
+    assert solution.certificate.certified
+    assert error <= solution.l1_error <= tol
+    assert solution.l1_error <= 100.0 * error
+    assert solution.certificate.mass_defect < 1e-12
+
+
+@pytest.mark.parametrize(("cross", "swirl"), [(0.0, 0.0), (0.4, 0.0), (0.4, 0.2)])
+@pytest.mark.parametrize("tol", [1e-5, 1e-8])
+def test_manufactured_coupled_problem_within_an_honest_estimate(
+    cross: float, swirl: float, tol: float
+) -> None:
+    process, log_p = manufactured(cross, swirl)
+    solution = solve_plane(process, tol=tol)
+    error = l1_error(solution, log_p)
+    assert solution.certificate.certified
+    assert error <= solution.l1_error <= tol
+    assert solution.l1_error <= 100.0 * error
+
+
+def test_a_wrong_cross_diffusion_is_seen() -> None:
+    process, _ = manufactured(0.4, 0.0)
+    _, log_p = manufactured(0.0, 0.0)
+    wrong = VectorProcess(
+        process.drift,
+        manufactured(0.0, 0.0)[0].diffusion,
+        manufactured(0.0, 0.0)[0].diffusion_divergence,
+        process.energy_scales,
+    )
+    assert l1_error(solve_plane(wrong, tol=1e-5), log_p) > 1e-2
+
+
+@pytest.mark.parametrize("degree", [1, 2, 4])
+def test_observed_order_is_degree_plus_one(degree: int) -> None:
+    # Without swirl no probability flows anywhere, so that p cut off at any far edges, where zero
+    # flux is natural, is exact on the rest, and the error is that of the elements alone.
+    process, log_p = manufactured(0.4, 0.0)
+    counts = {1: (16, 24, 36, 54), 2: (18, 27, 40, 60), 4: (12, 16, 22, 30)}[degree]
+    errors = []
+    for count in counts:
+        nodes = (np.linspace(0.0, 5.0, count + 1), np.linspace(0.0, 4.0, count + 1))
+        solution = solve_plane_on_mesh(process, nodes, degree)
+        errors.append(l1_error(solution, log_p, beyond=1.0))
+    orders = np.log(np.array(errors[:-1]) / errors[1:]) / np.log(np.divide(counts[1:], counts[:-1]))
+    # Four levels; the finest error, 1e-9 or more, is far above round-off.
+    assert_allclose(orders, degree + 1, atol=0.15)
+
+
+def test_pointwise_estimate_covers_the_difference_nearly_everywhere() -> None:
+    # Where p_h − p_enriched crosses zero the estimate may fall below: a share below 2 % of points.
+    process, log_p = manufactured(0.4, 0.2)
+    solution = solve_plane(process, tol=1e-6)
+    x, y = np.random.default_rng(5).exponential(0.8, (2, 2000))
+    fine = solve_plane(process, tol=1e-9)
+    exact = np.exp(log_p(x, y)) * fine.density(np.zeros(1), np.zeros(1))
+    missed = np.abs(solution.density(x, y) - exact) > solution.pointwise_error(x, y) + 1e-8
+    assert np.mean(missed) < 0.02
+
+
+def test_drift_outwards_is_not_certified() -> None:
+    process = square_root_process((0.1, 0.1), (0.1, 0.1))
+    process = replace(process, drift=lambda H: 0.1 + 0.1 * H)
+    with pytest.raises(NotCertified, match="does not fall off along H1"):
+        solve_plane(process)
+
+
+def test_one_energy_is_refused() -> None:
+    process = VectorProcess(lambda H: -H, lambda H: H[:, :, None], np.ones_like, (1.0,))
+    with pytest.raises(InvalidInput, match="two energies"):
+        solve_plane(process)
