@@ -1,6 +1,6 @@
 """The Gaussian stationary density of a system without contacts, exact for any damping and noise."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Self
@@ -19,6 +19,7 @@ from fpk.observable import Observable, observable_name
 from fpk.system import System
 
 Array = NDArray[np.float64]
+Provenance = Mapping[str, str | float | int]
 
 REACH = 8.5
 """Half-width of the support in standard deviations; 2e-17 of the mass lies beyond."""
@@ -83,7 +84,9 @@ class Linear:
         densities = tuple(
             _energy(system, covariance, o, relative)
             if o[0].kind == "H"
-            else _gaussian(system, covariance, o, relative)
+            else gaussian_density(
+                covariance, o, relative=relative, provenance={"equation": "Lyapunov"}
+            )
             for o in observables
         )
         return Result(self, densities, perf_counter() - start, settings={"equation": "Lyapunov"})
@@ -97,10 +100,15 @@ def _certificate(residual: float, tail: float) -> Certificate:
     return Certificate(mass_defect=tail, minimum=0.0, residual=residual, tail_mass=tail)
 
 
-def _gaussian(
-    system: System, covariance: Array, observable: Observable, relative: float
+def gaussian_density(
+    covariance: Array, observable: Observable, *, relative: float, provenance: Provenance
 ) -> Density:
-    rows = [(c.index or 0) + (system.n if c.kind == "p" else 0) for c in observable]
+    """Return the density of one or two of x = (q, p) from the covariance of x, shape (2n, 2n).
+
+    ``relative`` is the relative error of the covariance.
+    """
+    n = covariance.shape[0] // 2
+    rows = [(c.index or 0) + (n if c.kind == "p" else 0) for c in observable]
     part = covariance[np.ix_(rows, rows)]
     scale = np.sqrt(np.diag(part))
     panels = tuple(np.linspace(-REACH * s, REACH * s, 18) for s in scale)
@@ -123,7 +131,7 @@ def _gaussian(
         pointwise,
         l1_error,
         _certificate(relative, tail),
-        {"equation": "Lyapunov"},
+        provenance,
     )
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.stats import skew
 from scipy.stats import t as student
 
+from averaging.integrable import LEFT_OUT
 from fpk.density import AnyDensity, Array, Density, SampledDensity, l1_distance
 from fpk.method import Method, Result
 
@@ -71,15 +72,19 @@ def route_name(method: Method) -> str:
 def compared(results: Sequence[Result], *, averaging_is_exact: bool) -> tuple[Comparison, ...]:
     """Return the comparison of every pair of results in every observable they share.
 
-    ``averaging_is_exact`` says that the exact theory applies, with which the averaged one then
-    coincides (end of section 6.2).
+    ``averaging_is_exact`` says that the exact theory applies, with which the averaged ones then
+    coincide (end of section 6.2), unless they left out contacts, as their settings then say.
     """
-    answers = [(r.method, d) for r in results for d in r.densities]
+    answers = [(r, d) for r in results for d in r.densities]
     found = []
-    for (method_a, a), (method_b, b) in combinations(answers, 2):
+    for (of_a, a), (of_b, b) in combinations(answers, 2):
         if a.observable == b.observable:
-            kind = what_is_measured(method_a, method_b, averaging_is_exact=averaging_is_exact)
-            found.append(_comparison(route_name(method_a), route_name(method_b), a, b, kind=kind))
+            whole = not any(LEFT_OUT in r.settings for r in (of_a, of_b))
+            kind = what_is_measured(
+                of_a.method, of_b.method, averaging_is_exact=averaging_is_exact and whole
+            )
+            names = route_name(of_a.method), route_name(of_b.method)
+            found.append(_comparison(*names, a, b, kind=kind))
     return tuple(sorted(found, key=lambda c: c.observable))
 
 

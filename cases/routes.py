@@ -6,6 +6,7 @@ from typing import Any
 
 from averaging.exact import Exact
 from averaging.gaussian import Linear
+from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
 from cases.errors import BadInput
 from fpk.method import Method
@@ -32,9 +33,7 @@ ROUTES: dict[str, Route] = {
         lambda solver: NonIntegrable(solver=solver), ("fem", "closed-form", "quadrature")
     ),
     "integrable": Route(
-        None,
-        ("closed-form", "fem", "quadrature"),
-        refusal="quasi-integrable averaging (34) is not in this version; use nonintegrable",
+        lambda solver: Integrable(solver=solver), ("closed-form", "fem", "quadrature")
     ),
     "montecarlo": Route(lambda solver: MonteCarlo(), ("simulation",), sampled=True),
 }

@@ -1,0 +1,152 @@
+"""Stochastic averaging of quasi-integrable Hamiltonian systems as a method, sections 5 and 6.3."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import Literal, Self, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from averaging.gaussian import gaussian_density
+from averaging.modal.analysis import ModalAnalysis, modal_analysis
+from averaging.modal.energies import modal_energies, total_energy
+from averaging.modal.numerical import by_elements, by_quadrature
+from averaging.modal.resonance import nearest_resonance, resonance_refusal, strongest_pair
+from fpk.clearance import CLEARANCE_RULE, stop_clearances
+from fpk.density import Density
+from fpk.errors import InvalidInput, NotApplicable
+from fpk.method import Progress, Result, silent
+from fpk.observable import Observable, observable_name
+from fpk.system import System
+
+Array = NDArray[np.float64]
+Solver = Literal["closed-form", "fem", "quadrature"]
+Settings = Mapping[str, str | float | int]
+
+LEFT_OUT = "contacts left out"
+"""Key under which settings and provenance say which contacts the theory does not know of."""
+
+
+@dataclass(frozen=True)
+class Integrable:
+    """Averaged modal energies (17), (33), their stationary density (34) and (35), (36).
+
+    Contacts are left out: ``settings`` and provenance say so, with the rule clearance > 2 rms of
+    section 6.3 evaluated. ``solver``: "closed-form" is (34), Π e^(−H_i/θ_i)/θ_i with the modal
+    temperatures θ_i = d_i/c*_ii, whose back-transform is Gaussian; "quadrature" evaluates (11) and
+    "fem" solves the FPK equation, for the modal energies alone, to the L1 tolerance ``tol``. The
+    theory needs light damping and is refused where the modes are in a resonance that matters;
+    without contacts it is exact where the damping and noise meet (8).
+    """
+
+    solver: Solver = "closed-form"
+    tol: float = 1e-10
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown solver, or a tolerance that double precision cannot meet."""
+        if self.solver not in get_args(Solver):
+            raise InvalidInput("solver", self.solver, f"use one of {sorted(get_args(Solver))}")
+        if not 1e-12 <= self.tol <= 0.1:
+            raise InvalidInput("tol", self.tol, "must lie between 1e-12 and 0.1")
+
+    @property
+    def name(self) -> str:
+        """The method's name on the command line."""
+        return "integrable"
+
+    def refusal(self, system: System, observable: Observable) -> str | None:
+        """Return why the theory does not give ``observable``, or None where it does."""
+        try:
+            modes = modal_analysis(system)
+        except NotApplicable as reason:
+            return str(reason)
+        return resonance_refusal(modes) or self._unknown(observable)
+
+    def solve(
+        self,
+        system: System,
+        observables: Sequence[Observable],
+        *,
+        progress: Progress = silent,
+    ) -> Result:
+        """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses."""
+        for observable in observables:
+            if reason := self.refusal(system, observable):
+                raise NotApplicable(reason)
+        start = perf_counter()
+        modes = modal_analysis(system)
+        settings = {**self._equation(), **_validity(system, modes)}
+        densities = tuple(self._density(modes, o, settings) for o in observables)
+        return Result(self, densities, perf_counter() - start, settings=settings)
+
+    def refined(self) -> Self:
+        """Return the method with a tolerance ten times smaller, down to 1e-12."""
+        return replace(self, tol=max(0.1 * self.tol, 1e-12))
+
+    def _unknown(self, observable: Observable) -> str | None:
+        """Why the solver does not give this observable."""
+        name, kinds = observable_name(observable), [c.kind for c in observable]
+        total = any(c.kind == "H" and c.index is None for c in observable)
+        if len(set(kinds) - {"q", "p"}) and (total or set(kinds) != {"H"}) and len(kinds) > 1:
+            return f"{name}: of two quantities, both must be modal energies, or q and p"
+        if self.solver != "closed-form" and (total or kinds[0] != "H"):
+            return f"{name}: by {self.solver}, only modal energies H1, H2, … ; use closed-form"
+        if self.solver == "fem" and len(observable) > 1:
+            return f"{name}: no finite element solver of two energies yet; use closed-form"
+        return None
+
+    def _equation(self) -> dict[str, str | float | int]:
+        if self.solver == "closed-form":
+            return {"equation": "(34), (36)"}
+        return {"equation": "(11)" if self.solver == "quadrature" else "(19)", "tol": self.tol}
+
+    def _density(self, modes: ModalAnalysis, observable: Observable, settings: Settings) -> Density:
+        relative = modes.relative_error
+        if observable[0].kind != "H":
+            return gaussian_density(
+                modal_covariance(modes), observable, relative=relative, provenance=settings
+            )
+        observed = [c.index for c in observable if c.index is not None]
+        if not observed:
+            return total_energy(
+                modes.temperature, observable, relative=relative, provenance=settings
+            )
+        if self.solver == "quadrature":
+            return by_quadrature(modes, observable, tol=self.tol, provenance=settings)
+        if self.solver == "fem":
+            return by_elements(modes, observable, tol=self.tol, provenance=settings)
+        return modal_energies(
+            modes.temperature[observed], observable, relative=relative, provenance=settings
+        )
+
+
+def modal_covariance(modes: ModalAnalysis) -> Array:
+    """Return the covariance of (q, p) that belongs to (34), shape (2n, 2n), Eqs. (20), (35).
+
+    ``cov q = T diag(θ_i/K*_i) Tᵀ``; as P = Tᵀ p, ``cov p = T⁻ᵀ diag(θ_i M*_i) T⁻¹``, where
+    T⁻¹ = M*⁻¹ Tᵀ M; displacements and momenta are not correlated. Where (35) prints T_11^{-1} it
+    means an element of the matrix T⁻¹, not 1/T_11.
+    """
+    n, T = modes.n, modes.mode_shapes
+    inverse = np.linalg.inv(T)
+    covariance = np.zeros((2 * n, 2 * n))
+    covariance[:n, :n] = (T * (modes.temperature / modes.modal_stiffness)) @ T.T
+    covariance[n:, n:] = (inverse.T * (modes.temperature * modes.modal_mass)) @ inverse
+    return covariance
+
+
+def _validity(system: System, modes: ModalAnalysis) -> dict[str, str | float | int]:
+    """What the theory neglects on this system, in words: contacts and resonances."""
+    found: dict[str, str | float | int] = {"nearest resonance": str(nearest_resonance(modes))}
+    if pair := strongest_pair(modes):
+        found["neglected correlation of modes"] = pair.correlation
+    if stops := stop_clearances(system):
+        closest = min(stops, key=lambda stop: stop.ratio if stop.ratio is not None else 0.0)
+        holds = all(stop.beyond_rule for stop in stops)
+        found[LEFT_OUT] = (
+            f"{len(stops)}; the rule clearance > {CLEARANCE_RULE:g} rms "
+            f"{'holds' if holds else 'does not hold'}: least is {closest.ratio or 0.0:.3g} rms at "
+            f"mass {closest.mass}"
+        )
+    return found

@@ -1,0 +1,454 @@
+"""Modal averaging against Lyapunov, the square-root process, convolution and printed slips."""
+
+import numpy as np
+import pytest
+from averaging_systems import both, exact_system, fig6, integral
+from mpmath import mp, mpf
+from scipy.integrate import quad
+from scipy.stats import expon, gamma
+
+from averaging.exact import Exact
+from averaging.gaussian import Linear
+from averaging.integrable import LEFT_OUT, Integrable, modal_covariance
+from averaging.modal.analysis import modal_analysis
+from averaging.modal.energies import hypoexponential
+from averaging.modal.process import modal_process, mode_process
+from averaging.modal.resonance import (
+    MOST_CORRELATED,
+    ORDER,
+    mode_pairs,
+    nearest_resonance,
+    resonance_refusal,
+)
+from averaging.nonintegrable import NonIntegrable
+from cases.regime import regime_of
+from fpk.boundary import classify
+from fpk.clearance import stop_clearances
+from fpk.density import l1_distance, mass, moment
+from fpk.errors import InvalidInput, NotApplicable
+from fpk.linear import stationary_covariance
+from fpk.observable import parse_observable
+from fpk.process import log_density_slope
+from fpk.system import System
+
+FULL_C = np.array([[0.08, 0.01, 0.0], [-0.02, 0.04, 0.01], [0.0, 0.01, 0.06]])
+FULL_D = np.array([[0.02, 0.01, 0.0], [0.01, 0.03, 0.005], [0.0, 0.005, 0.01]])
+SYSTEMS = {
+    "fig6": fig6(),
+    "masses": fig6(mass=(0.5, 3.0)),
+    "three, full": System([1.0, 0.5, 2.0], [1.0, 2.0, 1.5], FULL_C, FULL_D),
+    "one mass": System([2.0], [3.0], [0.1], [0.05]),
+    "gain": System([1.0, 2.0], [1.0, 1.5], [0.05, 0.04], [0.02], noise_gain=[[1.0], [0.3]]),
+}
+
+
+@pytest.fixture(params=SYSTEMS)
+def system(request):
+    return SYSTEMS[request.param]
+
+
+def solved(method, system, *names):
+    observables = [parse_observable(name, system.n) for name in names]
+    return method.solve(system, observables).densities
+
+
+def two_modes():
+    """Fig. 6 by hand: ω² = (3 ∓ √5)/2, T = (1, (1 ± √5)/2) up to its length."""
+    squares = np.array([(3 - np.sqrt(5)) / 2, (3 + np.sqrt(5)) / 2])
+    shapes = np.array([[1.0, 1.0], 2.0 - squares])
+    lengths = np.sqrt(np.sum(shapes**2, axis=0))
+    return squares, shapes, lengths
+
+
+def test_modes_diagonalise(system):
+    modes = modal_analysis(system)
+    T = modes.mode_shapes
+    M, K = np.diag(modes.modal_mass), np.diag(modes.modal_stiffness)
+    np.testing.assert_allclose(T.T @ np.diag(system.mass) @ T, M, atol=1e-13)
+    np.testing.assert_allclose(T.T @ system.stiffness_matrix @ T, K, atol=1e-13)
+    np.testing.assert_allclose(
+        modes.natural_frequency**2, modes.modal_stiffness / modes.modal_mass, rtol=1e-13
+    )
+    assert np.all(np.diff(modes.natural_frequency) > 0)
+
+
+def test_temperatures_of_fig6_by_hand():
+    # θ_i = Σ D_r T_ri²/Σ c_r T_ri², whatever the length of T.
+    _, shapes, _ = two_modes()
+    expected = [0.01, 0.02] @ shapes**2 / ([0.08, 0.04] @ shapes**2)
+    theta = modal_analysis(fig6()).temperature
+    np.testing.assert_allclose(theta, expected, rtol=1e-14)
+    # (33) prints D₂ T₁₂² in b₂₂: without D₁ the temperature of mode 2 is a half too high.
+    printed = 0.02 * np.sum(shapes[:, 1] ** 2) / ([0.08, 0.04] @ shapes[:, 1] ** 2)
+    assert printed / theta[1] > 1.5
+
+
+def test_round_off_of_the_modes_is_covered():
+    # Two nearly equal modes in 40 digits: the coupling k_2 is weak and splits them by 1e-5.
+    k2, c, D = 1e-5, [0.08, 0.04], [0.01, 0.05]
+    modes = modal_analysis(System([1.0, 1.0], [1.0, k2], c, D))
+    mp.dps = 40
+    K = mp.matrix([[1 + mpf(k2), -mpf(k2)], [-mpf(k2), mpf(k2)]])
+    _, T = mp.eigsy(K)
+    for i in range(2):
+        exact = sum(mpf(D[r]) * T[r, i] ** 2 for r in range(2)) / sum(
+            mpf(c[r]) * T[r, i] ** 2 for r in range(2)
+        )
+        assert abs(float(modes.temperature[i] / exact - 1)) <= modes.relative_error
+    assert 1e-15 < modes.relative_error < 1e-9
+
+
+def test_process_is_the_one_of_each_mode(system):
+    modes, process = modal_analysis(system), modal_process(system)
+    assert process.dimension == system.n
+    rng = np.random.default_rng(20040801)
+    H = rng.exponential(size=(7, system.n)) * process.energy_scales
+    b, divergence = process.diffusion(H), process.diffusion_divergence(H)
+    for i in range(system.n):
+        c = mode_process(modes, i).coefficients(H[:, i])
+        np.testing.assert_allclose(process.drift(H)[:, i], c.drift, rtol=1e-14)
+        np.testing.assert_allclose(b[:, i, i], c.diffusion, rtol=1e-14)
+        np.testing.assert_allclose(divergence[:, i], c.diffusion_slope, rtol=1e-14)
+        # s = dissipation + ½ (b T)'/T with constant T; zero flux gives the exponential (34).
+        np.testing.assert_allclose(c.drift, c.dissipation + 0.5 * c.diffusion_slope, rtol=1e-12)
+        np.testing.assert_allclose(log_density_slope(c), -1 / modes.temperature[i], rtol=1e-12)
+        lower, _ = classify(mode_process(modes, i))
+        assert lower.kind == "entrance"
+    off = b * (1 - np.eye(system.n))
+    assert not off.any()
+
+
+def test_drift_and_diffusion_are_phase_averages(system):
+    # (18) corrected, averaged over the phases by the trapezoidal rule, exact for such polynomials.
+    modes = modal_analysis(system)
+    n, H = system.n, np.array([modes.temperature * (0.3 + k) for k in range(3)])
+    phase = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
+    theta = np.stack(np.meshgrid(*[phase] * n), axis=-1).reshape(-1, n)
+    for energies in H:
+        v = -np.sqrt(2 * energies / modes.modal_mass) * np.sin(theta)
+        s = -np.einsum("xi,ij,xj->xi", v, modes.modal_damping, v).mean(axis=0)
+        s += modes.noise / modes.modal_mass
+        b = 2 * modes.modal_noise * np.einsum("xi,xj->ij", v, v) / theta.shape[0]
+        process = modal_process(system)
+        scale = np.max(np.abs(b))
+        np.testing.assert_allclose(process.drift(energies[None])[0], s, atol=1e-14)
+        np.testing.assert_allclose(process.diffusion(energies[None])[0], b, atol=1e-14 * scale)
+
+
+@pytest.mark.parametrize("solver", ["closed-form", "quadrature", "fem"])
+def test_moments_of_the_square_root_process(solver, system):
+    # dH = κ(θ − H) dt + √(2κθH) dB has a gamma density of shape 1: E H^k = k! θ^k.
+    names = [f"H{i + 1}" for i in range(system.n)]
+    for density, theta in zip(
+        solved(Integrable(solver=solver), system, *names),
+        modal_analysis(system).temperature,
+        strict=True,
+    ):
+        assert density.certificate.certified and density.l1_error < 1e-10
+        assert mass(density) == pytest.approx(1.0, abs=1e-11)
+        for k, factorial in ((1, 1.0), (2, 2.0), (3, 6.0)):
+            assert moment(density, k) == pytest.approx(factorial * theta**k, rel=1e-8)
+        H = theta * np.linspace(0.0, 12.0, 31)
+        p, error = density.at(H)
+        exact = expon.pdf(H, scale=theta)
+        assert np.all(np.abs(p - exact) <= error + 1e-13 / theta)
+
+
+@pytest.mark.parametrize("solver", ["quadrature", "fem"])
+def test_solvers_agree_with_the_closed_form_within_their_estimates(solver):
+    system = SYSTEMS["three, full"]
+    for tol in (1e-4, 1e-8, 1e-11):
+        one = solved(Integrable(solver=solver, tol=tol), system, "H2")[0]
+        distance = l1_distance(one, solved(Integrable(), system, "H2")[0])
+        assert distance <= one.l1_error <= tol
+
+
+@pytest.mark.parametrize("solver", ["closed-form", "quadrature"])
+def test_modal_energies_are_independent(solver):
+    system = SYSTEMS["three, full"]
+    joint, single = solved(Integrable(solver=solver), system, "H3,H1", "H3")
+    assert mass(joint) == pytest.approx(1.0, abs=1e-11)
+    for H in single.panels[0][[0, 1, 4]]:
+        marginal = integral(lambda x, H=H: joint.pdf(np.full_like(x, H), x), joint.panels[1])
+        assert marginal == pytest.approx(single.pdf(np.array([H]))[0], rel=1e-10)
+    closed = solved(Integrable(), system, "H3,H1")[0]
+    assert l1_distance(joint, closed) <= joint.l1_error + closed.l1_error
+
+
+@pytest.mark.parametrize(
+    "theta",
+    [
+        [1.0, 0.2],
+        [1.0, 1.0],
+        [1.0, 1.0 + 1e-9],
+        [0.3, 0.30001, 0.3],
+        [1.0, 1e-3, 0.5],
+        [1.0, 1e-6],
+    ],
+)
+def test_hypoexponential_against_convolution_in_forty_digits(theta):
+    # Partial fractions of the characteristic function cancel; forty digits can afford it.
+    mp.dps = 60
+    rates = [1 / mpf(t) + mpf(10) ** -22 * i for i, t in enumerate(theta)]
+    H = np.concatenate([[0.0], np.geomspace(1e-4, 45.0, 24)])
+    exact = []
+    for x in H:
+        total = mpf(0)
+        for i, a in enumerate(rates):
+            weight = mp.exp(-a * mpf(x))
+            for j, b in enumerate(rates):
+                weight *= b / (b - a) if i != j else b
+            total += weight
+        exact.append(float(total))
+    found = hypoexponential(1.0 / np.array(theta), H)
+    np.testing.assert_allclose(found, exact, rtol=2e-13, atol=1e-50)
+    order = hypoexponential(1.0 / np.array(theta[::-1]), H)
+    np.testing.assert_allclose(found, order, rtol=2e-13, atol=1e-50)
+
+
+def test_hypoexponential_against_quad_and_gamma():
+    H = np.array([0.05, 0.7, 3.0])
+    a, b = 1.0, 2.5
+    expected = [quad(lambda y, x=x: a * b * np.exp(-a * y - b * (x - y)), 0, x)[0] for x in H]
+    np.testing.assert_allclose(hypoexponential(np.array([a, b]), H), expected, rtol=1e-12)
+    np.testing.assert_allclose(
+        hypoexponential(np.full(7, 2.0), H), gamma.pdf(H, 7, scale=0.5), rtol=1e-13
+    )
+
+
+def test_total_energy_has_the_moments_of_the_sum(system):
+    (density,) = solved(Integrable(), system, "H")
+    theta = modal_analysis(system).temperature
+    mean = moment(density, 1)
+    assert mass(density) == pytest.approx(1.0, abs=1e-13)
+    assert mean == pytest.approx(theta.sum(), rel=1e-13)
+    assert moment(density, 2) - mean**2 == pytest.approx(np.sum(theta**2), rel=1e-12)
+
+
+def test_total_energy_of_very_different_modes():
+    # The stiff mode is 1e4 colder: the panels must resolve it beside the warm one.
+    system = System(
+        [1.0, 1.0], [1.0, 50.0], [[0.02, 0.0], [0.0, 0.02]], [[0.02, 0.0196], [0.0196, 0.0194]]
+    )
+    theta = modal_analysis(system).temperature
+    assert theta.max() / theta.min() > 50
+    (density,) = solved(Integrable(), system, "H")
+    assert mass(density) == pytest.approx(1.0, abs=1e-12)
+    assert moment(density, 1) == pytest.approx(theta.sum(), rel=1e-12)
+
+
+def test_back_transformation_is_gaussian_with_modal_temperatures(system):
+    # Through the modes one by one: Q_i and P_i of mode i have the variances θ/K* and θ M*.
+    modes, T = modal_analysis(system), modal_analysis(system).mode_shapes
+    covariance = modal_covariance(modes)
+    n = system.n
+    q = sum(
+        modes.temperature[i] / modes.modal_stiffness[i] * np.outer(T[:, i], T[:, i])
+        for i in range(n)
+    )
+    MT = np.diag(system.mass) @ T
+    p = (MT * (modes.temperature / modes.modal_mass)) @ MT.T
+    np.testing.assert_allclose(covariance[:n, :n], q, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(covariance[n:, n:], p, rtol=1e-12, atol=1e-15)
+    assert not covariance[:n, n:].any()
+    # Energies back from the state: E H_i = θ_i.
+    Q, P = np.linalg.inv(T), T.T
+    kinetic = np.diag(P @ covariance[n:, n:] @ P.T) / (2 * modes.modal_mass)
+    potential = np.diag(Q @ covariance[:n, :n] @ Q.T) * modes.modal_stiffness / 2
+    np.testing.assert_allclose(kinetic + potential, modes.temperature, rtol=1e-12)
+    for i in range(n):
+        one, two = solved(Integrable(), system, f"q{i + 1}", f"p{i + 1}")
+        assert moment(one, 2) == pytest.approx(q[i, i], rel=1e-12)
+        assert moment(two, 2) == pytest.approx(p[i, i], rel=1e-12)
+    if n > 1:
+        joint, single = solved(Integrable(), system, "q1,q2", "q2")
+        assert moment(joint, 1, 1) == pytest.approx(q[0, 1], rel=1e-11, abs=1e-14)
+        for y in (0.0, 0.3):
+            marginal = integral(lambda x, y=y: joint.pdf(x, np.full_like(x, y)), joint.panels[0])
+            assert marginal == pytest.approx(single.pdf(np.array([y]))[0], rel=1e-11)
+
+
+def test_printed_inverse_elements_and_periods_are_slips():
+    system = fig6(mass=(0.5, 3.0))
+    modes = modal_analysis(system)
+    covariance = modal_covariance(modes)
+    theta, T = modes.temperature, modes.mode_shapes
+    K, M = modes.modal_stiffness, modes.modal_mass
+
+    def joint_peak(period):
+        """p(0) of (20): Π 1/θ_i over Π T_i; canonical, so the same in (q, p)."""
+        return 1.0 / np.prod(theta) / np.prod(period)
+
+    gaussian_peak = 1.0 / ((2 * np.pi) ** 2 * np.sqrt(np.linalg.det(covariance)))
+    assert joint_peak(modes.period) == pytest.approx(gaussian_peak, rel=1e-12)
+    printed = 2 * np.pi * np.sqrt(K / M)
+    assert abs(joint_peak(printed) / gaussian_peak - 1) > 0.5
+
+    def precision(inverse):
+        """Σ K*_i/θ_i (T⁻¹)_i (T⁻¹)_iᵀ, the quadratic form in (35)."""
+        return (inverse.T * (K / theta)) @ inverse
+
+    inverse_covariance = np.linalg.inv(covariance[:2, :2])
+    np.testing.assert_allclose(precision(np.linalg.inv(T)), inverse_covariance, rtol=1e-11)
+    assert np.max(np.abs(precision(1.0 / T) / inverse_covariance - 1)) > 0.5
+
+
+ALL = ("q1", "q2", "p1", "p2", "H", "q2,p2", "q1,q2", "q1,p2")
+
+
+def test_for_equal_modal_temperatures_four_theories_agree():
+    system = exact_system()
+    np.testing.assert_allclose(modal_analysis(system).temperature, 0.5, rtol=1e-14)
+    methods = (Exact(), Linear(), NonIntegrable(tol=1e-11), Integrable())
+    for four in zip(*(solved(m, system, *ALL) for m in methods), strict=True):
+        for other in four[:3]:
+            assert l1_distance(other, four[3]) < 1e-10, other.name
+    np.testing.assert_allclose(
+        modal_covariance(modal_analysis(system)), stationary_covariance(system), atol=1e-14
+    )
+
+
+def test_without_contact_what_is_left_is_the_averaging_error():
+    # Unequal c/D of Fig. 8(b): small, but far above the round-off of both closed forms.
+    for name in ("q1", "q2", "p1", "H"):
+        one, two = (solved(m, fig6(), name)[0] for m in (Integrable(), Linear()))
+        assert 1e-4 < l1_distance(one, two) < 5e-3, name
+        assert one.l1_error + two.l1_error < 1e-12
+
+    # It is of the order (bandwidth/detuning)²: ten times less damping and noise, 100 times less.
+    def left(factor):
+        c, D = factor * np.array([0.08, 0.04]), factor * np.array([0.01, 0.02])
+        system = System([1.0, 1.0], [1.0, 1.0], c, D)
+        return l1_distance(*(solved(m, system, "q2")[0] for m in (Integrable(), Linear())))
+
+    assert left(1.0) / left(0.1) == pytest.approx(100.0, rel=0.05)
+    assert left(0.1) / left(0.01) == pytest.approx(100.0, rel=0.005)
+
+
+def test_neglected_correlation_is_that_of_the_lyapunov_equation():
+    # Weakly coupled modes at several detunings, resonance included: first order in the coupling.
+    for split in (1.0, 0.1, 0.01, 1e-3):
+        k2 = split
+        c = np.array([[0.02, 0.0], [0.0, 0.03]])
+        base = System([1.0, 1.0], [1.0, k2], c, [0.01, 0.02])
+        T = modal_analysis(base).mode_shapes
+        Tm = np.linalg.inv(T)
+        coupling = np.array([[0.02, 1e-6], [1e-6, 0.03]])
+        noise = np.array([[0.01, 3e-6], [3e-6, 0.02]])
+        system = System([1.0, 1.0], [1.0, k2], Tm.T @ coupling @ Tm, Tm.T @ noise @ Tm)
+        (pair,) = mode_pairs(modal_analysis(system))
+        S = stationary_covariance(system)
+        modal = np.block([[Tm, np.zeros((2, 2))], [np.zeros((2, 2)), T.T]])
+        S = modal @ S @ modal.T
+        size = np.sqrt(np.diag(S))
+        R = np.abs(S / np.outer(size, size))
+        largest = max(R[0, 1], R[2, 3], R[0, 3], R[1, 2])
+        assert pair.correlation == pytest.approx(largest, rel=1e-3)
+
+
+@pytest.mark.parametrize("system", SYSTEMS.values(), ids=SYSTEMS)
+def test_nearest_resonance_by_going_through_all(system):
+    modes = modal_analysis(system)
+    reach = np.arange(-ORDER, ORDER + 1)
+    grid = np.stack(np.meshgrid(*[reach] * system.n), axis=-1).reshape(-1, system.n)
+    size = np.abs(grid).sum(axis=1)
+    grid = grid[(size > 0) & (size <= ORDER)]
+    found = nearest_resonance(modes)
+    detunings = np.abs(grid @ modes.natural_frequency)
+    assert found.detuning == pytest.approx(detunings.min(), abs=1e-13)
+    assert abs(np.dot(found.integers, modes.natural_frequency)) == pytest.approx(found.detuning)
+    assert found.bandwidth == pytest.approx(np.abs(found.integers) @ modes.half_bandwidth)
+
+
+def near(damping, noise, k2=1e-3):
+    """Two modes that the weak spring k_2 splits by little: 1:1 where k_1 = k_2/m_2."""
+    return System([1.0, k2], [1.0, k2], damping, noise)
+
+
+def test_resonance_is_refused_only_where_it_matters():
+    # ω1, ω2 = 1 ∓ 0.016; half-bandwidths of the same order.
+    noise = np.array([0.01, 1e-5])
+    unequal = near([0.04, 1e-5], noise)
+    reason = Integrable().refusal(unequal, parse_observable("q1", 2))
+    assert reason is not None and "internal resonance" in reason and "\n" not in reason
+    with pytest.raises(NotApplicable, match="internal resonance"):
+        solved(Integrable(), unequal, "H1")
+    # It had to be: the density of the full system is far away.
+    S, modes = stationary_covariance(unequal), modal_analysis(unequal)
+    assert abs(modal_covariance(modes)[0, 0] / S[0, 0] - 1) > MOST_CORRELATED
+    # The same frequencies, damping and noise in proportion: averaging is exact.
+    harmless = near(4.0 * noise, noise)
+    assert nearest_resonance(modal_analysis(harmless)).ratio > 0.5
+    assert resonance_refusal(modal_analysis(harmless)) is None
+    np.testing.assert_allclose(
+        modal_covariance(modal_analysis(harmless)),
+        stationary_covariance(harmless),
+        rtol=1e-9,
+        atol=1e-11,
+    )
+    # Equal temperatures alone do not make it harmless: correlated noise on one mode of two.
+    modes = modal_analysis(near(4.0 * noise, noise))
+    inverse = np.linalg.inv(modes.mode_shapes)
+    D = np.diag(modes.noise) + 0.5 * np.sqrt(np.prod(modes.noise)) * (1 - np.eye(2))
+    c = np.diag(modes.damping)
+    correlated = near(inverse.T @ c @ inverse, inverse.T @ D @ inverse)
+    np.testing.assert_allclose(modal_analysis(correlated).temperature, 0.25, rtol=1e-9)
+    assert resonance_refusal(modal_analysis(correlated)) is not None
+
+
+def test_what_is_left_out_is_said():
+    system = fig6(both(10.0, 1.5))
+    result = Integrable().solve(system, [parse_observable("q2", 2)])
+    assert "rule clearance > 2 rms does not hold" in result.settings[LEFT_OUT]
+    assert result.densities[0].provenance[LEFT_OUT] == result.settings[LEFT_OUT]
+    wide = Integrable().solve(fig6(both(10.0, 2.5)), [parse_observable("q2", 2)])
+    assert "rule clearance > 2 rms holds" in wide.settings[LEFT_OUT]
+    free = Integrable().solve(fig6(), [parse_observable("q2", 2)])
+    assert LEFT_OUT not in free.settings
+    assert l1_distance(result.densities[0], free.densities[0]) == 0.0
+    ratios = [s.ratio for s in regime_of(system, None).stops]
+    assert [s.ratio for s in stop_clearances(system)] == pytest.approx(ratios)
+    assert ratios[0] == pytest.approx(1.5 / np.sqrt(stationary_covariance(system)[1, 1]))
+
+
+def unit_pair(damping, noise):
+    return System([1.0] * 2, [1.0] * 2, damping, noise)
+
+
+def one_mode_still():
+    """Damping or noise on mode 2 alone: c = M T⁻ᵀ diag(0, 1) T⁻¹ M."""
+    inverse = np.linalg.inv(modal_analysis(fig6()).mode_shapes)
+    return 0.1 * np.outer(inverse[1], inverse[1])
+
+
+@pytest.mark.parametrize(
+    "method, system, observable, reason",
+    [
+        (Integrable(), unit_pair([0.1, 0.1], one_mode_still()), "q1", "mode 1 .* no noise"),
+        (Integrable(), System([1.0], [1.0], [0.1], [0.0]), "H1", "mode 1 .* no noise"),
+        (Integrable(), unit_pair(one_mode_still(), [0.1, 0.1]), "q1", "mode 1 .* not damped"),
+        (Integrable(), fig6(), "H,H1", "both must be modal energies"),
+        (Integrable(), fig6(), "H1,q1", "both must be modal energies"),
+        (Integrable(), fig6(), "p1,H", "both must be modal energies"),
+        (Integrable("fem"), fig6(), "q2", "use closed-form"),
+        (Integrable("quadrature"), fig6(), "H", "use closed-form"),
+        (Integrable("quadrature"), fig6(), "q1,p1", "use closed-form"),
+    ],
+)  # fmt: skip
+def test_a_refusal_gives_its_reason(method, system, observable, reason):
+    asked = parse_observable(observable, system.n)
+    given = method.refusal(system, asked)
+    with pytest.raises(NotApplicable, match=reason) as caught:
+        method.solve(system, [asked])
+    assert str(caught.value) == given and "\n" not in given
+
+
+@pytest.mark.parametrize("field, value", [("solver", "magic"), ("tol", 0.0), ("tol", 1e-13)])
+def test_a_bad_choice_is_named(field, value):
+    with pytest.raises(InvalidInput, match=rf"^{field} = "):
+        Integrable(**{field: value})
+
+
+def test_refinement_tightens_the_tolerance():
+    assert Integrable(tol=1e-8).refined().tol == pytest.approx(1e-9)
+    assert Integrable(tol=1e-12).refined().tol == 1e-12
