@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from cases.command_export import export
 from cases.command_parts import (
     Json,
     SceneName,
@@ -154,41 +155,7 @@ def density(
     end_with([f"{of} is not certified: {f}" for f in record["certificate"]["failures"]])
 
 
-@app.command()
-def export(
-    scene: SceneName,
-    out: Annotated[Path, typer.Option(help="File to write; its ending says how: .nc or .csv.")],
-    tol: Tol = None,
-    as_json: Json = False,
-) -> None:
-    """Write the densities of a scene by theory, of all its curves, to one file."""
-    from cases.errors import BadInput
-    from cases.scene import load_scene
-
-    loaded = load_scene(scene)
-    check_tol(tol)
-    if out.suffix == ".vtu":
-        raise BadInput(f"--out {out}: .vtu comes with fields in two energies; use .nc or .csv")
-    if out.suffix not in (".nc", ".csv"):
-        raise BadInput(f"--out {out}: the ending says the format; use .nc or .csv")
-    if not out.parent.is_dir():
-        raise BadInput(f"--out {out}: the folder {out.parent} does not exist")
-    from cases.fields import csv_text, write_netcdf
-    from cases.files import write_text
-    from cases.routes import all_methods
-
-    outcome = outcome_of(loaded, [m for m in all_methods(tol=tol) if m.name != "montecarlo"])
-    if out.suffix == ".nc":
-        write_netcdf(outcome, out)
-    else:
-        write_text(out, csv_text(outcome))
-    if as_json:
-        print_json({"scene": loaded.name, "file": str(out), "seconds": outcome.seconds})
-    else:
-        typer.echo(f"wrote {out}")
-    end_with(outcome.problems)
-
-
+app.command()(export)
 app.command()(verify)
 
 

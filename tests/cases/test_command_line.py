@@ -133,7 +133,7 @@ def test_a_scene_is_text_in_the_report(tmp_path, scene_text):
     assert "<script" not in page and "&lt;script&gt;" in page
 
 
-@pytest.mark.parametrize("ending", ["csv", "nc"])
+@pytest.mark.parametrize("ending", ["csv", "nc", "vtu"])
 def test_export_by_ending(ending, fpk, tmp_path):
     path = tmp_path / f"field.{ending}"
     status, _, err = fpk("export", "fig6a", "--out", path)
@@ -141,7 +141,7 @@ def test_export_by_ending(ending, fpk, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
-@pytest.mark.parametrize("name", ["field.vtu", "field.txt", "nowhere/field.csv"])
+@pytest.mark.parametrize("name", ["field.vtk", "field.txt", "nowhere/field.csv"])
 def test_export_says_what_it_cannot_write(name, fpk, tmp_path):
     status, out, err = fpk("export", "fig6a", "--out", tmp_path / name)
     assert (status, out) == (2, "") and err.count("\n") == 1 and "--out" in err
