@@ -92,8 +92,6 @@ class Integrable:
             return f"{name}: of two quantities, both must be modal energies, or q and p"
         if self.solver != "closed-form" and (total or kinds[0] != "H"):
             return f"{name}: by {self.solver}, only modal energies H1, H2, … ; use closed-form"
-        if self.solver == "fem" and len(observable) > 1:
-            return f"{name}: no finite element solver of two energies yet; use closed-form"
         return None
 
     def _equation(self) -> dict[str, str | float | int]:

@@ -144,7 +144,9 @@ def chance_l1(sampled: SampledDensity) -> tuple[float, float]:
         areas = np.multiply.outer(areas, np.diff(edges)).ravel()
     weighted = (batches - batches.mean(axis=0)) * areas / np.sqrt(count * (count - 1.0))
     signs = np.random.default_rng(SIGN_SEED).choice([-1.0, 1.0], size=(SIGN_DRAWS, count))
-    draws: Array = np.abs(signs @ weighted).sum(axis=1)
+    shares = signs @ weighted
+    # The last term is the bin of all that lies outside, as in ``l1_distance``.
+    draws: Array = np.abs(shares).sum(axis=1) + np.abs(shares.sum(axis=1))
     mean, spread = float(draws.mean()), float(draws.std(ddof=1))
     if spread == 0.0:
         return mean, mean

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from averaging.modal.analysis import ModalAnalysis
-from averaging.modal.process import mode_process
+from averaging.modal.process import mode_process, modes_process
 from averaging.quadrature import QuadratureSolution, solve_by_quadrature
 from fpk.density import Certificate, Density
 from fpk.observable import Observable
+from fpk.plane.stationary import solve_plane
 from fpk.stationary import solve_stationary
 
 Array = NDArray[np.float64]
@@ -42,9 +43,11 @@ def by_quadrature(
 def by_elements(
     modes: ModalAnalysis, observable: Observable, *, tol: float, provenance: Provenance
 ) -> Density:
-    """Return p(H_i) by finite elements for the FPK equation of one mode."""
-    (coordinate,) = observable
-    solved = solve_stationary(mode_process(modes, coordinate.index or 0), tol=tol)
+    """Return p(H_i) or p(H_i, H_j) by finite elements for the FPK equation (19) of these modes."""
+    index = [c.index or 0 for c in observable]
+    if len(index) == 2:
+        return _by_plane_elements(modes, observable, index, tol=tol, provenance=provenance)
+    solved = solve_stationary(mode_process(modes, index[0]), tol=tol)
     mode = _Mode(
         nodes=solved.nodes,
         density=solved.density,
@@ -54,6 +57,33 @@ def by_elements(
     )
     found = {"degree": solved.degree, "elements": solved.nodes.size - 1}
     return _product(observable, [mode], modes, {**provenance, **found})
+
+
+def _by_plane_elements(
+    modes: ModalAnalysis,
+    observable: Observable,
+    index: list[int],
+    *,
+    tol: float,
+    provenance: Provenance,
+) -> Density:
+    solved = solve_plane(modes_process(modes, index), tol=tol)
+    theta, relative = modes.temperature[index], modes.relative_error
+
+    def pointwise(first: Array, second: Array) -> Array:
+        reach = 2.0 + np.asarray(first) / theta[0] + np.asarray(second) / theta[1]
+        rounding = relative * reach * np.abs(solved.density(first, second))
+        return np.asarray(solved.pointwise_error(first, second) + rounding)
+
+    return Density(
+        observable,
+        solved.nodes,
+        solved.density,
+        pointwise,
+        solved.l1_error + 2.0 * relative,
+        solved.certificate,
+        {**provenance, "unknowns": solved.unknowns},
+    )
 
 
 def _of_quadrature(solution: QuadratureSolution) -> _Mode:

@@ -190,6 +190,20 @@ def test_distance_to_a_histogram_is_that_of_the_bins():
     assert l1_distance(sampled, normal(0.5)) > 0.3
 
 
+def test_what_lies_outside_the_bins_counts():
+    # The densities N(0, 1) and N(0, 3²) cross at ±x; a tenth of the latter is beyond ±5.
+    edges = np.linspace(-5.0, 5.0, 1001)
+    values = np.diff(norm.cdf(edges)) / np.diff(edges)
+    sampled = SampledDensity(
+        parse_observable("q1", 2), (edges,), values, np.tile(values, (4, 1)), PASSED
+    )
+    x = np.sqrt(2.0 * np.log(3.0) / (1.0 - 1.0 / 9.0))
+    expected = 4.0 * (norm.cdf(x) - norm.cdf(x / 3.0))
+    assert l1_distance(sampled, normal(scale=3.0)) == pytest.approx(expected, rel=1e-4)
+    inside = np.abs(bin_differences(sampled, normal(scale=3.0))) @ np.diff(edges)
+    assert expected - inside == pytest.approx(2.0 * norm.sf(5.0 / 3.0), rel=1e-3)
+
+
 def test_what_cannot_be_compared_is_refused():
     with pytest.raises(ValueError, match="q1 and of q2"):
         l1_distance(normal(), normal(name="q2"))
