@@ -14,9 +14,9 @@ from fpk.quadrature import panel_rule
 Array = NDArray[np.float64]
 ErrorKind = Literal["numerical", "sampling"]
 
-GAUSS_POINTS = {1: 20, 2: 8}
+GAUSS_POINTS = {1: 20, 2: 12}
 """Nodes per panel and axis of the integrals below, by the number of axes: exact for polynomials of
-degree 39 and 15 (panels of joint densities are many, and |p_a − p_b| has kinks anyway)."""
+degree 39 and 23 (panels of joint densities are many, and |p_a − p_b| has kinks anyway)."""
 
 
 @dataclass(frozen=True)

@@ -27,10 +27,13 @@ Array = NDArray[np.float64]
 REFINEMENTS = (12, 16, 24, 48, 96, 192)
 """Gauss points per panel; an energy moves on to the next while two levels disagree."""
 TARGET = 3e-12
-"""Relative disagreement of two levels that ends the refinement; as the convergence is geometric,
-the finer of the two is better than that by orders of magnitude."""
+"""Relative disagreement of two levels that ends the refinement and is reported as the error; as the
+convergence is geometric down to round-off, the finer of the two is better than that."""
 ROUND_OFF = 2e-15
 """Relative error of a sum of some dozens of positive terms."""
+ROOT_ROUND_OFF = 4e-13
+"""The same for one mass, whose integrand is 1/√v: at the Gauss point next to the turning point,
+where v ~ 1/points² cancels terms of order one, its relative error is ε points²."""
 RADIAL_POINTS = 20
 """Gauss points along a ray are enough at this number for any contact stiffness; over the angle,
 where stiff contact leaves boundary layers, more are taken."""
@@ -122,19 +125,20 @@ def _refined(potential: ReducedPotential, energy: Array) -> tuple[Array, Array]:
     if potential.count > 2:
         return _over_sphere(potential, energy)
     coarse, sums = _over_rays(potential, energy, REFINEMENTS[:2])
-    error = _disagreement(coarse, sums)
+    floor = ROUND_OFF if potential.n > 1 else ROOT_ROUND_OFF
+    error = _disagreement(coarse, sums) + floor
     for points in REFINEMENTS[2:]:
         open_ = np.flatnonzero(error > TARGET)
         if not open_.size:
             break
         finer = _over_rays(potential, energy[open_], (points,))[0]
-        error[open_] = _disagreement(sums[open_], finer)
+        error[open_] = _disagreement(sums[open_], finer) + floor
         sums[open_] = finer
     return sums, error
 
 
 def _disagreement(coarse: Array, fine: Array) -> Array:
-    relative: Array = np.max(np.abs(coarse / fine - 1.0), axis=1) + ROUND_OFF
+    relative: Array = np.max(np.abs(coarse / fine - 1.0), axis=1)
     return relative
 
 

@@ -76,9 +76,7 @@ def test_one_contact_mass_against_scipy(n, side, stiffness, law):
             ("volume", found.volume[i], volume),
         ):
             assert value == pytest.approx(expected, rel=1e-12), name
-            # For n = 1 the half-integer powers of the period converge algebraically, so that the
-            # distance of two rules (12 and 16 points) is only of the order of the error.
-            assert abs(value / expected - 1.0) <= (3 if n == 1 else 1) * found.error[i] + REFERENCE
+            assert abs(value / expected - 1.0) <= found.error[i] + REFERENCE
         if n > 1:
             assert found.log_slope[i] == pytest.approx(slope, rel=1e-10)
             assert found.error[i] < 1e-10
