@@ -20,6 +20,7 @@ from cases.command_parts import (
     outcome_of,
     print_json,
 )
+from cases.command_regime import regime
 from cases.command_verify import verify
 
 app = typer.Typer(
@@ -157,6 +158,7 @@ def density(
 
 app.command()(export)
 app.command()(verify)
+app.command()(regime)
 
 
 def main() -> None:

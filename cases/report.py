@@ -1,26 +1,22 @@
 """The report of a run: one self-contained page, the pictures beside it, the fields as netCDF."""
 
 import platform
-import re
 from datetime import UTC, datetime
 from importlib.metadata import version
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
-from matplotlib import rc_context
-from matplotlib.figure import Figure
 
 from cases.claims import ACCEPTABLE_L1, ALMOST_KURTOSIS, ALMOST_L1
 from cases.compare import route_name
 from cases.fields import program_version, write_netcdf
-from cases.figures import INK, STYLE, figures
+from cases.figures import figures
 from cases.files import write_text
 from cases.run import Outcome
 from cases.show import theories
 from cases.summary import effects_record, system_record
+from cases.svg import inline_svg, svg_text
 
 LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "xarray")
 
@@ -88,21 +84,3 @@ def number(value: Any, digits: int = 3) -> str:
 
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-
-
-def svg_text(figure: Figure, *, salt: str) -> str:
-    """Return the figure as SVG that is the same every time, with identifiers of its own."""
-    stream = StringIO()
-    with rc_context({**STYLE, "svg.hashsalt": salt}):
-        nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-        figure.savefig(stream, format="svg", metadata=nothing)
-    return stream.getvalue()
-
-
-def inline_svg(svg: str, words: str) -> Markup:
-    """Return SVG to stand inside a page: ink takes the page's colour, no background."""
-    body = svg[svg.index("<svg") :].replace(INK, "currentColor")
-    body = re.sub(r'(<g id="patch_1">\s*<path [^>]*?)fill: #ffffff', r"\1fill: none", body)
-    body = re.sub(r' (?:width|height)="[\d.]+pt"', "", body, count=2)
-    label = Markup('<svg role="img" aria-label="{}" ').format(words)
-    return label + Markup(body.removeprefix("<svg "))  # drawn by this program

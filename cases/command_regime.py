@@ -1,0 +1,52 @@
+"""The command ``fpk regime``: which theory holds where, over a grid of parameters."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cases.command_parts import Json, SceneName, Seed, Threads, end_with, print_json
+
+
+def regime(
+    scene: SceneName,
+    vary: Annotated[
+        list[str],
+        typer.Option(metavar="KEY=LOW:HIGH:COUNT", help="Once or twice; logCOUNT: equal ratios."),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for picture, table, netCDF; a map goes on there.")
+    ] = None,
+    seed: Seed = None,
+    threads: Threads = None,
+    paths: Annotated[int | None, typer.Option(help="Paths of the simulation.")] = None,
+    time: Annotated[float | None, typer.Option(help="Sampled time a path.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Map the distance of each theory to the full system over one or two parameters."""
+    from cases.files import make_folder
+    from cases.scene import load_scene
+
+    loaded = load_scene(scene)
+    from cases.regime_map.grid import parse_axes
+
+    axes = parse_axes(vary, loaded.system)
+    if out is not None:
+        make_folder(out)
+    from cases.regime_map.build import build_map
+    from cases.regime_map.output import map_markdown, map_summary, write_map
+    from cases.routes import Request, Sampling, method_for
+    from cases.terminal import progress_bar
+
+    sampling = Sampling(seed, threads, paths, time)
+    method_for(Request("montecarlo", sampling=sampling))  # refuses what it cannot use
+    with progress_bar() as progress:
+        found = build_map(loaded, axes, sampling=sampling, folder=out, progress=progress)
+    written = [] if out is None else write_map(found, out)
+    if as_json:
+        print_json(found.record())
+    else:
+        typer.echo(map_markdown(found) if out is None else map_summary(found))
+        for path in written:
+            typer.echo(f"wrote {path}")
+    end_with(found.problems)

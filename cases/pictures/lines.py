@@ -1,0 +1,194 @@
+"""Pictures over one coordinate: densities, differences of solvers, what is left."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from cases.compare import FULL
+from cases.fields import values_on
+from cases.pictures.style import (
+    COLOURS,
+    INK,
+    LINES,
+    SHOWN,
+    THEORIES,
+    coincides,
+    cycle,
+    set_labels,
+    shown_range,
+    symbol_of,
+    words_of,
+)
+from cases.run import CurveOutcome
+from fpk.density import AnyDensity, Array, Density, SampledDensity, bin_differences
+from fpk.observable import Observable
+
+MARKERS = 56
+"""Bins drawn as points."""
+
+
+def density_figure(curves: list[CurveOutcome], observable: Observable) -> Figure:
+    """Draw the densities of one coordinate: theory as lines, simulation as points with bars."""
+    figure, axes = _new_figure(4.2)
+    drawn: dict[str, Line2D] = {}
+    ends = []
+    for curve, colour in zip(curves, cycle(COLOURS), strict=False):
+        found = curve.densities(observable)
+        lines = [r for r in THEORIES if r in found and not coincides(r, found, curve)]
+        if "exact" in lines and "linear" in lines:
+            lines.remove("linear")
+        x = np.linspace(*shown_range(found), 600)
+        ends.append((x[0], x[-1]))
+        for route, dashes in zip(lines, LINES, strict=False):
+            axes.plot(x, values_on(found[route], x)[0], color=colour, linestyle=dashes)
+            drawn.setdefault(THEORIES[route], Line2D([], [], color=INK, linestyle=dashes))
+        if "nonintegrable/fem" in found:
+            y = values_on(found["nonintegrable/fem"], x)[0]
+            axes.plot(x, y, color=INK, linewidth=0.9, linestyle=(0, (1, 2.5)), zorder=4)
+            dots = Line2D([], [], color=INK, linewidth=0.9, linestyle=(0, (1, 2.5)))
+            drawn.setdefault("finite elements", dots)
+        sampled = found.get("montecarlo")
+        if isinstance(sampled, SampledDensity):
+            _points(axes, sampled, colour, x)
+            words = "simulation, ±2 standard errors"
+            drawn.setdefault(
+                words, Line2D([], [], color=INK, marker="o", markersize=3.4, **_HOLLOW)
+            )
+    axes.set_xlim(min(e[0] for e in ends), max(e[1] for e in ends))
+    axes.set_ylim(bottom=0)
+    set_labels(axes, observable[0])
+    handles, labels = list(drawn.values()), list(drawn)
+    if len(curves) > 1:
+        colours = [c for _, c in zip(curves, cycle(COLOURS), strict=False)]
+        handles = [Line2D([], [], color=c, linewidth=3) for c in colours] + handles
+        labels = [curve.label for curve in curves] + labels
+    figure.legend(handles, labels, loc="outside upper left", ncols=3, columnspacing=1.6)
+    return figure
+
+
+def solver_figure(curves: list[CurveOutcome], observable: Observable) -> Figure:
+    """Draw |finite elements − closed form| and the error that the solver states, log scale."""
+    figure, axes = _new_figure(3.4)
+    for curve, colour in zip(curves, cycle(COLOURS), strict=False):
+        pair = both_answers(curve, observable, "fem")
+        if pair is None:
+            continue
+        x = np.linspace(*shown_range(curve.densities(observable)), 500)
+        fem, estimate = values_on(pair[0], x)
+        difference = np.abs(fem - values_on(pair[1], x)[0])
+        axes.plot(
+            x, _positive(difference), color=colour, linewidth=1.0, label=curve.label or "difference"
+        )
+        axes.plot(x, _positive(estimate), color=colour, linewidth=1.4, linestyle=(0, (6, 2)))
+    axes.set_yscale("log")
+    handles, labels = axes.get_legend_handles_labels()
+    handles += [
+        Line2D([], [], color=INK, linewidth=1),
+        Line2D([], [], color=INK, linestyle=(0, (6, 2))),
+    ]
+    labels += ["|finite elements − closed form|", "error the solver states"]
+    if len(curves) == 1:
+        handles, labels = handles[1:], labels[1:]
+    figure.legend(handles, labels, loc="outside upper left", ncols=3, columnspacing=1.6)
+    set_labels(axes, observable[0], "difference of $p$")
+    return figure
+
+
+def left_figure(curves: list[CurveOutcome], observable: Observable) -> Figure:
+    """Draw simulation − theory for each curve with the band of chance around zero."""
+    pairs = [(c, p) for c in curves if (p := both_answers(c, observable, "montecarlo")) is not None]
+    figure = Figure(figsize=(6.6, 0.9 + 1.35 * len(pairs)), layout="constrained")
+    rows = figure.subplots(len(pairs), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (curve, (sampled, theory)) in zip(rows, pairs, strict=True):
+        assert isinstance(sampled, SampledDensity)
+        colour = COLOURS[curves.index(curve) % len(COLOURS)]
+        joined = _joined(sampled, 2 * MARKERS)
+        x = _middles(joined)
+        shown = _within(x, shown_range(curve.densities(observable)))
+        difference, error = bin_differences(joined, theory), joined.standard_error
+        axes.fill_between(
+            x[shown], -2 * error[shown], 2 * error[shown], color=INK, alpha=0.16, lw=0
+        )
+        axes.axhline(0.0, color=INK, linewidth=0.7)
+        axes.plot(x[shown], difference[shown], color=colour, linewidth=1.2)
+        axes.set_title(curve.label)
+        axes.ticklabel_format(axis="y", style="sci", scilimits=(-2, 2))
+    handles = [
+        Line2D([], [], color=COLOURS[0], linewidth=1.2),
+        Line2D([], [], color=INK, alpha=0.16, lw=6),
+    ]
+    theory_words = (
+        "exact" if any("exact" in c.densities(observable) for c in curves) else "averaging"
+    )
+    figure.legend(
+        handles,
+        [f"simulation − {theory_words}", "±2 standard errors"],
+        loc="outside upper left",
+        ncols=2,
+    )
+    figure.supylabel(f"difference of $p({symbol_of(observable[0])})$", fontsize=9.5)
+    rows[-1].set_xlabel(words_of(observable[0]))
+    return figure
+
+
+def both_answers(
+    curve: CurveOutcome, observable: Observable, other: str
+) -> tuple[AnyDensity, Density] | None:
+    """Return the answer by elements or simulation, and the best theory to hold against it."""
+    found = curve.densities(observable)
+    first = found.get("montecarlo" if other == "montecarlo" else f"nonintegrable/{other}")
+    best = (
+        ("nonintegrable/closed-form",) if other == "fem" else (*FULL, "nonintegrable/closed-form")
+    )
+    second = next((found[r] for r in best if r in found), None)
+    return (first, second) if first is not None and isinstance(second, Density) else None
+
+
+_HOLLOW: Mapping[str, Any] = {
+    "linestyle": "none",
+    "markerfacecolor": "none",
+    "markeredgewidth": 0.9,
+}
+
+
+def _points(axes: Axes, sampled: SampledDensity, colour: str, x: Array) -> None:
+    joined = _joined(sampled, MARKERS)
+    middle = _middles(joined)
+    shown = _within(middle, (float(x[0]), float(x[-1])))
+    middle, value, error = middle[shown], joined.values[shown], 2 * joined.standard_error[shown]
+    axes.errorbar(
+        middle, value, error, color=colour, fmt="o", markersize=3.4, elinewidth=0.9,
+        markerfacecolor="none", markeredgewidth=0.9,
+    )  # fmt: skip
+
+
+def _joined(sampled: SampledDensity, wanted: int) -> SampledDensity:
+    """Join bins until about ``wanted`` are left where the density counts."""
+    heavy = int(np.count_nonzero(sampled.values > SHOWN * sampled.values.max()))
+    bins = sampled.edges[0].size - 1
+    factors = [f for f in range(1, max(heavy // wanted, 1) + 1) if bins % f == 0]
+    return sampled.coarsened(max(factors))
+
+
+def _middles(sampled: SampledDensity) -> Array:
+    edges = sampled.edges[0]
+    middles: Array = 0.5 * (edges[1:] + edges[:-1])
+    return middles
+
+
+def _within(x: Array, ends: tuple[float, float]) -> Any:
+    return (x >= ends[0]) & (x <= ends[1])
+
+
+def _positive(values: Array) -> Array:
+    """Leave out what a log scale cannot show."""
+    return np.where(values > 1e-19, values, np.nan)
+
+
+def _new_figure(height: float) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(6.6, height), layout="constrained")
+    return figure, figure.subplots()
