@@ -105,25 +105,31 @@ def gaussian_density(
 ) -> Density:
     """Return the density of one or two of x = (q, p) from the covariance of x, shape (2n, 2n).
 
-    ``relative`` is the relative error of the covariance.
+    ``relative`` is the relative error of the covariance, as a quadratic form.
     """
     n = covariance.shape[0] // 2
     rows = [(c.index or 0) + (n if c.kind == "p" else 0) for c in observable]
     part = covariance[np.ix_(rows, rows)]
     scale = np.sqrt(np.diag(part))
+    count = scale.size
+    correlation = part / np.outer(scale, scale)
+    # Round-off of the single elements counts by the norm of R⁻¹; ``relative`` is that of the form.
+    relative += 1e-15 * count / float(np.linalg.eigvalsh(correlation)[0])
     panels = tuple(np.linspace(-REACH * s, REACH * s, 18) for s in scale)
-    tail = 2.0 * len(rows) * float(norm.sf(REACH))
+    tail = 2.0 * count * float(norm.sf(REACH))
 
     def pdf(*x: Array) -> Array:
         points = np.stack(np.broadcast_arrays(*x), axis=-1).astype(float)
         return np.asarray(multivariate_normal(cov=part).pdf(points)).reshape(points.shape[:-1])
 
     def pointwise(*x: Array) -> Array:
-        # d ln p / d ln covariance is (x² / variance − 1)/2 at most in size, per coordinate.
-        size = sum(0.5 * (np.asarray(v) / s) ** 2 + 0.5 for v, s in zip(x, scale, strict=True))
-        return np.asarray((relative + 1e-15) * size * pdf(*x))
+        # With z = x/scale and correlations R: d ln p = ½ zᵀR⁻¹ dR R⁻¹z − ½ tr(R⁻¹ dR), and
+        # |dR| <= relative R in the sense of quadratic forms.
+        z = np.stack(np.broadcast_arrays(*x), axis=-1) / scale
+        distance = np.einsum("...i,ij,...j->...", z, np.linalg.inv(correlation), z)
+        return np.asarray(relative * 0.5 * (distance + count) * pdf(*x))
 
-    l1_error = 2.0 * len(rows) * (relative + 1e-15) + tail
+    l1_error = 2.0 * count * relative + tail
     return Density(
         observable,
         panels,

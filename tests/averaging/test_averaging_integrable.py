@@ -308,6 +308,20 @@ def test_for_equal_modal_temperatures_four_theories_agree():
     )
 
 
+def test_strongly_correlated_displacements_keep_to_their_error():
+    # exp(−h V) with V = ½ k1 q1² + ½ k2 (q2 − q1)², k2 = 1e6 k1: correlated to 1 − 5e-7.
+    k2, h = 1e6, 2.0
+    D = np.array([0.1, 0.2])
+    system = System([1.0, 2.0], [1.0, k2], h * D, D)
+    x, y = np.meshgrid(np.linspace(-2.0, 2.0, 9), np.linspace(-3e-3, 3e-3, 7))
+    exact = h * np.sqrt(k2) / (2 * np.pi) * np.exp(-0.5 * h * (x**2 + k2 * y**2))
+    for method in (Integrable(), Linear()):
+        (density,) = solved(method, system, "q1,q2")
+        p, error = density.at(x, x + y)
+        assert np.all(np.abs(p - exact) <= error)
+        assert np.max(error / p) < 1e-2
+
+
 def test_without_contact_what_is_left_is_the_averaging_error():
     # Unequal c/D of Fig. 8(b): small, but far above the round-off of both closed forms.
     for name in ("q1", "q2", "p1", "H"):
