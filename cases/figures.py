@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from cases.pictures.joint import pair_figure
 from cases.pictures.lines import both_answers, density_figure, left_figure, solver_figure
 from cases.pictures.style import STYLE
+from cases.pictures.surface import surface_figure
 from cases.run import Outcome
 from fpk.observable import observable_name
 
@@ -24,6 +25,9 @@ def figures(outcome: Outcome) -> Iterator[tuple[str, str, Figure]]:
             stem = name.replace(",", "_")
             if len(observable) == 2:
                 yield f"density_{stem}", _pair_caption(name), pair_figure(own_first[0], observable)
+                if all(c.kind != "H" for c in observable):  # energies pile up in a corner
+                    drawn = surface_figure(own_first[0], observable)
+                    yield f"surface_{stem}", _surface_caption(name), drawn
                 continue
             yield f"density_{stem}", _density_caption(name), density_figure(curves, observable)
             if any(both_answers(c, observable, "fem") for c in curves):
@@ -52,3 +56,7 @@ def _left_caption(name: str) -> str:
 
 def _pair_caption(name: str) -> str:
     return f"Joint density of {name}, on common levels."
+
+
+def _surface_caption(name: str) -> str:
+    return f"Joint density of {name} as a surface: theory, and simulation in its own bins."
