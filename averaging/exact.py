@@ -15,7 +15,7 @@ from averaging.energy_process import energy_process
 from averaging.nonintegrable import energy_only_refusal
 from averaging.shell.reduced import reduced_potential
 from fpk.errors import NotApplicable
-from fpk.method import Progress, Result, silent
+from fpk.method import Progress, Result, require_applicable, silent
 from fpk.observable import Observable
 from fpk.quadrature import panel_rule
 from fpk.system import System
@@ -80,9 +80,7 @@ class Exact:
         progress: Progress = silent,
     ) -> Result:
         """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses."""
-        for observable in observables:
-            if reason := self.refusal(system, observable):
-                raise NotApplicable(reason)
+        require_applicable(self, system, observables)
         start = perf_counter()
         source = exact_energy_density(system)
         densities = tuple(back_transformed(source, observable) for observable in observables)

@@ -14,7 +14,7 @@ from scipy.stats import multivariate_normal, norm
 from fpk.density import Certificate, Density
 from fpk.errors import NotApplicable
 from fpk.linear import diffusion_matrix, drift_matrix, stationary_covariance
-from fpk.method import Progress, Result, silent
+from fpk.method import Progress, Result, require_applicable, silent
 from fpk.observable import Observable, observable_name
 from fpk.system import System
 
@@ -70,9 +70,7 @@ class Linear:
         progress: Progress = silent,
     ) -> Result:
         """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses."""
-        for observable in observables:
-            if reason := self.refusal(system, observable):
-                raise NotApplicable(reason)
+        require_applicable(self, system, observables)
         start = perf_counter()
         covariance = stationary_covariance(system)
         A, b = drift_matrix(system), diffusion_matrix(system)

@@ -16,7 +16,7 @@ from averaging.modal.resonance import nearest_resonance, resonance_refusal, stro
 from fpk.clearance import CLEARANCE_RULE, stop_clearances
 from fpk.density import Density
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.method import Progress, Result, silent
+from fpk.method import Progress, Result, require_applicable, silent
 from fpk.observable import Observable, observable_name
 from fpk.system import System
 
@@ -71,9 +71,7 @@ class Integrable:
         progress: Progress = silent,
     ) -> Result:
         """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses."""
-        for observable in observables:
-            if reason := self.refusal(system, observable):
-                raise NotApplicable(reason)
+        require_applicable(self, system, observables)
         start = perf_counter()
         modes = modal_analysis(system)
         settings = {**self._equation(), **_validity(system, modes)}

@@ -18,7 +18,7 @@ from averaging.weyl import WeylTable, weyl_table
 from fpk.density import Certificate
 from fpk.elements import Form
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.method import Progress, Result, silent
+from fpk.method import Progress, Result, require_applicable, silent
 from fpk.observable import Observable, observable_name
 from fpk.process import DiffusionProcess
 from fpk.stationary import StationarySolution, solve_stationary
@@ -70,9 +70,7 @@ class NonIntegrable:
         progress: Progress = silent,
     ) -> Result:
         """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses."""
-        for observable in observables:
-            if reason := self.refusal(system, observable):
-                raise NotApplicable(reason)
+        require_applicable(self, system, observables)
         start = perf_counter()
         source, settings = self._energy_density(system, energy_process(system))
         densities = tuple(back_transformed(source, observable) for observable in observables)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Protocol, Self
 
 from fpk.density import AnyDensity
+from fpk.errors import NotApplicable
 from fpk.observable import Observable
 from fpk.system import System
 
@@ -76,3 +77,10 @@ class Method(Protocol):
     def refined(self) -> Self:
         """Return the same method at its next finer level."""
         ...
+
+
+def require_applicable(method: Method, system: System, observables: Sequence[Observable]) -> None:
+    """Raise ``NotApplicable`` with the method's reason where it refuses one of ``observables``."""
+    for observable in observables:
+        if reason := method.refusal(system, observable):
+            raise NotApplicable(reason)

@@ -9,8 +9,8 @@ from time import perf_counter
 import numpy as np
 
 import sim.schemes  # noqa: F401  (its modules register the integrators)
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.method import Progress, Result, silent
+from fpk.errors import InvalidInput
+from fpk.method import Progress, Result, require_applicable, silent
 from fpk.observable import Observable, observable_name
 from fpk.system import System
 from sim.random import LANES, MAX_TRAJECTORIES
@@ -92,9 +92,7 @@ class MonteCarlo:
     ) -> Result:
         """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses."""
         begin = perf_counter()
-        for observable in observables:
-            if reason := self.refusal(system, observable):
-                raise NotApplicable(reason)
+        require_applicable(self, system, observables)
         scheme = SCHEMES[self.scheme]
         dt = self.step_factor * chosen_step(system) if self.dt is None else self.dt
         check_step(system, scheme, dt)

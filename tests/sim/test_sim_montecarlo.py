@@ -167,7 +167,7 @@ def test_refusals() -> None:
 def test_step_choice_and_its_limit() -> None:
     # By hand: kT = 0.03/0.12 = ¼; at 5 kT of ¼ q² + 4 (q − ½)^2.5 the mass is at q = 1.0664, where
     # the stop is as stiff as 15 √0.5664 = 11.29 and the springs as K_22 = 1: ω = 3.51 with m = 1.
-    assert 0.25 * 1.0664**2 + 4.0 * 0.5664**2.5 == pytest.approx(1.25, rel=1e-3)
+    assert pytest.approx(1.25, rel=1e-3) == 0.25 * 1.0664**2 + 4.0 * 0.5664**2.5
     assert chosen_step(fig6()) == pytest.approx(0.45 / sqrt(11.29 + 1.0), rel=1e-3)
     limit = 2.0 / contact_frequency(fig6())
     for name in sorted(SCHEMES):
