@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from averaging.energy_process import energy_balance
 from averaging.shell.ratios import EnergyShell, energy_shell, log_linear_states, shell_ratios
 from fpk.density import Certificate
-from fpk.mesh import initial_nodes, survey, truncation_energy
+from fpk.line.mesh import initial_nodes, survey, truncation_energy
 from fpk.process import DiffusionProcess
 from fpk.quadrature import panel_rule
 from fpk.system import System

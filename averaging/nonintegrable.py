@@ -16,12 +16,12 @@ from averaging.quadrature import QuadratureSolution, solve_by_quadrature
 from averaging.shell.ratios import energy_shell, log_linear_states
 from averaging.weyl import WeylTable, weyl_table
 from fpk.density import Certificate
-from fpk.elements import Form
 from fpk.errors import InvalidInput, NotApplicable
+from fpk.line.elements import Form
+from fpk.line.stationary import StationarySolution, solve_stationary
 from fpk.method import Progress, Result, require_applicable, silent
 from fpk.observable import Observable, observable_name
 from fpk.process import DiffusionProcess
-from fpk.stationary import StationarySolution, solve_stationary
 from fpk.system import System
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from fpk.mesh import initial_nodes, split_points, survey, tail_bound, truncation_energy
+from fpk.line.mesh import initial_nodes, split_points, survey, tail_bound, truncation_energy
 from fpk.process import Coefficients, DiffusionProcess
 from fpk.quadrature import gauss_legendre, panel_rule
 

@@ -10,10 +10,10 @@ from cases.compare import Comparison, compared, route_name
 from cases.regime import Regime, regime_of
 from cases.scene import Scene
 from cases.vary import Curve
-from fpk.boundary import classify
 from fpk.density import AnyDensity
 from fpk.effects import Effects, effects_of
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.line.boundary import classify
 from fpk.method import Method, Progress, Result, silent
 from fpk.observable import Observable, observable_name, parse_observable
 from fpk.system import System

@@ -11,9 +11,9 @@ from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.process import mode_process, modes_process
 from averaging.quadrature import QuadratureSolution, solve_by_quadrature
 from fpk.density import Certificate, Density
+from fpk.line.stationary import solve_stationary
 from fpk.observable import Observable
 from fpk.plane.stationary import solve_plane
-from fpk.stationary import solve_stationary
 
 Array = NDArray[np.float64]
 Provenance = Mapping[str, str | float | int]

@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.elements import gauss_rule, shapes_at_gauss
+from fpk.line.elements import gauss_rule, shapes_at_gauss
 from fpk.vector_process import VectorProcess
 
 Array = NDArray[np.float64]

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.density import Certificate
-from fpk.elements import gauss_rule, shape_functions, shapes_at_gauss
 from fpk.errors import InvalidInput, NotCertified
+from fpk.line.elements import gauss_rule, shape_functions, shapes_at_gauss
 from fpk.plane.condensation import null_vector
 from fpk.plane.elements import coefficients_at, element_matrices
 from fpk.plane.mesh import axis_nodes, bisected

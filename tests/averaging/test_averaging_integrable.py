@@ -22,10 +22,10 @@ from averaging.modal.resonance import (
 )
 from averaging.nonintegrable import NonIntegrable
 from cases.regime import regime_of
-from fpk.boundary import classify
 from fpk.clearance import stop_clearances
 from fpk.density import l1_distance, mass, moment
 from fpk.errors import InvalidInput, NotApplicable
+from fpk.line.boundary import classify
 from fpk.linear import stationary_covariance
 from fpk.observable import parse_observable
 from fpk.process import log_density_slope

@@ -12,9 +12,9 @@ from averaging.quadrature import solve_by_quadrature
 from averaging.shell.ratios import energy_shell, log_linear_states, shell_ratios
 from fpk.contact import Contact
 from fpk.errors import NotApplicable, NotCertified
+from fpk.line.stationary import solve_stationary
 from fpk.process import DiffusionProcess
 from fpk.quadrature import panel_rule
-from fpk.stationary import solve_stationary
 from fpk.system import System
 
 

@@ -9,8 +9,8 @@ from skfem import Basis, BilinearForm, ElementLineP1, ElementLineP2, ElementLine
 from skfem.helpers import dot, grad
 
 from averaging.energy_process import energy_process
-from fpk.elements import gauss_rule, shape_functions
-from fpk.stationary import solve_on_mesh
+from fpk.line.elements import gauss_rule, shape_functions
+from fpk.line.stationary import solve_on_mesh
 
 FORMS = ["flux", "drift-diffusion"]
 

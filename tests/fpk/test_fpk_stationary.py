@@ -10,7 +10,7 @@ from averaging.energy_density import averaged_closed_form
 from averaging.energy_process import energy_process
 from fpk.contact import Contact
 from fpk.errors import NotCertified
-from fpk.stationary import NEGATIVE, solve_stationary
+from fpk.line.stationary import NEGATIVE, solve_stationary
 
 FORMS = ["flux", "drift-diffusion"]
 SYSTEMS = {

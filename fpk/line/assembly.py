@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.elements import Form, LocalSolutions, gauss_rule, local_density, local_solutions
+from fpk.line.elements import Form, LocalSolutions, gauss_rule, local_density, local_solutions
 from fpk.process import Coefficients, DiffusionProcess
 
 Array = NDArray[np.float64]

@@ -10,10 +10,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.assembly import ENRICHMENT, Assembled, SolvedElements, assembled, merged, solve_elements
 from fpk.density import Certificate
-from fpk.elements import Form, shape_functions
-from fpk.mesh import Survey, initial_nodes, split_points, survey, tail_bound, truncation_energy
+from fpk.line.assembly import (
+    ENRICHMENT,
+    Assembled,
+    SolvedElements,
+    assembled,
+    merged,
+    solve_elements,
+)
+from fpk.line.elements import Form, shape_functions
+from fpk.line.mesh import Survey, initial_nodes, split_points, survey, tail_bound, truncation_energy
 from fpk.process import DiffusionProcess
 
 Array = NDArray[np.float64]
