@@ -11,10 +11,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from cases.pictures.style import COLOURS, INK, STYLE, symbol_of
-from cases.regime import CLEARANCE_RULE
 from cases.regime_map.build import RegimeMap
 from cases.regime_map.grid import Axis
 from cases.regime_map.points import THEORIES, UNDECIDED
+from fpk.clearance import CLEARANCE_RULE
 from fpk.density import Array
 
 WORDS = {"nonintegrable": "averaging, Eq. (11)", "integrable": "averaging, Eq. (34)"}

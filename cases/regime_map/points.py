@@ -5,8 +5,8 @@ from time import perf_counter
 
 from cases.claims import reference_of, theory_of
 from cases.compare import distance_between, route_name
-from cases.regime import regime_of
 from cases.routes import ROUTES, Request, Sampling, method_for
+from fpk.clearance import stop_clearances
 from fpk.density import AnyDensity
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.method import Progress, silent
@@ -72,7 +72,7 @@ def map_point(
         for name in THEORIES
         if (theory := theory_of(found, name)) is not None and reference is not None
     }
-    ratios = [s.ratio for s in regime_of(system, None).stops if s.ratio is not None]
+    ratios = [s.ratio for s in stop_clearances(system) if s.ratio is not None]
     return MapPoint(
         values=values,
         L1={name: d[0] for name, d in distances.items()},

@@ -7,8 +7,9 @@ import pytest
 
 from cases.claims import ACCEPTABLE_L1, findings, shape_of
 from cases.expect import Expect, Range
-from cases.regime import Regime, StopClearance
+from cases.regime import Regime
 from cases.scene import load_scene, shipped_scenes
+from fpk.clearance import StopClearance
 from fpk.density import Certificate, Density, SampledDensity
 from fpk.observable import parse_observable
 
