@@ -1,6 +1,6 @@
 """Measure ns per particle-step of the simulation: stepping, with histograms, without contact.
 
-    python benchmarks/montecarlo.py [--json]
+    python benchmarks/montecarlo.py [--json] [--out docs/benchmarks/montecarlo.md]
 
 Warm-up, seven repeats, medians; one thread, and all of them. A figure is wall time times one core
 of work: with several threads it is wall time per particle-step of the whole machine.
@@ -9,14 +9,12 @@ of work: with several threads it is wall time per particle-step of the whole mac
 import argparse
 import json
 import os
-import platform
 import statistics
-import sys
+from pathlib import Path
 from time import perf_counter
 
-import llvmlite.binding
-import numba
 import numpy as np
+from report import machine, markdown_table
 
 import sim.schemes  # noqa: F401  (its modules register the integrators)
 from fpk.contact import Contact
@@ -69,6 +67,7 @@ def main() -> None:
     """Measure and print the table, or JSON with --json."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--out", type=Path, default=Path("docs/benchmarks/montecarlo.md"))
     arguments = parser.parse_args()
     rows = []
     for threads in sorted({1, len(os.sched_getaffinity(0))}):
@@ -97,17 +96,22 @@ def main() -> None:
                 )
             )
     if arguments.json:
-        machine = f"{platform.machine()}, {llvmlite.binding.get_host_cpu_name()}"
-        print(json.dumps({"machine": machine, "numba": numba.__version__, "rows": rows}))
+        print(json.dumps({"machine": machine(), "rows": rows}))
         return
-    print("| scheme | contact | observed | threads | ns per particle-step | fastest |")
-    print("|---|---|---|---|---|---|")
-    for r in rows:
-        print(
-            f"| {r['scheme']} | {r['contact']} | {r['observed']} | {r['threads']} "
-            f"| {r['ns']:.2f} | {r['fastest']:.2f} |"
+    cells = [
+        [str(r[k]) for k in ("scheme", "contact", "observed", "threads")]
+        + [f"{r['ns']:.2f}", f"{r['fastest']:.2f}"]
+        for r in rows
+    ]
+    arguments.out.write_text(
+        "# Speed of the simulation\n\n"
+        "Written by `benchmarks/montecarlo.py`: fig6, B = 10, float64, medians and fastest of"
+        f" {REPEATS} repeats after a warm-up; wall time per particle-step. {machine()}.\n\n"
+        + markdown_table(
+            ["scheme", "contact", "observed", "threads", "median ns", "fastest ns"], cells
         )
-    print(f"\nnumba {numba.__version__}, Python {sys.version.split()[0]}, {platform.machine()}")
+    )
+    print(arguments.out.read_text())
 
 
 if __name__ == "__main__":

@@ -25,9 +25,9 @@ class EnergySampling:
     """How averaged equations are simulated.
 
     Every step of length ``dt`` draws each energy exactly from a square-root process
-    ``dH = (d − γ₀ H) dt + √(β H) dB`` and splits off the rest of the damping symmetrically:
-    energies stay positive, uncoupled modes with constant damping are exact at any ``dt``, and the weak order
-    is two where d and β are constants (noise that does not depend on the state).
+    ``dH = (d − γ₀ H) dt + √(β H) dB`` and splits off the rest of the damping symmetrically.
+    Energies stay positive, uncoupled modes with constant damping are exact at any ``dt``, and the
+    weak order is two where d and β are constants (noise that does not depend on the state).
     ``paths`` in all, each sampled every ``interval`` for ``time`` after ``burn_in``.
     """
 
