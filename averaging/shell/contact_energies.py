@@ -15,15 +15,18 @@ MOST_AT_ONCE = 3
 order (each stop adds half a derivative at least)."""
 
 
-def contact_energies(potential: ReducedPotential) -> tuple[float, ...]:
+def contact_energies(
+    potential: ReducedPotential, *, at_once: int = MOST_AT_ONCE
+) -> tuple[float, ...]:
     """Return the energies, ascending, at which T(H) loses smoothness.
 
-    They are the minima of V_red over the points where one or several stops are just touched; for
-    one stop and no other in the way this is H_c = ½ k_eff δ², which is 0 without clearance.
+    They are the minima of V_red over the points where one or several stops, ``at_once`` at the
+    most, are just touched; for one stop and no other in the way this is H_c = ½ k_eff δ², which
+    is 0 without clearance.
     """
     energies = set()
     indices = range(len(potential.stops))
-    for size in range(1, min(potential.count, MOST_AT_ONCE) + 1):
+    for size in range(1, min(potential.count, at_once) + 1):
         for subset in combinations(indices, size):
             if len({potential.stops[s].mass for s in subset}) == size:
                 energies.add(_lowest(potential, subset))

@@ -19,7 +19,7 @@ from averaging.shell.contact_energies import contact_energies
 from averaging.shell.directions import circle_rule, hyperspherical, line_rule
 from averaging.shell.radial import shell_ray_integrals
 from averaging.shell.reduced import ReducedPotential, reduced_potential
-from averaging.shell.table import ShellTable
+from averaging.shell.table import Resolution, ShellTable
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -37,8 +37,11 @@ where v ~ 1/points² cancels terms of order one, its relative error is ε points
 RADIAL_POINTS = 20
 """Gauss points along a ray are enough at this number for any contact stiffness; over the angle,
 where stiff contact leaves boundary layers, more are taken."""
-CUBATURE_TOLERANCE = 1e-8
-"""Relative tolerance over the directions of three or more contact masses."""
+CUBATURE_TOLERANCE = 1e-6
+"""Relative tolerance over the directions of three or more contact masses, half a second an energy;
+the cubature's own estimate, which the true error stays below by two orders of magnitude."""
+COARSE = Resolution(points=8, layers=1, target=1e-5, deepest=2)
+"""Resolution of the table then: what lies below the tolerance is not worth its minutes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +83,10 @@ def energy_shell(system: System) -> EnergyShell:
     direct = partial(_integrated_ratios, potential)
     if potential.count < 2:
         return EnergyShell(potential, energies, direct)
-    return EnergyShell(potential, energies, ShellTable(direct, energies))
+    if potential.count == 2:
+        return EnergyShell(potential, energies, ShellTable(direct, energies, Resolution()))
+    single = contact_energies(potential, at_once=1)
+    return EnergyShell(potential, single, ShellTable(direct, single, COARSE))
 
 
 def log_linear_states(system: System, energy: Array) -> Array:
@@ -184,7 +190,7 @@ def _over_sphere(potential: ReducedPotential, energy: Array) -> tuple[Array, Arr
         integrand,
         np.zeros(angles),
         upper,
-        rule="gk15" if angles < 4 else "genz-malik",
+        rule="gk21" if angles < 4 else "genz-malik",
         rtol=CUBATURE_TOLERANCE,
         max_subdivisions=2000,
     )

@@ -15,18 +15,27 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Evaluate = Callable[[Array], Array]
 
-POINTS = 16
 GRADING = 0.2
-LAYERS = 5
 """Panels shrink towards each contact energy from above, where (H − H_c)³ or rougher terms begin."""
-TARGET = 1e-11
-DEEPEST = 8
 DOUBLINGS = 60
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """Chebyshev points a panel, panels towards a contact energy, and when a panel is split.
+
+    A panel is split, at most ``deepest`` times, while its last coefficients exceed ``target``.
+    """
+
+    points: int = 16
+    layers: int = 5
+    target: float = 1e-11
+    deepest: int = 8
 
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Chebyshev coefficients (POINTS, quantities) on [left, right] and a bound of their error."""
+    """Chebyshev coefficients (points, quantities) on [left, right] and a bound of their error."""
 
     left: float
     right: float
@@ -36,7 +45,7 @@ class Panel:
     def __call__(self, energy: Array) -> Array:
         """Values (energies, quantities + 1); the last column is the error."""
         t = (2.0 * energy - self.left - self.right) / (self.right - self.left)
-        values = chebyshev.chebvander(t, POINTS - 1) @ self.coefficients
+        values = chebyshev.chebvander(t, self.coefficients.shape[0] - 1) @ self.coefficients
         return np.column_stack([values, np.full(energy.size, self.error)])
 
 
@@ -48,13 +57,15 @@ class ShellTable:
     the least energy asked for.
     """
 
-    def __init__(self, evaluate: Evaluate, breaks: tuple[float, ...]) -> None:
+    def __init__(
+        self, evaluate: Evaluate, breaks: tuple[float, ...], resolution: Resolution
+    ) -> None:
         """Lay out the panels; none is built yet."""
-        self.evaluate = evaluate
+        self.evaluate, self.resolution = evaluate, resolution
         nodes = [np.array(breaks)]
         ends = [*breaks[1:], 2.0 * breaks[-1] if breaks[-1] > 0 else 1.0]
         for low, high in zip(breaks, ends, strict=True):
-            nodes.append(low + (high - low) * GRADING ** np.arange(1.0, LAYERS + 1.0))
+            nodes.append(low + (high - low) * GRADING ** np.arange(1.0, resolution.layers + 1.0))
         nodes.append(ends[-1] * 2.0 ** np.arange(DOUBLINGS))
         self.edges = np.unique(np.concatenate(nodes))
         self.panels: dict[int, list[Panel]] = {}
@@ -66,7 +77,7 @@ class ShellTable:
         result: Array = np.empty((0, 0))
         for k in np.unique(index):
             rows = np.flatnonzero(index == k)
-            if int(k) not in self.panels and rows.size < POINTS:
+            if int(k) not in self.panels and rows.size < self.resolution.points:
                 direct[rows] = True
                 continue
             if int(k) not in self.panels:
@@ -83,13 +94,14 @@ class ShellTable:
         return result
 
     def _built(self, left: float, right: float, depth: int) -> list[Panel]:
-        t = np.cos(np.pi * (np.arange(POINTS) + 0.5) / POINTS)
+        points = self.resolution.points
+        t = np.cos(np.pi * (np.arange(points) + 0.5) / points)
         values = self.evaluate(0.5 * (left + right) + 0.5 * (right - left) * t)
-        vander = chebyshev.chebvander(t, POINTS - 1)
-        coefficients = vander.T @ values[:, :-1] * (2.0 / POINTS)
+        vander = chebyshev.chebvander(t, points - 1)
+        coefficients = vander.T @ values[:, :-1] * (2.0 / points)
         coefficients[0] *= 0.5
         decay = float(np.max(np.abs(coefficients[-2:])))
-        if decay > TARGET and depth < DEEPEST:
+        if decay > self.resolution.target and depth < self.resolution.deepest:
             cut = left + GRADING * (right - left)
             return [*self._built(left, cut, depth + 1), *self._built(cut, right, depth + 1)]
         error = 2.0 * decay + float(values[:, -1].max())
