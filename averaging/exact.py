@@ -38,6 +38,8 @@ def compatibility(system: System) -> float:
         raise NotApplicable("condition (8) needs noise, and there is none")
     h = float(np.sum(c * D) / np.sum(D * D))
     worst = float(np.max(np.abs(c - h * D)) / max(np.max(np.abs(c)), np.finfo(float).tiny))
+    if not np.any(c):
+        raise NotApplicable("nothing is damped: (8) holds with h = 0 only, no stationary density")
     if h <= 0 or worst > PROPORTION_SLACK:
         raise NotApplicable(
             "the compatibility condition (8), c_ij = h (f D fᵀ)_ij for all i, j, is not met: "
@@ -112,12 +114,12 @@ def _log_configuration_integral(source: EnergyDensity, h: float) -> tuple[float,
     system = source.system
     potential = reduced_potential(system)
     c = potential.count
-    # In whitened coordinates dq = det(L) dy, and the masses without contact leave (2π/h)^((n−c)/2)
-    # over √det K_ff = √(det K) det(L); det K is the product of the springs.
+    # The masses without contact leave (2π/h)^((n−c)/2)/√det K_ff; det K is the product of springs.
     constant = 0.5 * (system.n - c) * np.log(2.0 * np.pi / h)
     constant -= 0.5 * float(np.sum(np.log(system.stiffness)))
     inverse = np.linalg.inv(potential.L) if c else potential.L
-    log_jacobian = -float(np.sum(np.log(np.diag(potential.L)))) if c else 0.0
+    # Integrated over q itself: det(L) comes from det K_ff alone, √det K_ff = √(det K) det(L).
+    log_det = -float(np.sum(np.log(np.diag(potential.L)))) if c else 0.0
     panels = [displacement_panels(source, i) for i in potential.masses]
 
     def weight(q: Array) -> Array:
@@ -130,7 +132,7 @@ def _log_configuration_integral(source: EnergyDensity, h: float) -> tuple[float,
             weight, [p[0] for p in panels], [p[-1] for p in panels], rtol=1e-8, rule="genz-malik"
         )
         return (
-            constant + log_jacobian + float(np.log(found.estimate)),
+            constant + log_det + float(np.log(found.estimate)),
             float(found.error / found.estimate),
         )
     sums = []
@@ -141,4 +143,4 @@ def _log_configuration_integral(source: EnergyDensity, h: float) -> tuple[float,
         for _, w in reversed(grids):
             total = total @ w.ravel()
         sums.append(float(total))
-    return constant + log_jacobian + float(np.log(sums[1])), abs(sums[0] / sums[1] - 1.0) + 1e-15
+    return constant + log_det + float(np.log(sums[1])), abs(sums[0] / sums[1] - 1.0) + 1e-15

@@ -24,6 +24,8 @@ Provenance = Mapping[str, str | float | int]
 REACH = 8.5
 """Half-width of the support in standard deviations; 2e-17 of the mass lies beyond."""
 SERIES_TERMS = 2000
+LARGEST_ERROR = 1e-6
+"""Relative error of the covariance, a bound from the residual, above which it is not certified."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,12 @@ class Linear:
 
 
 def _certificate(residual: float, tail: float) -> Certificate:
-    return Certificate(mass_defect=tail, minimum=0.0, residual=residual, tail_mass=tail)
+    failures: tuple[str, ...] = ()
+    if not residual < LARGEST_ERROR:
+        failures = (f"the covariance is known to a relative {residual:.2g} only",)
+    return Certificate(
+        mass_defect=tail, minimum=0.0, residual=residual, tail_mass=tail, failures=failures
+    )
 
 
 def gaussian_density(
@@ -142,7 +149,7 @@ def gaussian_density(
 def _energy(system: System, covariance: Array, observable: Observable, relative: float) -> Density:
     """Density of H, a positive quadratic form of a Gaussian vector, as a series of gamma densities.
 
-    Moschopoulos (1985), Ann. Inst. Statist. Math. 37, 541-544: H = Σ λ_j χ²_j/… is a mixture of
+    Moschopoulos (1985), Ann. Inst. Statist. Math. 37, 541-544: H = ½ Σ λ_j χ²_1 is a mixture of
     gamma densities of the least scale with positive weights, so the weight left out is the error.
     """
     n = system.n

@@ -87,7 +87,7 @@ class NonIntegrable:
             return averaged_closed_form(system, process), {"equation": "(29)"}
         if self.solver == "quadrature":
             by_quadrature = solve_by_quadrature(process, tol=self.tol)
-            return _from_quadrature(system, by_quadrature), {
+            return _from_quadrature(system, by_quadrature, self.tol), {
                 "equation": "(11)",
                 "panels": by_quadrature.nodes.size - 1,
                 "last energy": float(by_quadrature.nodes[-1]),
@@ -144,7 +144,7 @@ def _from_elements(system: System, solution: StationarySolution) -> EnergyDensit
     )
 
 
-def _from_quadrature(system: System, solution: QuadratureSolution) -> EnergyDensity:
+def _from_quadrature(system: System, solution: QuadratureSolution, tol: float) -> EnergyDensity:
     process = solution.process
     offset = _log_unit(system, process)
 
@@ -166,6 +166,9 @@ def _from_quadrature(system: System, solution: QuadratureSolution) -> EnergyDens
             minimum=0.0,
             residual=0.0,
             tail_mass=solution.tail_mass,
+            failures=()
+            if solution.l1_error <= tol
+            else (f"the estimated error {solution.l1_error:.2g} exceeds the tolerance {tol:.2g}",),
         ),
     )
 

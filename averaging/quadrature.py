@@ -82,8 +82,12 @@ def solve_by_quadrature(process: DiffusionProcess, *, tol: float = 1e-10) -> Qua
     defect = abs(float(np.sum(w * np.exp(solution.log_density(x)))) - 1.0)
     last = float(np.exp(solution.log_density(solution.nodes[-1:])[0]))
     beyond = tail_bound(view, float(solution.nodes[-1]), last)
+    # An error of the exponent over one panel shifts the mass on one side of it against the other.
+    share = np.sum(w * np.exp(solution.log_density(x)), axis=1)
+    below = np.cumsum(share)
+    moved = np.minimum(below, 1.0 - below + share)
     error = (
-        float(tail.sum())
+        2.0 * float(tail @ moved)
         + 2.0 * float(c.relative_error.max())
         + defect
         + 2.0 * beyond

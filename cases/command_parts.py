@@ -39,8 +39,8 @@ def check_tol(tol: float | None) -> None:
     """Refuse a tolerance that no solver can mean."""
     from cases.errors import BadInput
 
-    if tol is not None and not 1e-15 <= tol <= 0.5:
-        raise BadInput(f"--tol {tol:g}: must be between 1e-15 and 0.5")
+    if tol is not None and not 1e-12 <= tol <= 0.1:
+        raise BadInput(f"--tol {tol:g}: must be between 1e-12 and 0.1")
 
 
 def print_json(record: dict[str, Any]) -> None:

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
 from scipy.signal import savgol_coeffs
 
 from fpk.observable import Observable, observable_name
@@ -142,20 +143,24 @@ class SampledDensity:
     def at(self, *points: Array) -> tuple[Array, Array]:
         """Return the density and one standard error at ``points``, one array per axis.
 
-        One axis: local quadratic fit over eleven bins (Savitzky-Golay), evaluated at the nearest
-        bin centre; two axes: the value of the bin. Zero outside the bins.
+        Linear between the bin centres; along one axis of a local quadratic fit over eleven bins
+        (Savitzky-Golay). What is left of the bins' width is second order. Zero outside the bins.
         """
-        index, inside = [], np.ones(np.broadcast_shapes(*(np.shape(x) for x in points)), bool)
-        for x, e in zip(points, self.edges, strict=True):
-            i = np.floor((np.asarray(x) - e[0]) / (e[1] - e[0])).astype(int)
-            inside &= (i >= 0) & (i < e.size - 1)
-            index.append(np.clip(i, 0, e.size - 2))
+        arrays = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in points))
+        inside = np.ones(arrays[0].shape, dtype=bool)
+        for x, e in zip(arrays, self.edges, strict=True):
+            inside &= (x >= e[0]) & (x <= e[-1])
         values, batches = self.values, self.batch_values
         if len(self.edges) == 1:
             values, batches = _smoothed(values), _smoothed(batches)
-        error = _standard_error(batches)
-        where = tuple(index)
-        return np.where(inside, values[where], 0.0), np.where(inside, error[where], 0.0)
+        centres = tuple(0.5 * (e[1:] + e[:-1]) for e in self.edges)
+        where = np.stack([x.ravel() for x in arrays], axis=-1)
+        # Half a bin at each end is extrapolated from the two last centres.
+        table = np.moveaxis(np.concatenate([values[None], batches]), 0, -1)
+        found = RegularGridInterpolator(centres, table, bounds_error=False, fill_value=None)(where)
+        value = found[:, 0].reshape(inside.shape)
+        error = _standard_error(found[:, 1:].T).reshape(inside.shape)
+        return np.where(inside, value, 0.0), np.where(inside, error, 0.0)
 
 
 AnyDensity = Density | SampledDensity

@@ -52,7 +52,7 @@ def _upper(process: DiffusionProcess) -> BoundaryClass:
     if c.drift[1] >= 0.0:
         return BoundaryClass("H = ∞", "not confining", "the drift points outwards")
     order = float(np.log2(c.drift[1] / c.drift[0])) if c.drift[0] < 0 else 0.0
-    reason = f"the drift points inwards as −H^{order:.3g}"
+    reason = f"the drift points inwards, about as −H^{order:.2g}"
     if order > 1.0 + 1e-2:
         return BoundaryClass("H = ∞", "entrance", f"{reason}, so it is left in finite time")
     return BoundaryClass("H = ∞", "natural", f"{reason}: neither reached nor left in finite time")

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 class PlaneCoefficients:
     """Coefficients at the Gauss points of all elements, each (elements, points, points).
 
-    ``a1``, ``a2`` are s_i − ½ ∂_j b_ij; the second index of the points runs along H1.
+    ``a1``, ``a2`` are s_i − ½ ∂_j b_ij; the points run along H1 first, then along H2.
     """
 
     a1: Array
