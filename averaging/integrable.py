@@ -15,8 +15,8 @@ from averaging.modal.numerical import by_elements, by_quadrature
 from averaging.modal.resonance import nearest_resonance, resonance_refusal, strongest_pair
 from fpk.clearance import CLEARANCE_RULE, stop_clearances
 from fpk.density import Density
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.method import Progress, Result, require_applicable, silent
+from fpk.errors import NotApplicable
+from fpk.method import Progress, Result, check_solver, require_applicable, silent
 from fpk.observable import Observable, observable_name
 from fpk.system import System
 
@@ -45,10 +45,7 @@ class Integrable:
 
     def __post_init__(self) -> None:
         """Refuse an unknown solver, or a tolerance that double precision cannot meet."""
-        if self.solver not in get_args(Solver):
-            raise InvalidInput("solver", self.solver, f"use one of {sorted(get_args(Solver))}")
-        if not 1e-12 <= self.tol <= 0.1:
-            raise InvalidInput("tol", self.tol, "must lie between 1e-12 and 0.1")
+        check_solver(self.solver, get_args(Solver), self.tol)
 
     @property
     def name(self) -> str:

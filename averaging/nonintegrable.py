@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from time import perf_counter
 from typing import Literal, Self, get_args
 
@@ -16,10 +16,10 @@ from averaging.quadrature import QuadratureSolution, solve_by_quadrature
 from averaging.shell.ratios import energy_shell, log_linear_states
 from averaging.weyl import WeylTable, weyl_table
 from fpk.density import Certificate
-from fpk.errors import InvalidInput, NotApplicable
+from fpk.errors import NotApplicable
 from fpk.line.elements import Form
 from fpk.line.stationary import StationarySolution, solve_stationary
-from fpk.method import Progress, Result, require_applicable, silent
+from fpk.method import Progress, Result, check_solver, require_applicable, silent
 from fpk.observable import Observable, observable_name
 from fpk.process import DiffusionProcess
 from fpk.system import System
@@ -44,10 +44,7 @@ class NonIntegrable:
 
     def __post_init__(self) -> None:
         """Refuse an unknown solver, or a tolerance that double precision cannot meet."""
-        if self.solver not in get_args(Solver):
-            raise InvalidInput("solver", self.solver, f"use one of {sorted(get_args(Solver))}")
-        if not 1e-12 <= self.tol <= 0.1:
-            raise InvalidInput("tol", self.tol, "must lie between 1e-12 and 0.1")
+        check_solver(self.solver, get_args(Solver), self.tol)
 
     @property
     def name(self) -> str:
@@ -187,8 +184,16 @@ def _tabulated(
     def table(order: float, of_error: bool) -> WeylTable:
         return weyl_table(order, nodes, u_error if of_error else u)
 
-    def weyl(order: float, energy: Array, *, of_error: bool) -> Array:
-        return table(order, of_error)(energy)
+    # Short of the last node, beyond which the density is dropped: Ψ falls, so that its value here
+    # bounds what is dropped at any higher energy.
+    last = nodes[-1] * (1.0 - 1e-9)
+
+    def weyl(order: float, energy: Array) -> Array:
+        return table(order, False)(energy)
+
+    def weyl_error(order: float, energy: Array) -> Array:
+        dropped = weyl(order, np.array([last]))[0]
+        return np.where(energy < last, table(order, True)(energy), dropped)
 
     return EnergyDensity(
         system=system,
@@ -197,8 +202,8 @@ def _tabulated(
         temperature=process.energy_scale / process.degrees_of_freedom,
         u=u,
         u_error=u_error,
-        weyl=partial(weyl, of_error=False),
-        weyl_error=partial(weyl, of_error=True),
+        weyl=weyl,
+        weyl_error=weyl_error,
         l1_error=l1_error,
         certificate=certificate,
     )

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Protocol, Self
 
 from fpk.density import AnyDensity
-from fpk.errors import NotApplicable
+from fpk.errors import InvalidInput, NotApplicable
 from fpk.observable import Observable
 from fpk.system import System
 
@@ -84,3 +84,11 @@ def require_applicable(method: Method, system: System, observables: Sequence[Obs
     for observable in observables:
         if reason := method.refusal(system, observable):
             raise NotApplicable(reason)
+
+
+def check_solver(solver: str, known: Sequence[str], tol: float) -> None:
+    """Raise ``InvalidInput`` for an unknown solver or a tolerance outside 1e-12 to 0.1."""
+    if solver not in known:
+        raise InvalidInput("solver", solver, f"use one of {sorted(known)}")
+    if not 1e-12 <= tol <= 0.1:
+        raise InvalidInput("tol", tol, "must lie between 1e-12 and 0.1")
