@@ -35,6 +35,8 @@ def energy_balance(system: System) -> EnergyBalance:
 
     Raises ``NotApplicable`` where one of them vanishes: there is no stationary density then.
     """
+    if system.damping_terms:
+        raise NotApplicable("damping that depends on the state is not averaged yet")
     damping = float(np.sum(np.diag(system.damping) / system.mass))
     noise = float(np.sum(np.diag(system.noise_matrix) / system.mass))
     if noise <= 0:

@@ -32,6 +32,8 @@ def compatibility(system: System) -> float:
     The antisymmetric part of c does no work and does not enter. Raises ``NotApplicable`` where no
     h meets the condition, or h is not positive.
     """
+    if system.damping_terms:
+        raise NotApplicable("damping that depends on the state is not averaged yet")
     c = 0.5 * (system.damping + system.damping.T)
     D = system.noise_matrix
     if not np.any(D):

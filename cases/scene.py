@@ -8,9 +8,10 @@ from typing import Any
 from cases.errors import BadInput, refused
 from cases.expect import Expect, expect_of
 from cases.reading import read_toml
-from cases.schema import ContactTable, SceneTable, validated
+from cases.schema import ContactTable, DampingTermTable, SceneTable, validated
 from cases.vary import Curve, curves_of
 from fpk.contact import Contact
+from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput
 from fpk.observable import Observable, parse_observable
 from fpk.system import System
@@ -87,9 +88,15 @@ def _scene(path: Path, label: str) -> Scene:
 
 def _system(table: SceneTable, label: str) -> System:
     contacts = tuple(_contact(c, i, label) for i, c in enumerate(table.contact))
+    terms = tuple(
+        _damping_term(t, i, label, n=len(table.system.mass))
+        for i, t in enumerate(table.damping_term)
+    )
     s: Any = table.system  # System takes lists and matrices and checks them
     try:
-        system = System(s.mass, s.stiffness, s.damping, s.noise_intensity, s.noise_gain)
+        system = System(
+            s.mass, s.stiffness, s.damping, s.noise_intensity, s.noise_gain, damping_terms=terms
+        )
     except InvalidInput as error:
         raise refused(label, f"system.{error.key}", error.value, error.remedy) from None
     for i, contact in enumerate(contacts):
@@ -118,6 +125,29 @@ def _contact(table: ContactTable, index: int, label: str) -> Contact:
         if error.value is None:
             raise BadInput(f"{label}: {key} is missing: {error.remedy}") from None
         raise refused(label, key, error.value, error.remedy) from None
+
+
+def _damping_term(table: DampingTermTable, index: int, label: str, *, n: int) -> DampingTerm:
+    place = f"damping_term[{index + 1}]"
+    for key in ("i", "j"):
+        if (mass := getattr(table, key)) > n:
+            raise refused(label, f"{place}.{key}", mass, f"is not a mass; use 1 to {n}")
+    powers = {key: _powers(getattr(table, key), f"{place}.{key}", label, n) for key in ("q", "v")}
+    try:
+        return DampingTerm(
+            table.i - 1, table.j - 1, table.coefficient, **powers, energy=table.energy
+        )
+    except InvalidInput as error:
+        key = place if error.key == "damping_term" else f"{place}.{error.key}"
+        raise refused(label, key, error.value, error.remedy) from None
+
+
+def _powers(table: dict[str, int], place: str, label: str, n: int) -> tuple[tuple[int, int], ...]:
+    masses = {str(mass + 1): mass for mass in range(n)}
+    for name, power in table.items():
+        if name not in masses:
+            raise refused(label, f"{place}.{name}", power, f"is not a mass; use 1 to {n}")
+    return tuple((masses[name], power) for name, power in table.items())
 
 
 def _observables(table: SceneTable, system: System, label: str) -> tuple[Observable, ...]:

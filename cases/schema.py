@@ -20,6 +20,9 @@ from cases.errors import BadInput, refused
 MAX_MASSES = 500
 """Matrices are full: a chain longer than this is not what they are for."""
 
+MAX_TERMS = 200
+"""A van der Pol damping of four modes has a hundred monomials."""
+
 LARGEST, SMALLEST = 1e100, 1e-100
 """Beyond these a product of three inputs leaves the range of double precision."""
 
@@ -42,6 +45,7 @@ NumbersOrMatrix = Annotated[
     Annotated[Numbers, Tag("<list>")] | Annotated[Matrix, Tag("<matrix>")],
     Discriminator(_list_or_matrix),
 ]
+Powers = Annotated[dict[str, int], Field(max_length=MAX_MASSES)]
 Text = Annotated[str, Field(strict=True, max_length=1000)]
 
 
@@ -70,6 +74,17 @@ class ContactTable(Table):
     clearance: Number
     law: Text = "hertz"
     exponent: Number | None = None
+
+
+class DampingTermTable(Table):
+    """``[[damping_term]]``: what the entry c_ij of the damping gains with the state."""
+
+    i: Annotated[int, Field(ge=1)]
+    j: Annotated[int, Field(ge=1)]
+    coefficient: Number
+    q: Powers = {}
+    v: Powers = {}
+    energy: int = 0
 
 
 class ObserveTable(Table):
@@ -131,6 +146,7 @@ class SceneTable(Table):
     source: Text = ""
     system: SystemTable
     contact: Annotated[list[ContactTable], Field(max_length=MAX_MASSES)] = []
+    damping_term: Annotated[list[DampingTermTable], Field(max_length=MAX_TERMS)] = []
     observe: ObserveTable | None = None
     vary: VaryTable | None = None
     expect: ExpectTable | None = None
@@ -140,6 +156,7 @@ TABLES: Mapping[tuple[str, ...], type[Table]] = {
     (): SceneTable,
     ("system",): SystemTable,
     ("contact",): ContactTable,
+    ("damping_term",): DampingTermTable,
     ("observe",): ObserveTable,
     ("vary",): VaryTable,
     ("vary", "contact"): VaryContactTable,
@@ -165,11 +182,6 @@ REMEDIES = {
 
 def validated(data: dict[str, Any], label: str) -> SceneTable:
     """Return the checked tables; raise ``BadInput`` with the first thing that is wrong."""
-    if "damping_term" in data:
-        raise BadInput(
-            f"{label}: damping_term: this version has constant damping only;"
-            " leave [[damping_term]] out and give damping in [system]"
-        )
     try:
         return SceneTable.model_validate(data)
     except ValidationError as error:
@@ -195,8 +207,8 @@ def _refusal(error: ErrorDetails, label: str) -> BadInput:
         limit = ctx.get("max_length") if kind == "too_long" else ctx.get("min_length")
         words = "at most" if kind == "too_long" else "at least"
         return refused(label, key, error["input"], f"must have {words} {limit} entries")
-    if key == "contact" and kind in ("list_type", "model_type"):
-        return refused(label, key, error["input"], "must be written as [[contact]]")
+    if key in ("contact", "damping_term") and kind in ("list_type", "model_type"):
+        return refused(label, key, error["input"], f"must be written as [[{key}]]")
     return refused(label, key, error["input"], REMEDIES.get(kind, error["msg"]))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from cases.compare import route_name
 from cases.run import CurveOutcome, Outcome
 from cases.scene import Scene
+from fpk.damping import DampingTerm
 from fpk.density import AnyDensity, Array, Density
 from fpk.effects import Effects
 from fpk.method import Method, Result
@@ -127,9 +128,18 @@ def system_record(system: System) -> dict[str, Any]:
             "noise_intensity": system.noise_intensity,
             "noise_gain": system.noise_gain,
             "contacts": [{**asdict(c), "mass": c.mass + 1} for c in system.contacts],
+            "damping_terms": [_term_record(term) for term in system.damping_terms],
         }
     )
     return record
+
+
+def _term_record(term: DampingTerm) -> dict[str, Any]:
+    powers = {
+        key: {str(mass + 1): power for mass, power in getattr(term, key)} for key in ("q", "v")
+    }
+    entry = {"i": term.i + 1, "j": term.j + 1, "coefficient": term.coefficient}
+    return {**entry, **powers, "energy": term.energy}
 
 
 def plain(value: Any) -> Any:

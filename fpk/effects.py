@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fpk.damping import DampingTerm
 from fpk.system import System
 
 
@@ -13,7 +14,8 @@ class Effects:
 
     ``laws`` are the contact laws that act, sorted; ``contact_masses`` count from 0; ``stops`` is
     the number of one-sided contacts; ``noise_rank`` the number of independent noises that reach
-    a mass; ``mirror`` whether the system looks the same under q → −q.
+    a mass; ``state_damping`` whether the damping depends on the state, ``energy_damping`` whether on
+    H among it; ``mirror`` whether the system looks the same under q → −q.
     """
 
     masses: int
@@ -23,6 +25,8 @@ class Effects:
     noise_rank: int
     correlated_noise: bool
     coupled_damping: bool
+    state_damping: bool
+    energy_damping: bool
     mirror: bool
 
     @property
@@ -47,5 +51,12 @@ def effects_of(system: System) -> Effects:
         noise_rank=int(np.linalg.matrix_rank(noise, hermitian=True)),
         correlated_noise=bool(np.any(noise != np.diag(np.diag(noise)))),
         coupled_damping=bool(np.any(system.damping != np.diag(np.diag(system.damping)))),
-        mirror=right == left,
+        state_damping=bool(system.damping_terms),
+        energy_damping=any(term.energy for term in system.damping_terms),
+        mirror=right == left and all(_even(term) for term in system.damping_terms),
     )
+
+
+def _even(term: DampingTerm) -> bool:
+    """Whether the term is the same at (−q, −v)."""
+    return term.degree % 2 == 0

@@ -43,8 +43,11 @@ def stationary_covariance(system: System) -> Array:
     """Return the covariance of (q, p) of the system without contacts, shape (2n, 2n).
 
     It solves A Σ + Σ Aᵀ + b = 0 and is exact for any damping and noise. Raises
-    ``NotApplicable`` where a mode is not damped, so that no stationary state exists.
+    ``NotApplicable`` where a mode is not damped, so that no stationary state exists, and where the
+    damping depends on the state.
     """
+    if system.damping_terms:
+        raise NotApplicable("the damping depends on the state, so the system is not linear")
     A = drift_matrix(system)
     rate = slowest_decay_rate(system)
     if rate <= 1e-12 * np.max(np.abs(np.linalg.eigvals(A))):

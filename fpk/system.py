@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fpk.contact import Contact
+from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput
 
 Array = NDArray[np.float64]
@@ -28,6 +29,11 @@ class SystemArrays(NamedTuple):
     stop_clearance: Array  # (stops,)
     stop_stiffness: Array  # (stops,)
     stop_exponent: Array  # (stops,)
+    term_entry: NDArray[np.int64]  # (terms, 2), i and j of c_ij, counted from 0
+    term_coefficient: Array  # (terms,)
+    term_q: NDArray[np.int64]  # (terms, n), powers of the displacements
+    term_v: NDArray[np.int64]  # (terms, n), powers of the velocities
+    term_energy: NDArray[np.int64]  # (terms,), powers of H
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +44,13 @@ class System:
     which omits the factor √(2D) although ``E[W_k W_l'] = 2 D_kl δ``).
 
     ``mass`` (n,) > 0. ``stiffness`` (n,) > 0: k_i joins mass i to mass i−1, k_1 to the wall.
-    ``damping`` c: (n,) for a diagonal or (n, n); its symmetric part must not be negative.
+    ``damping`` c: (n,) for a diagonal or (n, n); its symmetric part must not be negative, unless
+    ``damping_terms`` make c depend on the state: then it may feed energy in where they take it out.
     ``noise_intensity`` D: (l,) for a diagonal or (l, l), symmetric, positive semidefinite.
     ``noise_gain`` f: (n, l), the identity when left out. ``contacts``: any number on any masses.
-    All are kept as read-only float64 arrays in full matrix form.
+    ``damping_terms``: what entries of c gain with the state; one without any power joins the
+    constant matrix, one with the coefficient 0 is dropped.
+    All arrays are kept read-only, in float64 and full matrix form.
 
     Raises ``InvalidInput`` naming the field that cannot be used.
     """
@@ -52,6 +61,7 @@ class System:
     noise_intensity: Array
     noise_gain: Array | None = None
     contacts: tuple[Contact, ...] = ()
+    damping_terms: tuple[DampingTerm, ...] = ()
     noise_matrix: Array = field(init=False)
     stiffness_matrix: Array = field(init=False)
 
@@ -65,7 +75,9 @@ class System:
         damping = _matrix("damping", self.damping)
         if damping.shape[0] != n:
             raise InvalidInput("damping", self.damping, f"must have {n} entries or be {n} x {n}")
-        _refuse_negative("damping", damping, "does not dissipate: its symmetric part has")
+        terms = _effective_terms(self.damping_terms, damping)
+        if not terms:
+            _refuse_negative("damping", damping, "does not dissipate: its symmetric part has")
         intensity = _matrix("noise_intensity", self.noise_intensity)
         noises = intensity.shape[0]
         if not np.allclose(intensity, intensity.T, rtol=SEMIDEFINITE_SLACK, atol=0.0):
@@ -86,6 +98,7 @@ class System:
         for contact in self.contacts:
             if not 0 <= contact.mass < n:
                 raise InvalidInput("contact.mass", contact.mass + 1, f"is not a mass; use 1 to {n}")
+        object.__setattr__(self, "damping_terms", terms)
         k = np.append(stiffness, 0.0)
         spring = np.diag(k[:-1] + k[1:]) - np.diag(k[1:-1], 1) - np.diag(k[1:-1], -1)
         derived = {
@@ -118,7 +131,7 @@ class System:
 
     def arrays(self) -> SystemArrays:
         """Return the arrays for compiled code: the only bridge into it."""
-        stops = self.stops
+        stops, terms = self.stops, self.damping_terms
         return SystemArrays(
             mass=self.mass,
             stiffness_matrix=self.stiffness_matrix,
@@ -129,6 +142,11 @@ class System:
             stop_clearance=np.array([stop.clearance for stop in stops], dtype=float),
             stop_stiffness=np.array([stop.stiffness for stop in stops], dtype=float),
             stop_exponent=np.array([stop.power for stop in stops], dtype=float),
+            term_entry=np.array([(t.i, t.j) for t in terms], dtype=np.int64).reshape(-1, 2),
+            term_coefficient=np.array([t.coefficient for t in terms], dtype=float),
+            term_q=np.array([t.powers("q", self.n) for t in terms], np.int64).reshape(-1, self.n),
+            term_v=np.array([t.powers("v", self.n) for t in terms], np.int64).reshape(-1, self.n),
+            term_energy=np.array([t.energy for t in terms], dtype=np.int64),
         )
 
     def contact_energy(self, mass: int, q: ArrayLike) -> Array:
@@ -147,11 +165,34 @@ class System:
         springs: Array = 0.5 * np.einsum("...i,ij,...j->...", q, self.stiffness_matrix, q)
         return springs + sum(self.contact_energy(i, q[..., i]) for i in self.contact_masses)
 
+    def damping_at(self, q: ArrayLike, p: ArrayLike) -> Array:
+        """Damping matrix c(q, p) of the state, (..., n, n); ``q`` and ``p`` have shape (..., n)."""
+        q, p = np.asarray(q, dtype=float), np.asarray(p, dtype=float)
+        c = np.broadcast_to(self.damping, (*q.shape[:-1], self.n, self.n)).copy()
+        if self.damping_terms:
+            energy, v = self.hamiltonian(q, p), p / self.mass
+            for term in self.damping_terms:
+                c[..., term.i, term.j] += term.value(q, v, energy)
+        return c
+
     def hamiltonian(self, q: ArrayLike, p: ArrayLike) -> Array:
         """Hamiltonian H(q, p) of Eq. (5); ``q`` and ``p`` have shape (..., n)."""
         p = np.asarray(p, dtype=float)
         kinetic: Array = 0.5 * np.sum(p * p / self.mass, axis=-1)
         return kinetic + self.potential(q)
+
+
+def _effective_terms(terms: tuple[DampingTerm, ...], damping: Array) -> tuple[DampingTerm, ...]:
+    """Terms that depend on the state; constant ones are added to ``damping`` (n, n) in place."""
+    n, kept = damping.shape[0], []
+    for k, term in enumerate(terms, start=1):
+        if outside := [mass + 1 for mass in term.masses if not 0 <= mass < n]:
+            raise InvalidInput(f"damping_term[{k}]", outside[0], f"is not a mass; use 1 to {n}")
+        if term.degree == 0:
+            damping[term.i, term.j] += term.coefficient
+        elif term.coefficient != 0.0:
+            kept.append(term)
+    return tuple(kept)
 
 
 def _finite(key: str, value: ArrayLike) -> Array:

@@ -77,6 +77,8 @@ class MonteCarlo:
         """Return why there is nothing to sample, or None where there is."""
         if not np.any(system.noise_matrix):
             return "no noise reaches a mass: the motion dies out and has no stationary density"
+        if system.damping_terms:
+            return "damping that depends on the state is not simulated yet"
         if relaxation_time(system) == inf:
             return "some motion is not damped: under noise it grows and never becomes stationary"
         if any(c.kind == "H" and c.index is not None for c in observable):

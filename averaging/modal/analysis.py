@@ -70,6 +70,8 @@ def modal_analysis(system: System) -> ModalAnalysis:
 
     Raises ``NotApplicable`` where a mode is not damped, or no noise reaches it.
     """
+    if system.damping_terms:
+        raise NotApplicable("damping that depends on the state is not averaged yet")
     K, M = system.stiffness_matrix, np.diag(system.mass)
     squares, T = eigh(K, M)
     c, D = T.T @ system.damping @ T, T.T @ system.noise_matrix @ T

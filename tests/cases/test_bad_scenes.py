@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from cases.errors import BadInput
 from cases.scene import load_scene
 
+TERM = "[[damping_term]]\nj = 1\ncoefficient = 0.1\n"
 BAD = [  # what is replaced, by what, and what the line must say
     ('title = "A scene"', 'titel = "A scene"', ["titel", '"A scene"', 'did you mean "title"']),
     ("stiffness       = [1", "stifness = [1", ["system.stifness", 'did you mean "stiffness"']),
@@ -47,7 +48,16 @@ BAD = [  # what is replaced, by what, and what the line must say
     ('"q2", "H"]', '"q2", "q2"]', ["observe.densities[2]", "twice"]),
     ("[observe]", "[vary]\nsystem.mass = [1]\n[observe]", ["vary.system.mass", "known"]),
     ("[observe]", "[vary]\ncontact.clearance = [-1]\n[observe]", ["vary.contact.clearance[1]"]),
-    ("[observe]", "[[damping_term]]\ni = 1\n[observe]", ["damping_term", "constant damping"]),
+    ("[observe]", "[[damping_term]]\ni = 1\n[observe]", ["damping_term[1].j is missing"]),
+    ("[observe]", "[damping_term]\ni = 1\n[observe]", ["damping_term", "[[damping_term]]"]),
+    ("[observe]", f"{TERM}i = 3\n[observe]", ["damping_term[1].i = 3", "use 1 to 2"]),
+    ("[observe]", f"{TERM}i = 0\n[observe]", ["damping_term[1].i = 0", "counted from 1"]),
+    ("[observe]", f"{TERM}i = 1\nq = {{ 3 = 2 }}\n[observe]", ["damping_term[1].q.3", "1 to 2"]),
+    ("[observe]", f"{TERM}i = 1\nq = {{ 1 = 0 }}\n[observe]", ["damping_term[1].q.1 = 0", "power"]),
+    ("[observe]", f"{TERM}i = 1\nv = {{ 1 = 0.5 }}\n[observe]", ["damping_term[1].v.1", "whole"]),
+    ("[observe]", f"{TERM}i = 1\nenergy = -1\n[observe]", ["damping_term[1].energy = -1"]),
+    ("[observe]", f"{TERM}i = 1\nenergy = 5\n[observe]", ["damping_term[1] = 10", "degree", "8"]),
+    ("[observe]", f"{TERM}i = 1\nc = 5\n[observe]", ["damping_term[1].c", "known: i, j"]),
     ("[observe]", "[observe", ["TOML", "line 16"]),
     ("[observe]", "[expect]\nnon_gausian = 1\n[observe]", ["did you mean", "non_gaussian"]),
     ("[observe]", "[expect]\nof = 'p1'\n[observe]", ["expect.of", '"p1"', "q2, H"]),

@@ -1,0 +1,75 @@
+"""Damping that depends on the state: monomials on top of the constant matrix of Eq. (1)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import isfinite
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fpk.errors import InvalidInput
+
+Array = NDArray[np.float64]
+Powers = tuple[tuple[int, int], ...]
+
+MOST_POWERS = 8
+"""Degree of a term, an energy counting twice: beyond, averages lose digits and steps stability."""
+
+
+@dataclass(frozen=True)
+class DampingTerm:
+    """One monomial that an entry of the damping matrix gains.
+
+    ``c_ij += coefficient · Π q_a^m · Π v_a^n · H^energy``: on mass i it adds the force
+    ``−coefficient · … · v_j``, and nothing on mass j (give a second term where it should). ``i``,
+    ``j`` and the masses in ``q`` and ``v``, pairs (mass, power), count from 0; powers are whole and
+    at least 1; ``energy`` >= 0. A negative coefficient feeds energy in, as van der Pol's does.
+
+    Raises ``InvalidInput`` naming the field that cannot be used.
+    """
+
+    i: int
+    j: int
+    coefficient: float
+    q: Powers = ()
+    v: Powers = ()
+    energy: int = 0
+    degree: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Check the fields, and sort the powers so that equal terms are equal."""
+        if not isfinite(self.coefficient):
+            raise InvalidInput("coefficient", self.coefficient, "must be a finite number")
+        for key in ("q", "v"):
+            powers: Powers = tuple(sorted(getattr(self, key)))
+            for mass, power in powers:
+                if power < 1:
+                    raise InvalidInput(f"{key}.{mass + 1}", power, "must be a power of 1 or more")
+            object.__setattr__(self, key, powers)
+        if self.energy < 0:
+            raise InvalidInput("energy", self.energy, "must be a power of 0 or more")
+        degree = sum(power for _, power in self.q + self.v) + 2 * self.energy
+        if degree > MOST_POWERS:
+            raise InvalidInput(
+                "damping_term", degree, f"is the degree, an energy counting 2; use {MOST_POWERS}"
+            )
+        object.__setattr__(self, "degree", degree)
+
+    @property
+    def masses(self) -> tuple[int, ...]:
+        """Every mass that the term mentions, from 0, ascending."""
+        return tuple(sorted({self.i, self.j, *(mass for mass, _ in self.q + self.v)}))
+
+    def powers(self, key: str, n: int) -> tuple[int, ...]:
+        """Return the powers of all n masses' q or v, 0 where one does not occur."""
+        found: Mapping[int, int] = dict(getattr(self, key))
+        return tuple(found.get(mass, 0) for mass in range(n))
+
+    def value(self, q: ArrayLike, v: ArrayLike, energy: ArrayLike) -> Array:
+        """Return what c_ij gains at displacements and velocities (..., n) and energies (...)."""
+        q, v = np.asarray(q, dtype=float), np.asarray(v, dtype=float)
+        value = np.asarray(self.coefficient * np.asarray(energy, dtype=float) ** self.energy)
+        for x, powers in ((q, self.q), (v, self.v)):
+            for mass, power in powers:
+                value = value * x[..., mass] ** power
+        return value

@@ -1,0 +1,59 @@
+"""The temperature at which damping, wherever it depends on the state, balances the noise."""
+
+from math import exp, lgamma
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpk.damping import DampingTerm
+from fpk.errors import NotApplicable
+from fpk.moments import gaussian_moment
+from fpk.system import System
+
+Array = NDArray[np.float64]
+
+
+def equivalent_temperature(system: System) -> float:
+    """Return the θ at which E Σ c_ij v_i v_j = Σ (f D fᵀ)_ii/m_i in the Gibbs state exp(−H/θ).
+
+    The chain is taken without its contacts, so that the balance is a polynomial in θ; of several
+    roots it is the largest, where the damping takes over for good. With constant damping it is
+    Σ D_ii/m_i / Σ c_ii/m_i. A scale for meshes, ranges and steps: no answer rests on it.
+
+    Raises ``NotApplicable`` where no noise reaches a mass, or the damping never balances it.
+    """
+    noise = float(np.sum(np.diag(system.noise_matrix) / system.mass))
+    if noise <= 0:
+        raise NotApplicable("no noise reaches a mass, so the energy has no stationary density")
+    power = dissipated_power(system)
+    real = [z.real for z in np.roots([*power[:0:-1], -noise]) if abs(z.imag) < 1e-9 * abs(z)]
+    if not real or max(real) <= 0 or next(c for c in power[::-1] if c) < 0:
+        raise NotApplicable("the damping does not balance the noise, so the energy grows for ever")
+    return float(max(real))
+
+
+def dissipated_power(system: System) -> Array:
+    """Return the coefficients of E Σ c_ij v_i v_j in the Gibbs state, ascending powers of θ."""
+    power = np.zeros(2 + max((term.degree // 2 for term in system.damping_terms), default=0))
+    power[1] = np.sum(np.diag(system.damping) / system.mass)
+    for term in system.damping_terms:
+        power[1 + term.degree // 2] += _mean_power(system, term)
+    return np.trim_zeros(power, "b") if np.any(power) else power[:2]
+
+
+def _mean_power(system: System, term: DampingTerm) -> float:
+    """E coefficient Π q Π v H^e v_i v_j at θ = 1; 0 where a power is odd.
+
+    Without the energy it is a Gaussian moment of degree d. H is independent of the direction of
+    (q, v), so that the energy brings E H^(e + d/2)/E H^(d/2) = Γ(n + d/2 + e)/Γ(n + d/2).
+    """
+    n = system.n
+    v = np.array(term.powers("v", n))
+    v[term.i] += 1
+    v[term.j] += 1
+    q = term.powers("q", n)
+    half = 0.5 * (sum(q) + int(v.sum()))
+    velocities = gaussian_moment(np.asarray(np.diag(1.0 / system.mass)), tuple(v))
+    displacements = gaussian_moment(np.linalg.inv(system.stiffness_matrix), q)
+    energies = exp(lgamma(n + half + term.energy) - lgamma(n + half))
+    return term.coefficient * velocities * displacements * energies
