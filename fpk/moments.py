@@ -1,6 +1,6 @@
 """Moments of Gaussian variables, from which microcanonical and Gibbs averages follow."""
 
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ def gaussian_moment(covariance: Array, powers: tuple[int, ...]) -> float:
     degrees lower. It is 0 where the total power is odd.
     """
 
-    @lru_cache(maxsize=None)
+    @cache
     def moment(powers: tuple[int, ...]) -> float:
         total = sum(powers)
         if total % 2:
