@@ -14,8 +14,8 @@ class Effects:
 
     ``laws`` are the contact laws that act, sorted; ``contact_masses`` count from 0; ``stops`` is
     the number of one-sided contacts; ``noise_rank`` the number of independent noises that reach
-    a mass; ``state_damping`` whether the damping depends on the state, ``energy_damping`` whether on
-    H among it; ``mirror`` whether the system looks the same under q → −q.
+    a mass; ``state_damping`` whether the damping depends on the state, ``energy_damping`` whether
+    on H among it; ``mirror`` whether the system looks the same under q → −q.
     """
 
     masses: int

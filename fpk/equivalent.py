@@ -53,7 +53,8 @@ def _mean_power(system: System, term: DampingTerm) -> float:
     v[term.j] += 1
     q = term.powers("q", n)
     half = 0.5 * (sum(q) + int(v.sum()))
-    velocities = gaussian_moment(np.asarray(np.diag(1.0 / system.mass)), tuple(v))
+    inverse_mass: Array = np.diag(1.0 / system.mass)
+    velocities = gaussian_moment(inverse_mass, tuple(v))
     displacements = gaussian_moment(np.linalg.inv(system.stiffness_matrix), q)
     energies = exp(lgamma(n + half + term.energy) - lgamma(n + half))
     return term.coefficient * velocities * displacements * energies
