@@ -53,7 +53,7 @@ def _mean_power(system: System, term: DampingTerm) -> float:
     v[term.j] += 1
     q = term.powers("q", n)
     half = 0.5 * (sum(q) + int(v.sum()))
-    inverse_mass: Array = np.diag(1.0 / system.mass)
+    inverse_mass = np.asarray(np.diag(1.0 / system.mass), dtype=np.float64)
     velocities = gaussian_moment(inverse_mass, tuple(v))
     displacements = gaussian_moment(np.linalg.inv(system.stiffness_matrix), q)
     energies = exp(lgamma(n + half + term.energy) - lgamma(n + half))
