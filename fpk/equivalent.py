@@ -53,8 +53,8 @@ def _mean_power(system: System, term: DampingTerm) -> float:
     v[term.j] += 1
     q = term.powers("q", n)
     half = 0.5 * (sum(q) + int(v.sum()))
-    inverse_mass = np.asarray(np.diag(1.0 / system.mass), dtype=np.float64)
-    velocities = gaussian_moment(inverse_mass, tuple(v))
-    displacements = gaussian_moment(np.linalg.inv(system.stiffness_matrix), q)
+    compliance: Array = np.asarray(np.linalg.inv(system.stiffness_matrix), dtype=float)
+    velocities = gaussian_moment(np.diag(1.0 / system.mass), tuple(v))
+    displacements = gaussian_moment(compliance, q)
     energies = exp(lgamma(n + half + term.energy) - lgamma(n + half))
     return term.coefficient * velocities * displacements * energies
