@@ -1,4 +1,7 @@
-"""A joint density as a surface, by theory and by simulation, as in Fig. 7 of the paper."""
+"""A joint density as a surface, by theory and by simulation, as in Fig. 7 of the paper.
+
+VTK shades it where the extra ``viz`` is installed, else matplotlib does.
+"""
 
 from collections.abc import Mapping
 
@@ -10,6 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 
 from cases.fields import common_grid, values_on
+from cases.pictures.rendered import can_render, lay_rendered
 from cases.pictures.style import SHOWN, THEORIES, symbol_of, words_of
 from cases.run import CurveOutcome
 from fpk.density import AnyDensity, Array, SampledDensity
@@ -41,7 +45,10 @@ def surface_figure(curve: CurveOutcome, observable: Observable) -> Figure:
         axes = figure.add_subplot(1, len(chosen), place, projection="3d")
         assert isinstance(axes, Axes3D)
         _dress(axes, observable, ends, top)
-        _draw(axes, grids[route], values[route], top)
+        if can_render():
+            lay_rendered(axes, grids[route], values[route], top=top)
+        else:
+            _draw(axes, grids[route], values[route], top)
         axes.set_title(THEORIES.get(route, "simulation"), y=0.96, loc="left", x=0.05)
     figure.subplots_adjust(left=0.0, right=0.96, bottom=0.06, top=0.96, wspace=0.06)
     return figure
@@ -92,7 +99,7 @@ def _draw(axes: Axes3D, grid: tuple[Array, ...], values: Array, top: float) -> N
 def _dress(axes: Axes3D, observable: Observable, ends: tuple[Array, ...], top: float) -> None:
     axes.view_init(elev=ELEVATION, azim=AZIMUTH)
     axes.set_box_aspect(ASPECT, zoom=DISTANCE)
-    axes.set_proj_type("persp", focal_length=0.6)
+    axes.set_proj_type("ortho")
     axes.set_xlim(ends[0][0], ends[0][-1])
     axes.set_ylim(ends[1][0], ends[1][-1])
     axes.set_zlim(0.0, 1.05 * top)
