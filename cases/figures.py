@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from cases.pictures.joint import pair_figure
+from cases.pictures.joint import pair_figure, pair_solver_figure
 from cases.pictures.lines import both_answers, density_figure, left_figure, solver_figure
 from cases.pictures.style import STYLE
 from cases.pictures.surface import surface_figure
@@ -25,6 +25,9 @@ def figures(outcome: Outcome) -> Iterator[tuple[str, str, Figure]]:
             stem = name.replace(",", "_")
             if len(observable) == 2:
                 yield f"density_{stem}", _pair_caption(name), pair_figure(own_first[0], observable)
+                if both_answers(own_first[0], observable, "fem"):
+                    drawn = pair_solver_figure(own_first[0], observable)
+                    yield f"solver_{stem}", _solver_caption(name), drawn
                 if all(c.kind != "H" for c in observable):  # energies pile up in a corner
                     drawn = surface_figure(own_first[0], observable)
                     yield f"surface_{stem}", _surface_caption(name), drawn
@@ -42,8 +45,8 @@ def _density_caption(name: str) -> str:
 
 def _solver_caption(name: str) -> str:
     return (
-        f"Numerical error for {name}: the finite element answer against the closed form of the same"
-        " equation, and what the solver said its error would be."
+        f"Numerical error for {name}: the finite element answer against another answer to the same"
+        " equation, the closed form where there is one, and what the solver stated as its error."
     )
 
 

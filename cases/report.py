@@ -14,9 +14,10 @@ from cases.fields import program_version, write_netcdf
 from cases.figures import figures
 from cases.files import write_text
 from cases.run import Outcome
-from cases.show import theories
+from cases.show import term_text, theories
 from cases.summary import effects_record, system_record
 from cases.svg import inline_svg, svg_text
+from cases.telling import told_comparisons, told_refusals
 
 LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "xarray")
 
@@ -48,12 +49,15 @@ def report_html(outcome: Outcome, pictures: list[dict[str, Any]]) -> str:
     )
     environment.filters["num"] = number
     environment.filters["route"] = route_name
+    environment.filters["told"] = told_comparisons
+    environment.filters["reasons"] = told_refusals
     base = outcome.curves[0]
     return environment.get_template("report.html").render(
         outcome=outcome,
         scene=outcome.scene,
         base=base,
         system=system_record(base.system),
+        terms=[term_text(term) for term in system_record(base.system)["damping_terms"]],
         effects=effects_record(base.effects),
         theories=theories(outcome.scene),
         pictures=pictures,

@@ -75,7 +75,9 @@ def show_text(record: dict[str, Any]) -> str:
         f" B = {c['stiffness']:g}, δ = {c['clearance']:g}"
         for i, c in enumerate(system["contacts"], start=1)
     ] or ["  no contact"]
-    lines += [f"  damping term {i:<3} {_term(t)}" for i, t in enumerate(system["damping_terms"], 1)]
+    lines += [
+        f"  damping term {i:<3} {term_text(t)}" for i, t in enumerate(system["damping_terms"], 1)
+    ]
     words = [f"{key} {_short(value)}" for key, value in effects.items()]
     lines += ["", "Effects", *(f"  {w}" for w in words)]
     lines += ["", "Natural frequencies", f"  {_short(record['natural_frequencies'])}"]
@@ -99,7 +101,7 @@ def show_text(record: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _term(term: dict[str, Any]) -> str:
+def term_text(term: dict[str, Any]) -> str:
     """The term as an equation: ``c11 += 0.05 q1^2 v2^2 H``."""
     factors = [
         name if power == 1 else f"{name}^{power}"

@@ -3,6 +3,7 @@
 from typing import Any
 
 from cases.run import Outcome
+from cases.telling import told_comparisons, told_refusals
 
 
 def run_text(outcome: Outcome) -> str:
@@ -12,7 +13,7 @@ def run_text(outcome: Outcome) -> str:
         if curve.label:
             lines.append(curve.label)
         lines.append(f"  {'of':8}{'a':27}{'b':27}{'measures':11}{'L1':>9} {'allowed':>9}")
-        for c in curve.comparisons:
+        for c in told_comparisons(curve.comparisons):
             allowed = "-" if c.band is None else f"{c.band:.2e}"
             verdict = "" if c.holds else "  FAILS"
             lines.append(
@@ -22,7 +23,7 @@ def run_text(outcome: Outcome) -> str:
         lines += [
             f"  {r.route}: {'failed' if r.failed else 'not taken'} ({', '.join(r.observables)}):"
             f" {r.reason}"
-            for r in curve.refusals
+            for r in told_refusals(curve.refusals)
         ]
         lines.append("")
     lines += claims_lines(outcome)

@@ -8,12 +8,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from cases.compare import FULL
 from cases.fields import values_on
 from cases.pictures.style import (
     COLOURS,
     INK,
     LINES,
+    SAMPLED,
     SHOWN,
     THEORIES,
     coincides,
@@ -21,6 +21,7 @@ from cases.pictures.style import (
     set_labels,
     shown_range,
     symbol_of,
+    theories_in,
     words_of,
 )
 from cases.run import CurveOutcome
@@ -30,6 +31,9 @@ from fpk.observable import Observable
 MARKERS = 56
 """Bins drawn as points."""
 
+MARKS = ("o", "s", "s")
+"""Markers of the sampled routes: circles for the full system, squares for averaged equations."""
+
 
 def density_figure(curves: list[CurveOutcome], observable: Observable) -> Figure:
     """Draw the densities of one coordinate: theory as lines, simulation as points with bars."""
@@ -38,7 +42,7 @@ def density_figure(curves: list[CurveOutcome], observable: Observable) -> Figure
     ends = []
     for curve, colour in zip(curves, cycle(COLOURS), strict=False):
         found = curve.densities(observable)
-        lines = [r for r in THEORIES if r in found and not coincides(r, found, curve)]
+        lines = [r for r in theories_in(found) if not coincides(r, found, curve)]
         if "exact" in lines and "linear" in lines:
             lines.remove("linear")
         x = np.linspace(*shown_range(found), 600)
@@ -46,18 +50,19 @@ def density_figure(curves: list[CurveOutcome], observable: Observable) -> Figure
         for route, dashes in zip(lines, LINES, strict=False):
             axes.plot(x, values_on(found[route], x)[0], color=colour, linestyle=dashes)
             drawn.setdefault(THEORIES[route], Line2D([], [], color=INK, linestyle=dashes))
-        if "nonintegrable/fem" in found:
+        if "nonintegrable/fem" in found and "nonintegrable/fem" not in lines:
             y = values_on(found["nonintegrable/fem"], x)[0]
             axes.plot(x, y, color=INK, linewidth=0.9, linestyle=(0, (1, 2.5)), zorder=4)
             dots = Line2D([], [], color=INK, linewidth=0.9, linestyle=(0, (1, 2.5)))
             drawn.setdefault("finite elements", dots)
-        sampled = found.get("montecarlo")
-        if isinstance(sampled, SampledDensity):
-            _points(axes, sampled, colour, x)
-            words = "simulation, ±2 standard errors"
-            drawn.setdefault(
-                words, Line2D([], [], color=INK, marker="o", markersize=3.4, **_HOLLOW)
-            )
+        for (route, words), marker in zip(SAMPLED.items(), MARKS, strict=True):
+            sampled = found.get(route)
+            if isinstance(sampled, SampledDensity):
+                _points(axes, sampled, colour, x, marker=marker)
+                drawn.setdefault(
+                    f"{words}, ±2 standard errors",
+                    Line2D([], [], color=INK, marker=marker, markersize=3.4, **_HOLLOW),
+                )
     axes.set_xlim(min(e[0] for e in ends), max(e[1] for e in ends))
     axes.set_ylim(bottom=0)
     set_labels(axes, observable[0])
@@ -90,7 +95,7 @@ def solver_figure(curves: list[CurveOutcome], observable: Observable) -> Figure:
         Line2D([], [], color=INK, linewidth=1),
         Line2D([], [], color=INK, linestyle=(0, (6, 2))),
     ]
-    labels += ["|finite elements − closed form|", "error the solver states"]
+    labels += ["|finite elements − reference|", "error the solver states"]
     if len(curves) == 1:
         handles, labels = handles[1:], labels[1:]
     figure.legend(handles, labels, loc="outside upper left", ncols=3, columnspacing=1.6)
@@ -140,12 +145,17 @@ def both_answers(
 ) -> tuple[AnyDensity, Density] | None:
     """Return the answer by elements or simulation, and the best theory to hold against it."""
     found = curve.densities(observable)
-    first = found.get("montecarlo" if other == "montecarlo" else f"nonintegrable/{other}")
-    best = (
-        ("nonintegrable/closed-form",) if other == "fem" else (*FULL, "nonintegrable/closed-form")
-    )
-    second = next((found[r] for r in best if r in found), None)
-    return (first, second) if first is not None and isinstance(second, Density) else None
+    if other == "montecarlo":
+        second = next((found[r] for r in theories_in(found)), None)
+        first = found.get("montecarlo")
+        return (first, second) if first is not None and isinstance(second, Density) else None
+    for theory in ("nonintegrable", "integrable"):
+        first = found.get(f"{theory}/fem")
+        references = (f"{theory}/closed-form", f"{theory}/quadrature")
+        second = next((found[r] for r in references if r in found), None)
+        if first is not None and isinstance(second, Density):
+            return first, second
+    return None
 
 
 _HOLLOW: Mapping[str, Any] = {
@@ -155,13 +165,13 @@ _HOLLOW: Mapping[str, Any] = {
 }
 
 
-def _points(axes: Axes, sampled: SampledDensity, colour: str, x: Array) -> None:
+def _points(axes: Axes, sampled: SampledDensity, colour: str, x: Array, *, marker: str) -> None:
     joined = _joined(sampled, MARKERS)
     middle = _middles(joined)
     shown = _within(middle, (float(x[0]), float(x[-1])))
     middle, value, error = middle[shown], joined.values[shown], 2 * joined.standard_error[shown]
     axes.errorbar(
-        middle, value, error, color=colour, fmt="o", markersize=3.4, elinewidth=0.9,
+        middle, value, error, color=colour, fmt=marker, markersize=3.4, elinewidth=0.9,
         markerfacecolor="none", markeredgewidth=0.9,
     )  # fmt: skip
 

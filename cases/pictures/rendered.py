@@ -72,7 +72,7 @@ def _image(points: list[Array], share: Array, eye: Array, centre: Array, half: f
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)  # it complains of the missing display
     sheet = pv.StructuredGrid(*points)
     sheet["share"] = share.ravel(order="F")
-    plotter = pv.Plotter(off_screen=True, window_size=(PIXELS, PIXELS), lighting="three lights")
+    plotter = pv.Plotter(off_screen=True, window_size=[PIXELS, PIXELS], lighting="three lights")
     plotter.add_mesh(
         sheet, scalars="share", cmap="viridis", clim=(0.0, 1.0), smooth_shading=True,
         show_scalar_bar=False, ambient=0.25, diffuse=0.75, specular=0.15, specular_power=12,

@@ -49,9 +49,31 @@ THEORIES = {
     "exact": "exact, Eq. (7)",
     "linear": "Gaussian, exact without contact",
     "nonintegrable/closed-form": "averaging, Eq. (11)",
+    "nonintegrable/fem": "averaging, FPK of (24)",
+    "nonintegrable/quadrature": "averaging, Eq. (11)",
     "integrable/closed-form": "averaging, Eq. (34)",
+    "integrable/fem": "averaging, FPK (19)",
+    "integrable/quadrature": "averaging, Eq. (11)",
 }
+"""Deterministic routes in words; of one theory's solvers the first is drawn."""
+
+SAMPLED = {
+    "montecarlo": "simulation",
+    "nonintegrable/simulation": "simulation of (24)",
+    "integrable/simulation": "simulation of (17)",
+}
+"""Sampled routes in words: of the full system, and of the averaged equations."""
+
 LINES: Any = ("-", (0, (6, 2)), (0, (6, 2, 1, 2)), (0, (1, 1)))
+
+
+def theories_in(found: Mapping[str, AnyDensity]) -> list[str]:
+    """Return the route by which each theory in ``found`` is drawn, the exact ones first."""
+    routes: dict[str, str] = {}
+    for route in THEORIES:
+        if route in found:
+            routes.setdefault(route.split("/")[0], route)
+    return list(routes.values())
 
 
 def coincides(route: str, found: Mapping[str, AnyDensity], curve: CurveOutcome) -> bool:

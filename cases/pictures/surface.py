@@ -14,7 +14,7 @@ from mpl_toolkits.mplot3d import Axes3D
 
 from cases.fields import common_grid, values_on
 from cases.pictures.rendered import can_render, lay_rendered
-from cases.pictures.style import SHOWN, THEORIES, symbol_of, words_of
+from cases.pictures.style import SHOWN, THEORIES, symbol_of, theories_in, words_of
 from cases.run import CurveOutcome
 from fpk.density import AnyDensity, Array, SampledDensity
 from fpk.observable import Observable
@@ -55,7 +55,7 @@ def surface_figure(curve: CurveOutcome, observable: Observable) -> Figure:
 
 
 def _chosen(found: Mapping[str, AnyDensity]) -> dict[str, AnyDensity]:
-    theory = next((r for r in THEORIES if r in found), next(iter(found)))
+    theory = next(iter(theories_in(found)), next(iter(found)))
     routes = dict.fromkeys([theory, *(r for r in ("montecarlo",) if r in found)])
     return {route: found[route] for route in routes}
 
