@@ -10,7 +10,7 @@ from fpk.errors import InvalidInput, NotCertified
 from fpk.line.elements import gauss_rule, shape_functions, shapes_at_gauss
 from fpk.plane.condensation import null_vector
 from fpk.plane.elements import coefficients_at, element_matrices
-from fpk.plane.mesh import axis_nodes, bisected
+from fpk.plane.mesh import Survey, axis_nodes, bisected, surveyed
 from fpk.vector_process import VectorProcess
 
 Array = NDArray[np.float64]
@@ -19,10 +19,17 @@ ENRICHMENT = 2
 """Degrees by which the comparison solution exceeds the answer along both axes."""
 SAFETY = 2.0
 """As for one energy: at an algebraic singularity the enriched solution keeps part of the error."""
+SHARE = 0.2
+"""Part of the tolerance that each interval of the first mesh is planned to use up."""
+NEARLY = 30.0
+"""An estimate within so many tolerances is met by two degrees more rather than by more elements."""
+MOST_DEGREE = 20
 MOST_ROUNDS = 12
-MOST_ELEMENTS = 4096
+MOST_UNKNOWNS = 100_000
 ROUND_OFF = 4e-16
-NEGATIVE = -1e-14
+NEGATIVE = 0.1
+"""Share of the estimated error that the mass of negative values may make up: a polynomial of the
+right size everywhere else undershoots where p is far smaller than the tolerance."""
 RESIDUAL = 1e-12
 CHUNK = 8192
 
@@ -68,12 +75,16 @@ class TensorPolynomial:
 
 @dataclass(frozen=True, eq=False)
 class PlaneSolution:
-    """Finite element density p(H1, H2) with its error estimate and certificate."""
+    """Finite element density p(H1, H2) with its error estimate and certificate.
+
+    ``undershoot`` is ∫ max(−p, 0), the mass of its negative values.
+    """
 
     process: VectorProcess
     answer: TensorPolynomial
     enriched: TensorPolynomial
     l1_error: float
+    undershoot: float
     certificate: Certificate
 
     @property
@@ -104,32 +115,49 @@ def solve_plane(
     """Return the stationary density of two energies to the L1 tolerance ``tol``.
 
     No boundary condition is imposed: at H_i = 0 the diffusion across vanishes, and zero flux is
-    natural there and at the far edges. Degree and first mesh follow from ``tol`` and the fall of
-    the density along the axes; intervals whose highest modes are too large are halved until the
-    estimate, the distance to a solution of two degrees more, meets ``tol``.
+    natural there and at the far edges. Degree and first mesh follow from ``tol`` and from what the
+    density would be if no probability flowed. The estimate is the distance to a solution of two
+    degrees more; until it meets ``tol`` the mesh is made longer where mass lies beyond, the degree
+    raised where little is missing, and intervals whose highest modes are too large are halved.
 
     Raises ``NotCertified`` where the density does not fall off, ``InvalidInput`` for a process
     that has not two energies.
     """
     if process.dimension != 2:
         raise InvalidInput("process", process.dimension, "must have two energies")
+    fixed = degree is not None
     degree = int(np.clip(round(-1.6 * np.log10(tol)), 4, 18)) if degree is None else degree
-    nodes = tuple(
-        axis_nodes(process, axis, tail=1e-2 * tol, tol=0.3 * tol, degree=degree) for axis in (0, 1)
-    )
-    pair = (nodes[0], nodes[1])
+    survey = surveyed(process)
+    pair = _first_nodes(process, survey, degree, tol)
     for _ in range(MOST_ROUNDS):
         solution = solve_plane_on_mesh(process, pair, degree, tol=tol)
-        if solution.l1_error <= tol and solution.certificate.minimum >= NEGATIVE:
+        if solution.l1_error <= tol and solution.undershoot <= NEGATIVE * solution.l1_error:
             break
-        marked = _too_coarse(solution)
-        finer = (bisected(pair[0], marked[0]), bisected(pair[1], marked[1]))
-        beyond = _tails(solution.answer) > 0.1 * tol
+        tails = _tails(solution.answer)
+        beyond = tails > 0.1 * tol
+        near = solution.l1_error - 2.0 * float(tails.sum()) <= NEARLY * tol
+        if near and not fixed and not np.any(beyond) and degree + 2 <= MOST_DEGREE:
+            degree += 2
+            continue
+        finer = pair
+        if not near or not np.any(beyond):
+            marked = _too_coarse(solution)
+            finer = (bisected(pair[0], marked[0]), bisected(pair[1], marked[1]))
         finer = (_longer(finer[0], beyond[0]), _longer(finer[1], beyond[1]))
-        if (finer[0].size - 1) * (finer[1].size - 1) > MOST_ELEMENTS:
+        if (finer[0].size - 1) * (finer[1].size - 1) * (degree + 1) ** 2 > MOST_UNKNOWNS:
             break
         pair = finer
     return solution
+
+
+def _first_nodes(
+    process: VectorProcess, survey: Survey, degree: int, tol: float
+) -> tuple[Array, Array]:
+    first, second = (
+        scale * axis_nodes(survey, axis, tail=1e-2 * tol, tol=SHARE * tol, degree=degree)
+        for axis, scale in enumerate(process.energy_scales)
+    )
+    return first, second
 
 
 def solve_plane_on_mesh(
@@ -145,8 +173,11 @@ def solve_plane_on_mesh(
     tail = float(tails.sum())
     estimate = SAFETY * distance + 2.0 * tail + ROUND_OFF * degree**2 * weights.shape[0] ** 0.5
     minimum = float(p.min() / p.max())
+    undershoot = float(np.sum(weights * np.maximum(-p, 0.0)))
     checks = {
-        f"the density falls to {minimum:.2g} of its maximum": minimum < NEGATIVE,
+        f"the density falls to {minimum:.2g} of its maximum, by more than its error explains": (
+            undershoot > NEGATIVE * estimate
+        ),
         f"the estimated error {estimate:.2g} exceeds the tolerance {tol:.2g}": not estimate <= tol,
         f"the algebraic residual is {residual:.2g}": not residual < RESIDUAL,
         "the density does not fall off at the far edges": not np.isfinite(tail),
@@ -159,7 +190,7 @@ def solve_plane_on_mesh(
         net_flux=fluxless,
         failures=tuple(words for words, failed in checks.items() if failed),
     )
-    return PlaneSolution(process, answer, enriched, estimate, certificate)
+    return PlaneSolution(process, answer, enriched, estimate, undershoot, certificate)
 
 
 def _sizes(nodes: tuple[Array, Array]) -> Array:
