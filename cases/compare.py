@@ -78,7 +78,7 @@ def compared(results: Sequence[Result], *, averaging_is_exact: bool) -> tuple[Co
     answers = [(r, d) for r in results for d in r.densities]
     found = []
     for (of_a, a), (of_b, b) in combinations(answers, 2):
-        if a.observable == b.observable:
+        if a.observable == b.observable and not _on_different_bins(a, b):
             whole = not any(LEFT_OUT in r.settings for r in (of_a, of_b))
             kind = what_is_measured(
                 of_a.method, of_b.method, averaging_is_exact=averaging_is_exact and whole
@@ -88,12 +88,19 @@ def compared(results: Sequence[Result], *, averaging_is_exact: bool) -> tuple[Co
     return tuple(sorted(found, key=lambda c: c.observable))
 
 
+def _on_different_bins(a: AnyDensity, b: AnyDensity) -> bool:
+    """Whether two histograms cannot be compared: a function between them can be, with both."""
+    both = isinstance(a, SampledDensity) and isinstance(b, SampledDensity)
+    return both and not all(map(np.array_equal, a.panels, b.panels))
+
+
 def what_is_measured(a: Method, b: Method, *, averaging_is_exact: bool) -> Measures:
     """Return which of the three errors separates the answers of two methods."""
     averaged = [m.name not in ONE_SOLVER for m in (a, b)]
     if any(averaged) and a.name != b.name and not averaging_is_exact:
         return "averaging"
-    return "sampling" if "montecarlo" in (a.name, b.name) else "numerical"
+    sampled = any(m.name == "montecarlo" or m.solver == "simulation" for m in (a, b))
+    return "sampling" if sampled else "numerical"
 
 
 def _comparison(

@@ -8,34 +8,44 @@ from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
+from cases.averaged import AveragedSimulation
 from cases.errors import BadInput
 from fpk.method import Method
 from sim.montecarlo import MonteCarlo
+
+SIMULATION = "simulation"
 
 
 @dataclass(frozen=True)
 class Route:
     """One METHOD of the command line: how it is made from a SOLVER, or why it cannot be yet.
 
-    ``solvers`` are the choices, the default first; ``sampled`` routes take seed and threads.
+    ``solvers`` are the choices, the default first; the solver "simulation" takes seed and threads.
     """
 
     make: Callable[[Any], Any] | None
     solvers: tuple[str, ...] = ()
-    sampled: bool = False
     refusal: str = ""
+
+
+def _averaged(theory: Any, solver: str) -> Any:
+    """The theory by ``solver``; its equations are simulated by a method of their own."""
+    plain = theory() if solver == SIMULATION else theory(solver=solver)
+    return AveragedSimulation(plain.name) if solver == SIMULATION else plain
 
 
 ROUTES: dict[str, Route] = {
     "exact": Route(lambda solver: Exact()),
     "linear": Route(lambda solver: Linear()),
     "nonintegrable": Route(
-        lambda solver: NonIntegrable(solver=solver), ("fem", "closed-form", "quadrature")
+        lambda solver: _averaged(NonIntegrable, solver),
+        ("fem", "closed-form", "quadrature", SIMULATION),
     ),
     "integrable": Route(
-        lambda solver: Integrable(solver=solver), ("closed-form", "fem", "quadrature")
+        lambda solver: _averaged(Integrable, solver),
+        ("closed-form", "fem", "quadrature", SIMULATION),
     ),
-    "montecarlo": Route(lambda solver: MonteCarlo(), ("simulation",), sampled=True),
+    "montecarlo": Route(lambda solver: MonteCarlo(), (SIMULATION,)),
 }
 
 
@@ -77,8 +87,9 @@ def method_for(request: Request) -> Method:
         raise BadInput(f"--solver {solver}: not a solver of {request.method}; {choices}")
     if route.make is None:
         raise BadInput(f"--method {request.method}: {route.refusal}")
-    method = route.make(solver or (route.solvers[0] if route.solvers else ""))
-    settings: dict[str, Any] = request.sampling.given() if route.sampled else {}
+    solver = solver or (route.solvers[0] if route.solvers else "")
+    method = route.make(solver)
+    settings: dict[str, Any] = request.sampling.given() if solver == SIMULATION else {}
     if request.tol is not None and hasattr(method, "tol"):
         settings["tol"] = request.tol
     result: Method = replace(method, **settings) if settings else method
@@ -94,7 +105,9 @@ def all_methods(
     a hundred times as long for every digit.
     """
     return tuple(
-        method_for(Request(name, solver, None if route.sampled else tol, sampling or Sampling()))
+        method_for(
+            Request(name, solver, None if solver == SIMULATION else tol, sampling or Sampling())
+        )
         for name, route in ROUTES.items()
         if route.make is not None
         for solver in (route.solvers or (None,))

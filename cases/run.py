@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from time import perf_counter
 
 from averaging.energy_process import energy_process
+from cases.averaged import AveragedSimulation, worth_running
 from cases.claims import Finding, findings
 from cases.compare import Comparison, compared, route_name
 from cases.regime import Regime, regime_of
@@ -113,6 +114,8 @@ def _run_curve(
     results: list[Result] = []
     refusals: list[Refusal] = []
     for method in methods:
+        if isinstance(method, AveragedSimulation) and not worth_running(curve.system):
+            continue
         reasons = {o: method.refusal(curve.system, o) for o in scene.observables}
         for reason in dict.fromkeys(r for r in reasons.values() if r is not None):
             names = tuple(observable_name(o) for o, r in reasons.items() if r == reason)

@@ -1,53 +1,82 @@
-"""Averaged Monte Carlo: exact for uncoupled modes, within its band of the FE solution otherwise."""
+"""Averaged Monte Carlo: exact for uncoupled modes, within its band of exact densities otherwise."""
 
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 import pytest
 from scipy.stats import chi2, ncx2
 
-from cases.compare import chance_l1
-from fpk.density import Density, l1_distance
+from cases.averaged import AveragedSimulation
+from cases.compare import chance_l1, compared
+from cases.routes import Request, method_for
+from cases.scene import load_scene
+from fpk.density import Certificate, Density, l1_distance
 from fpk.errors import InvalidInput, NotApplicable
+from fpk.line.stationary import solve_stationary
 from fpk.observable import Coordinate
 from fpk.plane.stationary import solve_plane
+from fpk.process import Coefficients, DiffusionProcess
 from fpk.vector_process import VectorProcess
-from sim.energy_paths import EnergySampling, simulate_energies, square_root_step
+from sim.averaged.line import line_form
+from sim.averaged.paths import EnergySampling, exact, simulate_energies
+from sim.averaged.square_root import square_root_form, square_root_step
 
-SAMPLING = EnergySampling(dt=0.1, time=20.0, burn_in=10.0, interval=1.0, paths=4096, bins=16)
+SAMPLING = EnergySampling(dt=0.1, time=20.0, burn_in=10.0, interval=1.0, paths=4096)
+H1, H2, TOTAL = Coordinate("H", 0), Coordinate("H", 1), Coordinate("H")
 
 
-def coupled(strength: float) -> VectorProcess:
-    """Van der Pol type damping of two modes: each is damped by the energy of both, b diagonal."""
+def coupled(strength: float, energies: int = 2) -> VectorProcess:
+    """Each mode is damped by the energy of all, b diagonal: ln p = −0.8 ΣH − strength (ΣH)²/1."""
 
     def drift(H):
         total = H.sum(axis=1, keepdims=True)
         return 0.5 - H * (0.4 + strength * total)
 
     def diffusion(H):
-        return H[:, :, None] * np.eye(2)
+        return H[:, :, None] * np.eye(energies)
 
-    return VectorProcess(drift, diffusion, lambda H: np.ones_like(H), (0.7, 0.7))
+    return VectorProcess(drift, diffusion, lambda H: np.ones_like(H), (0.7,) * energies)
 
 
-def by_elements(process: VectorProcess) -> Density:
-    found = solve_plane(process, tol=1e-6)
-    return Density(
-        (Coordinate("H", 0), Coordinate("H", 1)),
-        found.nodes,
-        found.density,
-        found.pointwise_error,
-        found.l1_error,
-        found.certificate,
-    )
+def energy_dependent(quartic: float) -> DiffusionProcess:
+    """One energy whose b is not linear: T = H, τ = H/2/(1 + H), p = H exp(−H − quartic H²)."""
+
+    def coefficients(H):
+        diffusion = H / (1.0 + H)
+        slope = 1.0 / (1.0 + H) ** 2
+        dissipation = -0.5 * diffusion * (1.0 + 2.0 * quartic * H)
+        drift = dissipation + 0.5 * (slope + diffusion / H)
+        nothing = np.zeros_like(H)
+        return Coefficients(drift, diffusion, slope, dissipation, np.log(H), nothing)
+
+    return DiffusionProcess(coefficients, 2.0 / (1.0 + quartic), (), 2)
+
+
+def as_density(observable, panels, pdf, error=1e-9) -> Density:
+    certificate = Certificate(mass_defect=0.0, minimum=0.0, residual=0.0, tail_mass=0.0)
+    return Density(observable, panels, pdf, lambda *x: 0.0 * pdf(*x), error, certificate)
+
+
+def gibbs_sum(strength: float, energies: int) -> Density:
+    """p(H) of H = ΣH_i of ``coupled``: H^(n−1) exp(−0.8 H − strength H²), normalised."""
+    nodes = np.linspace(0.0, 12.0, 40)
+
+    def shape(H):
+        return np.maximum(H, 0.0) ** (energies - 1) * np.exp(-0.8 * H - strength * H**2)
+
+    fine = np.linspace(0.0, 12.0, 200_001)
+    norm = np.trapezoid(shape(fine), fine)
+    return as_density((TOTAL,), (nodes,), lambda H: shape(np.asarray(H)) / norm)
 
 
 def test_one_step_of_an_uncoupled_mode_is_the_noncentral_chi_square_at_any_dt() -> None:
     # The transition law of the CIR process, as scipy knows it; χ² over 20 bins of equal
     # probability, false-alarm rate 1e-4 for each mode.
-    process = coupled(0.0)
+    form = square_root_form(coupled(0.0))
+    assert exact(form) and not exact(square_root_form(coupled(0.1)))
     start, dt, count = 0.9, 3.0, 40_000
-    H = square_root_step(process, np.full((count, 2), start), dt, np.random.default_rng(11))
+    H = square_root_step(form, np.full((count, 2), start), dt, np.random.default_rng(11))
     gamma, beta, d = 0.4, 1.0, 0.5
     k = 0.25 * beta * -np.expm1(-gamma * dt) / gamma
     share = ncx2(4.0 * d / beta, start * np.exp(-gamma * dt) / k, scale=k).cdf(H)
@@ -60,19 +89,109 @@ def test_one_step_of_an_uncoupled_mode_is_the_noncentral_chi_square_at_any_dt() 
 def test_agrees_with_elements_on_coupled_damping_and_rejects_a_wrong_coefficient() -> None:
     # The band is that of chance alone at 1e-4; the step bias at dt = 0.1 must stay inside it, and
     # a coupling that is a quarter too strong must not.
-    sampled = simulate_energies(coupled(0.8), SAMPLING, (4.0, 4.0))
-    band = chance_l1(sampled)[1]
-    assert l1_distance(sampled, by_elements(coupled(0.8))) < band
-    assert l1_distance(sampled, by_elements(coupled(1.0))) > band
-    assert sampled.certificate.certified
-    assert sampled.certificate.mass_defect < 1e-12
+    (pair,) = simulate_energies(square_root_form(coupled(0.8)), [(H1, H2)], SAMPLING)
+    pair = pair.coarsened(4)
+    band = chance_l1(pair)[1]
+
+    def by_elements(process: VectorProcess) -> Density:
+        found = solve_plane(process, tol=1e-6)
+        return as_density((H1, H2), found.nodes, found.density, found.l1_error)
+
+    assert l1_distance(pair, by_elements(coupled(0.8))) < band
+    assert l1_distance(pair, by_elements(coupled(1.0))) > band
+    assert pair.certificate.certified
+    assert pair.certificate.mass_defect < 1e-12
+
+
+def test_three_coupled_energies_against_their_gibbs_like_density() -> None:
+    form = square_root_form(coupled(0.4, energies=3))
+    total, first = simulate_energies(form, [(TOTAL,), (H1,)], SAMPLING)
+    joined = total.coarsened(8)
+    band = chance_l1(joined)[1]
+    assert l1_distance(joined, gibbs_sum(0.4, 3)) < band
+    assert l1_distance(joined, gibbs_sum(0.5, 3)) > band
+    assert first.name == "H1"
+
+
+def test_one_energy_with_a_diffusion_that_is_not_linear_against_elements() -> None:
+    form = line_form(energy_dependent(0.2))
+    (sampled,) = simulate_energies(form, [(TOTAL,)], replace(SAMPLING, burn_in=30.0, interval=2.0))
+    joined = sampled.coarsened(8)
+    band = chance_l1(joined)[1]
+
+    def by_elements(quartic: float) -> Density:
+        found = solve_stationary(energy_dependent(quartic), tol=1e-8)
+        return as_density((TOTAL,), (found.nodes,), found.density, found.l1_error)
+
+    assert l1_distance(joined, by_elements(0.2)) < band
+    assert l1_distance(joined, by_elements(0.25)) > band
+
+
+def test_step_bias_of_the_mean_is_of_second_order() -> None:
+    # E H after a fixed time from one start; halving dt twice, differences fall by four. Strong
+    # damping makes them large: 12, 3 and less than 1 standard errors or more apart.
+    form = square_root_form(coupled(2.0, energies=1))
+
+    def mean(dt: float) -> tuple[float, float]:
+        stream = np.random.default_rng(7)
+        X = np.full((1_500_000, 1), 1.0)
+        for _ in range(round(1.6 / dt)):
+            X = square_root_step(form, X, dt, stream)
+        return float(X.mean()), float(X.std() / np.sqrt(X.size))
+
+    (a, e1), (b, e2), (c, e3) = mean(1.6), mean(0.8), mean(0.2)
+    far, near = a - c, b - c
+    assert abs(far) > 12.0 * np.hypot(e1, e3)
+    # Second order: (1.6² − 0.2²)/(0.8² − 0.2²) = 4.2; first order would give 2.3.
+    assert abs(near) < abs(far) / 3.0 + 4.0 * np.hypot(e2, e3)
+
+
+@pytest.mark.parametrize(
+    ("scene", "theory", "solver", "observable"),
+    [
+        ("fig8b", "integrable", "closed-form", (H1,)),
+        ("fig8b", "integrable", "closed-form", (TOTAL,)),
+        ("fig8b", "integrable", "closed-form", (H1, H2)),
+        ("fig6a", "nonintegrable", "fem", (TOTAL,)),
+    ],
+)
+def test_as_a_method_it_agrees_with_another_solver_and_is_judged(
+    scene, theory, solver, observable
+) -> None:
+    system = load_scene(scene).system
+    results = [
+        method_for(Request(theory, name)).solve(system, [observable])
+        for name in ("simulation", solver)
+    ]
+    (found,) = compared(results, averaging_is_exact=False)
+    assert found.measures == "sampling"
+    assert found.holds and found.band is not None and found.band < 0.1
+
+
+def test_what_is_not_an_energy_is_refused() -> None:
+    system = load_scene("fig8b").system
+    for theory, observable, words in (
+        ("integrable", (Coordinate("q", 0),), "energies only"),
+        ("integrable", (H1, TOTAL), "both must be modal"),
+        ("nonintegrable", (H1,), "total energy only"),
+    ):
+        assert words in (AveragedSimulation(theory).refusal(system, observable) or "")
+
+
+def test_the_answer_does_not_depend_on_threads() -> None:
+    form = square_root_form(coupled(0.8))
+    short = replace(SAMPLING, paths=256, time=3.0, burn_in=1.0)
+    (one,) = simulate_energies(form, [(H1,)], short)
+    (two,) = simulate_energies(form, [(H1,)], replace(short, threads=2))
+    assert np.array_equal(one.batch_values, two.batch_values)
 
 
 def test_energies_stay_positive_at_a_coarse_step() -> None:
     stream = np.random.default_rng(3)
+    form = square_root_form(coupled(0.8))
     H = np.full((2000, 2), 1e-12)
     for _ in range(20):
-        H = square_root_step(coupled(0.8), H, 2.0, stream)
+        H = square_root_step(form, H, 2.0, stream)
         assert np.all(H >= 0) and np.isfinite(H).all()
 
 
@@ -81,8 +200,9 @@ def test_refusals() -> None:
         coupled(0.1), diffusion=lambda H: H[:, :, None] * np.eye(2) + 0.1 * H.prod(1)[:, None, None]
     )
     with pytest.raises(NotApplicable, match="correlated"):
-        simulate_energies(correlated, SAMPLING, (4.0, 4.0))
+        square_root_form(correlated)
     with pytest.raises(InvalidInput, match="paths"):
         replace(SAMPLING, paths=100)
     with pytest.raises(InvalidInput, match="dt"):
         replace(SAMPLING, dt=0.0)
+    assert replace(SAMPLING, dt=inf).inner == (1, 1.0)

@@ -1,0 +1,133 @@
+"""Monte Carlo of the averaged equations as a method: the process of a theory, sampled."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import inf, isfinite
+from time import perf_counter
+from typing import Literal, Self, get_args
+
+from averaging.energy_process import energy_balance, energy_process
+from averaging.integrable import Integrable
+from averaging.modal.process import modal_process
+from fpk.errors import InvalidInput, NotApplicable
+from fpk.method import Progress, Result, require_applicable, silent
+from fpk.observable import Coordinate, Observable, observable_name
+from fpk.system import System
+from sim.averaged.line import line_form
+from sim.averaged.paths import BATCHES, LEAST_PATHS, EnergySampling, exact, simulate_energies
+from sim.averaged.square_root import SquareRootForm, square_root_form
+
+Theory = Literal["integrable", "nonintegrable"]
+
+SAMPLED_TIMES = 20.0
+"""Relaxation times that each path is sampled for where ``time`` is not given."""
+
+
+@dataclass(frozen=True)
+class AveragedSimulation:
+    """Averaged energies (17) or energy (9) of a theory by simulation: its ``solver`` "simulation".
+
+    Times come from the process: an energy relaxes in about the time in which noise fills its scale,
+    ``scale/d``, d the drift at H_i = 0; paths run for ten of the slowest, are sampled every half
+    of it for ``time`` (None: 20 of it), with steps of ``step`` times the fastest, or from sample
+    to sample where steps are exact. Two wells with rare passages relax more slowly than that.
+    ``paths`` in all; ``threads`` None: all that there are, the answer does not depend on it.
+    """
+
+    theory: Theory
+    paths: int = 16384
+    time: float | None = None
+    step: float = 0.05
+    seed: int = 1
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        """Check every field."""
+        if self.theory not in get_args(Theory):
+            raise InvalidInput("theory", self.theory, f"use one of {sorted(get_args(Theory))}")
+        if self.paths < BATCHES * LEAST_PATHS or self.paths % BATCHES:
+            raise InvalidInput("paths", self.paths, f"use a multiple of {BATCHES}, 256 or more")
+        if not 0 <= self.seed < 2**64:
+            raise InvalidInput("seed", self.seed, "use an integer from 0 to 2**64 - 1")
+        if self.threads is not None and self.threads < 1:
+            raise InvalidInput("threads", self.threads, "use 1 or more")
+        for key in ("time", "step"):
+            value = getattr(self, key)
+            if value is not None and not (isfinite(value) and value > 0):
+                raise InvalidInput(key, value, "must be a finite number > 0")
+
+    @property
+    def name(self) -> str:
+        """The theory's name on the command line."""
+        return self.theory
+
+    @property
+    def solver(self) -> str:
+        """How the theory's equation is solved, on the command line."""
+        return "simulation"
+
+    def refusal(self, system: System, observable: Observable) -> str | None:
+        """Return why the theory or its simulation does not give ``observable``."""
+        name = observable_name(observable)
+        if any(c.kind != "H" for c in observable):
+            return f"{name}: the averaged simulation samples energies only; use another solver"
+        if self.theory == "nonintegrable":
+            if observable != (Coordinate("H"),):
+                return f"{name}: this theory knows the total energy only; ask for H"
+            try:
+                energy_balance(system)
+            except NotApplicable as reason:
+                return str(reason)
+            return None
+        if len(observable) > 1 and any(c.index is None for c in observable):
+            return f"{name}: of two quantities, both must be modal energies"
+        # The conditions of the theory itself, resonance among them, do not depend on the solver.
+        return Integrable().refusal(system, observable)
+
+    def solve(
+        self,
+        system: System,
+        observables: Sequence[Observable],
+        *,
+        progress: Progress = silent,
+    ) -> Result:
+        """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses."""
+        require_applicable(self, system, observables)
+        start = perf_counter()
+        form = self._form(system)
+        slowest, fastest = float(form.times.max()), float(form.times.min())
+        sampling = EnergySampling(
+            dt=inf if exact(form) else self.step * fastest,
+            time=SAMPLED_TIMES * slowest if self.time is None else self.time,
+            burn_in=10.0 * slowest,
+            interval=0.5 * slowest,
+            paths=self.paths,
+            seed=self.seed,
+            threads=self.threads or len(os.sched_getaffinity(0)),
+        )
+        densities = simulate_energies(form, observables, sampling, progress=progress)
+        settings: dict[str, str | float | int] = {
+            "equation": "(17)" if self.theory == "integrable" else "(9), (24)",
+            "relaxation time": slowest,
+            "dt": sampling.inner[1],
+            "steps": "exact" if exact(form) else "Strang splitting",
+            "paths": self.paths,
+            "time": sampling.time,
+            "seed": self.seed,
+        }
+        return Result(self, densities, perf_counter() - start, settings=settings)
+
+    def refined(self) -> Self:
+        """Return the method with four times the paths and half the step: half of both errors."""
+        return replace(self, paths=4 * self.paths, step=0.5 * self.step)
+
+    def _form(self, system: System) -> SquareRootForm:
+        if self.theory == "integrable":
+            return square_root_form(modal_process(system))
+        return line_form(energy_process(system))
+
+
+def worth_running(system: System) -> bool:
+    """Whether ``fpk run`` samples averaged equations unasked: where no closed form knows better."""
+    return bool(system.damping_terms)
