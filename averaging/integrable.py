@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 
 from averaging.gaussian import gaussian_density
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
+from averaging.modal.blocks import unsolved
+from averaging.modal.coupled import state_dependent_densities
 from averaging.modal.energies import modal_energies, total_energy
+from averaging.modal.internal import internal_refusal, resonance_order
 from averaging.modal.numerical import by_elements, by_quadrature
 from averaging.modal.resonance import nearest_resonance, resonance_refusal, strongest_pair
 from fpk.clearance import CLEARANCE_RULE, stop_clearances
@@ -38,6 +41,10 @@ class Integrable:
     "fem" solves the FPK equation, for the modal energies alone, to the L1 tolerance ``tol``. The
     theory needs light damping and is refused where the modes are in a resonance that matters;
     without contacts it is exact where the damping and noise meet (8).
+
+    Damping that depends on the state is averaged over the phases; it may couple the energies of
+    two modes, which "fem" solves for together, and no more. Every solver then gives every
+    observable: displacements and momenta by the characteristic function of the energies.
     """
 
     solver: Solver = "closed-form"
@@ -58,7 +65,12 @@ class Integrable:
             modes = modal_analysis(system)
         except NotApplicable as reason:
             return str(reason)
-        return resonance_refusal(modes) or self._unknown(observable)
+        return (
+            resonance_refusal(modes)
+            or internal_refusal(system, modes)
+            or unsolved(modes, self.solver)
+            or self._unknown(observable, modes)
+        )
 
     def solve(
         self,
@@ -71,25 +83,34 @@ class Integrable:
         require_applicable(self, system, observables)
         start = perf_counter()
         modes = modal_analysis(system)
-        settings = {**self._equation(), **_validity(system, modes)}
-        densities = tuple(self._density(modes, o, settings) for o in observables)
+        settings = {**self._equation(modes), **_validity(system, modes)}
+        if modes.state is not None:
+            densities = state_dependent_densities(
+                modes, observables, self.solver, tol=self.tol, provenance=settings
+            )
+        else:
+            densities = tuple(self._density(modes, o, settings) for o in observables)
         return Result(self, densities, perf_counter() - start, settings=settings)
 
     def refined(self) -> Self:
         """Return the method with a tolerance ten times smaller, down to 1e-12."""
         return replace(self, tol=max(0.1 * self.tol, 1e-12))
 
-    def _unknown(self, observable: Observable) -> str | None:
+    def _unknown(self, observable: Observable, modes: ModalAnalysis) -> str | None:
         """Why the solver does not give this observable."""
         name, kinds = observable_name(observable), [c.kind for c in observable]
         total = any(c.kind == "H" and c.index is None for c in observable)
         if len(set(kinds) - {"q", "p"}) and (total or set(kinds) != {"H"}) and len(kinds) > 1:
             return f"{name}: of two quantities, both must be modal energies, or q and p"
-        if self.solver != "closed-form" and (total or kinds[0] != "H"):
+        linear = modes.state is None
+        if linear and self.solver != "closed-form" and (total or kinds[0] != "H"):
             return f"{name}: by {self.solver}, only modal energies H1, H2, … ; use closed-form"
         return None
 
-    def _equation(self) -> dict[str, str | float | int]:
+    def _equation(self, modes: ModalAnalysis) -> dict[str, str | float | int]:
+        if modes.state is not None:
+            equation = {"closed-form": "(11)", "quadrature": "(11)", "fem": "(19)"}[self.solver]
+            return {"equation": f"{equation}, damping of the state averaged", "tol": self.tol}
         if self.solver == "closed-form":
             return {"equation": "(34), (36)"}
         return {"equation": "(11)" if self.solver == "quadrature" else "(19)", "tol": self.tol}
@@ -131,15 +152,27 @@ def modal_covariance(modes: ModalAnalysis) -> Array:
 
 def _validity(system: System, modes: ModalAnalysis) -> dict[str, str | float | int]:
     """What the theory neglects on this system, in words: contacts and resonances."""
-    found: dict[str, str | float | int] = {"nearest resonance": str(nearest_resonance(modes))}
+    closest = nearest_resonance(modes, order=resonance_order(system))
+    found: dict[str, str | float | int] = {"nearest resonance": str(closest)}
     if pair := strongest_pair(modes):
         found["neglected correlation of modes"] = pair.correlation
-    if stops := stop_clearances(system):
-        closest = min(stops, key=lambda stop: stop.ratio if stop.ratio is not None else 0.0)
-        holds = all(stop.beyond_rule for stop in stops)
-        found[LEFT_OUT] = (
-            f"{len(stops)}; the rule clearance > {CLEARANCE_RULE:g} rms "
-            f"{'holds' if holds else 'does not hold'}: least is {closest.ratio or 0.0:.3g} rms at "
-            f"mass {closest.mass}"
+    if system.stops and modes.state is None:
+        stops = stop_clearances(system)
+        narrowest = min(stops, key=lambda stop: stop.ratio if stop.ratio is not None else 0.0)
+        found[LEFT_OUT] = _clearance_rule(
+            len(stops), narrowest.ratio or 0.0, narrowest.mass, all(s.beyond_rule for s in stops)
         )
+    elif system.stops:
+        variance = np.diag(modal_covariance(modes.linearised))
+        ratios = [(s.clearance / float(np.sqrt(variance[s.mass])), s.mass) for s in system.stops]
+        ratio, mass = min(ratios)
+        found[LEFT_OUT] = _clearance_rule(len(ratios), ratio, mass + 1, ratio > CLEARANCE_RULE)
     return found
+
+
+def _clearance_rule(stops: int, ratio: float, mass: int, holds: bool) -> str:
+    """What to say of contacts left out; ``ratio`` is the least clearance in rms of the motion."""
+    return (
+        f"{stops}; the rule clearance > {CLEARANCE_RULE:g} rms "
+        f"{'holds' if holds else 'does not hold'}: least is {ratio:.3g} rms at mass {mass}"
+    )

@@ -1,12 +1,15 @@
 """Modal analysis of the chain without contacts, Eqs. (12)-(16)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
+from averaging.modal.phase_averages import ModeShapes
+from averaging.modal.state_damping import StateDamping, balanced_energies, state_damping
+from fpk.equivalent import equivalent_temperature
 from fpk.errors import NotApplicable
 from fpk.system import System
 
@@ -24,6 +27,8 @@ class ModalAnalysis:
     a column; ``modal_mass`` M* and ``modal_stiffness`` K* (n,); ``modal_damping`` c* = Tᵀ c T and
     ``modal_noise`` D* = Tᵀ (f D fᵀ) T (n, n), E[W*_i W*_j'] = 2 D*_ij δ; ``natural_frequency`` (n,)
     in radians per time. ``relative_error`` estimates the round-off of what is built from them.
+    Where the damping depends on the state, ``modal_damping`` is its constant part, ``state`` has
+    all of it, averaged, and ``balance`` (n,) the energies at which it balances the noise.
     """
 
     mode_shapes: Array
@@ -33,6 +38,8 @@ class ModalAnalysis:
     modal_noise: Array
     natural_frequency: Array
     relative_error: float
+    state: StateDamping | None = None
+    balance: Array | None = None
 
     @property
     def n(self) -> int:
@@ -61,8 +68,21 @@ class ModalAnalysis:
 
     @cached_property
     def temperature(self) -> Array:
-        """θ_i = d_i/c*_ii, the mean energy of each mode (n,)."""
+        """θ_i = d_i/c*_ii, the mean energy of each mode (n,); for ``state`` of its order only."""
+        if self.balance is not None:
+            return self.balance
         return np.asarray(self.noise / self.damping)
+
+    @cached_property
+    def linearised(self) -> "ModalAnalysis":
+        """The modes with the constant damping equivalent to theirs at the balance; or themselves.
+
+        c*_mk = E[F_m Q̇_k]/E[Q̇_k²] with independent Gaussian modes: statistical linearisation.
+        """
+        if self.state is None or self.balance is None:
+            return self
+        damping = self.state.linearised(self.balance) * self.modal_mass
+        return replace(self, modal_damping=damping, state=None, balance=None)
 
 
 def modal_analysis(system: System) -> ModalAnalysis:
@@ -70,8 +90,6 @@ def modal_analysis(system: System) -> ModalAnalysis:
 
     Raises ``NotApplicable`` where a mode is not damped, or no noise reaches it.
     """
-    if system.damping_terms:
-        raise NotApplicable("damping that depends on the state is not averaged yet")
     K, M = system.stiffness_matrix, np.diag(system.mass)
     squares, T = eigh(K, M)
     c, D = T.T @ system.damping @ T, T.T @ system.noise_matrix @ T
@@ -79,17 +97,14 @@ def modal_analysis(system: System) -> ModalAnalysis:
         np.einsum("ri,rs,si->i", np.abs(T), np.abs(matrix), np.abs(T))
         for matrix in (system.damping, system.noise_matrix)
     ]
-    for words, matrix, terms in (
-        ("is not damped, so its energy grows for ever", c, cancelling[0]),
-        ("gets no noise, so its energy has no density: b_ii of (17) vanishes", D, cancelling[1]),
-    ):
-        for i in np.flatnonzero(np.diag(matrix) <= NOTHING * terms):
+    checks = [("gets no noise, so its energy has no density: b_ii of (17) vanishes", D, 1)]
+    if not system.damping_terms:
+        checks.insert(0, ("is not damped, so its energy grows for ever", c, 0))
+    for words, matrix, k in checks:
+        for i in np.flatnonzero(np.diag(matrix) <= NOTHING * cancelling[k]):
             raise NotApplicable(f"mode {i + 1} (ω = {np.sqrt(squares[i]):.4g}) {words}")
-    worst = max(
-        float(np.max(terms / np.diag(matrix)))
-        for matrix, terms in zip((c, D), cancelling, strict=True)
-    )
-    return ModalAnalysis(
+    worst = max(float(np.max(cancelling[k] / np.diag(matrix))) for _, matrix, k in checks)
+    modes = ModalAnalysis(
         mode_shapes=T,
         modal_mass=np.einsum("ri,r,ri->i", T, system.mass, T),
         modal_stiffness=np.einsum("ri,rs,si->i", T, K, T),
@@ -98,6 +113,27 @@ def modal_analysis(system: System) -> ModalAnalysis:
         natural_frequency=np.sqrt(squares),
         relative_error=_round_off(squares) * worst,
     )
+    if not system.damping_terms:
+        return modes
+    return _with_state_damping(system, modes, cancelling[0] / modes.modal_mass)
+
+
+def _with_state_damping(system: System, modes: ModalAnalysis, sizes: Array) -> ModalAnalysis:
+    """The modes with damping that depends on the state; ``sizes`` (n,) of what cancels in γ_m(0).
+
+    An error of γ_m moves ln p by its share of d_m/(M*_m H_m), the rate that balances it.
+    """
+    shapes = ModeShapes(modes.mode_shapes, modes.modal_mass, modes.modal_stiffness)
+    state = state_damping(system, shapes, modes.modal_damping / modes.modal_mass)
+    noise = modes.noise / modes.modal_mass
+    try:
+        guess = equivalent_temperature(system)
+    except NotApplicable:
+        guess = float(np.max(noise / sizes))
+    theta = balanced_energies(state, noise, guess)
+    cancelling = float(np.max((sizes + state.size(theta)) * theta / noise))
+    error = modes.relative_error + _round_off(modes.natural_frequency**2) * cancelling
+    return replace(modes, state=state, balance=theta, relative_error=error)
 
 
 def _round_off(squares: Array) -> float:

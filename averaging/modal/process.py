@@ -1,6 +1,6 @@
 """Averaged modal energies as diffusion processes, Eqs. (17), (18), (32), (33)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -21,6 +21,8 @@ def modal_process(system: System) -> VectorProcess:
     d_i = (Tᵀ f D fᵀ T)_ii. Corrections: (33) prints s_i without noise and mass, b_ii without H_i
     and with D₂ for D₁ in b₂₂; (18) prints P_i/M_j P_j and a noise term without masses. Contacts are
     left out. It does not look for internal resonance: see ``averaging.modal.resonance``.
+    Where the damping depends on the state, c*_ii/M*_i gives way to the polynomial γ_i(H) of all
+    modal energies, its average over the phases: see ``averaging.modal.phase_averages``.
 
     Raises ``NotApplicable`` where a mode is not damped, or no noise reaches it.
     """
@@ -31,11 +33,7 @@ def modal_process(system: System) -> VectorProcess:
 def modes_process(modes: ModalAnalysis, chosen: Sequence[int]) -> VectorProcess:
     """Return the averaged energies of some modes (counted from 0), as no other acts on them."""
     index = list(chosen)
-    damping = (modes.damping / modes.modal_mass)[index]
     noise = (modes.noise / modes.modal_mass)[index]
-
-    def drift(energies: Array) -> Array:
-        return np.asarray(noise - damping * energies)
 
     def diffusion(energies: Array) -> Array:
         return np.asarray(2.0 * (noise * energies)[..., None] * np.eye(noise.size))
@@ -44,11 +42,19 @@ def modes_process(modes: ModalAnalysis, chosen: Sequence[int]) -> VectorProcess:
         return np.broadcast_to(2.0 * noise, energies.shape).copy()
 
     return VectorProcess(
-        drift=drift,
+        drift=_drift(modes, index, noise),
         diffusion=diffusion,
         diffusion_divergence=diffusion_divergence,
         energy_scales=tuple(float(theta) for theta in modes.temperature[index]),
     )
+
+
+def _drift(modes: ModalAnalysis, index: list[int], noise: Array) -> Callable[[Array], Array]:
+    if modes.state is None:
+        damping = (modes.damping / modes.modal_mass)[index]
+        return lambda energies: np.asarray(noise - damping * energies)
+    state = modes.state.of_block(tuple(index))
+    return lambda energies: np.asarray(noise - state.rates(energies) * energies)
 
 
 def mode_process(modes: ModalAnalysis, mode: int) -> DiffusionProcess:
@@ -56,9 +62,17 @@ def mode_process(modes: ModalAnalysis, mode: int) -> DiffusionProcess:
 
     With constant damping no mode knows of another. The density of states is the period, a
     constant, and H = 0 is the critical case 2 s(0)/b' = 1: an entrance, p(0) finite and positive.
+    The same holds of a mode whose damping γ(H) depends on its own energy alone.
     """
-    damping = float(modes.damping[mode] / modes.modal_mass[mode])
     noise = float(modes.noise[mode] / modes.modal_mass[mode])
+    if modes.state is not None:
+        return DiffusionProcess(
+            coefficients=partial(_rated, modes.state.of_block((mode,)).polynomial(), noise),
+            energy_scale=float(modes.temperature[mode]),
+            nonsmooth=(),
+            degrees_of_freedom=1,
+        )
+    damping = float(modes.damping[mode] / modes.modal_mass[mode])
     return DiffusionProcess(
         coefficients=partial(_square_root, damping, noise),
         energy_scale=noise / damping,
@@ -67,7 +81,7 @@ def mode_process(modes: ModalAnalysis, mode: int) -> DiffusionProcess:
     )
 
 
-def _square_root(damping: float, noise: float, energy: Array) -> Coefficients:
+def _square_root(damping: float | Array, noise: float, energy: Array) -> Coefficients:
     nothing = np.zeros_like(energy)
     return Coefficients(
         drift=noise - damping * energy,
@@ -77,3 +91,9 @@ def _square_root(damping: float, noise: float, energy: Array) -> Coefficients:
         log_density_of_states=nothing,
         relative_error=nothing,
     )
+
+
+def _rated(rate: Array, noise: float, energy: Array) -> Coefficients:
+    """As ``_square_root`` with the damping Σ rate_k H^k."""
+    damping = np.asarray(np.polynomial.polynomial.polyval(energy, rate), dtype=float)
+    return _square_root(damping, noise, energy)

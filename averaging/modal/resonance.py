@@ -20,7 +20,7 @@ about 2/π of it in L1, p(q_i) by the order of its product with bandwidth/detuni
 
 @dataclass(frozen=True)
 class Resonance:
-    """The integers l, 0 < Σ|l_i| <= 4, that make ``detuning`` |Σ l_i ω_i| smallest.
+    """Integers l that make ``detuning`` |Σ l_i ω_i| smallest, 0 < Σ|l_i| <= an order asked for.
 
     ``bandwidth`` Σ |l_i| c*_ii/(2 M*_i) is the rate at which the phase Σ l_i φ_i is forgotten.
     With constant damping only 1:1 resonances, l = e_i − e_j, move energy; see ``ModePair``.
@@ -59,17 +59,18 @@ class ModePair:
     correlation: float
 
 
-def nearest_resonance(modes: ModalAnalysis) -> Resonance:
-    """Return the internal resonance of least detuning up to order 4, Σ|l_i| <= 4.
+def nearest_resonance(modes: ModalAnalysis, *, order: int = ORDER) -> Resonance:
+    """Return the internal resonance of least detuning up to an even order, Σ|l_i| <= 4 by default.
 
-    Every such l is the difference of two vectors of order 2 at most; their frequencies are sorted,
+    Every such l is the difference of two vectors of half that order; their frequencies are sorted,
     and the least difference is one of neighbours, so that many modes cost little.
     """
-    halves = _vectors(modes.n, ORDER // 2)
+    modes = modes.linearised
+    halves = integer_vectors(modes.n, order // 2)
     frequency = halves @ modes.natural_frequency
-    order = np.argsort(frequency, kind="stable")
-    closest = int(np.argmin(np.diff(frequency[order])))
-    integers = halves[order[closest + 1]] - halves[order[closest]]
+    ranked = np.argsort(frequency, kind="stable")
+    closest = int(np.argmin(np.diff(frequency[ranked])))
+    integers = halves[ranked[closest + 1]] - halves[ranked[closest]]
     integers *= np.sign(integers[np.flatnonzero(integers)[0]])
     return Resonance(
         integers=tuple(int(i) for i in integers),
@@ -78,7 +79,7 @@ def nearest_resonance(modes: ModalAnalysis) -> Resonance:
     )
 
 
-def _vectors(n: int, order: int) -> NDArray[np.int64]:
+def integer_vectors(n: int, order: int) -> NDArray[np.int64]:
     """All integer vectors (…, n) with Σ|l_i| <= ``order``, each once."""
     units = np.concatenate([np.eye(n, dtype=np.int64), -np.eye(n, dtype=np.int64)])
     units = np.concatenate([units, np.zeros((1, n), dtype=np.int64)])
@@ -95,8 +96,10 @@ def mode_pairs(modes: ModalAnalysis) -> tuple[ModePair, ...]:
     ``E Q_i V_j = S Δ/N``, ``E Q_i Q_j = S (c_ii + c_jj)/N``, ``E V_i V_j = S w/N``: of relative
     order bandwidth/detuning between displacement and velocity and its square otherwise. S
     vanishes for equal temperatures with D_ij = θ c_ij (symmetric part), where a resonance is
-    therefore harmless; equal temperatures alone do not make it so.
+    therefore harmless; equal temperatures alone do not make it so. Damping that depends on the
+    state enters as its statistical linearisation.
     """
+    modes = modes.linearised
     scale = np.sqrt(np.outer(modes.modal_mass, modes.modal_mass))
     c, D = modes.modal_damping / scale, modes.modal_noise / scale
     w, theta = modes.natural_frequency, modes.temperature

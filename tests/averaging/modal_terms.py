@@ -1,0 +1,89 @@
+"""Systems with damping terms that the tests of modal averaging share."""
+
+import numpy as np
+
+from averaging.modal.analysis import modal_analysis
+from fpk.damping import DampingTerm
+from fpk.observable import parse_observable
+from fpk.system import System
+
+
+def solved(method, system, *names):
+    observables = [parse_observable(name, system.n) for name in names]
+    return method.solve(system, observables).densities
+
+
+def random_system(rng, n):
+    """Random masses, springs, full damping and terms: odd powers, off the diagonal, energies."""
+    terms = [DampingTerm(i, i, 0.3, energy=e) for i in range(n) for e in (1, 3)]
+    for _ in range(6):
+        i, j, *at = rng.integers(n, size=4)
+        a, b, e = rng.integers([1, 1, 0], [4, 3, 2])
+        size = 0.01 * rng.normal()
+        terms.append(DampingTerm(int(i), int(j), size, ((int(at[0]), int(a)),), (), int(e)))
+        terms.append(
+            DampingTerm(
+                int(i), int(j), size, ((int(at[0]), int(a)),), ((int(at[1]), int(b)),), int(e)
+            )
+        )
+    c = np.diag(rng.uniform(0.05, 0.1, n)) + 0.01 * rng.normal(size=(n, n))
+    f = rng.normal(size=(n, n))
+    mass, stiffness = rng.uniform(0.5, 2.0, n), rng.uniform(0.5, 2.0, n)
+    return System(mass, stiffness, c, 0.02 * (f @ f.T + np.eye(n)), damping_terms=terms)
+
+
+def van_der_pol(coefficient=0.1, damping=(-0.02, 0.01), noise=(8e-4, 8e-4)):
+    """c_11 += k (q1² + q2²), with a constant damping that feeds energy into mode 2."""
+    terms = tuple(DampingTerm(0, 0, coefficient, ((k, 2),)) for k in (0, 1))
+    return System([1.0, 1.0], [1.0, 1.0], damping, noise, damping_terms=terms)
+
+
+def in_masses(base, matrix, monomial, coefficient):
+    """Terms of the modal damping ``matrix`` times Q_k², k = ``monomial``, in the masses' q.
+
+    c = T⁻ᵀ c* T⁻¹ and Q_k = Σ_a T⁻¹_ka q_a: a monomial q_a q_b for every entry.
+    """
+    inverse = np.linalg.inv(modal_analysis(base).mode_shapes)
+    physical = coefficient * inverse.T @ matrix @ inverse
+    terms = []
+    for i in range(base.n):
+        for j in range(base.n):
+            for a in range(base.n):
+                for b in range(base.n):
+                    powers = ((a, 2),) if a == b else ((a, 1), (b, 1))
+                    size = physical[i, j] * inverse[monomial, a] * inverse[monomial, b]
+                    terms.append(DampingTerm(i, j, size, powers))
+    return terms
+
+
+def modal_van_der_pol(own=0.03, others=0.03, mass=(1.0, 1.0)):
+    """c*_11 = −0.004 + own Q1² + others Q2², c*_22 = 0.01, as monomials in the masses' q."""
+    base = System(mass, [1.0, 1.0], [0.1, 0.1], [1.0, 1.0])
+    inverse = np.linalg.inv(modal_analysis(base).mode_shapes)
+    first = np.diag([1.0, 0.0])
+    terms = in_masses(base, first, 0, own) + in_masses(base, first, 1, others)
+    damping = inverse.T @ np.diag([-0.004, 0.01]) @ inverse
+    noise = inverse.T @ np.diag([2e-4, 2e-4]) @ inverse
+    return System(mass, [1.0, 1.0], damping, 0.5 * (noise + noise.T), damping_terms=tuple(terms))
+
+
+PROPORTIONAL = np.array([[0.02, 0.005], [0.005, 0.01]])
+
+
+def noise_proportional(h0, h1, *, mass=(1.0, 2.0), scale=1.0):
+    """c = (h0 + h1 H) f D fᵀ: condition (8), so the density is C exp(−h0 H − h1 H²/2)."""
+    D = scale * PROPORTIONAL
+    entries = [(0, 0), (0, 1), (1, 0), (1, 1)]
+    terms = tuple(DampingTerm(i, j, h1 * D[i, j], energy=1) for i, j in entries)
+    return System(mass, [1.0, 1.5], h0 * D, D, damping_terms=terms)
+
+
+def three_to_one(coefficient, *, energy=False, power=2):
+    """Two unit masses with ω2 = 3 ω1: λ and 9λ are the roots for 18λ² − 10λ + 1 = 0, k_2 = 9λ²."""
+    least = (10.0 - np.sqrt(28.0)) / 36.0
+    D = np.array([1e-3, 1e-3])
+    if energy:
+        terms = tuple(DampingTerm(i, i, coefficient, energy=1) for i in (0, 1))
+    else:
+        terms = (DampingTerm(0, 0, coefficient, ((0, power),)),)
+    return System([1.0, 1.0], [1.0, 9.0 * least**2], 10.0 * D, D, damping_terms=terms)
