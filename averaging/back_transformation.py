@@ -63,7 +63,7 @@ def back_transformed(source: EnergyDensity, observable: Observable) -> Density:
     panels = tuple(
         displacement_panels(source, c.index)
         if c.kind == "q"
-        else _momentum_panels(system.mass[c.index], end)
+        else _momentum_panels(system.mass[c.index], end, source.temperature)
         for c in observable
         if c.index is not None
     )
@@ -182,9 +182,11 @@ def displacement_panels(source: EnergyDensity, mass: int) -> Array:
     return _spaced(np.concatenate(nodes))
 
 
-def _momentum_panels(mass: float, end: float) -> Array:
+def _momentum_panels(mass: float, end: float, temperature: float) -> Array:
+    """Panels of at the most two thermal momenta, 16 or more."""
     reach = float(np.sqrt(2.0 * mass * end))
-    return np.linspace(-reach, reach, 17)
+    panels = max(16, int(np.ceil(np.sqrt(2.0 * end / temperature))))
+    return np.linspace(-reach, reach, panels + 1)
 
 
 def _limit(stops: list[Contact], side: str, compliance: float, end: float) -> float:

@@ -97,9 +97,12 @@ def gibbs(
 
 
 def log_energy_norm(
-    system: System, process: DiffusionProcess, inverse_temperature: float
+    system: System, process: DiffusionProcess, decay: Callable[[Array], Array]
 ) -> tuple[float, float]:
-    """Return −ln ∫T(H) exp(−αH) dH and its relative error: the C of (29), with T in full units."""
+    """Return −ln ∫T(H) exp(−decay) dH and its relative error, with T in full units.
+
+    ``decay`` is αH for the C of (29).
+    """
     shell = energy_shell(system)
     view = survey(process)
     nodes = initial_nodes(view, truncation_energy(view, TAIL), process.nonsmooth)
@@ -109,7 +112,7 @@ def log_energy_norm(
         x, w = panel_rule(nodes, points)
         energy = x.ravel()
         ratios = shell_ratios(shell, energy)
-        exponent = log_linear_states(system, energy) - inverse_temperature * energy
+        exponent = log_linear_states(system, energy) - decay(energy)
         top = float(exponent.max())
         terms = w.ravel() * ratios.states * np.exp(exponent - top)
         return top + float(np.log(terms.sum())), float(terms @ ratios.error / terms.sum())
@@ -125,7 +128,7 @@ def averaged_closed_form(system: System, process: DiffusionProcess) -> EnergyDen
     The printed (29) holds for two unit masses.
     """
     alpha = energy_balance(system).inverse_temperature
-    log_norm, error = log_energy_norm(system, process, alpha)
+    log_norm, error = log_energy_norm(system, process, lambda energy: alpha * energy)
     return gibbs(system, process, alpha, log_norm, error=error, provenance={"equation": "(29)"})
 
 

@@ -13,6 +13,7 @@ from averaging.back_transformation import back_transformed, displacement_panels
 from averaging.energy_density import EnergyDensity, gibbs
 from averaging.energy_process import energy_process
 from averaging.nonintegrable import energy_only_refusal
+from averaging.polynomial_rate import density_of_rate
 from averaging.shell.reduced import reduced_potential
 from fpk.errors import NotApplicable
 from fpk.method import Progress, Result, require_applicable, silent
@@ -26,36 +27,64 @@ PROPORTION_SLACK = 1e-12
 """Relative departure from 2 c = h b that counts as round-off of the input."""
 
 
-def compatibility(system: System) -> float:
-    """Return h of the compatibility condition (8), ``2 c_ij = h b_ij`` with ``b = 2 f D fᵀ``.
+def compatibility(system: System) -> Array:
+    """Return h(H) of the compatibility condition (8), ``2 c_ij = h b_ij`` with ``b = 2 f D fᵀ``.
 
-    The antisymmetric part of c does no work and does not enter. Raises ``NotApplicable`` where no
-    h meets the condition, or h is not positive.
+    Coefficients in ascending powers of H, one for constant damping. The antisymmetric part of c
+    does no work and does not enter, unless it depends on velocities. Raises ``NotApplicable``
+    where no h meets the condition, or h is not positive at high energy.
     """
-    if system.damping_terms:
-        raise NotApplicable("damping that depends on the state is not averaged yet")
-    c = 0.5 * (system.damping + system.damping.T)
     D = system.noise_matrix
     if not np.any(D):
         raise NotApplicable("condition (8) needs noise, and there is none")
-    h = float(np.sum(c * D) / np.sum(D * D))
-    worst = float(np.max(np.abs(c - h * D)) / max(np.max(np.abs(c)), np.finfo(float).tiny))
-    if not np.any(c):
+    matrices = _by_energy(system)
+    if not np.any(matrices):
         raise NotApplicable("nothing is damped: (8) holds with h = 0 only, no stationary density")
-    if h <= 0 or worst > PROPORTION_SLACK:
+    h: Array = np.einsum("eij,ij->e", matrices, D) / np.sum(D * D)
+    sizes = np.maximum(np.max(np.abs(matrices), axis=(1, 2)), np.finfo(float).tiny)
+    left = np.max(np.abs(matrices - h[:, None, None] * D), axis=(1, 2)) / sizes
+    worst = float(left.max())
+    h = np.asarray(np.trim_zeros(h, "b"), dtype=float)
+    if not h.size or h[-1] <= 0 or worst > PROPORTION_SLACK:
+        best = ", ".join(f"{part:.4g}" for part in h) or "0"
         raise NotApplicable(
             "the compatibility condition (8), c_ij = h (f D fᵀ)_ij for all i, j, is not met: "
-            f"the best h = {h:.4g} leaves {worst:.2g} of the damping"
+            f"the best h = {best} leaves {worst:.2g} of the damping"
         )
     return h
 
 
+def _by_energy(system: System) -> Array:
+    """Symmetric damping matrices of each power of H, (powers, n, n), all else having to vanish."""
+    constant = 0.5 * (system.damping + system.damping.T)
+    terms = system.damping_terms
+    matrices = np.zeros((1 + max((t.energy for t in terms), default=0), system.n, system.n))
+    matrices[0] = constant
+    others: dict[object, Array] = {}
+    for t in terms:
+        if t.q or t.v:
+            key = (t.q, t.v, t.energy)
+            entry = others.setdefault(key, np.zeros((system.n, system.n)))
+            entry[t.i, t.j] += t.coefficient
+        else:
+            matrices[t.energy, t.i, t.j] += 0.5 * t.coefficient
+            matrices[t.energy, t.j, t.i] += 0.5 * t.coefficient
+    # c_ij(q) = −c_ji(q) does no work and leaves a density of H alone; with v in it, it does not.
+    working = [k for k, m in others.items() if np.any(m + m.T)]
+    turning = [t for t in terms if t.v]
+    if working or turning:
+        raise NotApplicable(
+            "the compatibility condition (8) is not met: the damping depends on q or v beside H"
+        )
+    return matrices
+
+
 @dataclass(frozen=True)
 class Exact:
-    """Exact stationary density C exp(−h H) of the full system, Eqs. (7), (22), (23).
+    """Exact stationary density C exp(−∫h dH) of the full system, Eqs. (7), (22), (23).
 
-    It exists where (8) holds; with constant damping h is a constant. The normalisation is the
-    configuration integral over the contact masses and knows nothing of averaging.
+    It exists where (8) holds; with constant damping h is a constant, and the normalisation the
+    configuration integral over the contact masses; otherwise it is an integral over the shells.
     """
 
     @property
@@ -88,10 +117,10 @@ class Exact:
         start = perf_counter()
         source = exact_energy_density(system)
         densities = tuple(back_transformed(source, observable) for observable in observables)
-        settings: dict[str, str | float | int] = {
-            "equation": "(7), (22)",
-            "h": compatibility(system),
-        }
+        h = compatibility(system)
+        settings: dict[str, str | float | int] = {"equation": "(7), (22)", "h": float(h[0])}
+        for power, coefficient in enumerate(h[1:], start=1):
+            settings[f"h, H^{power}"] = float(coefficient)
         return Result(self, densities, perf_counter() - start, settings=settings)
 
     def refined(self) -> Self:
@@ -100,9 +129,12 @@ class Exact:
 
 
 def exact_energy_density(system: System) -> EnergyDensity:
-    """Return u(H) = C exp(−h H) normalised by the configuration integral, Eqs. (7), (22)."""
-    h = compatibility(system)
+    """Return the normalised u(H) = C exp(−∫h dH), Eqs. (7), (22)."""
+    rate = compatibility(system)
     process = energy_process(system)
+    if rate.size > 1:
+        return density_of_rate(system, process, rate, provenance={"equation": "(7)"})
+    h = float(rate[0])
     # The grid over the contact masses asks a density for its range; it does not need its norm.
     draft = gibbs(system, process, h, 0.0, error=0.0, provenance={})
     log_integral, error = _log_configuration_integral(draft, h)

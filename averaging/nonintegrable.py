@@ -1,8 +1,7 @@
 """Stochastic averaging of quasi-non-integrable Hamiltonian systems as a method, section 4."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from time import perf_counter
 from typing import Literal, Self, get_args
 
@@ -10,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from averaging.back_transformation import back_transformed
-from averaging.energy_density import EnergyDensity, averaged_closed_form
+from averaging.energy_density import EnergyDensity
 from averaging.energy_process import energy_balance, energy_process
+from averaging.polynomial_rate import averaged_density, averaged_rate
 from averaging.quadrature import QuadratureSolution, solve_by_quadrature
-from averaging.shell.ratios import energy_shell, log_linear_states
-from averaging.weyl import WeylTable, weyl_table
+from averaging.shell.ratios import log_linear_states
+from averaging.tabulated import tabulated
 from fpk.density import Certificate
 from fpk.errors import NotApplicable
 from fpk.line.elements import Form
@@ -33,9 +33,10 @@ class NonIntegrable:
     """Averaged energy process (24)-(28), its stationary density and what follows from it, (30).
 
     ``solver``: "fem" solves the FPK equation of the process by finite elements, in the given
-    ``form``; "quadrature" evaluates (11); "closed-form" is (29) in its general form. ``tol`` is
-    the L1 tolerance. The theory is exact where the damping and noise meet (8), an approximation
-    otherwise, and the better the more the contacts matter.
+    ``form``; "quadrature" evaluates (11); "closed-form" is (29) in its general form, for damping
+    that is constant or depends on the energy only. ``tol`` is the L1 tolerance. The theory is exact
+    where the damping and noise meet (8), an approximation otherwise, and the better the more the
+    contacts matter.
     """
 
     solver: Solver = "fem"
@@ -55,6 +56,8 @@ class NonIntegrable:
         """Return why the theory does not give ``observable``, or None where it does."""
         try:
             energy_balance(system)
+            if self.solver == "closed-form":
+                averaged_rate(system)
         except NotApplicable as reason:
             return str(reason)
         return energy_only_refusal(system, observable)
@@ -81,7 +84,7 @@ class NonIntegrable:
         self, system: System, process: DiffusionProcess
     ) -> tuple[EnergyDensity, dict[str, str | float | int]]:
         if self.solver == "closed-form":
-            return averaged_closed_form(system, process), {"equation": "(29)"}
+            return averaged_density(system, process), {"equation": "(29)"}
         if self.solver == "quadrature":
             by_quadrature = solve_by_quadrature(process, tol=self.tol)
             return _from_quadrature(system, by_quadrature, self.tol), {
@@ -130,7 +133,7 @@ def _from_elements(system: System, solution: StationarySolution) -> EnergyDensit
     def u_error(energy: Array) -> Array:
         return np.asarray(scale * solution.phase_space_error(energy))
 
-    return _tabulated(
+    return tabulated(
         system,
         solution.process,
         solution.nodes,
@@ -150,13 +153,14 @@ def _from_quadrature(system: System, solution: QuadratureSolution, tol: float) -
         log_t = process.coefficients(flat).log_density_of_states.reshape(np.shape(energy))
         return np.asarray(np.exp(solution.log_density(energy) - log_t - offset))
 
-    tolerance_met = solution.l1_error
-    return _tabulated(
+    # Relative: what is wrong with the norm, and with ln p from one end to the other.
+    relative = solution.l1_error + solution.log_error
+    return tabulated(
         system,
         process,
         solution.nodes,
         u,
-        lambda energy: tolerance_met * u(energy),
+        lambda energy: relative * u(energy),
         l1_error=solution.l1_error,
         certificate=Certificate(
             mass_defect=solution.mass_defect,
@@ -167,45 +171,6 @@ def _from_quadrature(system: System, solution: QuadratureSolution, tol: float) -
             if solution.l1_error <= tol
             else (f"the estimated error {solution.l1_error:.2g} exceeds the tolerance {tol:.2g}",),
         ),
-    )
-
-
-def _tabulated(
-    system: System,
-    process: DiffusionProcess,
-    nodes: Array,
-    u: Callable[[Array], Array],
-    u_error: Callable[[Array], Array],
-    *,
-    l1_error: float,
-    certificate: Certificate,
-) -> EnergyDensity:
-    @lru_cache
-    def table(order: float, of_error: bool) -> WeylTable:
-        return weyl_table(order, nodes, u_error if of_error else u)
-
-    # Short of the last node, beyond which the density is dropped: Ψ falls, so that its value here
-    # bounds what is dropped at any higher energy.
-    last = nodes[-1] * (1.0 - 1e-9)
-
-    def weyl(order: float, energy: Array) -> Array:
-        return table(order, False)(energy)
-
-    def weyl_error(order: float, energy: Array) -> Array:
-        dropped = weyl(order, np.array([last]))[0]
-        return np.where(energy < last, table(order, True)(energy), dropped)
-
-    return EnergyDensity(
-        system=system,
-        shell=energy_shell(system),
-        nodes=nodes,
-        temperature=process.energy_scale / process.degrees_of_freedom,
-        u=u,
-        u_error=u_error,
-        weyl=weyl,
-        weyl_error=weyl_error,
-        l1_error=l1_error,
-        certificate=certificate,
     )
 
 

@@ -7,7 +7,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from fpk.line.mesh import initial_nodes, split_points, survey, tail_bound, truncation_energy
-from fpk.process import Coefficients, DiffusionProcess
+from fpk.process import Coefficients, DiffusionProcess, log_density_slope_error
 from fpk.quadrature import gauss_legendre, panel_rule
 
 Array = NDArray[np.float64]
@@ -23,7 +23,8 @@ class QuadratureSolution:
     """ln p of Eq. (11) as a piecewise polynomial, p = exp(ln p) on the panels between ``nodes``.
 
     ``smooth`` (panels, POINTS + 1) are Legendre coefficients of ∫(2s/σ² − n/H) dH continued over
-    the panels, with the normalisation in them; ``l1_error`` estimates ∫|p_h − p|.
+    the panels, with the normalisation in them; ``l1_error`` estimates ∫|p_h − p|, ``log_error``
+    what errors of 2s/σ² add up to in ln p from one end to the other.
     """
 
     process: DiffusionProcess
@@ -32,6 +33,7 @@ class QuadratureSolution:
     l1_error: float
     mass_defect: float
     tail_mass: float
+    log_error: float = 0.0
 
     def log_density(self, energy: Array) -> Array:
         """ln p at energies > 0 of any shape, −∞ outside the panels."""
@@ -63,6 +65,9 @@ def solve_by_quadrature(process: DiffusionProcess, *, tol: float = 1e-10) -> Qua
     for _ in range(MOST_ROUNDS):
         tail = (right - left) * np.sum(np.abs(rate[:, -2:]), axis=1)
         marked = tail > 0.1 * tol / left.size
+        if process.state_damping:
+            # What the coefficients do not know, no panel can resolve.
+            marked &= tail > _accumulated(left, right, c)
         cut = split_points(left, right, special)
         marked &= (cut > left) & (cut < right) & (right - left > 1e-13 * right[-1])
         if not marked.any():
@@ -93,7 +98,16 @@ def solve_by_quadrature(process: DiffusionProcess, *, tol: float = 1e-10) -> Qua
         + 2.0 * beyond
         + ROUND_OFF * left.size
     )
-    return replace(solution, l1_error=error, mass_defect=defect, tail_mass=beyond)
+    log_error = 0.0
+    if process.state_damping:
+        steps = _accumulated(solution.nodes[:-1], solution.nodes[1:], c)
+        # The exponent is a running sum over all panels, whose round-off is relative to its size.
+        round_off = np.finfo(float).eps * float(np.ptp(solution.smooth[:, 0]))
+        error += 2.0 * float(steps @ moved) + round_off
+        log_error = float(np.sum(steps) + np.sum(tail)) + round_off
+    return replace(
+        solution, l1_error=error, mass_defect=defect, tail_mass=beyond, log_error=log_error
+    )
 
 
 def _normalised(
@@ -110,6 +124,12 @@ def _normalised(
     top = log_p.max()
     smooth[:, 0] -= top + np.log(np.sum(half * w * np.exp(log_p - top)))
     return QuadratureSolution(process, nodes, smooth, np.inf, np.inf, np.inf)
+
+
+def _accumulated(left: Array, right: Array, c: Coefficients) -> Array:
+    """Errors of 2s/σ² integrated over each panel, from the coefficients at its Gauss points."""
+    _, w = gauss_legendre(POINTS)
+    return np.asarray(0.5 * (right - left) * (log_density_slope_error(c) @ w))
 
 
 def _expanded_rate(

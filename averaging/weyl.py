@@ -53,7 +53,7 @@ def weyl_table(order: float, nodes: Array, u: Callable[[Array], Array]) -> WeylT
     if order == 0:
         total = u(energy)
     else:
-        total = gamma(order) * _tail(order, energy, nodes, u)
+        total = gamma(order) * continued(order, energy, nodes, u)
         x, w = panel_rule(nodes, POINTS)
         values = w * u(x)
         for k in range(nodes.size - 1):
@@ -67,11 +67,11 @@ def weyl_table(order: float, nodes: Array, u: Callable[[Array], Array]) -> WeylT
     return WeylTable(nodes, log_values.reshape(-1, POINTS))
 
 
-def _tail(order: float, energy: Array, nodes: Array, u: Callable[[Array], Array]) -> Array:
+def continued(order: float, energy: Array, nodes: Array, u: Callable[[Array], Array]) -> Array:
     """Ψ_ν of what lies beyond the last node, for u falling there as over the last element."""
     before, last = u(nodes[-2:])
-    if not before > last > 0.0:
-        return np.zeros(energy.size)
+    if order == 0 or not before > last > 0.0:
+        return np.zeros(energy.shape)
     rate = np.log(before / last) / (nodes[-1] - nodes[-2])
     reach = rate * np.maximum(nodes[-1] - energy, 0.0)
     # ln of e^reach Γ(ν, reach)/Γ(ν) underflows to −∞ far from the end, where the tail is nothing.

@@ -8,7 +8,7 @@ and the half-integer powers of Hertz contact, and stays smooth when the true tur
 just beyond the panel.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -37,6 +37,51 @@ def shell_ray_integrals(
     """
     c = potential.count
     exponent = potential.n - 0.5 * c - 1.0
+    first, panels = _cut(potential, energy, directions)
+    total = np.empty((len(rules), energy.size, 3))
+    total[:] = _free_panel(energy, first, exponent, c)
+    for rays, panel, level, end_level, length in panels:
+        total[:, rays] += panel.integrals(
+            energy[rays], level, end_level, length, exponent=exponent, rules=rules
+        )
+    return total
+
+
+def shell_ray_moments(
+    potential: ReducedPotential,
+    energy: Array,
+    directions: Array,
+    orders: Sequence[tuple[int, int]],
+    *,
+    rules: Sequence[int],
+) -> Array:
+    """Return ∫ v^(a+j) r^(k+c−1) dr along rays for every (k, j) of ``orders``.
+
+    v = 1 − V/H and a as in ``shell_ray_integrals``, lengths in units of √H. Shape
+    (rules, rays, orders).
+    """
+    c = potential.count
+    exponent = potential.n - 0.5 * c - 1.0
+    first, panels = _cut(potential, energy, directions)
+    total = np.empty((len(rules), energy.size, len(orders)))
+    share = _free_share(energy, first)
+    for column, (k, j) in enumerate(orders):
+        half = 0.5 * (c + k)
+        total[..., column] = 2.0 ** (half - 1.0) * _beta_to(share, half, exponent + j + 1.0)
+    for rays, panel, level, end_level, length in panels:
+        total[:, rays] += panel.moments(
+            energy[rays], level, end_level, length, exponent=exponent, orders=orders, rules=rules
+        )
+    return total
+
+
+def _cut(
+    potential: ReducedPotential, energy: Array, directions: Array
+) -> tuple[Array, Iterator[tuple[NDArray[np.intp], "_Panel", Array, Array, Array]]]:
+    """Where rays first touch a stop, (rays,), and the panels beyond.
+
+    Each panel comes with the rays that reach it, V at its start and end (∞ for none) and length.
+    """
     reach = np.maximum(directions @ potential.rows.T, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         touch = np.where(reach > 0, potential.clearance / reach, np.inf)
@@ -44,38 +89,45 @@ def shell_ray_integrals(
     cuts = np.sort(touch, axis=1)
     cuts = cuts[:, np.isfinite(cuts).any(axis=0)]
     edges = np.concatenate([cuts, np.full((energy.size, 1), np.inf)], axis=1)
-    total = np.empty((len(rules), energy.size, 3))
-    total[:] = _free_panel(energy, edges[:, 0], exponent, c)
-    for j in range(edges.shape[1] - 1):
-        candidates = np.flatnonzero(edges[:, j + 1] > edges[:, j])
-        start = edges[candidates, j]
-        level = potential(start[:, None] * directions[candidates])
-        live = level < energy[candidates]
-        rays, start, level = candidates[live], start[live], level[live]
-        if rays.size:
-            end = edges[rays, j + 1]
-            inside = np.isfinite(end)
-            end_level = np.full(end.shape, np.inf)
-            if inside.any():
-                end_level[inside] = potential(end[inside, None] * directions[rays[inside]])
-            engaged = np.where(touch[rays] <= start[:, None], reach[rays], 0.0)
-            panel = _Panel(potential, start, engaged)
-            total[:, rays] += panel.integrals(
-                energy[rays], level, end_level, end - start, exponent=exponent, rules=rules
-            )
-    return total
+
+    def panels() -> Iterator[tuple[NDArray[np.intp], _Panel, Array, Array, Array]]:
+        for j in range(edges.shape[1] - 1):
+            candidates = np.flatnonzero(edges[:, j + 1] > edges[:, j])
+            start = edges[candidates, j]
+            level = potential(start[:, None] * directions[candidates])
+            live = level < energy[candidates]
+            rays, start, level = candidates[live], start[live], level[live]
+            if rays.size:
+                end = edges[rays, j + 1]
+                inside = np.isfinite(end)
+                end_level = np.full(end.shape, np.inf)
+                if inside.any():
+                    end_level[inside] = potential(end[inside, None] * directions[rays[inside]])
+                engaged = np.where(touch[rays] <= start[:, None], reach[rays], 0.0)
+                yield rays, _Panel(potential, start, engaged), level, end_level, end - start
+
+    return edges[:, 0], panels()
+
+
+def _free_share(energy: Array, end: Array) -> Array:
+    """½ r²/H at the first stop, 1 at the most."""
+    with np.errstate(over="ignore"):
+        return np.asarray(np.minimum(end * end / (2.0 * energy), 1.0))
+
+
+def _beta_to(share: Array, x: float, y: float) -> Array:
+    return np.asarray(beta(x, y) * betainc(x, y, share))
 
 
 def _free_panel(energy: Array, end: Array, exponent: float, c: int) -> Array:
     """The integrals up to the first stop, where V = ½ r²; shape (rays, 3)."""
-    with np.errstate(over="ignore"):
-        share = np.minimum(end * end / (2.0 * energy), 1.0)
+    share = _free_share(energy, end)
     half = 0.5 * c
     unit = 2.0 ** (half - 1.0)
-    states = unit * beta(half, exponent + 1.0) * betainc(half, exponent + 1.0, share)
-    volume = unit * beta(half, exponent + 2.0) * betainc(half, exponent + 2.0, share)
+    states = unit * _beta_to(share, half, exponent + 1.0)
+    volume = unit * _beta_to(share, half, exponent + 2.0)
     if exponent > 0:
-        slope = exponent * unit * beta(half, exponent) * betainc(half, exponent, share)
+        slope = exponent * unit * _beta_to(share, half, exponent)
     else:
         slope = (exponent + half) * states
     return np.stack([states, volume, slope], axis=1)
@@ -175,17 +227,10 @@ class _Panel:
         rules: Sequence[int],
     ) -> Array:
         """The three integrals over this panel, from ``start`` to its end or the turning point."""
-        X = self.turning_point(energy - level)
-        phi_end = self.end_angle(energy - end_level, X, length)[:, None]
-        t, weights = _joined_rules(tuple(rules))
-        phi = 0.5 * phi_end * (1.0 + t)
-        sine, cosine = np.sin(phi), np.cos(phi)
-        x = X[:, None] * (sine * sine)
         H = energy[:, None]
-        v = self.fall(x, X[:, None], X[:, None] * (cosine * cosine)) / H
-        r = self.start + x
+        x, r, v, slope_of_x, factor, weights = self.points(energy, level, end_level, length, rules)
         c = self.dimension
-        measure = sine * cosine * half_integer_power(v, exponent)
+        measure = slope_of_x * half_integer_power(v, exponent)
         if c > 1:
             measure = measure * (r / np.sqrt(H)) ** (c - 1)
         if exponent > 0:
@@ -195,9 +240,46 @@ class _Panel:
             V = level[:, None] + rise
             w = V * ((c - 1) / (r * slope) - self.curvature(x) / (slope * slope))
             w += exponent + 1.0
-        factor = phi_end * X[:, None] / np.sqrt(H)
         parts = [(part @ weights) * factor for part in (measure, measure * v, measure * w)]
         return np.stack(parts, axis=-1).transpose(1, 0, 2)
+
+    def moments(
+        self,
+        energy: Array,
+        level: Array,
+        end_level: Array,
+        length: Array,
+        *,
+        exponent: float,
+        orders: Sequence[tuple[int, int]],
+        rules: Sequence[int],
+    ) -> Array:
+        """The integrals of ``shell_ray_moments`` over this panel."""
+        _, r, v, slope_of_x, factor, weights = self.points(energy, level, end_level, length, rules)
+        r = r / np.sqrt(energy)[:, None]
+        base = slope_of_x * half_integer_power(v, exponent)
+        radial = {k: r ** (k + self.dimension - 1) for k, _ in orders}
+        kinetic = {j: base * v**j for _, j in orders}
+        parts = [((radial[k] * kinetic[j]) @ weights) * factor for k, j in orders]
+        return np.stack(parts, axis=-1).transpose(1, 0, 2)
+
+    def points(
+        self, energy: Array, level: Array, end_level: Array, length: Array, rules: Sequence[int]
+    ) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """Gauss points of the panel: x, r, v (rays, points), then what makes integrals of them.
+
+        An integral is ``(slope_of_x * f) @ weights * factor``, in units of √H, per rule.
+        """
+        X = self.turning_point(energy - level)
+        phi_end = self.end_angle(energy - end_level, X, length)[:, None]
+        t, weights = _joined_rules(tuple(rules))
+        phi = 0.5 * phi_end * (1.0 + t)
+        sine, cosine = np.sin(phi), np.cos(phi)
+        x = X[:, None] * (sine * sine)
+        H = energy[:, None]
+        v = self.fall(x, X[:, None], X[:, None] * (cosine * cosine)) / H
+        factor = phi_end * X[:, None] / np.sqrt(H)
+        return x, self.start + x, v, sine * cosine, factor, weights
 
 
 def half_integer_power(x: Array, exponent: float) -> Array:

@@ -5,41 +5,24 @@ ratios between 0 and 1 that depend on H only; they are all that quadrature is ne
 well scaled for any number of masses, and they are exactly 1 below the energy where contact begins.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from math import pi
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import cubature
 from scipy.special import gammaln
 
 from averaging.shell.contact_energies import contact_energies
-from averaging.shell.directions import circle_rule, hyperspherical, line_rule
 from averaging.shell.radial import shell_ray_integrals
 from averaging.shell.reduced import ReducedPotential, reduced_potential
+from averaging.shell.sums import refined_sums
 from averaging.shell.table import Resolution, ShellTable
 from fpk.system import System
 
 Array = NDArray[np.float64]
 
-REFINEMENTS = (12, 16, 24, 48, 96, 192)
-"""Gauss points per panel; an energy moves on to the next while two levels disagree."""
-TARGET = 3e-12
-"""Relative disagreement of two levels that ends the refinement and is reported as the error; as the
-convergence is geometric down to round-off, the finer of the two is better than that."""
-ROUND_OFF = 2e-15
-"""Relative error of a sum of some dozens of positive terms."""
-ROOT_ROUND_OFF = 4e-13
-"""The same for one mass, whose integrand is 1/√v: at the Gauss point next to the turning point,
-where v ~ 1/points² cancels terms of order one, its relative error is ε points²."""
-RADIAL_POINTS = 20
-"""Gauss points along a ray are enough at this number for any contact stiffness; over the angle,
-where stiff contact leaves boundary layers, more are taken."""
-CUBATURE_TOLERANCE = 1e-6
-"""Relative tolerance over the directions of three or more contact masses, half a second an energy;
-the cubature's own estimate, which the true error stays below by two orders of magnitude."""
 COARSE = Resolution(points=8, layers=1, target=1e-5, deepest=2)
 """Resolution of the table then: what lies below the tolerance is not worth its minutes."""
 
@@ -119,80 +102,8 @@ def shell_ratios(shell: EnergyShell, energy: Array) -> ShellRatios:
 def _integrated_ratios(potential: ReducedPotential, energy: Array) -> Array:
     """Columns states, volume, log_slope and their relative error, by quadrature."""
     n, c = potential.n, potential.count
-    sums, error = _refined(potential, energy)
+    sums, error = refined_sums(potential, energy, partial(shell_ray_integrals, potential), np.abs)
     a = n - 0.5 * c - 1.0
     flat = (2.0 * pi) ** (0.5 * c) * float(np.exp(gammaln(a + 1.0) - gammaln(n)))
     states, volume = sums[:, 0] / flat, sums[:, 1] / (flat * (a + 1.0) / n)
     return np.column_stack([states, volume, sums[:, 2] / sums[:, 0], error])
-
-
-def _refined(potential: ReducedPotential, energy: Array) -> tuple[Array, Array]:
-    """The three integrals over the shell (energies, 3) and their relative error (energies,)."""
-    if potential.count > 2:
-        return _over_sphere(potential, energy)
-    coarse, sums = _over_rays(potential, energy, REFINEMENTS[:2])
-    floor = ROUND_OFF if potential.n > 1 else ROOT_ROUND_OFF
-    error = _disagreement(coarse, sums) + floor
-    for points in REFINEMENTS[2:]:
-        open_ = np.flatnonzero(error > TARGET)
-        if not open_.size:
-            break
-        finer = _over_rays(potential, energy[open_], (points,))[0]
-        error[open_] = _disagreement(sums[open_], finer) + floor
-        sums[open_] = finer
-    return sums, error
-
-
-def _disagreement(coarse: Array, fine: Array) -> Array:
-    relative: Array = np.max(np.abs(coarse / fine - 1.0), axis=1)
-    return relative
-
-
-def _over_rays(potential: ReducedPotential, energy: Array, rules: Sequence[int]) -> Array:
-    """Sums over one or two directions of contact, (rules, energies, 3)."""
-    if potential.count == 1:
-        ends, weight = line_rule(potential)
-        sums = np.zeros((len(rules), energy.size, 3))
-        for end in ends:
-            rays = np.full((energy.size, 1), end)
-            sums += weight * shell_ray_integrals(potential, energy, rays, rules=rules)
-        return sums
-    return np.stack([_over_circle(potential, energy, points) for points in rules])
-
-
-def _over_circle(potential: ReducedPotential, energy: Array, points: int) -> Array:
-    which, directions, weights = circle_rule(potential, energy, points)
-    radial = (min(points, RADIAL_POINTS),)
-    rays = shell_ray_integrals(potential, energy[which], directions, rules=radial)[0]
-    parts = [np.bincount(which, weights * part, minlength=energy.size) for part in rays.T]
-    return np.stack(parts, axis=1)
-
-
-def _over_sphere(potential: ReducedPotential, energy: Array) -> tuple[Array, Array]:
-    """Three or more contact masses: adaptive cubature over the directions."""
-    angles = potential.count - 1
-    upper = np.full(angles, pi)
-    upper[-1] = pi if potential.mirror else 2.0 * pi
-    factor = 2.0 if potential.mirror else 1.0
-
-    def integrand(points: Array) -> Array:
-        directions, jacobian = hyperspherical(points)
-        size = (points.shape[0], energy.size)
-        rays = shell_ray_integrals(
-            potential,
-            np.broadcast_to(energy, size).ravel(),
-            np.repeat(directions, energy.size, axis=0),
-            rules=REFINEMENTS[:1],
-        )[0]
-        return np.asarray(jacobian[:, None, None] * rays.reshape(*size, 3))
-
-    found = cubature(
-        integrand,
-        np.zeros(angles),
-        upper,
-        rule="gk21" if angles < 4 else "genz-malik",
-        rtol=CUBATURE_TOLERANCE,
-        max_subdivisions=2000,
-    )
-    error = np.max(np.abs(found.error / found.estimate), axis=1) + ROUND_OFF
-    return factor * found.estimate, error

@@ -15,6 +15,11 @@ NATS_PER_ELEMENT = 3.0
 GRADING = 0.15
 """Ratio of neighbouring lengths towards a point where smoothness is lost."""
 GRADED_LAYERS = 5
+SAGITTA = 1.0
+"""Largest (d²ln(p H)/d(ln H)²)·(Δ ln H)² between two points of a survey: eight times what ln p H
+may rise above its chord. Asked for where p is within exp(−``DEEP``) of its maximum."""
+DEEP = 100.0
+SURVEY_ROUNDS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +37,40 @@ class Survey:
 def survey(process: DiffusionProcess) -> Survey:
     """Evaluate the slopes on a grid from far below to far above the process's energy scale."""
     grid = np.concatenate([np.logspace(-3.0, 0.0, 10), np.logspace(0.0, 4.0, 60)[1:]])
-    energy = process.energy_scale * grid
+    view = _looked_at(process, process.energy_scale * grid)
+    return _closer(process, view) if process.state_damping else view
+
+
+def _looked_at(process: DiffusionProcess, energy: Array) -> Survey:
     c = process.coefficients(energy)
     return Survey(energy, log_density_slope(c), np.abs(2.0 * c.dissipation / c.diffusion))
+
+
+def _closer(process: DiffusionProcess, view: Survey) -> Survey:
+    """Add points until no maximum of p can hide between two of them: it may be narrow."""
+    for _ in range(SURVEY_ROUNDS):
+        log_mass = _log_mass(view)
+        bulk = np.maximum(log_mass[1:], log_mass[:-1]) > log_mass.max() - DEEP
+        rate = 1.0 + view.energy * view.slope
+        bent = np.abs(np.diff(rate)) * np.diff(np.log(view.energy)) > SAGITTA
+        i = np.flatnonzero(bulk & bent)
+        if not i.size:
+            break
+        new = _looked_at(process, np.sqrt(view.energy[i] * view.energy[i + 1]))
+        view = Survey(
+            np.insert(view.energy, i + 1, new.energy),
+            np.insert(view.slope, i + 1, new.slope),
+            np.insert(view.roughness, i + 1, new.roughness),
+        )
+    return view
+
+
+def _log_mass(view: Survey) -> Array:
+    """ln of p H at the points of the survey, up to a constant."""
+    # In the variable ln H, where the slope varies slowly: d ln(p H)/d ln H = 1 + H d ln p/dH.
+    rate = 1.0 + view.energy * view.slope
+    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(np.log(view.energy))
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def truncation_energy(view: Survey, tail: float) -> float:
@@ -43,10 +79,7 @@ def truncation_energy(view: Survey, tail: float) -> float:
     The solver bounds the tail again from its own solution. Raises ``NotCertified`` where the
     density does not fall to that share.
     """
-    # In the variable ln H, where the slope varies slowly: d ln(p H)/d ln H = 1 + H d ln p/dH.
-    rate = 1.0 + view.energy * view.slope
-    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(np.log(view.energy))
-    log_mass = np.concatenate([[0.0], np.cumsum(steps)])
+    log_mass = _log_mass(view)
     depth = log_mass - log_mass.max()
     beyond = np.flatnonzero((depth < np.log(tail)) & (view.energy > view.energy[depth.argmax()]))
     if not beyond.size:
@@ -86,6 +119,14 @@ def split_points(left: Array, right: Array, special: Array) -> Array:
     """Return where to cut elements in two: towards a special point they begin at, else half-way."""
     share = np.where(np.isin(left, special), GRADING, 0.5)
     return left + share * (right - left)
+
+
+def e_fold(view: Survey, end: float) -> float:
+    """Return the mean energy over which p/T changes by the factor e, below ``end``."""
+    inside = view.energy < end
+    energy = np.concatenate([[0.0], view.energy[inside], [end]])
+    nats = float(np.trapezoid(np.interp(energy, view.energy, view.roughness), energy))
+    return end / nats
 
 
 def tail_bound(view: Survey, end: float, density_at_end: float) -> float:

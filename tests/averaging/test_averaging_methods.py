@@ -45,7 +45,7 @@ GYRO = np.array([[0.0, 0.3], [-0.3, 0.0]])
 )
 def test_condition_8_is_accepted(damping, noise, h):
     system = System([1.0, 2.0], [1.0, 1.0], damping, noise)
-    assert compatibility(system) == pytest.approx(h, rel=1e-14)
+    assert compatibility(system) == pytest.approx([h], rel=1e-14)
     # For a linear system (7) can be checked: its covariance is that of exp(−h H).
     covariance = stationary_covariance(system)
     np.testing.assert_allclose(
