@@ -8,8 +8,9 @@ from time import perf_counter
 from typing import Literal, Self, get_args
 
 from averaging.energy_process import energy_balance, energy_process
-from averaging.integrable import Integrable
+from averaging.modal.analysis import modal_analysis
 from averaging.modal.process import modal_process
+from averaging.modal.resonance import resonance_refusal
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import Progress, Result, require_applicable, silent
 from fpk.observable import Coordinate, Observable, observable_name
@@ -36,9 +37,9 @@ class AveragedSimulation:
     """
 
     theory: Theory
-    paths: int = 16384
+    paths: int = 8192
     time: float | None = None
-    step: float = 0.05
+    step: float = 0.1
     seed: int = 1
     threads: int | None = None
 
@@ -82,8 +83,10 @@ class AveragedSimulation:
             return None
         if len(observable) > 1 and any(c.index is None for c in observable):
             return f"{name}: of two quantities, both must be modal energies"
-        # The conditions of the theory itself, resonance among them, do not depend on the solver.
-        return Integrable().refusal(system, observable)
+        try:
+            return resonance_refusal(modal_analysis(system))
+        except NotApplicable as reason:
+            return str(reason)
 
     def solve(
         self,

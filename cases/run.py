@@ -1,10 +1,12 @@
 """The main job: every curve of a scene by every route that applies, and what they say together."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from time import perf_counter
 
 from averaging.energy_process import energy_process
+from averaging.modal.process import modal_process
 from cases.averaged import AveragedSimulation, worth_running
 from cases.claims import Finding, findings
 from cases.compare import Comparison, compared, route_name
@@ -17,7 +19,11 @@ from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.line.boundary import classify
 from fpk.method import Method, Progress, Result, silent
 from fpk.observable import Observable, observable_name, parse_observable
+from fpk.plane.boundary import classify_edges
 from fpk.system import System
+
+MODES_TOLD = 4
+"""Modes whose boundaries are told; with constant damping all are alike."""
 
 
 @dataclass(frozen=True)
@@ -91,12 +97,17 @@ def run_scene(scene: Scene, methods: Sequence[Method], *, progress: Progress = s
 
 
 def boundaries_of(system: System) -> tuple[Boundary, ...]:
-    """Return the ends of the averaged energy process (24); none where the theory does not apply."""
-    try:
+    """Return the ends of the averaged energies (24) and (17), of each theory that applies."""
+    found = []
+    with suppress(NotApplicable, InvalidInput):
         ends = classify(energy_process(system))
-    except (NotApplicable, InvalidInput):
-        return ()
-    return tuple(Boundary("nonintegrable", e.end, e.kind, e.reason) for e in ends)
+        found += [Boundary("nonintegrable", e.end, e.kind, e.reason) for e in ends]
+    with suppress(NotApplicable, InvalidInput):
+        process = modal_process(system)
+        for axis in range(min(process.dimension, MODES_TOLD)):
+            edges = classify_edges(process, axis)
+            found += [Boundary("integrable", e.end, e.kind, e.reason) for e in edges]
+    return tuple(found)
 
 
 def incompatibility(system: System, methods: Sequence[Method]) -> str | None:

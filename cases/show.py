@@ -1,5 +1,6 @@
 """What a scene is before anything is solved: system, effects, frequencies, theories, boundaries."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -9,7 +10,9 @@ from cases.run import boundaries_of, incompatibility
 from cases.scene import Scene
 from cases.summary import effects_record, plain, system_record
 from fpk.effects import effects_of
-from fpk.observable import observable_name
+from fpk.method import Method
+from fpk.observable import Observable, observable_name
+from fpk.system import System
 
 MEANING = {
     "exact": "exact solution of the full system, Eq. (7)",
@@ -45,23 +48,27 @@ def theories(scene: Scene) -> list[dict[str, Any]]:
     """Return for every METHOD whether it applies to the scene's own system, and why not."""
     found = []
     for name, route in ROUTES.items():
-        reasons: dict[str, str | None] = {}
-        for observable in scene.observables:
-            reason: str | None = route.refusal
-            if route.make is not None:
-                reason = method_for(Request(name)).refusal(scene.system, observable)
-            reasons[observable_name(observable)] = reason
-        refused = list(dict.fromkeys(r for r in reasons.values() if r is not None))
+        methods = [method_for(Request(name, solver)) for solver in (route.solvers or (None,))]
+        reasons = [_refused(methods, scene.system, o) for o in scene.observables]
+        refused = list(dict.fromkeys(r for r in reasons if r is not None))
         found.append(
             {
                 "method": name,
                 "meaning": MEANING[name],
                 "solvers": route.solvers,
-                "applies": any(r is None for r in reasons.values()),
+                "applies": None in reasons,
                 "reason": "; ".join(refused) or None,
             }
         )
     return found
+
+
+def _refused(methods: Sequence[Method], system: System, observable: Observable) -> str | None:
+    """Why none of a theory's solvers gives ``observable``: the first one's reason, or None."""
+    reasons = [method.refusal(system, observable) for method in methods]
+    if None in reasons:
+        return None
+    return str(reasons[0]).removeprefix(f"{observable_name(observable)}: ")
 
 
 def show_text(record: dict[str, Any]) -> str:
@@ -94,10 +101,10 @@ def show_text(record: dict[str, Any]) -> str:
         )
         if t["reason"]:
             lines.append(f"  {'':14} {t['reason']}")
-    lines += ["", "Boundaries of the averaged process"]
-    lines += [f"  {b['end']}: {b['kind']} ({b['reason']})" for b in record["boundaries"]] or [
-        "  none"
-    ]
+    lines += ["", "Boundaries of the averaged energies"]
+    lines += [
+        f"  {b['process']:14} {b['end']}: {b['kind']} ({b['reason']})" for b in record["boundaries"]
+    ] or ["  none"]
     return "\n".join(lines)
 
 
