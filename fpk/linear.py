@@ -1,5 +1,7 @@
 """The linear part of a system: springs, constant damping and noise."""
 
+from math import inf
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh, solve_continuous_lyapunov
@@ -8,6 +10,9 @@ from fpk.errors import NotApplicable
 from fpk.system import System
 
 Array = NDArray[np.float64]
+
+UNDAMPED = 1e-12
+"""A decay rate below this share of the largest eigenvalue of the drift is round-off."""
 
 
 def drift_matrix(system: System) -> Array:
@@ -39,6 +44,13 @@ def slowest_decay_rate(system: System) -> float:
     return float(-np.max(np.linalg.eigvals(drift_matrix(system)).real))
 
 
+def decay_time(system: System) -> float:
+    """Return 1/rate of the slowest decay of the linear part; inf where some motion never decays."""
+    eigenvalues = np.linalg.eigvals(drift_matrix(system))
+    rate = float(-np.max(eigenvalues.real))
+    return 1.0 / rate if rate > UNDAMPED * float(np.max(np.abs(eigenvalues))) else inf
+
+
 def stationary_covariance(system: System) -> Array:
     """Return the covariance of (q, p) of the system without contacts, shape (2n, 2n).
 
@@ -49,8 +61,7 @@ def stationary_covariance(system: System) -> Array:
     if system.damping_terms:
         raise NotApplicable("the damping depends on the state, so the system is not linear")
     A = drift_matrix(system)
-    rate = slowest_decay_rate(system)
-    if rate <= 1e-12 * np.max(np.abs(np.linalg.eigvals(A))):
+    if decay_time(system) == inf:
         raise NotApplicable("a mode is not damped, so that there is no stationary state")
     covariance = solve_continuous_lyapunov(A, -diffusion_matrix(system))
     return np.asarray(0.5 * (covariance + covariance.T))

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from fpk.effects import effects_of
 from fpk.system import System
+from sim.arrays import StepArrays, WatchArrays
 from sim.flow import factored
-from sim.histogram import Histogram, starts, watch_arrays
-from sim.kernel import KernelKey, StepArrays, WatchArrays, compiled_kernel
+from sim.histogram import Histogram, modes_of, starts, watch_arrays
+from sim.kernel import KernelKey, compiled_kernel
 from sim.plan import step_arrays
 from sim.random import LANES, START, mixed_seed, normals
 from sim.scheme import Scheme
@@ -29,15 +30,35 @@ def kernel_key(
     system: System, scheme: Scheme, histograms: Sequence[Histogram], products: Sequence[Product]
 ) -> KernelKey:
     """Return what the kernel must be compiled for: the effects and the observables asked for."""
-    kinds = {c.kind for h in histograms for c in h.observable}
+    kinds, effects = {c.kind for h in histograms for c in h.observable}, effects_of(system)
+    whole = any(c.kind == "H" and c.index is None for h in histograms for c in h.observable)
     return KernelKey(
-        laws=effects_of(system).laws,
-        kick_first=scheme.kick_first or not system.stops,
+        laws=effects.laws,
+        kick_first=scheme.kick_first or not (effects.contact or effects.state_damping),
+        damping=effects.state_damping,
+        energy_damping=effects.energy_damping,
         observed=bool(kinds or products),
         momenta=bool(kinds & {"p", "H"} or products),
-        energy="H" in kinds,
+        energy=whole or bool(products and effects.energy_damping),
+        modes=bool(modes_of(histograms)),
         moments=bool(products),
     )
+
+
+def start_displacements(system: System, kT: float, z: Array) -> Array:
+    """Return displacements (n, paths) from standard normals ``z``: Gaussian by the springs at kT.
+
+    Where a contact is reached they are shortened, by bisection, to the potential energy of the
+    springs alone: no start is deeper in a stop than its energy allows.
+    """
+    q = np.linalg.cholesky(kT * np.linalg.inv(system.stiffness_matrix)) @ z
+    level = 0.5 * np.sum(q * (system.stiffness_matrix @ q), axis=0)
+    low, high = np.zeros(q.shape[1]), np.ones(q.shape[1])
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        above = system.potential((middle * q).T) > level
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    return np.asarray(low * q)
 
 
 @dataclass(eq=False)
@@ -62,7 +83,11 @@ class Ensemble:
     done: int = 0
 
     def __post_init__(self) -> None:
-        """Start from q = 0 and momenta of the temperature (covariance kT M)."""
+        """Start from q = 0 and momenta of the temperature (covariance kT M).
+
+        With damping terms the displacements are drawn, too: on a limit cycle the noise alone mixes
+        phases, and slowly.
+        """
         n, blocks = self.system.n, -(-self.paths // LANES)
         self.step = step_arrays(self.system, self.scheme, self.dt)
         kT = temperature(self.system)
@@ -71,6 +96,10 @@ class Ensemble:
         p = L @ z[: L.shape[1]]
         self.states = np.zeros((blocks, 2 * n, LANES))
         self.states[:, n:] = p.reshape(n, blocks, LANES).transpose(1, 0, 2)
+        if self.system.damping_terms:
+            z = normals(self.seed, blocks * LANES, START + n, n)
+            q = start_displacements(self.system, kT, z)
+            self.states[:, :n] = q.reshape(n, blocks, LANES).transpose(1, 0, 2)
         self.live = np.minimum(LANES, self.paths - LANES * np.arange(blocks))
         batches = min(BATCHES, blocks)
         self.edges = np.arange(batches + 1, dtype=np.int64) * blocks // batches

@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.density import Certificate, SampledDensity
+from fpk.modes import natural_modes
 from fpk.observable import Coordinate, Observable
 from fpk.system import System
-from sim.kernel import StepArrays, WatchArrays, observed_rows
+from sim.arrays import StepArrays, WatchArrays, workspace
 from sim.scheme import Scheme
 
 Array = NDArray[np.float64]
@@ -36,7 +37,16 @@ class Histogram:
 
 
 def pilot_coordinate(system: System, coordinate: Coordinate, q: Array, p: Array) -> Array:
-    """Return one coordinate of states ``q``, ``p`` (samples, n), uncorrected for the step."""
+    """Return one coordinate of states ``q``, ``p`` (samples, n), uncorrected for the step.
+
+    H_m is the energy of a mode of the springs alone: nothing of a contact is in it.
+    """
+    if coordinate.kind == "H" and coordinate.index is not None:
+        shapes, frequency = natural_modes(system)
+        shape, omega = shapes[:, coordinate.index], frequency[coordinate.index]
+        momentum, displacement = p @ shape, q @ (system.mass * shape)
+        energy: Array = 0.5 * (momentum**2 + (omega * displacement) ** 2)
+        return energy
     if coordinate.kind == "H":
         return system.hamiltonian(q, p)
     return (q if coordinate.kind == "q" else p)[:, coordinate.index]
@@ -45,7 +55,7 @@ def pilot_coordinate(system: System, coordinate: Coordinate, q: Array, p: Array)
 def ranged(
     system: System, observables: Sequence[Observable], q: Array, p: Array, *, mirror: bool
 ) -> tuple[Histogram, ...]:
-    """Return histograms that cover the pilot states with a margin; H starts at 0."""
+    """Return histograms that cover the pilot states with a margin; energies start at 0."""
     histograms = []
     for observable in observables:
         edges = []
@@ -75,14 +85,20 @@ def watch_arrays(
 ) -> WatchArrays:
     """Return what the kernel reads to observe: processor, histograms, products of moments."""
     n, slots = system.n, step.slot_mass.size
-    first = observed_rows(n, slots, step.matrix.shape[1])
-    kinds = {"q": first, "p": first + n, "f": first + 2 * n, "H": first + 3 * n}
+    modes = modes_of(histograms)
+    at = workspace(n, slots, step.matrix.shape[1], modes=len(modes), terms=step.terms is not None)
+    kinds = {"q": at.q, "p": at.p, "f": at.force, "d": at.damping}
+    shapes, frequency = natural_modes(system) if modes else (np.zeros((n, 0)), np.zeros(0))
+    T = shapes.T[list(modes)]
     rows = np.full((len(histograms), 2), -1, dtype=np.int64)
     low, scale = np.zeros(rows.shape), np.ones(rows.shape)
     bins = np.ones(rows.shape, dtype=np.int64)
     for m, histogram in enumerate(histograms):
         for axis, (c, e) in enumerate(zip(histogram.observable, histogram.edges, strict=True)):
-            rows[m, axis] = kinds[c.kind] + (c.index or 0)
+            if c.kind != "H":
+                rows[m, axis] = kinds[c.kind] + (c.index or 0)
+            else:
+                rows[m, axis] = at.energy if c.index is None else at.modal + modes.index(c.index)
             low[m, axis], bins[m, axis] = e[0], e.size - 1
             scale[m, axis] = (e.size - 1) / (e[-1] - e[0])
     half = 0.5 * step.dt if scheme.symmetric else 0.0
@@ -95,6 +111,9 @@ def watch_arrays(
         cross=scheme.modified * step.dt**2 * system.damping[:, step.slot_mass] / mass,
         stiffness_matrix=system.stiffness_matrix,
         mass=system.mass,
+        mode_q=frequency[list(modes), None] * T * system.mass if modes else None,
+        mode_p=np.ascontiguousarray(T) if modes else None,
+        at=at,
         rows=rows,
         low=low,
         scale=scale,
@@ -102,6 +121,12 @@ def watch_arrays(
         start=starts(histograms)[:-1],
         products=np.array(pairs, dtype=np.int64).reshape(-1, 2),
     )
+
+
+def modes_of(histograms: Sequence[Histogram]) -> tuple[int, ...]:
+    """Return the modes whose energies are observed, counted from 0, ascending."""
+    coordinates = {c for h in histograms for c in h.observable if c.kind == "H"}
+    return tuple(sorted(c.index for c in coordinates if c.index is not None))
 
 
 def starts(histograms: Sequence[Histogram]) -> Integers:

@@ -88,6 +88,13 @@ def grow(target: Array, source: Array, factor: float) -> None:
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def multiply(target: Array, source: Array) -> None:
+    """Multiply one row by another."""
+    for k in range(W):
+        target[k] *= source[k]
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
 def add_product(target: Array, a: Array, b: Array, factor: float) -> None:
     """Add ``factor`` times the product of two rows to another; no work where it is 0."""
     if factor != 0.0:

@@ -9,27 +9,39 @@ from time import perf_counter
 import numpy as np
 
 import sim.schemes  # noqa: F401  (its modules register the integrators)
-from fpk.errors import InvalidInput
+from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import Progress, Result, require_applicable, silent
-from fpk.observable import Observable, observable_name
+from fpk.observable import Observable
 from fpk.system import System
 from sim.random import LANES, MAX_TRAJECTORIES
+from sim.relaxation import relaxation_time, undamped_mode
 from sim.scheme import SCHEMES
 from sim.simulation import simulate
-from sim.step_size import check_step, chosen_step, relaxation_time
+from sim.step_size import check_step, chosen_step
 
 LEAST_PATHS = 32 * LANES
 """Paths below which there are fewer than 32 independent batches to take errors from."""
+
+RELAXATIONS = 153.2
+"""Relaxation times that are sampled unless a time is given: 6000 time units of fig6a."""
+
+MOST_STEPS = 400_000
+"""Steps at most where no time is given: of weakly damped systems fewer relaxation times fit in."""
+
+THREADS_PER_CORE = 4
+"""Threads at most, in units of the cores that there are."""
 
 
 @dataclass(frozen=True)
 class MonteCarlo:
     """Simulation of Eq. (6) with sampling errors from independent batches.
 
-    ``paths`` trajectories are sampled for ``time`` each, after ``burn_in`` relaxation times of
-    the linear system. ``dt`` None: ``step_factor`` times the step chosen from the stiffest contact
-    that is reached. ``tol``: go on
-    until the expected L1 error of the first observable is below it, at most ``longest`` seconds.
+    ``paths`` trajectories are sampled for ``time`` each, after ``burn_in`` relaxation times.
+    ``time`` None: ``relaxations`` relaxation times, whatever the unit of time is, but no more than
+    ``most_steps`` steps (rounded up to whole chunks); ``settings`` then has ``limited_by``.
+    ``dt`` None: ``step_factor`` times the step chosen from the stiffest contact that is reached
+    and the rates of the damping terms. ``tol``: go on until the expected L1 error of the first
+    observable is below it, at most ``longest`` seconds.
     ``moments``: evaluate the moment identities, too. ``threads`` None: all that there are; the
     answer does not depend on it.
 
@@ -37,7 +49,7 @@ class MonteCarlo:
     """
 
     paths: int = 8192
-    time: float = 6000.0
+    time: float | None = None
     dt: float | None = None
     scheme: str = "exact_flow"
     seed: int = 1
@@ -47,6 +59,8 @@ class MonteCarlo:
     burn_in: float = 10.0
     moments: bool = True
     step_factor: float = 1.0
+    relaxations: float = RELAXATIONS
+    most_steps: int = MOST_STEPS
 
     def __post_init__(self) -> None:
         """Check every field."""
@@ -56,9 +70,12 @@ class MonteCarlo:
             raise InvalidInput("paths", self.paths, f"use {LEAST_PATHS} to {MAX_TRAJECTORIES}")
         if not 0 <= self.seed < 2**64:
             raise InvalidInput("seed", self.seed, "use an integer from 0 to 2**64 - 1")
-        if self.threads is not None and self.threads < 1:
-            raise InvalidInput("threads", self.threads, "use 1 or more")
-        for key in ("time", "dt", "tol", "longest", "burn_in", "step_factor"):
+        most = THREADS_PER_CORE * (os.cpu_count() or 1)
+        if self.threads is not None and not 1 <= self.threads <= most:
+            raise InvalidInput("threads", self.threads, f"use 1 to {most}")
+        if self.most_steps < 1:
+            raise InvalidInput("most_steps", self.most_steps, "use 1 or more")
+        for key in ("time", "dt", "tol", "longest", "burn_in", "step_factor", "relaxations"):
             value = getattr(self, key)
             if value is not None and not (isfinite(value) and value > 0):
                 raise InvalidInput(key, value, "must be a finite number > 0")
@@ -77,12 +94,12 @@ class MonteCarlo:
         """Return why there is nothing to sample, or None where there is."""
         if not np.any(system.noise_matrix):
             return "no noise reaches a mass: the motion dies out and has no stationary density"
-        if system.damping_terms:
-            return "damping that depends on the state is not simulated yet"
-        if relaxation_time(system) == inf:
+        try:
+            relaxation = relaxation_time(system)
+        except NotApplicable as reason:
+            return str(reason)
+        if relaxation == inf or (system.damping_terms and undamped_mode(system)):
             return "some motion is not damped: under noise it grows and never becomes stationary"
-        if any(c.kind == "H" and c.index is not None for c in observable):
-            return f"modal energies such as {observable_name(observable)} are not sampled yet"
         return None
 
     def solve(
@@ -98,13 +115,16 @@ class MonteCarlo:
         scheme = SCHEMES[self.scheme]
         dt = self.step_factor * chosen_step(system) if self.dt is None else self.dt
         check_step(system, scheme, dt)
+        relaxation = relaxation_time(system)
+        wanted = self.relaxations * relaxation if self.time is None else self.time
+        time = min(wanted, self.most_steps * dt) if self.time is None else wanted
         run = simulate(
             system,
             observables,
             scheme=scheme,
             dt=dt,
             paths=self.paths,
-            time=self.time,
+            time=time,
             seed=self.seed,
             threads=self.threads or len(os.sched_getaffinity(0)),
             burn_in=self.burn_in,
@@ -114,6 +134,9 @@ class MonteCarlo:
             progress=progress,
         )
         settings = dict(run.settings)
+        settings["relaxation_time"] = relaxation
+        if time < wanted:
+            settings["limited_by"] = "most_steps"
         if run.moments is not None:
             for i in range(system.n):
                 for name, mean in (
@@ -137,7 +160,9 @@ class MonteCarlo:
         """
         return replace(
             self,
-            time=4.0 * self.time,
+            time=None if self.time is None else 4.0 * self.time,
+            relaxations=4.0 * self.relaxations,
+            most_steps=5 * self.most_steps,  # 4 times the time, in steps 2**(−1/4) as long
             tol=None if self.tol is None else 0.5 * self.tol,
             longest=4.0 * self.longest,
             step_factor=self.step_factor * 2.0**-0.25,

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from fpk.effects import effects_of
 from fpk.system import System
-from sim.kernel import StepArrays
+from sim.arrays import StepArrays, TermArrays
 from sim.lanes import COLUMNS
 from sim.scheme import Scheme
 
@@ -16,10 +16,15 @@ def step_arrays(system: System, scheme: Scheme, dt: float) -> StepArrays:
     """Return the numbers of one step of ``dt``; a stop equal on both sides counts as one."""
     n = system.n
     linear = scheme.linear_map(system, dt)
+    springs = dt * system.stiffness_matrix if scheme.springs_kicked else np.zeros((0, 0))
+    terms = term_arrays(system, springs) if system.damping_terms else None
     pairs = (linear.normals + 1) // 2
     columns = -(-(2 * n + 2 * pairs) // COLUMNS) * COLUMNS
     matrix = np.zeros((2 * n, columns))
     matrix[:, : 2 * n] = linear.propagator
+    if springs.size and terms is None:
+        one, zero = np.eye(n), np.zeros((n, n))
+        matrix[:, : 2 * n] = linear.propagator @ np.block([[one, zero], [-springs, one]])
     matrix[:, 2 * n : 2 * n + linear.normals] = linear.factor
     laws, slots = effects_of(system).laws, system.contact_masses
     merged: dict[tuple[int, float, float, float, int], list[float]] = {}
@@ -49,4 +54,30 @@ def step_arrays(system: System, scheme: Scheme, dt: float) -> StepArrays:
         stop_stiffness=np.array(columns_of[2], dtype=float),
         stop_exponent=np.array(columns_of[3], dtype=float),
         stop_law=np.array(columns_of[4], dtype=np.int64),
+        terms=terms,
+    )
+
+
+def term_arrays(system: System, springs: Array) -> TermArrays:
+    """Return the damping terms as powers of the momenta ``p = m v``; see ``TermArrays``."""
+    n, factors, counts, powers, scales = system.n, [], [], [], []
+    for term in system.damping_terms:
+        v = list(term.powers("v", n))
+        v[term.j] += 1
+        powers.append(v[term.i])
+        scales.append(term.coefficient / float(np.prod(system.mass ** np.array(v))))
+        v[term.i] = 0
+        own = [a for a, power in enumerate((*term.powers("q", n), *v)) for _ in range(power)]
+        factors += own
+        counts.append(len(own))
+    return TermArrays(
+        target=np.array([n + term.i for term in system.damping_terms], dtype=np.int64),
+        power=np.array(powers, dtype=np.int64),
+        scale=np.array(scales),
+        energy=np.array([term.energy for term in system.damping_terms], dtype=np.int64),
+        first=np.cumsum([0, *counts], dtype=np.int64),
+        factor=np.array(factors, dtype=np.int64),
+        springs=springs,
+        stiffness_matrix=system.stiffness_matrix,
+        half_inverse_mass=0.5 / system.mass,
     )

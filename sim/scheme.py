@@ -16,7 +16,12 @@ class Scheme:
     step; observed is the state in the middle of the kick if ``symmetric`` (half the kick, and half
     that of the springs if ``springs_kicked``), corrected by the processor for ``w > 0``
     (see ``sim/schemes/exact_flow.py``). ``weak_order`` is the order in the step of stationary
-    averages, contact forces being smooth enough; ``linear_map(system, h)`` is the rest of the step.
+    averages, contact forces being smooth enough; ``linear_map(system, h)`` is the rest of the step,
+    without the kick of the springs if ``springs_kicked``.
+
+    Damping terms act for h/2 before the kicks and, in reverse order, for h/2 after them, the state
+    in the middle being observed: symmetric, of second order in the terms, which are small. Where
+    the kick is not first they are of Euler's kind, by the forces from before the map.
     """
 
     name: str

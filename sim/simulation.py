@@ -14,9 +14,10 @@ from fpk.observable import Observable
 from fpk.system import System
 from sim.ensemble import Ensemble
 from sim.histogram import Histogram, ranged, sampled_density, starts
+from sim.relaxation import relaxation_time
 from sim.scheme import Scheme
 from sim.statistics import Moments, l1_error, moment_products
-from sim.step_size import relaxation_time, sampling_interval, temperature
+from sim.step_size import sampling_interval, temperature
 
 CHUNKS = 20
 """Calls into which the sampled time is divided: progress is told and losses are seen between."""
@@ -63,7 +64,7 @@ def simulate(
 ) -> Simulation:
     """Sample the stationary state of Eq. (6) for ``time`` on each of ``paths`` trajectories.
 
-    ``burn_in`` counts relaxation times of the linear system. With ``tol`` the sampling goes on
+    ``burn_in`` counts relaxation times (``sim.relaxation``). With ``tol`` the sampling goes on
     in chunks until the expected L1 error of the first observable is below it, at most for
     ``longest`` seconds of wall time. Samples are about an eighth of the shortest natural
     period apart: closer ones are nearly equal and cost a histogram entry each.
@@ -83,7 +84,7 @@ def simulate(
         histograms = ranged(
             system, observables, np.concatenate(q), np.concatenate(p), mirror=effects.mirror
         )
-    products = moment_products(system.n) if moments else ()
+    products = moment_products(system.n, terms=effects.state_damping) if moments else ()
     ensemble.watch(histograms, products)
     chunk = stride * max(1, ceil(time / (dt * stride * CHUNKS)))
     stepping, chunks, failures = 0.0, 0, []

@@ -14,15 +14,20 @@ Array = NDArray[np.float64]
 Product = tuple[str, int, str, int]
 
 
-def moment_products(n: int) -> tuple[Product, ...]:
-    """Return the products that are summed: p p, q p, q F, p F and q q, F = K q + g(q)."""
+def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
+    """Return the products that are summed: p p, q p, q F, p F and q q, F = K q + g(q).
+
+    With damping ``terms``, whose forces are D_i = Σ_j c̃_ij v_j, also p D and q D.
+    """
     masses = range(n)
+    more = [(a, i, "d", i) for a in ("p", "q") for i in masses] if terms else []
     return (
         *(("p", i, "p", j) for i in masses for j in range(i, n)),
         *(("q", i, "p", j) for i in masses for j in masses),
         *(("q", i, "f", i) for i in masses),
         *(("p", i, "f", i) for i in masses),
         *(("q", i, "q", i) for i in masses),
+        *more,
     )
 
 
@@ -42,7 +47,7 @@ class Moments:
     batch_means: Array  # (batches, products)
 
     def _batches(self, a: str, i: int, b: str, j: int) -> Array:
-        products = moment_products(self.system.n)
+        products = moment_products(self.system.n, terms=bool(self.system.damping_terms))
         key = (a, i, b, j) if (a, i, b, j) in products else (b, j, a, i)
         column: Array = self.batch_means[:, products.index(key)]
         return column
@@ -60,13 +65,16 @@ class Moments:
 
         The generator applied to H, q_i p_i and p_i² has mean zero:
         ``Σ_ij c_ij E v_i v_j = Σ_i N_ii/m_i``; ``m_i E v_i² = E q_i F_i + Σ_j c_ij E q_i v_j``;
-        ``E p_i F_i + Σ_j c_ij E p_i v_j = N_ii``; N = f D fᵀ and F = K q + g(q).
+        ``E p_i F_i + Σ_j c_ij E p_i v_j = N_ii``; N = f D fᵀ and F = K q + g(q). Damping terms are
+        part of c, inside the means.
         """
         system, m, c = self.system, self.system.mass, self.system.damping
         masses = range(system.n)
 
         def damped(a: str, i: int) -> Array:
             terms = [c[i, j] / m[j] * self._batches(a, i, "p", j) for j in masses]
+            if system.damping_terms:
+                terms.append(self._batches(a, i, "d", i))
             total: Array = np.sum(terms, axis=0)
             return total
 

@@ -3,12 +3,12 @@
 from math import inf, pi, sqrt
 
 import numpy as np
-from scipy.linalg import eigh
 from scipy.optimize import brentq
 
+from fpk.equivalent import equivalent_temperature
 from fpk.errors import InvalidInput
+from fpk.modes import natural_modes
 from fpk.system import System
-from sim.flow import linear_drift
 from sim.scheme import Scheme
 
 REACHED = 5.0
@@ -18,12 +18,20 @@ STEP_PER_FREQUENCY = 0.45
 """Step times the frequency in contact, springs included. The bias grows with the fourth power: at
 0.65 the L1 of p(q2) shows it beside a sampling error of 3e-4 (B = 1, 10); at 0.45 it does not."""
 
+STEP_PER_RATE = 0.05
+"""Step times the steepest rate of the damping terms that is reached, see ``term_rate``."""
+
 SAMPLES_PER_PERIOD = 8
 """Samples in the shortest natural period; closer ones repeat each other."""
 
 
 def temperature(system: System) -> float:
-    """Return kT = Σ(N_ii/m_i) / Σ(c_ii/m_i), N = f D fᵀ: the mean of m v² by energy balance."""
+    """Return kT = Σ(N_ii/m_i) / Σ(c_ii/m_i), N = f D fᵀ: the mean of m v² by energy balance.
+
+    With damping terms it is the θ of ``equivalent_temperature``, and raises as that does.
+    """
+    if system.damping_terms:
+        return equivalent_temperature(system)
     noise = float(np.sum(np.diag(system.noise_matrix) / system.mass))
     loss = float(np.sum(np.diag(system.damping) / system.mass))
     return noise / loss if loss > 0 else inf
@@ -71,15 +79,26 @@ def _reached_stiffness(system: System) -> list[tuple[float, float, float]]:
 
 def highest_frequency(system: System) -> float:
     """Return the highest natural frequency without contact, in rad per unit time."""
-    squares = eigh(system.stiffness_matrix, np.diag(system.mass), eigvals_only=True)
-    return sqrt(float(squares[-1]))
+    return float(natural_modes(system)[1][-1])
 
 
-def relaxation_time(system: System) -> float:
-    """Return the longest decay time of the motion without contact; inf if some never decays."""
-    A = linear_drift(system)
-    rate = -float(np.max(np.linalg.eigvals(A).real))
-    return 1.0 / rate if rate > 1e-13 * float(np.linalg.norm(A)) else inf
+def term_rate(system: System) -> float:
+    """Return the largest rate, per unit time, of a mass by its damping terms; 0 without any.
+
+    It is Σ (1 + power of v_i) |c̃_ij| v_j/(m_i v_i) where each coordinate alone, and H, has
+    ``REACHED`` kT: ``q_a² = 2 REACHED kT (K⁻¹)_aa``, ``v_a² = 2 REACHED kT/m_a``.
+    """
+    if not system.damping_terms:
+        return 0.0
+    level = REACHED * temperature(system)
+    q = np.sqrt(2.0 * level * np.diag(np.linalg.inv(system.stiffness_matrix)))
+    v = np.sqrt(2.0 * level / system.mass)
+    rates = np.zeros(system.n)
+    for term in system.damping_terms:
+        power = 1 + term.powers("v", system.n)[term.i]
+        size = abs(float(term.value(q, v, level))) * v[term.j] / v[term.i]
+        rates[term.i] += power * size / system.mass[term.i]
+    return float(np.max(rates))
 
 
 def sampling_interval(system: System) -> float:
@@ -88,9 +107,18 @@ def sampling_interval(system: System) -> float:
 
 
 def chosen_step(system: System) -> float:
-    """Return the step of ``exact_flow``; without contact any is exact: the sampling interval."""
-    frequency, interval = frequency_in_contact(system), sampling_interval(system)
-    return min(interval, STEP_PER_FREQUENCY / frequency) if frequency > 0.0 else interval
+    """Return the step of ``exact_flow``; of a linear system any is exact: the sampling interval.
+
+    Terms need it short beside their own rates and, since the oscillation does not commute with
+    them, beside the natural periods.
+    """
+    frequency, steps = frequency_in_contact(system), [sampling_interval(system)]
+    if system.damping_terms:
+        steps.append(STEP_PER_RATE / term_rate(system))
+        frequency = max(frequency, highest_frequency(system))
+    if frequency > 0.0:
+        steps.append(STEP_PER_FREQUENCY / frequency)
+    return min(steps)
 
 
 def check_step(system: System, scheme: Scheme, dt: float) -> None:

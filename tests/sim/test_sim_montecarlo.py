@@ -158,7 +158,6 @@ def test_refusals() -> None:
     q1 = parse_observable("q1", 1)
     assert "no noise" in (MonteCarlo().refusal(silent, q1) or "")
     assert "not damped" in (MonteCarlo().refusal(undamped, q1) or "")
-    assert "modal" in (MonteCarlo().refusal(linear(1), parse_observable("H1", 1)) or "")
     assert MonteCarlo().refusal(fig6(), Q2[0]) is None
     with pytest.raises(NotApplicable, match="no noise"):
         MonteCarlo().solve(silent, [q1])
@@ -183,6 +182,9 @@ def test_step_choice_and_its_limit() -> None:
         ("seed", -1),
         ("seed", 2**64),
         ("threads", 0),
+        ("threads", 100_000),
+        ("relaxations", 0.0),
+        ("most_steps", 0),
         ("time", 0.0),
         ("dt", inf),
         ("tol", -1.0),

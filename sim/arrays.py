@@ -1,0 +1,93 @@
+"""Plain arrays that the compiled step reads."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+class Rows(NamedTuple):
+    """First row of each group in the workspace of a block; the state (q, p) begins at row 0.
+
+    Behind the columns of the linear map come its results (2n), then these groups.
+    """
+
+    contact: int  # (2 slots), g and g' of each slot
+    q: int  # (n), observed displacements
+    p: int  # (n), observed momenta
+    force: int  # (n), total force K q + g(q) at the observed q
+    energy: int  # (1), H of the observed state
+    modal: int  # (modes), modal energies of the observed state
+    damping: int  # (n), forces of the damping terms
+    work: int  # scratch: 1 where modal energies are observed, 5 where there are terms
+    total: int
+
+
+class TermArrays(NamedTuple):
+    """Damping terms ``p_i' = −scale · Π factors · H^energy · p_i^power``, velocities as momenta.
+
+    ``springs`` (n, n): the kick that a scheme gives by its springs, times dt; no entries where the
+    springs are in the linear map.
+    """
+
+    target: Integers  # (terms,), row of p_i in a state (q, p)
+    power: Integers  # (terms,)
+    scale: Array  # (terms,)
+    energy: Integers  # (terms,)
+    first: Integers  # (terms + 1,), where the factors of each begin
+    factor: Integers  # (factors,), row in a state (q, p); as often as its power
+    springs: Array
+    stiffness_matrix: Array  # (n, n)
+    half_inverse_mass: Array  # (n,), 1/(2m): energies of momenta
+
+
+class StepArrays(NamedTuple):
+    """Numbers of one step; ``matrix`` is (propagator, factor) with columns padded."""
+
+    matrix: Array  # (2n, columns)
+    pairs: int
+    dt: float
+    slot_mass: Integers  # (slots,), the masses that touch something
+    slot_shift: Array  # (slots,), w h² / m of the modified kick and of the observed q
+    stop_slot: Integers  # (stops,)
+    stop_fresh: NDArray[np.bool_]  # (stops,), first of its slot
+    stop_sign: Array  # (stops,), +1, −1, or 0 for the same stop on either side
+    stop_clearance: Array
+    stop_stiffness: Array
+    stop_exponent: Array
+    stop_law: Integers
+    terms: Any  # TermArrays, or None for constant damping: its kernel does not read it
+
+
+class WatchArrays(NamedTuple):
+    """What is observed, and where it is counted."""
+
+    half_kick: float  # share of the kick that belongs to the observed momentum, times dt
+    half_springs: Array  # (n, n), the same of the springs
+    cross: Array  # (n, slots), w h² c_ik / m_k
+    stiffness_matrix: Array  # (n, n)
+    mass: Array  # (n,)
+    mode_q: Any  # (modes, n), ω_m T_rm m_r: H_m = ½ (mode_q q)² + ½ (mode_p p)²; or None
+    mode_p: Any  # (modes, n), T_rm
+    at: Rows
+    rows: Integers  # (histograms, 2), rows of the coordinates, second −1 for one coordinate
+    low: Array  # (histograms, 2)
+    scale: Array  # (histograms, 2), bins per unit
+    bins: Integers  # (histograms, 2)
+    start: Integers  # (histograms,), first bin of each in the counts
+    products: Integers  # (moments, 2), rows whose products are summed
+
+
+def workspace(n: int, slots: int, columns: int, *, modes: int = 0, terms: bool = False) -> Rows:
+    """Return where the rows lie; groups that are not asked for take no space."""
+    contact = columns + 2 * n
+    q = contact + 2 * slots
+    energy = q + 3 * n
+    modal = energy + 1
+    damping = modal + modes
+    work = damping + (n if terms else 0)
+    scratch = 5 if terms else int(modes > 0)
+    return Rows(contact, q, q + n, q + 2 * n, energy, modal, damping, work, work + scratch)

@@ -1,0 +1,63 @@
+"""Forces and energies of contact, lane by lane; laws come as compiled functions."""
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sim.arrays import StepArrays
+from sim.lanes import fill, row
+from sim.random import FLAGS, LANES
+
+Array = NDArray[np.float64]
+W = LANES
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def contact_forces(s: Array, g0: int, step: StepArrays, force: Any, slope: Any) -> None:
+    """Write g and g' of every slot at the displacements of the state to the rows from ``g0``."""
+    for stop in range(step.stop_slot.size):
+        slot, law = step.stop_slot[stop], step.stop_law[stop]
+        q, g = row(s, step.slot_mass[slot]), row(s, g0 + 2 * slot, 2)
+        clearance, sign = step.stop_clearance[stop], step.stop_sign[stop]
+        B, e = step.stop_stiffness[stop], step.stop_exponent[stop]
+        if step.stop_fresh[stop]:
+            fill(g, 0.0)
+            fill(g[W:], 0.0)
+        if sign != 0.0:
+            for k in range(W):
+                o = max(sign * q[k] - clearance, 0.0)
+                g[k] += sign * B * force(law, o, e)
+                g[W + k] += B * slope(law, o, e) if o > 0.0 else 0.0
+        else:
+            for k in range(W):
+                o = max(abs(q[k]) - clearance, 0.0)
+                g[k] += np.copysign(B, q[k]) * force(law, o, e)
+                g[W + k] += B * slope(law, o, e) if o > 0.0 else 0.0
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def add_contact_forces(s: Array, q0: int, f0: int, step: StepArrays, force: Any) -> None:
+    """Add g at the displacements from row ``q0`` to the rows of its masses from ``f0``."""
+    for stop in range(step.stop_slot.size):
+        i, law = step.slot_mass[step.stop_slot[stop]], step.stop_law[stop]
+        q, f = row(s, q0 + i), row(s, f0 + i)
+        clearance, sign = step.stop_clearance[stop], step.stop_sign[stop]
+        B, e = step.stop_stiffness[stop], step.stop_exponent[stop]
+        for k in range(W):
+            d = sign if sign != 0.0 else np.copysign(1.0, q[k])
+            f[k] += d * B * force(law, max(d * q[k] - clearance, 0.0), e)
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def add_contact_energy(s: Array, q0: int, H0: int, step: StepArrays, potential: Any) -> None:
+    """Add U at the displacements from row ``q0`` to row ``H0``."""
+    for stop in range(step.stop_slot.size):
+        i, law = step.slot_mass[step.stop_slot[stop]], step.stop_law[stop]
+        q, H = row(s, q0 + i), row(s, H0)
+        clearance, sign = step.stop_clearance[stop], step.stop_sign[stop]
+        B, e = step.stop_stiffness[stop], step.stop_exponent[stop]
+        for k in range(W):
+            d = sign if sign != 0.0 else np.copysign(1.0, q[k])
+            H[k] += B * potential(law, max(d * q[k] - clearance, 0.0), e)

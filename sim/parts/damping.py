@@ -1,0 +1,130 @@
+"""Damping that depends on the state: each term's flow at fixed q, and the forces of all.
+
+A term changes one momentum only, ``p_i' = −κ p_i^N`` with κ constant along its flow as long as H
+is not in it, so that the flow is elementary: a shift, an exponential, or
+``p/(1 + (N−1) κ p^(N−1) t)^(1/(N−1))``. Where that base is not positive the flow has blown up
+within the step: the momentum becomes NaN and the trajectory counts as lost. With H the
+rate is that in the middle of the step, from a predictor: second order. Terms forward, kicks,
+terms backward are symmetric, hence of second order in the step.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sim.arrays import TermArrays
+from sim.lanes import add, add_product, copy, fill, multiply, row
+from sim.random import FLAGS, LANES
+
+Array = NDArray[np.float64]
+W = LANES
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def term_rate(rate: Array, s: Array, first: int, terms: TermArrays, k: int) -> None:
+    """Write κ of term k, without its H, at the state from row ``first`` on."""
+    fill(rate, terms.scale[k])
+    for f in range(terms.first[k], terms.first[k + 1]):
+        multiply(rate, row(s, first + terms.factor[f]))
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def flow(p: Array, rate: Array, N: int, t: float) -> None:
+    """Replace p by the solution of ``p' = −rate p^N`` after ``t``; NaN after a blow-up."""
+    if N == 0:
+        for k in range(W):
+            p[k] -= t * rate[k]
+    elif N == 1:
+        for k in range(W):
+            p[k] *= np.exp(-t * rate[k])
+    elif N == 2:
+        for k in range(W):
+            base = 1.0 + t * rate[k] * p[k]
+            p[k] = p[k] / base if base > 0.0 else np.nan
+    elif N == 3:
+        for k in range(W):
+            base = 1.0 + 2.0 * t * rate[k] * p[k] * p[k]
+            p[k] = p[k] / np.sqrt(base) if base > 0.0 else np.nan
+    else:
+        for k in range(W):
+            power = 1.0
+            for _ in range(N - 1):
+                power *= p[k]
+            base = 1.0 + (N - 1) * t * rate[k] * power
+            p[k] = p[k] * base ** (-1.0 / (N - 1)) if base > 0.0 else np.nan
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def spring_energy(s: Array, V: Array, terms: TermArrays) -> None:
+    """Write ½ qᵀ K q of the state; contact is added elsewhere."""
+    fill(V, 0.0)
+    K = terms.stiffness_matrix
+    for i in range(K.shape[0]):
+        for j in range(K.shape[0]):
+            add_product(V, row(s, i), row(s, j), 0.5 * K[i, j])
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def whole_energy(s: Array, H: Array, V: Array, terms: TermArrays) -> None:
+    """Write H = V + Σ p²/(2m) of the state."""
+    copy(H, V)
+    n = terms.half_inverse_mass.size
+    for i in range(n):
+        add_product(H, row(s, n + i), row(s, n + i), terms.half_inverse_mass[i])
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def term_flow(s: Array, work: int, terms: TermArrays, k: int, t: float) -> None:
+    """Advance the state by term k alone over ``t``; its H does not occur."""
+    rate = row(s, work)
+    term_rate(rate, s, 0, terms, k)
+    flow(row(s, terms.target[k]), rate, terms.power[k], t)
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def term_flow_with_energy(s: Array, work: int, terms: TermArrays, k: int, t: float) -> None:
+    """Advance the state by term k alone over ``t``, with H^e half-way from a predictor.
+
+    Scratch rows from ``work``: rate, potential energy (given), H, half-way p, rate with H.
+    """
+    rate, V, H = row(s, work), row(s, work + 1), row(s, work + 2)
+    middle, with_energy = row(s, work + 3), row(s, work + 4)
+    p = row(s, terms.target[k])
+    term_rate(rate, s, 0, terms, k)
+    if terms.energy[k] > 0:
+        whole_energy(s, H, V, terms)
+        a = terms.half_inverse_mass[terms.target[k] - terms.half_inverse_mass.size]
+        copy(with_energy, rate)
+        copy(middle, p)
+        for _ in range(terms.energy[k]):
+            multiply(with_energy, H)
+        flow(middle, with_energy, terms.power[k], 0.5 * t)
+        add_product(H, middle, middle, a)
+        add_product(H, p, p, -a)
+        for _ in range(terms.energy[k]):
+            multiply(rate, H)
+    flow(p, rate, terms.power[k], t)
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def damping_forces(s: Array, first: int, H: Array, to: int, work: int, terms: TermArrays) -> None:
+    """Write Σ_j c̃_ij v_j of the terms at the state from row ``first``, whose energy is ``H``."""
+    n, rate = terms.half_inverse_mass.size, row(s, work)
+    for i in range(n):
+        fill(row(s, to + i), 0.0)
+    for k in range(terms.target.size):
+        term_rate(rate, s, first, terms, k)
+        for _ in range(terms.power[k]):
+            multiply(rate, row(s, first + terms.target[k]))
+        for _ in range(terms.energy[k]):
+            multiply(rate, H)
+        add(row(s, to + terms.target[k] - n), rate, 1.0)
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def kick_by_springs(s: Array, terms: TermArrays) -> None:
+    """Take dt K q from p where the scheme kicks by its springs."""
+    n = terms.springs.shape[0]
+    for i in range(n):
+        for j in range(n):
+            add(row(s, n + i), row(s, j), -terms.springs[i, j])

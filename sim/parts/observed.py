@@ -1,0 +1,102 @@
+"""What is observed of a state, and how it is counted."""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sim.arrays import StepArrays, WatchArrays
+from sim.lanes import add, add_product, bin_of, copy, count, fill, grow, join_bins, kick, row
+from sim.random import FLAGS, LANES
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+W = LANES
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def observed_displacements(s: Array, step: StepArrays, watch: WatchArrays) -> None:
+    """Write q*, corrected by the processor; without contact it is q."""
+    q0, g0 = watch.at.q, watch.at.contact
+    for i in range(step.matrix.shape[0] // 2):
+        copy(row(s, q0 + i), row(s, i))
+    for slot in range(step.slot_mass.size):
+        add(row(s, q0 + step.slot_mass[slot]), row(s, g0 + 2 * slot), -step.slot_shift[slot])
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def observed_momenta(s: Array, step: StepArrays, watch: WatchArrays) -> None:
+    """Write p*, in the middle of the kicks and corrected by the processor."""
+    p0, g0 = watch.at.p, watch.at.contact
+    n, slots = step.matrix.shape[0] // 2, step.slot_mass.size
+    for i in range(n):
+        copy(row(s, p0 + i), row(s, n + i))
+        for j in range(n):
+            add(row(s, p0 + i), row(s, j), -watch.half_springs[i, j])
+    for slot in range(slots):
+        p, g = row(s, p0 + step.slot_mass[slot]), row(s, g0 + 2 * slot, 2)
+        kick(p, g, watch.half_kick, step.slot_shift[slot])
+        grow(p, g[W:], step.slot_shift[slot])
+    for i in range(n):
+        for slot in range(slots):
+            add(row(s, p0 + i), row(s, g0 + 2 * slot), watch.cross[i, slot])
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def observed_energy(s: Array, watch: WatchArrays) -> None:
+    """Write kinetic energy and that of the springs of (q*, p*); contact is added elsewhere."""
+    H = row(s, watch.at.energy)
+    fill(H, 0.0)
+    n = watch.mass.size
+    for i in range(n):
+        p = row(s, watch.at.p + i)
+        add_product(H, p, p, 0.5 / watch.mass[i])
+        for j in range(n):
+            K = watch.stiffness_matrix[i, j]
+            add_product(H, row(s, watch.at.q + i), row(s, watch.at.q + j), 0.5 * K)
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def observed_springs(s: Array, watch: WatchArrays) -> None:
+    """Write the forces K q* of the springs; contact is added elsewhere."""
+    n = watch.mass.size
+    for i in range(n):
+        fill(row(s, watch.at.force + i), 0.0)
+        for j in range(n):
+            K = watch.stiffness_matrix[i, j]
+            add(row(s, watch.at.force + i), row(s, watch.at.q + j), K)
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def observed_modes(s: Array, mode_q: Array, mode_p: Array, watch: WatchArrays) -> None:
+    """Write the modal energies ½ (P_m² + ω_m² Q_m²) of (q*, p*)."""
+    u = row(s, watch.at.work)
+    for m in range(mode_q.shape[0]):
+        H = row(s, watch.at.modal + m)
+        fill(H, 0.0)
+        for first, shape in ((watch.at.q, mode_q), (watch.at.p, mode_p)):
+            fill(u, 0.0)
+            for r in range(shape.shape[1]):
+                add(u, row(s, first + r), shape[m, r])
+            add_product(H, u, u, 0.5)
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def sum_products(s: Array, sums: Array, watch: WatchArrays) -> None:
+    """Add the products of rows that are asked for, each lane on its own."""
+    for m in range(watch.products.shape[0]):
+        u, v = row(s, watch.products[m, 0]), row(s, watch.products[m, 1])
+        add_product(row(sums, m), u, v, 1.0)
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def count_all(
+    s: Array, index: Integers, second: Integers, live: int, watch: WatchArrays, counts: Integers
+) -> None:
+    """Count the lanes in every histogram."""
+    for m in range(watch.rows.shape[0]):
+        low, scale, bins = watch.low[m], watch.scale[m], watch.bins[m]
+        bin_of(row(s, watch.rows[m, 0]), low[0], scale[0], bins[0], index)
+        if watch.rows[m, 1] >= 0:
+            bin_of(row(s, watch.rows[m, 1]), low[1], scale[1], bins[1], second)
+            join_bins(index, second, bins[0], bins[1])
+        count(counts[watch.start[m] :], index, live)

@@ -1,0 +1,106 @@
+"""How long a system remembers: of constant damping from its drift, of terms from their powers."""
+
+from math import exp, inf, isfinite, lgamma, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import root
+
+from fpk.equivalent import dissipated_power, equivalent_temperature
+from fpk.linear import UNDAMPED, decay_time
+from fpk.modes import natural_modes
+from fpk.moments import gaussian_moment
+from fpk.system import System
+
+Array = NDArray[np.float64]
+_root: Any = root  # the stubs want a function of a fixed shape
+
+
+def relaxation_time(system: System) -> float:
+    """Return the longest decay time of the motion without contact; inf if some never decays.
+
+    With damping terms modes are taken for Gaussian at temperatures θ_m that balance,
+    ``dθ_m/dt = S_m − P_m(θ)``: S_m the power of the noise, P_m that of all damping. An eigenvalue λ
+    of ∂P/∂θ there is the decay rate of an energy, and ½ λ that of the amplitude (of a van der Pol
+    cycle at weak noise: the rate at which amplitudes return to the cycle); a mode whose λ exceeds
+    2 ω_1 creeps and has the slow root of ``r² − λ r + ω_1²``. The same with one temperature for
+    all modes, 2n/P'(θ), is a second estimate, and the longer one counts; with constant damping both
+    are those of the modes. Rare passages between two coexisting states, as of a subcritical
+    bifurcation, take longer than this, and it is for ``burn_in`` and ``time`` to allow for them.
+    """
+    if not system.damping_terms:
+        return decay_time(system)
+    temperature = equivalent_temperature(system)
+    coefficients = dissipated_power(system)
+    slope = float(np.polynomial.Polynomial(coefficients).deriv()(temperature))
+    times = [2.0 * system.n / slope if slope > 0 else inf]
+    omega = float(natural_modes(system)[1][0])
+    start = np.full(system.n, temperature)
+    noise = _modal_noise(system)
+    found: Any = _root(lambda theta: noise - modal_powers(system, theta), start, method="hybr")
+    if found.success and np.all(found.x > 0):
+        rates = np.linalg.eigvals(_jacobian(system, found.x)).real
+        if np.all(rates > 0):
+            times += [_amplitude_time(float(rate), omega) for rate in rates]
+    finite = [time for time in times if isfinite(time)]
+    return max(finite) if finite else inf
+
+
+def modal_powers(system: System, temperatures: Array) -> Array:
+    """Return E P_m (Tᵀ c M⁻¹ p)_m, modes being independent Gaussians of ``temperatures`` (n,).
+
+    H^e of a term stands for E H^e of the Gibbs state of the same mean energy.
+    """
+    n, (shapes, omega) = system.n, natural_modes(system)
+    displacements = (shapes * (temperatures / omega**2)) @ shapes.T
+    velocities = (shapes * temperatures) @ shapes.T
+    force = system.damping @ velocities  # E (c v)_i v_r
+    power = np.einsum("im,ir,r,rm->m", shapes, force, system.mass, shapes)
+    mean = float(np.mean(np.abs(temperatures)))
+    for term in system.damping_terms:
+        level = mean**term.energy * exp(lgamma(n + term.energy) - lgamma(n))
+        q = gaussian_moment(displacements, term.powers("q", n))
+        for r in range(n):
+            v = list(term.powers("v", n))
+            v[term.j] += 1
+            v[r] += 1
+            moment = term.coefficient * level * q * gaussian_moment(velocities, tuple(v))
+            power = power + shapes[term.i] * moment * system.mass[r] * shapes[r]
+    return np.asarray(power)
+
+
+def undamped_mode(system: System) -> bool:
+    """Return whether neither the constant damping nor any term acts on some mode.
+
+    This is necessary for growth for ever, not sufficient: where terms act, whether they suffice is
+    left to ``equivalent_temperature``, to lost trajectories and to the moment identities.
+    """
+    shapes, omega = natural_modes(system)
+    constant = np.abs(np.einsum("im,ij,jm->m", shapes, system.damping, shapes))
+    reached = constant > UNDAMPED * omega[-1]
+    for term in system.damping_terms:
+        size = np.abs(shapes) * np.sqrt(system.mass)[:, None]  # at most 1
+        reached |= size[term.i] * size[term.j] > UNDAMPED
+    return not bool(np.all(reached))
+
+
+def _modal_noise(system: System) -> Array:
+    shapes, _ = natural_modes(system)
+    return np.asarray(np.einsum("im,ij,jm->m", shapes, system.noise_matrix, shapes))
+
+
+def _jacobian(system: System, theta: Array) -> Array:
+    """∂P/∂θ by central differences: a polynomial of low degree, so that 1e-4 costs no digit."""
+    columns = []
+    for k in range(theta.size):
+        step = 1e-4 * theta[k] * (np.arange(theta.size) == k)
+        change = modal_powers(system, theta + step) - modal_powers(system, theta - step)
+        columns.append(change / (2e-4 * theta[k]))
+    return np.array(columns).T
+
+
+def _amplitude_time(rate: float, omega: float) -> float:
+    """Decay time of ``x'' + rate x' + ω² x = 0``; creeping has (rate/2 + √…)/ω²."""
+    half = 0.5 * rate
+    return (half + sqrt(half * half - omega * omega)) / omega**2 if half > omega else 1.0 / half
