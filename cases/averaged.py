@@ -9,6 +9,7 @@ from typing import Literal, Self, get_args
 
 from averaging.energy_process import energy_balance, energy_process
 from averaging.modal.analysis import modal_analysis
+from averaging.modal.internal import internal_refusal
 from averaging.modal.process import modal_process
 from averaging.modal.resonance import resonance_refusal
 from fpk.errors import InvalidInput, NotApplicable
@@ -84,7 +85,8 @@ class AveragedSimulation:
         if len(observable) > 1 and any(c.index is None for c in observable):
             return f"{name}: of two quantities, both must be modal energies"
         try:
-            return resonance_refusal(modal_analysis(system))
+            modes = modal_analysis(system)
+            return resonance_refusal(modes) or internal_refusal(system, modes)
         except NotApplicable as reason:
             return str(reason)
 

@@ -152,6 +152,8 @@ def test_step_bias_of_the_mean_is_of_second_order() -> None:
         ("fig8b", "integrable", "closed-form", (H1,)),
         ("fig8b", "integrable", "closed-form", (TOTAL,)),
         ("fig8b", "integrable", "closed-form", (H1, H2)),
+        ("vanderpol", "integrable", "fem", (H1, H2)),
+        ("vanderpol", "nonintegrable", "fem", (TOTAL,)),
         ("fig6a", "nonintegrable", "fem", (TOTAL,)),
     ],
 )
