@@ -31,6 +31,9 @@ from fpk.observable import Observable
 MARKERS = 56
 """Bins drawn as points."""
 
+LONGEST_OF_THREE = 31
+"""Letters of the longest label with which three columns fit."""
+
 MARKS = ("o", "s", "s")
 """Markers of the sampled routes: circles for the full system, squares for averaged equations."""
 
@@ -71,7 +74,7 @@ def density_figure(curves: list[CurveOutcome], observable: Observable) -> Figure
         colours = [c for _, c in zip(curves, cycle(COLOURS), strict=False)]
         handles = [Line2D([], [], color=c, linewidth=3) for c in colours] + handles
         labels = [curve.label for curve in curves] + labels
-    figure.legend(handles, labels, loc="outside upper left", ncols=3, columnspacing=1.6)
+    _legend(figure, handles, labels)
     return figure
 
 
@@ -98,43 +101,43 @@ def solver_figure(curves: list[CurveOutcome], observable: Observable) -> Figure:
     labels += ["|finite elements − reference|", "error the solver states"]
     if len(curves) == 1:
         handles, labels = handles[1:], labels[1:]
-    figure.legend(handles, labels, loc="outside upper left", ncols=3, columnspacing=1.6)
+    _legend(figure, handles, labels)
     set_labels(axes, observable[0], "difference of $p$")
     return figure
 
 
 def left_figure(curves: list[CurveOutcome], observable: Observable) -> Figure:
-    """Draw simulation − theory for each curve with the band of chance around zero."""
-    pairs = [(c, p) for c in curves if (p := both_answers(c, observable, "montecarlo")) is not None]
-    figure = Figure(figsize=(6.6, 0.9 + 1.35 * len(pairs)), layout="constrained")
-    rows = figure.subplots(len(pairs), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, (curve, (sampled, theory)) in zip(rows, pairs, strict=True):
+    """Draw simulation − theory for each curve and theory, with the band of chance around zero."""
+    shown_curves = [c for c in curves if both_answers(c, observable, "montecarlo")]
+    figure = Figure(figsize=(6.6, 0.9 + 1.35 * len(shown_curves)), layout="constrained")
+    rows = figure.subplots(len(shown_curves), 1, sharex=True, squeeze=False)[:, 0]
+    drawn: dict[str, Line2D] = {}
+    for axes, curve in zip(rows, shown_curves, strict=True):
+        found = curve.densities(observable)
+        sampled = found["montecarlo"]
         assert isinstance(sampled, SampledDensity)
         colour = COLOURS[curves.index(curve) % len(COLOURS)]
         joined = _joined(sampled, 2 * MARKERS)
-        x = _middles(joined)
-        shown = _within(x, shown_range(curve.densities(observable)))
-        difference, error = bin_differences(joined, theory), joined.standard_error
+        x, error = _middles(joined), joined.standard_error
+        shown = _within(x, shown_range(found))
         axes.fill_between(
             x[shown], -2 * error[shown], 2 * error[shown], color=INK, alpha=0.16, lw=0
         )
         axes.axhline(0.0, color=INK, linewidth=0.7)
-        axes.plot(x[shown], difference[shown], color=colour, linewidth=1.2)
+        theories = [r for r in theories_in(found) if not coincides(r, found, curve)]
+        for route, dashes in zip(theories, LINES, strict=False):
+            theory = found[route]
+            if isinstance(theory, Density):
+                difference = bin_differences(joined, theory)[shown]
+                axes.plot(x[shown], difference, color=colour, linewidth=1.2, linestyle=dashes)
+                drawn.setdefault(
+                    f"simulation − {THEORIES[route]}",
+                    Line2D([], [], color=INK, linewidth=1.2, linestyle=dashes),
+                )
         axes.set_title(curve.label)
         axes.ticklabel_format(axis="y", style="sci", scilimits=(-2, 2))
-    handles = [
-        Line2D([], [], color=COLOURS[0], linewidth=1.2),
-        Line2D([], [], color=INK, alpha=0.16, lw=6),
-    ]
-    theory_words = (
-        "exact" if any("exact" in c.densities(observable) for c in curves) else "averaging"
-    )
-    figure.legend(
-        handles,
-        [f"simulation − {theory_words}", "±2 standard errors"],
-        loc="outside upper left",
-        ncols=2,
-    )
+    drawn["±2 standard errors"] = Line2D([], [], color=INK, alpha=0.16, lw=6)
+    _legend(figure, list(drawn.values()), list(drawn))
     figure.supylabel(f"difference of $p({symbol_of(observable[0])})$", fontsize=9.5)
     rows[-1].set_xlabel(words_of(observable[0]))
     return figure
@@ -197,6 +200,12 @@ def _within(x: Array, ends: tuple[float, float]) -> Any:
 def _positive(values: Array) -> Array:
     """Leave out what a log scale cannot show."""
     return np.where(values > 1e-19, values, np.nan)
+
+
+def _legend(figure: Figure, handles: list[Any], labels: list[str]) -> None:
+    """Words above the picture, in as many columns as its width has room for."""
+    columns = 3 if max(map(len, labels)) <= LONGEST_OF_THREE else 2
+    figure.legend(handles, labels, loc="outside upper left", ncols=columns, columnspacing=1.6)
 
 
 def _new_figure(height: float) -> tuple[Figure, Axes]:
