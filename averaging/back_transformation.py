@@ -73,9 +73,15 @@ def back_transformed(source: EnergyDensity, observable: Observable) -> Density:
 
 
 def _energy_density(source: EnergyDensity, observable: Observable) -> Density:
+    # p falls beyond the last node, where some solvers drop it: its value there bounds the loss.
+    last = source.nodes[-1]
+    dropped = source.energy_pdf(np.array([last * (1.0 - 1e-9)]))[0]
+
     def pointwise(energy: Array) -> Array:
-        inside = np.asarray(energy) >= 0.0
-        return np.where(inside, np.exp(source.log_states(energy)) * source.u_error(energy), 0.0)
+        energy = np.asarray(energy)
+        error = np.exp(source.log_states(energy)) * source.u_error(energy)
+        error = np.where((energy > last) & (source.u(energy) == 0.0), dropped, error)
+        return np.where(energy >= 0.0, error, 0.0)
 
     return Density(
         observable,

@@ -1,0 +1,244 @@
+"""Stationary densities with state-dependent damping: solvers against each other and by hand."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from averaging_systems import both
+from scipy.integrate import quad
+
+from averaging.energy_process import energy_balance, energy_process
+from averaging.exact import Exact, compatibility
+from averaging.nonintegrable import NonIntegrable
+from averaging.quadrature import solve_by_quadrature
+from fpk.contact import Contact
+from fpk.damping import DampingTerm
+from fpk.density import l1_distance, mass, moment
+from fpk.errors import NotApplicable
+from fpk.line.mesh import survey, truncation_energy
+from fpk.line.stationary import solve_stationary
+from fpk.observable import parse_observable
+from fpk.quadrature import panel_rule
+from fpk.system import System
+
+NAMES = ("H", "q1", "q2", "p2", "q2,p2")
+
+
+def densities(method, system, *names):
+    return method.solve(system, [parse_observable(n, system.n) for n in names]).densities
+
+
+def proportional(noise, contacts=()):
+    """2 c = h b with h = (−0.05 + 0.1 H)/noise: fed below H = 0.5, damped above."""
+    D = noise * np.array([1.0, 2.0])
+    terms = tuple(DampingTerm(i, i, 0.1 * D[i] / noise, energy=1) for i in range(2))
+    return System(
+        [1.0, 2.0], [1.0, 1.5], -0.05 * D / noise, D, contacts=contacts, damping_terms=terms
+    )
+
+
+@pytest.mark.parametrize("contacts", [(), both(10.0)], ids=["free", "contact"])
+@pytest.mark.parametrize("noise", [0.1, 0.001])
+def test_every_route_gives_the_exact_density_where_8_holds(noise, contacts):
+    system = proportional(noise, contacts)
+    np.testing.assert_allclose(compatibility(system), [-0.05 / noise, 0.1 / noise], rtol=1e-14)
+    exact = densities(Exact(), system, *NAMES)
+    points = np.linspace(-1.8, 1.8, 25)
+    assert mass(exact[1]) == pytest.approx(1.0, abs=1e-12)
+    for method in (
+        NonIntegrable("closed-form"),
+        NonIntegrable("fem"),
+        NonIntegrable("fem", "drift-diffusion"),
+        NonIntegrable("quadrature"),
+    ):
+        for a, b in zip(exact, densities(method, system, *NAMES), strict=True):
+            assert b.certificate.certified
+            where = (points,) if len(a.panels) == 1 else (points, 0.4 * points)
+            (p, dp), (r, dr) = a.at(*where), b.at(*where)
+            assert np.all(np.abs(p - r) <= dp + dr)
+            if len(a.panels) == 1:
+                distance = l1_distance(a, b)
+                assert distance <= a.l1_error + b.l1_error
+                assert distance < 1e-10
+
+
+def test_the_exact_density_is_normalised_over_all_of_phase_space():
+    # Without contact ∫dq dp = (2π)^n √(Πm/det K) ∫H^(n−1)/Γ(n) dH.
+    system = proportional(0.05)
+    density = densities(Exact(), system, "H")[0]
+
+    def weight(H):
+        return H * np.exp(H - H * H)
+
+    norm = quad(weight, 0.0, 12.0, epsabs=0.0, epsrel=1e-13)[0]
+    H = np.array([0.1, 0.7, 2.0])
+    np.testing.assert_allclose(density.at(H)[0], weight(H) / norm, rtol=1e-11)
+
+
+def cycle(n, noise, contacts=()):
+    """Van der Pol's damping −0.05 + 0.1 q₁² of the first mass."""
+    return System(
+        np.ones(n),
+        np.ones(n),
+        [-0.05, *[0.02] * (n - 1)],
+        np.full(n, noise),
+        contacts=contacts,
+        damping_terms=(DampingTerm(0, 0, 0.1, q=((0, 2),)),),
+    )
+
+
+@pytest.mark.parametrize("noise", [0.1, 0.01, 0.001])
+@pytest.mark.parametrize("n, stiff", [(1, False), (1, True), (2, False), (2, True)])
+def test_limit_cycles_are_found_wherever_they_are(n, stiff, noise):
+    system = cycle(n, noise, (Contact(n - 1, "both", 10.0, 0.5),) if stiff else ())
+    process = energy_process(system)
+    # What the quadratures of one mass with contact leave open adds up over 100 nats and more.
+    tol = 1e-8 if n == 1 and stiff else 1e-9
+    fem = solve_stationary(process, tol=tol)
+    mixed = solve_stationary(process, tol=tol, form="drift-diffusion")
+    direct = solve_by_quadrature(process, tol=tol)
+    nodes = np.unique([*fem.nodes, *direct.nodes[direct.nodes < fem.nodes[-1]]])
+    x, w = panel_rule(nodes, 16)
+    p, r, s = fem.density(x), mixed.density(x), np.exp(direct.log_density(x))
+    assert fem.certificate.certified and mixed.certificate.certified and direct.l1_error < tol
+    assert np.sum(w * np.abs(p - s)) <= fem.l1_error + direct.l1_error
+    assert np.sum(w * np.abs(r - s)) <= mixed.l1_error + direct.l1_error
+    # Independent of both: (11) by scipy, from the coefficients alone, from the mode outwards.
+    start = float(x.ravel()[p.argmax()])
+
+    def rate(H):
+        c = process.coefficients(np.array([H]))
+        return float(2.0 * c.drift[0] / c.diffusion[0])
+
+    for H in (0.6 * start, 0.9 * start, 1.2 * start):
+        breaks = [b for b in process.nonsmooth if min(H, start) < b < max(H, start)]
+        exponent = quad(rate, start, H, epsrel=1e-11, points=breaks or None, limit=200)[0]
+        b = process.coefficients(np.array([start, H])).diffusion
+        (first, last), error = (f(np.array([start, H])) for f in (fem.density, fem.pointwise_error))
+        allowed = error[0] / first + error[1] / last + 1e-8 * abs(exponent)
+        assert abs(np.log(last / first) - exponent - np.log(b[0] / b[1])) < allowed
+
+
+def test_the_limit_cycle_of_one_mass_is_a_gaussian_of_the_energy():
+    # ⟨q² v²⟩ = H²/2 for k = m = 1: u = exp(−(H − 1)²/(2 s²)), s² = D/0.05, cut at H = 0.
+    noise = 1e-4
+    system = cycle(1, noise)
+    width = np.sqrt(noise / 0.05)
+    for solver in ("fem", "quadrature"):
+        H, q = densities(NonIntegrable(solver), system, "H", "q1")
+        x = np.array([0.8, 0.95, 1.0, 1.1])
+        expected = np.exp(-(((x - 1.0) / width) ** 2) / 2.0) / np.sqrt(2.0 * np.pi) / width
+        # e^−250 of the mass of the Gaussian lies below 0.
+        np.testing.assert_allclose(H.at(x)[0], expected, rtol=1e-9)
+        assert H.at(np.array([1e-3]))[0] < 1e-100
+        # The density of q is that of √(2H) cos φ: two horns, of variance E H = 1.
+        assert mass(q) == pytest.approx(1.0, abs=1e-9)
+        assert moment(q, 2) == pytest.approx(1.0, abs=1e-9)
+        centre, error = q.at(np.array([0.0, 1.3]))
+        assert centre[1] > 1.5 * centre[0] and np.all(error < 1e-7)
+
+        def at_rest(H):
+            return (
+                np.exp(-(((H - 1.0) / width) ** 2) / 2.0)
+                / np.sqrt(2.0 * np.pi)
+                / width
+                / (np.pi * np.sqrt(2.0 * H))
+            )
+
+        by_hand = quad(at_rest, 0.5, 1.5, points=[1.0], epsrel=1e-12)[0]
+        assert abs(centre[0] - by_hand) <= error[0] + 1e-9
+
+
+def test_energies_of_two_levels_are_weighed_against_each_other():
+    # α(H) = (H − ½)(H − 2)(H − 4)/D, fed twice: p = exp(−∫α)/Z, with hundreds of nats between.
+    D, c = 0.01, np.poly([0.5, 2.0, 4.0])[::-1]
+    terms = tuple(DampingTerm(0, 0, c[e], energy=e) for e in range(1, 4))
+    system = System([1.0], [1.0], [c[0]], [D], damping_terms=terms)
+    levels = np.polynomial.polynomial.polyint(c / D)
+
+    def exponent(H):
+        return -np.polynomial.polynomial.polyval(H, levels)
+
+    top = max(exponent(0.5), exponent(4.0))
+    assert exponent(0.5) - exponent(2.0) > 50.0
+
+    def weight(H):
+        return np.exp(exponent(H) - top)
+
+    ends = [0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0]
+    norm = sum(quad(weight, a, b, epsabs=1e-300, epsrel=1e-13)[0] for a, b in pairwise(ends))
+    H = np.array([0.3, 0.5, 0.7, 2.0, 3.9, 4.1])
+    # A tolerance that the round-off of α, a sum of powers up to H³, does not reach over 300 nats.
+    for solver in ("closed-form", "fem", "quadrature"):
+        method = NonIntegrable(solver, tol=1e-9)
+        density = densities(method, system, "H")[0]
+        assert density.certificate.certified
+        found, error = density.at(H)
+        assert np.all(np.abs(found - weight(H) / norm) <= error + 1e-11 * found)
+
+
+def test_what_has_no_stationary_density_is_refused_with_the_reason():
+    q1, H = parse_observable("q1", 1), parse_observable("H", 1)
+    grows = System(
+        [1.0], [1.0], [0.1], [0.1], damping_terms=(DampingTerm(0, 0, -0.1, q=((0, 2),)),)
+    )
+    assert "grows for ever" in NonIntegrable().refusal(grows, H)
+    stopped = System(
+        [1.0],
+        [1.0],
+        [0.1],
+        [0.1],
+        contacts=(Contact(0, "both", 10.0, 0.5),),
+        damping_terms=grows.damping_terms,
+    )
+    assert "grows for ever" in NonIntegrable("quadrature").refusal(stopped, H)
+    # An odd term does nothing without contact; alone it damps nothing.
+    odd = System([1.0], [1.0], [0.0], [0.1], damping_terms=(DampingTerm(0, 0, 0.1, q=((0, 1),)),))
+    assert NonIntegrable().refusal(odd, q1)
+    quiet = System([1.0], [1.0], [0.1], [0.0], damping_terms=(DampingTerm(0, 0, 0.1, energy=1),))
+    assert "no noise" in NonIntegrable().refusal(quiet, q1)
+    polynomial = cycle(1, 0.1)
+    assert "fem and quadrature" in NonIntegrable("closed-form").refusal(polynomial, H)
+    assert NonIntegrable("fem").refusal(polynomial, H) is None
+    with pytest.raises(NotApplicable, match="fem and quadrature"):
+        densities(NonIntegrable("closed-form"), polynomial, "H")
+
+
+def test_condition_8_with_terms():
+    with pytest.raises(NotApplicable, match=r"\(8\)"):
+        compatibility(cycle(2, 0.1))
+    D = [0.1, 0.2]
+    unequal = System(
+        [1.0, 1.0], [1.0, 1.0], D, D, damping_terms=(DampingTerm(0, 0, 0.1, energy=1),)
+    )
+    with pytest.raises(NotApplicable, match=r"\(8\)"):
+        compatibility(unequal)
+    # What turns without working leaves the density alone, unless it depends on velocities.
+    turn = tuple(DampingTerm(i, 1 - i, 0.3 * (1 - 2 * i), q=((0, 1),)) for i in range(2))
+    system = System([1.0, 1.0], [1.0, 1.0], D, D, damping_terms=turn)
+    np.testing.assert_allclose(compatibility(system), [1.0])
+    dragged = tuple(DampingTerm(t.i, t.j, t.coefficient, v=((0, 1),)) for t in turn)
+    with pytest.raises(NotApplicable, match=r"\(8\)"):
+        compatibility(System([1.0, 1.0], [1.0, 1.0], D, D, damping_terms=dragged))
+
+
+def test_a_narrow_maximum_is_not_missed_by_the_survey():
+    process = energy_process(cycle(1, 1e-6))
+    view = survey(process)
+    mode = view.energy[np.flatnonzero(np.diff(np.sign(view.slope)) < 0)]
+    # Width √(1e-6/0.05) = 0.0045 about H = 1; the first grid has steps of a sixth of H.
+    assert np.min(np.abs(mode - 1.0)) < 0.0045
+    assert 1.02 < truncation_energy(view, 1e-12) < 1.06
+    assert energy_balance(cycle(1, 1e-6)).energy_scale == pytest.approx(0.5, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["q1", "q2", "p1"])
+def test_marginals_of_a_limit_cycle_agree_between_solvers(name):
+    system = cycle(2, 0.001, (Contact(1, "both", 10.0, 0.5),))
+    one = densities(NonIntegrable("fem", tol=1e-9), system, name)[0]
+    two = densities(NonIntegrable("quadrature", tol=1e-9), system, name)[0]
+    assert l1_distance(one, two) <= one.l1_error + two.l1_error
+    x = np.linspace(-2.0, 2.0, 41)
+    (p, dp), (r, dr) = one.at(x), two.at(x)
+    assert np.all(np.abs(p - r) <= dp + dr)
+    assert mass(one) == pytest.approx(1.0, abs=1e-9)
