@@ -22,6 +22,7 @@ class Rows(NamedTuple):
     energy: int  # (1), H of the observed state
     modal: int  # (modes), modal energies of the observed state
     damping: int  # (n), forces of the damping terms
+    change: int  # (3n), rates of change of (q, p) by the springs, and of the terms' forces by them
     work: int  # scratch: 1 where modal energies are observed, 5 where there are terms
     total: int
 
@@ -68,6 +69,7 @@ class WatchArrays(NamedTuple):
     half_kick: float  # share of the kick that belongs to the observed momentum, times dt
     half_springs: Array  # (n, n), the same of the springs
     cross: Array  # (n, slots), w h² c_ik / m_k
+    term_shift: float  # w h² of the processor of the damping terms
     stiffness_matrix: Array  # (n, n)
     mass: Array  # (n,)
     mode_q: Any  # (modes, n), ω_m T_rm m_r: H_m = ½ (mode_q q)² + ½ (mode_p p)²; or None
@@ -88,6 +90,7 @@ def workspace(n: int, slots: int, columns: int, *, modes: int = 0, terms: bool =
     energy = q + 3 * n
     modal = energy + 1
     damping = modal + modes
-    work = damping + (n if terms else 0)
+    change = damping + (n if terms else 0)
+    work = change + (3 * n if terms else 0)
     scratch = 5 if terms else int(modes > 0)
-    return Rows(contact, q, q + n, q + 2 * n, energy, modal, damping, work, work + scratch)
+    return Rows(contact, q, q + n, q + 2 * n, energy, modal, damping, change, work, work + scratch)

@@ -38,7 +38,7 @@ def kernel_key(
         damping=effects.state_damping,
         energy_damping=effects.energy_damping,
         observed=bool(kinds or products),
-        momenta=bool(kinds & {"p", "H"} or products),
+        momenta=bool(kinds & {"p", "H"} or products or effects.state_damping),
         energy=whole or bool(products and effects.energy_damping),
         modes=bool(modes_of(histograms)),
         moments=bool(products),

@@ -108,6 +108,7 @@ def watch_arrays(
     return WatchArrays(
         half_kick=half,
         half_springs=springs * system.stiffness_matrix,
+        term_shift=scheme.modified * step.dt**2,
         cross=scheme.modified * step.dt**2 * system.damping[:, step.slot_mass] / mass,
         stiffness_matrix=system.stiffness_matrix,
         mass=system.mass,

@@ -17,6 +17,7 @@ from sim.parts.contact import add_contact_energy, add_contact_forces, contact_fo
 from sim.parts.damping import (
     damping_forces,
     kick_by_springs,
+    processed_by_terms,
     spring_energy,
     term_flow,
     term_flow_with_energy,
@@ -119,6 +120,11 @@ def compiled_kernel(key: KernelKey) -> Any:
                     observed_displacements(s, step, watch)
                     if momenta:
                         observed_momenta(s, step, watch)
+                    if damping and watch.term_shift != 0.0:
+                        H = row(s, at.work + 2)
+                        if energy_damping:
+                            whole_energy(s, H, row(s, at.work + 1), step.terms)
+                        processed_by_terms(s, H, at, watch.term_shift, step.terms)
                     if energy:
                         observed_energy(s, watch)
                     if moments:

@@ -18,7 +18,7 @@ STEP_PER_FREQUENCY = 0.45
 """Step times the frequency in contact, springs included. The bias grows with the fourth power: at
 0.65 the L1 of p(q2) shows it beside a sampling error of 3e-4 (B = 1, 10); at 0.45 it does not."""
 
-STEP_PER_RATE = 0.05
+STEP_PER_RATE = 0.1
 """Step times the steepest rate of the damping terms that is reached, see ``term_rate``."""
 
 SAMPLES_PER_PERIOD = 8

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sim.arrays import TermArrays
+from sim.arrays import Rows, TermArrays
 from sim.lanes import add, add_product, copy, fill, multiply, row
 from sim.random import FLAGS, LANES
 
@@ -119,6 +119,61 @@ def damping_forces(s: Array, first: int, H: Array, to: int, work: int, terms: Te
         for _ in range(terms.energy[k]):
             multiply(rate, H)
         add(row(s, to + terms.target[k] - n), rate, 1.0)
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def change_by_springs(s: Array, state: int, to: int, terms: TermArrays) -> None:
+    """Write (M⁻¹ p, −K q) of the state from row ``state`` on, the flow of the springs alone."""
+    n = terms.half_inverse_mass.size
+    for i in range(n):
+        velocity, force = row(s, to + i), row(s, to + n + i)
+        fill(velocity, 0.0)
+        add(velocity, row(s, state + n + i), 2.0 * terms.half_inverse_mass[i])
+        fill(force, 0.0)
+        for j in range(n):
+            add(force, row(s, state + j), -terms.stiffness_matrix[i, j])
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def change_of_term(
+    change: Array, one: Array, s: Array, state: int, rates: int, terms: TermArrays, k: int
+) -> None:
+    """Write the rate of change of term k's force, without its H, as (q, p) change by ``rates``."""
+    first, last = terms.first[k], terms.first[k + 1]
+    target, power = terms.target[k], terms.power[k]
+    fill(change, 0.0)
+    for moving in range(first, last + power):
+        fill(one, terms.scale[k])
+        for f in range(first, last + power):
+            factor = terms.factor[f] if f < last else target
+            multiply(one, row(s, (rates if f == moving else state) + factor))
+        add(change, one, 1.0)
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def processed_by_terms(s: Array, H: Array, at: Rows, shift: float, terms: TermArrays) -> None:
+    """Change the observed (q*, p*) by the processor of the terms; ``H`` is that of the state.
+
+    The step is that of A + N + (h²/12) [A, [A, N]] to first order in the terms N = −D_i ∂/∂p_i,
+    which ``x* = x − (h²/12) [A, N] x`` removes as it does for contact:
+    ``q_i* = q_i − (h²/12) D_i/m_i``, ``p_i* = p_i + (h²/12) dD_i/dt`` along the flow of the
+    springs, which leaves H as it is. What is left is of second order in the damping.
+    """
+    n, work = terms.half_inverse_mass.size, at.work
+    change_by_springs(s, at.q, at.change, terms)
+    damping_forces(s, at.q, H, at.damping, work, terms)
+    for i in range(n):
+        fill(row(s, at.change + 2 * n + i), 0.0)
+    change, one = row(s, work), row(s, work + 3)
+    for k in range(terms.target.size):
+        change_of_term(change, one, s, at.q, at.change, terms, k)
+        for _ in range(terms.energy[k]):
+            multiply(change, H)
+        add(row(s, at.change + n + terms.target[k]), change, 1.0)
+    for i in range(n):
+        a = 2.0 * shift * terms.half_inverse_mass[i]
+        add(row(s, at.q + i), row(s, at.damping + i), -a)
+        add(row(s, at.p + i), row(s, at.change + 2 * n + i), shift)
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
