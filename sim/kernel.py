@@ -124,7 +124,7 @@ def compiled_kernel(key: KernelKey) -> Any:
                         H = row(s, at.work + 2)
                         if energy_damping:
                             whole_energy(s, H, row(s, at.work + 1), step.terms)
-                        processed_by_terms(s, H, at, watch.term_shift, step.terms)
+                        processed_by_terms(s, H, at, watch.term_shift, step)
                     if energy:
                         observed_energy(s, watch)
                     if moments:

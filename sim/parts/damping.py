@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sim.arrays import Rows, TermArrays
+from sim.arrays import Rows, StepArrays, TermArrays
 from sim.lanes import add, add_product, copy, fill, multiply, row
 from sim.random import FLAGS, LANES
 
@@ -151,16 +151,22 @@ def change_of_term(
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def processed_by_terms(s: Array, H: Array, at: Rows, shift: float, terms: TermArrays) -> None:
+def processed_by_terms(s: Array, H: Array, at: Rows, shift: float, step: StepArrays) -> None:
     """Change the observed (q*, p*) by the processor of the terms; ``H`` is that of the state.
 
     The step is that of A + N + (h²/12) [A, [A, N]] to first order in the terms N = −D_i ∂/∂p_i,
     which ``x* = x − (h²/12) [A, N] x`` removes as it does for contact:
     ``q_i* = q_i − (h²/12) D_i/m_i``, ``p_i* = p_i + (h²/12) dD_i/dt`` along the flow of the
     springs, which leaves H as it is. What is left is of second order in the damping.
+    With contact B, C = [A, N] − [B, N] removes what it can, so that its force counts with the other
+    sign; [B, [A, N]] and [B, [B, N]] stay, of first order in the terms: steps are shorter then.
     """
+    terms = step.terms
     n, work = terms.half_inverse_mass.size, at.work
     change_by_springs(s, at.q, at.change, terms)
+    for slot in range(step.slot_mass.size):
+        force = row(s, at.change + n + step.slot_mass[slot])
+        add(force, row(s, at.contact + 2 * slot), 1.0)
     damping_forces(s, at.q, H, at.damping, work, terms)
     for i in range(n):
         fill(row(s, at.change + 2 * n + i), 0.0)

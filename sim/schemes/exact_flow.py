@@ -20,7 +20,8 @@ A change of variables by C removes it: the state ``x* = x − (h²/12) C x``, th
 
 has the averages of the continuous system to O(h⁴), where p_i is the momentum in the middle of
 the kick, ``p_i − (h/2) g_i (1 − h² g_i'/(12 m_i))`` of the state stored just before it.
-Without contact the step is exact for any h.
+Without contact the step is exact for any h. Damping that depends on the state is split off on both
+sides of the kick, with a processor of its own: see ``sim.parts.damping``.
 """
 
 from sim.flow import exact_flow
