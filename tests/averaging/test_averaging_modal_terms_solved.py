@@ -42,7 +42,7 @@ def test_the_limit_is_approached_linearly():
     assert one / two == pytest.approx(10.0, rel=0.01)
 
 
-@pytest.mark.parametrize("tol", [1e-5, 1e-10])
+@pytest.mark.parametrize("tol", [1e-5, pytest.param(1e-10, marks=pytest.mark.slow)])
 def test_decoupled_modes_are_solved_one_by_one(tol):
     system = modal_van_der_pol(others=0.0, mass=(0.5, 2.0))
     names = ("H2,H1", "H1", "H", "q1", "q2,p2")
@@ -91,7 +91,7 @@ def exact_factor(h0, h1, freedoms, x2):
 
 
 @pytest.mark.parametrize("case", EXACT)
-@pytest.mark.parametrize("tol", [1e-6, 1e-10])
+@pytest.mark.parametrize("tol", [1e-6, pytest.param(1e-10, marks=pytest.mark.slow)])
 def test_exact_density_over_phase_space(case, tol):
     # c = h(H) f D fᵀ: the averaged equations keep C exp(−∫h dH), whatever masses and noise.
     h0, h1 = EXACT[case]

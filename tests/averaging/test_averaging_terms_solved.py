@@ -37,8 +37,16 @@ def proportional(noise, contacts=()):
     )
 
 
-@pytest.mark.parametrize("contacts", [(), both(10.0)], ids=["free", "contact"])
-@pytest.mark.parametrize("noise", [0.1, 0.001])
+@pytest.mark.parametrize(
+    "noise, contacts",
+    [
+        (0.1, ()),
+        (0.001, ()),
+        (0.1, both(10.0)),
+        pytest.param(0.001, both(10.0), marks=pytest.mark.slow),
+    ],
+    ids=["0.1-free", "0.001-free", "0.1-contact", "0.001-contact"],
+)
 def test_every_route_gives_the_exact_density_where_8_holds(noise, contacts):
     system = proportional(noise, contacts)
     np.testing.assert_allclose(compatibility(system), [-0.05 / noise, 0.1 / noise], rtol=1e-14)

@@ -12,7 +12,7 @@ pytest.importorskip("averaging.exact")
 pytest.importorskip("averaging.nonintegrable")
 pytest.importorskip("sim.montecarlo")
 
-from cases.routes import ROUTES, Request, all_methods, method_for
+from cases.routes import ROUTES, SIMULATION, Request, all_methods, method_for
 from cases.run import run_scene
 from cases.scene import load_scene, shipped_scenes
 
@@ -33,7 +33,7 @@ def density(fpk, *arguments):
     return json.loads(out)
 
 
-@pytest.mark.parametrize("solver", ROUTES["nonintegrable"].solvers)
+@pytest.mark.parametrize("solver", [s for s in ROUTES["nonintegrable"].solvers if s != SIMULATION])
 def test_density_has_the_keys_of_the_contract(solver, fpk):
     record = density(
         fpk, "fig6a", "--method", "nonintegrable", "--solver", solver, "--of", "q2", *AT
@@ -43,6 +43,12 @@ def test_density_has_the_keys_of_the_contract(solver, fpk):
     assert record["points"] == [-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5]
     assert len(record["density"]) == len(record["error"]) == 7
     assert record["density"] == pytest.approx(record["density"][::-1], rel=1e-9)
+
+
+def test_averaged_equations_can_be_simulated(fpk):
+    options = ["--of", "H", "--at", "0.1,0.2"]
+    record = density(fpk, "fig6a", "--method", "nonintegrable", "--solver", SIMULATION, *options)
+    assert record["solver"] == SIMULATION and record["error_kind"] == "sampling"
 
 
 def test_finite_elements_are_what_nonintegrable_means_when_nothing_is_said(fpk):
