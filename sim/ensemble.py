@@ -13,6 +13,7 @@ from sim.arrays import StepArrays, WatchArrays
 from sim.flow import factored
 from sim.histogram import Histogram, modes_of, starts, watch_arrays
 from sim.kernel import KernelKey, compiled_kernel
+from sim.parts.linear import ONE_LOOP
 from sim.plan import step_arrays
 from sim.random import LANES, START, mixed_seed, normals
 from sim.scheme import Scheme
@@ -27,11 +28,18 @@ BATCHES = 64
 
 
 def kernel_key(
-    system: System, scheme: Scheme, histograms: Sequence[Histogram], products: Sequence[Product]
+    system: System,
+    scheme: Scheme,
+    step: StepArrays,
+    histograms: Sequence[Histogram],
+    products: Sequence[Product],
 ) -> KernelKey:
     """Return what the kernel must be compiled for: the effects and the observables asked for."""
     kinds, effects = {c.kind for h in histograms for c in h.observable}, effects_of(system)
     whole = any(c.kind == "H" and c.index is None for h in histograms for c in h.observable)
+    one_loop = (system.n, step.pairs) in ONE_LOOP and not effects.state_damping
+    alone = step.stop_slot.size == step.slot_mass.size and scheme.kick_first
+    kicked = tuple(int(i) for i in step.slot_mass) if one_loop and alone else ()
     return KernelKey(
         laws=effects.laws,
         kick_first=scheme.kick_first or not (effects.contact or effects.state_damping),
@@ -42,6 +50,9 @@ def kernel_key(
         energy=whole or bool(products and effects.energy_damping),
         modes=bool(modes_of(histograms)),
         moments=bool(products),
+        masses=system.n,
+        pairs=step.pairs,
+        kicked=kicked,
     )
 
 
@@ -110,7 +121,9 @@ class Ensemble:
         self._watch: WatchArrays = watch_arrays(
             self.system, self.scheme, self.step, histograms, products
         )
-        self._kernel = compiled_kernel(kernel_key(self.system, self.scheme, histograms, products))
+        self._kernel = compiled_kernel(
+            kernel_key(self.system, self.scheme, self.step, histograms, products)
+        )
         self.counts: Integers = np.zeros((self.edges.size - 1, starts(histograms)[-1]), np.int64)
         self.sums: Array = np.zeros((self.states.shape[0], len(products), LANES))
         self.samples = 0

@@ -88,6 +88,18 @@ def factored(covariance: Array) -> Array:
     return np.array(columns).T if columns else np.zeros((scale.size, 0))
 
 
+def lower_trapezoidal(factor: Array) -> Array:
+    """Return the factor of the same covariance whose row i has no entry beyond column i.
+
+    Householder's QR of the transpose with rows scaled: errors are round-off of each row's own size.
+    """
+    size = np.linalg.norm(factor, axis=1, keepdims=True)
+    unit = np.divide(factor, size, out=np.zeros_like(factor), where=size > 0)
+    upper: Array = np.asarray(np.linalg.qr(unit.T, mode="r"))
+    lower: Array = upper.T * size
+    return lower
+
+
 def exact_flow(system: System, dt: float) -> LinearMap:
     """Return the flow over ``dt`` of the system without its contacts, exact for any ``dt``."""
     propagator, covariance = flow_covariance(linear_drift(system), linear_diffusion(system), dt)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from sim.arrays import StepArrays, WatchArrays
 from sim.compiled_laws import compiled_laws
-from sim.lanes import add, apply_map, kick, row
-from sim.parts.contact import add_contact_energy, add_contact_forces, contact_forces
+from sim.lanes import add, aligned_rows, kick, row
+from sim.parts.contact import add_contact_energy, add_contact_forces, contact_forces, no_law
 from sim.parts.damping import (
     damping_forces,
     kick_by_springs,
@@ -23,6 +23,7 @@ from sim.parts.damping import (
     term_flow_with_energy,
     whole_energy,
 )
+from sim.parts.linear import map_any, map_one_mass, map_two_masses
 from sim.parts.observed import (
     count_all,
     observed_displacements,
@@ -52,6 +53,9 @@ class KernelKey:
     energy: bool = False
     modes: bool = False
     moments: bool = False
+    masses: int = 2
+    pairs: int = 2
+    kicked: tuple[int, ...] = ()
 
 
 def source_stamp() -> int:
@@ -70,6 +74,8 @@ def compiled_kernel(key: KernelKey) -> Any:
     contact, observed, kick_first = bool(key.laws), key.observed, key.kick_first
     damping, energy_damping = key.damping, key.energy_damping
     momenta, energy, modes, moments = key.momenta, key.energy, key.modes, key.moments
+    masses, pairs = key.masses, key.pairs
+    kick1, kick2, fused = 0 in key.kicked, 1 in key.kicked, bool(key.kicked)
     stamp = source_stamp()
     force: Any = compiled_laws(key.laws, "force") if contact else None
     slope: Any = compiled_laws(key.laws, "slope") if contact else None
@@ -96,15 +102,17 @@ def compiled_kernel(key: KernelKey) -> Any:
         Observes at the start of a step where ``(phase + step number) % stride == 0``; adds to
         ``sums`` (blocks, moments·W) and ``counts`` (all bins, one more a histogram for outside).
         """
-        n, columns = step.matrix.shape[0] // 2, step.matrix.shape[1]
+        n = step.matrix.shape[0] // 2
         at, slots = watch.at, step.slot_mass.size
-        s = np.zeros(at.total * W) if stamp >= 0 else np.zeros(0)
+        s = aligned_rows(at.total if stamp >= 0 else 0)
+        z, words = aligned_rows(pairs).view(np.float32), aligned_rows(1).view(np.uint64)
         index, second = np.zeros(W, np.int64), np.zeros(W, np.int64)
         for b in range(x.shape[0]):
             trajectory = np.uint64((first + b) * W)
             s[: 2 * n * W] = x[b]
             for t in range(steps):
-                if contact:
+                watched = observed and (phase + t) % stride == 0
+                if contact and (watched or not fused):
                     contact_forces(s, at.contact, step, force, slope)
                 if energy_damping:
                     spring_energy(s, row(s, at.work + 1), step.terms)
@@ -116,7 +124,7 @@ def compiled_kernel(key: KernelKey) -> Any:
                             term_flow_with_energy(s, at.work, step.terms, k, 0.5 * step.dt)
                         else:
                             term_flow(s, at.work, step.terms, k, 0.5 * step.dt)
-                if observed and (phase + t) % stride == 0:
+                if watched:
                     observed_displacements(s, step, watch)
                     if momenta:
                         observed_momenta(s, step, watch)
@@ -141,7 +149,7 @@ def compiled_kernel(key: KernelKey) -> Any:
                             damping_forces(s, at.q, H, at.damping, at.work, step.terms)
                         sum_products(s, sums[b], watch)
                     count_all(s, index, second, live[b], watch, counts)
-                if contact and kick_first:
+                if contact and kick_first and not fused:
                     for slot in range(slots):
                         p, g = row(s, n + step.slot_mass[slot]), row(s, at.contact + 2 * slot, 2)
                         kick(p, g, step.dt, step.slot_shift[slot])
@@ -157,10 +165,22 @@ def compiled_kernel(key: KernelKey) -> Any:
                     if energy_damping:
                         whole_energy(s, H, row(s, at.work + 1), step.terms)
                     damping_forces(s, 0, H, at.damping, at.work, step.terms)
-                for pair in range(step.pairs):
-                    word = counter + np.uint64(t * step.pairs + pair)
-                    fill_normals(row(s, 2 * n + 2 * pair, 2), trajectory, word, offset)
-                apply_map(s, step.matrix, columns)
+                for pair in range(pairs):
+                    word = counter + np.uint64(t * pairs + pair)
+                    pair_rows = z[2 * pair * W : 2 * (pair + 1) * W]
+                    fill_normals(pair_rows, words, trajectory, word, offset)
+                if masses == 1 and pairs == 1:
+                    if fused:
+                        map_one_mass(row(s, 0, 2), z, step, kick1, force, slope)
+                    else:
+                        map_one_mass(row(s, 0, 2), z, step, False, no_law, no_law)
+                elif masses == 2 and pairs == 2:
+                    if fused:
+                        map_two_masses(row(s, 0, 4), z, step, kick1, kick2, force, slope)
+                    else:
+                        map_two_masses(row(s, 0, 4), z, step, False, False, no_law, no_law)
+                else:
+                    map_any(s, z, step.matrix)
                 if contact and not kick_first:
                     for slot in range(slots):
                         p, g = row(s, n + step.slot_mass[slot]), row(s, at.contact + 2 * slot, 2)

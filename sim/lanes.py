@@ -15,40 +15,21 @@ from sim.random import FLAGS, LANES
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-COLUMNS = 4
-"""Columns of the linear map that one loop joins; its matrix is padded to a multiple."""
-
 W = LANES
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def aligned_rows(rows: int) -> Array:
+    """Return rows of zeros that begin at a cache line: no vector of 64 bytes lies across two."""
+    memory = np.zeros(rows * W + 8)
+    first = (-memory.ctypes.data % 64) // 8
+    return memory[first : first + rows * W]
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
 def row(s: Array, first: int, rows: int = 1) -> Array:
     """Return a view of ``rows`` rows from ``first`` on."""
     return s[first * W : (first + rows) * W]
-
-
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def apply_map(s: Array, matrix: Array, scratch: int) -> None:
-    """Replace the first rows x by ``matrix @ (x, z)``, z the rows behind x."""
-    for i in range(0, matrix.shape[0], 2):
-        y = row(s, scratch + i, 2)
-        for j in range(0, matrix.shape[1], COLUMNS):
-            a0, a1, a2, a3 = matrix[i, j], matrix[i, j + 1], matrix[i, j + 2], matrix[i, j + 3]
-            b0, b1 = matrix[i + 1, j], matrix[i + 1, j + 1]
-            b2, b3 = matrix[i + 1, j + 2], matrix[i + 1, j + 3]
-            x = row(s, j, COLUMNS)
-            if j == 0:
-                for k in range(W):
-                    x0, x1, x2, x3 = x[k], x[W + k], x[2 * W + k], x[3 * W + k]
-                    y[k] = a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
-                    y[W + k] = b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3
-            else:
-                for k in range(W):
-                    x0, x1, x2, x3 = x[k], x[W + k], x[2 * W + k], x[3 * W + k]
-                    y[k] += a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
-                    y[W + k] += b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3
-    for i in range(matrix.shape[0]):
-        copy(row(s, i), row(s, scratch + i))
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)

@@ -6,7 +6,8 @@ from numpy.typing import NDArray
 from fpk.effects import effects_of
 from fpk.system import System
 from sim.arrays import StepArrays, TermArrays
-from sim.lanes import COLUMNS
+from sim.flow import lower_trapezoidal
+from sim.parts.linear import COLUMNS
 from sim.scheme import Scheme
 
 Array = NDArray[np.float64]
@@ -25,7 +26,7 @@ def step_arrays(system: System, scheme: Scheme, dt: float) -> StepArrays:
     if springs.size and terms is None:
         one, zero = np.eye(n), np.zeros((n, n))
         matrix[:, : 2 * n] = linear.propagator @ np.block([[one, zero], [-springs, one]])
-    matrix[:, 2 * n : 2 * n + linear.normals] = linear.factor
+    matrix[:, 2 * n : 2 * n + linear.normals] = lower_trapezoidal(linear.factor)
     laws, slots = effects_of(system).laws, system.contact_masses
     merged: dict[tuple[int, float, float, float, int], list[float]] = {}
     for stop in system.stops:

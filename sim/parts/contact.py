@@ -12,6 +12,7 @@ from sim.random import FLAGS, LANES
 
 Array = NDArray[np.float64]
 W = LANES
+Stop = tuple[float, float, float, float, int, float]
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
@@ -35,6 +36,40 @@ def contact_forces(s: Array, g0: int, step: StepArrays, force: Any, slope: Any) 
                 o = max(abs(q[k]) - clearance, 0.0)
                 g[k] += np.copysign(B, q[k]) * force(law, o, e)
                 g[W + k] += B * slope(law, o, e) if o > 0.0 else 0.0
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def no_law(law: int, overlap: float, exponent: float) -> float:
+    """Stand for a law where there is no contact."""
+    return 0.0
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def only_stop(step: StepArrays, mass: int) -> Stop:
+    """Return the numbers of the only stop of a mass, the last its share of the modified kick."""
+    slot = 1 if step.slot_mass[0] != mass else 0
+    for stop in range(step.stop_slot.size):
+        if step.stop_slot[stop] == slot:
+            return (
+                step.stop_sign[stop],
+                step.stop_clearance[stop],
+                step.stop_stiffness[stop],
+                step.stop_exponent[stop],
+                step.stop_law[stop],
+                step.slot_shift[slot],
+            )
+    return 0.0, np.inf, 0.0, 1.0, 0, 0.0
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def modified_force(q: float, stop: Stop, force: Any, slope: Any) -> float:
+    """Return ``g (1 − a g')`` of one stop at the displacement ``q`` of one lane."""
+    sign, clearance, B, e, law, a = stop
+    d = sign if sign != 0.0 else np.copysign(1.0, q)
+    o = max(d * q - clearance, 0.0)
+    g_slope = B * slope(law, o, e) if o > 0.0 else 0.0
+    g: float = d * (B * force(law, o, e))
+    return g * (1.0 - a * g_slope)
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)

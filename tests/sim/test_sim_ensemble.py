@@ -15,6 +15,7 @@ from fpk.observable import parse_observable
 from sim.ensemble import Ensemble, kernel_key
 from sim.histogram import ranged
 from sim.kernel import KernelKey
+from sim.plan import step_arrays
 from sim.random import LANES
 from sim.scheme import SCHEMES
 from sim.statistics import moment_products
@@ -57,15 +58,16 @@ def test_what_is_not_in_the_scene_is_not_compiled(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("sim.kernel.compiled_laws", refuse)
     system = linear(2)
     ensemble = Ensemble(system, EXACT_FLOW, 0.5, 2 * LANES, 1, 1)
-    assert kernel_key(system, EXACT_FLOW, (), ()) == KernelKey()
+    assert kernel_key(system, EXACT_FLOW, ensemble.step, (), ()) == KernelKey()
     assert ensemble.step.stop_slot.size == ensemble.step.slot_mass.size == 0
     q = np.array([[-1.0] * 2, [1.0] * 2])
     for name, momenta, energy in (("q2", False, False), ("p1", True, False), ("H", True, True)):
         h = ranged(system, [parse_observable(name, 2)], q, q, mirror=True)
-        key = kernel_key(system, EXACT_FLOW, h, ())
+        key = kernel_key(system, EXACT_FLOW, ensemble.step, h, ())
         assert (key.observed, key.momenta, key.energy) == (True, momenta, energy)
         assert key.laws == () and not key.moments
-    assert kernel_key(fig6(), EXACT_FLOW, (), ()).laws == ("hertz",)
+    step = step_arrays(fig6(), EXACT_FLOW, 0.1)
+    assert kernel_key(fig6(), EXACT_FLOW, step, (), ()).laws == ("hertz",)
 
 
 def test_a_stop_equal_on_both_sides_is_evaluated_once() -> None:

@@ -13,7 +13,7 @@ from fpk.contact import Contact
 from fpk.contact_law import LAWS, ContactLaw
 from fpk.system import System
 from sim.ensemble import Ensemble
-from sim.flow import exact_flow, factored, flow_covariance
+from sim.flow import exact_flow, factored, flow_covariance, lower_trapezoidal
 from sim.random import normals
 from sim.scheme import SCHEMES
 
@@ -36,7 +36,7 @@ def exact_flow_twin(system, h, q, p, draw):
     m = system.mass[:, None]
     flow = exact_flow(system, h)
     x = np.vstack([q, p - h * g * (1 - h**2 * slope / (12 * m))])
-    x = flow.propagator @ x + flow.factor @ draw(flow.normals)
+    x = flow.propagator @ x + lower_trapezoidal(flow.factor) @ draw(flow.normals)
     return x[: system.n], x[system.n :]
 
 
@@ -45,7 +45,7 @@ def baoab_twin(system, h, q, p, draw):
     force = contact(system, q)[0] + system.stiffness_matrix @ q
     p = p - h / 2 * force - h / 2 * force  # the half kicks of two steps: stored before both
     q = q + h / 2 * p / m
-    L = factored(flow_covariance(-c, 2 * system.noise_matrix, h)[1])
+    L = lower_trapezoidal(factored(flow_covariance(-c, 2 * system.noise_matrix, h)[1]))
     p = expm(-c * h) @ p + L @ draw(L.shape[1])
     return q + h / 2 * p / m, p
 
@@ -54,7 +54,8 @@ def euler_twin(system, h, q, p, draw):
     m, n = system.mass[:, None], system.n
     force = contact(system, q)[0] + system.stiffness_matrix @ q + system.damping @ (p / m)
     zero = np.zeros((n, n))
-    L = factored(np.block([[zero, zero], [zero, 2 * h * system.noise_matrix]]))[n:]
+    covariance = np.block([[zero, zero], [zero, 2 * h * system.noise_matrix]])
+    L = lower_trapezoidal(factored(covariance))[n:]
     return q + h * p / m, p - h * force + L @ draw(L.shape[1])
 
 
