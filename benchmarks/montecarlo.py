@@ -10,7 +10,11 @@ import argparse
 import json
 import os
 import statistics
+import subprocess
+import sys
 from pathlib import Path
+from shutil import which
+from tempfile import TemporaryDirectory
 from time import perf_counter
 
 import numpy as np
@@ -22,6 +26,7 @@ from fpk.observable import parse_observable
 from fpk.system import System
 from sim.ensemble import Ensemble
 from sim.histogram import ranged
+from sim.plan import step_arrays
 from sim.scheme import SCHEMES
 from sim.statistics import moment_products
 from sim.step_size import chosen_step
@@ -63,13 +68,47 @@ def measured(
     }
 
 
+def measured_in_c() -> Row | None:
+    """Return the row of ``stepping.c``, the same step built by gcc; None without a compiler."""
+    compiler = which("gcc")
+    if compiler is None:
+        return None
+    step = step_arrays(scene(contact=True), SCHEMES["exact_flow"], 0.2)
+    numbers = [
+        *step.matrix.ravel(), step.dt, step.stop_clearance[0], step.stop_stiffness[0],
+        step.slot_shift[0],
+    ]  # fmt: skip
+    flags = "-O3 -march=native -mprefer-vector-width=512 -ffast-math -fno-finite-math-only"
+    with TemporaryDirectory() as folder:
+        program, source = str(Path(folder) / "stepping"), str(Path(__file__).parent / "stepping.c")
+        subprocess.run([compiler, *flags.split(), "-o", program, source, "-lm"], check=True)
+        out = subprocess.run(
+            [program, str(PATHS // 128), str(STEPS), str(REPEATS)],
+            input=" ".join(repr(float(x)) for x in numbers),
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.split()
+    return {
+        "scheme": "exact_flow in C (gcc)",
+        "contact": "yes",
+        "observed": "nothing",
+        "threads": 1,
+        "ns": float(out[0]),
+        "fastest": float(out[1]),
+    }
+
+
 def main() -> None:
     """Measure and print the table, or JSON with --json."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("docs/benchmarks/montecarlo.md"))
     arguments = parser.parse_args()
-    rows = []
+    in_c = measured_in_c()
+    rows = [in_c] if in_c else []
+    if in_c is None:
+        print("no gcc: the C program is left out", file=sys.stderr)
     for threads in sorted({1, len(os.sched_getaffinity(0))}):
         for scheme in sorted(SCHEMES):
             for contact in (True, False):
