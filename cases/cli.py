@@ -116,7 +116,8 @@ def density(
         str, typer.Option(metavar="LIST", help='"-1.5:1.5:0.1", "-1,0,0.3", a pair "A x B".')
     ],
     solver: Annotated[
-        str | None, typer.Option(help="closed-form, quadrature or fem (default).")
+        str | None,
+        typer.Option(help="closed-form, quadrature, fem or simulation."),
     ] = None,
     tol: Tol = None,
     seed: Seed = None,

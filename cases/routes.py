@@ -1,7 +1,7 @@
 """The routes from a system to densities that the command line offers: one entry each."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 from averaging.exact import Exact
@@ -53,17 +53,20 @@ ROUTES: dict[str, Route] = {
 class Sampling:
     """What may be said of the simulation; None leaves it to the method.
 
-    ``paths`` trajectories are sampled for ``time`` each.
+    ``paths`` trajectories are sampled for ``time`` each, or for so many ``relaxations`` (times in
+    which the system forgets): whatever the unit of time.
     """
 
     seed: int | None = None
     threads: int | None = None
     paths: int | None = None
     time: float | None = None
+    relaxations: float | None = None
 
-    def given(self) -> dict[str, Any]:
-        """Return the settings that were given."""
-        return {key: value for key, value in asdict(self).items() if value is not None}
+    def given_to(self, method: Any) -> dict[str, Any]:
+        """Return the settings that were given and that ``method`` has."""
+        known = {f.name for f in fields(method)}
+        return {k: v for k, v in asdict(self).items() if v is not None and k in known}
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,7 @@ def method_for(request: Request) -> Method:
         raise BadInput(f"--method {request.method}: {route.refusal}")
     solver = solver or (route.solvers[0] if route.solvers else "")
     method = route.make(solver)
-    settings: dict[str, Any] = request.sampling.given() if solver == SIMULATION else {}
+    settings: dict[str, Any] = request.sampling.given_to(method) if solver == SIMULATION else {}
     if request.tol is not None and hasattr(method, "tol"):
         settings["tol"] = request.tol
     result: Method = replace(method, **settings) if settings else method

@@ -8,7 +8,7 @@ from typing import Any
 
 from cases.fields import program_version
 from cases.regime_map.grid import Axis, grid_points, system_at
-from cases.regime_map.points import MAP_TIME, MapPoint, map_point
+from cases.regime_map.points import MAP_RELAXATIONS, MapPoint, map_point
 from cases.regime_map.store import PointStore
 from cases.routes import Sampling
 from cases.scene import Scene
@@ -69,7 +69,8 @@ def build_map(
     """Return the map of the scene's first displacement; kept and continued in ``folder``."""
     start = perf_counter()
     observable = first_displacement(scene)
-    sampling = replace(sampling, time=sampling.time or MAP_TIME)
+    if sampling.time is None:
+        sampling = replace(sampling, relaxations=sampling.relaxations or MAP_RELAXATIONS)
     # The answer of the simulation does not depend on the number of threads.
     identity = {
         "scene": scene.text,

@@ -16,8 +16,8 @@ from fpk.system import System
 THEORIES = ("nonintegrable", "integrable")
 UNDECIDED, NEITHER = "undecided", "neither"
 
-MAP_TIME = 1500.0
-"""Sampled time a path: chance moves L1 of one displacement by about 0.001."""
+MAP_RELAXATIONS = 38.0
+"""Relaxation times sampled on a path: chance moves L1 of one displacement by about 0.001."""
 
 
 @dataclass(frozen=True)
