@@ -1,8 +1,10 @@
 """An ensemble of trajectories that advances together and adds to histograms and moments."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,7 @@ from sim.step_size import temperature
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Product = tuple[str, int, str, int]
+Saved = Mapping[str, NDArray[Any]]
 
 BATCHES = 64
 """Independent batches at most; a batch is made of whole blocks of lanes."""
@@ -79,6 +82,10 @@ class Ensemble:
     A batch of blocks is one task of one thread, all counts are integers, and each lane sums its
     own moments: the result is bitwise the same for any number of threads and any division of the
     steps into calls of ``advance``. Lanes beyond ``paths`` run but are not counted.
+
+    With ``part`` it is a share of the ensemble: the blocks from the first number to before the
+    second, the same trajectories as in the whole. Counts of shares add up, rows of ``counts``
+    being batches from ``batch`` on; states and sums are put side by side.
     """
 
     system: System
@@ -87,10 +94,12 @@ class Ensemble:
     paths: int
     seed: int
     threads: int
+    part: tuple[int, int] | None = None
     step: StepArrays = field(init=False)
     states: Array = field(init=False)  # (blocks, 2n, LANES)
     live: Integers = field(init=False)
-    edges: Integers = field(init=False)  # first block of each batch, and the number of blocks
+    edges: Integers = field(init=False)  # first block of each batch, and the last block's end
+    batch: int = field(init=False)  # the first batch of these blocks
     done: int = 0
 
     def __post_init__(self) -> None:
@@ -99,31 +108,39 @@ class Ensemble:
         With damping terms the displacements are drawn, too: on a limit cycle the noise alone mixes
         phases, and slowly.
         """
-        n, blocks = self.system.n, -(-self.paths // LANES)
+        n, blocks = self.system.n, block_count(self.paths)
+        first, end = self.part or (0, blocks)
         self.step = step_arrays(self.system, self.scheme, self.dt)
         kT = temperature(self.system)
-        z = normals(self.seed, blocks * LANES, START, n)
+        # A trajectory owns 2**40 words: those of the share's first one lie so far on.
+        words = START + ((first * LANES) << 40)
+        z = normals(self.seed, (end - first) * LANES, words, n)
         L = factored(np.diag((kT if np.isfinite(kT) else 0.0) * self.system.mass))
-        p = L @ z[: L.shape[1]]
-        self.states = np.zeros((blocks, 2 * n, LANES))
-        self.states[:, n:] = p.reshape(n, blocks, LANES).transpose(1, 0, 2)
+        p = L @ z[: L.shape[1]]  # one product a row: L is diagonal but for the order of columns
+        self.states = np.zeros((end - first, 2 * n, LANES))
+        self.states[:, n:] = p.reshape(n, -1, LANES).transpose(1, 0, 2)
         if self.system.damping_terms:
+            # Drawn for the whole ensemble: matrix products may round by the shape they come in.
             z = normals(self.seed, blocks * LANES, START + n, n)
-            q = start_displacements(self.system, kT, z)
-            self.states[:, :n] = q.reshape(n, blocks, LANES).transpose(1, 0, 2)
-        self.live = np.minimum(LANES, self.paths - LANES * np.arange(blocks))
-        batches = min(BATCHES, blocks)
-        self.edges = np.arange(batches + 1, dtype=np.int64) * blocks // batches
+            q = start_displacements(self.system, kT, z).reshape(n, blocks, LANES)
+            self.states[:, :n] = q[:, first:end].transpose(1, 0, 2)
+        self.live = np.minimum(LANES, self.paths - LANES * np.arange(first, end))
+        edges = batch_edges(self.paths)
+        self.batch = int(np.searchsorted(edges, first, side="right")) - 1
+        beyond = int(np.searchsorted(edges, end, side="left")) + 1
+        self.edges = np.clip(edges[self.batch : beyond], first, end)
         self.watch()
+
+    @property
+    def _kernel(self) -> Any:
+        return compiled_kernel(self._key)
 
     def watch(self, histograms: Sequence[Histogram] = (), products: Sequence[Product] = ()) -> None:
         """Observe these from now on, all counts and sums starting from zero."""
         self._watch: WatchArrays = watch_arrays(
             self.system, self.scheme, self.step, histograms, products
         )
-        self._kernel = compiled_kernel(
-            kernel_key(self.system, self.scheme, self.step, histograms, products)
-        )
+        self._key = kernel_key(self.system, self.scheme, self.step, histograms, products)
         self.counts: Integers = np.zeros((self.edges.size - 1, starts(histograms)[-1]), np.int64)
         self.sums: Array = np.zeros((self.states.shape[0], len(products), LANES))
         self.samples = 0
@@ -133,13 +150,14 @@ class Ensemble:
         """Advance all trajectories; every ``stride``-th step since ``watch`` is observed."""
         counter = np.uint64(self.done * self.step.pairs)
         offset = mixed_seed(self.seed)
-        blocks = self.states.shape[0]
+        blocks, kernel = self.states.shape[0], self._kernel
         x = self.states.reshape(blocks, -1)
         sums = self.sums.reshape(blocks, -1)
+        own = self.edges - self.edges[0]
 
         def batch(b: int) -> None:
-            part = slice(self.edges[b], self.edges[b + 1])
-            self._kernel(
+            part = slice(own[b], own[b + 1])
+            kernel(
                 x[part], sums[part], self.live[part], int(self.edges[b]), counter, steps,
                 self._phase, stride, offset, self.step, self._watch, self.counts[b],
             )  # fmt: skip
@@ -155,20 +173,61 @@ class Ensemble:
         self._phase += steps
         self.done += steps
 
+    def copied(self) -> "Ensemble":
+        """Return an ensemble that advances apart from this one."""
+        other = copy(self)
+        other.states, other.sums = self.states.copy(), self.sums.copy()
+        other.counts = self.counts.copy()
+        return other
+
+    def saved(self) -> Saved:
+        """Return all that changes: what ``restore`` needs to go on as if never stopped."""
+        clock = np.array([self.done, self.samples, self._phase], dtype=np.int64)
+        return {"states": self.states, "sums": self.sums, "counts": self.counts, "clock": clock}
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from what ``saved`` returned, after the same calls of ``watch``."""
+        for name in ("states", "sums", "counts"):
+            getattr(self, name)[...] = saved[name]
+        self.done, self.samples, self._phase = (int(number) for number in saved["clock"])
+
     def phase_points(self) -> tuple[Array, Array]:
         """Return the states (paths, n) of q and p just before the next kick."""
-        lanes = self.states.transpose(1, 0, 2).reshape(2 * self.system.n, -1)[:, : self.paths].T
-        return lanes[:, : self.system.n], lanes[:, self.system.n :]
+        n, live = self.system.n, int(self.live.sum())
+        lanes = self.states.transpose(1, 0, 2).reshape(2 * n, -1)[:, :live].T
+        return lanes[:, :n], lanes[:, n:]
 
     def lost(self) -> int:
         """Return how many trajectories have left the finite range."""
         return int(np.sum(~np.all(np.isfinite(np.hstack(self.phase_points())), axis=1)))
 
+    def block_sums(self) -> Array:
+        """Return the sums (blocks, products) over the trajectories of each block."""
+        alive = np.arange(LANES) < self.live[:, None]
+        found: Array = np.where(alive[:, None, :], self.sums, 0.0).sum(axis=2)
+        return found
+
     def batch_means(self) -> Array:
         """Return (batches, products) means over the samples of each batch, in fixed order."""
-        alive = np.arange(LANES) < self.live[:, None]
-        per_block = np.where(alive[:, None, :], self.sums, 0.0).sum(axis=2)
-        sums = np.add.reduceat(per_block, self.edges[:-1], axis=0)
-        paths = np.add.reduceat(self.live, self.edges[:-1])
-        means: Array = sums / (paths[:, None] * max(1, self.samples))
-        return means
+        return means_of_batches(self.block_sums(), self.paths, self.samples)
+
+
+def block_count(paths: int) -> int:
+    """Return the number of blocks that hold ``paths`` trajectories."""
+    return -(-paths // LANES)
+
+
+def batch_edges(paths: int) -> Integers:
+    """Return the first block of each batch, and the number of blocks."""
+    blocks = block_count(paths)
+    batches = min(BATCHES, blocks)
+    return np.arange(batches + 1, dtype=np.int64) * blocks // batches
+
+
+def means_of_batches(block_sums: Array, paths: int, samples: int) -> Array:
+    """Return (batches, products) means from sums (blocks, products), added block by block."""
+    edges = batch_edges(paths)
+    sums = np.add.reduceat(block_sums, edges[:-1], axis=0)
+    size = np.minimum(LANES * edges[1:], paths) - LANES * edges[:-1]
+    means: Array = sums / (size[:, None] * max(1, samples))
+    return means
