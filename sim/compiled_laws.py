@@ -12,15 +12,17 @@ Compiled = Any
 """A ``numba.vectorize`` object of signature (law, overlap, exponent): kernels that close over one
 are found again in the disk cache, those that close over an ``njit`` function never are."""
 
+_numba_vectorize: Any = numba.vectorize
+
 
 def _vectorize(signatures: list[str]) -> Callable[[Any], Compiled]:
     """Return ``numba.vectorize`` with the disk cache, without it where a law has no file."""
 
     def compiled(function: Any) -> Compiled:
         try:
-            return numba.vectorize(signatures, cache=True)(function)
+            return _numba_vectorize(signatures, cache=True)(function)
         except RuntimeError:
-            return numba.vectorize(signatures)(function)
+            return _numba_vectorize(signatures)(function)
 
     return compiled
 

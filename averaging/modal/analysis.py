@@ -5,12 +5,12 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
 
 from averaging.modal.phase_averages import ModeShapes
 from averaging.modal.state_damping import StateDamping, balanced_energies, state_damping
 from fpk.equivalent import equivalent_temperature
 from fpk.errors import NotApplicable
+from fpk.modes import natural_modes
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -90,8 +90,9 @@ def modal_analysis(system: System) -> ModalAnalysis:
 
     Raises ``NotApplicable`` where a mode is not damped, or no noise reaches it.
     """
-    K, M = system.stiffness_matrix, np.diag(system.mass)
-    squares, T = eigh(K, M)
+    K = system.stiffness_matrix
+    T, omega = natural_modes(system)
+    squares = omega**2
     c, D = T.T @ system.damping @ T, T.T @ system.noise_matrix @ T
     cancelling = [
         np.einsum("ri,rs,si->i", np.abs(T), np.abs(matrix), np.abs(T))
@@ -102,7 +103,7 @@ def modal_analysis(system: System) -> ModalAnalysis:
         checks.insert(0, ("is not damped, so its energy grows for ever", c, 0))
     for words, matrix, k in checks:
         for i in np.flatnonzero(np.diag(matrix) <= NOTHING * cancelling[k]):
-            raise NotApplicable(f"mode {i + 1} (ω = {np.sqrt(squares[i]):.4g}) {words}")
+            raise NotApplicable(f"mode {i + 1} (ω = {omega[i]:.4g}) {words}")
     worst = max(float(np.max(cancelling[k] / np.diag(matrix))) for _, matrix, k in checks)
     modes = ModalAnalysis(
         mode_shapes=T,
@@ -110,7 +111,7 @@ def modal_analysis(system: System) -> ModalAnalysis:
         modal_stiffness=np.einsum("ri,rs,si->i", T, K, T),
         modal_damping=c,
         modal_noise=D,
-        natural_frequency=np.sqrt(squares),
+        natural_frequency=omega,
         relative_error=_round_off(squares) * worst,
     )
     if not system.damping_terms:

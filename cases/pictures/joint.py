@@ -37,7 +37,9 @@ def pair_figure(curve: CurveOutcome, observable: Observable) -> Figure:
     norm = LogNorm(levels[0], levels[-1]) if energies else Normalize(0.0, top)
     panels = figure.subplots(1, len(names), sharex=True, sharey=True, squeeze=False)[0]
     for axes, route in zip(panels, names, strict=True):
-        filled = axes.contourf(*grid, values[route].T, levels=levels, norm=norm, cmap="viridis")
+        # Below the lowest level nothing is drawn; a logarithm needs a value there all the same.
+        shown = np.maximum(values[route], 0.1 * levels[0]) if energies else values[route]
+        filled = axes.contourf(*grid, shown.T, levels=levels, norm=norm, cmap="viridis")
         axes.set_title({**THEORIES, **SAMPLED}[route])
         axes.set_xlabel(words_of(observable[0]))
     panels[0].set_ylabel(words_of(observable[1]))
