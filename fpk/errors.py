@@ -20,6 +20,15 @@ class NotCertified(RuntimeError):
     """A solver that could not certify its answer; the message says which check failed."""
 
 
+class Unavailable(RuntimeError):
+    """Something outside that a request needs and cannot use: a file, a cluster; one line."""
+
+
+def reason_of(error: OSError) -> str:
+    """Return what the operating system said."""
+    return str(error.strerror or error)
+
+
 def shown(value: Any, *, width: int = 60) -> str:
     """Return ``value`` on one line of at most ``width`` characters, as messages quote it."""
     text = repr(value.tolist() if hasattr(value, "tolist") else value).replace("\n", " ")

@@ -126,9 +126,8 @@ class Ensemble:
             self.states[:, :n] = q[:, first:end].transpose(1, 0, 2)
         self.live = np.minimum(LANES, self.paths - LANES * np.arange(first, end))
         edges = batch_edges(self.paths)
-        self.batch = int(np.searchsorted(edges, first, side="right")) - 1
-        beyond = int(np.searchsorted(edges, end, side="left")) + 1
-        self.edges = np.clip(edges[self.batch : beyond], first, end)
+        self.batch, beyond = batch_range(edges, first, end)
+        self.edges = np.clip(edges[self.batch : beyond + 1], first, end)
         self.watch()
 
     @property
@@ -144,7 +143,7 @@ class Ensemble:
         self.counts: Integers = np.zeros((self.edges.size - 1, starts(histograms)[-1]), np.int64)
         self.sums: Array = np.zeros((self.states.shape[0], len(products), LANES))
         self.samples = 0
-        self._phase = 0
+        self.phase = 0
 
     def advance(self, steps: int, *, stride: int = 1) -> None:
         """Advance all trajectories; every ``stride``-th step since ``watch`` is observed."""
@@ -159,7 +158,7 @@ class Ensemble:
             part = slice(own[b], own[b + 1])
             kernel(
                 x[part], sums[part], self.live[part], int(self.edges[b]), counter, steps,
-                self._phase, stride, offset, self.step, self._watch, self.counts[b],
+                self.phase, stride, offset, self.step, self._watch, self.counts[b],
             )  # fmt: skip
 
         batches = range(self.edges.size - 1)
@@ -169,9 +168,13 @@ class Ensemble:
         else:
             with ThreadPoolExecutor(self.threads) as pool:
                 list(pool.map(batch, batches))
-        self.samples += -(-(self._phase + steps) // stride) - -(-self._phase // stride)
-        self._phase += steps
+        self.samples += -(-(self.phase + steps) // stride) - -(-self.phase // stride)
+        self.phase += steps
         self.done += steps
+
+    def counted(self, first: int, end: int) -> Integers:
+        """Return the counts of the bins from ``first`` to before ``end``, of each batch."""
+        return self.counts[:, first:end]
 
     def copied(self) -> "Ensemble":
         """Return an ensemble that advances apart from this one."""
@@ -182,14 +185,14 @@ class Ensemble:
 
     def saved(self) -> Saved:
         """Return all that changes: what ``restore`` needs to go on as if never stopped."""
-        clock = np.array([self.done, self.samples, self._phase], dtype=np.int64)
+        clock = np.array([self.done, self.samples, self.phase], dtype=np.int64)
         return {"states": self.states, "sums": self.sums, "counts": self.counts, "clock": clock}
 
     def restore(self, saved: Saved) -> None:
         """Go on from what ``saved`` returned, after the same calls of ``watch``."""
         for name in ("states", "sums", "counts"):
             getattr(self, name)[...] = saved[name]
-        self.done, self.samples, self._phase = (int(number) for number in saved["clock"])
+        self.done, self.samples, self.phase = (int(number) for number in saved["clock"])
 
     def phase_points(self) -> tuple[Array, Array]:
         """Return the states (paths, n) of q and p just before the next kick."""
@@ -209,7 +212,7 @@ class Ensemble:
 
     def batch_means(self) -> Array:
         """Return (batches, products) means over the samples of each batch, in fixed order."""
-        return means_of_batches(self.block_sums(), self.paths, self.samples)
+        return means_of_batches(self.block_sums(), self.edges, self.live, self.samples)
 
 
 def block_count(paths: int) -> int:
@@ -224,10 +227,18 @@ def batch_edges(paths: int) -> Integers:
     return np.arange(batches + 1, dtype=np.int64) * blocks // batches
 
 
-def means_of_batches(block_sums: Array, paths: int, samples: int) -> Array:
-    """Return (batches, products) means from sums (blocks, products), added block by block."""
-    edges = batch_edges(paths)
-    sums = np.add.reduceat(block_sums, edges[:-1], axis=0)
-    size = np.minimum(LANES * edges[1:], paths) - LANES * edges[:-1]
-    means: Array = sums / (size[:, None] * max(1, samples))
+def batch_range(edges: Integers, first: int, end: int) -> tuple[int, int]:
+    """Return the first batch that has some of the blocks ``first`` to before ``end``, and beyond.
+
+    ``edges`` are those of ``batch_edges``; the first and the last batch may reach farther.
+    """
+    low = int(np.searchsorted(edges, first, side="right")) - 1
+    return low, int(np.searchsorted(edges, end, side="left"))
+
+
+def means_of_batches(sums: Array, edges: Integers, live: Integers, samples: int) -> Array:
+    """Return (batches, products) means from ``sums`` (blocks, products), added block by block."""
+    first = edges[:-1] - edges[0]
+    paths = np.add.reduceat(live, first)
+    means: Array = np.add.reduceat(sums, first, axis=0) / (paths[:, None] * max(1, samples))
     return means

@@ -1,0 +1,163 @@
+"""Ensembles on a Dask cluster: bitwise those of one process, whatever happens to the workers."""
+
+import logging
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+from sim_systems import fig6
+
+import sim.schemes  # noqa: F401
+from fpk.errors import NotCertified, Unavailable
+from fpk.observable import parse_observable
+from sim.cluster import ClusterEnsemble, after, connected, gathered, package
+from sim.ensemble import Ensemble
+from sim.histogram import Histogram, ranged
+from sim.random import LANES
+from sim.scheme import SCHEMES
+from sim.statistics import moment_products
+
+distributed = pytest.importorskip("distributed")
+EXACT_FLOW = SCHEMES["exact_flow"]
+PATHS = 70 * LANES - 17
+"""Seventy blocks in sixty-four batches: shares divide some of the batches."""
+
+
+@contextmanager
+def cluster(workers: int) -> Iterator[Any]:
+    """A client of worker processes of one thread on this machine; they log nothing."""
+    with (
+        package("dask").config.set({"distributed.logging.distributed": "critical"}),
+        distributed.LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0",
+            silence_logs=logging.CRITICAL,
+        ) as local,
+        connected(local.scheduler_address) as client,
+    ):  # fmt: skip
+        yield client
+
+
+def histograms() -> tuple[Histogram, ...]:
+    q = np.array([[-1.0] * 2, [1.0] * 2])
+    observables = [parse_observable(name, 2) for name in ("q1", "q2,p2")]
+    return ranged(fig6(), observables, q, q, mirror=False)
+
+
+def sampled(ensemble: Any, *, between: Callable[[], None] = lambda: None) -> dict[str, Any]:
+    """What is found in three chunks, ``between`` being called after each."""
+    ensemble.advance(20)
+    ensemble.watch(histograms(), moment_products(2))
+    for _ in range(3):
+        ensemble.advance(31, stride=3)
+        between()
+    q, p = ensemble.phase_points()
+    found = {"q": q, "p": p, "means": ensemble.batch_means(), "lost": ensemble.lost()}
+    return {**ensemble.saved(), **found, "first": ensemble.counted(3, 9), "live": ensemble.live}
+
+
+def same(a: dict[str, Any], b: dict[str, Any]) -> None:
+    assert a.keys() == b.keys()
+    for key in a:
+        np.testing.assert_array_equal(a[key], b[key], err_msg=key)
+
+
+def here() -> Ensemble:
+    return Ensemble(fig6(), EXACT_FLOW, 0.1, PATHS, 31, 2)
+
+
+def there(client: Any) -> ClusterEnsemble:
+    return ClusterEnsemble(client, fig6(), EXACT_FLOW, 0.1, PATHS, 31, 1)
+
+
+def kill_one(client: Any) -> Callable[[], None]:
+    """What kills the first worker there is, once."""
+    left = [signal.SIGKILL]
+
+    def kill() -> None:
+        if left:
+            os.kill(next(iter(client.run(os.getpid).values())), left.pop())
+
+    return kill
+
+
+def test_shares_put_together_are_the_ensemble() -> None:
+    whole, parts = here(), [Ensemble(fig6(), EXACT_FLOW, 0.1, PATHS, 31, 1, part) for part in
+                            ((0, 13), (13, 14), (14, 70))]  # fmt: skip
+    found, shares = sampled(whole), [sampled(part) for part in parts]
+    for name in ("states", "sums", "q", "p", "live"):
+        np.testing.assert_array_equal(np.concatenate([s[name] for s in shares]), found[name])
+    counts = np.zeros_like(found["counts"])
+    for part, share in zip(parts, shares, strict=True):
+        counts[part.batch : part.batch + share["counts"].shape[0]] += share["counts"]
+    np.testing.assert_array_equal(counts, found["counts"])
+
+
+def test_a_step_of_a_share_leaves_the_share_as_it_was() -> None:
+    share = Ensemble(fig6(), EXACT_FLOW, 0.1, PATHS, 31, 1, (3, 5))
+    before = {name: np.copy(array) for name, array in share.saved().items()}
+    moved = after(share, "advance", 7)
+    same({**share.saved()}, before)
+    assert moved.done == 7 and not np.array_equal(moved.states, share.states)
+
+
+def test_bitwise_the_same_on_two_workers_of_which_one_is_killed() -> None:
+    expected = sampled(here())
+    with cluster(2) as client:
+        ensemble = there(client)
+        assert ensemble.threads == 2 and ensemble.bounds.size == 5
+        same(sampled(ensemble, between=kill_one(client)), expected)
+        # What is saved here goes on there, and the other way round.
+        stopped = here()
+        stopped.advance(20)
+        stopped.watch(histograms(), moment_products(2))
+        stopped.advance(50, stride=3)
+        ensemble = there(client)
+        ensemble.watch(histograms(), moment_products(2))
+        ensemble.restore(stopped.saved())
+        ensemble.advance(12, stride=3)
+        stopped.restore(ensemble.saved())
+        stopped.advance(31, stride=3)
+        same({**stopped.saved()}, {name: expected[name] for name in stopped.saved()})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kill", [False, True])
+def test_bitwise_the_same_on_four_workers(kill: bool) -> None:
+    with cluster(4) as client:
+        between = kill_one(client) if kill else lambda: None
+        same(sampled(there(client), between=between), sampled(here()))
+
+
+def fail_with_the_system(share: int) -> int:
+    os._exit(1)
+
+
+@pytest.mark.slow
+def test_a_task_that_kills_every_worker_ends_in_one_line() -> None:
+    with cluster(2) as client:
+        future = client.submit(fail_with_the_system, 1)
+        with pytest.raises(NotCertified, match="lost on the way") as end:
+            gathered(client, [future])
+        assert "\n" not in str(end.value)
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense", "", "tcp://[::1"])
+def test_an_address_that_does_not_answer_is_one_line(
+    address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sim.cluster.PATIENCE", 0.5)
+    with pytest.raises(Unavailable, match="no Dask scheduler") as end, connected(address):
+        pass
+    assert "\n" not in str(end.value)
+
+
+def test_where_dask_is_missing_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    package.cache_clear()
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(Unavailable, match=r"vibro-fpk\[cluster\]"), connected("tcp://x:1"):
+        pass
