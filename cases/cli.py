@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from cases.command_converge import converge
 from cases.command_export import export
 from cases.command_parts import (
     Json,
@@ -157,6 +158,7 @@ def density(
     end_with([f"{of} is not certified: {f}" for f in record["certificate"]["failures"]])
 
 
+app.command()(converge)
 app.command()(export)
 app.command()(verify)
 app.command()(regime)

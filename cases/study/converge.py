@@ -1,0 +1,148 @@
+"""The convergence study of a scene: every averaged equation, and the simulation."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from time import perf_counter
+from typing import Any
+
+from cases.errors import BadInput
+from cases.scene import Scene
+from cases.study.answer import FUNCTIONALS, NORMS
+from cases.study.equations import Equation, energy_equation, modal_equation
+from cases.study.ladders import Ladder, ladders
+from cases.study.weak import SampleSlope, WeakOrder, sample_slope, weak_order
+from cases.summary import plain
+from fpk.errors import NotApplicable, NotCertified
+from fpk.method import Progress, silent
+from fpk.observable import observable_name
+from fpk.orders import LIMITS
+
+ROUTES = {"nonintegrable": energy_equation, "integrable": modal_equation}
+SIMULATION = "montecarlo"
+SCHEMES_STUDIED = ("exact_flow", "baoab", "euler_maruyama")
+SECONDS = 10.0
+"""Time that the steps of one scheme may take where the resolution wanted would need more."""
+
+
+@dataclass(frozen=True)
+class Studied:
+    """One equation with the reference its errors are measured against, and its ladders."""
+
+    theory: str
+    equation: str
+    observable: str
+    reference: str
+    reference_error: float
+    ladders: tuple[Ladder, ...]
+
+
+@dataclass(frozen=True)
+class ConvergenceStudy:
+    """All that was measured for a scene; ``refusals`` are routes that do not apply, with reason."""
+
+    scene: Scene
+    equations: tuple[Studied, ...]
+    schemes: tuple[WeakOrder, ...]
+    samples: SampleSlope | None
+    refusals: dict[str, str]
+    seconds: float
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Every estimate that is below the true error, in words."""
+        return tuple(
+            f"{s.equation}, {ladder.name}, {level.label}: the estimate {level.estimate:.2g} is"
+            f" below the true L1 error {level.errors['L1']:.2g}"
+            for s in self.equations
+            for ladder in s.ladders
+            for level in ladder.levels
+            if not level.honest
+        )
+
+    def record(self) -> dict[str, Any]:
+        """Return the study as plain data."""
+        data = asdict(self)
+        data["scene"] = self.scene.name
+        for studied, own in zip(data["equations"], self.equations, strict=True):
+            for ladder, mine in zip(studied["ladders"], own.ladders, strict=True):
+                ladder["name"] = mine.name
+        for scheme, mine_too in zip(data["schemes"], self.schemes, strict=True):
+            scheme["orders"] = mine_too.ratios
+            scheme["errors"], scheme["error_bars"] = mine_too.errors, mine_too.error_bars
+        data["limits_of_the_index"] = LIMITS
+        found = plain(data)
+        assert isinstance(found, dict)
+        return found
+
+
+def chosen_routes(route: str | None, of: str | None) -> tuple[str, ...]:
+    """Return the routes asked for by name or by observable; raise ``BadInput`` for another."""
+    known = (*ROUTES, SIMULATION)
+    if route is not None and route not in known:
+        raise BadInput(f"--route {route}: use one of {', '.join(known)}")
+    by_name = (route,) if route else known
+    if of is None:
+        return by_name
+    by_observable = {"H": "nonintegrable", "H1,H2": "integrable"}
+    if of not in by_observable:
+        raise BadInput(f'--of "{of}": use H for (24) or H1,H2 for (17)')
+    if by_observable[of] not in by_name:
+        raise BadInput(f'--of "{of}": not what --route {route} solves')
+    return (by_observable[of],)
+
+
+def study_convergence(
+    scene: Scene,
+    routes: Sequence[str],
+    *,
+    seconds: float = SECONDS,
+    seed: int = 1,
+    threads: int | None = None,
+    progress: Progress = silent,
+) -> ConvergenceStudy:
+    """Measure how the errors of ``routes`` fall; ``seconds`` is for the steps of each scheme."""
+    start = perf_counter()
+    equations, refusals = [], {}
+    for route, make in ROUTES.items():
+        if route not in routes:
+            continue
+        try:
+            equations.append(_studied(make(scene.system), progress))
+        except (NotApplicable, NotCertified) as reason:
+            refusals[route] = str(reason)
+    schemes: list[WeakOrder] = []
+    samples = None
+    if SIMULATION in routes:
+        try:
+            schemes = [
+                weak_order(
+                    scene.system,
+                    name,
+                    seconds=seconds,
+                    seed=seed,
+                    threads=threads,
+                    progress=progress,
+                )
+                for name in SCHEMES_STUDIED
+            ]
+            samples = sample_slope(scene.system, seed=seed, threads=threads)
+        except NotApplicable as reason:
+            refusals[SIMULATION] = str(reason)
+    return ConvergenceStudy(
+        scene, tuple(equations), tuple(schemes), samples, refusals, perf_counter() - start
+    )
+
+
+def _studied(equation: Equation, progress: Progress) -> Studied:
+    return Studied(
+        theory=equation.theory,
+        equation=equation.name,
+        observable=observable_name(equation.observable),
+        reference=equation.reference_words,
+        reference_error=equation.reference.l1_error,
+        ladders=ladders(equation, progress=progress),
+    )
+
+
+COLUMNS = (*NORMS, *FUNCTIONALS)
+"""Errors of a level in the order in which tables show them."""

@@ -1,0 +1,176 @@
+"""Convergence studies: orders against theory, what they are called, Richardson, and the command."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cases.errors import BadInput
+from cases.scene import load_scene
+from cases.study.answer import FUNCTIONALS, NORMS, errors
+from cases.study.converge import chosen_routes
+from cases.study.equations import energy_equation, modal_equation
+from cases.study.ladders import bisected, ladders
+from cases.study.weak import known_square, sample_slope, weak_order
+from fpk.orders import NEAR, convergence, grid_convergence, observed_orders
+
+SIZES = 2.0 ** -np.arange(6.0)
+
+
+@pytest.mark.parametrize("order", [1.0, 2.0, 5.0])
+def test_a_pure_power_shows_its_order(order):
+    found = convergence(SIZES, 3.0 * SIZES**order, theory=order, floor=0.0)
+    np.testing.assert_allclose(found.orders, order, rtol=1e-12)
+    assert found.kind == "asymptotic" and found.spread < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("errors", "kind"),
+    [
+        ([1.0, 0.3, 0.1, 0.03], "pre-asymptotic"),
+        ([1.0, 0.25, 0.06, 1e-12], "at the floor"),
+        ([1.0, 0.1, 0.2, 0.05], "oscillating"),
+        ([1.0, 0.5, 1.0, 2.0], "diverging"),
+        ([1.0, 0.1, np.nan, np.nan], "diverging"),
+        ([1.0, 0.25, 0.0625, 0.015625], "asymptotic"),
+    ],
+)
+def test_sequences_are_called_what_they_are(errors, kind):
+    assert convergence(SIZES[:4], errors, theory=2.0, floor=1e-12).kind == kind
+
+
+def test_exponential_convergence_shows_its_rate():
+    degrees = np.arange(1.0, 7.0)
+    found = convergence(np.exp(-degrees), np.exp(-1.7 * degrees), theory=None, floor=0.0)
+    np.testing.assert_allclose(found.orders, 1.7)
+    assert found.kind == "asymptotic"
+    slowing = convergence(np.exp(-degrees), np.exp(-np.sqrt(degrees) * 3), theory=None, floor=0.0)
+    assert np.all(np.diff(slowing.orders) < 0.0)
+
+
+def test_richardson_finds_the_limit_and_the_index_covers_it():
+    values = 7.0 + 0.3 * SIZES**2 + 0.01 * SIZES**3
+    found = grid_convergence(SIZES, values, theory=2.0, floor=0.0)
+    assert found.safety == 1.25 and found.kind == "asymptotic"
+    assert abs(values[-1] - 7.0) <= found.index
+    assert abs(found.value - 7.0) < 0.1 * abs(values[-1] - 7.0)
+    far = grid_convergence(SIZES, 7.0 + 0.3 * SIZES, theory=2.0, floor=0.0)
+    assert far.safety == 3.0 and abs(far.used - 1.0) < 1e-9
+    assert 0.3 * SIZES[-1] <= far.index
+    swinging = grid_convergence(SIZES[:3], [1.0, 0.9, 0.95], theory=2.0, floor=0.0)
+    assert swinging.kind == "oscillating" and swinging.safety == 3.0
+    assert grid_convergence(SIZES, [1.0] * 6, theory=2.0, floor=1e-15).kind == "at the floor"
+    with pytest.raises(ValueError, match="three"):
+        grid_convergence(SIZES[:2], [1.0, 2.0], theory=2.0, floor=0.0)
+    with pytest.raises(ValueError, match="ratios"):
+        grid_convergence([1.0, 0.5, 0.1], [1.0, 2.0, 3.0], theory=2.0, floor=0.0)
+
+
+@pytest.fixture(scope="module")
+def energy_ladders():
+    return {ladder.name: ladder for ladder in ladders(energy_equation(load_scene("fig6b").system))}
+
+
+@pytest.mark.parametrize("degree", [1, 2, 4])
+def test_energy_orders_are_those_of_theory_with_contact(energy_ladders, degree):
+    verdict = energy_ladders[f"h, p = {degree}"].verdicts["L1"]
+    assert verdict.kind == "asymptotic" and len(verdict.orders) >= 4
+    assert np.all(np.abs(np.array(verdict.orders[-2:]) - (degree + 1)) <= NEAR)
+
+
+def test_every_level_of_every_family_is_within_its_own_estimate(energy_ladders):
+    assert len(energy_ladders) == 5
+    for ladder in energy_ladders.values():
+        assert len(ladder.levels) >= 4
+        for level in ladder.levels:
+            assert level.honest, (ladder.name, level)
+            assert set(level.errors) == {*NORMS, *FUNCTIONALS}
+
+
+def test_a_trusted_index_covers_the_true_error(energy_ladders):
+    trusted = 0
+    for ladder in energy_ladders.values():
+        for key, g in ladder.grid.items():
+            if g.safety == 1.25:
+                trusted += 1
+                assert ladder.levels[-1].errors[key] <= g.index
+    assert trusted
+
+
+def test_an_equation_that_is_not_the_right_one_does_not_converge():
+    system = load_scene("fig6b").system
+
+    def wrong(process):
+        def coefficients(energy):
+            c = process.coefficients(energy)
+            return c._replace(dissipation=1.1 * c.dissipation, drift=c.drift + 0.1 * c.dissipation)
+
+        return replace(process, coefficients=coefficients)
+
+    equation = energy_equation(system, changed=wrong)
+    found = next(x for x in ladders(equation) if x.name == "h, p = 2")
+    assert found.verdicts["L1"].kind != "asymptotic"
+    assert not found.levels[-1].honest
+
+
+def test_two_energies_approach_the_order_of_theory():
+    # The corner elements of a square are long: what four levels can show is that orders grow
+    # towards p + 1 and reach half of one below it at worst.
+    equation = modal_equation(load_scene("fig8b").system)
+    nodes = equation.coarsest(2)
+    errors_found = []
+    for _ in range(3):
+        answer = equation.on_mesh(nodes, 2)
+        errors_found.append(errors(answer, equation.reference)["L1"])
+        assert errors_found[-1] <= answer.l1_error
+        nodes = bisected(nodes)
+    orders = observed_orders(SIZES[:3], errors_found)
+    assert orders[1] > orders[0] and 2.5 <= orders[1] <= 3.0 + NEAR
+
+
+def test_the_exact_scene_knows_its_moment_and_the_samples_their_slope():
+    scene = load_scene("fig3a")
+    assert known_square(scene.system, 1) is not None
+    assert known_square(load_scene("fig6b").system, 1) is None
+    found = sample_slope(scene.system, paths=4096, threads=2)
+    assert abs(found.slope + 0.5) < 4.0 * found.slope_error
+
+
+def test_weak_order_on_an_exact_scene_derives_its_sample():
+    found = weak_order(load_scene("fig3a").system, "baoab", seconds=2.0, paths=4096, threads=2)
+    assert found.known and found.limit_error == 0.0
+    assert found.verdict in ("as theory", "not resolved", "pre-asymptotic")
+    low, high = found.order_error
+    assert low <= found.order <= high
+    # Wanted is a share of the bias at the second largest step, never larger than the pilot's error.
+    assert found.wanted > 0.0 and found.short >= 1.0
+    assert len(found.levels) == 5
+    if found.verdict != "not resolved":
+        assert low - 1.0 <= 2.0 <= high + 1.0
+
+
+def test_routes_are_chosen_by_name_or_observable():
+    assert chosen_routes(None, "H") == ("nonintegrable",)
+    assert chosen_routes("integrable", None) == ("integrable",)
+    assert len(chosen_routes(None, None)) == 3
+    for route, of in (("fem", None), (None, "q7"), ("integrable", "H")):
+        with pytest.raises(BadInput):
+            chosen_routes(route, of)
+
+
+def test_the_command_prints_one_object_and_leaves_files(fpk, tmp_path):
+    status, out, _ = fpk("converge", "fig6b", "--of", "H", "--json", "--out", tmp_path)
+    record = json.loads(out)
+    assert status == 0 and record["scene"] == "fig6b"
+    families = {ladder["name"] for ladder in record["equations"][0]["ladders"]}
+    assert families == {"h, p = 1", "h, p = 2", "h, p = 4", "p on a fixed mesh", "hp by tol"}
+    assert "not a bound" in record["limits_of_the_index"]
+    for ending in ("md", "nc", "svg"):
+        assert (tmp_path / f"converge.{ending}").stat().st_size > 1000
+    assert "asymptotic" in (tmp_path / "converge.md").read_text(encoding="utf-8")
+
+
+def test_a_wrong_route_is_refused_in_one_line(fpk):
+    status, out, err = fpk("converge", "fig6b", "--route", "magic")
+    assert status == 2 and not out and "nonintegrable" in err
