@@ -1,0 +1,211 @@
+"""Can the sample be trusted: autocorrelation times, effective samples, split R-hat, drift.
+
+τ is the integrated autocorrelation time ∫₀^∞ ρ(t) dt of a quantity. Its mean over a time T on a
+trajectory has the variance ``2 σ² τ/T · (1 − O(τ/T))``, σ² the variance of the quantity itself, so
+that independent trajectories show τ without any correlogram: ``τ = T var(path means)/(2 σ²)``. One
+independent sample is worth 2τ of sampled time: N trajectories have ``N T/(2τ)`` effective samples,
+whose number ``N σ²/var(path means)`` holds for any T, also one below τ (τ is then at most T/2: a
+lower bound).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, nan, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+Array = NDArray[np.float64]
+
+LEAST_TIMES = 50.0
+"""Autocorrelation times, of 2τ as emcee counts them, below which a run is refused."""
+
+LEAST_BURN_IN = 5.0
+"""Autocorrelation times τ that a burn-in must have: e^−5 of a start is 0.7 % of its distance."""
+
+FALSE_ALARMS = 1e-6
+"""How often a drift is found where there is none, of all quantities of a run together."""
+
+LEAST_CHUNKS = 4
+"""Chunks below which there are no halves to compare: R-hat then is not a number."""
+
+
+@dataclass(frozen=True)
+class Effective:
+    """Effective number of samples of one quantity, relative error of it, and what τ follows."""
+
+    name: str
+    samples: float
+    relative_error: float
+    autocorrelation_time: float
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What is said of a sample; ``failures`` in words, empty where it can be trusted.
+
+    ``autocorrelation_time`` τ is the longest of all quantities, ``effective_samples`` their
+    smallest number; ``r_hat`` the largest split R-hat; ``drift`` the largest |z| of the first chunk
+    against the others and of the first half against the second, ``drift_limit`` what chance
+    explains of it.
+    """
+
+    autocorrelation_time: float
+    effective_samples: float
+    relative_error: float
+    slowest: str
+    times_per_path: float
+    r_hat: float
+    drift: float
+    drift_limit: float
+    failures: tuple[str, ...]
+
+    def settings(self) -> dict[str, str | float | int]:
+        """Return what is told beside the other settings of a run."""
+        passed = "holds" if self.drift <= self.drift_limit else "drifts"
+        return {
+            "autocorrelation_time": self.autocorrelation_time,
+            "time in autocorrelation times": self.times_per_path,
+            "effective_samples": self.effective_samples,
+            "relative error of effective_samples": self.relative_error,
+            "slowest quantity": self.slowest,
+            "r_hat": self.r_hat,
+            "burn_in_check": f"{passed}: |z| = {self.drift:.2f}, allowed {self.drift_limit:.2f}",
+        }
+
+
+def effective_of_paths(
+    names: Sequence[str], means: Array, variance: Array, relative_error: Array, *, time: float
+) -> tuple[Effective, ...]:
+    """Return τ and effective samples from ``means`` (quantities, paths) over ``time`` each.
+
+    ``variance`` is the σ² of single samples and ``relative_error`` one standard error of that over
+    itself. That of var(path means) is √((kurtosis − 1)/paths).
+    """
+    paths = means.shape[1]
+    centred = means - means.mean(axis=1, keepdims=True)
+    of_means = np.sum(centred**2, axis=1) / (paths - 1)
+    error = np.hypot(variance_error(means), relative_error)
+    samples = np.full_like(of_means, inf)
+    np.divide(paths * variance, of_means, out=samples, where=of_means > 0)
+    return tuple(
+        Effective(name, float(n), float(e), paths * time / (2.0 * float(n)))
+        for name, n, e in zip(names, samples, error, strict=True)
+    )
+
+
+def effective_of_shares(name: str, shares: Array, total_time: float) -> Effective:
+    """Return τ and effective samples of a distribution function from ``shares`` (batches, levels).
+
+    Each level is a share s of samples, variance s(1 − s); with independent samples the variances
+    of the means would sum to Σ s(1 − s)/n, and n is what makes it so. With few levels that vary
+    together the error is that of one variance from the batches, √(2/(batches − 1)).
+    ``total_time`` is the sampled time of all trajectories together.
+    """
+    batches = shares.shape[0]
+    s = shares.mean(axis=0)
+    variance = float(np.sum(shares.var(axis=0, ddof=1))) / batches
+    samples = float(np.sum(s * (1.0 - s))) / variance if variance > 0 else inf
+    return Effective(name, samples, sqrt(2.0 / (batches - 1)), total_time / (2.0 * samples))
+
+
+def split_r_hat(draws: Array) -> float:
+    """Return the split R-hat of ``draws`` (chains, draws); not a number below four draws.
+
+    Each chain is cut into halves (a middle draw of an odd number is left out), m chains of n draws:
+    ``R = √((n − 1)/n + B/(n W))``, W the mean of their variances, B n times the variance of their
+    means (Gelman et al., BDA3, section 11.4; Vehtari et al. 2021, Eqs. (1)-(4), not ranked).
+    """
+    half = draws.shape[1] // 2
+    if half < LEAST_CHUNKS // 2:
+        return nan
+    halves = np.vstack([draws[:, :half], draws[:, -half:]])
+    within = float(halves.var(axis=1, ddof=1).mean())
+    between = half * float(halves.mean(axis=1).var(ddof=1))
+    if within == 0.0:
+        return 1.0 if between == 0.0 else inf
+    return sqrt((half - 1.0) / half + between / (half * within))
+
+
+def drifts(means: Array) -> Array:
+    """Return z of (first chunk − others) and (first half − second), (quantities, 2).
+
+    ``means`` (quantities, batches, chunks). Batches are independent, so that the difference has the
+    standard error that they show, whatever the correlation of the chunks.
+    """
+    chunks = means.shape[2]
+    half = chunks // 2
+    pairs = (
+        means[:, :, 0] - means[:, :, 1:].mean(axis=2),
+        means[:, :, :half].mean(axis=2) - means[:, :, -half:].mean(axis=2),
+    )
+    z = []
+    for difference in pairs:
+        error = difference.std(axis=1, ddof=1) / sqrt(difference.shape[1])
+        moved = difference.mean(axis=1)
+        z.append(np.divide(moved, error, out=np.zeros_like(moved), where=error > 0))
+    return np.array(z).T
+
+
+def drift_limit(batches: int, comparisons: int) -> float:
+    """Return the |z| that the largest of some Student's t passes with ``FALSE_ALARMS`` at most."""
+    return float(student.isf(0.5 * FALSE_ALARMS / max(1, comparisons), batches - 1))
+
+
+def variance_error(samples: Array) -> Array:
+    """Return one standard error of the variance of ``samples`` (..., paths), over the variance."""
+    centred = samples - samples.mean(axis=-1, keepdims=True)
+    second = np.mean(centred**2, axis=-1)
+    fourth = np.mean(centred**4, axis=-1)
+    kurtosis = np.divide(fourth, second**2, out=np.ones_like(second), where=second > 0)
+    return np.asarray(np.sqrt(np.maximum(kurtosis - 1.0, 0.0) / samples.shape[-1]))
+
+
+def diagnosis(
+    effective: Sequence[Effective],
+    names: Sequence[str],
+    means: Array,
+    *,
+    time: float,
+    paths: int,
+    burn_in: float,
+) -> Diagnosis:
+    """Return what can be said of ``paths`` trajectories of ``time`` after ``burn_in`` (a time).
+
+    ``means`` (quantities, batches, chunks) are those of the ``names`` in chunks of equal length.
+    """
+    worst = min(effective, key=lambda e: e.samples)
+    tau = max(e.autocorrelation_time for e in effective)
+    quantities, batches, chunks = means.shape
+    r_hat = max(split_r_hat(m) for m in means)
+    z = np.abs(drifts(means)) if chunks > 1 else np.zeros((quantities, 2))
+    limit = drift_limit(batches, z.size)
+    words = []
+    if worst.samples < LEAST_TIMES:
+        words.append(
+            f"the {paths} trajectories are {worst.samples:.3g} autocorrelation times of"
+            f" {worst.name} long together, fewer than {LEAST_TIMES:g}; sample for longer"
+        )
+    if burn_in < LEAST_BURN_IN * tau:
+        words.append(
+            f"the burn-in of {burn_in:.3g} is shorter than {LEAST_BURN_IN:g} autocorrelation times"
+            f" of {tau:.3g}; use a longer burn_in"
+        )
+    if float(z.max()) > limit:
+        name = names[int(np.argmax(z.max(axis=1)))]
+        words.append(
+            f"{name} drifts: its first part differs from the rest by {z.max():.1f} standard errors"
+            f" (chance explains {limit:.1f}); use a longer burn_in"
+        )
+    return Diagnosis(
+        autocorrelation_time=tau,
+        effective_samples=worst.samples,
+        relative_error=worst.relative_error,
+        slowest=worst.name,
+        times_per_path=time / tau if tau > 0 else inf,
+        r_hat=r_hat,
+        drift=float(z.max()),
+        drift_limit=limit,
+        failures=tuple(words),
+    )
