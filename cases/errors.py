@@ -1,17 +1,25 @@
 """Input that is refused: the one exception that the command line turns into exit status 2."""
 
 import json
+from datetime import date, time
+from itertools import islice
 from typing import Any
 
 from fpk.errors import shown
+
+LONGEST = 600
+"""Characters of a message; what is quoted in a longer one is cut out of its middle."""
+
+WIDTH = 60
+"""Characters of a value that a message quotes."""
 
 
 class BadInput(ValueError):
     """What a user gave and cannot be used; the message is one line that says what would do."""
 
     def __init__(self, message: str) -> None:
-        """Keep ``message`` on one line, whatever was quoted in it."""
-        super().__init__(one_line(message))
+        """Keep ``message`` on one line of bounded length, whatever was quoted in it."""
+        super().__init__(shortened(one_line(message), LONGEST))
 
 
 def refused(where: str, key: str, value: Any, remedy: str) -> BadInput:
@@ -24,11 +32,26 @@ def toml_value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        text = json.dumps(value, ensure_ascii=False)
-        return text if len(text) <= 60 else text[:58] + '…"'
+        text = json.dumps(value[: 2 * WIDTH], ensure_ascii=False)
+        return text if len(text) <= WIDTH else text[: WIDTH - 2] + '…"'
     if isinstance(value, int) and abs(value) >= 10**20:
         return f"(a whole number of {value.bit_length() * 30103 // 100000 + 1} digits)"
-    return shown(value)
+    if isinstance(value, (date, time)):
+        return value.isoformat()
+    if isinstance(value, list):
+        text = f"[{', '.join(map(toml_value, islice(value, WIDTH)))}]"
+    elif isinstance(value, dict):
+        pairs = islice(value.items(), WIDTH)
+        text = f"{{{', '.join(f'{key} = {toml_value(entry)}' for key, entry in pairs)}}}"
+    else:
+        text = shown(value)
+    return text if len(text) <= WIDTH else text[: WIDTH - 1] + "…"
+
+
+def shortened(text: str, most: int) -> str:
+    """Return ``text`` with as much of its middle left out as makes it ``most`` characters long."""
+    half = (most - 1) // 2
+    return text if len(text) <= most else f"{text[:half]}…{text[-half:]}"
 
 
 def one_line(text: str) -> str:

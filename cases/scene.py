@@ -5,7 +5,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from cases.errors import BadInput, refused
+from cases.errors import BadInput, refused, shortened, toml_value
 from cases.expect import Expect, expect_of
 from cases.reading import read_toml
 from cases.schema import ContactTable, DampingTermTable, SceneTable, validated
@@ -18,6 +18,9 @@ from fpk.system import System
 
 SHIPPED = ("paper", "hard", "more")
 """The folders of the shipped scenes, in the order in which they are listed."""
+
+LONGEST_NAME = 200
+"""Characters of a path in messages."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,8 @@ def load_scene(name: str) -> Scene:
 
     Raises ``BadInput``: one line that names file, key, value and what would be right.
     """
+    if not name.strip():
+        raise BadInput(f"scene {toml_value(name)}: is no name; fpk list names the shipped scenes")
     shipped = shipped_scenes()
     if name in shipped:
         return _scene(shipped[name], f"{name}.toml")
@@ -57,8 +62,8 @@ def load_scene(name: str) -> Scene:
     if not looks_like_path and not _exists(path):
         close = get_close_matches(name, shipped, n=1)
         hint = f'did you mean "{close[0]}"?' if close else "fpk list names the shipped scenes"
-        raise BadInput(f'scene "{name}": neither a shipped scene nor a file; {hint}')
-    return _scene(path, name)
+        raise BadInput(f"scene {toml_value(name)}: neither a shipped scene nor a file; {hint}")
+    return _scene(path, shortened(name, LONGEST_NAME))
 
 
 def _exists(path: Path) -> bool:

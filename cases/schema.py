@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from typing import Annotated, Any
+from unicodedata import category
 
 from pydantic import (
     AfterValidator,
@@ -33,6 +34,15 @@ def _in_range(value: float) -> float:
     return value
 
 
+def _legible(text: str) -> str:
+    controls = (c for c in text if category(c) == "Cc" or c in "\ufffe\uffff")
+    hidden = next((c for c in controls if c not in "\t\n"), None)
+    if hidden is not None:  # acts on a terminal, cannot stand in XML or netCDF
+        code = {"character": f"U+{ord(hidden):04X}"}
+        raise PydanticCustomError("hidden", "holds the character {character}; leave it out", code)
+    return text
+
+
 def _list_or_matrix(value: Any) -> str:
     nested = isinstance(value, list) and value and isinstance(value[0], list)
     return "<matrix>" if nested else "<list>"
@@ -46,7 +56,7 @@ NumbersOrMatrix = Annotated[
     Discriminator(_list_or_matrix),
 ]
 Powers = Annotated[dict[str, int], Field(max_length=MAX_MASSES)]
-Text = Annotated[str, Field(strict=True, max_length=1000)]
+Text = Annotated[str, Field(strict=True, max_length=1000), AfterValidator(_legible)]
 
 
 class Table(BaseModel):
