@@ -5,7 +5,16 @@ from typing import Annotated
 
 import typer
 
-from cases.command_parts import Json, SceneName, Seed, Threads, end_with, print_json
+from cases.command_parts import (
+    Cluster,
+    Json,
+    SceneName,
+    Seed,
+    Threads,
+    check_cluster,
+    end_with,
+    print_json,
+)
 
 
 def regime(
@@ -21,6 +30,10 @@ def regime(
     threads: Threads = None,
     paths: Annotated[int | None, typer.Option(help="Paths of the simulation.")] = None,
     time: Annotated[float | None, typer.Option(help="Sampled time a path.")] = None,
+    cluster: Cluster = None,
+    checkpoint: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for finished points, if not --out.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Map the distance of each theory to the full system over one or two parameters."""
@@ -31,17 +44,23 @@ def regime(
     from cases.regime_map.grid import parse_axes
 
     axes = parse_axes(vary, loaded.system)
-    if out is not None:
-        make_folder(out)
+    for folder in (out, checkpoint):
+        if folder is not None:
+            make_folder(folder)
+    check_cluster(cluster)
     from cases.regime_map.build import build_map
     from cases.regime_map.output import map_markdown, map_summary, write_map
     from cases.routes import Request, Sampling, method_for
     from cases.terminal import progress_bar
 
-    sampling = Sampling(seed, threads, paths, time)
+    sampling = Sampling(seed, threads, paths, time, cluster=cluster)
     method_for(Request("montecarlo", sampling=sampling))  # refuses what it cannot use
     with progress_bar() as progress:
-        found = build_map(loaded, axes, sampling=sampling, folder=out, progress=progress)
+        found = build_map(
+            loaded, axes, sampling=sampling, folder=checkpoint or out, progress=progress
+        )
+    if found.note is not None:
+        typer.echo(f"fpk: note: {found.note}", err=True)
     written = [] if out is None else write_map(found, out)
     if as_json:
         print_json(found.record())

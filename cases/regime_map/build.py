@@ -1,7 +1,8 @@
 """The whole map: every grid point once, finished ones taken from disk."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -15,11 +16,15 @@ from cases.scene import Scene
 from cases.summary import plain
 from fpk.method import Progress, silent
 from fpk.observable import Observable, observable_name
+from sim.cluster import as_finished, connected
 
 
 @dataclass(frozen=True)
 class RegimeMap:
-    """The points of a grid in its order, the last axis fastest; ``reused`` came from disk."""
+    """The points of a grid in its order, the last axis fastest; ``reused`` came from disk.
+
+    ``note`` says what was dropped of the file on disk, None where nothing was.
+    """
 
     scene: Scene
     observable: Observable
@@ -27,6 +32,7 @@ class RegimeMap:
     points: tuple[MapPoint, ...]
     reused: int
     seconds: float
+    note: str | None = None
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -71,22 +77,28 @@ def build_map(
     observable = first_displacement(scene)
     if sampling.time is None:
         sampling = replace(sampling, relaxations=sampling.relaxations or MAP_RELAXATIONS)
-    # The answer of the simulation does not depend on the number of threads.
+    # The answer of the simulation does not depend on where and how it is run.
+    counted = asdict(replace(sampling, threads=None))
+    for key in ("cluster", "checkpoint", "partial"):
+        del counted[key]
     identity = {
         "scene": scene.text,
         "observable": observable_name(observable),
         "keys": [axis.key for axis in axes],
-        "sampling": asdict(replace(sampling, threads=None)),
+        "sampling": counted,
         "version": program_version(),
     }
     store = PointStore(folder, identity)
     wanted = list(grid_points(axes))
     missing = [values for values in wanted if values not in store.points]
-    for done, values in enumerate(missing):
+    todo = [
+        partial(map_point, system_at(scene.system, axes, values), observable, values)
+        for values in missing
+    ]
+    progress(0, len(missing), "points of the map")
+    for done, point in enumerate(_found(todo, sampling), start=1):
+        store.add(point)
         progress(done, len(missing), "points of the map")
-        system = system_at(scene.system, axes, values)
-        store.add(map_point(system, observable, values, sampling=sampling))
-    progress(len(missing), len(missing), "points of the map")
     return RegimeMap(
         scene=scene,
         observable=observable,
@@ -94,7 +106,18 @@ def build_map(
         points=tuple(store.points[values] for values in wanted),
         reused=len(wanted) - len(missing),
         seconds=perf_counter() - start,
+        note=store.note,
     )
+
+
+def _found(todo: Sequence[Callable[..., MapPoint]], sampling: Sampling) -> Iterator[MapPoint]:
+    """Yield the points as they are finished: one after the other, or each a task of a cluster."""
+    if sampling.cluster is None:
+        yield from (point(sampling=sampling) for point in todo)
+        return
+    alone = replace(sampling, cluster=None, threads=1)
+    with connected(sampling.cluster) as client:
+        yield from as_finished(client, [partial(point, sampling=alone) for point in todo])
 
 
 def first_displacement(scene: Scene) -> Observable:
