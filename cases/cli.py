@@ -11,11 +11,16 @@ import typer
 from cases.command_converge import converge
 from cases.command_export import export
 from cases.command_parts import (
+    Checkpoint,
+    Cluster,
     Json,
     SceneName,
+    Seconds,
     Seed,
+    StepPair,
     Threads,
     Tol,
+    check_cluster,
     check_tol,
     end_with,
     outcome_of,
@@ -80,6 +85,10 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Folder for report, netCDF, pictures.")] = None,
     seed: Seed = None,
     threads: Threads = None,
+    seconds: Seconds = None,
+    step_pair: StepPair = False,
+    cluster: Cluster = None,
+    checkpoint: Checkpoint = None,
     as_json: Json = False,
 ) -> None:
     """Run every applicable route of a scene, compare them, and write a report."""
@@ -90,12 +99,19 @@ def run(
     check_tol(tol)
     if out is not None:
         make_folder(out)
+    from cases.checkpoints import checkpoint_folder
     from cases.report import write_report
     from cases.routes import Sampling, all_methods
     from cases.summary import run_record
     from cases.tables import run_text
 
-    outcome = outcome_of(loaded, all_methods(tol=tol, sampling=Sampling(seed, threads)))
+    check_cluster(cluster)
+    folder = checkpoint_folder(checkpoint, loaded, {"seed": seed})
+    sampling = Sampling(
+        seed, threads, seconds=seconds, step_pair=step_pair or None,
+        cluster=cluster, checkpoint=folder, partial=True,
+    )  # fmt: skip
+    outcome = outcome_of(loaded, all_methods(tol=tol, sampling=sampling))
     written = [] if out is None else write_report(outcome, out)
     if as_json:
         print_json(run_record(outcome))
@@ -123,6 +139,10 @@ def density(
     tol: Tol = None,
     seed: Seed = None,
     threads: Threads = None,
+    seconds: Seconds = None,
+    step_pair: StepPair = False,
+    cluster: Cluster = None,
+    checkpoint: Checkpoint = None,
     as_json: Json = False,
 ) -> None:
     """Give one density at the points asked for."""
@@ -139,12 +159,19 @@ def density(
     except InvalidInput as error:
         raise BadInput(f'--of "{of}": {error.remedy}') from None
     points = parse_points(at, len(observable))
+    from cases.checkpoints import checkpoint_folder
     from cases.routes import Request, Sampling, method_for
     from cases.summary import density_record
     from cases.tables import density_text
     from cases.terminal import progress_bar
 
-    route = method_for(Request(method, solver, tol, Sampling(seed, threads)))
+    check_cluster(cluster)
+    folder = checkpoint_folder(checkpoint, loaded, {"seed": seed, "tol": tol, "observable": of})
+    sampling = Sampling(
+        seed, threads, seconds=seconds, step_pair=step_pair or None,
+        cluster=cluster, checkpoint=folder, partial=True,
+    )  # fmt: skip
+    route = method_for(Request(method, solver, tol, sampling))
     reason = route.refusal(loaded.system, observable)
     if reason is not None:
         raise BadInput(f"{loaded.name}: {method} does not apply: {reason}")
@@ -200,11 +227,11 @@ def _usage(error: Any) -> None:
 def _status(error: Exception) -> int | None:
     """Return the exit status of an error made for users, None for a fault of the program."""
     from cases.errors import BadInput
-    from fpk.errors import InvalidInput, NotApplicable, NotCertified
+    from fpk.errors import InvalidInput, NotApplicable, NotCertified, Unavailable
 
     if isinstance(error, NotCertified):
         return 1
-    return 2 if isinstance(error, (BadInput, InvalidInput, NotApplicable)) else None
+    return 2 if isinstance(error, (BadInput, InvalidInput, NotApplicable, Unavailable)) else None
 
 
 def _fail(message: str, status: int) -> None:

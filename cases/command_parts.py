@@ -1,6 +1,7 @@
 """What the commands of ``fpk`` share: options, ends, JSON; nothing heavy is imported here."""
 
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -15,7 +16,22 @@ SceneName = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
 Tol = Annotated[float | None, typer.Option(help="L1 error wanted; a solver adapts to meet it.")]
 Seed = Annotated[int | None, typer.Option(min=0, max=2**64 - 1, help="Seed of the simulation.")]
+Seconds = Annotated[
+    float | None, typer.Option(help="Seconds of wall time after which the simulation stops.")
+]
+StepPair = Annotated[
+    bool, typer.Option("--step-pair", help="Simulate at half the step, too: measures its bias.")
+]
 Threads = Annotated[int | None, typer.Option(min=1, help="Threads of the simulation.")]
+
+Cluster = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="Simulate on the Dask cluster there: tcp://HOST:PORT."),
+]
+Checkpoint = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Keep the simulation's state there and go on from it."),
+]
 
 
 def end_with(problems: Any) -> None:
@@ -33,6 +49,15 @@ def outcome_of(scene: "Scene", methods: Any) -> "Outcome":
 
     with progress_bar() as progress:
         return run_scene(scene, methods, progress=progress)
+
+
+def check_cluster(address: str | None) -> None:
+    """Refuse a cluster that does not answer before anything else is done."""
+    if address is not None:
+        from sim.cluster import connected
+
+        with connected(address):
+            pass
 
 
 def check_tol(tol: float | None) -> None:

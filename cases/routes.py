@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any
 
 from averaging.exact import Exact
@@ -54,7 +55,9 @@ class Sampling:
     """What may be said of the simulation; None leaves it to the method.
 
     ``paths`` trajectories are sampled for ``time`` each, or for so many ``relaxations`` (times in
-    which the system forgets): whatever the unit of time.
+    which the system forgets): whatever the unit of time. ``seconds`` of wall time end it instead,
+    and ``step_pair`` measures the bias of the step. ``cluster`` is the address of a Dask
+    scheduler, ``checkpoint`` a folder, ``partial`` whether Ctrl-C leaves what there is by then.
     """
 
     seed: int | None = None
@@ -62,6 +65,11 @@ class Sampling:
     paths: int | None = None
     time: float | None = None
     relaxations: float | None = None
+    seconds: float | None = None
+    step_pair: bool | None = None
+    cluster: str | None = None
+    checkpoint: Path | None = None
+    partial: bool = False
 
     def given_to(self, method: Any) -> dict[str, Any]:
         """Return the settings that were given and that ``method`` has."""

@@ -21,6 +21,7 @@ from fpk.method import Method, Progress, Result, silent
 from fpk.observable import Observable, observable_name, parse_observable
 from fpk.plane.boundary import classify_edges
 from fpk.system import System
+from sim.simulation import PARTIAL
 
 MODES_TOLD = 4
 """Modes whose boundaries are told; with constant damping all are alike."""
@@ -89,11 +90,18 @@ class Outcome:
 
 
 def run_scene(scene: Scene, methods: Sequence[Method], *, progress: Progress = silent) -> Outcome:
-    """Return what ``methods`` find for every curve of ``scene``."""
+    """Return what ``methods`` find for every curve of ``scene``.
+
+    Once a simulation was interrupted, the curves that follow are not run.
+    """
     start = perf_counter()
-    curves = tuple(_run_curve(scene, curve, methods, progress=progress) for curve in scene.curves)
+    curves: list[CurveOutcome] = []
+    for curve in scene.curves:
+        stopped = any(PARTIAL in r.settings for c in curves for r in c.results)
+        wanted = () if stopped else methods
+        curves.append(_run_curve(scene, curve, wanted, progress=progress))
     found = findings(scene.expect, curves)
-    return Outcome(scene, curves, perf_counter() - start, found)
+    return Outcome(scene, tuple(curves), perf_counter() - start, found)
 
 
 def boundaries_of(system: System) -> tuple[Boundary, ...]:
@@ -168,4 +176,6 @@ def _problems(curve: CurveOutcome) -> list[str]:
         for failure in d.certificate.failures
     ]
     found += [f"{where}{r.route} failed: {r.reason}" for r in curve.refusals if r.failed]
+    if not (curve.results or curve.refusals):
+        found.append(f"{where}not run: the program was interrupted")
     return found

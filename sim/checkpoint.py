@@ -5,7 +5,7 @@ import json
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.errors import Unavailable, reason_of
+from fpk.observable import Observable
+from sim.histogram import Histogram
 from sim.kernel import source_stamp
 
 FORMAT = "vibro-fpk checkpoint 1"
@@ -130,6 +132,23 @@ def _plain(value: Any) -> Any:
     return value if isinstance(value, (str, int, float, bool, type(None))) else repr(value)
 
 
+def edges_of(histograms: Sequence[Histogram]) -> dict[str, NDArray[Any]]:
+    """Return the edges of histograms as arrays with names."""
+    return {
+        f"edges_{m}_{axis}": edges
+        for m, histogram in enumerate(histograms)
+        for axis, edges in enumerate(histogram.edges)
+    }
+
+
+def histograms_of(saved: Arrays, observables: Sequence[Observable]) -> tuple[Histogram, ...]:
+    """Return the histograms of ``observables`` whose ``edges_of`` were saved."""
+    return tuple(
+        Histogram(o, tuple(saved[f"edges_{m}_{axis}"] for axis in range(len(o))))
+        for m, o in enumerate(observables)
+    )
+
+
 @dataclass(eq=False)
 class Keeper:
     """Advances an ensemble in pieces of about ``EVERY`` seconds; after each the state is kept.
@@ -141,6 +160,7 @@ class Keeper:
     checkpoint: Checkpoint | None = None
     stopped: Callable[[], bool] | None = None
     notes: dict[str, NDArray[Any]] = field(default_factory=dict)
+    interrupted: bool = False
     _piece: int = FIRST_PIECE
     _saved: float = field(default_factory=perf_counter)
 
@@ -171,6 +191,7 @@ class Keeper:
             if stopped or now - self._saved >= EVERY:
                 self.save(ensemble)
             if stopped:
+                self.interrupted = True
                 return True
         return False
 

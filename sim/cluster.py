@@ -96,6 +96,13 @@ def gathered(client: Any, futures: Sequence[Any]) -> list[Any]:
         raise NotCertified(f"the cluster was lost on the way: {words[:200]}") from None
 
 
+def as_finished(client: Any, tasks: Sequence[Callable[[], Any]]) -> Iterator[Any]:
+    """Yield what pure tasks without arguments return, in the order in which they are finished."""
+    futures = [client.submit(task, pure=False) for task in tasks]
+    for future in package("distributed").as_completed(futures, loop=client.loop):
+        yield gathered(client, [future])[0]
+
+
 @contextmanager
 def ensembles(address: str | None) -> Iterator[Callable[..., Any]]:
     """Yield what makes ensembles: ``Ensemble`` here, or on the cluster at ``address``."""

@@ -3,7 +3,9 @@
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf, isfinite
+from pathlib import Path
 from time import perf_counter
 
 import numpy as np
@@ -13,10 +15,12 @@ from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import Progress, Result, require_applicable, silent
 from fpk.observable import Observable
 from fpk.system import System
+from sim.cluster import ensembles
 from sim.random import LANES, MAX_TRAJECTORIES
 from sim.relaxation import relaxation_time, undamped_mode
 from sim.scheme import SCHEMES
-from sim.simulation import simulate
+from sim.simulation import PARTIAL, simulate
+from sim.step_pair import mean_settings, step_bias
 from sim.step_size import check_step, chosen_step
 
 LEAST_PATHS = 32 * LANES
@@ -27,6 +31,9 @@ RELAXATIONS = 153.2
 
 MOST_STEPS = 400_000
 """Steps at most where no time is given: of weakly damped systems fewer relaxation times fit in."""
+
+OTHER_SEED = 0x9E3779B97F4A7C15
+"""What is added to the seed for the second simulation of a pair: 2**64 over the golden ratio."""
 
 THREADS_PER_CORE = 4
 """Threads at most, in units of the cores that there are."""
@@ -41,9 +48,14 @@ class MonteCarlo:
     ``most_steps`` steps (rounded up to whole chunks); ``settings`` then has ``limited_by``.
     ``dt`` None: ``step_factor`` times the step chosen from the stiffest contact that is reached
     and the rates of the damping terms. ``tol``: go on until the expected L1 error of the first
-    observable is below it, at most ``longest`` seconds.
+    observable is below it, at most ``longest`` seconds. ``seconds``: go on for so many seconds
+    of wall time instead; with ``tol`` it takes the place of ``longest``.
+    ``step_pair``: run a second simulation at dt/2, its seed another, on the same bins; settings
+    then have the differences as "step bias" of each density and mean, apart from sampling errors.
     ``moments``: evaluate the moment identities, too. ``threads`` None: all that there are; the
-    answer does not depend on it.
+    answer does not depend on it. ``cluster``: the address of a Dask scheduler whose workers do it,
+    with bitwise the same answer. ``checkpoint``: a folder where the state is kept at intervals and
+    found again. ``partial``: Ctrl-C ends the sampling with what there is, not certified.
 
     Raises ``InvalidInput`` naming the field that cannot be used.
     """
@@ -61,6 +73,11 @@ class MonteCarlo:
     step_factor: float = 1.0
     relaxations: float = RELAXATIONS
     most_steps: int = MOST_STEPS
+    seconds: float | None = None
+    step_pair: bool = False
+    cluster: str | None = None
+    checkpoint: Path | None = None
+    partial: bool = False
 
     def __post_init__(self) -> None:
         """Check every field."""
@@ -75,7 +92,17 @@ class MonteCarlo:
             raise InvalidInput("threads", self.threads, f"use 1 to {most}")
         if self.most_steps < 1:
             raise InvalidInput("most_steps", self.most_steps, "use 1 or more")
-        for key in ("time", "dt", "tol", "longest", "burn_in", "step_factor", "relaxations"):
+        positive = (
+            "time",
+            "dt",
+            "tol",
+            "longest",
+            "burn_in",
+            "step_factor",
+            "relaxations",
+            "seconds",
+        )
+        for key in positive:
             value = getattr(self, key)
             if value is not None and not (isfinite(value) and value > 0):
                 raise InvalidInput(key, value, "must be a finite number > 0")
@@ -118,33 +145,46 @@ class MonteCarlo:
         relaxation = relaxation_time(system)
         wanted = self.relaxations * relaxation if self.time is None else self.time
         time = min(wanted, self.most_steps * dt) if self.time is None else wanted
-        run = simulate(
+        simulated = partial(
+            simulate,
             system,
             observables,
             scheme=scheme,
-            dt=dt,
             paths=self.paths,
-            time=time,
-            seed=self.seed,
             threads=self.threads or len(os.sched_getaffinity(0)),
             burn_in=self.burn_in,
             moments=self.moments,
-            tol=self.tol if observables else None,
-            longest=self.longest,
+            folder=self.checkpoint,
+            partial=self.partial,
             progress=progress,
         )
+        with ensembles(self.cluster) as make:
+            run = simulated(
+                make=make,
+                dt=dt,
+                time=time,
+                seed=self.seed,
+                tol=self.tol if observables else None,
+                longest=self.longest,
+                seconds=self.seconds,
+            )
         settings = dict(run.settings)
         settings["relaxation_time"] = relaxation
         if time < wanted:
             settings["limited_by"] = "most_steps"
-        if run.moments is not None:
-            for i in range(system.n):
-                for name, mean in (
-                    (f"q{i + 1}", run.moments.displacement_square(i)),
-                    (f"v{i + 1}", run.moments.velocity_square(i)),
-                ):
-                    settings[f"E {name}²"] = mean.value
-                    settings[f"standard error of E {name}²"] = mean.error
+        if run.paths is not None:
+            settings |= mean_settings(run.paths)
+        settings["step bias"] = "not measured"
+        if self.step_pair and not run.lost and PARTIAL not in run.settings:
+            with ensembles(self.cluster) as make:
+                half = simulated(
+                    make=make,
+                    dt=0.5 * dt,
+                    time=float(run.settings["time"]),
+                    seed=(self.seed + OTHER_SEED) % 2**64,
+                    histograms=run.histograms,
+                )
+            settings |= step_bias(run, half)
         return Result(
             method=self,
             densities=run.densities,
@@ -165,5 +205,6 @@ class MonteCarlo:
             most_steps=5 * self.most_steps,  # 4 times the time, in steps 2**(−1/4) as long
             tol=None if self.tol is None else 0.5 * self.tol,
             longest=4.0 * self.longest,
+            seconds=None if self.seconds is None else 4.0 * self.seconds,
             step_factor=self.step_factor * 2.0**-0.25,
         )

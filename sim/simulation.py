@@ -1,26 +1,34 @@
 """One simulation: burn-in, pilot, sampling in chunks until the sample is large enough."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, inf
+from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
 from fpk.density import Certificate, SampledDensity
 from fpk.effects import effects_of
 from fpk.method import Progress, silent
-from fpk.observable import Observable
+from fpk.observable import Observable, observable_name
 from fpk.system import System
+from sim.checkpoint import Keeper, checkpoint_of, edges_of, heard_interrupt, histograms_of
+from sim.control import PathMeans, path_means
+from sim.diagnostics import diagnosis
 from sim.ensemble import Ensemble
-from sim.histogram import Histogram, ranged, sampled_density, starts
+from sim.histogram import Histogram, mirrored, ranged, sampled_density, starts
+from sim.record import Record
 from sim.relaxation import relaxation_time
+from sim.sampling import Stop, sample
 from sim.scheme import Scheme
-from sim.statistics import Moments, l1_error, moment_products
+from sim.statistics import Moments, l1_error, moment_products, told
 from sim.step_size import sampling_interval, temperature
 
-CHUNKS = 20
-"""Calls into which the sampled time is divided: progress is told and losses are seen between."""
+PARTIAL = "partial"
+"""Setting of a simulation that Ctrl-C ended: when."""
 
 SNAPSHOTS = 16
 """States of the whole ensemble from which the pilot finds the ranges of the histograms."""
@@ -38,10 +46,15 @@ leave beyond chance; a long run sees less than this, and ``residual`` then shows
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """What one run found; ``lost`` trajectories left the finite range."""
+    """What one run found; ``lost`` trajectories left the finite range.
+
+    ``paths`` are the means of the products on each trajectory, None without moments.
+    """
 
     densities: tuple[SampledDensity, ...]
+    histograms: tuple[Histogram, ...]
     moments: Moments | None
+    paths: PathMeans | None
     lost: int
     settings: dict[str, str | float | int]
 
@@ -60,88 +73,104 @@ def simulate(
     moments: bool = True,
     tol: float | None = None,
     longest: float = 60.0,
+    seconds: float | None = None,
+    histograms: Sequence[Histogram] | None = None,
+    make: Callable[..., Any] = Ensemble,
+    folder: Path | None = None,
+    partial: bool = False,
     progress: Progress = silent,
 ) -> Simulation:
     """Sample the stationary state of Eq. (6) for ``time`` on each of ``paths`` trajectories.
 
     ``burn_in`` counts relaxation times (``sim.relaxation``). With ``tol`` the sampling goes on
     in chunks until the expected L1 error of the first observable is below it, at most for
-    ``longest`` seconds of wall time. Samples are about an eighth of the shortest natural
-    period apart: closer ones are nearly equal and cost a histogram entry each.
+    ``longest`` seconds of wall time; with ``seconds`` until that wall time has passed. Samples are
+    about an eighth of the shortest natural period apart: closer ones are nearly equal and cost a
+    histogram entry each. ``histograms`` None: bins that cover what a pilot reaches.
+
+    ``make`` makes the ensemble, here or on a cluster. In ``folder`` the state is kept at intervals,
+    and a simulation of the same settings goes on from there. With ``partial`` Ctrl-C ends the
+    sampling, and what there is by then is the result, not certified.
+
+    Where the system has the mirror symmetry, densities are those of the samples and of their
+    mirror images.
     """
     begin = perf_counter()
-    ensemble = Ensemble(system, scheme, dt, paths, seed, threads)
+    ensemble = make(system, scheme, dt, paths, seed, threads)
     stride = max(1, round(sampling_interval(system) / dt))
     burnt = ceil(burn_in * relaxation_time(system) / dt)
-    ensemble.advance(burnt)
-    q, p = [], []
-    for _ in range(SNAPSHOTS):
-        ensemble.advance(8 * stride)
-        q.append(ensemble.phase_points()[0])
-        p.append(ensemble.phase_points()[1])
     effects = effects_of(system)
-    with np.errstate(over="ignore", invalid="ignore"):
-        histograms = ranged(
-            system, observables, np.concatenate(q), np.concatenate(p), mirror=effects.mirror
-        )
+    asked = (burn_in, time, moments, tol, seconds is None, [h.edges for h in histograms or ()])
+    identity = (system, scheme.name, dt, paths, seed, list(map(observable_name, observables)))
+    keeper = Keeper(None if folder is None else checkpoint_of(folder, (*identity, *asked)))
+    kept = keeper.load()
+    sampling = "loop" in kept
+    if sampling:
+        histograms = histograms_of(kept, observables)
+    else:
+        if kept:
+            ensemble.restore(kept)
+        keeper.advance(ensemble, burnt - ensemble.done)
+    if histograms is None:
+        q, p = [], []
+        for _ in range(SNAPSHOTS):
+            ensemble.advance(8 * stride)
+            q.append(ensemble.phase_points()[0])
+            p.append(ensemble.phase_points()[1])
+        with np.errstate(over="ignore", invalid="ignore"):
+            histograms = ranged(
+                system, observables, np.concatenate(q), np.concatenate(p), mirror=effects.mirror
+            )
     products = moment_products(system.n, terms=effects.state_damping) if moments else ()
     ensemble.watch(histograms, products)
-    chunk = stride * max(1, ceil(time / (dt * stride * CHUNKS)))
-    stepping, chunks, failures = 0.0, 0, []
-    while chunks < CHUNKS or tol is not None:
-        start = perf_counter()
-        ensemble.advance(chunk, stride=stride)
-        stepping += perf_counter() - start
-        chunks += 1
-        progress(min(chunks, CHUNKS), CHUNKS, "simulation")
-        if lost := ensemble.lost():
-            failures.append(
-                f"{lost} of {paths} trajectories left the finite range; use a smaller dt than {dt}"
-            )
-            break
-        if tol is not None and (found := _first_error(ensemble, histograms)) <= tol:
-            break
-        if tol is not None and perf_counter() - begin > longest:
-            failures.append(
-                f"the sampling error {found:.3g} of {longest:g} s is above tol = {tol:g}"
-            )
-            break
+    record = Record(histograms, products, system.mass, effects.mirror)
+    limit = seconds if seconds is not None else longest if tol is not None else inf
+    if sampling:
+        ensemble.restore(kept)
+        record.restore(kept)
+        keeper.notes = {name: kept[name] for name in ("loop", "measured")}
+        begin -= float(kept["measured"][-1])
+    keeper.notes |= edges_of(histograms)
+    stop = Stop(time, tol, limit, begin)
+    with heard_interrupt() if partial else nullcontext() as keeper.stopped:
+        stepping, failures = sample(
+            ensemble, record, stop, stride=stride, keeper=keeper, progress=progress
+        )
+    keeper.save(ensemble)
+    steps = ensemble.samples * stride
     settings: dict[str, str | float | int] = {
         "scheme": scheme.name,
         "dt": dt,
         "paths": paths,
-        "steps": chunks * chunk,
-        "time": chunks * chunk * dt,
+        "steps": steps,
+        "time": steps * dt,
         "burn_in": burnt * dt,
         "stride": stride,
         "batches": ensemble.edges.size - 1,
         "seed": seed,
-        "threads": threads,
+        "threads": ensemble.threads,
         "kT": temperature(system),
-        "ns_per_particle_step": 1e9 * stepping * threads / (paths * chunks * chunk),
+        "ns_per_particle_step": 1e9 * stepping * ensemble.threads / (paths * steps),
     }
-    return _judged(system, ensemble, histograms, failures, moments=moments, settings=settings)
-
-
-def _first_error(ensemble: Ensemble, histograms: Sequence[Histogram]) -> float:
-    certificate = Certificate(0.0, 0.0, 0.0, 0.0)
-    counts = ensemble.counts[:, : histograms[0].size + 1]
-    return l1_error(sampled_density(histograms[0], counts, certificate, {}))
+    if keeper.interrupted:
+        settings[PARTIAL] = failures[0]
+    return _judged(system, ensemble, record, failures, settings=settings)
 
 
 def _judged(
     system: System,
     ensemble: Ensemble,
-    histograms: Sequence[Histogram],
+    record: Record,
     failures: list[str],
     *,
-    moments: bool,
     settings: dict[str, str | float | int],
 ) -> Simulation:
+    """Certify what was sampled; where trajectories were lost there is nothing to diagnose."""
     lost = ensemble.lost()
-    found = Moments(system, ensemble.batch_means()) if moments else None
-    worst = 0.0
+    found = Moments(system, ensemble.batch_means()) if record.products else None
+    paths, worst = None, 0.0
     if found is not None and not lost:
+        paths = path_means(system, ensemble.sums, ensemble.live, ensemble.samples)
         for identity in found.identities():
             worst = max(worst, abs(identity.z))
             allowed = STEP_BIAS * (identity.expected or temperature(system))
@@ -149,9 +178,22 @@ def _judged(
                 failures.append(
                     f"{identity.name} is off by {identity.z:.1f} standard errors; use a smaller dt"
                 )
-    densities, first = [], starts(histograms)
-    for m, histogram in enumerate(histograms):
-        counts = ensemble.counts[:, first[m] : first[m + 1]]
+    interval = float(settings["dt"]) * int(settings["stride"])
+    effective = () if lost or PARTIAL in settings else record.effective(ensemble, interval)
+    if effective:
+        diagnosed = diagnosis(
+            effective,
+            record.names,
+            record.means(),
+            time=ensemble.samples * interval,
+            paths=ensemble.paths,
+            burn_in=float(settings["burn_in"]),
+        )
+        failures += diagnosed.failures
+        settings |= diagnosed.settings()
+    densities, first = [], starts(record.histograms)
+    for m, histogram in enumerate(record.histograms):
+        counts = ensemble.counted(first[m], first[m + 1])
         total = counts.sum(axis=0)
         tail = float(total[-1]) / max(1, int(total.sum()))
         words = list(failures)
@@ -164,5 +206,8 @@ def _judged(
             tail_mass=tail,
             failures=tuple(words),
         )
+        if record.mirror:
+            counts = mirrored(histogram, counts)
         densities.append(sampled_density(histogram, counts, certificate, settings))
-    return Simulation(tuple(densities), found, lost, settings)
+        settings[f"sampling error of {densities[-1].name}"] = l1_error(told(densities[-1]))
+    return Simulation(tuple(densities), tuple(record.histograms), found, paths, lost, settings)

@@ -1,0 +1,243 @@
+"""A simulation that was killed goes on bitwise; damaged and foreign files are refused."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from sim_systems import fig6
+
+import sim.checkpoint
+from fpk.errors import Unavailable
+from fpk.observable import parse_observable
+from sim.checkpoint import Checkpoint, Keeper, checkpoint_of, heard_interrupt
+from sim.ensemble import Ensemble
+from sim.montecarlo import MonteCarlo
+from sim.random import LANES
+from sim.scheme import SCHEMES
+
+METHOD = MonteCarlo(paths=4096, time=5000.0, dt=0.2, seed=17, threads=1)
+OBSERVABLES = [parse_observable(name, 2) for name in ("q2", "H", "q2,p2")]
+
+IN_PIECES = """
+import sys
+from pathlib import Path
+import numpy as np
+import sim.checkpoint
+from dataclasses import replace
+from test_sim_checkpoint import METHOD, OBSERVABLES, arrays_of
+from sim_systems import fig6
+sim.checkpoint.EVERY = float(sys.argv[3])
+method = replace(METHOD, checkpoint=Path(sys.argv[1]))
+print("begun", flush=True)
+np.savez(sys.argv[2], **arrays_of(method.solve(fig6(), OBSERVABLES)))
+"""
+
+
+def arrays_of(result: Any) -> dict[str, Any]:
+    """Everything that is found: densities of every batch, edges, means and what is said of them."""
+    found = {}
+    for k, density in enumerate(result.densities):
+        found |= {f"values{k}": density.values, f"batches{k}": density.batch_values}
+        found |= {f"edges{k}.{axis}": edges for axis, edges in enumerate(density.edges)}
+        found[f"failures{k}"] = np.array(density.certificate.failures, dtype=str)
+    clocks = {"ns_per_particle_step", "threads"}
+    numbers = [v for k, v in result.settings.items() if k not in clocks and not isinstance(v, str)]
+    return {**found, "numbers": np.array(numbers, dtype=float)}
+
+
+def same(a: Any, b: Any) -> None:
+    assert set(a) == set(b) and len(a) > 5
+    for name in a:
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+
+
+def in_pieces(folder: Path, out: Path, every: float) -> "subprocess.Popen[str]":
+    """A process that has imported all and begins to simulate."""
+    tests = Path(__file__).parent
+    environment = {**os.environ, "PYTHONPATH": f"{tests.parents[1]}{os.pathsep}{tests}"}
+    process = subprocess.Popen(
+        [sys.executable, "-c", IN_PIECES, str(folder), str(out), str(every)],
+        env=environment, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdout is not None and process.stdout.readline() == "begun\n"
+    return process
+
+
+def wait_for_another(folder: Path, process: "subprocess.Popen[str]") -> None:
+    """Wait until the process has replaced the checkpoint, or has ended."""
+
+    def written() -> list[int]:
+        return [path.stat().st_mtime_ns for path in folder.glob("*.checkpoint")]
+
+    before = written()
+    while process.poll() is None and written() == before:
+        time.sleep(0.005)
+
+
+def check_killed(kills: int, folder: Path) -> None:
+    """Kill a simulation so many times, at random moments; the answer is that of one never killed.
+
+    Two in three live until they have kept a state, or there would be no end under load.
+    """
+    expected = arrays_of(METHOD.solve(fig6(), OBSERVABLES))
+    draw, killed, out = random.Random(20261121), 0, folder / "found.npz"
+    for number in range(kills):
+        process = in_pieces(folder, out, 0.05)
+        if number % 3:
+            wait_for_another(folder, process)
+        time.sleep(draw.uniform(0.0, 0.3))
+        process.kill()
+        process.communicate()
+        killed += process.returncode == -signal.SIGKILL
+    assert killed >= 2 and any(folder.glob("*.checkpoint")) and not out.exists()
+    process = in_pieces(folder, out, 0.05)
+    process.communicate()
+    assert process.returncode == 0
+    with np.load(out) as answer:
+        same(answer, expected)
+    # Once more from its last state: nothing is left to do, and the answer stays.
+    same(arrays_of(replace(METHOD, checkpoint=folder).solve(fig6(), OBSERVABLES)), expected)
+
+
+def test_killed_three_times_the_answer_is_bitwise_the_same(tmp_path: Path) -> None:
+    check_killed(3, tmp_path)
+
+
+@pytest.mark.slow
+def test_killed_twenty_times_the_answer_is_bitwise_the_same(tmp_path: Path) -> None:
+    check_killed(20, tmp_path)
+
+
+def stopped_after(pieces: int) -> Callable[[], bool]:
+    """What says after so many pieces that it is time to stop."""
+    left = [pieces]
+
+    def stopped() -> bool:
+        left[0] -= 1
+        return left[0] < 0
+
+    return stopped
+
+
+def test_the_state_goes_to_disk_and_comes_back(tmp_path: Path) -> None:
+    ensembles = [Ensemble(fig6(), SCHEMES["exact_flow"], 0.2, 3 * LANES, 1, 1) for _ in range(2)]
+    checkpoint = Checkpoint(tmp_path / "state.checkpoint", "one")
+    assert checkpoint.load() is None
+    keeper = Keeper(checkpoint, stopped_after(0), {"note": np.array([2.5, np.inf])})
+    assert keeper.advance(ensembles[0], 10**6) and keeper.interrupted
+    found = keeper.load()
+    ensembles[1].restore(found)
+    assert ensembles[1].done == ensembles[0].done == sim.checkpoint.FIRST_PIECE
+    np.testing.assert_array_equal(ensembles[1].states, ensembles[0].states)
+    np.testing.assert_array_equal(found["note"], [2.5, np.inf])
+    assert [p.name for p in tmp_path.iterdir()] == ["state.checkpoint"]
+
+
+def test_every_damaged_byte_and_every_other_identity_is_refused(tmp_path: Path) -> None:
+    checkpoint = Checkpoint(tmp_path / "state.checkpoint", "one")
+    checkpoint.save({"a": np.arange(5), "b": np.ones((2, 2))})
+    whole = checkpoint.path.read_bytes()
+    for place in range(0, len(whole), 7):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1
+        checkpoint.path.write_bytes(damaged)
+        with pytest.raises(Unavailable, match="damaged"):
+            checkpoint.load()
+    for short in (whole[:-1], whole[:20], b""):
+        checkpoint.path.write_bytes(short)
+        with pytest.raises(Unavailable, match="damaged") as refusal:
+            checkpoint.load()
+        assert "\n" not in str(refusal.value)
+    checkpoint.path.write_bytes(whole)
+    with pytest.raises(Unavailable, match="another simulation"):
+        replace(checkpoint, identity="two").load()
+    assert checkpoint.load() is not None
+
+
+def test_where_nothing_can_be_written_it_is_one_line_and_what_was_there_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checkpoint = Checkpoint(tmp_path / "state.checkpoint", "one")
+    checkpoint.save({"a": np.arange(5)})
+
+    def full(number: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(Unavailable, match="No space left"):
+        checkpoint.save({"a": np.arange(6)})
+    found = checkpoint.load()
+    assert found is not None and found["a"].size == 5
+    with pytest.raises(Unavailable, match="cannot be written"):
+        Checkpoint(tmp_path / "none" / "state.checkpoint", "one").save({})
+
+
+def test_whatever_the_numbers_depend_on_is_in_the_identity(tmp_path: Path) -> None:
+    settings = [fig6(), fig6(clearance=0.5000000000000001), fig6(clearance=0.6)]
+    names = {
+        checkpoint_of(tmp_path, (s, 0.2, 4096, seed)).path for s in settings for seed in (1, 2)
+    }
+    assert len(names) == 6
+    assert checkpoint_of(tmp_path, (fig6(), 0.2, 4096, 1)).path in names
+
+
+def test_control_c_leaves_a_partial_result_that_goes_on_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = arrays_of(METHOD.solve(fig6(), OBSERVABLES))
+    method = replace(METHOD, partial=True, checkpoint=tmp_path)
+    monkeypatch.setattr("sim.checkpoint.EVERY", 0.02)
+    monkeypatch.setattr("sim.simulation.heard_interrupt", lambda: _pressed_after(20))
+    found = method.solve(fig6(), OBSERVABLES)
+    assert found.settings["partial"] in found.densities[0].certificate.failures
+    assert "partial: interrupted after" in str(found.settings["partial"])
+    assert 0 < float(found.settings["time"]) < 5000.0
+    assert np.all(np.isfinite(found.densities[0].values))
+    monkeypatch.undo()
+    same(arrays_of(replace(method, partial=False).solve(fig6(), OBSERVABLES)), expected)
+
+
+class _pressed_after:
+    """A Ctrl-C after so many pieces."""
+
+    def __init__(self, pieces: int) -> None:
+        self.pieces = pieces
+
+    def __enter__(self) -> Callable[[], bool]:
+        return stopped_after(self.pieces)
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+def test_a_second_control_c_interrupts_at_once() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt), heard_interrupt() as pressed:
+        assert not pressed()
+        signal.raise_signal(signal.SIGINT)
+        assert pressed()
+        signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_other_threads_do_not_hear_it() -> None:
+    heard: list[bool] = []
+
+    def listen() -> None:
+        with heard_interrupt() as pressed:
+            heard.append(pressed())
+
+    thread = threading.Thread(target=listen)
+    thread.start()
+    thread.join()
+    assert heard == [False]
