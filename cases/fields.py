@@ -4,10 +4,11 @@ import csv
 import json
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
-from io import StringIO
+from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
 
+import h5netcdf
 import numpy as np
 import xarray as xr
 
@@ -79,8 +80,15 @@ def values_on(density: AnyDensity, *points: Array) -> tuple[Array, Array]:
 
 def write_netcdf(outcome: Outcome, path: Path) -> None:
     """Write the dataset of ``outcome`` as netCDF-4."""
-    data = dataset(outcome)
-    write_by(path, lambda temporary: data.to_netcdf(temporary, engine="h5netcdf"))
+    write_dataset(dataset(outcome), path)
+
+
+def write_dataset(data: xr.Dataset, path: Path) -> None:
+    """Write ``data`` as netCDF-4, made in memory: HDF5 does not survive a disk that fills up."""
+    stream = BytesIO()
+    with h5netcdf.File(stream, "w") as file:
+        data.dump_to_store(xr.backends.H5NetCDFStore(file))
+    write_by(path, lambda temporary: temporary.write_bytes(stream.getvalue()))
 
 
 def csv_text(outcome: Outcome) -> str:

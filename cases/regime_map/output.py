@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from cases.fields import UNITS, program_version
-from cases.files import write_by, write_text
+from cases.fields import UNITS, program_version, write_dataset
+from cases.files import write_text
 from cases.regime_map.build import RegimeMap
 from cases.regime_map.picture import regime_figure
 from cases.regime_map.points import NEITHER, THEORIES, UNDECIDED
@@ -20,8 +20,7 @@ def write_map(found: RegimeMap, folder: Path) -> list[Path]:
     """Write ``regime.svg``, ``regime.nc``, ``regime.csv`` and ``regime.md``; return their paths."""
     paths = [folder / f"regime.{ending}" for ending in ("svg", "nc", "csv", "md")]
     write_text(paths[0], svg_text(regime_figure(found), salt="regime"))
-    data = map_dataset(found)
-    write_by(paths[1], lambda temporary: data.to_netcdf(temporary, engine="h5netcdf"))
+    write_dataset(map_dataset(found), paths[1])
     write_text(paths[2], map_csv(found))
     write_text(paths[3], map_markdown(found))
     return paths
