@@ -26,6 +26,7 @@ def export(
     density); a .pvd collects one .vtu for every density and curve.
     """
     from cases.errors import BadInput
+    from cases.files import make_folder
     from cases.scene import load_scene
     from fpk.errors import InvalidInput
     from fpk.observable import parse_observable
@@ -36,6 +37,7 @@ def export(
         raise BadInput(f"--out {out}: the ending says the format; use {', '.join(ENDINGS)}")
     if not out.parent.is_dir():
         raise BadInput(f"--out {out}: the folder {out.parent} does not exist")
+    make_folder(out.parent)  # one that cannot be written is refused before the work
     if of is not None:
         try:
             loaded = replace(loaded, observables=(parse_observable(of, loaded.system.n),))

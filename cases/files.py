@@ -8,6 +8,8 @@ from tempfile import mkdtemp
 
 from cases.errors import BadInput
 
+REMEDY = "what was there is kept; make room or give another --out"
+
 
 def write_text(path: Path, text: str) -> None:
     """Write ``text`` in UTF-8 to ``path``, replacing what was there in one step."""
@@ -51,8 +53,9 @@ def _readable_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise BadInput(f"{path}: cannot be written: {error.strerror or error}") from None
+        words = error.strerror or error
+        raise BadInput(f"{path}: cannot be written: {words}; {REMEDY}") from None
     except ValueError as error:
         if "null" not in str(error):
             raise
-        raise BadInput(f"{path}: cannot be written: {error}") from None
+        raise BadInput(f"{path}: cannot be written: {error}; {REMEDY}") from None

@@ -47,6 +47,10 @@ def _range(start: Decimal, end: Decimal, step: Decimal, text: str) -> list[float
     """Decimal arithmetic, so that the points are the ones that were written and reach the end."""
     if step == 0 or (end - start) * step < 0:
         raise _wrong(text, f"a step of {step} does not lead from {start} to {end}")
+    if start != end and abs(step) > abs(end - start):
+        raise _wrong(
+            text, f"a step of {step} is longer than from {start} to {end}; a list is start:end:step"
+        )
     if abs(float(end - start)) > MAX_POINTS * abs(float(step)):
         raise _wrong(text, f"asks for more than {MAX_POINTS} points; use larger steps")
     count = int((end - start) / step) + 1
