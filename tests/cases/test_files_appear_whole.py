@@ -1,9 +1,97 @@
-"""A file is under its name whole, or what was there before is."""
+"""A file is under its name whole, or what was there before is: full disks, kills, permissions."""
 
+import os
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
 import pytest
 
 from cases.errors import BadInput
+from cases.fields import csv_text, write_netcdf
 from cases.files import make_folder, write_by, write_text
+from cases.regime_map.build import RegimeMap
+from cases.regime_map.grid import Axis
+from cases.regime_map.output import write_map
+from cases.regime_map.points import MapPoint
+from cases.report import write_report
+from cases.routes import Request, method_for
+from cases.run import run_scene
+from cases.scene import load_scene
+from cases.svg import svg_text
+from cases.vtk import write_pvd, write_vtu
+
+resource = pytest.importorskip("resource", reason="limits of a process are Unix's")
+
+
+@contextmanager
+def disk_of(size):
+    """No file of this process grows beyond ``size`` bytes: like a full disk, errno aside."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.fixture(scope="module")
+def outcome():
+    scene = load_scene("fig6a")
+    few = {"observables": scene.observables[:1], "curves": scene.curves[:1], "expect": None}
+    scene = replace(scene, **few)
+    return run_scene(scene, [method_for(Request("nonintegrable", "closed-form"))])
+
+
+@pytest.fixture(scope="module")
+def regime_map(outcome):
+    values = np.array([0.5, 1.0])
+    points = tuple(
+        MapPoint((v,), {"integrable": 0.1}, {"integrable": 0.01}, "exact", v, "integrable", (), 0.0)
+        for v in values.tolist()
+    )
+    axis = Axis("contact.clearance", values, False)
+    return RegimeMap(outcome.scene, outcome.scene.observables[0], (axis,), points, 0, 0.0)
+
+
+def _svg(folder, outcome):
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    write_text(folder / "a.svg", svg_text(Figure(), salt="a"))
+
+
+WRITERS = {
+    "report": lambda folder, outcome: write_report(outcome, folder),
+    ".svg": _svg,
+    ".nc": lambda folder, outcome: write_netcdf(outcome, folder / "a.nc"),
+    ".csv": lambda folder, outcome: write_text(folder / "a.csv", csv_text(outcome)),
+    ".vtu": lambda folder, outcome: write_vtu(
+        outcome, outcome.scene.observables[0], folder / "a.vtu"
+    ),
+    ".pvd": lambda folder, outcome: write_pvd(outcome, folder / "a.pvd"),
+    "map": lambda folder, found: write_map(found, folder),
+}
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_a_full_disk_is_one_line_and_keeps_what_was_there(kind, outcome, regime_map, tmp_path):
+    write = partial(WRITERS[kind], tmp_path, regime_map if kind == "map" else outcome)
+    write()
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert before and all(before.values())
+    sizes = sorted(map(len, before.values()))
+    for size in (sizes[0] // 2, sizes[-1] - 1):
+        with disk_of(size), pytest.raises(BadInput, match="cannot be written") as refusal:
+            write()
+        assert "\n" not in str(refusal.value) and "make room" in str(refusal.value)
+        after = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+        assert after.keys() == before.keys()
+        for name, content in after.items():  # netCDF and the report hold the time; same length
+            assert content == before[name] or len(content) == len(before[name]) <= size
 
 
 def test_a_failing_write_keeps_what_was_there(tmp_path):
@@ -20,9 +108,66 @@ def test_a_failing_write_keeps_what_was_there(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
 
 
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from cases.files import write_by
+
+def half(temporary):
+    with temporary.open("w") as stream:
+        stream.write("half")
+        stream.flush()
+        os.kill(os.getpid(), signal.SIGKILL)
+
+write_by(Path(sys.argv[1]), half)
+"""
+
+
+@pytest.mark.parametrize("before", ["before", None])
+def test_a_killed_run_leaves_no_half_file_under_its_name(before, tmp_path):
+    path = tmp_path / "result.nc"
+    if before is not None:
+        path.write_text(before)
+    done = subprocess.run([sys.executable, "-c", KILLED, path], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert (path.read_text() if path.exists() else None) == before
+    write_text(path, "after")
+    assert path.read_text() == "after"
+
+
 def test_a_folder_that_cannot_be_made_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file", tmp_path / "file" / "below", tmp_path / "nul\0"):
         with pytest.raises(BadInput) as refusal:
             make_folder(path)
         assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root writes anywhere")
+def test_a_folder_without_permission_is_one_line(fpk, tmp_path):
+    tmp_path.chmod(0o555)
+    _cannot_be_written(fpk, tmp_path)
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="/proc takes no file, root's neither")
+def test_a_folder_that_takes_no_file_is_one_line(fpk):
+    _cannot_be_written(fpk, "/proc")
+
+
+def _cannot_be_written(fpk, folder):
+    for arguments in (
+        ["run", "fig3a", "--out", folder],
+        ["run", "fig3a", "--out", f"{folder}/new"],
+        ["export", "fig3a", "--out", f"{folder}/a.csv"],
+        ["regime", "fig3a", "--vary", "contact.clearance=0.5:2:2", "--out", folder],
+    ):
+        status, out, err = fpk(*arguments)
+        assert (status, out) == (2, "")
+        assert err.count("\n") == 1 and "cannot be written" in err and str(folder) in err
+
+
+def test_a_folder_in_the_place_of_a_file_is_kept(tmp_path):
+    (tmp_path / "a.csv" / "inner").mkdir(parents=True)
+    with pytest.raises(BadInput, match="cannot be written"):
+        write_text(tmp_path / "a.csv", "text")
+    assert [p.name for p in tmp_path.rglob("*")] == ["a.csv", "inner"]

@@ -1,0 +1,116 @@
+"""Text of a scene is text in the report and its pictures: for a parser and for a browser."""
+
+import shutil
+import subprocess
+from dataclasses import replace
+from html.parser import HTMLParser
+from xml.etree import ElementTree
+
+import pytest
+
+from cases.report import report_html, write_report
+from cases.routes import Request, method_for
+from cases.run import run_scene
+from cases.scene import load_scene
+
+PAYLOADS = [
+    "<script>document.title='pwned'</script>",
+    "<img src=x onerror=\"document.title='pwned'\">",
+    "</title></pre></svg></style><svg/onload=document.title='pwned'>",
+    '" onmouseover="document.title=1" x="',
+    "' onclick='document.title=1' {{ 7*7 }} {% raw %} ]]> --> <!-- &lt; &#60;b>",
+]
+
+
+class Structure(HTMLParser):
+    """Tags with their attributes' names, and all text between them."""
+
+    def __init__(self, page):
+        super().__init__(convert_charrefs=True)
+        self.tags, self.texts = [], []
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, *(name for name, _ in attrs)))
+
+    def handle_data(self, data):
+        self.texts.append(data)
+
+
+def _outcome(folder, scene_text, *, words, label):
+    path = folder / f"{words.replace('/', '')[:60]}.toml"
+    quoted = "'''" + words + "'''"
+    text = scene_text.replace('"A scene"', quoted).replace('"tests"', quoted)
+    path.write_text(f"# {words}\n{text}")
+    found = run_scene(load_scene(str(path)), [method_for(Request("nonintegrable", "closed-form"))])
+    curves = tuple(replace(c, label=f"{label} {i}") for i, c in enumerate(2 * found.curves))
+    return replace(found, curves=curves)
+
+
+@pytest.fixture(scope="module")
+def plain(scene_text, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plain")
+    return Structure(report_html(_outcome(folder, scene_text, words="plain", label="B"), []))
+
+
+@pytest.mark.parametrize("words", PAYLOADS)
+def test_a_scene_adds_text_and_no_element(words, plain, scene_text, tmp_path):
+    outcome = _outcome(tmp_path, scene_text, words=words, label=words)
+    page = Structure(report_html(outcome, []))
+    assert page.tags == plain.tags and len(page.tags) > 100
+    assert sum(words in text for text in page.texts) >= 4  # title twice, source, scene file
+    assert not any(name.startswith("on") for tag in page.tags for name in tag[1:])
+    assert ("script",) not in page.tags
+
+
+def test_text_in_pictures_is_drawn_and_no_element(scene_text, tmp_path):
+    for k, words in enumerate((PAYLOADS[0], PAYLOADS[2])):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        outcome = _outcome(folder, scene_text.replace(', "H"]', "]"), words=words, label=words)
+        for path in write_report(outcome, folder):
+            if path.suffix == ".svg":
+                tree = ElementTree.parse(path)
+                tags = {node.tag.rpartition("}")[2] for node in tree.iter()}
+                assert {"svg", "path"} <= tags and not tags & {"script", "img", "title"}
+                assert not any(a.startswith("on") for node in tree.iter() for a in node.attrib)
+        assert "pwned" not in "".join(str(t) for t in Structure(_page(folder)).tags)
+
+
+@pytest.mark.slow
+def test_a_browser_shows_the_text_and_runs_nothing(scene_text, tmp_path):
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("chromium is not installed (Debian package chromium)")
+    words = PAYLOADS[1] + PAYLOADS[0]
+    outcome = _outcome(tmp_path, scene_text.replace(', "H"]', "]"), words=words, label=words)
+    write_report(outcome, tmp_path)
+    shown = Structure(_shown(chromium, tmp_path / "report.html"))
+    assert shown.texts.count("pwned") == 0 and words in shown.texts
+    assert {tag[0] for tag in shown.tags}.isdisjoint({"script", "img"})
+    # The browser does run what is not escaped; the page's policy stops it even then.
+    unescaped = _page(tmp_path).replace("&lt;", "<").replace("&gt;", ">")
+    unescaped = unescaped.replace("&#34;", '"').replace("&#39;", "'")
+    policy = unescaped.partition('<meta http-equiv="Content-Security-Policy"')[2].partition(">")[0]
+    assert "default-src 'none'" in policy
+    for text, title in ((unescaped, False), (unescaped.replace(policy, ""), True)):
+        (tmp_path / "unescaped.html").write_text(text, encoding="utf-8")
+        assert ("pwned" in _title(_shown(chromium, tmp_path / "unescaped.html"))) is title
+
+
+def _page(folder):
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def _title(page):
+    return page.partition("<title>")[2].partition("</title>")[0].replace("'pwned'", "")
+
+
+def _shown(chromium, path):
+    """The page as the browser has it after loading, written as HTML."""
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
+    profile = f"--user-data-dir={path.parent / 'profile'}"
+    command = [chromium, *options, profile, "--dump-dom", path.as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    return done.stdout
