@@ -1,0 +1,146 @@
+"""Control variates and the pair of steps: right, honest, and worth it. Seeds were drawn once."""
+
+from math import exp, sqrt
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.linalg import solve_continuous_lyapunov
+from scipy.stats import chi2
+from sim_systems import exact, fig6, linear, mixed
+
+from fpk.damping import DampingTerm
+from fpk.density import SampledDensity
+from fpk.observable import parse_observable
+from fpk.system import System
+from sim.control import Controls, displacement_square, path_means, velocity_square
+from sim.ensemble import Ensemble
+from sim.flow import linear_diffusion, linear_drift
+from sim.montecarlo import MonteCarlo
+from sim.scheme import SCHEMES
+from sim.statistics import Moments, moment_products
+from sim.step_size import chosen_step
+
+Q2 = [parse_observable("q2", 2)]
+
+
+def exact_square(clearance: float = 0.5) -> float:
+    def weight(q: float) -> float:
+        return exp(-2.0 * (0.25 * q * q + 4.0 * max(abs(q) - clearance, 0.0) ** 2.5))
+
+    norm = quad(weight, 0, 6, points=[clearance])[0]
+    return float(quad(lambda q: q * q * weight(q), 0, 6, points=[clearance])[0] / norm)
+
+
+def watched(
+    system: System, *, blocks: int = 64, steps: int = 4000, burn_in: int = 3000
+) -> Ensemble:
+    dt = min(0.12, chosen_step(system))
+    ensemble = Ensemble(system, SCHEMES["exact_flow"], dt, 128 * blocks, 4711, 2)
+    ensemble.advance(burn_in)
+    ensemble.watch((), moment_products(system.n, terms=bool(system.damping_terms)))
+    ensemble.advance(steps, stride=4)
+    return ensemble
+
+
+def test_stated_errors_are_right_for_few_trajectories() -> None:
+    """64 blocks, each a sample of 128 trajectories with its own fit: Σ z² of each mean is χ²_64.
+
+    Student's t of some 119 degrees of freedom has 1.7 % more variance than a normal. Both ends at
+    a false-alarm rate of 1e-4 for four means; a clearance of 0.55 instead of 0.5 is found out.
+    """
+    system = exact()
+    ensemble = watched(system)
+    values: dict[str, list[tuple[float, float]]] = {"q2": [], "v1": [], "v2": []}
+    for b in range(64):
+        part = slice(b, b + 1)
+        one = path_means(system, ensemble.sums[part], ensemble.live[part], ensemble.samples)
+        for name, mean in (
+            ("q2", displacement_square(one, 1)),
+            ("v1", velocity_square(one, 0)),
+            ("v2", velocity_square(one, 1)),
+        ):
+            values[name].append((mean.value, mean.error))
+    for name, truth in (("q2", exact_square()), ("v1", 0.5), ("v2", 0.5)):
+        value, error = np.array(values[name]).T
+        square = float(np.sum(((value - truth) / error) ** 2))
+        assert chi2.ppf(1e-4, 64) < square < 1.03 * chi2.isf(1e-4, 64), name
+    value, error = np.array(values["q2"]).T
+    assert np.sum(((value - exact_square(0.55)) / error) ** 2) > 2.0 * chi2.isf(1e-4, 64)
+
+
+def test_controls_gain_and_agree_with_the_plain_means() -> None:
+    for system, least in ((fig6(), 2.5), (exact(), 2.5)):
+        ensemble = watched(system, blocks=16)
+        paths = path_means(system, ensemble.sums, ensemble.live, ensemble.samples)
+        moments = Moments(system, ensemble.batch_means())
+        for i in range(2):
+            for mean, plain in (
+                (displacement_square(paths, i), moments.displacement_square(i)),
+                (velocity_square(paths, i), moments.velocity_square(i)),
+            ):
+                assert mean.gain > least - 0.5
+                assert abs(mean.value - plain.value) < 4.5 * plain.error
+
+
+@pytest.mark.parametrize(
+    "system",
+    [
+        mixed(),
+        linear(5),
+        System([1.0], [1.0], [0.2], [0.1]),
+        System([1.0, 2.0], [1.0, 1.0], [0.2, 0.2], [0.2, 0.0]),
+        System([1.0], [1.0], [-0.1], [0.02], damping_terms=(DampingTerm(0, 0, 0.2, q=((0, 2),)),)),
+    ],
+    ids=["mixed", "five", "one", "noise-on-one", "van-der-pol"],
+)
+def test_controls_have_the_means_that_they_are_said_to_have(system: System) -> None:
+    """Up to 27 z-scores below 4.5: a false alarm in 2e-4 of the seeds."""
+    ensemble = watched(system, blocks=16, steps=2000)
+    rows, expected = Controls(system).identities
+    batches = ensemble.batch_means() @ rows.T
+    error = batches.std(axis=0, ddof=1) / sqrt(batches.shape[0])
+    z = np.divide(batches.mean(axis=0) - expected, error, out=np.zeros_like(error), where=error > 0)
+    assert np.abs(z).max() < 4.5
+    assert np.all(error > 0)
+
+
+def test_gaussian_means_by_controls() -> None:
+    system = linear(3)
+    covariance = solve_continuous_lyapunov(linear_drift(system), -linear_diffusion(system))
+    ensemble = watched(system, blocks=16)
+    paths = path_means(system, ensemble.sums, ensemble.live, ensemble.samples)
+    for i in range(3):
+        mean = displacement_square(paths, i)
+        assert abs(mean.value - covariance[i, i]) < 4.5 * mean.error
+        mean = velocity_square(paths, i)
+        truth = covariance[3 + i, 3 + i] / system.mass[i] ** 2
+        assert abs(mean.value - truth) < 4.5 * mean.error
+
+
+def test_pair_of_steps_sees_euler_and_not_the_exact_flow() -> None:
+    fields = {"paths": 4096, "time": 150.0, "seed": 9, "step_pair": True}
+    euler = MonteCarlo(**fields, scheme="euler_maruyama", dt=0.02).solve(exact(), Q2)  # type: ignore[arg-type]
+    s = euler.settings
+    assert float(s["step bias of q2"]) > 3.0 * float(s["step bias of q2 by chance"])
+    s = MonteCarlo(**fields).solve(exact(), Q2).settings  # type: ignore[arg-type]
+    assert float(s["step bias of q2"]) < 2.0 * float(s["step bias of q2 by chance"])
+    for name in ("q1²", "q2²", "v1²", "v2²"):
+        error = float(s[f"standard error of step bias of E {name}"])
+        assert abs(float(s[f"step bias of E {name}"])) < 4.5 * error
+    assert MonteCarlo().solve(linear(1), []).settings["step bias"] == "not measured"
+
+
+def test_any_number_of_threads_and_a_stop_by_seconds() -> None:
+    one, two = (
+        MonteCarlo(paths=4096, time=60.0, seed=12, threads=k, tol=0.02).solve(exact(), Q2)
+        for k in (1, 2)
+    )
+    a, b = one.densities[0], two.densities[0]
+    assert isinstance(a, SampledDensity) and isinstance(b, SampledDensity)
+    np.testing.assert_array_equal(a.batch_values, b.batch_values)
+    told = {k for k in one.settings if k.startswith(("E ", "standard", "effective", "r_hat"))}
+    assert len(told) > 8 and all(one.settings[k] == two.settings[k] for k in told)
+    assert float(one.settings["sampling error of q2"]) <= 0.02
+    timed = MonteCarlo(paths=4096, time=60.0, seed=12, seconds=0.05).solve(exact(), Q2)
+    assert not any("tol" in f for f in timed.densities[0].certificate.failures)

@@ -1,0 +1,223 @@
+"""Diagnostics against theory, arviz-stats, and runs that are wrong. Seeds were drawn once."""
+
+from itertools import pairwise
+from math import exp, sqrt
+
+import numpy as np
+import pytest
+from arviz_stats.base import array_stats
+from scipy.integrate import quad
+from sim_systems import exact, fig6
+
+from fpk.density import Certificate
+from fpk.observable import parse_observable
+from sim.diagnostics import (
+    diagnosis,
+    drift_limit,
+    drifts,
+    effective_of_paths,
+    effective_of_shares,
+    split_r_hat,
+    variance_error,
+)
+from sim.ensemble import Ensemble
+from sim.histogram import mirrored, ranged, sampled_density
+from sim.montecarlo import MonteCarlo
+from sim.random import LANES
+from sim.record import Record, octiles
+from sim.scheme import SCHEMES
+from sim.statistics import l1_error, moment_products, told
+
+PASSED = Certificate(0.0, 0.0, 0.0, 0.0)
+
+
+def autoregression(phi: float, chains: int, draws: int, seed: int) -> np.ndarray:
+    """Stationary x' = φ x + √(1 − φ²) z: correlation φ^k, so that Σ_k φ^|k| = (1 + φ)/(1 − φ)."""
+    rng = np.random.default_rng(seed)
+    x = np.empty((chains, draws))
+    x[:, 0] = rng.normal(size=chains)
+    for k in range(1, draws):
+        x[:, k] = phi * x[:, k - 1] + sqrt(1.0 - phi * phi) * rng.normal(size=chains)
+    return x
+
+
+@pytest.mark.parametrize("phi", [-0.5, 0.0, 0.8])
+def test_effective_samples_of_an_autoregression(phi: float) -> None:
+    x = autoregression(phi, 1024, 500, seed=61)
+    (found,) = effective_of_paths(
+        ["x"], x.mean(axis=1)[None], np.array([x.var()]), variance_error(x[:, :1].T), time=500.0
+    )
+    expected = x.size * (1.0 - phi) / (1.0 + phi)
+    assert found.relative_error < 0.1
+    assert abs(found.samples / expected - 1.0) < 4.0 * found.relative_error + 0.02
+    # Ends of a finite series: the correlation beyond them is missed, 5/500 of the time or less.
+    assert found.autocorrelation_time == pytest.approx(x.size / (2.0 * found.samples))
+    theirs = float(array_stats.ess(x[:128], method="mean")) * x.shape[0] / 128
+    # Theirs is of 64000 samples: some per cent.
+    assert abs(found.samples / theirs - 1.0) < 4.0 * found.relative_error + 0.1
+
+
+def test_effective_samples_of_independent_shares_are_all() -> None:
+    rng = np.random.default_rng(8)
+    x = rng.normal(size=(64, 5000))
+    shares = np.stack([(x < c).mean(axis=1) for c in (-1.0, -0.3, 0.3, 1.0)], axis=1)
+    found = effective_of_shares("x", shares, total_time=64.0)
+    assert abs(found.samples / x.size - 1.0) < 4.0 * found.relative_error
+
+
+@pytest.mark.parametrize("draws", [8, 21, 40])
+@pytest.mark.parametrize("shift", [0.0, 0.5])
+def test_split_r_hat_is_that_of_arviz(draws: int, shift: float) -> None:
+    x = np.random.default_rng(draws).normal(size=(64, draws))
+    x[:5] += shift
+    theirs = float(array_stats.rhat(x, method="split"))
+    assert split_r_hat(x) == pytest.approx(theirs, rel=1e-12)
+    assert np.isnan(split_r_hat(x[:, :3]))
+
+
+def test_error_of_trajectories_is_that_of_the_correlogram_and_of_arviz() -> None:
+    """400 samples of q2² of 1024 trajectories of fig6, an eighth of a period apart.
+
+    The correlation swings: Geyer's sequence, which arviz cuts at the first negative pair, finds
+    three times the effective samples that there are. Of means over 20 samples, more than
+    a period, it does not swing, and arviz's error of the mean is right.
+    """
+    system, dt, stride = fig6(), 0.16, 3
+    ensemble = Ensemble(system, SCHEMES["exact_flow"], dt, 1024, 17, 2)
+    ensemble.advance(3000)
+    products = moment_products(2)
+    ensemble.watch((), products)
+    k, draws = products.index(("q", 1, "q", 1)), []
+    record = Record((), products, system.mass, True)
+    for _ in range(400):
+        before = ensemble.sums.copy()
+        ensemble.advance(stride, stride=stride)
+        draws.append((ensemble.sums - before)[:, k].ravel())
+        if len(draws) % 100 == 1:
+            record.snapshot(before, ensemble.sums, ensemble.live)
+        if len(draws) % 20 == 0:
+            record.chunk_ends(ensemble)
+    x = np.array(draws).T
+    found = next(e for e in record.effective(ensemble, stride * dt) if e.name == "q2²")
+    assert found.relative_error < 0.12
+    y = x - x.mean()
+    lags = range(1, 120)
+    rho = [float(np.mean(y[:, :-k] * y[:, k:])) / float(np.mean(y * y)) for k in lags]
+    summed = x.size / (1.0 + 2.0 * sum(rho))
+    # Both are one variance over 1024 trajectories; 120 of 400 lags are summed.
+    assert abs(found.samples / summed - 1.0) < 4.0 * found.relative_error + 0.05
+    error = np.sqrt(np.mean(record.variances, axis=0)[1] / found.samples)
+    theirs = float(array_stats.mcse(x.reshape(1024, 20, 20).mean(axis=2), method="mean"))
+    assert abs(error / theirs - 1.0) < 4.0 * 0.5 * found.relative_error + 0.05
+    assert float(array_stats.ess(x, method="mean")) > 2.0 * found.samples
+    # And the chunks of the record are means of these draws.
+    column = record.names.index("q2²")
+    chunk_means = x.reshape(-1, LANES, 20, 20).mean(axis=(1, 3))
+    np.testing.assert_allclose(record.means()[column], chunk_means, rtol=1e-9)
+
+
+def test_drift_is_found_where_it_is_and_seldom_where_it_is_not() -> None:
+    rng = np.random.default_rng(3)
+    limit = drift_limit(64, 20)
+    for _ in range(200):
+        assert np.abs(drifts(rng.normal(size=(10, 64, 20)))).max() < limit
+    z = drifts(rng.normal(size=(2000, 64, 20)))
+    # Student's t of 63 degrees of freedom has the variance 63/61; 2000 of them show it to 3 %.
+    assert np.var(z, axis=0) == pytest.approx([63 / 61] * 2, rel=0.15)
+    means = rng.normal(size=(1, 64, 20))
+    means[0, :, 0] += 1.0
+    assert np.abs(drifts(means)).max() > limit
+
+
+def test_a_short_run_is_refused() -> None:
+    few = effective_of_shares("x", np.random.default_rng(2).normal(0.5, 0.1, (64, 1)), 10.0)
+    assert few.samples * 64 > 50 and few.samples < 64 * 50
+    one = type(few)("x", 49.0, 0.1, 1.0)
+    means = np.random.default_rng(4).normal(size=(1, 64, 20))
+    (words,) = diagnosis([one], ["x"], means, time=98.0, paths=1, burn_in=10.0).failures
+    assert "fewer than 50" in words and "sample for longer" in words
+    (words,) = diagnosis(
+        [type(one)("x", 1e4, 0.1, 1.0)], ["x"], means, time=98.0, paths=1, burn_in=4.0
+    ).failures
+    assert "burn-in of 4" in words
+
+
+def test_a_burn_in_too_short_is_seen_and_said() -> None:
+    asked = [parse_observable("q2", 2), parse_observable("H", 2)]
+    method = {"paths": 4096, "time": 800.0, "seed": 311}
+    good = MonteCarlo(**method).solve(fig6(), asked)  # type: ignore[arg-type]
+    assert all(d.certificate.certified for d in good.densities), good.densities[0].certificate
+    assert str(good.settings["burn_in_check"]).startswith("holds")
+    assert float(good.settings["time in autocorrelation times"]) > 50.0
+    assert abs(float(good.settings["r_hat"]) - 1.0) < 0.1
+    bad = MonteCarlo(**method, burn_in=1e-3).solve(fig6(), asked)  # type: ignore[arg-type]
+    assert any("longer burn_in" in f for f in bad.densities[1].certificate.failures)
+    # From q = 0, without even the pilot's time.
+    products = moment_products(2)
+    ensemble = Ensemble(fig6(), SCHEMES["exact_flow"], 0.12, 4096, 5, 2)
+    ensemble.watch((), products)
+    record = Record((), products, fig6().mass, True)
+    for chunk in range(20):
+        if chunk % 5 == 0:
+            before = ensemble.sums.copy()
+            ensemble.advance(4, stride=4)
+            record.snapshot(before, ensemble.sums, ensemble.live)
+        ensemble.advance(400 - 4 * (chunk % 5 == 0), stride=4)
+        record.chunk_ends(ensemble)
+    found = diagnosis(
+        record.effective(ensemble, 0.48), record.names, record.means(),
+        time=960.0, paths=4096, burn_in=400.0,
+    )  # fmt: skip
+    assert found.drift > found.drift_limit
+    assert "drifts" in found.failures[-1]
+
+
+def test_mirrored_counts() -> None:
+    q = np.array([[-1.0, -1.0], [1.0, 1.0]])
+    asked = [parse_observable(name, 2) for name in ("q1", "q2,p1", "H", "q1,H")]
+    for histogram in ranged(exact(), asked, q, q, mirror=True):
+        shape = [e.size - 1 for e in histogram.edges]
+        counts = np.random.default_rng(1).integers(0, 9, (3, histogram.size + 1))
+        found = mirrored(histogram, counts)
+        assert np.all(found.sum(axis=1) == 2 * counts.sum(axis=1))
+        assert np.all(found[:, -1] == 2 * counts[:, -1])
+        flips = tuple(k + 1 for k, c in enumerate(histogram.observable) if c.kind != "H")
+        bins = found[:, :-1].reshape(-1, *shape)
+        np.testing.assert_array_equal(bins, np.flip(bins, axis=flips))
+
+
+def test_octiles_cut_at_eighths() -> None:
+    cuts = octiles(np.full(800, 3))
+    np.testing.assert_array_equal(cuts, np.arange(1, 8) * 100 - 1)
+    assert octiles(np.array([0, 0, 50, 0])).size == 0
+
+
+def exact_bins(edges: np.ndarray) -> np.ndarray:
+    """Density of q2 of the exact system, exp(−2 V) with q1 integrated out, averaged over bins."""
+
+    def weight(q: float) -> float:
+        return exp(-2.0 * (0.25 * q * q + 4.0 * max(abs(q) - 0.5, 0.0) ** 2.5))
+
+    norm = 2.0 * quad(weight, 0.0, 6.0, points=[0.5])[0]
+    return np.array([quad(weight, a, b)[0] / norm / (b - a) for a, b in pairwise(edges)])
+
+
+def test_the_stated_error_is_the_real_one_and_the_mirror_gains() -> None:
+    """L1 to the exact density, 16 seeds; the ratio scatters by 0.24, so that 0.24 is 4 errors."""
+    ratios, gains = [], []
+    for seed in range(1000, 1016):
+        ensemble = Ensemble(exact(), SCHEMES["exact_flow"], 0.11, 4096, seed, 2)
+        ensemble.advance(900)
+        reach = np.array([[-2.5, -2.5], [2.5, 2.5]])
+        (histogram,) = ranged(exact(), [parse_observable("q2", 2)], reach, reach, mirror=True)
+        ensemble.watch([histogram])
+        ensemble.advance(1200, stride=4)
+        plain = told(sampled_density(histogram, ensemble.counts, PASSED, {}))
+        both = told(sampled_density(histogram, mirrored(histogram, ensemble.counts), PASSED, {}))
+        width = both.edges[0][1] - both.edges[0][0]
+        truth = exact_bins(both.edges[0])
+        ratios.append(width * np.abs(both.values - truth).sum() / l1_error(both))
+        gains.append((l1_error(plain) / l1_error(both)) ** 2)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.24)
+    # Twice the samples, but for the correlation of x and −x on one trajectory.
+    assert 1.4 < np.mean(gains) < 2.2
