@@ -17,7 +17,13 @@ from cases.run import Outcome
 from cases.show import term_text, theories
 from cases.summary import effects_record, system_record
 from cases.svg import inline_svg, svg_text
-from cases.telling import told_comparisons, told_refusals
+from cases.telling import (
+    STATISTICS,
+    errors_apart,
+    statistics_of,
+    told_comparisons,
+    told_refusals,
+)
 
 LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "xarray")
 
@@ -51,6 +57,8 @@ def report_html(outcome: Outcome, pictures: list[dict[str, Any]]) -> str:
     environment.filters["route"] = route_name
     environment.filters["told"] = told_comparisons
     environment.filters["reasons"] = told_refusals
+    environment.filters["apart"] = errors_apart
+    environment.filters["statistics"] = statistics_of
     base = outcome.curves[0]
     return environment.get_template("report.html").render(
         outcome=outcome,
@@ -67,6 +75,7 @@ def report_html(outcome: Outcome, pictures: list[dict[str, Any]]) -> str:
             "acceptable": ACCEPTABLE_L1,
         },
         judged=sum(c.band is not None for curve in outcome.curves for c in curve.comparisons),
+        statistics=list(STATISTICS.values()),
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         versions=[("vibro-fpk", program_version()), ("Python", platform.python_version())]
         + [(name, version(name)) for name in LIBRARIES],

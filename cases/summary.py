@@ -9,6 +9,7 @@ import numpy as np
 from cases.compare import route_name
 from cases.run import CurveOutcome, Outcome
 from cases.scene import Scene
+from cases.telling import ErrorsApart, errors_apart
 from fpk.damping import DampingTerm
 from fpk.density import AnyDensity, Array, Density
 from fpk.effects import Effects
@@ -52,6 +53,7 @@ def _curve_record(curve: CurveOutcome) -> dict[str, Any]:
             for r in curve.refusals
         ],
         "comparisons": [asdict(c) for c in curve.comparisons],
+        "errors": [errors_record(e) for e in errors_apart(curve)],
         "identities": [
             {"method": route_name(r.method), **asdict(i), "z": i.z}
             for r in curve.results
@@ -72,10 +74,27 @@ def _method_record(result: Result) -> dict[str, Any]:
             {
                 "observable": d.name,
                 "error_kind": d.error_kind,
-                "l1_error": d.l1_error if isinstance(d, Density) else None,
+                "l1_error": d.l1_error
+                if isinstance(d, Density)
+                else result.settings.get(f"sampling error of {d.name}"),
                 "certificate": certificate_record(d),
             }
             for d in result.densities
+        ],
+    }
+
+
+def errors_record(errors: ErrorsApart) -> dict[str, Any]:
+    """Return the three errors of a sampled density; a step bias not measured is said to be so."""
+    bias = errors.step_bias
+    return {
+        "route": errors.route,
+        "observable": errors.observable,
+        "sampling": errors.sampling,
+        "step_bias": "not measured" if bias is None else {"L1": bias[0], "by_chance": bias[1]},
+        "averaging": [
+            {"theory": theory, "L1": distance, "error": error}
+            for theory, distance, error in errors.averaging
         ],
     }
 

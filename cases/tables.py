@@ -3,7 +3,7 @@
 from typing import Any
 
 from cases.run import Outcome
-from cases.telling import told_comparisons, told_refusals
+from cases.telling import ErrorsApart, errors_apart, told_comparisons, told_refusals
 
 
 def run_text(outcome: Outcome) -> str:
@@ -20,6 +20,7 @@ def run_text(outcome: Outcome) -> str:
                 f"  {c.observable:8}{c.a:27}{c.b:27}{c.measures:11}{c.L1:9.2e} {allowed:>9}"
                 f"{verdict}"
             )
+        lines += [_errors_line(e) for e in errors_apart(curve)]
         lines += [
             f"  {r.route}: {'failed' if r.failed else 'not taken'} ({', '.join(r.observables)}):"
             f" {r.reason}"
@@ -31,6 +32,17 @@ def run_text(outcome: Outcome) -> str:
     verdict = f"{len(outcome.problems)} checks fail" if outcome.problems else "every check holds"
     lines.append(f"{judged} judged comparisons, {verdict}, {outcome.seconds:.1f} s")
     return "\n".join(lines)
+
+
+def _errors_line(e: ErrorsApart) -> str:
+    bias = "not measured"
+    if e.step_bias is not None:
+        bias = f"{e.step_bias[0]:.1e} ({e.step_bias[1]:.1e} by chance)"
+    averaging = ", ".join(f"{theory} {distance:.1e}" for theory, distance, _ in e.averaging) or "-"
+    return (
+        f"  {e.observable:8}{e.route}: sampling error {e.sampling:.1e}; step bias {bias};"
+        f" averaging error {averaging}"
+    )
 
 
 def claims_lines(outcome: Outcome) -> list[str]:

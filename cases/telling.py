@@ -1,9 +1,69 @@
 """What of an outcome is told to a reader, each thing once; files and ``--json`` have everything."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-from cases.compare import Comparison
-from cases.run import Refusal
+from cases.compare import Comparison, route_name
+from cases.run import CurveOutcome, Refusal
+
+STATISTICS = {
+    "autocorrelation_time": "autocorrelation time",
+    "time in autocorrelation times": "times per trajectory",
+    "effective_samples": "effective samples",
+    "relative error of effective_samples": "relative error of these",
+    "slowest quantity": "slowest quantity",
+    "r_hat": "split R-hat",
+    "burn_in_check": "burn-in",
+}
+"""Settings of a simulation that say whether its sample can be trusted, and what a table calls them.
+"""
+
+
+@dataclass(frozen=True)
+class ErrorsApart:
+    """The three errors of one density of the simulated full system, never mixed.
+
+    ``sampling`` is its expected L1 error by chance; ``step_bias`` the L1 distance from the density
+    of half the step and what chance makes of that, None where it was not measured; ``averaging``
+    has each averaged theory's L1 distance and what chance and solvers make of that.
+    """
+
+    route: str
+    observable: str
+    sampling: float
+    step_bias: tuple[float, float] | None
+    averaging: tuple[tuple[str, float, float], ...]
+
+
+def errors_apart(curve: CurveOutcome) -> tuple[ErrorsApart, ...]:
+    """Return the three errors of every density that was sampled from the full system."""
+    found = []
+    for r in curve.results:
+        for d in r.densities:
+            sampling = r.settings.get(f"sampling error of {d.name}")
+            bias = r.settings.get(f"step bias of {d.name}")
+            chance = r.settings.get(f"step bias of {d.name} by chance")
+            if sampling is None:
+                continue
+            route = route_name(r.method)
+            told = [c for c in told_comparisons(curve.comparisons) if c.observable == d.name]
+            averaging = tuple(
+                (_theory(c.b if c.a == route else c.a), c.L1, c.error)
+                for c in told
+                if c.measures == "averaging" and route in (c.a, c.b)
+            )
+            pair = None if bias is None or chance is None else (float(bias), float(chance))
+            found.append(ErrorsApart(route, d.name, float(sampling), pair, averaging))
+    return tuple(found)
+
+
+def statistics_of(curve: CurveOutcome) -> tuple[tuple[str, tuple[str | float | int, ...]], ...]:
+    """Return each simulation's route with the settings of ``STATISTICS``, in their order."""
+    return tuple(
+        (route_name(r.method), tuple(r.settings[key] for key in STATISTICS))
+        for r in curve.results
+        if all(key in r.settings for key in STATISTICS)
+    )
 
 
 def told_comparisons(comparisons: Sequence[Comparison]) -> tuple[Comparison, ...]:
