@@ -1,6 +1,6 @@
 """The comparison calls a right answer wrong as rarely as promised, and a wrong one wrong."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -49,11 +49,22 @@ def compare(a, b, *, names=("montecarlo", "exact"), exact=True, settings=()):
     return comparison
 
 
-def test_chance_is_measured_as_it_is():
+def symmetrised(density):
+    """The histogram of x and −x together, batch by batch: bins of either sign are then equal."""
+    values, batches = density.values, density.batch_values
+    return replace(
+        density,
+        values=0.5 * (values + values[::-1]),
+        batch_values=0.5 * (batches + batches[:, ::-1]),
+    )
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+def test_chance_is_measured_as_it_is(mirror):
     """Mean and spread of the L1 distance over 200 samples are those the bootstrap of one states."""
-    truth = gaussian()
-    found = np.array([l1_distance(sample(s).coarsened(2), truth) for s in range(200)])
-    mean, quantile = chance_l1(sample(1000).coarsened(2))
+    truth, seen = gaussian(), symmetrised if mirror else (lambda density: density)
+    found = np.array([l1_distance(seen(sample(s)).coarsened(2), truth) for s in range(200)])
+    mean, quantile = chance_l1(seen(sample(1000)).coarsened(2))
     assert mean == pytest.approx(found.mean(), rel=0.1)
     assert found.max() < quantile < 2 * found.mean()
 
