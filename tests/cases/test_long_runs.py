@@ -1,0 +1,93 @@
+"""Long runs on the command line: interrupted, gone on with, and on a cluster."""
+
+import json
+import logging
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+distributed = pytest.importorskip("distributed")
+import dask  # noqa: E402
+
+DENSITY = ["fig6a", "--method", "montecarlo", "--of", "q2", "--at", "0:1:0.25", "--json"]
+GRID = ["--vary", "contact.stiffness=0.01:100:log2", "--paths", 4096, "--time", 60, "--seed", 3]
+
+
+def begun(folder):
+    """Whether a state of the sampling itself is in ``folder``."""
+    return any(b'"loop"' in p.read_bytes()[:1000] for p in folder.glob("*.checkpoint"))
+
+
+def test_control_c_leaves_a_partial_result_and_exit_1(tmp_path):
+    command = ["density", *DENSITY, "--seconds", "400", "--checkpoint", str(tmp_path)]
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from cases.cli import main; main()", *command],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    while process.poll() is None and not begun(tmp_path):
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate()
+    record = json.loads(out)
+    assert process.returncode == 1 and "partial: interrupted after" in err and "Trace" not in err
+    failures = record["certificate"]["failures"]
+    assert any("partial" in words for words in failures) and record["density"][0] > 0.3
+
+
+def test_states_of_another_run_are_refused_and_the_answer_of_a_finished_one_is_kept(fpk, tmp_path):
+    folder = ["--checkpoint", tmp_path]
+    first, again = (json.loads(fpk("density", *DENSITY, *folder)[1]) for _ in range(2))
+    for key in ("density", "error", "certificate"):
+        assert first[key] == again[key]
+    for arguments in ([*DENSITY, "--seed", 9], ["fig6b", *DENSITY[1:]]):
+        status, out, err = fpk("density", *arguments, *folder)
+        assert (status, out) == (2, "") and "another run" in err and err.count("\n") == 1
+    (state,) = tmp_path.glob("*.checkpoint")
+    state.write_bytes(state.read_bytes()[:-5])
+    for command in (["density", *DENSITY], ["run", "fig6a"]):
+        status, out, err = fpk(*command, *folder)
+        assert (status, out) == (2, "") and err.count("\n") == 1
+    (tmp_path / "run.json").write_text("x")
+    assert fpk("density", *DENSITY, *folder)[0] == 2
+
+
+def test_a_damaged_state_ends_a_run_in_one_line(fpk, tmp_path):
+    command = ["density", *DENSITY, "--checkpoint", tmp_path]
+    assert fpk(*command)[0] == 0
+    (state,) = tmp_path.glob("*.checkpoint")
+    state.write_bytes(state.read_bytes()[:-5])
+    status, out, err = fpk(*command)
+    assert (status, out) == (2, "") and "is damaged" in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", [["run", "fig6a"], ["density", *DENSITY],
+                                     ["regime", "fig6a", *GRID]])  # fmt: skip
+def test_a_cluster_that_does_not_answer_is_one_line(command, fpk, monkeypatch):
+    monkeypatch.setattr("sim.cluster.PATIENCE", 0.5)
+    status, out, err = fpk(*command, "--cluster", "tcp://127.0.0.1:9")
+    assert (status, out) == (2, "") and "no Dask scheduler" in err and err.count("\n") == 1
+
+
+def test_a_density_and_a_map_are_the_same_on_a_cluster(fpk, tmp_path):
+    def both(*where):
+        status, out, _ = fpk("density", *DENSITY, *where)
+        assert status == 0
+        found = json.loads(out)
+        folder = tmp_path / str(len(where))
+        status, out, _ = fpk("regime", "fig6a", *GRID, "--json", "--checkpoint", folder, *where)
+        assert status == 0 and len((folder / "points.jsonl").read_text().splitlines()) == 3
+        points = [{**point, "seconds": 0} for point in json.loads(out)["points"]]
+        return {key: found[key] for key in ("density", "error", "certificate")}, points
+
+    with (
+        dask.config.set({"distributed.logging.distributed": "critical"}),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0",
+            silence_logs=logging.CRITICAL,
+        ) as local,
+    ):  # fmt: skip
+        there = both("--cluster", local.scheduler_address)
+    assert there == both()
