@@ -1,0 +1,229 @@
+"""Densities p = w u with u a polynomial of both energies, by Galerkin's method.
+
+``∫ J · ∇v = 0`` for all polynomials v up to one degree along each axis, with
+``J = (s − ½ ∇·b) p − ½ b ∇p = w (α u − ½ b ∇u)``, ``α = s − ½ ∇·b + ½ b ∇Φ``: the weak form of
+the finite elements, with other trial functions. Where no probability flows (α = 0) it is definite
+and weighted by w: an error of u matters as much as probability is there. As v = 1 is among the test
+functions no probability is lost.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpk.errors import NotCertified
+from fpk.plane.weight import Weight
+from fpk.quadrature import panel_rule
+from fpk.vector_process import VectorProcess
+
+Array = NDArray[np.float64]
+
+EPS = float(np.finfo(float).eps)
+MOST_PANELS = 48
+"""Panels along one axis: 48 panels of 16 points make 6e5 places."""
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """Polynomials of one energy, orthonormal for a measure, by their three-term recurrence.
+
+    ``P_{k+1} = ((H − centre_k) P_k − spread_{k−1} P_{k−1}) / spread_k``, P_0 = 1.
+    """
+
+    centres: Array
+    spreads: Array
+
+    def values(self, H: Array) -> Array:
+        """All polynomials at energies of any shape, (degree + 1, …)."""
+        return self.with_slopes(H)[0]
+
+    def with_slopes(self, H: Array) -> tuple[Array, Array]:
+        """All polynomials and their slopes."""
+        H = np.asarray(H, float)
+        P = np.zeros((self.centres.size + 1, *H.shape))
+        D = np.zeros_like(P)
+        P[0] = 1.0
+        for k, (centre, spread) in enumerate(zip(self.centres, self.spreads, strict=True)):
+            P[k + 1], D[k + 1] = (H - centre) * P[k], P[k] + (H - centre) * D[k]
+            if k:
+                P[k + 1] -= self.spreads[k - 1] * P[k - 1]
+                D[k + 1] -= self.spreads[k - 1] * D[k - 1]
+            P[k + 1] /= spread
+            D[k + 1] /= spread
+        return P, D
+
+
+def orthonormal(H: Array, measure: Array, degree: int) -> Basis:
+    """Return the basis for point masses ``measure`` at ``H``, by Stieltjes' procedure."""
+    share = measure / measure.sum()
+    before, now, spread = np.zeros_like(H), np.ones_like(H), 0.0
+    centres, spreads = [], []
+    for _ in range(degree):
+        centre = float(share @ (H * now**2))
+        following = (H - centre) * now - spread * before
+        spread = float(np.sqrt(share @ following**2))
+        before, now = now, following / spread
+        centres.append(centre)
+        spreads.append(spread)
+    return Basis(np.array(centres), np.array(spreads))
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Gauss points on the panels of a weight: energies along each axis and their weights.
+
+    ``exponent``, ``w`` and ``area`` (points along H1, along H2); ``seen`` tells where w exceeds
+    exp(−nats): beyond, nothing is integrated.
+    """
+
+    nodes: tuple[Array, Array]
+    energies: tuple[Array, Array]
+    exponent: Array
+    slopes: tuple[Array, Array]
+    area: Array
+    seen: NDArray[np.bool_]
+
+    @cached_property
+    def w(self) -> Array:
+        """w at the points."""
+        return np.asarray(np.exp(-self.exponent))
+
+
+def places_of(weight: Weight, nats: float, points: int) -> Places:
+    """Return ``points`` Gauss points on each panel.
+
+    Raises ``NotCertified`` where w takes more than ``MOST_PANELS``.
+    """
+    nodes = weight.panels(nats)
+    if max(x.size for x in nodes) > MOST_PANELS + 1:
+        raise NotCertified(f"the weight takes more than {MOST_PANELS} panels along one energy")
+    (x, first), (y, second) = (
+        (H.ravel(), share.ravel()) for H, share in (panel_rule(n, points) for n in nodes)
+    )
+    phi, *slopes = weight.on_grid(x, y)
+    return Places(
+        nodes, (x, y), phi, (slopes[0], slopes[1]), np.multiply.outer(first, second), phi < nats
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Expansion:
+    """p = w u on the panels ``nodes``, 0 outside; ``coefficients`` (degree + 1, degree + 1)."""
+
+    nodes: tuple[Array, Array]
+    weight: Weight
+    bases: tuple[Basis, Basis]
+    coefficients: Array
+
+    @property
+    def degree(self) -> int:
+        """Degree of u along each axis."""
+        return len(self.coefficients) - 1
+
+    @property
+    def unknowns(self) -> int:
+        """Number of coefficients."""
+        return self.coefficients.size
+
+    def rounding(self, H1: Array, H2: Array) -> Array:
+        """Relative round-off of p at energies that broadcast together: of Φ, and of the sum u."""
+        return EPS * (self.degree**2 + self.weight.terms(H1, H2))
+
+    def __call__(self, H1: Array, H2: Array) -> Array:
+        """p at energies that broadcast together."""
+        x, y = np.asarray(H1, float), np.asarray(H2, float)
+        inside = (x >= 0.0) & (x <= self.nodes[0][-1]) & (y >= 0.0) & (y <= self.nodes[1][-1])
+        x, y = np.clip(x, 0.0, self.nodes[0][-1]), np.clip(y, 0.0, self.nodes[1][-1])
+        p = self.u(x, y) * np.exp(-self.weight.exponent(x, y))
+        return np.asarray(np.where(inside, p, 0.0))
+
+    def u(self, H1: Array, H2: Array) -> Array:
+        """u at energies that broadcast together."""
+        first, second = (b.values(H) for b, H in zip(self.bases, (H1, H2), strict=True))
+        across = np.tensordot(self.coefficients, second, axes=1)
+        total = first[0] * across[0]
+        for row, factor in zip(first[1:], across[1:], strict=True):
+            total = total + row * factor
+        return np.asarray(total)
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """An expansion, the places it was solved on, and its algebraic residual.
+
+    ``residual`` is the largest of the equations relative to the terms that cancel in it.
+    """
+
+    density: Expansion
+    places: Places
+    residual: float
+
+
+def solve_expansion(
+    process: VectorProcess, weight: Weight, degree: int, *, nats: float, points: int
+) -> Solved:
+    """Return p = w u of mass 1 with u of ``degree`` along each axis.
+
+    Integrals go as far as w > exp(−``nats``), over panels of ``points`` Gauss points. Raises
+    ``NotCertified`` where there is no unique solution.
+    """
+    at = places_of(weight, nats, points)
+    w = np.where(at.seen, at.w, 0.0) * at.area
+    H1, H2 = at.energies
+    bases = orthonormal(H1, w.sum(axis=1), degree), orthonormal(H2, w.sum(axis=0), degree)
+    (P, dP), (Q, dQ) = (b.with_slopes(H) for b, H in zip(bases, at.energies, strict=True))
+    matrix = _matrix(_coefficients(process, at, w), (P, dP), (Q, dQ))
+    masses = (P @ w @ Q.T).ravel()
+    # The first test function is 1, its equation 0 = 0: the mass takes its place.
+    size = float(np.abs(matrix).max())
+    system, right = matrix.copy(), np.zeros(len(matrix))
+    system[0], right[0] = masses * size / masses[0], size / masses[0]
+    try:
+        u = np.linalg.solve(system, right)
+    except np.linalg.LinAlgError:
+        raise NotCertified("the stationary equation has no unique solution") from None
+    left, terms = np.abs(matrix @ u), np.abs(matrix) @ np.abs(u)
+    k = degree + 1
+    return Solved(
+        Expansion(at.nodes, weight, bases, np.asarray(u.reshape(k, k))),
+        at,
+        float(left.max() / terms.max()) if terms.max() > 0.0 else np.inf,
+    )
+
+
+def _coefficients(process: VectorProcess, at: Places, w: Array) -> tuple[Array, ...]:
+    """w α_1, w α_2, −½ w b_11, −½ w b_12 and −½ w b_22 at the points, 0 where nothing is seen."""
+    i, j = np.nonzero(at.seen)
+    H = np.stack([at.energies[0][i], at.energies[1][j]], axis=1)
+    a = process.drift(H) - 0.5 * process.diffusion_divergence(H)
+    b = process.diffusion(H)
+    b11, b12, b22 = -0.5 * b[:, 0, 0], -0.5 * b[:, 0, 1], -0.5 * b[:, 1, 1]
+    first, second = (slope[i, j] for slope in at.slopes)
+    a1, a2 = a[:, 0] - b11 * first - b12 * second, a[:, 1] - b12 * first - b22 * second
+    shares, found = w[i, j], []
+    for values in (a1, a2, b11, b12, b22):
+        grid = np.zeros(w.shape)
+        grid[i, j] = values * shares
+        found.append(grid)
+    return tuple(found)
+
+
+def _matrix(c: tuple[Array, ...], first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:
+    """Galerkin matrix, test functions first, by sum factorisation: along H2, then along H1."""
+    a1, a2, b11, b12, b22 = c
+    (P, dP), (Q, dQ) = first, second
+
+    def products(test: Array, trial: Array) -> Array:
+        return np.asarray((test[:, None] * trial).reshape(-1, test.shape[1]))
+
+    vv, sv, vs, ss = (products(*pair).T for pair in ((Q, Q), (dQ, Q), (Q, dQ), (dQ, dQ)))
+    total = products(dP, dP) @ (b11 @ vv) + products(P, P) @ (a2 @ sv + b22 @ ss)
+    inner = a1 @ vv
+    if np.any(b12):
+        inner = inner + b12 @ vs
+        total = total + products(P, dP) @ (b12 @ sv)
+    total = total + products(dP, P) @ inner
+    k = len(P)
+    return np.asarray(total.reshape(k, k, k, k).transpose(0, 2, 1, 3).reshape(k * k, k * k))

@@ -1,0 +1,149 @@
+"""Expansions p = w u: other weights, other solvers, circulating probability, no weight at all."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+from test_fpk_plane import (
+    COUPLED,
+    assert_strictly_certified,
+    l1_error,
+    manufactured,
+    square_root_process,
+)
+
+from fpk.errors import NotCertified
+from fpk.plane import on_mesh, stationary
+from fpk.plane.expansion import orthonormal, solve_expansion
+from fpk.plane.mesh import surveyed
+from fpk.plane.on_mesh import solve_by_elements
+from fpk.plane.stationary import PlaneSolution, solve_plane
+from fpk.plane.weight import Weight, fitted_weight, flux_free_weight
+from fpk.quadrature import panel_rule
+from fpk.vector_process import VectorProcess
+
+Array = NDArray[np.float64]
+
+
+def one_sided(first: float, second: float) -> VectorProcess:
+    """s_i = d − (γ_i + α H_i + c_i H_j) H_i with c_1 ≠ c_2: probability circulates."""
+    d, g = 0.1, np.array([0.1, 0.2])
+    coupling = np.array([[0.1, first], [second, 0.1]])
+    return VectorProcess(
+        lambda H: d - (g + H @ coupling.T) * H,
+        lambda H: 2.0 * d * H[:, :, None] * np.eye(2),
+        lambda H: np.full(H.shape, 2.0 * d),
+        (0.6, 0.4),
+    )
+
+
+def distance(first: PlaneSolution, second: PlaneSolution) -> float:
+    """∫|p − q| as far as the longer of the meshes."""
+    rules = [
+        panel_rule(np.union1d(a, b), 24) for a, b in zip(first.nodes, second.nodes, strict=True)
+    ]
+    (x, wx), (y, wy) = ((a.ravel(), w.ravel()) for a, w in rules)
+    gap = np.abs(first.density(x[:, None], y) - second.density(x[:, None], y))
+    return float(wx @ gap @ wy)
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-8])
+def test_expansion_and_elements_agree_where_probability_circulates(tol: float) -> None:
+    process = one_sided(0.3, 0.05)
+    found = solve_plane(process, tol=tol)
+    elements = solve_by_elements(process, surveyed(process), tol=1e-9, degree=None)
+    assert_strictly_certified(found)
+    assert_strictly_certified(elements)
+    assert distance(found, elements) <= found.l1_error + elements.l1_error
+    # Another coupling is not taken for it.
+    other = solve_plane(one_sided(0.3, 0.06), tol=tol)
+    assert distance(other, elements) > 10.0 * (other.l1_error + elements.l1_error)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.1, -0.2])
+def test_any_weight_gives_the_same_density(tilt: float) -> None:
+    process, log_p = manufactured(0.4, 0.2)
+    phi = np.array([[0.0, 1.5 * (1.0 + tilt)], [1.0 - tilt, 0.3]])
+    weight = Weight(phi * np.array([[1.0, 20.0], [20.0, 400.0]]), (20.0, 20.0))
+    errors = []
+    for degree in (4, 8, 12):
+        solved = solve_expansion(process, weight, degree, nats=70.0, points=16)
+        x, y = (np.linspace(0.0, H[-1], 400) for H in solved.density.nodes)
+        p, found = np.exp(log_p(x[:, None], y)), solved.density(x[:, None], y)
+        errors.append(np.abs(found - found.sum() / p.sum() * p).max())
+        assert solved.residual < 1e-14
+    # Geometric in the degree; where u is a constant, what the far edge does: at w = e^−70 < 1e-26
+    # its error is one of √w or less in the norm weighted by w.
+    floor = 1e-11
+    assert all(b <= max(0.2 * a, floor) for a, b in pairwise(errors))
+    if tilt == 0.0:
+        assert errors[0] < floor
+
+
+def test_basis_is_orthonormal() -> None:
+    H, share = (part.ravel() for part in panel_rule(np.linspace(0.0, 40.0, 9), 16))
+    measure = share * np.exp(-H)
+    P, slopes = orthonormal(H, measure, 20).with_slopes(H)
+    assert_allclose((P * (measure / measure.sum())) @ P.T, np.eye(21), atol=1e-10)
+    # Laguerre's polynomials, up to the sign: L_1 = 1 − H, L_2 = 1 − 2H + H²/2.
+    assert_allclose(P[1:3], [H - 1.0, 1.0 - 2.0 * H + 0.5 * H**2], rtol=1e-9, atol=1e-9)
+    assert_allclose(slopes[2], H - 2.0, rtol=1e-9, atol=1e-9)
+
+
+def test_flux_free_weight_is_the_density_where_no_probability_flows() -> None:
+    process, log_p = COUPLED["ridge"]
+    weight = flux_free_weight(surveyed(process), process.energy_scales)
+    assert weight is not None
+    x, y = np.random.default_rng(3).exponential(0.3, (2, 50))
+    found = -weight.exponent(x, y)
+    assert_allclose(found - found[0], log_p(x, y) - log_p(x, y)[0], rtol=1e-9, atol=1e-9)
+
+
+def test_a_fit_that_would_not_fall_off_is_not_taken() -> None:
+    grid = np.linspace(0.0, 1.0, 30), np.linspace(0.0, 1.0, 30)
+    known = np.ones((30, 30), dtype=bool)
+    x, y = grid[0][:, None], grid[1]
+    # Rises again beyond H1 = 1.25; then what falls everywhere.
+    bent = fitted_weight(grid, -5.0 * x + 2.0 * x**2 - y, known, 5.0)
+    assert bent is None or np.all(
+        np.diff(bent.exponent(np.linspace(1.0, 30.0, 50), 0.0 * x[0])) > 0
+    )
+    assert fitted_weight(grid, 0.0 * x + y, known, 5.0) is None
+    straight = fitted_weight(grid, -5.0 * x - y, known, 5.0)
+    assert straight is not None
+    assert_allclose(straight.exponent(np.array(2.0), np.array(3.0)), 13.0, rtol=1e-9)
+
+
+def test_without_any_weight_the_elements_obey_the_same_rule(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(stationary, "flux_free_weight", lambda *_: None)
+    monkeypatch.setattr(stationary, "_weight_of", lambda _: None)
+    process, log_p = COUPLED["Gibbs of H1 + H2"]
+    solution = solve_plane(process, tol=1e-6)
+    assert isinstance(solution.answer, on_mesh.TensorPolynomial)
+    assert_strictly_certified(solution)
+    assert l1_error(solution, log_p) <= solution.l1_error <= 1e-6
+
+
+def test_what_is_not_affordable_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    process = square_root_process((0.1, 0.1), (0.1, 0.1))
+    monkeypatch.setattr(on_mesh, "MOST_ENTRIES", 0)
+    with pytest.raises(NotCertified, match="affordable"):
+        solve_plane(process, tol=1e-6, degree=4)
+    monkeypatch.setattr(stationary, "flux_free_weight", lambda *_: None)
+    with pytest.raises(NotCertified, match="affordable"):
+        solve_plane(process, tol=1e-6)
+
+
+def test_what_misses_the_rule_is_returned_without_a_certificate(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # Degree 4 alone and no elements: negative or inaccurate, and said so in words.
+    monkeypatch.setattr(stationary, "DEGREES", (4,))
+    monkeypatch.setattr(on_mesh, "MOST_ENTRIES", 0)
+    solution = solve_plane(one_sided(0.3, 0.05), tol=1e-10)
+    assert not solution.certificate.certified
+    assert any("exceeds the tolerance" in words for words in solution.certificate.failures)
