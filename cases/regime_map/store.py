@@ -2,7 +2,8 @@
 
 import hashlib
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
+from os.path import lexists
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ class PointStore:
         self.points: dict[tuple[float, ...], MapPoint] = {}
         self.note: str | None = None
         if self._path is not None:
-            whole = self._path.exists() and self._read(self._path)
+            whole = lexists(self._path) and self._read(self._path)
             if not whole:
                 lines = [_line(self._head), *(_line(asdict(p)) for p in self.points.values())]
                 write_text(self._path, "".join(lines))
@@ -59,7 +60,7 @@ class PointStore:
     def _read(self, path: Path) -> bool:
         """Read the file's points; return whether it is whole, down to the end of its last line."""
         text = read_text(path, str(path), most=MAX_BYTES, what="the file of a map's points")
-        *lines, rest = text.split("\n")  # not splitlines: a scene may hold U+2028
+        *lines, rest = text.split("\n")
         if not text:  # as a full disk leaves it, nothing can be wrong with it
             return False
         if not lines or _record(lines[0]).get("map") != self._head["map"]:
@@ -68,9 +69,9 @@ class PointStore:
                 " version); give another --out or remove the file"
             )
         for number, line in enumerate(lines[1:], start=2):
-            if not (record := _record(line)):
+            point = _point(_record(line))
+            if point is None:
                 raise _damaged(path, number, "is not what was written")
-            point = _point(record)
             known = self.points.setdefault(point.values, point)
             if replace(known, seconds=point.seconds) != point:  # two runs at once write it twice
                 raise _damaged(path, number, "has other numbers than an earlier line of its point")
@@ -94,10 +95,9 @@ def hash_of(record: dict[str, Any]) -> str:
 
 
 def _line(record: dict[str, Any]) -> str:
-    """One line: ``record`` and its own hash."""
+    """One line: ``record`` and its own hash, in ASCII, which can be cut anywhere."""
     record = plain(record)
-    text = json.dumps({**record, "hash": hash_of(record)}, ensure_ascii=False, allow_nan=False)
-    return text + "\n"
+    return json.dumps({**record, "hash": hash_of(record)}, allow_nan=False) + "\n"
 
 
 def _record(line: str) -> dict[str, Any]:
@@ -110,6 +110,8 @@ def _record(line: str) -> dict[str, Any]:
         return {}
 
 
-def _point(record: dict[str, Any]) -> MapPoint:
-    lists = {key: tuple(record[key]) for key in ("values", "problems")}
-    return MapPoint(**{**record, **lists})
+def _point(record: dict[str, Any]) -> MapPoint | None:
+    """Return the point of one line's record, or None where it holds something else."""
+    if record.keys() != {field.name for field in fields(MapPoint)}:
+        return None
+    return MapPoint(**{**record, **{key: tuple(record[key]) for key in ("values", "problems")}})
