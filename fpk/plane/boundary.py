@@ -1,7 +1,5 @@
 """Feller classification of the edges H_i = 0 and H_i = ∞ of a process of several energies."""
 
-from itertools import product
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,7 +9,7 @@ from fpk.vector_process import VectorProcess
 Array = NDArray[np.float64]
 
 OTHERS = (0.0, 1.0, 10.0)
-"""Where the other energies are looked at, in units of their scales."""
+"""Where the other energies are looked at, in units of their scales: all alike, and one alone."""
 
 
 def classify_edges(process: VectorProcess, axis: int) -> tuple[BoundaryClass, BoundaryClass]:
@@ -22,7 +20,9 @@ def classify_edges(process: VectorProcess, axis: int) -> tuple[BoundaryClass, Bo
     is named.
     """
     name = f"H{axis + 1}"
-    others = np.array(list(product(OTHERS, repeat=process.dimension - 1)))
+    rest = process.dimension - 1
+    alone = [level * row for level in OTHERS if level for row in np.eye(rest)]
+    others = np.array([*(np.full(rest, level) for level in OTHERS), *alone])
     scales = np.array(process.energy_scales)
 
     def at(share: float) -> Array:
