@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from cases.command_converge import converge
+from cases.command_cost import cost
 from cases.command_export import export
 from cases.command_parts import (
     Checkpoint,
@@ -186,6 +187,7 @@ def density(
 
 
 app.command()(converge)
+app.command()(cost)
 app.command()(export)
 app.command()(verify)
 app.command()(regime)

@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from cases.fields import program_version
 from cases.files import write_by, write_text
@@ -278,6 +279,9 @@ def _draw_schemes(axes: Axes, schemes: tuple[WeakOrder, ...]) -> None:
         fit = np.geomspace(dt.min(), dt.max(), 30)
         axes.plot(fit, abs(s.slope) * fit**s.theory, color=colour, lw=1.2, label=label)
     axes.set(xscale="log", yscale="log", xlabel="step $dt$")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_ylabel(f"error of ${_square(schemes[0].observable)}$, one standard error")
     axes.set_title("simulation; lines: order of theory")
     axes.legend(loc="best", fontsize=7.5)

@@ -1,0 +1,164 @@
+"""The work-precision study: wrong routes are caught and not timed, prices follow from points."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from averaging.energy_density import averaged_closed_form
+from averaging.energy_process import energy_process
+from averaging.nonintegrable import NonIntegrable
+from cases.scene import load_scene
+from cases.study.answer import Answer
+from cases.study.cost import study_cost
+from cases.study.cost_output import told_seconds, write_cost
+from cases.study.deterministic import Candidate, candidates, priced
+from cases.study.equations import energy_equation
+from cases.study.priced import Point, Priced, crossovers, price_list
+from cases.study.sampled import FULL, Law, full_reference, full_routes
+from cases.study.timing import Timing
+from fpk.density import Density, l1_distance
+from fpk.observable import parse_observable
+
+
+def sign_of_28(process):
+    """(28) as the paper prints it: the damping feeds the energy."""
+
+    def coefficients(energy):
+        c = process.coefficients(energy)
+        return c._replace(drift=c.drift - 2.0 * c.dissipation, dissipation=-c.dissipation)
+
+    return replace(process, coefficients=coefficients)
+
+
+def test_the_sign_of_28_as_printed_is_caught_by_every_route_and_not_timed():
+    equation = energy_equation(load_scene("fig6b").system, changed=sign_of_28)
+    good, bad = priced(equation, candidates(equation))
+    assert good == []
+    assert {n.route for n in bad} == {c.route for c in candidates(equation)}
+    given = [n for n in bad if n.distance == n.distance]
+    assert given, "elements on a given mesh have an answer, and it is wrong"
+    for n in given:  # L1 of the two densities, which have little in common, is nearly 2
+        assert n.distance > 1.0 and not n.distance <= n.allowed < np.inf
+    for n in bad:
+        assert n.reason
+
+
+def test_a_slightly_wrong_answer_is_named_with_what_it_disagrees_by():
+    scene = load_scene("fig6b")
+    equation = energy_equation(scene.system)
+    right = equation.adaptive(1e-8)
+    # Mass moved by 1e-6 while 1e-8 is stated: a factor 1 + 1e-6 moves L1 by 1e-6.
+    wrong = Answer(right.panels, lambda H: (1 + 1e-6) * right.density(H), 1e-8, right.unknowns)
+    found = study_cost(
+        scene, injected=[Candidate("wrong", (("1e-8", lambda: wrong),))], simulate=False
+    )
+    (caught,) = [n for n in found.not_timed if n.route == "wrong"]
+    assert abs(caught.distance - 1e-6) < 2e-8 and caught.allowed < 2e-8
+    assert "wrong" not in {r.route for r in found.routes}
+    assert found.problems and "wrong" in found.problems[0]
+    assert {"FE p = 1", "FE p = 8", "FE hp", "quadrature (11)"} <= {r.route for r in found.routes}
+
+
+@pytest.mark.slow
+def test_a_simulation_of_another_system_is_not_timed():
+    system = load_scene("fig6b").system
+    observable = parse_observable("q2", 2)
+    stops = tuple(replace(s, clearance=0.8 * s.clearance) for s in system.contacts)
+    reference = full_reference(
+        replace(system, contacts=stops), observable, seed=5, relaxations=60.0
+    )
+    good, bad, _ = full_routes(system, observable, reference, seed=6)
+    caught = {n.route for n in bad if n.distance > n.allowed}
+    assert "exact_flow" in caught or "exact_flow, N" in caught
+    assert "exact_flow, N" not in {r.route for r in good}
+
+
+def timed(seconds):
+    return Timing(seconds, 0.0, 1, 0.0, 0.0, 1.0)
+
+
+def route(name, pairs):
+    points = tuple(Point(f"{e:g}", e, e, timed(t)) for e, t in pairs)
+    return Priced(name, "equation", "axis", points)
+
+
+CHEAP = route("cheap", [(1e-1, 1e-3), (1e-2, 1e-2), (1e-3, 1e-1), (1e-4, 1.0)])
+GOOD = route("good", [(1e-2, 3e-2), (1e-6, 4e-2), (1e-10, 5e-2)])
+
+
+def test_prices_take_the_cheapest_point_that_is_good_enough():
+    prices = {c.digits: c for c in price_list([CHEAP, GOOD], range(1, 12))}
+    assert prices[1].route == "cheap" and prices[2].route == "cheap"
+    assert prices[3].route == "good" and prices[3].point.settings == "1e-06"
+    assert prices[10].point.seconds == 5e-2
+    assert prices[11].point is None
+
+
+def test_the_crossover_lies_where_the_laws_meet():
+    (found,) = crossovers([CHEAP, GOOD])
+    # cheap: t = 1e-4/e; good: t = 3e-2 (e/1e-2)^(−log10(4/3)/4): equal near e = 3.1e-3.
+    e = found.error
+    assert (found.above, found.below) == ("cheap", "good")
+    ours, theirs = 1e-4 / e, 3e-2 * (e / 1e-2) ** (-np.log10(4 / 3) / 4)
+    assert abs(np.log(ours / theirs)) < 0.1  # a tenth: three steps of the scan
+
+
+@pytest.mark.parametrize("order", [1, 2, 4])
+def test_the_cheapest_path_of_a_law_meets_its_error_and_is_the_cheapest(order):
+    law = Law("x", 4.0, 0.2, True, order, 1e-8, 1.0, 0.0)
+    dt, sampled = law.cheapest(1e-3)
+    assert law.error(sampled, dt) == pytest.approx(1e-3, rel=1e-12)
+    for factor in (0.8, 1.2):
+        other = factor * dt
+        left = 1e-3 - law.bias * other**order
+        if left > 0:
+            assert law.seconds((law.noise / left) ** 2, other) > law.seconds(sampled, dt)
+
+
+@pytest.mark.parametrize("scene", ["fig6c", "three-mass", "fig4b"])
+@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
+def test_the_promise_of_tol_holds_on_scenes_the_table_was_not_made_from(scene, tol):
+    system = load_scene(scene).system
+    process = energy_process(system)
+    closed = averaged_closed_form(system, process)
+    observable = parse_observable("H", system.n)
+    for solver in ("fem", "quadrature"):
+        (found,) = NonIntegrable(solver, tol=tol).solve(system, [observable]).densities
+        true = Density(
+            observable,
+            (closed.nodes,),
+            closed.energy_pdf,
+            closed.u_error,
+            closed.l1_error,
+            closed.certificate,
+        )
+        assert found.certificate.certified
+        assert l1_distance(found, true) <= tol + closed.l1_error
+
+
+def test_the_command_prices_ten_digits_and_leaves_a_diagram(fpk, tmp_path):
+    status, out, _ = fpk("cost", "fig6b", "--no-simulate", "--json", "--out", tmp_path)
+    record = json.loads(out)
+    assert status == 0 and record["problems"] == []
+    own = [p for p in record["prices"] if p["equation"] == "averaged equation (24)"]
+    assert [p["digits"] for p in own] == list(range(1, 11))
+    for price in own:
+        assert price["point"]["error"] <= 10.0 ** -price["digits"]
+    assert all("numerical" in r["axis"] for r in record["routes"])
+    for ending in ("md", "nc", "svg"):
+        assert (tmp_path / f"cost.{ending}").stat().st_size > 1000
+
+
+@pytest.mark.slow
+def test_the_whole_study_agrees_with_itself(tmp_path):
+    found = study_cost(load_scene("fig6b"))
+    assert not found.problems
+    assert {r.equation for r in found.routes} >= {FULL, "averaged equation (24)"}
+    assert len(write_cost(found, tmp_path)) == 3
+
+
+def test_times_are_told_in_units_that_suit_them():
+    assert told_seconds(2e-3) == "2 ms" and told_seconds(90.0) == "1.5 min"
+    assert told_seconds(float("nan")) == "–"
