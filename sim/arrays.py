@@ -45,8 +45,24 @@ class TermArrays(NamedTuple):
     half_inverse_mass: Array  # (n,), 1/(2m): energies of momenta
 
 
+class SubstepArrays(NamedTuple):
+    """Numbers of a long step of ``small`` small ones, see ``sim.substeps``; stops as merged."""
+
+    small: int
+    matrix: Array  # (2n, columns), the map over the long step
+    mass: Integers  # (stops,)
+    sign: Array  # (stops,), +1, −1, or 0 for either side
+    clearance: Array  # (stops,)
+    row: Array  # (stops, 2n padded), mean displacement after the long step
+    bend: Array  # (stops, 2n padded), b by the sizes of the state
+    reach: Array  # (stops,), what the noise can add
+
+
 class StepArrays(NamedTuple):
-    """Numbers of one step; ``matrix`` is (propagator, factor) with columns padded."""
+    """Numbers of one step; ``matrix`` is (propagator, factor) with columns padded.
+
+    With ``substeps`` it is one of the small steps, and ``words`` are those of the long one.
+    """
 
     matrix: Array  # (2n, columns)
     pairs: int
@@ -61,6 +77,8 @@ class StepArrays(NamedTuple):
     stop_exponent: Array
     stop_law: Integers
     terms: Any  # TermArrays, or None for constant damping: its kernel does not read it
+    words: int  # of the stream that a trajectory takes in one call of the step
+    substeps: Any  # SubstepArrays, or None where all trajectories make the same steps
 
 
 class WatchArrays(NamedTuple):

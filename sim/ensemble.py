@@ -56,6 +56,7 @@ def kernel_key(
         masses=system.n,
         pairs=step.pairs,
         kicked=kicked,
+        substeps=step.substeps is not None,
     )
 
 
@@ -147,7 +148,7 @@ class Ensemble:
 
     def advance(self, steps: int, *, stride: int = 1) -> None:
         """Advance all trajectories; every ``stride``-th step since ``watch`` is observed."""
-        counter = np.uint64(self.done * self.step.pairs)
+        counter = np.uint64(self.done * self.step.words)
         offset = mixed_seed(self.seed)
         blocks, kernel = self.states.shape[0], self._kernel
         x = self.states.reshape(blocks, -1)

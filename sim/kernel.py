@@ -33,7 +33,8 @@ from sim.parts.observed import (
     observed_springs,
     sum_products,
 )
-from sim.random import FLAGS, LANES, fill_normals
+from sim.parts.substeps import AT_ONCE, NARROW, gather, near_lanes, places, scatter, small_steps
+from sim.random import FLAGS, GOLDEN, LANES, fill_normals
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -56,6 +57,7 @@ class KernelKey:
     masses: int = 2
     pairs: int = 2
     kicked: tuple[int, ...] = ()
+    substeps: bool = False
 
 
 def source_stamp() -> int:
@@ -76,6 +78,7 @@ def compiled_kernel(key: KernelKey) -> Any:
     momenta, energy, modes, moments = key.momenta, key.energy, key.modes, key.moments
     masses, pairs = key.masses, key.pairs
     kick1, kick2, fused = 0 in key.kicked, 1 in key.kicked, bool(key.kicked)
+    substeps = key.substeps
     stamp = source_stamp()
     force: Any = compiled_laws(key.laws, "force") if contact else None
     slope: Any = compiled_laws(key.laws, "slope") if contact else None
@@ -107,12 +110,18 @@ def compiled_kernel(key: KernelKey) -> Any:
         s = aligned_rows(at.total if stamp >= 0 else 0)
         z, words = aligned_rows(pairs).view(np.float32), aligned_rows(1).view(np.uint64)
         index, second = np.zeros(W, np.int64), np.zeros(W, np.int64)
+        if substeps:
+            group = at.total * NARROW
+            groups, chosen = aligned_rows(at.total), np.zeros(W, np.int64)
+            drawn = aligned_rows(pairs * AT_ONCE).view(np.float32)
+            places_of = aligned_rows(pairs * AT_ONCE).view(np.uint64)
+            halves = aligned_rows(pairs * AT_ONCE).view(np.uint32)
         for b in range(x.shape[0]):
             trajectory = np.uint64((first + b) * W)
             s[: 2 * n * W] = x[b]
             for t in range(steps):
                 watched = observed and (phase + t) % stride == 0
-                if contact and (watched or not fused):
+                if contact and (watched or not (fused or substeps)):
                     contact_forces(s, at.contact, step, force, slope)
                 if energy_damping:
                     spring_energy(s, row(s, at.work + 1), step.terms)
@@ -149,7 +158,7 @@ def compiled_kernel(key: KernelKey) -> Any:
                             damping_forces(s, at.q, H, at.damping, at.work, step.terms)
                         sum_products(s, sums[b], watch)
                     count_all(s, index, second, live[b], watch, counts)
-                if contact and kick_first and not fused:
+                if contact and kick_first and not (fused or substeps):
                     for slot in range(slots):
                         p, g = row(s, n + step.slot_mass[slot]), row(s, at.contact + 2 * slot, 2)
                         kick(p, g, step.dt, step.slot_shift[slot])
@@ -165,22 +174,37 @@ def compiled_kernel(key: KernelKey) -> Any:
                     if energy_damping:
                         whole_energy(s, H, row(s, at.work + 1), step.terms)
                     damping_forces(s, 0, H, at.damping, at.work, step.terms)
+                if substeps:
+                    matrix = step.substeps.matrix
+                    near = near_lanes(s, row(s, at.q, 2), index, chosen, step.substeps)
+                    gather(groups, s, chosen, near, 2 * n, group)
+                    places(places_of, chosen, near, pairs)
+                else:
+                    matrix = step.matrix
                 for pair in range(pairs):
-                    word = counter + np.uint64(t * pairs + pair)
+                    word = counter + np.uint64(t * step.words + pair)
                     pair_rows = z[2 * pair * W : 2 * (pair + 1) * W]
                     fill_normals(pair_rows, words, trajectory, word, offset)
                 if masses == 1 and pairs == 1:
-                    if fused:
-                        map_one_mass(row(s, 0, 2), z, step, kick1, force, slope)
+                    if fused and not substeps:
+                        map_one_mass(row(s, 0, 2), z, matrix, step, kick1, force, slope)
                     else:
-                        map_one_mass(row(s, 0, 2), z, step, False, no_law, no_law)
+                        map_one_mass(row(s, 0, 2), z, matrix, step, False, no_law, no_law)
                 elif masses == 2 and pairs == 2:
-                    if fused:
-                        map_two_masses(row(s, 0, 4), z, step, kick1, kick2, force, slope)
+                    if fused and not substeps:
+                        map_two_masses(row(s, 0, 4), z, matrix, step, kick1, kick2, force, slope)
                     else:
-                        map_two_masses(row(s, 0, 4), z, step, False, False, no_law, no_law)
+                        map_two_masses(row(s, 0, 4), z, matrix, step, False, False, no_law, no_law)
                 else:
-                    map_any(s, z, step.matrix)
+                    map_any(s, z, pairs, matrix)
+                if substeps:
+                    word = counter + np.uint64(t * step.words + pairs)
+                    place = ((trajectory << np.uint64(40)) + word) * GOLDEN + offset
+                    small_steps(
+                        groups, group, places_of, near, drawn, halves, place, step,
+                        at.contact, (kick1, kick2), masses, pairs, force, slope,
+                    )  # fmt: skip
+                    scatter(s, groups, chosen, near, 2 * n, group)
                 if contact and not kick_first:
                     for slot in range(slots):
                         p, g = row(s, n + step.slot_mass[slot]), row(s, at.contact + 2 * slot, 2)

@@ -1,5 +1,6 @@
 """Loops over lanes that every step is made of; rows of a block lie one after the other.
 
+A loop is over ``width`` lanes, a constant at each call: a whole block unless told otherwise.
 Each loop works on views of neighbouring rows, one group that is read and one that is written: an
 index into a view is seen not to be negative, and two groups need one overlap check, so that the
 compiler turns the loop into vector instructions whatever the number of masses. All are inlined
@@ -27,29 +28,29 @@ def aligned_rows(rows: int) -> Array:
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def row(s: Array, first: int, rows: int = 1) -> Array:
+def row(s: Array, first: int, rows: int = 1, width: int = W) -> Array:
     """Return a view of ``rows`` rows from ``first`` on."""
-    return s[first * W : (first + rows) * W]
+    return s[first * width : (first + rows) * width]
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def kick(p: Array, g: Array, h: float, a: float) -> None:
+def kick(p: Array, g: Array, h: float, a: float, width: int = W) -> None:
     """Take ``h g (1 − a g')`` from p; g holds the rows of g and of g'."""
-    for k in range(W):
-        p[k] -= h * g[k] * (1.0 - a * g[W + k])
+    for k in range(width):
+        p[k] -= h * g[k] * (1.0 - a * g[width + k])
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def fill(target: Array, value: float) -> None:
+def fill(target: Array, value: float, width: int = W) -> None:
     """Set a row to one value."""
-    for k in range(W):
+    for k in range(width):
         target[k] = value
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def copy(target: Array, source: Array) -> None:
+def copy(target: Array, source: Array, width: int = W) -> None:
     """Copy one row."""
-    for k in range(W):
+    for k in range(width):
         target[k] = source[k]
 
 

@@ -22,6 +22,7 @@ from sim.scheme import SCHEMES
 from sim.simulation import PARTIAL, simulate
 from sim.step_pair import mean_settings, step_bias
 from sim.step_size import check_step, chosen_step
+from sim.substeps import with_long_steps
 
 LEAST_PATHS = 32 * LANES
 """Paths below which there are fewer than 32 independent batches to take errors from."""
@@ -145,6 +146,7 @@ class MonteCarlo:
         relaxation = relaxation_time(system)
         wanted = self.relaxations * relaxation if self.time is None else self.time
         time = min(wanted, self.most_steps * dt) if self.time is None else wanted
+        scheme, long, steps = with_long_steps(system, scheme, dt)
         simulated = partial(
             simulate,
             system,
@@ -161,7 +163,7 @@ class MonteCarlo:
         with ensembles(self.cluster) as make:
             run = simulated(
                 make=make,
-                dt=dt,
+                dt=long,
                 time=time,
                 seed=self.seed,
                 tol=self.tol if observables else None,
@@ -169,6 +171,7 @@ class MonteCarlo:
                 seconds=self.seconds,
             )
         settings = dict(run.settings)
+        settings |= {"dt": dt, "long_step": long, "small_steps": steps}
         settings["relaxation_time"] = relaxation
         if time < wanted:
             settings["limited_by"] = "most_steps"
@@ -179,7 +182,7 @@ class MonteCarlo:
             with ensembles(self.cluster) as make:
                 half = simulated(
                     make=make,
-                    dt=0.5 * dt,
+                    dt=0.5 * long,
                     time=float(run.settings["time"]),
                     seed=(self.seed + OTHER_SEED) % 2**64,
                     histograms=run.histograms,

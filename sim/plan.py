@@ -9,13 +9,18 @@ from sim.arrays import StepArrays, TermArrays
 from sim.flow import lower_trapezoidal
 from sim.parts.linear import COLUMNS
 from sim.scheme import Scheme
+from sim.substeps import substep_arrays
 
 Array = NDArray[np.float64]
 
 
 def step_arrays(system: System, scheme: Scheme, dt: float) -> StepArrays:
-    """Return the numbers of one step of ``dt``; a stop equal on both sides counts as one."""
-    n = system.n
+    """Return the numbers of one step of ``dt``; a stop equal on both sides counts as one.
+
+    Of a long step they are those of its small ones, and ``substeps``.
+    """
+    n, small, H = system.n, scheme.small, dt
+    dt = H / small
     linear = scheme.linear_map(system, dt)
     springs = dt * system.stiffness_matrix if scheme.springs_kicked else np.zeros((0, 0))
     terms = term_arrays(system, springs) if system.damping_terms else None
@@ -42,6 +47,11 @@ def step_arrays(system: System, scheme: Scheme, dt: float) -> StepArrays:
     columns_of = list(zip(*rows, strict=True)) if rows else [()] * 6
     slot = np.array(columns_of[0], dtype=np.int64)
     masses = np.array(slots, dtype=np.int64)
+    signs = np.array(columns_of[5], dtype=float)
+    clearance = np.array(columns_of[1], dtype=float)
+    substeps = None
+    if small > 1:
+        substeps = substep_arrays(system, H, small, masses[slot], signs, clearance)
     return StepArrays(
         matrix=matrix,
         pairs=pairs,
@@ -50,12 +60,14 @@ def step_arrays(system: System, scheme: Scheme, dt: float) -> StepArrays:
         slot_shift=scheme.modified * dt**2 / system.mass[masses],
         stop_slot=slot,
         stop_fresh=np.append(True, np.diff(slot) != 0)[: slot.size],
-        stop_sign=np.array(columns_of[5], dtype=float),
-        stop_clearance=np.array(columns_of[1], dtype=float),
+        stop_sign=signs,
+        stop_clearance=clearance,
         stop_stiffness=np.array(columns_of[2], dtype=float),
         stop_exponent=np.array(columns_of[3], dtype=float),
         stop_law=np.array(columns_of[4], dtype=np.int64),
         terms=terms,
+        words=pairs * (small + 1) if small > 1 else pairs,
+        substeps=substeps,
     )
 
 

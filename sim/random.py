@@ -48,6 +48,8 @@ GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX2 = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S40 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(40)
+LANE = np.uint64((int(GOLDEN) << 40) & ((1 << 64) - 1))
+"""From a trajectory's words to the next one's."""
 
 u32, f32 = np.uint32, np.float32
 _LOWEST, _ONE = u32(1), f32(1.0)
@@ -97,21 +99,26 @@ def mixed_seed(seed: int) -> np.uint64:
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def mixed_word(z: np.uint64) -> np.uint64:
+    """Return the word at the place ``z`` of the sequence."""
+    z = (z ^ (z >> _S30)) * _MIX1
+    z = (z ^ (z >> _S27)) * _MIX2
+    return np.uint64(z ^ (z >> _S31))
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
 def fill_words(words: Words, trajectory: np.uint64, counter: np.uint64, offset: np.uint64) -> None:
     """Write the word ``counter`` of every lane of a block; see ``fill_normals``."""
     first = ((trajectory << _S40) + counter) * GOLDEN + offset
     for lane in range(LANES):
-        z = first + np.uint64(lane) * (GOLDEN << _S40)
-        z = (z ^ (z >> _S30)) * _MIX1
-        z = (z ^ (z >> _S27)) * _MIX2
-        words[lane] = z ^ (z >> _S31)
+        words[lane] = mixed_word(first + np.uint64(lane) * LANE)
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def box_muller(rows: Singles, halves: Halves) -> None:
+def box_muller(rows: Singles, halves: Halves, width: int = LANES) -> None:
     """Write one pair a lane: a row of cosines, then a row of sines; bits as in the module."""
-    for k in range(LANES):
-        a = halves[LANES + k]
+    for k in range(width):
+        a = halves[width + k]
         u = f32(u32(halves[k] | _LOWEST))
         bits = u32(f32(u).view(u32) - _SCALED)
         e = f32(u32(bits & _EXPONENT).view(np.int32))
@@ -122,7 +129,7 @@ def box_muller(rows: Singles, halves: Halves) -> None:
         r = u32(f32(r).view(u32) | u32(a & _SIGN)).view(f32)
         x = u32(u32(a & _MANTISSA) | _TWO).view(f32) - _THREE
         y = x * x
-        rows[LANES + k] = r * (x * (_A0 + y * (_A1 + y * (_A2 + y * _A3))))
+        rows[width + k] = r * (x * (_A0 + y * (_A1 + y * (_A2 + y * _A3))))
         rows[k] = r * (_B0 + y * (_B1 + y * (_B2 + y * (_B3 + y * _B4))))
 
 

@@ -22,6 +22,9 @@ class Scheme:
     Damping terms act for h/2 before the kicks and, in reverse order, for h/2 after them, the state
     in the middle being observed: symmetric, of second order in the terms, which are small. Where
     the kick is not first they are of Euler's kind, by the forces from before the map.
+
+    With ``small`` > 1 a step is a long one of so many small ones: trajectories that cannot touch
+    a stop within it make it at once (``sim.substeps``).
     """
 
     name: str
@@ -31,6 +34,7 @@ class Scheme:
     kick_first: bool = True
     symmetric: bool = True
     springs_kicked: bool = False
+    small: int = 1
 
 
 SCHEMES: dict[str, Scheme] = {}

@@ -101,7 +101,15 @@ def simulate(
     burnt = ceil(burn_in * relaxation_time(system) / dt)
     effects = effects_of(system)
     asked = (burn_in, time, moments, tol, seconds is None, [h.edges for h in histograms or ()])
-    identity = (system, scheme.name, dt, paths, seed, list(map(observable_name, observables)))
+    identity = (
+        system,
+        scheme.name,
+        scheme.small,
+        dt,
+        paths,
+        seed,
+        list(map(observable_name, observables)),
+    )
     keeper = Keeper(None if folder is None else checkpoint_of(folder, (*identity, *asked)))
     kept = keeper.load()
     sampling = "loop" in kept

@@ -16,26 +16,29 @@ Stop = tuple[float, float, float, float, int, float]
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def contact_forces(s: Array, g0: int, step: StepArrays, force: Any, slope: Any) -> None:
+def contact_forces(
+    s: Array, g0: int, step: StepArrays, force: Any, slope: Any, width: int = W
+) -> None:
     """Write g and g' of every slot at the displacements of the state to the rows from ``g0``."""
     for stop in range(step.stop_slot.size):
         slot, law = step.stop_slot[stop], step.stop_law[stop]
-        q, g = row(s, step.slot_mass[slot]), row(s, g0 + 2 * slot, 2)
+        q = row(s, step.slot_mass[slot], 1, width)
+        g = row(s, g0 + 2 * slot, 2, width)
         clearance, sign = step.stop_clearance[stop], step.stop_sign[stop]
         B, e = step.stop_stiffness[stop], step.stop_exponent[stop]
         if step.stop_fresh[stop]:
-            fill(g, 0.0)
-            fill(g[W:], 0.0)
+            fill(g, 0.0, width)
+            fill(g[width:], 0.0, width)
         if sign != 0.0:
-            for k in range(W):
+            for k in range(width):
                 o = max(sign * q[k] - clearance, 0.0)
                 g[k] += sign * B * force(law, o, e)
-                g[W + k] += B * slope(law, o, e) if o > 0.0 else 0.0
+                g[width + k] += B * slope(law, o, e) if o > 0.0 else 0.0
         else:
-            for k in range(W):
+            for k in range(width):
                 o = max(abs(q[k]) - clearance, 0.0)
                 g[k] += np.copysign(B, q[k]) * force(law, o, e)
-                g[W + k] += B * slope(law, o, e) if o > 0.0 else 0.0
+                g[width + k] += B * slope(law, o, e) if o > 0.0 else 0.0
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)

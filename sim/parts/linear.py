@@ -1,8 +1,9 @@
 """The random linear map ``x <- matrix @ (x, z)`` of a block; z are rows of normals.
 
-The columns of z are lower trapezoidal: row i takes the normals 0..i only. One or two masses are
-one loop each, in place: every number of a lane is read and written once. More masses go by pairs
-of rows and ``COLUMNS`` columns at a time through scratch rows.
+Pair j of z is a row of cosines from ``j · pair`` on, and one of sines ``sines`` behind it; they are
+the columns 2j and 2j + 1. These columns are lower trapezoidal: row i takes the normals 0..i only.
+One or two masses are one loop each, in place: every number of a lane is read and written once. More
+masses go by pairs of rows and ``COLUMNS`` columns at a time through scratch rows.
 """
 
 from typing import Any
@@ -29,27 +30,46 @@ COLUMNS = 4
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
 def map_one_mass(
-    x: Array, z: Singles, step: StepArrays, kick1: bool, force: Any, slope: Any
+    x: Array,
+    z: Singles,
+    A: Array,
+    step: StepArrays,
+    kick1: bool,
+    force: Any,
+    slope: Any,
+    width: int = W,
+    sines: int = W,
+    pair: int = 2 * W,
 ) -> None:
     """Map (q, p) of one mass with one pair of normals, after the kick of its stop if any."""
-    A, h = step.matrix, step.dt
+    h = step.dt
     stop1 = only_stop(step, 0) if kick1 else NO_STOP
     a, b, c = A[0, 0], A[0, 1], A[0, 2]
     d, e, f, g = A[1, 0], A[1, 1], A[1, 2], A[1, 3]
-    for k in range(W):
-        q, p, z0 = x[k], x[W + k], np.float64(z[k])
+    for k in range(width):
+        q, p, z0 = x[k], x[width + k], np.float64(z[k])
         if kick1:
             p -= h * modified_force(q, stop1, force, slope)
         x[k] = a * q + b * p + c * z0
-        x[W + k] = d * q + e * p + f * z0 + g * np.float64(z[W + k])
+        x[width + k] = d * q + e * p + f * z0 + g * np.float64(z[sines + k])
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
 def map_two_masses(
-    x: Array, z: Singles, step: StepArrays, kick1: bool, kick2: bool, force: Any, slope: Any
+    x: Array,
+    z: Singles,
+    A: Array,
+    step: StepArrays,
+    kick1: bool,
+    kick2: bool,
+    force: Any,
+    slope: Any,
+    width: int = W,
+    sines: int = W,
+    pair: int = 2 * W,
 ) -> None:
     """Map (q1, q2, p1, p2) with two pairs of normals, after the kicks of stops if any."""
-    A, h = step.matrix, step.dt
+    h = step.dt
     stop1 = only_stop(step, 0) if kick1 else NO_STOP
     stop2 = only_stop(step, 1) if kick2 else NO_STOP
     a0, a1, a2, a3, a4 = A[0, 0], A[0, 1], A[0, 2], A[0, 3], A[0, 4]
@@ -57,55 +77,65 @@ def map_two_masses(
     c0, c1, c2, c3, c4, c5, c6 = A[2, 0], A[2, 1], A[2, 2], A[2, 3], A[2, 4], A[2, 5], A[2, 6]
     d0, d1, d2, d3, d4, d5, d6 = A[3, 0], A[3, 1], A[3, 2], A[3, 3], A[3, 4], A[3, 5], A[3, 6]
     d7 = A[3, 7]
-    for k in range(W):
-        x0, x1, x2, x3 = x[k], x[W + k], x[2 * W + k], x[3 * W + k]
+    for k in range(width):
+        x0, x1, x2, x3 = x[k], x[width + k], x[2 * width + k], x[3 * width + k]
         if kick1:
             x2 -= h * modified_force(x0, stop1, force, slope)
         if kick2:
             x3 -= h * modified_force(x1, stop2, force, slope)
-        z0, z1 = np.float64(z[k]), np.float64(z[W + k])
-        z2, z3 = np.float64(z[2 * W + k]), np.float64(z[3 * W + k])
+        z0, z1 = np.float64(z[k]), np.float64(z[sines + k])
+        z2, z3 = np.float64(z[pair + k]), np.float64(z[pair + sines + k])
         x[k] = a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3 + a4 * z0
-        x[W + k] = b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3 + b4 * z0 + b5 * z1
-        x[2 * W + k] = c0 * x0 + c1 * x1 + c2 * x2 + c3 * x3 + c4 * z0 + c5 * z1 + c6 * z2
+        x[width + k] = b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3 + b4 * z0 + b5 * z1
+        x[2 * width + k] = c0 * x0 + c1 * x1 + c2 * x2 + c3 * x3 + c4 * z0 + c5 * z1 + c6 * z2
         y = d0 * x0 + d1 * x1 + d2 * x2 + d3 * x3 + d4 * z0 + d5 * z1
-        x[3 * W + k] = y + d6 * z2 + d7 * z3
+        x[3 * width + k] = y + d6 * z2 + d7 * z3
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def widen(target: Array, source: Singles) -> None:
+def widen(target: Array, source: Singles, width: int = W) -> None:
     """Copy one row of normals."""
-    for k in range(W):
+    for k in range(width):
         target[k] = np.float64(source[k])
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def map_by_pairs(s: Array, matrix: Array, scratch: int) -> None:
+def map_by_pairs(s: Array, matrix: Array, scratch: int, width: int = W) -> None:
     """Map the first rows of ``s`` with the normals in the rows behind them."""
     for i in range(0, matrix.shape[0], 2):
-        y = row(s, scratch + i, 2)
+        y = row(s, scratch + i, 2, width)
         for j in range(0, matrix.shape[1], COLUMNS):
             a0, a1, a2, a3 = matrix[i, j], matrix[i, j + 1], matrix[i, j + 2], matrix[i, j + 3]
             b0, b1 = matrix[i + 1, j], matrix[i + 1, j + 1]
             b2, b3 = matrix[i + 1, j + 2], matrix[i + 1, j + 3]
-            x = row(s, j, COLUMNS)
+            x = row(s, j, COLUMNS, width)
             if j == 0:
-                for k in range(W):
-                    x0, x1, x2, x3 = x[k], x[W + k], x[2 * W + k], x[3 * W + k]
+                for k in range(width):
+                    x0, x1, x2, x3 = x[k], x[width + k], x[2 * width + k], x[3 * width + k]
                     y[k] = a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
-                    y[W + k] = b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3
+                    y[width + k] = b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3
             else:
-                for k in range(W):
-                    x0, x1, x2, x3 = x[k], x[W + k], x[2 * W + k], x[3 * W + k]
+                for k in range(width):
+                    x0, x1, x2, x3 = x[k], x[width + k], x[2 * width + k], x[3 * width + k]
                     y[k] += a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
-                    y[W + k] += b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3
+                    y[width + k] += b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3
     for i in range(matrix.shape[0]):
-        copy(row(s, i), row(s, scratch + i))
+        copy(row(s, i, 1, width), row(s, scratch + i, 1, width), width)
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def map_any(s: Array, z: Singles, matrix: Array) -> None:
+def map_any(
+    s: Array,
+    z: Singles,
+    pairs: int,
+    matrix: Array,
+    width: int = W,
+    sines: int = W,
+    pair: int = 2 * W,
+) -> None:
     """Map the state in the first rows of ``s``, any number of masses and normals."""
-    for i in range(z.size // W):
-        widen(row(s, matrix.shape[0] + i), z[i * W : (i + 1) * W])
-    map_by_pairs(s, matrix, matrix.shape[1])
+    first = matrix.shape[0]
+    for i in range(pairs):
+        widen(row(s, first + 2 * i, 1, width), z[i * pair :], width)
+        widen(row(s, first + 2 * i + 1, 1, width), z[i * pair + sines :], width)
+    map_by_pairs(s, matrix, matrix.shape[1], width)

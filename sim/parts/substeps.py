@@ -1,0 +1,163 @@
+"""Small steps of the lanes near a stop only, side by side in narrow groups.
+
+A block makes one long step: the lanes that may touch a stop within it are chosen from the state at
+its start (``sim.substeps``) and gathered, ``NARROW`` to a group; all lanes are mapped over the long
+step; then those that were gathered make the small steps from where they were and overwrite what the
+map gave. Their normals are those of the trajectory, the long step and the small one, wherever a
+lane comes to lie in its group: the word's lower half is the radius, the upper the angle.
+"""
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sim.arrays import StepArrays, SubstepArrays
+from sim.lanes import fill, kick, row
+from sim.parts.contact import contact_forces
+from sim.parts.linear import COLUMNS, map_any, map_one_mass, map_two_masses
+from sim.random import FLAGS, GOLDEN, LANE, LANES, Halves, Singles, Words, box_muller, mixed_word
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+W = LANES
+
+NARROW = 16
+"""Lanes of a group: one vector of 32-bit numbers."""
+
+AT_ONCE = 4
+"""Small steps whose normals are drawn together."""
+
+V = NARROW
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def near_lanes(s: Array, work: Array, near: Integers, index: Integers, sub: SubstepArrays) -> int:
+    """Write the lanes that may touch a stop to ``index`` and return how many they are.
+
+    ``work``: two rows of scratch, the displacement after the step and the bend of its way.
+    """
+    after, bend = work[:W], work[W : 2 * W]
+    for k in range(W):
+        near[k] = 0
+    for stop in range(sub.mass.size):
+        for j in range(0, sub.row.shape[1], COLUMNS):
+            a, b, x = sub.row[stop], sub.bend[stop], row(s, j, COLUMNS)
+            a0, a1, a2, a3 = a[j], a[j + 1], a[j + 2], a[j + 3]
+            b0, b1, b2, b3 = b[j], b[j + 1], b[j + 2], b[j + 3]
+            if j == 0:
+                fill(after, 0.0)
+                fill(bend, 0.0)
+            for k in range(W):
+                x0, x1, x2, x3 = x[k], x[W + k], x[2 * W + k], x[3 * W + k]
+                after[k] += a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
+                bend[k] += b0 * abs(x0) + b1 * abs(x1) + b2 * abs(x2) + b3 * abs(x3)
+        q, sign = row(s, sub.mass[stop]), sub.sign[stop]
+        clearance, reach = sub.clearance[stop], sub.reach[stop]
+        if sign != 0.0:
+            for k in range(W):
+                furthest = max(sign * q[k], sign * after[k] + reach) + bend[k]
+                near[k] |= np.int64(furthest >= clearance)
+        else:
+            for k in range(W):
+                furthest = max(abs(q[k]), abs(after[k]) + reach) + bend[k]
+                near[k] |= np.int64(furthest >= clearance)
+    count = 0
+    for k in range(W):
+        index[count] = k
+        count += near[k]
+    for k in range(count, -(-count // V) * V):
+        index[k] = index[0]
+    return count
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def gather(groups: Array, s: Array, index: Integers, count: int, rows: int, stride: int) -> None:
+    """Copy the state of the lanes of ``index`` to their groups; the first of them fills up."""
+    for c in range(-(-count // V)):
+        for r in range(rows):
+            to, source = row(groups[c * stride :], r, 1, V), row(s, r)
+            for k in range(V):
+                to[k] = source[index[c * V + k]]
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def scatter(s: Array, groups: Array, index: Integers, count: int, rows: int, stride: int) -> None:
+    """Copy the state of the groups back to their lanes."""
+    for j in range(count):
+        group = groups[(j // V) * stride :]
+        for r in range(rows):
+            s[r * W + index[j]] = group[r * V + j % V]
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def places(start: Words, index: Integers, count: int, pairs: int) -> None:
+    """Write where a lane's words lie, behind the first one of its block: ``AT_ONCE`` small steps.
+
+    ``start``: (groups, AT_ONCE · pairs, V), as the words of one draw are.
+    """
+    many = AT_ONCE * pairs * V
+    for c in range(-(-count // V)):
+        to = start[c * many : (c + 1) * many]
+        for k in range(V):
+            to[k] = np.uint64(index[c * V + k]) * LANE
+        for k in range(V, many):
+            to[k] = to[k - V] + GOLDEN
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def narrow_normals(z: Singles, halves: Halves, start: Words, first: np.uint64, pairs: int) -> None:
+    """Write the normals of ``AT_ONCE`` small steps of a group, (2, AT_ONCE, pairs, V).
+
+    Words (as ``halves``: radii, angles) and normals (cosines, sines) are one long loop each.
+    """
+    many = AT_ONCE * pairs * V
+    for k in range(many):
+        word = mixed_word(first + start[k])
+        halves[k] = np.uint32(word)
+        halves[many + k] = np.uint32(word >> np.uint64(32))
+    box_muller(z, halves, many)
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def small_steps(
+    groups: Array,
+    stride: int,
+    start: Words,
+    count: int,
+    z: Singles,
+    halves: Halves,
+    first: np.uint64,
+    step: StepArrays,
+    at_contact: int,
+    kicked: tuple[bool, bool],
+    masses: int,
+    pairs: int,
+    force: Any,
+    slope: Any,
+) -> None:
+    """Advance all groups by the small steps of one long one; ``first`` is their first word."""
+    n, fused, small = step.matrix.shape[0] // 2, kicked[0] or kicked[1], step.substeps.small
+    kick1, kick2 = kicked
+    A, many = step.matrix, AT_ONCE * pairs * V
+    for begin in range(0, small, AT_ONCE):
+        for c in range(-(-count // V)):
+            word = first + np.uint64(begin * pairs) * GOLDEN
+            narrow_normals(z[2 * many * c :], halves, start[many * c :], word, pairs)
+        for t in range(min(AT_ONCE, small - begin)):
+            for c in range(-(-count // V)):
+                s = groups[c * stride : (c + 1) * stride]
+                u = z[2 * many * c + V * pairs * t : 2 * many * (c + 1)]
+                if not fused:
+                    contact_forces(s, at_contact, step, force, slope, V)
+                    for slot in range(step.slot_mass.size):
+                        p = row(s, n + step.slot_mass[slot], 1, V)
+                        g = row(s, at_contact + 2 * slot, 2, V)
+                        kick(p, g, step.dt, step.slot_shift[slot], V)
+                if masses == 1 and pairs == 1 and fused:
+                    map_one_mass(s, u, A, step, kick1, force, slope, V, many, V)
+                elif masses == 2 and pairs == 2 and fused:
+                    map_two_masses(s, u, A, step, kick1, kick2, force, slope, V, many, V)
+                else:
+                    map_any(s, u, pairs, A, V, many, V)

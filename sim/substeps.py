@@ -1,0 +1,174 @@
+"""Which trajectories may touch a stop within a long step, and how long a step is worth while.
+
+Far from its stops a trajectory needs no small steps: the linear flow is exact in law over any
+step, and many small steps without a kick are one long step. A long step ``H = small · h`` therefore
+divides the trajectories by their state at its start, and by nothing else, so that the process stays
+Markov: *far* ones, which cannot touch within it, make it at once, *near* ones make ``small`` steps
+``h`` with kicks. Its law is that of the small steps everywhere, but for far ones that would have
+touched after all. Those are excluded as follows (``d`` the side, ``q`` the mass's displacement).
+
+* Mean motion. From the state x it is ``q(s) = (e^{As} x)_i``, and lies within
+  ``H²/8 max |q''|`` of the chord; ``|q''| <= Σ_j max_s |(q''-row of e^{As})_j| |x_j|``:
+  b(x).
+* Noise. Its displacement Y(s) has the deviation σ(s); at the end ``|Y(H)| <= a`` with certainty,
+  since each pair of normals lies in a disc (``LARGEST_NORMAL``, 6.66). A trajectory is far if
+
+      max(d q(0), d q(H) + a) + b(x) < clearance ,
+
+  so that Y may reach ``a s/H`` at least before it touches. At its end it does not touch, with
+  certainty: whoever feels a force at an observed time is near, made small steps before it and makes
+  them after it, and the processor's h is theirs. Within the step, Rice's formula for crossings of
+  a s/H, with σ² = κ s³ and covariance of Y and Y' 3/2 σ²/s as short steps have, is
+
+      ∫ φ(a s/(H σ)) (a/(2H σ)) ds = ∫_{a/σ(H)}^∞ φ(u) du ,
+
+  u = a s/(H σ), plus 1e-5 of itself from the deviation of Y' about its mean: at ``a >= 6.66 σ(H)``
+  1.4e-11 a long step, for a trajectory that starts at the very border. Noise that reaches a mass
+  through springs only has a steeper σ(s), for which it is less still.
+"""
+
+from dataclasses import replace
+from math import isfinite, log, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+from scipy.stats import binom
+
+from fpk.system import System
+from sim.arrays import SubstepArrays
+from sim.flow import exact_flow, flow_covariance, linear_diffusion, linear_drift, lower_trapezoidal
+from sim.parts.linear import COLUMNS
+from sim.parts.substeps import NARROW
+from sim.random import LANES
+from sim.scheme import Scheme
+from sim.step_size import sampling_interval, temperature
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+LARGEST_NORMAL = sqrt(2.0 * 32.0 * log(2.0)) * (1.0 + 3e-6)
+"""Radius of a pair of normals at most: its uniform number is 2**-32 or more; and its rounding."""
+
+TIMES = 64
+"""Intervals of a long step on which its curvature is looked at."""
+
+SMALL_STEPS = (4, 8, 12, 16, 24, 32, 48, 64, 96, 128)
+"""Small steps in a long one; few choices, so that round-off does not decide between them."""
+
+LONG_COST, SMALL_COST, WORTH = 2.3, 1.2, 0.8
+"""Costs of a long step and of a small one in a group, in those of a step of a whole block (measured
+by ``benchmarks/montecarlo.py``), and the cost below which long steps are made at all."""
+
+
+def padded(rows: Array) -> Array:
+    """Return ``rows`` (stops, 2n) with columns of zeros up to a multiple of ``COLUMNS``."""
+    return np.pad(rows, ((0, 0), (0, -rows.shape[1] % COLUMNS)))
+
+
+def long_matrix(system: System, H: float) -> Array:
+    """Return (propagator, factor) of the linear flow over H, with the columns of a short step."""
+    flow = exact_flow(system, H)
+    matrix = np.hstack([flow.propagator, lower_trapezoidal(flow.factor)])
+    pairs = (flow.normals + 1) // 2
+    columns = -(-(2 * system.n + 2 * pairs) // COLUMNS) * COLUMNS
+    return np.pad(matrix, ((0, 0), (0, columns - matrix.shape[1])))
+
+
+def noise_reach(system: System, H: float, masses: Integers) -> Array:
+    """Return what the noise of one step H can add to the displacements of ``masses``."""
+    rows = lower_trapezoidal(exact_flow(system, H).factor)[masses]
+    rows = np.pad(rows, ((0, 0), (0, rows.shape[1] % 2)))
+    return np.asarray(LARGEST_NORMAL * np.hypot(rows[:, ::2], rows[:, 1::2]).sum(axis=1))
+
+
+def bends(system: System, H: float, masses: Integers) -> Array:
+    """Return b of the module's docstring as rows (masses, 2n) that ``|x|`` is multiplied by.
+
+    The largest is that on a grid of times, and half an interval times the largest slope on it: what
+    is left out is of second order in an interval.
+    """
+    drift, step = linear_drift(system), H / TIMES
+    across = flow_covariance(drift, linear_diffusion(system), step)[0]
+    value = drift[system.n + masses] / system.mass[masses, None]
+    largest, slope = np.zeros_like(value), np.zeros_like(value)
+    for _ in range(TIMES + 1):
+        largest, slope = np.maximum(largest, abs(value)), np.maximum(slope, abs(value @ drift))
+        value = value @ across
+    return np.asarray(H**2 / 8.0 * (largest + 0.5 * step * slope))
+
+
+def substep_arrays(
+    system: System, H: float, small: int, mass: Integers, sign: Array, clearance: Array
+) -> SubstepArrays:
+    """Return the numbers of a long step for stops on ``mass`` (stops,), sign 0 for both sides."""
+    return SubstepArrays(
+        small=small,
+        matrix=long_matrix(system, H),
+        mass=mass,
+        sign=sign,
+        clearance=clearance,
+        row=padded(exact_flow(system, H).propagator[mass]),
+        bend=padded(bends(system, H, mass)),
+        reach=noise_reach(system, H, mass),
+    )
+
+
+def near_share(system: System, H: float) -> float:
+    """Return an estimate of the share of trajectories that are near: each mass alone at kT."""
+    kT, far = temperature(system), 1.0
+    for i, reach in zip(
+        system.contact_masses, noise_reach(system, H, np.array(system.contact_masses)), strict=True
+    ):
+        k_eff = 1.0 / np.linalg.inv(system.stiffness_matrix)[i, i]
+        q = np.linspace(-6.0, 6.0, 4001) * sqrt(kT / k_eff)
+        energy = 0.5 * k_eff * q * q + np.array([float(system.contact_energy(i, x)) for x in q])
+        weight = np.exp(-(energy - energy.min()) / kT)
+        speed = sqrt(kT / system.mass[i])
+        near = np.zeros(q.size)
+        for stop in (s for s in system.stops if s.mass == i):
+            gap = stop.clearance - (q if stop.side == "right" else -q)
+            near += np.where(gap <= 0.0, 1.0, ndtr((reach - gap) / (H * speed)))
+        far *= 1.0 - float(np.sum(np.minimum(near, 1.0) * weight) / np.sum(weight))
+    return 1.0 - far
+
+
+def cost(system: System, dt: float, small: int) -> float:
+    """Return the cost of a unit of time in that of uniform steps ``dt``, by ``near_share``."""
+    count = np.arange(LANES + 1)
+    groups = np.ceil(count / NARROW) * NARROW / LANES
+    mean = float(np.sum(binom.pmf(count, LANES, near_share(system, small * dt)) * groups))
+    return LONG_COST / small + SMALL_COST * mean
+
+
+def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, float, str]:
+    """Return the scheme with long steps of small ones ``dt``, how long they are, and why.
+
+    Where all trajectories are to make the same steps it is the scheme itself, and ``dt``.
+    """
+    small, why = small_steps_in_long(system, scheme, dt)
+    return (replace(scheme, small=small), small * dt, why) if small > 1 else (scheme, dt, why)
+
+
+def small_steps_in_long(system: System, scheme: Scheme, dt: float) -> tuple[int, str]:
+    """Return the small steps ``dt`` in a long one, 1 for none, and why.
+
+    A long step is no longer than the interval of samples. Damping terms act between stops, too,
+    and only the exact flow is exact over a long step.
+    """
+    if not system.stops:
+        return 1, "no contact: all trajectories make the same steps"
+    if system.damping_terms:
+        return 1, "damping terms act everywhere: all trajectories make the same steps"
+    if scheme.linear_map is not exact_flow:
+        return 1, f"{scheme.name} needs the small step everywhere"
+    kT = temperature(system)
+    longest = sampling_interval(system) * (1.0 + 1e-9) / dt
+    choices = [m for m in SMALL_STEPS if m <= longest]
+    if not choices or not (isfinite(kT) and kT > 0.0):
+        return 1, "the contact does not limit the step"
+    costs = [cost(system, dt, m) for m in choices]
+    best = int(np.argmin(costs))
+    if costs[best] > WORTH:
+        return 1, "too many trajectories are near a stop"
+    return choices[best], f"{choices[best]} small steps near a stop, one elsewhere"
