@@ -1,0 +1,112 @@
+"""How cost grows: error with unknowns (one energy), time with unknowns (two), time with masses.
+
+    python benchmarks/growth.py [--out docs/benchmarks/growth.md]
+
+One thread, medians after a warm-up. Errors are L1 distances to the closed forms (29).
+"""
+
+import argparse
+import os
+
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from report import machine, markdown_table
+
+from averaging.energy_process import energy_process
+from cases.scene import load_scene
+from cases.study.answer import errors
+from cases.study.equations import energy_equation, modal_equation
+from cases.study.timing import timed_first, timing
+from fpk.contact import Contact
+from fpk.system import System
+
+MASSES = (2, 5, 10, 20, 50)
+TOLERANCES = tuple(10.0**-k for k in range(2, 13, 2))
+
+
+def slope(x: list[float], y: list[float]) -> float:
+    """Return the exponent of the power that fits best."""
+    return float(np.polyfit(np.log(x), np.log(y), 1)[0])
+
+
+def chain(n: int) -> System:
+    """Return n unit masses, the last one between two stops."""
+    stop = Contact(n - 1, "both", 10.0, 0.5)
+    one = np.ones(n)
+    return System(one, one, 0.08 * one, 0.02 * one, contacts=(stop,))
+
+
+def one_energy() -> str:
+    """Return unknowns and error by tolerance, with contact and without."""
+    system, rows = load_scene("fig6b").system, []
+    for words, own in (("with contact", system), ("without", replace(system, contacts=()))):
+        equation = energy_equation(own)
+        found = [equation.adaptive(tol) for tol in TOLERANCES]
+        distance = [errors(a, equation.reference)["L1"] for a in found]
+        rows += [
+            [
+                words,
+                f"{tol:.0e}",
+                str(a.unknowns),
+                f"{e:.1e}",
+                f"{-np.log(e) / a.unknowns**0.5:.2f}",
+            ]
+            for tol, a, e in zip(TOLERANCES, found, distance, strict=True)
+        ]
+    head = ["fig6b", "tol", "unknowns N", "L1 error", "ln(1/e)/√N"]
+    words = "\nN = O(ln(1/e)²) at most: the last column does not fall.\n\n"
+    return "## One energy: error and unknowns\n" + words + markdown_table(head, rows)
+
+
+def two_energies() -> str:
+    """Return the time of one solve at degree 8 against unknowns."""
+    equation, rows, N, seconds = modal_equation(load_scene("fig8b").system), [], [], []
+    for count in (2, 3, 4, 6, 8):
+        nodes = tuple(np.linspace(0.0, x[-1], count + 1) for x in equation.coarsest(8))
+        work = partial(equation.on_mesh, nodes, 8)
+        answer, first = timed_first(work)
+        seconds.append(timing(work, first).seconds)
+        N.append(float(answer.unknowns))
+        rows.append([f"{count} x {count}", str(answer.unknowns), f"{1e3 * seconds[-1]:.1f}"])
+    words = f"\nTime grows as N^{slope(N, seconds):.2f} (aim: at most N^1.5).\n\n"
+    table = markdown_table(["elements", "unknowns N", "median ms"], rows)
+    return "## Two energies: time and unknowns, p = 8, with its enriched twin\n" + words + table
+
+
+def masses() -> str:
+    """Return the time of the coefficients of (24) from 2 to 50 masses with one contact."""
+    rows, times = [], []
+    energy = np.linspace(0.05, 5.0, 350)
+    for n in MASSES:
+        system = chain(n)
+        process, first = timed_first(partial(energy_process, system))
+        work = partial(process.coefficients, energy * process.energy_scale)
+        _, warm = timed_first(work)
+        times.append(timing(work, warm).seconds)
+        rows.append([str(n), f"{1e3 * first:.2f}", f"{1e3 * times[-1]:.2f}"])
+    words = (
+        f"\nFrom 2 to 50 masses the coefficients take {times[-1] / times[0]:.2f} times as long,"
+        f" from 5 to 50 {times[-1] / times[1]:.2f} times.\n\n"
+    )
+    head = ["masses", "process, factorisation included, ms", "coefficients at 350 energies, ms"]
+    return "## Masses: averaging with one contact\n" + words + markdown_table(head, rows)
+
+
+def main() -> None:
+    """Measure, and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("docs/benchmarks/growth.md"))
+    arguments = parser.parse_args()
+    parts = [one_energy(), two_energies(), masses()]
+    head = f"# How cost grows\n\nWritten by `benchmarks/growth.py`. {machine()}.\n\n"
+    arguments.out.write_text(head + "\n".join(parts))
+    print(arguments.out.read_text())
+
+
+if __name__ == "__main__":
+    main()
