@@ -28,8 +28,8 @@ from fpk.plane.stationary import PlaneSolution, solve_plane
 from fpk.quadrature import panel_rule
 from fpk.vector_process import VectorProcess
 
-REPEATS = 9
-LONGEST = 3.0
+REPEATS = 5
+LONGEST = 1.0
 """Seconds of processor time after which a solve is not repeated."""
 TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 SCENES = ("fig8a", "fig8b")
