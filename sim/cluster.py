@@ -14,7 +14,7 @@ from functools import cache, partial
 from importlib import import_module
 from itertools import pairwise
 from operator import attrgetter
-from typing import Any
+from typing import Any, NamedTuple
 from uuid import uuid4
 
 import numpy as np
@@ -120,9 +120,18 @@ def after(share: Ensemble, method: str, *arguments: Any, **named: Any) -> Ensemb
     return share
 
 
-def placed_counts(share: Ensemble, first: int, end: int) -> tuple[int, Integers]:
-    """Return the number of the share's first batch and the counts of the bins asked for."""
-    return share.batch, share.counted(first, end)
+class Told(NamedTuple):
+    """What a share says between two chunks: small beside its states."""
+
+    lost: int
+    sums: Array  # (blocks, products)
+    batch: int  # the first one of which it has some blocks
+    counts: Integers
+
+
+def told_by(share: Ensemble) -> Told:
+    """Return what a share says between two chunks."""
+    return Told(share.lost(), share.block_sums(), share.batch, share.counts)
 
 
 @dataclass(eq=False)
@@ -155,6 +164,7 @@ class ClusterEnsemble:
         self._job, self._round, self.phase = uuid4().hex, 0, 0
         self._points: tuple[int, tuple[Array, Array]] | None = None
         self._width = 0
+        self._known: Sequence[Told] | None = None
         whole = (self.system, self.scheme, self.dt, self.paths, self.seed, 1)
         parts = pairwise(self.bounds.tolist())
         self._shares = self._submitted(Ensemble, [(*whole, part) for part in parts])
@@ -183,11 +193,11 @@ class ClusterEnsemble:
 
     def lost(self) -> int:
         """Return how many trajectories have left the finite range."""
-        return sum(self._answers(Ensemble.lost))
+        return sum(part.lost for part in self._told())
 
     def batch_means(self) -> Array:
         """Return (batches, products) means over the samples of each batch, in fixed order."""
-        sums = np.concatenate(self._answers(Ensemble.block_sums))
+        sums = np.concatenate([part.sums for part in self._told()])
         return means_of_batches(sums, self.edges, self.live, self.samples)
 
     @property
@@ -203,8 +213,9 @@ class ClusterEnsemble:
     def counted(self, first: int, end: int) -> Integers:
         """Return the counts of the bins from ``first`` to before ``end``, of each batch."""
         total = np.zeros((self.edges.size - 1, end - first), dtype=np.int64)
-        for batch, counts in self._answers(placed_counts, first, end):
-            total[batch : batch + counts.shape[0]] += counts
+        for part in self._told():
+            rows = slice(part.batch, part.batch + part.counts.shape[0])
+            total[rows] += part.counts[:, first:end]
         return total
 
     def saved(self) -> Saved:
@@ -233,11 +244,18 @@ class ClusterEnsemble:
         ):
             self._step(calls)
 
+    def _told(self) -> Sequence[Told]:
+        """What the shares say of themselves, asked once after each step: a round trip is dear."""
+        if self._known is None:
+            self._known = self._answers(told_by)
+        return self._known
+
     def _next(self, method: str, *arguments: Any, **named: Any) -> None:
         self._step([(share, method, *arguments) for share in self._shares], **named)
 
     def _step(self, calls: Sequence[tuple[Any, ...]], **named: Any) -> None:
         self._shares = self._submitted(after, calls, **named)
+        self._known = None
 
     def _answers(self, question: Callable[..., Any], *arguments: Any) -> list[Any]:
         calls = [(share, *arguments) for share in self._shares]
