@@ -3,10 +3,11 @@
 from math import inf
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import eigh, solve_continuous_lyapunov
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_continuous_lyapunov
 
 from fpk.errors import NotApplicable
+from fpk.modes import natural_modes
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -35,8 +36,7 @@ def diffusion_matrix(system: System) -> Array:
 
 def natural_frequencies(system: System) -> Array:
     """Return the ω_i of K T = M T ω², ascending, in radians per time, Eq. (18) corrected."""
-    squares = eigh(system.stiffness_matrix, np.diag(system.mass), eigvals_only=True)
-    return np.asarray(np.sqrt(squares))
+    return natural_modes(system)[1]
 
 
 def slowest_decay_rate(system: System) -> float:
@@ -63,5 +63,17 @@ def stationary_covariance(system: System) -> Array:
     A = drift_matrix(system)
     if decay_time(system) == inf:
         raise NotApplicable("a mode is not damped, so that there is no stationary state")
-    covariance = solve_continuous_lyapunov(A, -diffusion_matrix(system))
+    # In units in which the masses and the largest frequency are about one, or the solver takes a
+    # decay for none beside a stiffness of 1e8; powers of two, so that nothing is rounded.
+    root = _power_of_two(np.sqrt(system.mass))
+    omega = _power_of_two(natural_frequencies(system)[-1])
+    unit = np.concatenate([omega * root, 1.0 / root])
+    scaled = np.outer(unit, unit)
+    b = scaled * diffusion_matrix(system) / omega
+    covariance = solve_continuous_lyapunov(unit[:, None] * A / unit / omega, -b) / scaled
     return np.asarray(0.5 * (covariance + covariance.T))
+
+
+def _power_of_two(value: ArrayLike) -> Array:
+    """The power of two next to every value > 0."""
+    return np.asarray(np.exp2(np.round(np.log2(value))))

@@ -2,7 +2,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
 
 from fpk.system import System
 
@@ -16,6 +15,12 @@ def natural_modes(system: System) -> tuple[Array, Array]:
     ``P = Tᵀ p`` a mode has the energy ``H_m = ½ (P_m² + ω_m² Q_m²)``, and ``Q = Tᵀ M q``. The
     H_m of a chain without contacts add up to H; what is stored in contacts is in none of them.
     Their signs are arbitrary.
+
+    With K = Gᵀ G, row i of G being √k_i (q_i − q_{i−1}), ω are the singular values of G M^(−1/2):
+    none is lost where an eigenvalue of K would be, in the round-off of the largest one.
     """
-    squares, shapes = eigh(system.stiffness_matrix, np.diag(system.mass))
-    return np.asarray(shapes), np.asarray(np.sqrt(squares))
+    roots, springs = np.sqrt(system.mass), np.sqrt(system.stiffness)
+    G = np.diag(springs) - np.diag(springs[1:], -1)
+    _, omega, transposed = np.linalg.svd(G / roots)
+    shapes = (transposed[::-1] / roots).T
+    return np.ascontiguousarray(shapes), np.ascontiguousarray(omega[::-1])
