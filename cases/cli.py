@@ -12,12 +12,14 @@ from cases.command_converge import converge
 from cases.command_cost import cost
 from cases.command_export import export
 from cases.command_parts import (
+    AllowUnstable,
     Checkpoint,
     Cluster,
     Json,
     SceneName,
     Seconds,
     Seed,
+    Step,
     StepPair,
     Threads,
     Tol,
@@ -88,6 +90,8 @@ def run(
     threads: Threads = None,
     seconds: Seconds = None,
     step_pair: StepPair = False,
+    dt: Step = None,
+    allow_unstable: AllowUnstable = False,
     cluster: Cluster = None,
     checkpoint: Checkpoint = None,
     as_json: Json = False,
@@ -110,7 +114,7 @@ def run(
     folder = checkpoint_folder(checkpoint, loaded, {"seed": seed})
     sampling = Sampling(
         seed, threads, seconds=seconds, step_pair=step_pair or None,
-        cluster=cluster, checkpoint=folder, partial=True,
+        cluster=cluster, checkpoint=folder, partial=True, dt=dt, allow_unstable=allow_unstable,
     )  # fmt: skip
     outcome = outcome_of(loaded, all_methods(tol=tol, sampling=sampling))
     written = [] if out is None else write_report(outcome, out)
@@ -142,6 +146,8 @@ def density(
     threads: Threads = None,
     seconds: Seconds = None,
     step_pair: StepPair = False,
+    dt: Step = None,
+    allow_unstable: AllowUnstable = False,
     cluster: Cluster = None,
     checkpoint: Checkpoint = None,
     as_json: Json = False,
@@ -170,7 +176,7 @@ def density(
     folder = checkpoint_folder(checkpoint, loaded, {"seed": seed, "tol": tol, "observable": of})
     sampling = Sampling(
         seed, threads, seconds=seconds, step_pair=step_pair or None,
-        cluster=cluster, checkpoint=folder, partial=True,
+        cluster=cluster, checkpoint=folder, partial=True, dt=dt, allow_unstable=allow_unstable,
     )  # fmt: skip
     route = method_for(Request(method, solver, tol, sampling))
     reason = route.refusal(loaded.system, observable)

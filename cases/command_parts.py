@@ -22,6 +22,12 @@ Seconds = Annotated[
 StepPair = Annotated[
     bool, typer.Option("--step-pair", help="Simulate at half the step, too: measures its bias.")
 ]
+Step = Annotated[
+    float | None, typer.Option("--dt", help="Step of the simulation; chosen if left out.")
+]
+AllowUnstable = Annotated[
+    bool, typer.Option("--allow-unstable", help="Take a --dt beyond the limit, uncertified.")
+]
 Threads = Annotated[int | None, typer.Option(min=1, help="Threads of the simulation.")]
 
 Cluster = Annotated[

@@ -57,7 +57,8 @@ class Sampling:
     ``paths`` trajectories are sampled for ``time`` each, or for so many ``relaxations`` (times in
     which the system forgets): whatever the unit of time. ``seconds`` of wall time end it instead,
     and ``step_pair`` measures the bias of the step. ``cluster`` is the address of a Dask
-    scheduler, ``checkpoint`` a folder, ``partial`` whether Ctrl-C leaves what there is by then.
+    scheduler, ``checkpoint`` a folder, ``partial`` whether Ctrl-C leaves what there is by then;
+    ``dt`` the step, ``allow_unstable`` whether it may be beyond the stability limit.
     """
 
     seed: int | None = None
@@ -70,6 +71,8 @@ class Sampling:
     cluster: str | None = None
     checkpoint: Path | None = None
     partial: bool = False
+    dt: float | None = None
+    allow_unstable: bool = False
 
     def given_to(self, method: Any) -> dict[str, Any]:
         """Return the settings that were given and that ``method`` has."""

@@ -96,7 +96,8 @@ class SampledDensity:
     ``edges`` are the bin edges of every axis (equidistant), ``values`` the share of samples in each
     bin divided by its area, ``batch_values`` (batches, *bins) the same of each of the independent
     batches, so that any linear function of the bins has an honest standard error. Samples outside
-    are counted in ``certificate.tail_mass``, never folded in.
+    are counted in ``certificate.tail_mass``, never folded in. ``one_sample`` is the density that a
+    single sample makes of its bin: no error is smaller, as none came where the density is 0.
     """
 
     observable: Observable
@@ -106,6 +107,7 @@ class SampledDensity:
     certificate: Certificate
     provenance: Mapping[str, str | float | int] = field(default_factory=dict)
     error_kind: ErrorKind = "sampling"
+    one_sample: float = 0.0
 
     @property
     def name(self) -> str:
@@ -138,6 +140,7 @@ class SampledDensity:
             batches,
             self.certificate,
             self.provenance,
+            one_sample=self.one_sample / factor ** len(self.edges),
         )
 
     def at(self, *points: Array) -> tuple[Array, Array]:
@@ -160,7 +163,8 @@ class SampledDensity:
         found = RegularGridInterpolator(centres, table, bounds_error=False, fill_value=None)(where)
         value = found[:, 0].reshape(inside.shape)
         error = _standard_error(found[:, 1:].T).reshape(inside.shape)
-        return np.where(inside, value, 0.0), np.where(inside, error, 0.0)
+        error = np.maximum(np.where(inside, error, 0.0), self.one_sample)
+        return np.where(inside, value, 0.0), error
 
 
 AnyDensity = Density | SampledDensity

@@ -168,4 +168,5 @@ def sampled_density(
         batch_values.reshape(-1, *shape),
         certificate,
         provenance,
+        one_sample=1.0 / (max(1, total.sum()) * area),
     )

@@ -57,6 +57,7 @@ class MonteCarlo:
     answer does not depend on it. ``cluster``: the address of a Dask scheduler whose workers do it,
     with bitwise the same answer. ``checkpoint``: a folder where the state is kept at intervals and
     found again. ``partial``: Ctrl-C ends the sampling with what there is, not certified.
+    ``allow_unstable``: take a ``dt`` at or above the stability limit; nothing is certified then.
 
     Raises ``InvalidInput`` naming the field that cannot be used.
     """
@@ -79,6 +80,7 @@ class MonteCarlo:
     cluster: str | None = None
     checkpoint: Path | None = None
     partial: bool = False
+    allow_unstable: bool = False
 
     def __post_init__(self) -> None:
         """Check every field."""
@@ -142,7 +144,7 @@ class MonteCarlo:
         require_applicable(self, system, observables)
         scheme = SCHEMES[self.scheme]
         dt = self.step_factor * chosen_step(system) if self.dt is None else self.dt
-        check_step(system, scheme, dt)
+        unstable = self._unstable(system, dt)
         relaxation = relaxation_time(system)
         wanted = self.relaxations * relaxation if self.time is None else self.time
         time = min(wanted, self.most_steps * dt) if self.time is None else wanted
@@ -158,6 +160,7 @@ class MonteCarlo:
             moments=self.moments,
             folder=self.checkpoint,
             partial=self.partial,
+            known=unstable,
             progress=progress,
         )
         with ensembles(self.cluster) as make:
@@ -195,6 +198,16 @@ class MonteCarlo:
             identities=run.moments.identities() if run.moments is not None else (),
             settings=settings,
         )
+
+    def _unstable(self, system: System, dt: float) -> tuple[str, ...]:
+        """Why no answer with the step ``dt`` can be certified; raise unless that is allowed."""
+        try:
+            check_step(system, SCHEMES[self.scheme], dt)
+        except InvalidInput as error:
+            if not self.allow_unstable:
+                raise
+            return (f"the step {dt:g} was insisted on: it {error.remedy}",)
+        return ()
 
     def refined(self) -> "MonteCarlo":
         """Return the method with four times the sample: half the sampling error.

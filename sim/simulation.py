@@ -78,6 +78,7 @@ def simulate(
     make: Callable[..., Any] = Ensemble,
     folder: Path | None = None,
     partial: bool = False,
+    known: Sequence[str] = (),
     progress: Progress = silent,
 ) -> Simulation:
     """Sample the stationary state of Eq. (6) for ``time`` on each of ``paths`` trajectories.
@@ -90,7 +91,8 @@ def simulate(
 
     ``make`` makes the ensemble, here or on a cluster. In ``folder`` the state is kept at intervals,
     and a simulation of the same settings goes on from there. With ``partial`` Ctrl-C ends the
-    sampling, and what there is by then is the result, not certified.
+    sampling, and what there is by then is the result, not certified. ``known`` says what is known
+    beforehand to stand against a certificate.
 
     Where the system has the mirror symmetry, densities are those of the samples and of their
     mirror images.
@@ -145,6 +147,7 @@ def simulate(
             ensemble, record, stop, stride=stride, keeper=keeper, progress=progress
         )
     keeper.save(ensemble)
+    failures = [*failures, *known]
     steps = ensemble.samples * stride
     settings: dict[str, str | float | int] = {
         "scheme": scheme.name,

@@ -10,6 +10,10 @@ from averaging.shell.reduced import ReducedPotential
 
 Array = NDArray[np.float64]
 
+SAME = 1e-11
+"""Relative distance below which two energies are one: mirror images differ by roundings, minima
+by what their search leaves; a mesh between them would have no room."""
+
 MOST_AT_ONCE = 3
 """Stops touched at once that are looked at: beyond, the loss of smoothness is of ever higher
 order (each stop adds half a derivative at least)."""
@@ -30,7 +34,8 @@ def contact_energies(
         for subset in combinations(indices, size):
             if len({potential.stops[s].mass for s in subset}) == size:
                 energies.add(_lowest(potential, subset))
-    return tuple(sorted(energies))
+    ascending = sorted(energies)
+    return tuple(H for k, H in enumerate(ascending) if k == 0 or H - ascending[k - 1] > SAME * H)
 
 
 def _lowest(potential: ReducedPotential, subset: tuple[int, ...]) -> float:

@@ -1,7 +1,8 @@
 """Elements of one energy solved one by one, and scaled to a continuous density of mass one."""
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,9 @@ Array = NDArray[np.float64]
 
 ENRICHMENT = 2
 """Degrees by which the comparison solution exceeds the answer."""
+AT_ONCE = 10_000
+"""Elements whose coefficients are evaluated at once: a hundred quadrature points for each of ten
+energies of each are 80 MB."""
 
 
 class SolvedElements(NamedTuple):
@@ -31,6 +35,9 @@ def solve_elements(
     process: DiffusionProcess, left: Array, right: Array, degree: int, form: Form
 ) -> SolvedElements:
     """Solve the elements between ``left`` and ``right`` in ``degree`` and in the enriched one."""
+    if left.size > AT_ONCE:
+        parts = np.array_split(np.arange(left.size), -(-left.size // AT_ONCE))
+        return _joined([solve_elements(process, left[k], right[k], degree, form) for k in parts])
     # Each degree has its own Gauss points, so that their distance shows quadrature errors too.
     degrees = (degree, degree + ENRICHMENT)
     grids = [left[:, None] + (right - left)[:, None] * gauss_rule(k)[0] for k in degrees]
@@ -54,24 +61,29 @@ def solve_elements(
 
 def merged(old: SolvedElements, new: SolvedElements, keep: NDArray[np.bool_]) -> SolvedElements:
     """Return the elements of ``old`` to ``keep`` and the ``new`` ones, ascending."""
-    order = np.argsort(np.concatenate([old.left[keep], new.left]))
+    joined = _joined([_picked(old, keep), new])
+    return _picked(joined, np.argsort(joined.left))
 
-    def joined(a: Array, b: Array) -> Array:
-        return np.concatenate([a[keep], b])[order]
 
-    def record(a: LocalSolutions, b: LocalSolutions) -> LocalSolutions:
-        fields = ("u", "log_factor", "residual", "net_flux", "one_way")
-        return LocalSolutions(*(joined(getattr(a, f), getattr(b, f)) for f in fields))
-
-    return SolvedElements(
-        left=joined(old.left, new.left),
-        right=joined(old.right, new.right),
-        base=record(old.base, new.base),
-        better=record(old.better, new.better),
-        values=joined(old.values, new.values),
-        better_values=joined(old.better_values, new.better_values),
-        coefficient_error=joined(old.coefficient_error, new.coefficient_error),
+def _picked(e: SolvedElements, index: NDArray[Any]) -> SolvedElements:
+    base, better = (
+        LocalSolutions(*(getattr(local, f.name)[index] for f in fields(LocalSolutions)))
+        for local in (e.base, e.better)
     )
+    rest = {name: getattr(e, name)[index] for name in e._fields if name not in ("base", "better")}
+    return SolvedElements(base=base, better=better, **rest)
+
+
+def _joined(parts: Sequence[SolvedElements]) -> SolvedElements:
+    def locals_of(name: str) -> LocalSolutions:
+        found = [getattr(part, name) for part in parts]
+        return LocalSolutions(
+            *(np.concatenate([getattr(x, f.name) for x in found]) for f in fields(LocalSolutions))
+        )
+
+    names = [name for name in SolvedElements._fields if name not in ("base", "better")]
+    rest = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return SolvedElements(base=locals_of("base"), better=locals_of("better"), **rest)
 
 
 def _chain(local: LocalSolutions) -> tuple[Array, Array, Array]:

@@ -177,4 +177,5 @@ def _density(
             failures=failures,
         ),
         {"dt": sampling.inner[1], "paths": sampling.paths, "seed": sampling.seed},
+        one_sample=1.0 / (each * BATCHES * area),
     )

@@ -1,0 +1,190 @@
+"""Hard cases of one energy that are no scenes: the rigid stop, meshes, degrees, wrong ends."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import quad
+
+from averaging.energy_process import energy_process
+from cases.scene import load_scene
+from cases.stability.battery import TOL, energy_density
+from cases.stability.case import Check, HardCase
+from fpk.density import Density
+from fpk.line.stationary import StationarySolution, solve_on_mesh, solve_stationary
+from fpk.method import Progress
+from fpk.process import DiffusionProcess
+from fpk.quadrature import panel_rule
+from fpk.system import System
+
+Array = NDArray[np.float64]
+
+STIFFNESSES = 10.0 ** np.arange(2, 13, 2)
+ORDER = 0.4
+"""A stop of stiffness B is entered by (5 H/(2 B))^(2/5): so fast do the coefficients become those
+of the rigid one."""
+ENERGIES = np.array([0.2, 0.5, 2.0])
+"""Above the contact energy 0.125/2 of the scene, in which ½ k_eff q² is a quarter of q²."""
+MOST_CELLS = 1_000_000
+
+
+def line_cases(progress: Progress) -> Iterator[HardCase]:
+    """Run the cases one after the other."""
+    cases = (rigid_limit, degrees, meshes, gradings, short_end, far_end)
+    for k, case in enumerate(cases, start=1):
+        progress(k, len(cases), "hard meshes and limits")
+        yield case()
+
+
+def rigid_coefficients(system: System, energy: float) -> tuple[float, float]:
+    """Return drift and diffusion at one energy with rigid stops at ±δ, by quadrature of (27).
+
+    Two masses, the contact on one: with the other integrated out T and Φ are integrals of
+    (H − ½ k_eff q²) to the powers ½ and 3/2 over |q| <= δ, and τ = Φ/T their ratio over 3/2.
+    """
+    (stop, _) = system.stops
+    stiffness = 1.0 / np.linalg.inv(system.stiffness_matrix)[stop.mass, stop.mass]
+    end = min(stop.clearance, float(np.sqrt(2.0 * energy / stiffness)))
+
+    def integral(power: float) -> float:
+        def integrand(q: float) -> float:
+            return float((energy - 0.5 * stiffness * q * q) ** power)
+
+        return float(quad(integrand, 0.0, end, epsrel=1e-13)[0])
+
+    tau = integral(1.5) / integral(0.5) / 1.5
+    damping = float(np.sum(np.diag(system.damping) / system.mass))
+    noise = float(np.sum(np.diag(system.noise_matrix) / system.mass))
+    return noise - damping * tau, 2.0 * noise * tau
+
+
+def rigid_limit() -> HardCase:
+    """The averaged coefficients as B grows, against those of the rigid stop."""
+    start, system = perf_counter(), load_scene("stiff-stops").system
+    rigid = np.array([rigid_coefficients(system, H) for H in ENERGIES])
+    errors = []
+    for B in STIFFNESSES:
+        stiff = replace(
+            system, contacts=tuple(replace(c, stiffness=float(B)) for c in system.contacts)
+        )
+        c = energy_process(stiff).coefficients(ENERGIES)
+        errors.append(np.abs(np.stack([c.drift, c.diffusion], axis=1) / rigid - 1.0).max())
+    orders = -np.diff(np.log(errors)) / np.diff(np.log(STIFFNESSES))
+    # The next term is smaller by the depth itself, 4e-5 at the last stiffness.
+    last = float(orders[-1])
+    return HardCase(
+        name="rigid limit",
+        hard="coefficients of B = 1e2 to 1e12 against those of the rigid stop, computed separately",
+        plain="not run",
+        ours=f"relative difference {errors[0]:.1e} to {errors[-1]:.1e}",
+        certificate="none: coefficients, not a density",
+        checks=(
+            Check("order 2/5 in 1/B", abs(last - ORDER) < 0.01, f"{last:.4f}"),
+            Check("falls with B", bool(np.all(orders > 0.0)), f"orders {np.round(orders, 3)}"),
+        ),
+        seconds=perf_counter() - start,
+    )
+
+
+def _reference() -> tuple[DiffusionProcess, Density, Array]:
+    system = load_scene("fig3b").system
+    process = energy_process(system)
+    nodes = solve_stationary(process, tol=TOL).nodes
+    return process, energy_density(system, "closed-form"), nodes
+
+
+def true_error(solution: StationarySolution, reference: Density) -> float:
+    """L1 distance of a solution to the reference, over its mesh and beyond."""
+    nodes = np.unique(np.concatenate([solution.nodes, reference.panels[0]]))
+    H, w = (x.ravel() for x in panel_rule(nodes[nodes >= 0.0], 8))
+    total = 0.0
+    for part in np.array_split(np.arange(H.size), 1 + H.size // 1_000_000):
+        difference = solution.density(H[part]) - reference.pdf(H[part])
+        total += float(np.sum(w[part] * np.abs(difference)))
+    return total
+
+
+def _judged(
+    name: str,
+    hard: str,
+    solved: list[tuple[str, StationarySolution]],
+    reference: Density,
+    start: float,
+) -> HardCase:
+    """One case from several solutions: each finite, its error no larger than it states."""
+    checks, told = [], []
+    for label, solution in solved:
+        error = true_error(solution, reference)
+        honest = error <= solution.l1_error + reference.l1_error
+        told.append(f"{label}: {error:.0e}")
+        checks.append(
+            Check(
+                f"{label}: true error within the stated one",
+                bool(np.isfinite(error)) and honest,
+                f"{error:.1e}, stated {solution.l1_error:.1e}",
+            )
+        )
+    certified = sum(s.certificate.certified for _, s in solved)
+    return HardCase(
+        name=name,
+        hard=hard,
+        plain="states no error",
+        ours="L1 " + "; ".join(told),
+        certificate=f"{certified} of {len(solved)} certified, every stated error holds",
+        checks=tuple(checks),
+        seconds=perf_counter() - start,
+    )
+
+
+def degrees() -> HardCase:
+    """Degrees 1 to 12 on one mesh."""
+    start, (process, reference, nodes) = perf_counter(), _reference()
+    solved = [(f"p = {p}", solve_on_mesh(process, nodes, p)) for p in range(1, 13)]
+    hard = "degrees from 1 to 12 on the same cells: condition, round-off, the estimate at its floor"
+    return _judged("degrees", hard, solved, reference, start)
+
+
+def meshes() -> HardCase:
+    """Equal cells, from two to a million."""
+    start, (process, reference, nodes) = perf_counter(), _reference()
+    counts = (2, 20, 2000, MOST_CELLS)
+    solved = [
+        (f"{n} cells", solve_on_mesh(process, np.linspace(0.0, nodes[-1], n + 1), 2))
+        for n in counts
+    ]
+    hard = "P2 on equal cells, 2 to 1e6: nothing is resolved, or every cell is near round-off"
+    return _judged("meshes", hard, solved, reference, start)
+
+
+def gradings() -> HardCase:
+    """Cells graded towards H = 0, from not at all to the smallest numbers there are."""
+    start, (process, reference, nodes) = perf_counter(), _reference()
+    solved = []
+    for decades in (0, 3, 15, 300):
+        graded = np.append(0.0, nodes[-1] * np.logspace(-decades, 0.0, 200)) if decades else None
+        mesh = np.linspace(0.0, nodes[-1], 201) if graded is None else graded
+        solved.append((f"{decades} decades", solve_on_mesh(process, mesh, 4)))
+    hard = "cells graded towards H = 0 over none to 300 decades: sizes that underflow when squared"
+    return _judged("grading", hard, solved, reference, start)
+
+
+def short_end() -> HardCase:
+    """A mesh that ends in the middle of the mass."""
+    start, (process, reference, nodes) = perf_counter(), _reference()
+    solved = []
+    for end in (0.02, 0.1, 0.4):
+        mesh = np.linspace(0.0, end * nodes[-1], 41)
+        solved.append((f"to {end:g} of the last energy", solve_on_mesh(process, mesh, 6)))
+    hard = "the user ends the mesh in the middle of the mass: what is left out is put inside"
+    return _judged("end too near", hard, solved, reference, start)
+
+
+def far_end() -> HardCase:
+    """A mesh that goes on where the density has underflown."""
+    start, (process, reference, nodes) = perf_counter(), _reference()
+    far = np.concatenate([nodes, nodes[-1] * np.array([3.0, 10.0, 100.0, 1e4])])
+    solved = [("to 10000 times the last energy", solve_on_mesh(process, far, 8))]
+    hard = "the user ends the mesh where p is far below the smallest number"
+    return _judged("end too far", hard, solved, reference, start)

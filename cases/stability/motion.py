@@ -1,0 +1,296 @@
+"""Hard cases of the simulation: stiff stops, steps, few and many trajectories, nothing lost."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from averaging.exact import Exact
+from cases.compare import compared
+from cases.scene import load_scene
+from cases.stability.case import Check, HardCase
+from cases.stability.plain import plain_euler
+from fpk.density import Density, SampledDensity
+from fpk.errors import InvalidInput
+from fpk.method import Progress
+from fpk.observable import parse_observable
+from fpk.system import System
+from sim.ensemble import Ensemble
+from sim.montecarlo import MonteCarlo
+from sim.random import LANES, MAX_TRAJECTORIES
+from sim.scheme import SCHEMES
+from sim.step_size import chosen_step
+
+SHORT = MonteCarlo(paths=4096, relaxations=10.0, burn_in=5.0)
+"""A simulation of a second or two."""
+
+Array = NDArray[np.float64]
+
+EULER_STEP, EULER_TIME, EULER_PATHS = 0.01, 50.0, 1000
+MANY_STEPS = 1_000_000
+
+
+def motion_cases(progress: Progress) -> Iterator[HardCase]:
+    """Run the cases one after the other."""
+    cases = [
+        *((lambda B=B: stiff(B)) for B in (1e3, 1e5, 1e7)),
+        *((lambda seed=seed: seeded(seed)) for seed in (0, 2**63)),
+        too_long_a_step,
+        no_noise,
+        nothing_lost,
+        one_trajectory,
+        many_trajectories,
+        never_visited,
+    ]
+    for k, case in enumerate(cases, start=1):
+        progress(k, len(cases), "hard simulations")
+        yield case()
+
+
+def system_with(stiffness: float) -> System:
+    """Return the system of ``stiff-stops``, for which (7) is exact, with stops of ``stiffness``."""
+    system = load_scene("stiff-stops").system
+    return replace(system, contacts=tuple(replace(c, stiffness=stiffness) for c in system.contacts))
+
+
+def against_exact(system: System, method: MonteCarlo) -> tuple[list[Check], SampledDensity]:
+    """Certificate of the simulation and its distance to the exact p(q2)."""
+    q2 = [parse_observable("q2", system.n)]
+    exact, sampled = Exact().solve(system, q2), method.solve(system, q2)
+    (comparison,) = compared([exact, sampled], averaging_is_exact=True)
+    truth, found = exact.densities[0], sampled.densities[0]
+    assert isinstance(truth, Density) and isinstance(found, SampledDensity)
+    band = comparison.band or 0.0
+    share, expected = beyond_clearance(system, found), beyond_clearance(system, truth)
+    # What lies beyond the stops is a part of what lies anywhere: the same band holds for it.
+    return [
+        Check("certified", found.certificate.certified, "; ".join(found.certificate.failures)),
+        Check(
+            "p(q2) is the exact one", comparison.holds, f"L1 {comparison.L1:.2g}, band {band:.2g}"
+        ),
+        Check(
+            "share of time in contact",
+            abs(share - expected) <= band,
+            f"{share:.5f}, exact {expected:.5f}",
+        ),
+    ], found
+
+
+def beyond_clearance(system: System, density: Density | SampledDensity) -> float:
+    """Return the probability of |q2| > δ, of a histogram by linear interpolation in its bins."""
+    clearance = system.contacts[0].clearance
+    if isinstance(density, Density):
+        edges = np.array([-clearance, clearance])
+        return 1.0 - float(density.cell_averages(edges)[0] * 2.0 * clearance)
+    (edges,) = density.edges
+    below = np.concatenate([[0.0], np.cumsum(density.values * np.diff(edges))])
+    inside = np.interp([-clearance, clearance], edges, below)
+    return 1.0 - float(inside[1] - inside[0])
+
+
+def stiff(stiffness: float) -> HardCase:
+    """A stiff stop, simulated with the step that the program chooses."""
+    start, system = perf_counter(), system_with(stiffness)
+    checks, found = against_exact(system, SHORT)
+    lost, state = plain_euler(system, dt=EULER_STEP, time=EULER_TIME, paths=EULER_PATHS)
+    outside = float(np.mean(np.abs(state[:, 1]) > system.contacts[0].clearance))
+    return HardCase(
+        name=f"simulation, B = {stiffness:.0e}",
+        hard="the contact is over in a thousandth of a period, and a step too long feeds energy in",
+        plain=f"Euler-Maruyama, dt = {EULER_STEP}: {lost:.1%} of the paths lost,"
+        f" {outside:.1%} of the others in contact",
+        ours=checks[1].measured + "; in contact " + checks[2].measured,
+        certificate="certified" if found.certificate.certified else checks[0].measured,
+        checks=tuple(checks),
+        seconds=perf_counter() - start,
+    )
+
+
+def seeded(seed: int) -> HardCase:
+    """A seed at the end of its range, or 0."""
+    start, system = perf_counter(), system_with(10.0)
+    checks, found = against_exact(system, replace(SHORT, seed=seed))
+    return HardCase(
+        name=f"seed {seed}",
+        hard="a counter-based generator must not repeat itself where the seed mixes in no bits",
+        plain="not run",
+        ours=checks[1].measured,
+        certificate="certified" if found.certificate.certified else checks[0].measured,
+        checks=tuple(checks),
+        seconds=perf_counter() - start,
+    )
+
+
+def too_long_a_step() -> HardCase:
+    """A step beyond the stability limit: refused, or marked where the user insists."""
+    start, system = perf_counter(), system_with(1e5)
+    try:
+        replace(SHORT, dt=0.5).solve(system, [])
+        refusal = "taken"
+    except InvalidInput as error:
+        refusal = str(error)
+    q2 = [parse_observable("q2", system.n)]
+    insisted = replace(SHORT, dt=0.5, allow_unstable=True).solve(system, q2)
+    words = "; ".join(insisted.densities[0].certificate.failures)
+    lost, _ = plain_euler(system, dt=0.5, time=EULER_TIME, paths=EULER_PATHS)
+    return HardCase(
+        name="step beyond the limit",
+        hard="dt = 0.5 where the stability limit is 0.02",
+        plain=f"Euler-Maruyama: {lost:.0%} of the paths lost, without a word",
+        ours=f"refused: {refusal}",
+        certificate=f"with --allow-unstable: {words}",
+        checks=(
+            Check("refused with the limit", "stability limit" in refusal, refusal),
+            Check("marked where insisted on", "stability limit" in words, words),
+        ),
+        seconds=perf_counter() - start,
+    )
+
+
+def _released(system: System, dt: float) -> Ensemble:
+    """Trajectories at rest, pushed into the stops and beside them, up to five kT of the system."""
+    ensemble = Ensemble(system, SCHEMES["exact_flow"], dt, LANES, 1, 1)
+    ensemble.states[:] = 0.0
+    ensemble.states[0, 1] = np.linspace(-0.7, 0.7, LANES)
+    return ensemble
+
+
+def _without(system: System, *, damping: float) -> System:
+    return replace(
+        system, damping=damping * system.damping, noise_intensity=0.0 * system.noise_intensity
+    )
+
+
+def _energies(system: System, ensemble: Ensemble) -> Array:
+    """H of all trajectories half a kick on: states are kept just before one."""
+    q, p = ensemble.phase_points()
+    p = p.copy()
+    for stop in system.stops:
+        sign = 1.0 if stop.side == "right" else -1.0
+        overlap = np.maximum(sign * q[:, stop.mass] - stop.clearance, 0.0)
+        p[:, stop.mass] -= 0.5 * ensemble.dt * sign * stop.force(overlap)
+    return system.hamiltonian(q, p)
+
+
+def no_noise() -> HardCase:
+    """Damping without noise: the energy falls, and there is no density to ask for."""
+    start, system = perf_counter(), _without(system_with(10.0), damping=1.0)
+    dt = chosen_step(system_with(10.0))
+    ensemble, energies = _released(system, dt), []
+    for _ in range(200):
+        ensemble.advance(round(1.0 / dt))
+        energies.append(_energies(system, ensemble))
+    levels = np.array(energies)
+    # Between two looks at it the energy of a step may stand above its mean by (ω dt)²/8 or so.
+    allowed = 0.1 * levels[:-1] + 1e-12 * levels[0].max()
+    rise = float(np.max((levels[1:] - levels[:-1]) - allowed))
+    reason = SHORT.refusal(system, parse_observable("q2", system.n)) or "taken"
+    return HardCase(
+        name="no noise",
+        hard="the state decays into a point: no stationary density",
+        plain="not run",
+        ours=f"energy {levels[0].max():.2g} to {levels[-1].max():.1e}; densities refused",
+        certificate=reason,
+        checks=(
+            Check("the energy falls", rise <= 0.0, f"largest rise beyond the step's {rise:.1e}"),
+            Check("and away", bool(levels[-1].max() < 1e-3 * levels[0].max()), "see above"),
+            Check("densities refuse", "no noise" in reason, reason),
+        ),
+        seconds=perf_counter() - start,
+    )
+
+
+def nothing_lost() -> HardCase:
+    """No damping, no noise: the energy after a million steps."""
+    start, free = perf_counter(), _without(system_with(10.0), damping=0.0)
+    drifts = []
+    for part in (4.0, 8.0):
+        ensemble = _released(free, chosen_step(system_with(10.0)) / part)
+        before, worst = _energies(free, ensemble), 0.0
+        for _ in range(10):
+            ensemble.advance(MANY_STEPS // 10)
+            change = np.abs(_energies(free, ensemble) - before)
+            worst = max(worst, float(np.max(change) / before.max()))
+        drifts.append(worst)
+    # A symmetric scheme keeps a Hamiltonian that differs from H by (ω dt)²; where a stop is touched
+    # its force has no second derivative, and what that adds at random is of a higher order.
+    bound, ratio = (0.45 / 4.0) ** 2, drifts[0] / drifts[1]
+    return HardCase(
+        name="no damping, no noise",
+        hard="a million steps in and out of contact, in which a drift of the energy would add up",
+        plain="not run",
+        ours=f"change of the energy {drifts[0]:.1e} at a quarter of the step, {drifts[1]:.1e} at an"
+        " eighth, of the largest",
+        certificate="none: no density",
+        checks=(
+            Check("bounded by (ω dt)²", drifts[0] < bound, f"{drifts[0]:.1e}, bound {bound:.1e}"),
+            Check("of second order at least", ratio > 3.0, f"halved step: {ratio:.1f} times less"),
+        ),
+        seconds=perf_counter() - start,
+    )
+
+
+def _refused_or_done(paths: int) -> tuple[bool, str]:
+    try:
+        replace(SHORT, paths=paths)
+    except InvalidInput as error:
+        return False, str(error)
+    return True, "taken"
+
+
+def one_trajectory() -> HardCase:
+    """A single trajectory has no independent batches to take an error from."""
+    start = perf_counter()
+    _, words = _refused_or_done(1)
+    return HardCase(
+        name="one trajectory",
+        hard="there is nothing independent to take an error from",
+        plain="a histogram without an error",
+        ours="refused",
+        certificate=words,
+        checks=(Check("refused with what to use", "use 4096" in words, words),),
+        seconds=perf_counter() - start,
+    )
+
+
+def many_trajectories() -> HardCase:
+    """Ten million trajectories, a few steps each."""
+    start, paths = perf_counter(), 10_000_000
+    system = system_with(10.0)
+    ensemble = Ensemble(system, SCHEMES["exact_flow"], chosen_step(system), paths, 1, 2)
+    ensemble.advance(20)
+    _, p = ensemble.phase_points()
+    square = float(np.mean(p[:, 0] ** 2))
+    gigabytes = (ensemble.states.nbytes + ensemble.sums.nbytes) / 1e9
+    # From the momenta's own law, kT = 1/8, twenty short steps do not lead far away.
+    return HardCase(
+        name="ten million trajectories",
+        hard=f"memory, and counters: a seed has words for {MAX_TRAJECTORIES}",
+        plain="not run",
+        ours=f"E p1² = {square:.4f} after 20 steps, {gigabytes:.2f} GB",
+        certificate="none: no density",
+        checks=(
+            Check("below 2 GB", gigabytes < 2.0, f"{gigabytes:.2f} GB"),
+            Check("finite, none lost", ensemble.lost() == 0, f"{ensemble.lost()} lost"),
+        ),
+        seconds=perf_counter() - start,
+    )
+
+
+def never_visited() -> HardCase:
+    """A density asked for where no sample ever came."""
+    start, system = perf_counter(), system_with(10.0)
+    found = SHORT.solve(system, [parse_observable("q2", system.n)]).densities[0]
+    assert isinstance(found, SampledDensity)
+    density, error = found.at(np.array([50.0]))
+    return HardCase(
+        name="never visited",
+        hard="a point where no sample came: its error is not 0",
+        plain="0, with the error 0",
+        ours=f"{density[0]:.0f} ± {error[0]:.1e}",
+        certificate="certified",
+        checks=(Check("an error is stated", bool(error[0] > 0.0), f"{error[0]:.1e}"),),
+        seconds=perf_counter() - start,
+    )
