@@ -23,24 +23,43 @@ def numbers(low, high):
 
 
 @st.composite
-def valid_scenes(draw, scales=(-2, 2), most_masses=3):
-    """The text of a scene that nothing can be wrong with: c and D diagonal and positive."""
+def valid_scenes(draw, units=0, spread=1, most_masses=3, most_touching=2):
+    """The text of a scene that nothing can be wrong with: c and D diagonal and positive.
+
+    Every quantity is ``spread`` powers of ten about one in some unit, mass, length and time being
+    up to 10^``units`` of what the scene counts them in. Contacts are at ``most_touching`` masses.
+    """
     n = draw(st.integers(1, most_masses))
-    number = numbers(*scales)
+    m, x, t = (10.0 ** draw(st.integers(-units, units)) for _ in range(3))
+
+    def number(unit):
+        return numbers(-spread, spread).map(lambda value: value * unit)
+
+    key_units = {
+        "mass": m,
+        "stiffness": m / t**2,
+        "damping": m / t,
+        "noise_intensity": m**2 * x**2 / t**3,
+    }
     lines = [
         f"title = {json.dumps(draw(TITLES), ensure_ascii=False)}" if draw(st.booleans()) else "",
         "[system]",
         *(
-            f"{key} = {draw(st.lists(number, min_size=n, max_size=n))}"
-            for key in ("mass", "stiffness", "damping", "noise_intensity")
+            f"{key} = {draw(st.lists(number(unit), min_size=n, max_size=n))}"
+            for key, unit in key_units.items()
         ),
     ]
+    mass = draw(st.integers(1, n))
     for _ in range(draw(st.integers(0, 2))):
+        mass = mass if most_touching == 1 else draw(st.integers(1, n))
         side = draw(st.sampled_from(["left", "right", "both"]))
-        law = draw(st.sampled_from(["", 'law = "bilinear"', 'law = "power"\nexponent = 1.5']))
+        law, exponent = draw(st.sampled_from([("hertz", 1.5), ("bilinear", 1.0), ("power", 2.5)]))
+        own = f"exponent = {exponent}" if law == "power" else ""
+        force = m * x / t**2
         lines += [
-            f'[[contact]]\nmass = {draw(st.integers(1, n))}\nside = "{side}"\n{law}',
-            f"stiffness = {draw(number)}\nclearance = {draw(st.just(0.0) | number)}",
+            f'[[contact]]\nmass = {mass}\nside = "{side}"',
+            f'law = "{law}"\n{own}\nstiffness = {draw(number(force / x**exponent))}',
+            f"clearance = {draw(st.just(0.0) | number(x))}",
         ]
     single = [f"{kind}{i}" for kind in "qpH" for i in range(1, n + 1)] + ["H"]
     asked = draw(st.lists(st.sampled_from(single), min_size=1, max_size=3, unique=True))

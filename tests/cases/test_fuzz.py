@@ -107,23 +107,23 @@ def test_a_valid_scene_loads_and_is_shown(text, tmp_path):
 
 
 @pytest.mark.slow
-@examples(300)
-@given(text=valid_scenes(scales=(-30, 30), most_masses=4))
-def test_a_valid_scene_of_any_scale_is_shown(text, tmp_path):
+@examples(200)
+@given(text=valid_scenes(units=6, spread=2))
+def test_a_valid_scene_in_any_units_is_shown(text, tmp_path):
     scene = loaded_or_refused(tmp_path / "any.toml", text.encode())
     assert scene is not None and shown(scene)
 
 
 @examples(15)
-@given(text=valid_scenes(scales=(-1, 1), most_masses=2))
+@given(text=valid_scenes(most_masses=2, most_touching=1))
 def test_a_valid_scene_runs(text, tmp_path):
     runs(tmp_path / "any.toml", text)
 
 
 @pytest.mark.slow
-@examples(150)
-@given(text=valid_scenes(scales=(-6, 6), most_masses=3))
-def test_a_valid_scene_of_wide_scales_runs(text, tmp_path):
+@examples(100)
+@given(text=valid_scenes(units=6, spread=2, most_touching=1))
+def test_a_valid_scene_in_any_units_runs(text, tmp_path):
     runs(tmp_path / "any.toml", text)
 
 
