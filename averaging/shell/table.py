@@ -69,6 +69,7 @@ class ShellTable:
         nodes.append(ends[-1] * 2.0 ** np.arange(DOUBLINGS))
         self.edges = np.unique(np.concatenate(nodes))
         self.panels: dict[int, list[Panel]] = {}
+        self.single: dict[float, Array] = {}
 
     def __call__(self, energy: Array) -> Array:
         """Values at energies (energies,), from panels where these are worth their building."""
@@ -87,11 +88,18 @@ class ShellTable:
                 inside = rows[(energy[rows] >= panel.left) & (energy[rows] <= panel.right)]
                 result[inside] = panel(energy[inside])
         if direct.any():
-            values = self.evaluate(energy[direct])
+            values = self._single_values(energy[direct])
             if not result.size:
                 result = np.empty((energy.size, values.shape[1]))
             result[direct] = values
         return result
+
+    def _single_values(self, energy: Array) -> Array:
+        """Values at single energies; solvers begin by looking at the same ones."""
+        new = np.array([H for H in energy if float(H) not in self.single])
+        if new.size:
+            self.single |= zip(map(float, new), self.evaluate(new), strict=True)
+        return np.array([self.single[float(H)] for H in energy])
 
     def _built(self, left: float, right: float, depth: int) -> list[Panel]:
         points = self.resolution.points

@@ -27,19 +27,21 @@ ROUND_OFF = 1e-12
 """L1 error at which refinement has nothing left to improve: some thousand roundings."""
 
 
-def energy_density(system: System, solver: str, observable: str = "H") -> Density:
-    """Return one density of the averaged energy by ``solver`` at the tolerance of this battery."""
-    method = NonIntegrable(solver=solver, tol=TOL)  # type: ignore[arg-type]  # checked there
+def energy_density(
+    system: System, solver: str, observable: str = "H", *, tol: float = TOL
+) -> Density:
+    """Return one density of the averaged energy by ``solver``."""
+    method = NonIntegrable(solver=solver, tol=tol)  # type: ignore[arg-type]  # checked there
     wanted: Observable = parse_observable(observable, system.n)
     found = method.solve(system, [wanted]).densities[0]
     assert isinstance(found, Density)
     return found
 
 
-def solver_checks(system: System) -> tuple[list[Check], Density, Density]:
+def solver_checks(system: System, tol: float) -> tuple[list[Check], Density, Density]:
     """Certificates of the three solvers and their distances; the closed form and the elements."""
     closed, elements, quadrature = (
-        energy_density(system, solver) for solver in ("closed-form", "fem", "quadrature")
+        energy_density(system, solver, tol=tol) for solver in ("closed-form", "fem", "quadrature")
     )
     checks = []
     for name, found in (("finite elements", elements), ("quadrature", quadrature)):
