@@ -9,10 +9,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
-from io import BytesIO
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from fpk.errors import Unavailable, reason_of
 from fpk.observable import Observable
 from sim.histogram import Histogram
-from sim.kernel import source_stamp
+from sim.sources import program_stamp
 
 FORMAT = "vibro-fpk checkpoint 1"
 
@@ -29,6 +28,9 @@ EVERY = 2.0
 
 FIRST_PIECE = 256
 """Steps after which the time of a step is known."""
+
+PIECE = 1 << 20
+"""Bytes of a file that are read at a time to check it."""
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -75,22 +77,32 @@ class Checkpoint:
         Raises ``Unavailable`` for a file that is damaged or of another simulation.
         """
         try:
-            content = memoryview(self.path.read_bytes())
+            with self.path.open("rb") as stream:
+                if not _whole(stream):
+                    raise Unavailable(f"{self.path}: is damaged; remove it to begin anew")
+                head = json.loads(stream.readline())
+                if (head["format"], head["identity"]) != (FORMAT, self.identity):
+                    raise Unavailable(
+                        f"{self.path}: is of another simulation (other system, settings or"
+                        " version); give another folder or remove it"
+                    )
+                return {name: np.load(stream, allow_pickle=False) for name in head["arrays"]}
         except FileNotFoundError:
             return None
         except OSError as error:
             raise Unavailable(f"{self.path}: cannot be read: {reason_of(error)}") from None
-        size = hashlib.sha256().digest_size
-        if len(content) < size or hashlib.sha256(content[:-size]).digest() != content[-size:]:
-            raise Unavailable(f"{self.path}: is damaged; remove it to begin anew")
-        stream = BytesIO(content[:-size])
-        head = json.loads(stream.readline())
-        if (head["format"], head["identity"]) != (FORMAT, self.identity):
-            raise Unavailable(
-                f"{self.path}: is of another simulation (other system, settings or version);"
-                " give another folder or remove it"
-            )
-        return {name: np.load(stream, allow_pickle=False) for name in head["arrays"]}
+
+
+def _whole(stream: BinaryIO) -> bool:
+    """Return whether a file ends with the hash of all before, read a piece at a time; rewind it."""
+    hashed = hashlib.sha256()
+    left = os.fstat(stream.fileno()).st_size - hashed.digest_size
+    while left > 0 and (piece := stream.read(min(left, PIECE))):
+        hashed.update(piece)
+        left -= len(piece)
+    found = left == 0 and stream.read() == hashed.digest()
+    stream.seek(0)
+    return found
 
 
 @dataclass
@@ -114,7 +126,7 @@ def checkpoint_of(folder: Path, settings: Any) -> Checkpoint:
         program = version("vibro-fpk")
     except PackageNotFoundError:
         program = "(not installed)"
-    whole = [FORMAT, program, source_stamp(), settings]
+    whole = [FORMAT, program, program_stamp(), settings]
     identity = hashlib.sha256(json.dumps(_plain(whole), sort_keys=True).encode()).hexdigest()
     return Checkpoint(folder / f"montecarlo-{identity[:16]}.checkpoint", identity)
 

@@ -33,9 +33,9 @@ from sim.ensemble import (
     means_of_batches,
 )
 from sim.histogram import Histogram, starts
-from sim.kernel import source_stamp
 from sim.random import LANES
 from sim.scheme import Scheme
+from sim.sources import program_stamp
 
 Array = NDArray[np.float64]
 
@@ -74,13 +74,13 @@ def connected(address: str) -> Iterator[Any]:
     with client:
         try:
             client.wait_for_workers(1, timeout=WORKERS_IN)
-            stamp = client.submit(source_stamp, pure=False).result()
+            stamp = client.submit(program_stamp, pure=False).result()
         except TimeoutError:
             raise Unavailable(f"cluster {address}: has no worker; start one") from None
         except ImportError as error:
             words = f"its workers cannot import this program ({error}); install vibro-fpk there"
             raise Unavailable(f"cluster {address}: {words}") from None
-        if stamp != source_stamp():
+        if stamp != program_stamp():
             words = "its workers run another version of this program; install the same"
             raise Unavailable(f"cluster {address}: {words}")
         yield client
@@ -162,7 +162,6 @@ class ClusterEnsemble:
         self.edges = batch_edges(self.paths)
         self.live = np.minimum(LANES, self.paths - LANES * np.arange(blocks))
         self._job, self._round, self.phase = uuid4().hex, 0, 0
-        self._points: tuple[int, tuple[Array, Array]] | None = None
         self._width = 0
         self._known: Sequence[Told] | None = None
         whole = (self.system, self.scheme, self.dt, self.paths, self.seed, 1)
@@ -180,16 +179,22 @@ class ClusterEnsemble:
         self._next("advance", steps, stride=stride)
         with self.client.as_current():
             package("distributed").wait(self._shares)
-        self.samples += -(-(self.phase + steps) // stride) - -(-self.phase // stride)
-        self.phase += steps
+        if stride:
+            self.samples += -(-(self.phase + steps) // stride) - -(-self.phase // stride)
+            self.phase += steps
         self.done += steps
 
-    def phase_points(self) -> tuple[Array, Array]:
-        """Return the states (paths, n) of q and p just before the next kick."""
-        if self._points is None or self._points[0] != self.done:
-            q, p = zip(*self._answers(Ensemble.phase_points), strict=True)
-            self._points = self.done, (np.concatenate(q), np.concatenate(p))
-        return self._points[1]
+    def phase_points(self, most: int | None = None) -> tuple[Array, Array]:
+        """Return the states (paths, n) of q and p just before the next kick, the first ``most``.
+
+        Only shares that have some of them are asked.
+        """
+        paths = self.paths if most is None else min(self.paths, most)
+        left = paths - LANES * self.bounds[:-1]
+        calls = [(s, int(k)) for s, k in zip(self._shares, left, strict=True) if k > 0]
+        answers = gathered(self.client, self._submitted(Ensemble.phase_points, calls))
+        q, p = zip(*answers, strict=True)
+        return np.concatenate(q), np.concatenate(p)
 
     def lost(self) -> int:
         """Return how many trajectories have left the finite range."""
@@ -202,8 +207,13 @@ class ClusterEnsemble:
 
     @property
     def sums(self) -> Array:
-        """Sums (blocks, products, LANES) of all shares, side by side."""
+        """Sums (first blocks, products, LANES) of all shares, side by side."""
         return np.concatenate(self._answers(attrgetter("sums")))
+
+    @property
+    def folded(self) -> Array:
+        """Sums (other blocks, products, FOLDED) of all shares, side by side."""
+        return np.concatenate(self._answers(attrgetter("folded")))
 
     @property
     def counts(self) -> Integers:
@@ -223,6 +233,7 @@ class ClusterEnsemble:
         return {
             "states": np.concatenate(self._answers(attrgetter("states"))),
             "sums": self.sums,
+            "folded": self.folded,
             "counts": self.counts,
             "clock": np.array([self.done, self.samples, self.phase], dtype=np.int64),
         }
@@ -230,13 +241,14 @@ class ClusterEnsemble:
     def restore(self, saved: Saved) -> None:
         """Go on from what ``saved`` returned, here or there, after the same calls of ``watch``."""
         self.done, self.samples, self.phase = (int(number) for number in saved["clock"])
-        parts = []
+        parts, apart = [], saved["sums"].shape[0]
         for first, end in pairwise(self.bounds.tolist()):
             low, beyond = batch_range(self.edges, first, end)
             counts = saved["counts"][low:beyond].copy()
             if self.edges[low] < first:  # the share before has this batch's counts
                 counts[0] = 0
             part = {name: saved[name][first:end] for name in ("states", "sums")}
+            part["folded"] = saved["folded"][max(0, first - apart) : max(0, end - apart)]
             parts.append({**part, "counts": counts, "clock": saved["clock"]})
         calls = list(zip(self._shares, ["restore"] * len(parts), parts, strict=True))
         with package("dask").config.set(

@@ -5,12 +5,15 @@ from functools import lru_cache
 from typing import Any
 
 import numba
+from numba.extending import overload
 
 from fpk.contact_law import LAWS
+from sim.random import FLAGS
 
 Compiled = Any
-"""A ``numba.vectorize`` object of signature (law, overlap, exponent): kernels that close over one
-are found again in the disk cache, those that close over an ``njit`` function never are."""
+"""A ``numba.vectorize`` object of signature (law, overlap, exponent), of a single law (overlap,
+exponent): kernels that close over one are found again in the disk cache, those that close over an
+``njit`` function never are. Each takes 50 ms to load."""
 
 _numba_vectorize: Any = numba.vectorize
 
@@ -29,12 +32,27 @@ def _vectorize(signatures: list[str]) -> Callable[[Any], Compiled]:
 
 @lru_cache
 def compiled_laws(names: tuple[str, ...], part: str) -> Compiled:
-    """Return "force", "energy" or "slope" of the laws; its first argument picks one of them."""
+    """Return "force", "energy" or "slope" of the laws, to be called by ``of_law``."""
     functions = [_vectorize(["f8(f8,f8)"])(getattr(LAWS[name], part)) for name in names]
+    if len(functions) == 1:
+        return functions[0]
     choice = _vectorize(["f8(i8,f8,f8)"])(_only(functions[-1]))
     for function in reversed(functions[:-1]):
         choice = _vectorize(["f8(i8,f8,f8)"])(_first_or(function, choice))
     return choice
+
+
+def of_law(function: Compiled, law: int, overlap: float, exponent: float) -> float:
+    """Stand for a call of ``compiled_laws`` in compiled code; ``law`` picks one of several."""
+    raise NotImplementedError
+
+
+@overload(of_law, jit_options={"fastmath": FLAGS, "error_model": "numpy", "forceinline": True})
+def _of_law(function, law, overlap, exponent):  # type: ignore[no-untyped-def]
+    """Return the call that the type of ``function`` asks for."""
+    if getattr(getattr(function, "typing_key", None), "nin", 3) == 2:
+        return lambda function, law, overlap, exponent: function(overlap, exponent)
+    return lambda function, law, overlap, exponent: function(law, overlap, exponent)
 
 
 def _only(function: Compiled) -> Callable[[Any, Any, Any], Any]:

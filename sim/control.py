@@ -24,10 +24,14 @@ regression would fit the round-off of the sums."""
 
 @dataclass(frozen=True, eq=False)
 class PathMeans:
-    """Means over each of ``count`` independent trajectories: their mean and their covariance."""
+    """Means over each of ``count`` independent trajectories: their mean and their covariance.
+
+    The covariance is that of ``fitted`` of them.
+    """
 
     system: System
     count: int
+    fitted: int
     mean: Array  # (products,)
     covariance: Array  # (products, products), of one trajectory's means
 
@@ -94,19 +98,29 @@ class Controls:
         return np.array(rows), np.array(expected)
 
 
-def path_means(system: System, sums: Array, live: NDArray[np.int64], samples: int) -> PathMeans:
+def path_means(
+    system: System,
+    sums: Array,
+    live: NDArray[np.int64],
+    samples: int,
+    *,
+    whole: tuple[int, Array] | None = None,
+) -> PathMeans:
     """Return mean and covariance of the trajectories' means.
 
-    ``sums`` has the shape (blocks, products, lanes), of which ``live`` (blocks,) count in each
-    block. The order of summation is fixed by the blocks.
+    ``sums`` has the shape (blocks, products, lanes), of which ``live`` (blocks or more,) count in
+    each block. The order of summation is fixed by the blocks. ``whole`` are number and mean of all
+    trajectories, where those in ``sums`` are some of them.
     """
+    live = live[: sums.shape[0]]
     alive = np.arange(sums.shape[2]) < live[:, None]
     count = int(live.sum())
     means = np.where(alive[:, None, :], sums / max(1, samples), 0.0)
     mean = means.sum(axis=2).sum(axis=0) / count
     means -= np.where(alive[:, None, :], mean[None, :, None], 0.0)
     covariance = (means @ means.transpose(0, 2, 1)).sum(axis=0) / max(1, count - 1)
-    return PathMeans(system, count, mean, covariance)
+    number, mean = whole or (count, mean)
+    return PathMeans(system, number, count, mean, covariance)
 
 
 def displacement_square(paths: PathMeans, i: int) -> ControlledMean:
@@ -121,11 +135,13 @@ def velocity_square(paths: PathMeans, i: int) -> ControlledMean:
 
 
 def _controlled(paths: PathMeans, target: Array) -> ControlledMean:
-    """Regression of the target on the controls over N trajectories.
+    """Regression of the target on the controls, fitted to N trajectories.
 
     With normal means the coefficients of p controls, fitted to the same data, multiply the variance
     of what is left by (N − 2)/(N − p − 2) (Lavenberg and Welch 1981), whose unbiased estimate has
-    N − p − 1 degrees of freedom. Controls that depend on each other are used once.
+    N − p − 1 degrees of freedom. Controls that depend on each other are used once. The mean of more
+    than these N has the same factor: errors of the coefficients are uncorrelated with what is left
+    of the others, too, and their share, p/(N − p − 2), multiplies the variance of that mean.
     """
     rows, expected = Controls(paths.system).identities
     cov = rows @ paths.covariance @ rows.T
@@ -138,7 +154,8 @@ def _controlled(paths: PathMeans, target: Array) -> ControlledMean:
     with_target = W @ rows @ paths.covariance @ target
     plain = float(target @ paths.covariance @ target)
     left = max(0.0, plain - float(with_target @ with_target))
-    N, p = paths.count, int(kept.sum())
+    N, p = paths.fitted, int(kept.sum())
     value = float(target @ paths.mean) - float(with_target @ (W @ (rows @ paths.mean - expected)))
     variance = left * (N - 1.0) / (N - p - 1.0) * (N - 2.0) / (N - p - 2.0)
-    return ControlledMean(value, sqrt(variance / N), plain / variance if variance > 0 else np.inf)
+    gain = plain / variance if variance > 0 else np.inf
+    return ControlledMean(value, sqrt(variance / paths.count), gain)

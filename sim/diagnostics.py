@@ -76,21 +76,29 @@ class Diagnosis:
 
 
 def effective_of_paths(
-    names: Sequence[str], means: Array, variance: Array, relative_error: Array, *, time: float
+    names: Sequence[str],
+    means: Array,
+    variance: Array,
+    relative_error: Array,
+    *,
+    time: float,
+    whole: int | None = None,
 ) -> tuple[Effective, ...]:
     """Return τ and effective samples from ``means`` (quantities, paths) over ``time`` each.
 
-    ``variance`` is the σ² of single samples and ``relative_error`` one standard error of that over
-    itself. That of var(path means) is √((kurtosis − 1)/paths).
+    There are ``whole`` trajectories, of which these are some, or all. ``variance`` is the σ² of
+    single samples and ``relative_error`` one standard error of that over itself. That of
+    var(path means) is √((kurtosis − 1)/paths).
     """
     paths = means.shape[1]
     centred = means - means.mean(axis=1, keepdims=True)
     of_means = np.sum(centred**2, axis=1) / (paths - 1)
     error = np.hypot(variance_error(means), relative_error)
     samples = np.full_like(of_means, inf)
-    np.divide(paths * variance, of_means, out=samples, where=of_means > 0)
+    count = whole or paths
+    np.divide(count * variance, of_means, out=samples, where=of_means > 0)
     return tuple(
-        Effective(name, float(n), float(e), paths * time / (2.0 * float(n)))
+        Effective(name, float(n), float(e), count * time / (2.0 * float(n)))
         for name, n, e in zip(names, samples, error, strict=True)
     )
 

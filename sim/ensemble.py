@@ -16,6 +16,7 @@ from sim.flow import factored
 from sim.histogram import Histogram, modes_of, starts, watch_arrays
 from sim.kernel import KernelKey, compiled_kernel
 from sim.parts.linear import ONE_LOOP
+from sim.parts.observed import FOLDED
 from sim.plan import step_arrays
 from sim.random import LANES, START, mixed_seed, normals
 from sim.scheme import Scheme
@@ -26,8 +27,18 @@ Integers = NDArray[np.int64]
 Product = tuple[str, int, str, int]
 Saved = Mapping[str, NDArray[Any]]
 
+ARRAYS = ("states", "sums", "folded", "counts")
+"""Arrays of an ensemble that change."""
+
 BATCHES = 64
 """Independent batches at most; a batch is made of whole blocks of lanes."""
+
+APART = 512
+"""Blocks at most whose trajectories have sums of their own, 65536 of them: enough for the variance
+of path means to half a per cent. Of the others there are sums over each block."""
+
+PIECE = 64
+"""Blocks whose starts are drawn together, beginning at its multiples."""
 
 
 def kernel_key(
@@ -80,9 +91,11 @@ def start_displacements(system: System, kT: float, z: Array) -> Array:
 class Ensemble:
     """States of ``paths`` trajectories, kept in blocks of lanes; a block is never divided.
 
-    A batch of blocks is one task of one thread, all counts are integers, and each lane sums its
-    own moments: the result is bitwise the same for any number of threads and any division of the
+    A batch of blocks is one task of one thread, all counts are integers, and sums grow in the order
+    of samples: the result is bitwise the same for any number of threads and any division of the
     steps into calls of ``advance``. Lanes beyond ``paths`` run but are not counted.
+    Of the first ``APART`` blocks ``sums`` are those of each trajectory; of the others ``folded``
+    are those of every ``FOLDED``-th of a block.
 
     With ``part`` it is a share of the ensemble: the blocks from the first number to before the
     second, the same trajectories as in the whole. Counts of shares add up, rows of ``counts``
@@ -112,24 +125,33 @@ class Ensemble:
         n, blocks = self.system.n, block_count(self.paths)
         first, end = self.part or (0, blocks)
         self.step = step_arrays(self.system, self.scheme, self.dt)
-        kT = temperature(self.system)
-        # A trajectory owns 2**40 words: those of the share's first one lie so far on.
-        words = START + ((first * LANES) << 40)
-        z = normals(self.seed, (end - first) * LANES, words, n)
-        L = factored(np.diag((kT if np.isfinite(kT) else 0.0) * self.system.mass))
-        p = L @ z[: L.shape[1]]  # one product a row: L is diagonal but for the order of columns
         self.states = np.zeros((end - first, 2 * n, LANES))
-        self.states[:, n:] = p.reshape(n, -1, LANES).transpose(1, 0, 2)
-        if self.system.damping_terms:
-            # Drawn for the whole ensemble: matrix products may round by the shape they come in.
-            z = normals(self.seed, blocks * LANES, START + n, n)
-            q = start_displacements(self.system, kT, z).reshape(n, blocks, LANES)
-            self.states[:, :n] = q[:, first:end].transpose(1, 0, 2)
+        for piece in range(first - first % PIECE, end, PIECE):
+            low, high = max(first, piece), min(end, piece + PIECE)
+            self.states[low - first : high - first] = self._drawn(piece)[low - piece : high - piece]
         self.live = np.minimum(LANES, self.paths - LANES * np.arange(first, end))
         edges = batch_edges(self.paths)
         self.batch, beyond = batch_range(edges, first, end)
         self.edges = np.clip(edges[self.batch : beyond + 1], first, end)
         self.watch()
+
+    def _drawn(self, first: int) -> Array:
+        """Return the states (PIECE, 2n, LANES) in which the blocks from ``first`` on start.
+
+        Whole pieces: matrix products may round by the shape they come in.
+        """
+        n, kT = self.system.n, temperature(self.system)
+        # A trajectory owns 2**40 words: those of the piece's first one lie so far on.
+        words = START + ((first * LANES) << 40)
+        found = np.zeros((PIECE, 2 * n, LANES))
+        L = factored(np.diag((kT if np.isfinite(kT) else 0.0) * self.system.mass))
+        p = L @ normals(self.seed, PIECE * LANES, words, n)[: L.shape[1]]
+        found[:, n:] = p.reshape(n, -1, LANES).transpose(1, 0, 2)
+        if self.system.damping_terms:
+            z = normals(self.seed, PIECE * LANES, words + n, n)
+            q = start_displacements(self.system, kT, z)
+            found[:, :n] = q.reshape(n, -1, LANES).transpose(1, 0, 2)
+        return found
 
     @property
     def _kernel(self) -> Any:
@@ -142,24 +164,33 @@ class Ensemble:
         )
         self._key = kernel_key(self.system, self.scheme, self.step, histograms, products)
         self.counts: Integers = np.zeros((self.edges.size - 1, starts(histograms)[-1]), np.int64)
-        self.sums: Array = np.zeros((self.states.shape[0], len(products), LANES))
+        own = self.states.shape[0]
+        apart = min(own, max(0, APART - (self.part or (0, 0))[0]))
+        self.sums: Array = np.zeros((apart, len(products), LANES))
+        self.folded: Array = np.zeros((own - apart, len(products), FOLDED))
         self.samples = 0
         self.phase = 0
 
     def advance(self, steps: int, *, stride: int = 1) -> None:
-        """Advance all trajectories; every ``stride``-th step since ``watch`` is observed."""
+        """Advance all trajectories; every ``stride``-th step since ``watch`` is observed, or none.
+
+        ``stride`` 0: nothing is observed, and ``watch`` may be called with ranges still unknown.
+        """
         counter = np.uint64(self.done * self.step.words)
         offset = mixed_seed(self.seed)
         blocks, kernel = self.states.shape[0], self._kernel
         x = self.states.reshape(blocks, -1)
-        sums = self.sums.reshape(blocks, -1)
+        apart, products = self.sums.shape[:2]
+        sums = self.sums.reshape(apart, products * LANES)
+        folded = self.folded.reshape(blocks - apart, products * FOLDED)
         own = self.edges - self.edges[0]
 
         def batch(b: int) -> None:
             part = slice(own[b], own[b + 1])
+            beyond = slice(max(0, own[b] - apart), max(0, own[b + 1] - apart))
             kernel(
-                x[part], sums[part], self.live[part], int(self.edges[b]), counter, steps,
-                self.phase, stride, offset, self.step, self._watch, self.counts[b],
+                x[part], sums[part], folded[beyond], self.live[part], int(self.edges[b]), counter,
+                steps, self.phase, stride, offset, self.step, self._watch, self.counts[b],
             )  # fmt: skip
 
         batches = range(self.edges.size - 1)
@@ -169,8 +200,9 @@ class Ensemble:
         else:
             with ThreadPoolExecutor(self.threads) as pool:
                 list(pool.map(batch, batches))
-        self.samples += -(-(self.phase + steps) // stride) - -(-self.phase // stride)
-        self.phase += steps
+        if stride:
+            self.samples += -(-(self.phase + steps) // stride) - -(-self.phase // stride)
+            self.phase += steps
         self.done += steps
 
     def counted(self, first: int, end: int) -> Integers:
@@ -180,36 +212,39 @@ class Ensemble:
     def copied(self) -> "Ensemble":
         """Return an ensemble that advances apart from this one."""
         other = copy(self)
-        other.states, other.sums = self.states.copy(), self.sums.copy()
-        other.counts = self.counts.copy()
+        other.states, other.counts = self.states.copy(), self.counts.copy()
+        other.sums, other.folded = self.sums.copy(), self.folded.copy()
         return other
 
     def saved(self) -> Saved:
         """Return all that changes: what ``restore`` needs to go on as if never stopped."""
         clock = np.array([self.done, self.samples, self.phase], dtype=np.int64)
-        return {"states": self.states, "sums": self.sums, "counts": self.counts, "clock": clock}
+        return {**{name: getattr(self, name) for name in ARRAYS}, "clock": clock}
 
     def restore(self, saved: Saved) -> None:
         """Go on from what ``saved`` returned, after the same calls of ``watch``."""
-        for name in ("states", "sums", "counts"):
+        for name in ARRAYS:
             getattr(self, name)[...] = saved[name]
         self.done, self.samples, self.phase = (int(number) for number in saved["clock"])
 
-    def phase_points(self) -> tuple[Array, Array]:
-        """Return the states (paths, n) of q and p just before the next kick."""
+    def phase_points(self, most: int | None = None) -> tuple[Array, Array]:
+        """Return the states (paths, n) of q and p just before the next kick, the first ``most``."""
         n, live = self.system.n, int(self.live.sum())
-        lanes = self.states.transpose(1, 0, 2).reshape(2 * n, -1)[:, :live].T
+        paths = live if most is None else min(live, most)
+        states = self.states[: block_count(paths)]
+        lanes = states.transpose(1, 0, 2).reshape(2 * n, -1)[:, :paths].T
         return lanes[:, :n], lanes[:, n:]
 
     def lost(self) -> int:
         """Return how many trajectories have left the finite range."""
-        return int(np.sum(~np.all(np.isfinite(np.hstack(self.phase_points())), axis=1)))
+        finite = np.isfinite(self.states).all(axis=1)
+        return int(np.sum(~finite & (np.arange(LANES) < self.live[:, None])))
 
     def block_sums(self) -> Array:
         """Return the sums (blocks, products) over the trajectories of each block."""
-        alive = np.arange(LANES) < self.live[:, None]
-        found: Array = np.where(alive[:, None, :], self.sums, 0.0).sum(axis=2)
-        return found
+        alive = np.arange(LANES) < self.live[: self.sums.shape[0], None]
+        apart = np.where(alive[:, None, :], self.sums, 0.0).sum(axis=2)
+        return np.concatenate([apart, self.folded.sum(axis=2)])
 
     def batch_means(self) -> Array:
         """Return (batches, products) means over the samples of each batch, in fixed order."""
@@ -226,6 +261,11 @@ def batch_edges(paths: int) -> Integers:
     blocks = block_count(paths)
     batches = min(BATCHES, blocks)
     return np.arange(batches + 1, dtype=np.int64) * blocks // batches
+
+
+def batch_sizes(edges: Integers, paths: int) -> Integers:
+    """Return the trajectories of each batch, of ``paths`` in all."""
+    return np.minimum(LANES * edges[1:], paths) - LANES * edges[:-1]
 
 
 def batch_range(edges: Integers, first: int, end: int) -> tuple[int, int]:

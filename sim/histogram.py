@@ -52,17 +52,41 @@ def pilot_coordinate(system: System, coordinate: Coordinate, q: Array, p: Array)
     return (q if coordinate.kind == "q" else p)[:, coordinate.index]
 
 
+def extremes(system: System, observables: Sequence[Observable], q: Array, p: Array) -> Array:
+    """Return the least and the largest finite value of each coordinate, (coordinates, 2).
+
+    Where there is none, infinity and minus infinity: extremes of several sets of states are those
+    of all together.
+    """
+    # One layout: sums over the masses may round by it.
+    q, p = np.ascontiguousarray(q), np.ascontiguousarray(p)
+    found = []
+    for coordinate in (c for observable in observables for c in observable):
+        with np.errstate(over="ignore", invalid="ignore"):
+            x = pilot_coordinate(system, coordinate, q, p)
+        x = x[np.isfinite(x)]
+        found.append((x.min(initial=np.inf), x.max(initial=-np.inf)))
+    return np.array(found).reshape(-1, 2)
+
+
 def ranged(
     system: System, observables: Sequence[Observable], q: Array, p: Array, *, mirror: bool
 ) -> tuple[Histogram, ...]:
-    """Return histograms that cover the pilot states with a margin; energies start at 0."""
-    histograms = []
+    """Return histograms that cover the states ``q``, ``p`` with a margin."""
+    return covering(observables, extremes(system, observables, q, p), mirror=mirror)
+
+
+def covering(
+    observables: Sequence[Observable], reached: Array, *, mirror: bool
+) -> tuple[Histogram, ...]:
+    """Return histograms that cover the ``extremes`` with a margin; energies start at 0."""
+    histograms, pairs = [], iter(reached.tolist())
     for observable in observables:
         edges = []
         for coordinate in observable:
-            x = pilot_coordinate(system, coordinate, q, p)
-            x = x[np.isfinite(x)]
-            low, high = (float(x.min()), float(x.max())) if x.size else (-1.0, 1.0)
+            low, high = next(pairs)
+            if low > high:
+                low, high = -1.0, 1.0
             if coordinate.kind == "H":
                 low, high = 0.0, (1.0 + 2.0 * MARGIN) * high
             elif mirror:

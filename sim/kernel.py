@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
-from zlib import crc32
 
 import numpy as np
 from numba import njit
@@ -26,6 +24,7 @@ from sim.parts.damping import (
 from sim.parts.linear import map_any, map_one_mass, map_two_masses
 from sim.parts.observed import (
     count_all,
+    fold_products,
     observed_displacements,
     observed_energy,
     observed_modes,
@@ -35,6 +34,7 @@ from sim.parts.observed import (
 )
 from sim.parts.substeps import AT_ONCE, NARROW, gather, near_lanes, places, scatter, small_steps
 from sim.random import FLAGS, GOLDEN, LANES, fill_normals
+from sim.sources import kernel_stamp
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -60,26 +60,20 @@ class KernelKey:
     substeps: bool = False
 
 
-def source_stamp() -> int:
-    """Return a checksum of this room's sources.
-
-    The disk cache looks at the file of the kernel only; closing over the stamp makes it miss
-    when a function that the kernel calls was edited.
-    """
-    files = sorted(Path(__file__).parent.rglob("*.py"))
-    return crc32(b"".join(file.read_bytes() for file in files))
-
-
 @lru_cache
 def compiled_kernel(key: KernelKey) -> Any:
-    """Return the kernel of ``key``; laws that it does not need are not compiled."""
+    """Return the kernel of ``key``; laws that it does not need are not compiled.
+
+    The disk cache looks at this file only; closing over a checksum of all that is compiled makes
+    it miss when a function that the kernel calls was edited.
+    """
     contact, observed, kick_first = bool(key.laws), key.observed, key.kick_first
     damping, energy_damping = key.damping, key.energy_damping
     momenta, energy, modes, moments = key.momenta, key.energy, key.modes, key.moments
     masses, pairs = key.masses, key.pairs
     kick1, kick2, fused = 0 in key.kicked, 1 in key.kicked, bool(key.kicked)
     substeps = key.substeps
-    stamp = source_stamp()
+    stamp = kernel_stamp()
     force: Any = compiled_laws(key.laws, "force") if contact else None
     slope: Any = compiled_laws(key.laws, "slope") if contact else None
     energies = energy or energy_damping
@@ -89,6 +83,7 @@ def compiled_kernel(key: KernelKey) -> Any:
     def advance(
         x: Array,
         sums: Array,
+        folded: Array,
         live: Integers,
         first: int,
         counter: np.uint64,
@@ -102,8 +97,9 @@ def compiled_kernel(key: KernelKey) -> Any:
     ) -> None:
         """Advance blocks ``x`` (blocks, 2n·W), the first being block ``first`` of the ensemble.
 
-        Observes at the start of a step where ``(phase + step number) % stride == 0``; adds to
-        ``sums`` (blocks, moments·W) and ``counts`` (all bins, one more a histogram for outside).
+        Observes at the start of a step where ``(phase + step number) % stride == 0``, never with
+        ``stride`` 0; adds to ``sums`` (first blocks, moments·W), lane by lane, to ``folded`` (other
+        blocks, moments·FOLDED) and ``counts`` (all bins, one more a histogram for outside).
         """
         n = step.matrix.shape[0] // 2
         at, slots = watch.at, step.slot_mass.size
@@ -120,7 +116,7 @@ def compiled_kernel(key: KernelKey) -> Any:
             trajectory = np.uint64((first + b) * W)
             s[: 2 * n * W] = x[b]
             for t in range(steps):
-                watched = observed and (phase + t) % stride == 0
+                watched = observed and stride > 0 and (phase + t) % stride == 0
                 if contact and (watched or not (fused or substeps)):
                     contact_forces(s, at.contact, step, force, slope)
                 if energy_damping:
@@ -156,7 +152,10 @@ def compiled_kernel(key: KernelKey) -> Any:
                         if damping:
                             H = row(s, at.energy)
                             damping_forces(s, at.q, H, at.damping, at.work, step.terms)
-                        sum_products(s, sums[b], watch)
+                        if b < sums.shape[0]:
+                            sum_products(s, sums[b], watch)
+                        else:
+                            fold_products(s, folded[b - sums.shape[0]], live[b], watch)
                     count_all(s, index, second, live[b], watch, counts)
                 if contact and kick_first and not (fused or substeps):
                     for slot in range(slots):

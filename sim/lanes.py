@@ -77,10 +77,10 @@ def multiply(target: Array, source: Array) -> None:
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def add_product(target: Array, a: Array, b: Array, factor: float) -> None:
+def add_product(target: Array, a: Array, b: Array, factor: float, width: int = W) -> None:
     """Add ``factor`` times the product of two rows to another; no work where it is 0."""
     if factor != 0.0:
-        for k in range(W):
+        for k in range(width):
             target[k] += factor * a[k] * b[k]
 
 

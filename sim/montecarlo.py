@@ -22,7 +22,7 @@ from sim.scheme import SCHEMES
 from sim.simulation import PARTIAL, simulate
 from sim.step_pair import mean_settings, step_bias
 from sim.step_size import check_step, chosen_step
-from sim.substeps import with_long_steps
+from sim.substeps import cost, with_long_steps
 
 LEAST_PATHS = 32 * LANES
 """Paths below which there are fewer than 32 independent batches to take errors from."""
@@ -31,7 +31,8 @@ RELAXATIONS = 153.2
 """Relaxation times that are sampled unless a time is given: 6000 time units of fig6a."""
 
 MOST_STEPS = 400_000
-"""Steps at most where no time is given: of weakly damped systems fewer relaxation times fit in."""
+"""Steps at most where no time is given: of weakly damped systems fewer relaxation times fit in.
+Where only some trajectories make small steps it counts what they cost (``substeps.cost``)."""
 
 OTHER_SEED = 0x9E3779B97F4A7C15
 """What is added to the seed for the second simulation of a pair: 2**64 over the golden ratio."""
@@ -46,7 +47,8 @@ class MonteCarlo:
 
     ``paths`` trajectories are sampled for ``time`` each, after ``burn_in`` relaxation times.
     ``time`` None: ``relaxations`` relaxation times, whatever the unit of time is, but no more than
-    ``most_steps`` steps (rounded up to whole chunks); ``settings`` then has ``limited_by``.
+    the cost of ``most_steps`` uniform steps (rounded up to whole chunks); ``settings`` then has
+    ``limited_by``.
     ``dt`` None: ``step_factor`` times the step chosen from the stiffest contact that is reached
     and the rates of the damping terms. ``tol``: go on until the expected L1 error of the first
     observable is below it, at most ``longest`` seconds. ``seconds``: go on for so many seconds
@@ -147,8 +149,9 @@ class MonteCarlo:
         unstable = self._unstable(system, dt)
         relaxation = relaxation_time(system)
         wanted = self.relaxations * relaxation if self.time is None else self.time
-        time = min(wanted, self.most_steps * dt) if self.time is None else wanted
         scheme, long, steps = with_long_steps(system, scheme, dt)
+        price = cost(system, dt, scheme.small) if scheme.small > 1 else 1.0
+        time = min(wanted, self.most_steps * dt / price) if self.time is None else wanted
         simulated = partial(
             simulate,
             system,

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.diagnostics import Effective, effective_of_paths, effective_of_shares, variance_error
+from sim.ensemble import batch_sizes
 from sim.histogram import Histogram, starts
 from sim.random import LANES
 from sim.statistics import Product
@@ -60,7 +61,10 @@ class Record:
         return tuple(found)
 
     def snapshot(self, before: Array, after: Array, live: Integers) -> None:
-        """Note the variance of one sample: the difference of two ``sums`` of an ensemble."""
+        """Note the variance of one sample: the difference of two ``sums`` of an ensemble.
+
+        They are those of the trajectories that have sums of their own.
+        """
         samples = self._of_paths(after - before, live)
         self.variances.append(samples.var(axis=1, ddof=1))
         self.errors.append(variance_error(samples))
@@ -71,7 +75,7 @@ class Record:
             self.chunk_samples = ensemble.samples
         means = ensemble.batch_means()
         columns = [means[:, k] * (f * ensemble.samples) for _, k, f in self.squares]
-        size = np.minimum(LANES * ensemble.edges[1:], ensemble.paths) - LANES * ensemble.edges[:-1]
+        size = batch_sizes(ensemble.edges, ensemble.paths)
         marginals = self._marginals(ensemble)
         if not self.cuts:
             self.cuts = [octiles(m.sum(axis=0)) for m in marginals]
@@ -108,6 +112,7 @@ class Record:
                 np.mean(self.variances, axis=0),
                 np.mean(self.errors, axis=0) / np.sqrt(len(self.errors)),
                 time=time,
+                whole=ensemble.paths,
             )
         recorded = self.chunk_samples * len(self.ends)
         shares, column = self.ends[-1] / recorded, len(self.squares)
@@ -146,7 +151,7 @@ class Record:
     def _of_paths(self, sums: Array, live: Integers) -> Array:
         """Squares (squares, paths) of the trajectories from ``sums`` (blocks, products, LANES)."""
         rows = np.stack([f * sums[:, k] for _, k, f in self.squares])
-        return np.asarray(rows[:, np.arange(LANES) < live[:, None]])
+        return np.asarray(rows[:, np.arange(LANES) < live[: sums.shape[0], None]])
 
     def _axes(self) -> list[tuple[str, bool]]:
         """Label of every coordinate observed, and whether its octiles are those of |x|."""

@@ -18,8 +18,8 @@ from fpk.system import System
 from sim.checkpoint import Keeper, checkpoint_of, edges_of, heard_interrupt, histograms_of
 from sim.control import PathMeans, path_means
 from sim.diagnostics import diagnosis
-from sim.ensemble import Ensemble
-from sim.histogram import Histogram, mirrored, ranged, sampled_density, starts
+from sim.ensemble import Ensemble, batch_sizes
+from sim.histogram import Histogram, covering, extremes, mirrored, sampled_density, starts
 from sim.record import Record
 from sim.relaxation import relaxation_time
 from sim.sampling import Stop, sample
@@ -31,7 +31,10 @@ PARTIAL = "partial"
 """Setting of a simulation that Ctrl-C ended: when."""
 
 SNAPSHOTS = 16
-"""States of the whole ensemble from which the pilot finds the ranges of the histograms."""
+"""States of the ensemble from which the pilot finds the ranges of the histograms."""
+
+PILOTS = 65536
+"""Trajectories at most that the pilot looks at: the extremes of more lie within the margin."""
 
 LARGEST_TAIL = 1e-3
 """Share of samples outside a histogram above which its density is not certified."""
@@ -112,26 +115,27 @@ def simulate(
         seed,
         list(map(observable_name, observables)),
     )
+    products = moment_products(system.n, terms=effects.state_damping) if moments else ()
     keeper = Keeper(None if folder is None else checkpoint_of(folder, (*identity, *asked)))
     kept = keeper.load()
     sampling = "loop" in kept
     if sampling:
         histograms = histograms_of(kept, observables)
     else:
+        # Any ranges: with the kinds of observables as later there is one kernel for all.
+        reached = np.full((sum(map(len, observables)), 2), (-1.0, 1.0))
+        ensemble.watch(covering(observables, reached, mirror=effects.mirror), products)
         if kept:
             ensemble.restore(kept)
-        keeper.advance(ensemble, burnt - ensemble.done)
+        keeper.advance(ensemble, burnt - ensemble.done, stride=0)
     if histograms is None:
-        q, p = [], []
+        reached = np.full((sum(map(len, observables)), 2), (inf, -inf))
         for _ in range(SNAPSHOTS):
-            ensemble.advance(8 * stride)
-            q.append(ensemble.phase_points()[0])
-            p.append(ensemble.phase_points()[1])
-        with np.errstate(over="ignore", invalid="ignore"):
-            histograms = ranged(
-                system, observables, np.concatenate(q), np.concatenate(p), mirror=effects.mirror
-            )
-    products = moment_products(system.n, terms=effects.state_damping) if moments else ()
+            ensemble.advance(8 * stride, stride=0)
+            found = extremes(system, observables, *ensemble.phase_points(PILOTS))
+            reached[:, 0] = np.minimum(reached[:, 0], found[:, 0])
+            reached[:, 1] = np.maximum(reached[:, 1], found[:, 1])
+        histograms = covering(observables, reached, mirror=effects.mirror)
     ensemble.watch(histograms, products)
     record = Record(histograms, products, system.mass, effects.mirror)
     limit = seconds if seconds is not None else longest if tol is not None else inf
@@ -181,7 +185,10 @@ def _judged(
     found = Moments(system, ensemble.batch_means()) if record.products else None
     paths, worst = None, 0.0
     if found is not None and not lost:
-        paths = path_means(system, ensemble.sums, ensemble.live, ensemble.samples)
+        mean = batch_sizes(ensemble.edges, ensemble.paths) @ found.batch_means / ensemble.paths
+        paths = path_means(
+            system, ensemble.sums, ensemble.live, ensemble.samples, whole=(ensemble.paths, mean)
+        )
         for identity in found.identities():
             worst = max(worst, abs(identity.z))
             allowed = STEP_BIAS * (identity.expected or temperature(system))

@@ -7,6 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sim.arrays import StepArrays
+from sim.compiled_laws import of_law
 from sim.lanes import fill, row
 from sim.random import FLAGS, LANES
 
@@ -32,13 +33,13 @@ def contact_forces(
         if sign != 0.0:
             for k in range(width):
                 o = max(sign * q[k] - clearance, 0.0)
-                g[k] += sign * B * force(law, o, e)
-                g[width + k] += B * slope(law, o, e) if o > 0.0 else 0.0
+                g[k] += sign * B * of_law(force, law, o, e)
+                g[width + k] += B * of_law(slope, law, o, e) if o > 0.0 else 0.0
         else:
             for k in range(width):
                 o = max(abs(q[k]) - clearance, 0.0)
-                g[k] += np.copysign(B, q[k]) * force(law, o, e)
-                g[width + k] += B * slope(law, o, e) if o > 0.0 else 0.0
+                g[k] += np.copysign(B, q[k]) * of_law(force, law, o, e)
+                g[width + k] += B * of_law(slope, law, o, e) if o > 0.0 else 0.0
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
@@ -70,8 +71,8 @@ def modified_force(q: float, stop: Stop, force: Any, slope: Any) -> float:
     sign, clearance, B, e, law, a = stop
     d = sign if sign != 0.0 else np.copysign(1.0, q)
     o = max(d * q - clearance, 0.0)
-    g_slope = B * slope(law, o, e) if o > 0.0 else 0.0
-    g: float = d * (B * force(law, o, e))
+    g_slope = B * of_law(slope, law, o, e) if o > 0.0 else 0.0
+    g: float = d * (B * of_law(force, law, o, e))
     return g * (1.0 - a * g_slope)
 
 
@@ -85,7 +86,7 @@ def add_contact_forces(s: Array, q0: int, f0: int, step: StepArrays, force: Any)
         B, e = step.stop_stiffness[stop], step.stop_exponent[stop]
         for k in range(W):
             d = sign if sign != 0.0 else np.copysign(1.0, q[k])
-            f[k] += d * B * force(law, max(d * q[k] - clearance, 0.0), e)
+            f[k] += d * B * of_law(force, law, max(d * q[k] - clearance, 0.0), e)
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
@@ -98,4 +99,4 @@ def add_contact_energy(s: Array, q0: int, H0: int, step: StepArrays, potential: 
         B, e = step.stop_stiffness[stop], step.stop_exponent[stop]
         for k in range(W):
             d = sign if sign != 0.0 else np.copysign(1.0, q[k])
-            H[k] += B * potential(law, max(d * q[k] - clearance, 0.0), e)
+            H[k] += B * of_law(potential, law, max(d * q[k] - clearance, 0.0), e)

@@ -85,11 +85,13 @@ def kill_one(client: Any) -> Callable[[], None]:
     return kill
 
 
-def test_shares_put_together_are_the_ensemble() -> None:
+@pytest.mark.parametrize("apart", [512, 20])
+def test_shares_put_together_are_the_ensemble(apart: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sim.ensemble.APART", apart)
     whole, parts = here(), [Ensemble(fig6(), EXACT_FLOW, 0.1, PATHS, 31, 1, part) for part in
                             ((0, 13), (13, 14), (14, 70))]  # fmt: skip
     found, shares = sampled(whole), [sampled(part) for part in parts]
-    for name in ("states", "sums", "q", "p", "live"):
+    for name in ("states", "sums", "folded", "q", "p", "live"):
         np.testing.assert_array_equal(np.concatenate([s[name] for s in shares]), found[name])
     counts = np.zeros_like(found["counts"])
     for part, share in zip(parts, shares, strict=True):

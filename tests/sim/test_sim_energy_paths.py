@@ -152,7 +152,7 @@ def test_step_bias_of_the_mean_is_of_second_order() -> None:
         ("fig8b", "integrable", "closed-form", (H1,)),
         ("fig8b", "integrable", "closed-form", (TOTAL,)),
         ("fig8b", "integrable", "closed-form", (H1, H2)),
-        ("vanderpol", "integrable", "fem", (H1, H2)),
+        pytest.param("vanderpol", "integrable", "fem", (H1, H2), marks=pytest.mark.slow),
         ("vanderpol", "nonintegrable", "fem", (TOTAL,)),
         ("fig6a", "nonintegrable", "fem", (TOTAL,)),
     ],

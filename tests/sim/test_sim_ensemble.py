@@ -1,6 +1,7 @@
 """Ensembles: bitwise the same however they are run, and only what is asked for."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -18,6 +19,7 @@ from sim.kernel import KernelKey
 from sim.plan import step_arrays
 from sim.random import LANES
 from sim.scheme import SCHEMES
+from sim.sources import KERNEL, ROOT, kernel_stamp, program_stamp
 from sim.statistics import moment_products
 
 EXACT_FLOW = SCHEMES["exact_flow"]
@@ -74,6 +76,44 @@ def test_a_stop_equal_on_both_sides_is_evaluated_once() -> None:
     both = Ensemble(fig6(), EXACT_FLOW, 0.1, LANES, 1, 1).step
     assert both.stop_sign.tolist() == [0.0]
     assert Ensemble(mixed(), EXACT_FLOW, 0.1, LANES, 1, 1).step.stop_sign.tolist() == [1, 0, -1]
+
+
+def test_sums_of_blocks_are_those_of_their_trajectories(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To 1e-12: the same numbers added in another order; and bitwise for any threads and chunks."""
+    apart = run(1, (60,))
+    monkeypatch.setattr("sim.ensemble.APART", 2)
+    folded, other = run(1, (60,)), run(2, (1, 7, 20, 32))
+    assert folded.sums.shape[0] == 2 and folded.folded.shape[0] == 3
+    np.testing.assert_array_equal(folded.sums, apart.sums[:2])
+    np.testing.assert_array_equal(folded.folded, other.folded)
+    np.testing.assert_array_equal(folded.batch_means(), other.batch_means())
+    found, wanted = folded.batch_means(), apart.batch_means()
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
+
+
+def test_an_edit_is_seen_where_it_matters(tmp_path: Path) -> None:
+    """Of compiled files by both stamps, of others by that of the program only."""
+    for room in ("sim", "fpk"):
+        shutil.copytree(ROOT / room, tmp_path / room, ignore=shutil.ignore_patterns("__pycache__"))
+    assert kernel_stamp(tmp_path) == kernel_stamp() and program_stamp(tmp_path) == program_stamp()
+    for name, compiled in (
+        ("sim/parts/contact.py", True),
+        ("sim/lanes.py", True),
+        ("fpk/laws/hertz.py", True),
+        ("sim/statistics.py", False),
+        ("fpk/moments.py", False),
+    ):
+        before = kernel_stamp(tmp_path), program_stamp(tmp_path)
+        with (tmp_path / name).open("a") as file:
+            file.write("\n# edited\n")
+        assert (kernel_stamp(tmp_path) != before[0]) == compiled
+        assert program_stamp(tmp_path) != before[1]
+
+
+def test_whatever_is_compiled_is_in_the_stamp() -> None:
+    files = {path for pattern in KERNEL for path in (ROOT / "sim").glob(pattern)}
+    compiled = {p for p in (ROOT / "sim").rglob("*.py") if "@njit(" in p.read_text("utf-8")}
+    assert len(compiled) > 6 and compiled <= files
 
 
 SECOND_PROCESS = """

@@ -53,6 +53,7 @@ def test_modal_energies_of_a_linear_system_against_its_gaussian() -> None:
     assert np.sum(own * centre) * h[0] == pytest.approx(mean, rel=0.01)
 
 
+@pytest.mark.slow
 def test_modal_energies_with_contact_are_sampled_and_cost_no_row_otherwise() -> None:
     result = MonteCarlo(paths=4096, time=60.0, seed=3).solve(fig6(), [parse_observable("H1,H2", 2)])
     assert result.densities[0].certificate.mass_defect < 1e-12

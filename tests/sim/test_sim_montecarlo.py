@@ -100,9 +100,14 @@ def small(**fields: object) -> MonteCarlo:
     "system",
     [
         mixed(),
-        System([1.0], [1.0], [0.2], [0.1], contacts=(Contact(0, "right", 4.0, 0.0),)),
-        System([1.0, 2.0], [1.0, 1.0], [0.2, 0.2], [0.2, 0.0]),
-        linear(5),
+        pytest.param(
+            System([1.0], [1.0], [0.2], [0.1], contacts=(Contact(0, "right", 4.0, 0.0),)),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            System([1.0, 2.0], [1.0, 1.0], [0.2, 0.2], [0.2, 0.0]), marks=pytest.mark.slow
+        ),
+        pytest.param(linear(5), marks=pytest.mark.slow),
     ],
     ids=["mixed", "one-mass", "noise-on-one", "five"],
 )

@@ -66,7 +66,10 @@ TWINS: dict[str, Step] = {
 }
 
 
-@pytest.mark.parametrize("make", [fig6, exact, mixed, linear, lambda: linear(1), lambda: linear(5)])
+FIVE = pytest.param(lambda: linear(5), marks=pytest.mark.slow, id="five")
+
+
+@pytest.mark.parametrize("make", [fig6, exact, mixed, linear, lambda: linear(1), FIVE])
 @pytest.mark.parametrize("name", sorted(SCHEMES))
 def test_kernel_equals_its_twin(name: str, make: Callable[[], System]) -> None:
     system, h, paths, seed = make(), 0.11, 150, 977

@@ -18,12 +18,21 @@ from fpk.system import System
 from sim.ensemble import Ensemble, kernel_key
 from sim.flow import exact_flow, flow_covariance, linear_diffusion, linear_drift, lower_trapezoidal
 from sim.histogram import Histogram
+from sim.montecarlo import MonteCarlo
 from sim.plan import step_arrays
 from sim.random import LANES, normals
 from sim.scheme import SCHEMES, Scheme
 from sim.statistics import Moments, moment_products
 from sim.step_size import chosen_step, sampling_interval
-from sim.substeps import LARGEST_NORMAL, bends, noise_reach, small_steps_in_long, with_long_steps
+from sim.substeps import (
+    LARGEST_NORMAL,
+    LONG_COST,
+    bends,
+    cost,
+    noise_reach,
+    small_steps_in_long,
+    with_long_steps,
+)
 
 Array = NDArray[np.float64]
 EXACT_FLOW = SCHEMES["exact_flow"]
@@ -68,7 +77,9 @@ def own_normals(seed: int, paths: int, counter: int, pairs: int) -> Array:
 
 
 @pytest.mark.parametrize(
-    "make", [stiff, fig6, mixed, one, lambda: one("both")], ids=["stiff", "fig6", "mixed", "1", "2"]
+    "make",
+    [stiff, fig6, pytest.param(mixed, marks=pytest.mark.slow), one, lambda: one("both")],
+    ids=["stiff", "fig6", "mixed", "1", "2"],
 )
 def test_kernel_equals_its_twin(make) -> None:
     """To 2e-5 of the largest number: single-precision normals, within 2e-6 each, in 3 × 8 steps."""
@@ -211,10 +222,10 @@ def figures(
     """Return the batches of the time in contact and of E q2², and the moments."""
     h = chosen_step(system)
     ensemble = Ensemble(system, longer(small), small * h, paths, seed, 2)
-    ensemble.advance(round(600.0 / (small * h)))
     edges = (np.array([-0.5, 0.5]),)
     stride = max(1, round(0.1 / (small * h)))
     ensemble.watch((Histogram(parse_observable("q2", 2), edges),), moment_products(2))
+    ensemble.advance(round(600.0 / (small * h)), stride=0)
     ensemble.advance(round(time / (small * h)), stride=stride)
     inside = ensemble.counts[:, 0] / ensemble.counts.sum(axis=1)
     moments = Moments(system, ensemble.batch_means())
@@ -258,6 +269,13 @@ def test_choice_of_the_long_step() -> None:
     h = chosen_step(system)
     scheme, H, _ = with_long_steps(system, EXACT_FLOW, h)
     assert scheme.small * h == H > h and scheme.name == EXACT_FLOW.name
+    # What most_steps counts: long steps are a part of the cost, the near ones another.
+    assert cost(system, h, scheme.small) > LONG_COST / scheme.small
+    assert cost(system, h, scheme.small) < 0.8
+    capped = MonteCarlo(paths=4096, most_steps=400, burn_in=0.1).solve(system, ())
+    assert capped.settings["limited_by"] == "most_steps"
+    most = 400.0 * h / cost(system, h, scheme.small)
+    assert most <= float(capped.settings["time"]) < most + 20.0 * H * int(capped.settings["stride"])
     assert with_long_steps(fig6(), EXACT_FLOW, 0.1)[:2] == (EXACT_FLOW, 0.1)
     small, words = small_steps_in_long(system, EXACT_FLOW, h)
     assert small >= 4 and small * h <= sampling_interval(system) and str(small) in words
