@@ -31,18 +31,18 @@ class PlaneCoefficients:
     b22: Array
 
 
-def gauss_energies(nodes: tuple[Array, Array], degree: int) -> tuple[Array, Array]:
+def gauss_energies(nodes: tuple[Array, Array], rule: int) -> tuple[Array, Array]:
     """Return the Gauss energies of the elements along each axis, (elements, points) each."""
-    t, _ = gauss_rule(degree)
+    t, _ = gauss_rule(rule)
     first, second = (x[:-1, None] + np.diff(x)[:, None] * t for x in nodes)
     return first, second
 
 
 def coefficients_at(
-    process: VectorProcess, nodes: tuple[Array, Array], degree: int
+    process: VectorProcess, nodes: tuple[Array, Array], rule: int
 ) -> PlaneCoefficients:
     """Evaluate the process at the Gauss points; elements run along H2 fastest."""
-    first, second = gauss_energies(nodes, degree)
+    first, second = gauss_energies(nodes, rule)
     shape = (first.shape[0], second.shape[0], first.shape[1], second.shape[1])
     H1 = np.broadcast_to(first[:, None, :, None], shape)
     H2 = np.broadcast_to(second[None, :, None, :], shape)
@@ -59,14 +59,29 @@ def coefficients_at(
     )
 
 
+def weighted(c: PlaneCoefficients, w: Array, slopes: tuple[Array, Array]) -> PlaneCoefficients:
+    """Return the coefficients of u in p = w u, w = exp(−Φ), from Φ's slopes at the same points.
+
+    ``J_i = w (a_i + ½ b_ij ∂_j Φ) u − ½ w b_ij ∂_j u``.
+    """
+    first, second = slopes
+    return PlaneCoefficients(
+        w * (c.a1 + 0.5 * (c.b11 * first + c.b12 * second)),
+        w * (c.a2 + 0.5 * (c.b12 * first + c.b22 * second)),
+        w * c.b11,
+        w * c.b12,
+        w * c.b22,
+    )
+
+
 @lru_cache
-def _products(degree: int) -> tuple[Array, Array, Array, Array]:
+def _products(degree: int, rule: int) -> tuple[Array, Array, Array, Array]:
     """Weighted products of test and trial functions at Gauss points, (points, (degree+1)²) each.
 
     Order: value·value, slope·value, value·slope, slope·slope (test first), on the unit interval.
     """
-    _, w = gauss_rule(degree)
-    phi, dphi = shapes_at_gauss(degree, degree)
+    _, w = gauss_rule(rule)
+    phi, dphi = shapes_at_gauss(degree, rule)
     pairs = [(phi, phi), (dphi, phi), (phi, dphi), (dphi, dphi)]
     vv, sv, vs, ss = (
         np.einsum("q,iq,jq->qij", w, test, trial).reshape(w.size, -1) for test, trial in pairs
@@ -74,12 +89,13 @@ def _products(degree: int) -> tuple[Array, Array, Array, Array]:
     return vv, sv, vs, ss
 
 
-def element_matrices(c: PlaneCoefficients, sizes: Array, degree: int) -> Array:
+def element_matrices(c: PlaneCoefficients, sizes: Array, degree: int, rule: int) -> Array:
     """Return the element matrices (elements, m, m), m = (degree+1)², test functions first.
 
-    ``sizes`` (elements, 2) are the lengths along H1 and H2. Local number of φ_i ψ_k: i(degree+1)+k.
+    ``sizes`` (elements, 2) are the lengths along H1 and H2, ``rule`` the one of ``c``. The local
+    number of φ_i ψ_k is i(degree+1)+k.
     """
-    vv, sv, vs, ss = _products(degree)
+    vv, sv, vs, ss = _products(degree, rule)
     h1, h2 = sizes[:, 0, None, None], sizes[:, 1, None, None]
     # Along H2 first: for every Gauss point of H1 a small matrix over (k, l).
     slope_slope = (-0.5 * h2 / h1 * c.b11) @ vv

@@ -1,6 +1,7 @@
-"""Finite elements for the stationary FPK equation of two energies, Eq. (19): p itself, expanded.
+"""Finite elements for the stationary FPK equation of two energies, Eq. (19).
 
-They need no guess of p, and take the more elements the smaller the smallest p is to be right.
+Without a weight p itself is expanded: that needs no guess of p, and takes the more elements the
+smaller the smallest p is to be right. With one it is u of p = w u.
 """
 
 from dataclasses import dataclass
@@ -11,9 +12,10 @@ from numpy.typing import NDArray
 from fpk.errors import NotCertified
 from fpk.line.elements import gauss_rule, shape_functions, shapes_at_gauss
 from fpk.plane.condensation import null_vector
-from fpk.plane.elements import coefficients_at, element_matrices
+from fpk.plane.elements import coefficients_at, element_matrices, gauss_energies, weighted
 from fpk.plane.mesh import Survey, axis_nodes, bisected
-from fpk.plane.solution import NEGATIVE, PlaneSolution, judged
+from fpk.plane.solution import NEGATIVE, PlaneSolution, judged, mass_beyond
+from fpk.plane.weight import Weight
 from fpk.vector_process import VectorProcess
 
 Array = NDArray[np.float64]
@@ -29,13 +31,15 @@ MOST_DEGREE = 20
 MOST_ROUNDS = 12
 MOST_ENTRIES = 2e7
 """Entries of all element matrices of the comparison solution: 160 MB, several times over."""
+FOR_THE_WEIGHT = 4
+"""Gauss points along each axis that integrals of w take on top: with four more nothing changes."""
 ROUND_OFF = 4e-16
 CHUNK = 8192
 
 
 @dataclass(frozen=True, eq=False)
 class TensorPolynomial:
-    """Continuous piecewise polynomial of two energies on a tensor mesh.
+    """Continuous piecewise polynomial of two energies on a tensor mesh, times w if there is one.
 
     ``nodes`` along each axis; ``coefficients`` (elements, degree+1, degree+1), the elements running
     along H2 fastest, of products of line shape functions.
@@ -44,6 +48,7 @@ class TensorPolynomial:
     nodes: Nodes
     degree: int
     coefficients: Array
+    weight: Weight | None = None
 
     @property
     def unknowns(self) -> int:
@@ -53,11 +58,17 @@ class TensorPolynomial:
 
     def rounding(self, H1: Array, H2: Array) -> Array:
         """Relative round-off of p at energies that broadcast together."""
-        return np.full(np.broadcast_shapes(H1.shape, H2.shape), ROUND_OFF * self.degree**2)
+        own = np.full(np.broadcast_shapes(H1.shape, H2.shape), ROUND_OFF * self.degree**2)
+        return own if self.weight is None else own + ROUND_OFF * self.weight.terms(H1, H2)
 
     def __call__(self, H1: Array, H2: Array) -> Array:
         """Values at energies that broadcast together; 0 outside the mesh."""
-        x, y = np.broadcast_arrays(np.asarray(H1, float), np.asarray(H2, float))
+        x, y = np.asarray(H1, float), np.asarray(H2, float)
+        if x.ndim == 2 and x.shape[1] == 1 and y.ndim <= 2 and y.shape[-1:] == (y.size,):
+            return self._on_grid(x.ravel(), y.ravel())
+        if y.ndim == 2 and y.shape[1] == 1 and x.ndim <= 2 and x.shape[-1:] == (x.size,):
+            return self._on_grid(x.ravel(), y.ravel()).T
+        x, y = np.broadcast_arrays(x, y)
         flat = np.empty(x.size)
         for start in range(0, x.size, CHUNK):
             part = slice(start, start + CHUNK)
@@ -67,19 +78,53 @@ class TensorPolynomial:
     def at_gauss(self, rule: int) -> Array:
         """Values (elements, points, points) at the Gauss points that go with degree ``rule``."""
         phi, _ = shapes_at_gauss(self.degree, rule)
-        return np.asarray(phi.T @ self.coefficients @ phi)
+        u = np.asarray(phi.T @ self.coefficients @ phi)
+        return u if self.weight is None else u * _weight_at(self.weight, self.nodes, rule)[0]
 
     def _at(self, x: Array, y: Array) -> Array:
-        places, shapes, inside = [], [], np.ones(x.size, dtype=bool)
-        for values, nodes in zip((x, y), self.nodes, strict=True):
-            k = np.clip(np.searchsorted(nodes, values, side="right") - 1, 0, nodes.size - 2)
-            t = (values - nodes[k]) / (nodes[k + 1] - nodes[k])
-            inside &= (values >= nodes[0]) & (values <= nodes[-1])
-            places.append(k)
-            shapes.append(shape_functions(self.degree, np.clip(t, 0.0, 1.0))[0])
-        element = places[0] * (self.nodes[1].size - 1) + places[1]
-        value = np.einsum("ix,xij,jx->x", shapes[0], self.coefficients[element], shapes[1])
-        return np.where(inside, value, 0.0)
+        (i, first), (j, second) = (self._shapes(axis, H) for axis, H in enumerate((x, y)))
+        element = i * (self.nodes[1].size - 1) + j
+        value: Array = np.einsum("ix,xij,jx->x", first, self.coefficients[element], second)
+        return value if self.weight is None else value * self.weight.floored(x, y)
+
+    def _on_grid(self, x: Array, y: Array) -> Array:
+        """Values (x.size, y.size): one direction at a time."""
+        k = self.degree + 1
+        rows = []
+        for axis, H in enumerate((x, y)):
+            place, shapes = self._shapes(axis, H)
+            full = np.zeros((H.size, self.nodes[axis].size - 1, k))
+            full[np.arange(H.size), place] = shapes.T
+            rows.append(full.reshape(H.size, -1))
+        blocks = self.coefficients.reshape(*(n.size - 1 for n in self.nodes), k, k)
+        matrix = blocks.transpose(0, 2, 1, 3).reshape(rows[0].shape[1], -1)
+        value = np.asarray(rows[0] @ matrix @ rows[1].T)
+        return value if self.weight is None else value * self.weight.floored(x[:, None], y)
+
+    def _shapes(self, axis: int, H: Array) -> tuple[NDArray[np.int64], Array]:
+        """Elements along an axis, and shape functions (degree + 1, points), 0 outside the mesh."""
+        nodes = self.nodes[axis]
+        k = np.clip(np.searchsorted(nodes, H, side="right") - 1, 0, nodes.size - 2)
+        t = (H - nodes[k]) / (nodes[k + 1] - nodes[k])
+        inside = (t >= 0.0) & (t <= 1.0)
+        return k, shape_functions(self.degree, np.clip(t, 0.0, 1.0))[0] * inside
+
+
+def _weight_at(weight: Weight, nodes: Nodes, rule: int) -> tuple[Array, tuple[Array, Array]]:
+    """w with its floor, and the slopes of −ln w, at Gauss points, (elements, points, points)."""
+    H1, H2 = gauss_energies(nodes, rule)
+    w, first, second = (
+        _by_element(values, H1.shape[0], H2.shape[0])
+        for values in weight.floored_on_grid(H1.ravel(), H2.ravel())
+    )
+    return w, (first, second)
+
+
+def _by_element(values: Array, first: int, second: int) -> Array:
+    """Values on the grid of the Gauss energies, as (elements, points, points)."""
+    points = len(values) // first
+    blocks = values.reshape(first, points, second, points).transpose(0, 2, 1, 3)
+    return np.asarray(blocks.reshape(-1, points, points))
 
 
 def solve_by_elements(
@@ -103,7 +148,8 @@ def solve_by_elements(
             break
         answer = solution.answer
         assert isinstance(answer, TensorPolynomial)
-        tails = _tails(answer)
+        rule = answer.degree
+        tails = _tails(answer.at_gauss(rule), _weights(pair, rule), pair, rule)
         beyond = tails > 0.1 * tol
         near = solution.l1_error - 2.0 * float(tails.sum()) <= NEARLY * tol
         finer, higher = pair, degree
@@ -134,21 +180,32 @@ def _first_nodes(process: VectorProcess, survey: Survey, degree: int, tol: float
 
 
 def solve_plane_on_mesh(
-    process: VectorProcess, nodes: Nodes, degree: int, *, tol: float = np.inf
+    process: VectorProcess,
+    nodes: Nodes,
+    degree: int,
+    *,
+    tol: float = np.inf,
+    weight: Weight | None = None,
 ) -> PlaneSolution:
     """Return the finite element solution on a given tensor mesh, for convergence studies."""
-    answer, residual, fluxless = _solved(process, nodes, degree)
-    enriched, _, _ = _solved(process, nodes, degree + ENRICHMENT)
-    weights = _weights(nodes, degree)
-    p, better = answer.at_gauss(degree), enriched.at_gauss(degree)
+    rule = degree if weight is None else degree + FOR_THE_WEIGHT
+    answer, residual, fluxless = _solved(process, nodes, degree, rule, weight)
+    enriched, _, _ = _solved(process, nodes, degree + ENRICHMENT, rule + ENRICHMENT, weight)
+    weights = _weights(nodes, rule)
+    p, better = answer.at_gauss(rule), enriched.at_gauss(rule)
+    rounding = ROUND_OFF * degree**2 * weights.shape[0] ** 0.5
+    if weight is not None:
+        H1, H2 = gauss_energies(nodes, rule)
+        terms = _by_element(weight.terms(H1.reshape(-1, 1), H2.ravel()), len(H1), len(H2))
+        rounding += ROUND_OFF * float(np.sum(weights * np.abs(p) * terms))
     return judged(
         process,
         answer,
         enriched,
         (p, better, weights),
         tol=tol,
-        tail=float(_tails(answer).sum()),
-        rounding=ROUND_OFF * degree**2 * weights.shape[0] ** 0.5,
+        tail=float(_tails(p, weights, nodes, rule).sum()),
+        rounding=rounding,
         residual=residual,
         net_flux=fluxless,
     )
@@ -159,26 +216,29 @@ def _sizes(nodes: Nodes) -> Array:
     return np.stack([first.ravel(), second.ravel()], axis=1)
 
 
-def _weights(nodes: Nodes, degree: int) -> Array:
-    _, w = gauss_rule(degree)
+def _weights(nodes: Nodes, rule: int) -> Array:
+    _, w = gauss_rule(rule)
     return np.asarray(np.prod(_sizes(nodes), axis=1)[:, None, None] * np.multiply.outer(w, w))
 
 
 def _solved(
-    process: VectorProcess, nodes: Nodes, degree: int
+    process: VectorProcess, nodes: Nodes, degree: int, rule: int, weight: Weight | None
 ) -> tuple[TensorPolynomial, float, float]:
-    sizes = _sizes(nodes)
-    matrices = element_matrices(coefficients_at(process, nodes, degree), sizes, degree)
-    _, w = gauss_rule(degree)
-    line = shapes_at_gauss(degree, degree)[0] @ w
-    masses = np.prod(sizes, axis=1)[:, None] * np.multiply.outer(line, line).ravel()
+    sizes, weights = _sizes(nodes), _weights(nodes, rule)
+    coefficients = coefficients_at(process, nodes, rule)
+    if weight is not None:
+        w, slopes = _weight_at(weight, nodes, rule)
+        coefficients, weights = weighted(coefficients, w, slopes), weights * w
+    matrices = element_matrices(coefficients, sizes, degree, rule)
+    phi, _ = shapes_at_gauss(degree, rule)
+    masses = (phi @ weights @ phi.T).reshape(len(sizes), -1)
     counts = (nodes[0].size - 1, nodes[1].size - 1)
     try:
         found = null_vector(matrices, masses, counts, degree)
     except np.linalg.LinAlgError:
         raise NotCertified("the stationary equation has no unique solution on this mesh") from None
     k = degree + 1
-    polynomial = TensorPolynomial(nodes, degree, found.coefficients.reshape(-1, k, k))
+    polynomial = TensorPolynomial(nodes, degree, found.coefficients.reshape(-1, k, k), weight)
     # The vertex functions of an element sum to one: their rows add up to zero in exact arithmetic.
     corners = np.array([0, 1, k, k + 1])
     through = np.abs((matrices[:, corners] @ found.coefficients[:, :, None]).sum(axis=1))
@@ -186,26 +246,16 @@ def _solved(
     return polynomial, found.residual, float(through.max() / parts.max())
 
 
-def _tails(p: TensorPolynomial) -> Array:
-    """Mass beyond each far edge: of the marginal, continued at half the rate of its last interval.
-
-    The half allows for a rate that drops with the energy. Infinite where the marginal does not
-    fall over that interval.
-    """
-    _, w = gauss_rule(p.degree)
-    line = shapes_at_gauss(p.degree, p.degree)[0] @ w
-    counts = (p.nodes[0].size - 1, p.nodes[1].size - 1)
+def _tails(p: Array, weights: Array, nodes: Nodes, rule: int) -> Array:
+    """Mass beyond each far edge, from p and its quadrature weights at the Gauss points."""
+    counts = (nodes[0].size - 1, nodes[1].size - 1)
+    _, w = gauss_rule(rule)
+    mass = (p * weights).reshape(*counts, w.size, w.size)
     tails = []
-    for axis in (0, 1):
-        blocks = p.coefficients.reshape(*counts, p.degree + 1, p.degree + 1)
-        if axis == 1:
-            blocks = blocks.transpose(1, 0, 3, 2)
-        # The two vertex values of the last interval, the other energy integrated out.
-        low, high = np.einsum("e,evj,j->v", np.diff(p.nodes[1 - axis]), blocks[-1, :, :2], line)
-        length = p.nodes[axis][-1] - p.nodes[axis][-2]
-        falls = abs(high) < abs(low)
-        rate = 0.5 * np.log(abs(low) / abs(high)) / length if falls else 0.0
-        tails.append(abs(high) / rate if falls else np.inf)
+    for axis, (H, n) in enumerate(zip(gauss_energies(nodes, rule), nodes, strict=True)):
+        blocks = mass if axis == 0 else mass.transpose(1, 0, 3, 2)
+        along = np.abs(blocks[-1].sum(axis=(0, 2))) / (w * (n[-1] - n[-2]))
+        tails.append(mass_beyond(H[-1], along))
     return np.array(tails)
 
 

@@ -82,6 +82,18 @@ class PlaneSolution:
         return np.asarray(SAFETY * np.abs(p - self.enriched(x, y)) + relative * np.abs(p))
 
 
+def mass_beyond(H: Array, along: Array) -> float:
+    """Mass beyond the last of the energies ``H`` of the last panel, from the marginal ``along``.
+
+    It is continued at half the rate of that panel, as that may drop with the energy. Infinite where
+    the marginal does not fall over it.
+    """
+    low, high = float(along[0]), float(along[-1])
+    if not high < low:
+        return np.inf
+    return high * float(H[-1] - H[0]) / (0.5 * np.log(low / high)) if high > 0.0 else 0.0
+
+
 def judged(
     process: VectorProcess,
     answer: PlaneDensity,

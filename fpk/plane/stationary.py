@@ -2,8 +2,8 @@
 
 The density is expanded as p = w u: w a positive weight near p, u a polynomial of order one, so that
 p stays positive wherever it can be told from zero, and few unknowns give it. The equation is solved
-from its coefficients alone: any w gives the same p, a good one sooner. Where no w is found the
-finite elements expand p itself.
+from its coefficients alone: any w gives the same p, a good one sooner. Where probability circulates
+much, u is a polynomial on each of a few elements; where no w is found the elements expand p itself.
 """
 
 from collections.abc import Iterator
@@ -15,16 +15,18 @@ from fpk.errors import InvalidInput, NotCertified
 from fpk.plane.expansion import Solved, solve_expansion
 from fpk.plane.mesh import Survey, surveyed
 from fpk.plane.on_mesh import solve_by_elements, solve_plane_on_mesh
-from fpk.plane.solution import PlaneSolution, judged
-from fpk.plane.weight import Weight, fitted_weight, flux_free_weight
+from fpk.plane.solution import PlaneSolution, judged, mass_beyond
+from fpk.plane.weight import Weight, flux_free_weight
+from fpk.plane.weighted import solve_with_weight, weight_of
 from fpk.vector_process import VectorProcess
 
 __all__ = ["PlaneSolution", "solve_plane", "solve_plane_on_mesh"]
 
 Array = NDArray[np.float64]
 
-DEGREES = (4, 8, 12, 16, 20, 24)
-"""Degrees of u that are tried, one after the other."""
+DEGREES = (4, 8, 12, 16)
+"""Degrees of u as one polynomial that are tried, one after the other."""
+STEP = 4
 ENRICHMENT = 2
 """Degrees by which the comparison solution exceeds the answer along both axes."""
 POINTS = 12
@@ -35,12 +37,6 @@ LEAST_NATS = 36.0
 """Integrals go at least to w = e^−36 = 2e-16, beyond what the sign of p is looked at for."""
 MORE_NATS = 4.0
 """Those of the comparison solution go farther: the distance holds what ending them costs, too."""
-KNOWN = 0.1
-"""Relative error of p up to which its logarithm is fitted."""
-LEAST_LEVEL = 4.0
-"""Nats that p has to be known for before a weight is fitted to it."""
-SAMPLES = 32
-"""Places along each axis at which a weight is fitted."""
 ROUGH = 1e-5
 """Tolerance of the finite elements to which a weight is fitted where no other is good enough."""
 
@@ -78,17 +74,30 @@ def solve_plane(
 
 def _attempts(process: VectorProcess, survey: Survey, tol: float) -> Iterator[PlaneSolution]:
     """Solutions, each made after the last one was found wanting."""
-    yield from _expanded(process, flux_free_weight(survey, process.energy_scales), tol)
+    weight, least = flux_free_weight(survey, process.energy_scales), np.inf
+    for solution in _expanded(process, weight, tol):
+        yield solution
+        if solution.l1_error < least:
+            least = solution.l1_error
+            weight = weight_of(solution) or weight
     try:
-        rough = solve_by_elements(process, survey, tol=max(tol, ROUGH), degree=None, strict=False)
-        yield from _expanded(process, _weight_of(rough), tol)
+        if weight is None:
+            tolerance = max(tol, ROUGH)
+            rough = solve_by_elements(process, survey, tol=tolerance, degree=None, strict=False)
+            weight = weight_of(rough)
+        if weight is not None:
+            yield from solve_with_weight(process, weight, tol=tol)
         yield solve_by_elements(process, survey, tol=tol, degree=None)
     except NotCertified:
         return
 
 
 def _expanded(process: VectorProcess, weight: Weight | None, tol: float) -> Iterator[PlaneSolution]:
-    """Expansions of rising degree, each tried once more with a weight fitted to it."""
+    """Expansions of rising degree, each tried once more with a weight fitted to it.
+
+    Ends where the error falls too slowly, geometrically in the degree, to get there.
+    """
+    last = np.inf
     for degree in DEGREES:
         if weight is None:
             return
@@ -96,12 +105,17 @@ def _expanded(process: VectorProcess, weight: Weight | None, tol: float) -> Iter
         if solution is None:
             return
         yield solution
-        fitted = _weight_of(solution)
+        error = solution.l1_error
+        fitted = weight_of(solution)
         again = None if fitted is None else _expansion(process, fitted, degree, tol)
         if again is not None:
             yield again
-            if again.l1_error < solution.l1_error:
-                weight = fitted
+            if again.l1_error < error:
+                weight, error = fitted, again.l1_error
+        steps = (DEGREES[-1] - degree) // STEP
+        if not error * (error / last) ** steps <= (tol if np.isfinite(last) else np.inf):
+            return
+        last = error
 
 
 def _expansion(
@@ -134,45 +148,11 @@ def _expansion(
 
 
 def _tail(solved: Solved, p: Array) -> float:
-    """Mass where no integral was taken: between the nodes, and beyond them.
-
-    The marginal is continued at half the rate of its last panel, as that may drop with the energy.
-    Infinite where the marginal does not fall over that panel.
-    """
+    """Mass where no integral was taken: between the nodes, and beyond them."""
     at = solved.places
     total = float(np.sum(np.where(at.seen, 0.0, np.abs(p)) * at.area))
     for axis, (H, nodes) in enumerate(zip(at.energies, at.nodes, strict=True)):
         width = at.area.sum(axis=1 - axis) / at.area.sum() * nodes[-1]
         along = np.abs((p * at.area).sum(axis=1 - axis) / width)
-        low, high = along[-MORE_POINTS], along[-1]
-        if not high < low:
-            return np.inf
-        if high > 0.0:
-            total += float(high * (H[-1] - H[-MORE_POINTS]) / (0.5 * np.log(low / high)))
+        total += mass_beyond(H[-MORE_POINTS:], along[-MORE_POINTS:])
     return total
-
-
-def _weight_of(solution: PlaneSolution) -> Weight | None:
-    """Return a weight fitted to −ln p where p is known, None where that is too little.
-
-    An error ε of p in the norm weighted by w ≈ p is one of ε √p: relative to p it is below
-    ``KNOWN`` as far as p > (ε/KNOWN)² of its maximum.
-    """
-    level = -2.0 * float(np.log(min(solution.l1_error, 1.0) / KNOWN))
-    if not level > LEAST_LEVEL:
-        return None
-    ends = [nodes[-1] for nodes in solution.nodes]
-    for _ in range(2):
-        # First to see how far p is known, then in what is known.
-        x, y = (np.linspace(0.0, end, SAMPLES) for end in ends)
-        p, better = (f(x[:, None], y) for f in (solution.answer, solution.enriched))
-        known = (p > 0.0) & (better > 0.0) & (np.abs(p - better) < KNOWN * better)
-        known &= better > np.exp(-level) * better.max()
-        if not known.any():
-            return None
-        ends = [
-            float(H[min(int(np.flatnonzero(known.any(axis=1 - axis))[-1]) + 1, SAMPLES - 1)])
-            for axis, H in enumerate((x, y))
-        ]
-    log_p = np.log(np.where(known, better, 1.0))
-    return fitted_weight((x, y), log_p, known, level)

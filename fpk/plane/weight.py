@@ -34,6 +34,9 @@ UNIT_GRID = np.linspace(0.0, 1.0, 49)
 REACH = 30.0
 """Ends of the places that are looked at, in units of the fitted box; Φ has to rise as far."""
 LOOKED_AT = np.concatenate([UNIT_GRID, np.geomspace(1.04, REACH, 48)])
+FLOOR = float(np.exp(-44.0))
+"""Added to w on elements, which span all of it: 8e-20 keeps their matrices regular, and u need only
+be above −1e5 there for p ≥ −1e-14."""
 NATS_PER_PANEL = 10.0
 """Rise of Φ over a panel: 12 Gauss points integrate exp(−10 t) to 1e-14 by their remainder."""
 
@@ -61,13 +64,24 @@ class Weight:
         )
         return _polynomial(self.coefficients, x, y), first, second
 
+    def floored(self, H1: Array, H2: Array) -> Array:
+        """w + ``FLOOR`` at energies that broadcast together."""
+        return np.asarray(np.exp(-self.exponent(H1, H2)) + FLOOR)
+
+    def floored_on_grid(self, H1: Array, H2: Array) -> tuple[Array, Array, Array]:
+        """w + ``FLOOR`` and the two slopes of its −ln on the grid (H1.size, H2.size)."""
+        phi, *slopes = self.on_grid(H1, H2)
+        w = np.exp(-phi)
+        first, second = (slope * (w / (w + FLOOR)) for slope in slopes)
+        return w + FLOOR, first, second
+
     def terms(self, H1: Array, H2: Array) -> Array:
         """Sum of the sizes of the terms of Φ at energies that broadcast together."""
         sizes = np.abs(self.coefficients)
         return _polynomial(sizes, np.abs(H1) / self.scales[0], np.abs(H2) / self.scales[1])
 
-    def panels(self, nats: float) -> tuple[Array, Array]:
-        """Nodes along each axis, as far as w > exp(−``nats``), over which Φ changes alike.
+    def ends(self, nats: float) -> tuple[float, float]:
+        """Energies along each axis as far as w > exp(−``nats``).
 
         Raises ``NotCertified`` where w does not fall so far within ``REACH``.
         """
@@ -76,11 +90,17 @@ class Weight:
         if seen[-1].any() or seen[:, -1].any():
             raise NotCertified(f"the weight falls by less than {nats:.0f} nats")
         first, second = (
-            LOOKED_AT[int(np.flatnonzero(seen.any(axis=1 - axis))[-1]) + 1] for axis in (0, 1)
+            float(LOOKED_AT[int(np.flatnonzero(seen.any(axis=1 - axis))[-1]) + 1]) * scale
+            for axis, scale in enumerate(self.scales)
         )
-        grids = [
-            end * scale * UNIT_GRID for end, scale in zip((first, second), self.scales, strict=True)
-        ]
+        return first, second
+
+    def panels(self, nats: float) -> tuple[Array, Array]:
+        """Nodes along each axis, as far as w > exp(−``nats``), over which Φ changes alike.
+
+        Raises ``NotCertified`` where w does not fall so far within ``REACH``.
+        """
+        grids = [end * UNIT_GRID for end in self.ends(nats)]
         phi, *slopes = self.on_grid(*grids)
         nodes = []
         for axis, (H, slope) in enumerate(zip(grids, slopes, strict=True)):

@@ -179,7 +179,9 @@ def test_a_wrong_cross_diffusion_is_seen() -> None:
     assert l1_error(solve_plane(wrong, tol=1e-5), log_p) > 1e-2
 
 
-@pytest.mark.parametrize("degree", [1, 2, 4])
+@pytest.mark.parametrize(
+    "degree", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.slow)]
+)
 def test_observed_order_is_degree_plus_one(degree: int) -> None:
     # Without swirl no probability flows anywhere, so that p cut off at any far edges, where zero
     # flux is natural, is exact on the rest, and the error is that of the elements alone.

@@ -39,6 +39,9 @@ def one_sided(first: float, second: float) -> VectorProcess:
     )
 
 
+STRONG = (2.0, 0.3)
+
+
 def distance(first: PlaneSolution, second: PlaneSolution) -> float:
     """∫|p − q| as far as the longer of the meshes."""
     rules = [
@@ -49,7 +52,7 @@ def distance(first: PlaneSolution, second: PlaneSolution) -> float:
     return float(wx @ gap @ wy)
 
 
-@pytest.mark.parametrize("tol", [1e-4, 1e-8])
+@pytest.mark.parametrize("tol", [1e-4, pytest.param(1e-8, marks=pytest.mark.slow)])
 def test_expansion_and_elements_agree_where_probability_circulates(tol: float) -> None:
     process = one_sided(0.3, 0.05)
     found = solve_plane(process, tol=tol)
@@ -60,6 +63,49 @@ def test_expansion_and_elements_agree_where_probability_circulates(tol: float) -
     # Another coupling is not taken for it.
     other = solve_plane(one_sided(0.3, 0.06), tol=tol)
     assert distance(other, elements) > 10.0 * (other.l1_error + elements.l1_error)
+
+
+@pytest.mark.parametrize("tol", [1e-6, 1e-10])
+def test_strong_circulation_takes_a_weight_on_a_few_elements(tol: float) -> None:
+    process = one_sided(*STRONG)
+    found = solve_plane(process, tol=tol)
+    assert_strictly_certified(found)
+    assert isinstance(found.answer, on_mesh.TensorPolynomial)
+    assert found.answer.weight is not None
+    # Without a weight the elements take p to 1e-7 where they need not be positive.
+    plain = solve_by_elements(process, surveyed(process), tol=1e-7, degree=None, strict=False)
+    assert plain.l1_error <= 1e-7
+    assert distance(found, plain) <= found.l1_error + plain.l1_error
+    # A coupling 1e-5 of it away is not taken for it, as far as it can be told.
+    other = solve_plane(one_sided(STRONG[0] * (1.0 + 1e-5), STRONG[1]), tol=tol)
+    assert distance(other, plain) > found.l1_error + plain.l1_error
+
+
+def test_weighted_elements_converge_in_the_elements_with_their_order() -> None:
+    process, log_p = manufactured(0.4, 0.0)
+    # Any weight will do, not that of the density: the order is that of u = p/w on even elements.
+    weight = Weight(np.array([[0.0, 1.2], [0.8, 0.2]]), (1.0, 1.0))
+    errors, counts = [], (8, 12, 18, 27)
+    for count in counts:
+        nodes = (np.linspace(0.0, 5.0, count + 1), np.linspace(0.0, 4.0, count + 1))
+        solution = on_mesh.solve_plane_on_mesh(process, nodes, 3, weight=weight)
+        errors.append(l1_error(solution, log_p, beyond=1.0))
+    orders = np.log(np.array(errors[:-1]) / errors[1:]) / np.log(np.divide(counts[1:], counts[:-1]))
+    assert_allclose(orders, 4.0, atol=0.15)
+
+
+def test_values_on_a_grid_are_those_at_its_points() -> None:
+    process = one_sided(*STRONG)
+    weight = flux_free_weight(surveyed(process), process.energy_scales)
+    assert weight is not None
+    nodes = np.array([0.0, 0.4, 1.5, 5.0]), np.array([0.0, 1.0, 4.0])
+    for w in (None, weight):
+        p = on_mesh.solve_plane_on_mesh(process, nodes, 6, weight=w).answer
+        x, y = np.linspace(-0.5, 5.5, 25), np.linspace(-0.5, 4.5, 17)
+        at_points = p(*(a.ravel() for a in np.meshgrid(x, y, indexing="ij"))).reshape(25, 17)
+        for grid in (p(x[:, None], y), p(x[:, None], y[None]), p(x, y[:, None]).T):
+            assert_allclose(grid, at_points, rtol=1e-10, atol=1e-13 * np.abs(at_points).max())
+        assert np.all(at_points[0] == 0.0) and np.all(at_points[:, -1] == 0.0)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.1, -0.2])
@@ -120,7 +166,7 @@ def test_without_any_weight_the_elements_obey_the_same_rule(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(stationary, "flux_free_weight", lambda *_: None)
-    monkeypatch.setattr(stationary, "_weight_of", lambda _: None)
+    monkeypatch.setattr(stationary, "weight_of", lambda _: None)
     process, log_p = COUPLED["Gibbs of H1 + H2"]
     solution = solve_plane(process, tol=1e-6)
     assert isinstance(solution.answer, on_mesh.TensorPolynomial)
@@ -143,6 +189,7 @@ def test_what_misses_the_rule_is_returned_without_a_certificate(
 ) -> None:
     # Degree 4 alone and no elements: negative or inaccurate, and said so in words.
     monkeypatch.setattr(stationary, "DEGREES", (4,))
+    monkeypatch.setattr(stationary, "solve_with_weight", lambda *_, **__: iter(()))
     monkeypatch.setattr(on_mesh, "MOST_ENTRIES", 0)
     solution = solve_plane(one_sided(0.3, 0.05), tol=1e-10)
     assert not solution.certificate.certified
