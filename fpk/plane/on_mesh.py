@@ -4,17 +4,16 @@ Without a weight p itself is expanded: that needs no guess of p, and takes the m
 smaller the smallest p is to be right. With one it is u of p = w u.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from fpk.errors import NotCertified
-from fpk.line.elements import gauss_rule, shape_functions, shapes_at_gauss
+from fpk.line.elements import gauss_rule, shapes_at_gauss
 from fpk.plane.condensation import null_vector
 from fpk.plane.elements import coefficients_at, element_matrices, gauss_energies, weighted
 from fpk.plane.mesh import Survey, axis_nodes, bisected
 from fpk.plane.solution import NEGATIVE, PlaneSolution, judged, mass_beyond
+from fpk.plane.tensor import ROUND_OFF, TensorPolynomial, by_element, weight_at_gauss
 from fpk.plane.weight import Weight
 from fpk.vector_process import VectorProcess
 
@@ -33,98 +32,6 @@ MOST_ENTRIES = 2e7
 """Entries of all element matrices of the comparison solution: 160 MB, several times over."""
 FOR_THE_WEIGHT = 4
 """Gauss points along each axis that integrals of w take on top: with four more nothing changes."""
-ROUND_OFF = 4e-16
-CHUNK = 8192
-
-
-@dataclass(frozen=True, eq=False)
-class TensorPolynomial:
-    """Continuous piecewise polynomial of two energies on a tensor mesh, times w if there is one.
-
-    ``nodes`` along each axis; ``coefficients`` (elements, degree+1, degree+1), the elements running
-    along H2 fastest, of products of line shape functions.
-    """
-
-    nodes: Nodes
-    degree: int
-    coefficients: Array
-    weight: Weight | None = None
-
-    @property
-    def unknowns(self) -> int:
-        """Degrees of freedom of the global finite element space."""
-        first, second = ((x.size - 1) * self.degree + 1 for x in self.nodes)
-        return first * second
-
-    def rounding(self, H1: Array, H2: Array) -> Array:
-        """Relative round-off of p at energies that broadcast together."""
-        own = np.full(np.broadcast_shapes(H1.shape, H2.shape), ROUND_OFF * self.degree**2)
-        return own if self.weight is None else own + ROUND_OFF * self.weight.terms(H1, H2)
-
-    def __call__(self, H1: Array, H2: Array) -> Array:
-        """Values at energies that broadcast together; 0 outside the mesh."""
-        x, y = np.asarray(H1, float), np.asarray(H2, float)
-        if x.ndim == 2 and x.shape[1] == 1 and y.ndim <= 2 and y.shape[-1:] == (y.size,):
-            return self._on_grid(x.ravel(), y.ravel())
-        if y.ndim == 2 and y.shape[1] == 1 and x.ndim <= 2 and x.shape[-1:] == (x.size,):
-            return self._on_grid(x.ravel(), y.ravel()).T
-        x, y = np.broadcast_arrays(x, y)
-        flat = np.empty(x.size)
-        for start in range(0, x.size, CHUNK):
-            part = slice(start, start + CHUNK)
-            flat[part] = self._at(x.ravel()[part], y.ravel()[part])
-        return flat.reshape(x.shape)
-
-    def at_gauss(self, rule: int) -> Array:
-        """Values (elements, points, points) at the Gauss points that go with degree ``rule``."""
-        phi, _ = shapes_at_gauss(self.degree, rule)
-        u = np.asarray(phi.T @ self.coefficients @ phi)
-        return u if self.weight is None else u * _weight_at(self.weight, self.nodes, rule)[0]
-
-    def _at(self, x: Array, y: Array) -> Array:
-        (i, first), (j, second) = (self._shapes(axis, H) for axis, H in enumerate((x, y)))
-        element = i * (self.nodes[1].size - 1) + j
-        value: Array = np.einsum("ix,xij,jx->x", first, self.coefficients[element], second)
-        return value if self.weight is None else value * self.weight.floored(x, y)
-
-    def _on_grid(self, x: Array, y: Array) -> Array:
-        """Values (x.size, y.size): one direction at a time."""
-        k = self.degree + 1
-        rows = []
-        for axis, H in enumerate((x, y)):
-            place, shapes = self._shapes(axis, H)
-            full = np.zeros((H.size, self.nodes[axis].size - 1, k))
-            full[np.arange(H.size), place] = shapes.T
-            rows.append(full.reshape(H.size, -1))
-        blocks = self.coefficients.reshape(*(n.size - 1 for n in self.nodes), k, k)
-        matrix = blocks.transpose(0, 2, 1, 3).reshape(rows[0].shape[1], -1)
-        value = np.asarray(rows[0] @ matrix @ rows[1].T)
-        return value if self.weight is None else value * self.weight.floored(x[:, None], y)
-
-    def _shapes(self, axis: int, H: Array) -> tuple[NDArray[np.int64], Array]:
-        """Elements along an axis, and shape functions (degree + 1, points), 0 outside the mesh."""
-        nodes = self.nodes[axis]
-        k = np.clip(np.searchsorted(nodes, H, side="right") - 1, 0, nodes.size - 2)
-        t = (H - nodes[k]) / (nodes[k + 1] - nodes[k])
-        inside = (t >= 0.0) & (t <= 1.0)
-        return k, shape_functions(self.degree, np.clip(t, 0.0, 1.0))[0] * inside
-
-
-def _weight_at(weight: Weight, nodes: Nodes, rule: int) -> tuple[Array, tuple[Array, Array]]:
-    """w with its floor, and the slopes of −ln w, at Gauss points, (elements, points, points)."""
-    H1, H2 = gauss_energies(nodes, rule)
-    w, first, second = (
-        _by_element(values, H1.shape[0], H2.shape[0])
-        for values in weight.floored_on_grid(H1.ravel(), H2.ravel())
-    )
-    return w, (first, second)
-
-
-def _by_element(values: Array, first: int, second: int) -> Array:
-    """Values on the grid of the Gauss energies, as (elements, points, points)."""
-    points = len(values) // first
-    blocks = values.reshape(first, points, second, points).transpose(0, 2, 1, 3)
-    return np.asarray(blocks.reshape(-1, points, points))
 
 
 def solve_by_elements(
@@ -196,7 +103,7 @@ def solve_plane_on_mesh(
     rounding = ROUND_OFF * degree**2 * weights.shape[0] ** 0.5
     if weight is not None:
         H1, H2 = gauss_energies(nodes, rule)
-        terms = _by_element(weight.terms(H1.reshape(-1, 1), H2.ravel()), len(H1), len(H2))
+        terms = by_element(weight.terms(H1.reshape(-1, 1), H2.ravel()), len(H1), len(H2))
         rounding += ROUND_OFF * float(np.sum(weights * np.abs(p) * terms))
     return judged(
         process,
@@ -227,7 +134,7 @@ def _solved(
     sizes, weights = _sizes(nodes), _weights(nodes, rule)
     coefficients = coefficients_at(process, nodes, rule)
     if weight is not None:
-        w, slopes = _weight_at(weight, nodes, rule)
+        w, slopes = weight_at_gauss(weight, nodes, rule)
         coefficients, weights = weighted(coefficients, w, slopes), weights * w
     matrices = element_matrices(coefficients, sizes, degree, rule)
     phi, _ = shapes_at_gauss(degree, rule)

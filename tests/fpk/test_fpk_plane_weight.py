@@ -20,6 +20,7 @@ from fpk.plane.expansion import orthonormal, solve_expansion
 from fpk.plane.mesh import surveyed
 from fpk.plane.on_mesh import solve_by_elements
 from fpk.plane.stationary import PlaneSolution, solve_plane
+from fpk.plane.tensor import TensorPolynomial
 from fpk.plane.weight import Weight, fitted_weight, flux_free_weight
 from fpk.quadrature import panel_rule
 from fpk.vector_process import VectorProcess
@@ -70,7 +71,7 @@ def test_strong_circulation_takes_a_weight_on_a_few_elements(tol: float) -> None
     process = one_sided(*STRONG)
     found = solve_plane(process, tol=tol)
     assert_strictly_certified(found)
-    assert isinstance(found.answer, on_mesh.TensorPolynomial)
+    assert isinstance(found.answer, TensorPolynomial)
     assert found.answer.weight is not None
     # Without a weight the elements take p to 1e-7 where they need not be positive.
     plain = solve_by_elements(process, surveyed(process), tol=1e-7, degree=None, strict=False)
@@ -169,7 +170,7 @@ def test_without_any_weight_the_elements_obey_the_same_rule(
     monkeypatch.setattr(stationary, "weight_of", lambda _: None)
     process, log_p = COUPLED["Gibbs of H1 + H2"]
     solution = solve_plane(process, tol=1e-6)
-    assert isinstance(solution.answer, on_mesh.TensorPolynomial)
+    assert isinstance(solution.answer, TensorPolynomial)
     assert_strictly_certified(solution)
     assert l1_error(solution, log_p) <= solution.l1_error <= 1e-6
 
