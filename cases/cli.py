@@ -111,7 +111,7 @@ def run(
     from cases.tables import run_text
 
     check_cluster(cluster)
-    folder = checkpoint_folder(checkpoint, loaded, {"seed": seed})
+    folder = checkpoint_folder(checkpoint, loaded, {"seed": seed, "dt": dt, "step_pair": step_pair})
     sampling = Sampling(
         seed, threads, seconds=seconds, step_pair=step_pair or None,
         cluster=cluster, checkpoint=folder, partial=True, dt=dt, allow_unstable=allow_unstable,
@@ -167,21 +167,23 @@ def density(
         raise BadInput(f'--of "{of}": {error.remedy}') from None
     points = parse_points(at, len(observable))
     from cases.checkpoints import checkpoint_folder
-    from cases.routes import Request, Sampling, method_for
+    from cases.routes import Request, Sampling, method_for, refuse_unused
     from cases.summary import density_record
     from cases.tables import density_text
     from cases.terminal import progress_bar
 
     check_cluster(cluster)
-    folder = checkpoint_folder(checkpoint, loaded, {"seed": seed, "tol": tol, "observable": of})
     sampling = Sampling(
         seed, threads, seconds=seconds, step_pair=step_pair or None,
-        cluster=cluster, checkpoint=folder, partial=True, dt=dt, allow_unstable=allow_unstable,
+        cluster=cluster, checkpoint=checkpoint, partial=True, dt=dt, allow_unstable=allow_unstable,
     )  # fmt: skip
     route = method_for(Request(method, solver, tol, sampling))
+    refuse_unused(route, sampling)
     reason = route.refusal(loaded.system, observable)
     if reason is not None:
         raise BadInput(f"{loaded.name}: {method} does not apply: {reason}")
+    given = {"seed": seed, "tol": tol, "observable": of, "dt": dt, "step_pair": step_pair}
+    checkpoint_folder(checkpoint, loaded, given)
     with progress_bar() as progress:
         result = route.solve(loaded.system, [observable], progress=progress)
     record = density_record(loaded, route, result, points)

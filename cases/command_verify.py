@@ -11,7 +11,9 @@ from cases.command_parts import Json, Seed, Threads, end_with, print_json
 def verify(
     scenes: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[SCENE]...", help="Names or paths; all shipped ones if left out."),
+        typer.Argument(
+            metavar="[SCENE]...", help="Names or paths; all shipped ones but the hard if left out."
+        ),
     ] = None,
     hard: Annotated[
         bool, typer.Option("--hard", help="The hard cases instead: stability, not accuracy.")

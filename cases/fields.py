@@ -15,7 +15,7 @@ import xarray as xr
 from cases.files import write_by
 from cases.run import Outcome
 from cases.summary import certificate_record, plain
-from fpk.density import AnyDensity, Array, Density
+from fpk.density import AnyDensity, Array, Density, SampledDensity
 from fpk.observable import Observable, observable_name
 
 GRID_1D, GRID_2D = 401, 101
@@ -68,14 +68,18 @@ def common_grid(densities: Mapping[Any, AnyDensity], *, cut: float = CUT) -> tup
 
 
 def values_on(density: AnyDensity, *points: Array) -> tuple[Array, Array]:
-    """Return density and error at ``points``; both are zero outside the support."""
+    """Return density and error at ``points``; outside the support the density is zero.
+
+    The error is, too, but for a histogram: nothing was seen there in so many samples.
+    """
     inside = np.ones(np.broadcast_shapes(*(x.shape for x in points)), dtype=bool)
     held = []
     for x, nodes in zip(points, density.panels, strict=True):
         inside &= (x >= nodes[0]) & (x <= nodes[-1])
         held.append(np.clip(x, nodes[0], nodes[-1]))
     value, error = density.at(*held)
-    return np.where(inside, value, 0.0), np.where(inside, error, 0.0)
+    beyond = density.one_sample if isinstance(density, SampledDensity) else 0.0
+    return np.where(inside, value, 0.0), np.where(inside, error, beyond)
 
 
 def write_netcdf(outcome: Outcome, path: Path) -> None:

@@ -110,6 +110,15 @@ def method_for(request: Request) -> Method:
     return result
 
 
+def refuse_unused(method: Method, sampling: Sampling) -> None:
+    """Raise ``BadInput`` for an option of the simulation that was given and ``method`` lacks."""
+    given = {f.name for f in fields(sampling) if getattr(sampling, f.name) not in (None, False)}
+    known = {f.name for f in fields(method)}  # type: ignore[arg-type]  # methods are dataclasses
+    for name in sorted(given - known - {"partial"}):
+        option = "--" + name.replace("_", "-")
+        raise BadInput(f"{option}: not an option of {method.name} by {method.solver}; leave it out")
+
+
 def all_methods(
     *, tol: float | None = None, sampling: Sampling | None = None
 ) -> tuple[Method, ...]:

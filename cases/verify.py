@@ -73,7 +73,12 @@ def verified(outcome: Outcome) -> Verified:
         scene=outcome.scene.name,
         curves=len(outcome.curves),
         judged=sum(c.band is not None for curve in outcome.curves for c in curve.comparisons),
-        certificates=sum(len(r.densities) for curve in outcome.curves for r in curve.results),
+        certificates=sum(
+            d.certificate.certified
+            for curve in outcome.curves
+            for result in curve.results
+            for d in result.densities
+        ),
         problems=tuple(problems),
         claims=outcome.findings,
         seconds=outcome.seconds,

@@ -41,6 +41,18 @@ def dissipated_power(system: System) -> Array:
     return np.trim_zeros(power, "b") if np.any(power) else power[:2]
 
 
+def balance_energy(system: System) -> float:
+    """Return the last energy at which damping and noise balance on the shell of the linear chain.
+
+    A term of the power θ^k in the Gibbs state has H^k Γ(n)/Γ(n + k) on the shell of energy H. With
+    two humps of the energy the upper one lies there, far above θ. 0 where they never balance.
+    """
+    n, noise = system.n, float(np.sum(np.diag(system.noise_matrix) / system.mass))
+    shell = [c * exp(lgamma(n) - lgamma(n + k)) for k, c in enumerate(dissipated_power(system))]
+    roots = np.roots([*shell[:0:-1], shell[0] - noise])
+    return float(max((z.real for z in roots if abs(z.imag) < 1e-9 * abs(z)), default=0.0))
+
+
 def _mean_power(system: System, term: DampingTerm) -> float:
     """E coefficient Π q Π v H^e v_i v_j at θ = 1; 0 where a power is odd.
 

@@ -5,7 +5,7 @@ from math import inf, pi, sqrt
 import numpy as np
 from scipy.optimize import brentq
 
-from fpk.equivalent import equivalent_temperature
+from fpk.equivalent import balance_energy, equivalent_temperature
 from fpk.errors import InvalidInput
 from fpk.modes import natural_modes
 from fpk.system import System
@@ -13,6 +13,10 @@ from sim.scheme import Scheme
 
 REACHED = 5.0
 """Potential energy, in units of kT, up to which a mass is expected to push into its stop."""
+
+BEYOND_BALANCE = 1.5
+"""Energy, in units of the last at which damping and noise balance, up to which a step is to be
+stable: of two humps of the energy the upper one is there, whatever kT says."""
 
 STEP_PER_FREQUENCY = 0.45
 """Step times the frequency in contact, springs included. The bias grows with the fourth power: at
@@ -89,12 +93,13 @@ def highest_frequency(system: System) -> float:
 def term_rate(system: System) -> float:
     """Return the largest rate, per unit time, of a mass by its damping terms; 0 without any.
 
-    It is Σ (1 + power of v_i) |c̃_ij| v_j/(m_i v_i) where each coordinate alone, and H, has
-    ``REACHED`` kT: ``q_a² = 2 REACHED kT (K⁻¹)_aa``, ``v_a² = 2 REACHED kT/m_a``.
+    It is Σ (1 + power of v_i) |c̃_ij| v_j/(m_i v_i) where each coordinate alone, and H, has the
+    energy E = ``REACHED`` kT, or ``BEYOND_BALANCE`` times the last one at which damping and noise
+    balance: ``q_a² = 2 E (K⁻¹)_aa``, ``v_a² = 2 E/m_a``.
     """
     if not system.damping_terms:
         return 0.0
-    level = REACHED * temperature(system)
+    level = max(REACHED * temperature(system), BEYOND_BALANCE * balance_energy(system))
     q = np.sqrt(2.0 * level * np.diag(np.linalg.inv(system.stiffness_matrix)))
     v = np.sqrt(2.0 * level / system.mass)
     rates = np.zeros(system.n)

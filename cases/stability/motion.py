@@ -290,7 +290,7 @@ def never_visited() -> HardCase:
         hard="a point where no sample came: its error is not 0",
         plain="0, with the error 0",
         ours=f"{density[0]:.0f} ± {error[0]:.1e}",
-        certificate="certified",
+        certificate="; ".join(found.certificate.failures) or "certified",
         checks=(Check("an error is stated", bool(error[0] > 0.0), f"{error[0]:.1e}"),),
         seconds=perf_counter() - start,
     )

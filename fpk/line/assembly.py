@@ -95,7 +95,8 @@ def _chain(local: LocalSolutions) -> tuple[Array, Array, Array]:
     tiny = np.finfo(float).tiny
     steps = np.log(np.maximum(np.abs(leaving), tiny)) - np.log(np.maximum(np.abs(entering), tiny))
     log_scale = np.concatenate([[0.0], np.cumsum(steps)])
-    sign = np.concatenate([[1.0], np.cumprod(np.where((leaving < 0.0) != (entering < 0.0), -1.0, 1.0))])
+    turned = (leaving < 0.0) != (entering < 0.0)
+    sign = np.concatenate([[1.0], np.cumprod(np.where(turned, -1.0, 1.0))])
     log_mass = log_scale + local.log_factor
     top = np.argmax(log_mass)
     sign *= sign[top]
