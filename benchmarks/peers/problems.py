@@ -1,0 +1,205 @@
+"""The equations that every peer solves: coefficients for the peers, closed forms to judge them.
+
+Peers get the coefficients by their own quadrature of the level integrals, which takes 16 Gauss
+points on each smooth part of the reduced potential and is several times cheaper than that of
+``averaging.shell``, which knows no particular law and estimates its error. What they are judged
+against are the closed forms (29) and (34) of this program. W1 is fig6 with B = 10 and δ = 0.5, the
+energy p(H); W2 is fig8b, two uncoupled modal energies p(H1, H2); the rest are W1 with other stops.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from averaging.energy_density import EnergyDensity, averaged_closed_form
+from averaging.energy_process import energy_process
+from averaging.modal.analysis import modal_analysis
+from cases.scene import load_scene
+from fpk.contact import Contact
+from fpk.quadrature import gauss_legendre, panel_rule
+from fpk.system import System
+
+Array = NDArray[np.float64]
+
+DAMPING, NOISE = 0.12, 0.03
+"""Σ c_ii/m_i and Σ D_ii/m_i of fig6."""
+ALPHA = DAMPING / NOISE
+SPRING = 0.5
+"""k1 k2/(k1 + k2), what mass 2 feels with mass 1 integrated out."""
+POINTS = 16
+MASS = (1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Line:
+    """One energy: the stops (stiffness, clearance) of mass 2 on the left and on the right.
+
+    ``ends`` holds where peers may end their boxes: (share of the probability beyond, energy).
+    """
+
+    name: str
+    left: tuple[float, float] | None
+    right: tuple[float, float] | None
+
+    dimension = 1
+
+    @property
+    def system(self) -> System:
+        """The system, built afresh at each call: nothing is remembered."""
+        stops = {"left": self.left, "right": self.right}
+        if self.left == self.right and self.left is not None:
+            stops = {"both": self.left}
+        contacts = tuple(Contact(1, side, *stop) for side, stop in stops.items() if stop)
+        return System(MASS, (1.0, 1.0), (0.08, 0.04), (0.01, 0.02), contacts=contacts)
+
+    @property
+    def contact_energies(self) -> tuple[float, ...]:
+        """½ k δ² of each stop, ascending."""
+        stops = {stop for stop in (self.left, self.right) if stop}
+        return tuple(sorted(0.5 * SPRING * clearance**2 for _, clearance in stops))
+
+    def level_integrals(self, energy: Array) -> tuple[Array, Array, Array]:
+        """Return T' , T and Φ of (25), (28) up to one constant: ∫(H − V)^(ν) dq₂ over the well."""
+        sums = _side(energy, self.left)
+        if self.left == self.right:
+            return tuple(2.0 * part for part in sums)  # type: ignore[return-value]
+        return tuple(a + b for a, b in zip(sums, _side(energy, self.right), strict=True))  # type: ignore[return-value]
+
+    def coefficients(self, energy: Array) -> tuple[Array, Array, Array]:
+        """Return s, b and b' of (28) with its sign corrected, at energies > 0 of any shape."""
+        flat = np.ravel(energy)
+        slope, states, volume = self.level_integrals(flat)
+        tau = volume / states
+        tau_slope = 1.0 - tau * slope / states
+        found = NOISE - DAMPING * tau, 2.0 * NOISE * tau, 2.0 * NOISE * tau_slope
+        return tuple(part.reshape(np.shape(energy)) for part in found)  # type: ignore[return-value]
+
+    @cached_property
+    def closed_form(self) -> EnergyDensity:
+        """The closed form (29)."""
+        system = self.system
+        return averaged_closed_form(system, energy_process(system))
+
+    def exact(self, points: Array) -> Array:
+        """p(H) of (29) at points (1, ...)."""
+        return self.closed_form.energy_pdf(points[0])
+
+    def tail(self, ends: tuple[float, ...]) -> float:
+        """Return the probability beyond ``ends``."""
+        nodes = self.closed_form.nodes
+        beyond = np.unique([ends[0], *nodes[nodes > ends[0]], max(ends[0], nodes[-1])])
+        x, w = panel_rule(beyond, 24)
+        return float(np.sum(w * self.closed_form.energy_pdf(x))) if beyond.size > 1 else 0.0
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Two energies: fig8b, two square-root processes that do not know of each other."""
+
+    name: str
+    scene: str
+
+    dimension = 2
+    contact_energies = ()
+
+    @property
+    def system(self) -> System:
+        """The scene's system, read from its file."""
+        return load_scene(self.scene).system
+
+    @cached_property
+    def rates(self) -> tuple[Array, Array]:
+        """c*_ii/M*_i and d_i/M*_i of (33)."""
+        modes = modal_analysis(self.system)
+        return modes.damping / modes.modal_mass, modes.noise / modes.modal_mass
+
+    @cached_property
+    def temperature(self) -> Array:
+        """The mean of each energy, d_i/c*_ii."""
+        damping, noise = self.rates
+        return np.asarray(noise / damping)
+
+    def coefficients(self, points: Array) -> tuple[Array, Array, Array]:
+        """Return s_i, b_ii and ∂b_ii/∂H_i at points (2, ...), each of that shape."""
+        damping, noise = (r.reshape(2, *[1] * (points.ndim - 1)) for r in self.rates)
+        constant = np.broadcast_to(2.0 * noise, points.shape)
+        return noise - damping * points, 2.0 * noise * points, constant
+
+    def exact(self, points: Array) -> Array:
+        """p(H1, H2) of (34) at points (2, ...)."""
+        first, second = self.temperature
+        p = np.exp(-points[0] / first - points[1] / second) / (first * second)
+        return np.asarray(p)
+
+    def tail(self, ends: tuple[float, ...]) -> float:
+        """Return the probability outside the box."""
+        inside = -np.expm1(-np.array(ends) / self.temperature)
+        return float(1.0 - inside[0] * inside[1])
+
+
+Problem = Line | Plane
+PROBLEMS: dict[str, Problem] = {
+    p.name: p
+    for p in (
+        Line("W1", (10.0, 0.5), (10.0, 0.5)),
+        Line("W1, B = 1e4", (1e4, 0.5), (1e4, 0.5)),
+        Line("W1, two contact energies", (10.0, 0.5), (10.0, 0.8)),
+        Line("W1, one-sided", None, (10.0, 0.5)),
+        Plane("W2", "fig8b"),
+    )
+}
+
+
+def _side(energy: Array, stop: tuple[float, float] | None) -> tuple[Array, Array, Array]:
+    """Return ½∫(H−V)^(−½), ∫(H−V)^½ and ⅔∫(H−V)^(3/2) over q₂ on one side of rest.
+
+    As far as the stop V is a parabola, and q = √(2H/k) sin φ makes the integrands powers of cos φ.
+    """
+    width = np.sqrt(2.0 / SPRING)
+    free = energy <= (np.inf if stop is None else 0.5 * SPRING * stop[1] ** 2)
+    result = tuple(np.pi * width * c * energy**k for c, k in ((0.25, 0), (0.25, 1), (0.125, 2)))
+    if stop is None or free.all():
+        return result  # type: ignore[return-value]
+    stiffness, clearance = stop
+    H = energy[~free]
+    over = H - 0.5 * SPRING * clearance**2
+    # The angle by its tangent: as an arcsine it loses half its digits where contact begins.
+    before = _parabola(H, np.arctan2(clearance, np.sqrt(2.0 * over / SPRING)))
+    beyond = _hertz(over, stiffness, clearance)
+    for whole, a, b in zip(result, before, beyond, strict=True):
+        whole[~free] = width * a + b
+    return result  # type: ignore[return-value]
+
+
+def _parabola(top: Array, length: Array) -> tuple[Array, Array, Array]:
+    """Return the integrals over φ from 0 to ``length``, of unit width."""
+    t, w = gauss_legendre(POINTS)
+    square = np.cos(0.5 * length[:, None] * (1.0 + t)) ** 2
+    half = 0.5 * length
+    return half, half * top * (square @ w), half * top**2 * (square**2 @ w) * (2.0 / 3.0)
+
+
+def _hertz(over: Array, stiffness: float, clearance: float) -> tuple[Array, Array, Array]:
+    """Return the integrals from the stop to the turning point, ``over`` = H − H_c > 0.
+
+    With the overlap X sin²θ, X the largest, H − V is X cos²θ times a factor that is smooth in θ.
+    """
+    slope, power = SPRING * clearance, 0.4 * stiffness
+    X = np.minimum(over / slope, (over / power) ** 0.4)
+    for _ in range(12):  # Newton from above on a convex function: at worst 6 are needed here
+        root = np.sqrt(X)
+        excess = (slope + 0.5 * SPRING * X + power * X * root) * X - over
+        X = X - excess / (slope + SPRING * X + 2.5 * power * X * root)
+    t, w = gauss_legendre(POINTS)
+    theta = 0.25 * np.pi * (1.0 + t)
+    s, c, w = np.sin(theta), np.cos(theta), 0.25 * np.pi * w
+    share = (1.0 + s + s**2 + s**3 + s**4) / (1.0 + s)
+    factor = slope + 0.5 * SPRING * X[:, None] * (1.0 + s**2)
+    factor += (power * X**1.5)[:, None] * share
+    root = np.sqrt(factor)
+    slope_sum = np.sqrt(X) * ((1.0 / root) @ (w * s))
+    states = 2.0 * X**1.5 * (root @ (w * s * c**2))
+    volume = (4.0 / 3.0) * X**2.5 * ((root * factor) @ (w * s * c**4))
+    return slope_sum, states, volume
