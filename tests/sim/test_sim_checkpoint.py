@@ -26,7 +26,7 @@ from sim.random import LANES
 from sim.scheme import SCHEMES
 
 METHOD = MonteCarlo(paths=4096, time=4000.0, dt=0.2, seed=17, threads=1)
-OBSERVABLES = [parse_observable(name, 2) for name in ("q2", "H", "q2,p2")]
+OBSERVABLES = [parse_observable(name, 2) for name in ("q2", "p1", "q2,p2")]
 
 IN_PIECES = """
 import sys

@@ -90,7 +90,12 @@ def test_controls_gain_and_agree_with_the_plain_means() -> None:
         pytest.param(linear(5), marks=pytest.mark.slow),
         pytest.param(System([1.0], [1.0], [0.2], [0.1]), marks=pytest.mark.slow),
         System([1.0, 2.0], [1.0, 1.0], [0.2, 0.2], [0.2, 0.0]),
-        System([1.0], [1.0], [-0.1], [0.02], damping_terms=(DampingTerm(0, 0, 0.2, q=((0, 2),)),)),
+        pytest.param(
+            System(
+                [1.0], [1.0], [-0.1], [0.02], damping_terms=(DampingTerm(0, 0, 0.2, q=((0, 2),)),)
+            ),
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["mixed", "five", "one", "noise-on-one", "van-der-pol"],
 )

@@ -143,7 +143,7 @@ def test_a_short_run_is_refused() -> None:
 
 
 def test_a_burn_in_too_short_is_seen_and_said() -> None:
-    asked = [parse_observable("q2", 2), parse_observable("H", 2)]
+    asked = [parse_observable("q2", 2), parse_observable("p2", 2)]
     method = {"paths": 4096, "time": 800.0, "seed": 311}
     good = MonteCarlo(**method).solve(fig6(), asked)  # type: ignore[arg-type]
     assert all(d.certificate.certified for d in good.densities), good.densities[0].certificate
