@@ -28,6 +28,8 @@ LEAST = 1e-4
 """Least importance of a place."""
 PER_COEFFICIENT = 3
 """Places that each coefficient of Φ is to rest on."""
+NATS_PER_DEGREE = 4.0
+"""Nats of ln p known that a degree of Φ above 2 is to rest on: it is continued far beyond them."""
 SEEN = 36.0
 """Nats down to which the first guess of p is fitted: e^−36 = 2e-16."""
 UNIT_GRID = np.linspace(0.0, 1.0, 49)
@@ -163,7 +165,8 @@ def fitted_weight(
     fits = []
     for degree in DEGREES:
         powers = _powers(degree)
-        if PER_COEFFICIENT * len(powers) > np.count_nonzero(known):
+        too_few = PER_COEFFICIENT * len(powers) > np.count_nonzero(known)
+        if too_few or degree > max(2.0, level / NATS_PER_DEGREE):
             break
         X, Y = (z[:, None] ** np.arange(degree + 1) for z in (x, y))
         rows = root[..., None] * X[:, None, powers[:, 0]] * Y[:, powers[:, 1]]

@@ -17,7 +17,7 @@ FIRST = (4, 8)
 """Elements along each axis, and their degree, at first."""
 MODERATE = (6, 14)
 """Up to here the degree is raised first, then the elements: what costs least for an error."""
-MOST = (10, 18)
+MOST = (8, 18)
 PER_STEP = 1.3
 """Digits that two degrees, or one more element along each axis, gain, as measured for circulating
 van der Pol damping: (4/5)^(p+1) for an error of order p + 1 is 1.3 digits at p = 12."""

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 from test_fpk_plane import (
     COUPLED,
+    ROUND_OFF,
     assert_strictly_certified,
     l1_error,
     manufactured,
@@ -22,6 +23,7 @@ from fpk.plane.on_mesh import solve_by_elements
 from fpk.plane.stationary import PlaneSolution, solve_plane
 from fpk.plane.tensor import TensorPolynomial
 from fpk.plane.weight import Weight, fitted_weight, flux_free_weight
+from fpk.plane.weighted import solve_with_weight
 from fpk.quadrature import panel_rule
 from fpk.vector_process import VectorProcess
 
@@ -80,6 +82,21 @@ def test_strong_circulation_takes_a_weight_on_a_few_elements(tol: float) -> None
     # A coupling 1e-5 of it away is not taken for it, as far as it can be told.
     other = solve_plane(one_sided(STRONG[0] * (1.0 + 1e-5), STRONG[1]), tol=tol)
     assert distance(other, plain) > found.l1_error + plain.l1_error
+
+
+@pytest.mark.parametrize("tilt", [0.1, -0.2, 0.4])
+@pytest.mark.parametrize("tol", [1e-6, 1e-10])
+def test_weighted_elements_within_an_honest_estimate_from_any_weight(
+    tilt: float, tol: float
+) -> None:
+    process, log_p = manufactured(0.4, 1.0)
+    phi = np.array([[0.0, 30.0 * (1.0 + tilt)], [20.0 * (1.0 - tilt), 120.0]])
+    for solution in solve_with_weight(process, Weight(phi, (20.0, 20.0)), tol=tol):
+        error = l1_error(solution, log_p)
+        assert error <= solution.l1_error <= 100.0 * error + ROUND_OFF
+        if solution.certificate.certified:
+            break
+    assert_strictly_certified(solution)
 
 
 def test_weighted_elements_converge_in_the_elements_with_their_order() -> None:
