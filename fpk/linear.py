@@ -3,7 +3,7 @@
 from math import inf
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_lyapunov
 
 from fpk.errors import NotApplicable
@@ -60,20 +60,16 @@ def stationary_covariance(system: System) -> Array:
     """
     if system.damping_terms:
         raise NotApplicable("the damping depends on the state, so the system is not linear")
-    A = drift_matrix(system)
     if decay_time(system) == inf:
         raise NotApplicable("a mode is not damped, so that there is no stationary state")
-    # In units in which the masses and the largest frequency are about one, or the solver takes a
-    # decay for none beside a stiffness of 1e8; powers of two, so that nothing is rounded.
-    root = _power_of_two(np.sqrt(system.mass))
-    omega = _power_of_two(natural_frequencies(system)[-1])
-    unit = np.concatenate([omega * root, 1.0 / root])
-    scaled = np.outer(unit, unit)
-    b = scaled * diffusion_matrix(system) / omega
-    covariance = solve_continuous_lyapunov(unit[:, None] * A / unit / omega, -b) / scaled
+    # In (ω Q, P) of the modes every entry is a rate of its own mode, so that a slow one is not
+    # lost beside a fast one, eight decades away.
+    shapes, omega = natural_modes(system)
+    nothing = np.zeros((system.n, system.n))
+    rates = shapes.T @ system.damping @ shapes
+    A = np.block([[nothing, np.diag(omega)], [-np.diag(omega), -rates]])
+    b = np.block([[nothing, nothing], [nothing, 2.0 * shapes.T @ system.noise_matrix @ shapes]])
+    modal = np.asarray(solve_continuous_lyapunov(A, -b))
+    back = np.block([[shapes / omega, nothing], [nothing, system.mass[:, None] * shapes]])
+    covariance = back @ modal @ back.T
     return np.asarray(0.5 * (covariance + covariance.T))
-
-
-def _power_of_two(value: ArrayLike) -> Array:
-    """The power of two next to every value > 0."""
-    return np.asarray(np.exp2(np.round(np.log2(value))))
