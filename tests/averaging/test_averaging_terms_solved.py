@@ -42,7 +42,7 @@ def proportional(noise, contacts=()):
     [
         (0.1, ()),
         (0.001, ()),
-        (0.1, both(10.0)),
+        pytest.param(0.1, both(10.0), marks=pytest.mark.slow),
         pytest.param(0.001, both(10.0), marks=pytest.mark.slow),
     ],
     ids=["0.1-free", "0.001-free", "0.1-contact", "0.001-contact"],

@@ -71,6 +71,7 @@ def test_a_cluster_that_does_not_answer_is_one_line(command, fpk, monkeypatch):
     assert (status, out) == (2, "") and "no Dask scheduler" in err and err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_density_and_a_map_are_the_same_on_a_cluster(fpk, tmp_path):
     def both(*where):
         status, out, _ = fpk("density", *DENSITY, *where)
