@@ -21,7 +21,7 @@ def converge(
         Path | None, typer.Option(help="Folder for converge.md, converge.nc, converge.svg.")
     ] = None,
     seconds: Annotated[
-        float | None, typer.Option(min=0.1, help="Time for the steps of each scheme.")
+        float | None, typer.Option(min=0.1, help="Processor time for the steps of each scheme.")
     ] = None,
     seed: Seed = None,
     threads: Threads = None,

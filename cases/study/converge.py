@@ -1,7 +1,7 @@
 """The convergence study of a scene: every averaged equation, and the simulation."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from time import perf_counter
 from typing import Any
 
@@ -9,8 +9,9 @@ from cases.errors import BadInput
 from cases.scene import Scene
 from cases.study.answer import FUNCTIONALS, NORMS
 from cases.study.equations import Equation, energy_equation, modal_equation
-from cases.study.ladders import Ladder, ladders
-from cases.study.weak import SampleSlope, WeakOrder, sample_slope, weak_order
+from cases.study.ladders import Ladder, degree_ladder, ladders
+from cases.study.weak import SampleSlope, sample_slope, weak_order
+from cases.study.weak_fit import WeakOrder
 from cases.summary import plain
 from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Progress, silent
@@ -21,7 +22,7 @@ ROUTES = {"nonintegrable": energy_equation, "integrable": modal_equation}
 SIMULATION = "montecarlo"
 SCHEMES_STUDIED = ("exact_flow", "baoab", "euler_maruyama")
 SECONDS = 10.0
-"""Time that the steps of one scheme may take where the resolution wanted would need more."""
+"""Processor time that the steps of one scheme may take where the resolution wanted needs more."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +39,15 @@ class Studied:
 
 @dataclass(frozen=True)
 class ConvergenceStudy:
-    """All that was measured for a scene; ``refusals`` are routes that do not apply, with reason."""
+    """All that was measured for a scene; ``refusals`` are routes that do not apply, with reason.
+
+    ``without_contact`` is the p-ladder of (24) of the same system with its contacts taken away: it
+    shows whether a kink at the contact energy costs the exponential convergence.
+    """
 
     scene: Scene
     equations: tuple[Studied, ...]
+    without_contact: Ladder | None
     schemes: tuple[WeakOrder, ...]
     samples: SampleSlope | None
     refusals: dict[str, str]
@@ -57,6 +63,11 @@ class ConvergenceStudy:
             for ladder in s.ladders
             for level in ladder.levels
             if not level.honest
+        ) + tuple(
+            f"without contact, {level.label}: the estimate {level.estimate:.2g} is below the true"
+            f" L1 error {level.errors['L1']:.2g}"
+            for level in (self.without_contact.levels if self.without_contact else ())
+            if not level.honest
         )
 
     def record(self) -> dict[str, Any]:
@@ -69,6 +80,8 @@ class ConvergenceStudy:
         for scheme, mine_too in zip(data["schemes"], self.schemes, strict=True):
             scheme["orders"] = mine_too.ratios
             scheme["errors"], scheme["error_bars"] = mine_too.errors, mine_too.error_bars
+        if self.without_contact is not None:
+            data["without_contact"]["name"] = self.without_contact.name
         data["limits_of_the_index"] = LIMITS
         found = plain(data)
         assert isinstance(found, dict)
@@ -103,11 +116,14 @@ def study_convergence(
     """Measure how the errors of ``routes`` fall; ``seconds`` is for the steps of each scheme."""
     start = perf_counter()
     equations, refusals = [], {}
+    without = None
     for route, make in ROUTES.items():
         if route not in routes:
             continue
         try:
             equations.append(_studied(make(scene.system), progress))
+            if route == "nonintegrable" and scene.system.contacts:
+                without = degree_ladder(make(replace(scene.system, contacts=())))
         except (NotApplicable, NotCertified) as reason:
             refusals[route] = str(reason)
     schemes: list[WeakOrder] = []
@@ -129,7 +145,7 @@ def study_convergence(
         except NotApplicable as reason:
             refusals[SIMULATION] = str(reason)
     return ConvergenceStudy(
-        scene, tuple(equations), tuple(schemes), samples, refusals, perf_counter() - start
+        scene, tuple(equations), without, tuple(schemes), samples, refusals, perf_counter() - start
     )
 
 

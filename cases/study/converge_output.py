@@ -2,20 +2,16 @@
 
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from cases.fields import program_version
 from cases.files import write_by, write_text
-from cases.pictures.style import COLOURS, INK, STYLE
 from cases.study.converge import COLUMNS, ConvergenceStudy, Studied
+from cases.study.converge_picture import study_figure
 from cases.study.ladders import Ladder
 from cases.study.tables import Table, markdown_text, shown, shown_order
-from cases.study.weak import WeakOrder
+from cases.study.weak_fit import WeakOrder
 from cases.svg import svg_text
 from fpk.orders import LIMITS
 
@@ -29,6 +25,8 @@ def study_tables(study: ConvergenceStudy) -> list[Table]:
     tables = []
     for studied in study.equations:
         tables += [_errors(studied), _orders(studied), _grid(studied)]
+        if studied.theory == "nonintegrable":
+            tables.append(_in_degree(studied, study.without_contact))
     if study.schemes:
         tables += [_steps(study.schemes), *([_samples(study)] if study.samples else [])]
     if study.refusals:
@@ -115,6 +113,32 @@ def _grid(studied: Studied) -> Table:
         tuple(rows),
         (GCI_WORDS,),
     )
+
+
+def _in_degree(studied: Studied, without: Ladder | None) -> Table:
+    """Errors by degree on a fixed mesh, with contact and without: nats of error a degree."""
+    own = next(ladder for ladder in studied.ladders if ladder.family == "p")
+    shown_ones = [("as it is", own), *([("without contact", without)] if without else [])]
+    rows = [
+        (words if k == 0 else "", level.label, str(level.unknowns), shown(level.errors["L1"]), rate)
+        for words, ladder in shown_ones
+        for k, (level, rate) in enumerate(zip(ladder.levels, rates(ladder), strict=True))
+    ]
+    head = ("system", "degree", "unknowns", "L1", "nats a degree")
+    remarks = (
+        "Nats: -ln of the ratio of neighbouring errors. Where they do not fall with the degree the"
+        " error falls exponentially; a dash stands at the floor. The contact energies are nodes of"
+        " the mesh, but above them the coefficients have half-integer powers of H - H_c: with"
+        " contact a slower rate can take over at high degree, which hp elements, graded there, do"
+        " without.",
+    )
+    return Table(f"{studied.equation}: exponential convergence in p", head, tuple(rows), remarks)
+
+
+def rates(ladder: Ladder) -> list[str]:
+    """Return the nats of error that a degree took off, by level; a dash where none is known."""
+    orders = [f"{o:.2f}" for o in ladder.verdicts["L1"].orders]
+    return ["–", *orders, *["–"] * (len(ladder.levels) - 1 - len(orders))]
 
 
 def _steps(schemes: tuple[WeakOrder, ...]) -> Table:
@@ -208,84 +232,3 @@ def study_dataset(study: ConvergenceStudy) -> xr.Dataset:
         "program": f"vibro-fpk {program_version()}",
     }
     return data
-
-
-def study_figure(study: ConvergenceStudy) -> Figure:
-    """Draw L1 against unknowns for every equation, and the bias of every scheme against the step.
-
-    Dashed lines have the slope of theory, through the finest level.
-    """
-    panels = len(study.equations) + bool(study.schemes)
-    with mpl.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(4.4 * max(panels, 1), 3.9), layout="constrained")
-        drawn = list(figure.subplots(1, max(panels, 1), squeeze=False)[0])
-        for axes, studied in zip(drawn, study.equations, strict=False):
-            _draw_ladders(axes, studied)
-        if study.schemes:
-            _draw_schemes(drawn[-1], study.schemes)
-    return figure
-
-
-def _draw_ladders(axes: Axes, studied: Studied) -> None:
-    markers = "osD^v"
-    axes.axhspan(1e-16, studied.reference_error + 1e-15, color=INK, alpha=0.08, lw=0)
-    for ladder, colour, marker in zip(studied.ladders, COLOURS, markers, strict=False):
-        N = np.array([level.unknowns for level in ladder.levels], dtype=float)
-        e = np.array([level.errors["L1"] for level in ladder.levels])
-        axes.plot(
-            N, e, color=colour, marker=marker, markersize=3.6, lw=1.3, label=_label(ladder, studied)
-        )
-        if ladder.degree:
-            dimension = 2 if "," in studied.observable else 1
-            slope = N[-3:] / N[-1]
-            axes.plot(
-                N[-3:],
-                0.6 * e[-1] * slope ** (-(ladder.degree + 1.0) / dimension),
-                color=colour,
-                lw=0.9,
-                ls=(0, (4, 2)),
-            )
-    axes.set(xscale="log", yscale="log", xlabel="unknowns")
-    axes.set_ylabel(f"$L_1$ error of $p({_symbols(studied.observable)})$")
-    axes.set_ylim(1e-15, 10.0)
-    axes.set_title(f"{studied.equation}")
-    axes.text(
-        0.985, 0.015, "error of the reference", transform=axes.transAxes, ha="right", fontsize=7.5
-    )
-    axes.legend(loc="lower left", fontsize=7.5, borderaxespad=1.6)
-
-
-def _label(ladder: Ladder, studied: Studied) -> str:
-    order = ladder.verdicts["L1"].order
-    if not ladder.degree:
-        return ladder.name
-    return f"{ladder.name}: order {order:.2f}"
-
-
-def _symbols(observable: str) -> str:
-    return observable.replace("H1", "H_1").replace("H2", "H_2")
-
-
-def _draw_schemes(axes: Axes, schemes: tuple[WeakOrder, ...]) -> None:
-    drawn = [s for s in schemes if s.levels]
-    for s, colour in zip(drawn, COLOURS, strict=False):
-        dt = np.array([level.dt for level in s.levels])
-        e, bar = np.array(s.errors), np.array(s.error_bars)
-        low = np.minimum(bar, 0.9 * e)
-        label = f"{s.scheme.replace('_', ' ')}: order {s.order:.1f}"
-        axes.errorbar(
-            dt, e, [low, bar], color=colour, marker="o", markersize=3.6, ls="", capsize=2, lw=1.0
-        )
-        fit = np.geomspace(dt.min(), dt.max(), 30)
-        axes.plot(fit, abs(s.slope) * fit**s.theory, color=colour, lw=1.2, label=label)
-    axes.set(xscale="log", yscale="log", xlabel="step $dt$")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set_ylabel(f"error of ${_square(schemes[0].observable)}$, one standard error")
-    axes.set_title("simulation; lines: order of theory")
-    axes.legend(loc="best", fontsize=7.5)
-
-
-def _square(name: str) -> str:
-    return f"E\\,q_{{{name.removeprefix('E q').removesuffix('²')}}}^2"

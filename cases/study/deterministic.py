@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from math import inf
 
 import numpy as np
 
@@ -24,10 +25,14 @@ BY_TOL = TOLERANCES[1::2]
 
 @dataclass(frozen=True)
 class Candidate:
-    """A route before it is checked: its settings from coarse to fine, and how each is solved."""
+    """A route before it is checked: its settings from coarse to fine, and how each is solved.
+
+    ``by_tol``: the settings are tolerances.
+    """
 
     route: str
     settings: tuple[tuple[str, Callable[[], Answer]], ...]
+    by_tol: bool = False
 
 
 def candidates(equation: Equation) -> tuple[Candidate, ...]:
@@ -44,14 +49,11 @@ def candidates(equation: Equation) -> tuple[Candidate, ...]:
         ]
         found.append(Candidate(f"FE p = {degree}", tuple(steps)))
     by_tol = [(f"{tol:.0e}", partial(equation.adaptive, tol)) for tol in BY_TOL]
-    found.append(Candidate("FE hp", tuple(by_tol)))
+    found.append(Candidate("FE hp", tuple(by_tol), by_tol=True))
     if equation.quadrature is not None:
         solve = equation.quadrature
-        found.append(
-            Candidate(
-                "quadrature (11)", tuple((f"{tol:.0e}", partial(solve, tol)) for tol in BY_TOL)
-            )
-        )
+        by_tol = [(f"{tol:.0e}", partial(solve, tol)) for tol in BY_TOL]
+        found.append(Candidate("quadrature (11)", tuple(by_tol), by_tol=True))
     return tuple(found)
 
 
@@ -97,7 +99,7 @@ def _priced(equation: Equation, candidate: Candidate) -> Priced | NotTimed:
             break
     points = tuple(
         Point(settings, true, answer.l1_error, timing(solve, first, equation.coefficients),
-              answer.unknowns)
+              answer.unknowns, promised=float(settings) if candidate.by_tol else inf)
         for settings, solve, answer, true, first in checked
     )  # fmt: skip
     observable = ", ".join(

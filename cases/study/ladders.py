@@ -82,6 +82,12 @@ def ladders(equation: Equation, *, progress: Progress = silent) -> tuple[Ladder,
     return tuple(found)
 
 
+def degree_ladder(equation: Equation) -> Ladder:
+    """Return the p-ladder alone: on a fixed mesh with the contact energies among its nodes."""
+    levels = [_level(equation, label, size, solve()) for label, size, solve in _by_p(equation)]
+    return _judged(equation, "p", None, levels)
+
+
 def bisected(nodes: tuple[Array, ...]) -> tuple[Array, ...]:
     """Return the nodes of every axis with the middles between them."""
     return tuple(np.sort(np.concatenate([x, 0.5 * (x[1:] + x[:-1])])) for x in nodes)

@@ -1,7 +1,8 @@
 """Points of the work-precision diagram: error, time and settings of one route, or why not timed."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import inf
 
 import numpy as np
 
@@ -13,7 +14,8 @@ class Point:
     """One setting of a route: its true ``error`` on the route's axis and what it costs.
 
     ``stated`` is the route's own estimate; ``modelled`` marks a point of the law of sampling that
-    was not run.
+    was not run. ``promised`` is the tolerance of a route that is steered by one: it holds for every
+    scene, where a number of elements is right for this one.
     """
 
     settings: str
@@ -22,10 +24,11 @@ class Point:
     timing: Timing
     unknowns: int = 0
     modelled: bool = False
+    promised: float = inf
 
     @property
     def seconds(self) -> float:
-        """Median wall time."""
+        """Median processor time."""
         return self.timing.seconds
 
 
@@ -63,7 +66,10 @@ class Priced:
 
 @dataclass(frozen=True)
 class NotTimed:
-    """A route that is not timed: its answer disagrees with the reference, or there is none."""
+    """A route that is not timed: its answer disagrees with the reference, or there is none.
+
+    Of a ``baseline`` that is no failure of the study.
+    """
 
     route: str
     equation: str
@@ -71,6 +77,7 @@ class NotTimed:
     distance: float
     allowed: float
     reason: str
+    baseline: bool = False
 
 
 @dataclass(frozen=True)
@@ -93,6 +100,19 @@ def price_list(routes: Sequence[Priced], digits: Sequence[int]) -> tuple[Cheapes
             route, point = min(offers, key=lambda o: o[1].seconds, default=("", None))
             found.append(Cheapest(equation, d, route, point))
     return tuple(found)
+
+
+def promised_list(routes: Sequence[Priced], digits: Sequence[int]) -> tuple[Cheapest, ...]:
+    """Return the cheapest tolerance within 10^−digits, which the routes keep for any scene.
+
+    Here a tolerance is chosen for what it promises, not for what it happened to reach.
+    """
+    by_tol = []
+    for route in routes:
+        points = tuple(replace(p, error=p.promised) for p in route.points if p.promised < inf)
+        if points:
+            by_tol.append(replace(route, points=points))
+    return price_list(by_tol, digits)
 
 
 @dataclass(frozen=True)

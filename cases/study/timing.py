@@ -1,11 +1,15 @@
-"""Wall time after a warm-up, repeated, with the first call and the memory apart."""
+"""Processor time after a warm-up, repeated, with the first call and the memory apart.
+
+On one thread it is the wall time of a machine that does nothing else; unlike wall time it can be
+compared where other work runs beside.
+"""
 
 import gc
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median, quantiles
-from time import perf_counter
+from time import process_time
 from typing import Any
 
 from cases.study.equations import Clock
@@ -35,9 +39,9 @@ class Timing:
 
 def timed_first(work: Callable[[], Any]) -> tuple[Any, float]:
     """Return what the first call gives, and its seconds."""
-    start = perf_counter()
+    start = process_time()
     found = work()
-    return found, perf_counter() - start
+    return found, process_time() - start
 
 
 def timing(work: Callable[[], Any], first: float, clock: Clock | None = None) -> Timing:
@@ -48,9 +52,9 @@ def timing(work: Callable[[], Any], first: float, clock: Clock | None = None) ->
     times: list[float] = []
     before = clock.seconds if clock else 0.0
     while len(times) < MOST_REPEATS:
-        start = perf_counter()
+        start = process_time()
         work()
-        times.append(perf_counter() - start)
+        times.append(process_time() - start)
         if len(times) >= LEAST_REPEATS and sum(times) > ENOUGH:
             break
     inside = (clock.seconds - before) / len(times) if clock else 0.0

@@ -2,99 +2,34 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import ceil, isfinite, sqrt
-from time import perf_counter
-from typing import Literal
+from math import ceil, isfinite, nan, sqrt
+from time import process_time
 
 import numpy as np
 
 from averaging.exact import Exact
 from averaging.gaussian import Linear
-from fpk.density import Array, moment
+from cases.study.sampling_law import BURN_IN
+from cases.study.weak_fit import StepLevel, WeakOrder, fit, judged, unstable, wanted_error
+from fpk.density import moment
 from fpk.errors import InvalidInput
 from fpk.method import Method, Progress, silent
 from fpk.observable import parse_observable
-from fpk.orders import observed_orders, order_errors
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
 from sim.scheme import SCHEMES
 
-LEVELS = 5
+LEVELS, FEW_LEVELS = 5, 4
+"""Steps of a study; the fewer where they are small, and each takes long."""
 RATIO = sqrt(2.0)
 """Ratio of neighbouring steps: five levels then fit between what is stable and what is chosen."""
 PILOT = 4.0
 """Relaxation times of a pilot run, beside the 10 of its burn-in."""
-RESOLVED = 8.0
-"""Bias of the second largest step in standard errors that a study asks for."""
-LEAST_ORDER_SIGNAL = 2.0
-"""Standard errors below which an error is none, and orders that rest on it are not given."""
 SAMPLE_LADDER = (1.0, 4.0, 16.0, 64.0)
 SLOWEST, SMALL_STEP = 2.0**-10, 0.25
 """Smallest step that a scheme is tried with, and one that counts as small, in chosen ones."""
 SHARE_OF_A_TRIAL = 0.2
 """Share of the time that a trial of one step may take; a scheme that needs longer is left."""
-
-Verdict = Literal["as theory", "pre-asymptotic", "not resolved", "unstable"]
-
-
-@dataclass(frozen=True)
-class StepLevel:
-    """E q² at one step with its standard error, and the sampled time it took (paths x time)."""
-
-    dt: float
-    value: float
-    error: float
-    sampled: float
-    seconds: float
-
-
-@dataclass(frozen=True)
-class WeakOrder:
-    """How E q_i² of one scheme depends on the step, from all steps in one regression.
-
-    ``limit`` ± ``limit_error`` is the value at dt → 0: of the closed form where there is one, else
-    the intercept of ``limit + slope dtʳ`` with r that of theory. ``order`` ± ``order_error`` is the
-    r of the best fit, where its profile rises by one unit of χ²; ``chi2`` that of the fit of theory
-    with ``freedom`` degrees. ``wanted`` is the standard error that was asked for, derived from the
-    bias that a pilot found, and ``short`` says by what factor the sample fell short of it.
-    """
-
-    scheme: str
-    observable: str
-    theory: int
-    levels: tuple[StepLevel, ...]
-    limit: float
-    limit_error: float
-    known: bool
-    slope: float
-    slope_error: float
-    order: float
-    order_error: tuple[float, float]
-    chi2: float
-    freedom: int
-    wanted: float
-    short: float
-    verdict: Verdict
-
-    @property
-    def errors(self) -> list[float]:
-        """|E q²(dt) − limit| of each level."""
-        return [abs(level.value - self.limit) for level in self.levels]
-
-    @property
-    def error_bars(self) -> list[float]:
-        """One standard error of each of ``errors``."""
-        return [float(np.hypot(level.error, self.limit_error)) for level in self.levels]
-
-    @property
-    def ratios(self) -> list[tuple[float, float]]:
-        """Order and its standard error from consecutive levels; of resolved ones only."""
-        e, bars = self.errors, self.error_bars
-        steps = [level.dt for level in self.levels]
-        pairs = zip(observed_orders(steps, e), order_errors(steps, e, bars), strict=True)
-        kept = [a > LEAST_ORDER_SIGNAL * b for a, b in zip(e, bars, strict=True)]
-        both = zip(pairs, kept, kept[1:], strict=False)
-        return [(float(o), float(s)) for (o, s), a, b in both if a and b]
 
 
 @dataclass(frozen=True)
@@ -136,32 +71,47 @@ def weak_order(
 ) -> WeakOrder:
     """Return the weak order of ``scheme``, spending about ``seconds`` on its five steps.
 
-    N is derived: a pilot gives bias and standard error, and the sample grows as the square of their
-    ratio until the bias at the second largest step is ``RESOLVED`` standard errors, or the time is
-    spent, which ``short`` then tells.
+    N is derived: a pilot gives bias and standard errors, from them follows what error every level
+    may have for the order to be known to ``ORDER_ERROR``, and the sample grows as the square of the
+    ratio, or until ``seconds`` of processor time are spent, which ``short`` then tells.
     """
     mass, theory = observed_mass(system), SCHEMES[scheme].weak_order
     truth = known_square(system, mass)
     method = MonteCarlo(paths=paths, scheme=scheme, seed=seed, threads=threads)
     first = _largest_stable(system, replace(method, paths=LEAST_PATHS), mass, seconds)
     if first is None:
-        return _unstable(scheme, mass, theory)
+        return unstable(scheme, mass, theory)
+    levels_wanted = LEVELS
     if first < SMALL_STEP:  # only a large bias asks for such steps: it needs few paths to be seen
         method = replace(method, paths=LEAST_PATHS)
-    factors = [first / RATIO**k for k in range(LEVELS)]
-    pilot = _levels(system, method, mass, factors, [PILOT] * LEVELS)
+        levels_wanted = FEW_LEVELS
+    factors = [first / RATIO**k for k in range(levels_wanted)]
+    pilot = _levels(system, method, mass, factors, [PILOT] * levels_wanted)
     progress(1, 3, f"steps of {scheme}")
-    _, slope, _, slope_error = _fit(pilot, theory, truth)
+    if not all(isfinite(level.value) for level in pilot):
+        return unstable(scheme, mass, theory)
+    _, slope, _, slope_error = fit(pilot, theory, truth)
     # A bias that the pilot does not resolve counts as what it may be: two of its standard errors.
-    bias = max(abs(slope), 2.0 * slope_error) * pilot[1].dt ** theory
-    wanted = bias / RESOLVED
+    bias = max(abs(slope), 2.0 * slope_error) * pilot[0].dt ** theory
+    wanted = wanted_error(pilot, theory, bias, known=truth is not None)
     grown = [max(1.0, (level.error / wanted) ** 2) for level in pilot]
-    cost = sum(g * level.seconds for g, level in zip(grown, pilot, strict=True))
-    share = min(1.0, seconds / cost)
+    share = _affordable(pilot, grown, seconds)
     times = [PILOT * max(1.0, g * share) for g in grown]
-    levels = _levels(system, method, mass, factors, times)
+    # Where burn-in alone takes all the time the pilot is all that there is.
+    levels = _levels(system, method, mass, factors, times) if max(times) > PILOT else pilot
     progress(3, 3, f"steps of {scheme}")
-    return _judged(scheme, mass, theory, levels, truth, wanted, 1.0 / sqrt(share))
+    if not all(isfinite(level.value) for level in levels):
+        return unstable(scheme, mass, theory)
+    short = max(sqrt(PILOT * g / time) for g, time in zip(grown, times, strict=True))
+    return judged(scheme, mass, theory, levels, truth, wanted, short)
+
+
+def _affordable(pilot: Sequence[StepLevel], grown: Sequence[float], seconds: float) -> float:
+    """Return the share of the samples ``grown`` that takes ``seconds``: burn-in costs once."""
+    total = PILOT + BURN_IN
+    once = sum(level.seconds for level in pilot) * BURN_IN / total
+    rest = sum(g * level.seconds for g, level in zip(grown, pilot, strict=True)) * PILOT / total
+    return min(1.0, max(0.0, seconds - once) / rest)
 
 
 def sample_slope(
@@ -190,25 +140,27 @@ def sample_slope(
 def _run(
     system: System, method: MonteCarlo, mass: int, factor: float, relaxations: float
 ) -> StepLevel:
-    start = perf_counter()
+    start = process_time()
     run = replace(method, step_factor=factor, relaxations=relaxations)
     found = run.solve(system, []).settings
     name = f"E q{mass + 1}²"
     return StepLevel(
         dt=float(found["dt"]),
-        value=float(found[name]),
-        error=float(found[f"standard error of {name}"]),
+        # Not there where trajectories were lost: nothing is known of the mean then.
+        value=float(found.get(name, nan)),
+        error=float(found.get(f"standard error of {name}", nan)),
         sampled=float(found["time"]) * float(found["paths"]),
-        seconds=perf_counter() - start,
+        seconds=process_time() - start,
     )
 
 
 def _largest_stable(system: System, method: MonteCarlo, mass: int, seconds: float) -> float | None:
     """The largest step of a descending ladder, in units of the chosen, that loses no trajectory."""
     factor = 4.0
+    trial = replace(method, burn_in=1.0)
     while factor > SLOWEST:
         try:
-            found = _run(system, method, mass, factor, 0.1 * PILOT)
+            found = _run(system, trial, mass, factor, 0.1 * PILOT)
         except InvalidInput:  # at or above the limit that the scheme itself refuses
             factor /= RATIO
             continue
@@ -233,73 +185,3 @@ def _levels(
         own = replace(method, seed=method.seed + 1000 * ceil(time) + k)
         found.append(_run(system, own, mass, factor, time))
     return found
-
-
-def _fit(
-    levels: Sequence[StepLevel], order: float, truth: float | None
-) -> tuple[float, float, float, float]:
-    """Weighted least squares of value = limit + slope dtʳ: limit, slope and their errors."""
-    x = np.array([level.dt**order for level in levels])
-    y = np.array([level.value for level in levels])
-    w = 1.0 / np.array([level.error for level in levels])
-    if truth is not None:
-        information = float(np.sum((w * x) ** 2))
-        slope = float(np.sum(w * w * x * (y - truth))) / information
-        return truth, slope, 0.0, 1.0 / sqrt(information)
-    A = np.stack([w, w * x], axis=1)
-    covariance = np.linalg.inv(A.T @ A)
-    limit, slope = covariance @ A.T @ (w * y)
-    return float(limit), float(slope), sqrt(covariance[0, 0]), sqrt(covariance[1, 1])
-
-
-def _chi2(levels: Sequence[StepLevel], order: float, truth: float | None) -> float:
-    limit, slope, _, _ = _fit(levels, order, truth)
-    z = [(level.value - limit - slope * level.dt**order) / level.error for level in levels]
-    return float(np.sum(np.square(z)))
-
-
-def _judged(
-    scheme: str,
-    mass: int,
-    theory: int,
-    levels: Sequence[StepLevel],
-    truth: float | None,
-    wanted: float,
-    short: float,
-) -> WeakOrder:
-    limit, slope, limit_error, slope_error = _fit(levels, theory, truth)
-    orders: Array = np.linspace(0.25, 10.0, 391)
-    profile = np.array([_chi2(levels, r, truth) for r in orders])
-    best = int(profile.argmin())
-    inside = orders[profile <= profile[best] + 1.0]
-    if abs(slope) < 3.0 * slope_error:
-        verdict: Verdict = "not resolved"
-    else:  # two standard errors of the profile: χ² may rise by 4
-        near = _chi2(levels, theory, truth) <= profile[best] + 4.0
-        verdict = "as theory" if near else "pre-asymptotic"
-    return WeakOrder(
-        scheme=scheme,
-        observable=f"E q{mass + 1}²",
-        theory=theory,
-        levels=tuple(levels),
-        limit=limit,
-        limit_error=limit_error,
-        known=truth is not None,
-        slope=slope,
-        slope_error=slope_error,
-        order=float(orders[best]),
-        order_error=(float(inside[0]), float(inside[-1])),
-        chi2=_chi2(levels, theory, truth),
-        freedom=len(levels) - (1 if truth is not None else 2),
-        wanted=wanted,
-        short=short,
-        verdict=verdict,
-    )
-
-
-def _unstable(scheme: str, mass: int, theory: int) -> WeakOrder:
-    nan = float("nan")
-    return WeakOrder(
-        scheme, f"E q{mass + 1}²", theory, (), nan, nan, False, nan, nan, nan, (nan, nan), nan, 0,
-        nan, nan, "unstable",
-    )  # fmt: skip

@@ -10,13 +10,16 @@ from averaging.energy_density import averaged_closed_form
 from averaging.energy_process import energy_process
 from averaging.nonintegrable import NonIntegrable
 from cases.scene import load_scene
-from cases.study.answer import Answer
-from cases.study.cost import study_cost
-from cases.study.cost_output import told_seconds, write_cost
+from cases.study.answer import Answer, errors
+from cases.study.cost import CostStudy, study_cost
+from cases.study.cost_output import cost_tables, told_seconds, write_cost
 from cases.study.deterministic import Candidate, candidates, priced
 from cases.study.equations import energy_equation
-from cases.study.priced import Point, Priced, crossovers, price_list
-from cases.study.sampled import FULL, Law, full_reference, full_routes
+from cases.study.full_system import full_reference
+from cases.study.labels import decades
+from cases.study.priced import NotTimed, Point, Priced, crossovers, price_list, promised_list
+from cases.study.sampled import full_routes
+from cases.study.sampling_law import FULL, Law
 from cases.study.timing import Timing
 from fpk.density import Density, l1_distance
 from fpk.observable import parse_observable
@@ -46,19 +49,17 @@ def test_the_sign_of_28_as_printed_is_caught_by_every_route_and_not_timed():
 
 
 def test_a_slightly_wrong_answer_is_named_with_what_it_disagrees_by():
-    scene = load_scene("fig6b")
-    equation = energy_equation(scene.system)
+    equation = energy_equation(load_scene("fig6b").system)
     right = equation.adaptive(1e-8)
     # Mass moved by 1e-6 while 1e-8 is stated: a factor 1 + 1e-6 moves L1 by 1e-6.
     wrong = Answer(right.panels, lambda H: (1 + 1e-6) * right.density(H), 1e-8, right.unknowns)
-    found = study_cost(
-        scene, injected=[Candidate("wrong", (("1e-8", lambda: wrong),))], simulate=False
-    )
-    (caught,) = [n for n in found.not_timed if n.route == "wrong"]
+    offered = [*candidates(equation)[-2:], Candidate("wrong", (("1e-8", lambda: wrong),))]
+    good, (caught,) = priced(equation, offered)
+    assert caught.route == "wrong" and not caught.baseline
     assert abs(caught.distance - 1e-6) < 2e-8 and caught.allowed < 2e-8
-    assert "wrong" not in {r.route for r in found.routes}
-    assert found.problems and "wrong" in found.problems[0]
-    assert {"FE p = 1", "FE p = 8", "FE hp", "quadrature (11)"} <= {r.route for r in found.routes}
+    assert {r.route for r in good} == {"FE hp", "quadrature (11)"}
+    found = replace(EMPTY, routes=tuple(good), not_timed=(caught,))
+    assert len(found.problems) == 1 and "wrong" in found.problems[0]
 
 
 @pytest.mark.slow
@@ -75,8 +76,38 @@ def test_a_simulation_of_another_system_is_not_timed():
     assert "exact_flow, N" not in {r.route for r in good}
 
 
+def test_a_baseline_without_a_usable_step_is_told_and_is_no_failure():
+    nan = float("nan")
+    wrong = NotTimed("exact_flow", FULL, "dt 0.1", 0.5, 0.1, "differs")
+    for bad, failures in (
+        (replace(wrong, route="baoab", baseline=True), 0),
+        (NotTimed("euler_maruyama", FULL, "", nan, nan, "no usable step", baseline=True), 0),
+        (wrong, 1),
+    ):
+        found = replace(EMPTY, not_timed=(bad,))
+        assert len(found.problems) == failures
+        assert any("not timed" in table.title for table in cost_tables(found))
+
+
+def test_json_says_null_where_a_route_states_an_infinite_error(fpk, monkeypatch):
+    endless = Point("4", 0.1, float("inf"), timed(float("inf")))
+    found = replace(
+        EMPTY,
+        routes=(Priced("r", "e", "axis", (endless,)),),
+        not_timed=(NotTimed("w", "e", "4", float("nan"), float("inf"), "no finite error"),),
+    )
+    monkeypatch.setattr("cases.study.cost.study_cost", lambda *a, **k: found)
+    status, out, _ = fpk("cost", "fig6b", "--json")
+    record = json.loads(out)
+    assert status == 0 and record["routes"][0]["points"][0]["stated"] is None
+    assert record["not_timed"][0]["allowed"] is None
+
+
 def timed(seconds):
     return Timing(seconds, 0.0, 1, 0.0, 0.0, 1.0)
+
+
+EMPTY = CostStudy(load_scene("fig6b"), (), (), (), (), {}, "not simulated", (), (), (), 0.0)
 
 
 def route(name, pairs):
@@ -117,6 +148,40 @@ def test_the_cheapest_path_of_a_law_meets_its_error_and_is_the_cheapest(order):
             assert law.seconds((law.noise / left) ** 2, other) > law.seconds(sampled, dt)
 
 
+@pytest.fixture(scope="module")
+def table_of_fig6b():
+    """The part of the table of fig6b that is said to hold for other scenes: ten digits."""
+    equation = energy_equation(load_scene("fig6b").system)
+    steered = [c for c in candidates(equation) if c.by_tol]
+    assert {c.route for c in steered} == {"FE hp", "quadrature (11)"}
+    good, bad = priced(equation, steered)
+    assert not bad
+    return promised_list(good, range(1, 11))
+
+
+@pytest.mark.parametrize("scene", ["fig6c", "three-mass", "fig4b"])
+def test_settings_of_one_scene_keep_their_digits_on_three_others(table_of_fig6b, scene):
+    equation = energy_equation(load_scene(scene).system)
+    assert equation.reference_words == "closed form (29)" and len(table_of_fig6b) == 10
+    settings = {(c.route, c.point.settings): [] for c in table_of_fig6b}
+    for c in table_of_fig6b:
+        settings[c.route, c.point.settings].append(c.digits)
+    for (route, tol), digits in settings.items():
+        solve = equation.adaptive if route == "FE hp" else equation.quadrature
+        answer = solve(float(tol))
+        true = errors(answer, equation.reference)["L1"]
+        assert true <= 10.0 ** -max(digits)
+        assert true <= answer.l1_error + equation.reference.l1_error
+
+
+def test_a_tolerance_is_priced_by_its_promise_not_by_what_it_happened_to_reach():
+    lucky = Point("1e-02", 1e-9, 1e-8, timed(1.0), promised=1e-2)
+    mesh = Point("24", 1e-9, 1e-8, timed(0.1))
+    found = promised_list([Priced("hp", "e", "axis", (lucky, mesh))], [1, 2, 3])
+    assert [c.point.settings if c.point else None for c in found] == ["1e-02", "1e-02", None]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["fig6c", "three-mass", "fig4b"])
 @pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
 def test_the_promise_of_tol_holds_on_scenes_the_table_was_not_made_from(scene, tol):
@@ -138,6 +203,7 @@ def test_the_promise_of_tol_holds_on_scenes_the_table_was_not_made_from(scene, t
         assert l1_distance(found, true) <= tol + closed.l1_error
 
 
+@pytest.mark.slow
 def test_the_command_prices_ten_digits_and_leaves_a_diagram(fpk, tmp_path):
     status, out, _ = fpk("cost", "fig6b", "--no-simulate", "--json", "--out", tmp_path)
     record = json.loads(out)
@@ -162,3 +228,8 @@ def test_the_whole_study_agrees_with_itself(tmp_path):
 def test_times_are_told_in_units_that_suit_them():
     assert told_seconds(2e-3) == "2 ms" and told_seconds(90.0) == "1.5 min"
     assert told_seconds(float("nan")) == "–"
+
+
+def test_labels_take_the_ends_first_and_keep_their_distance():
+    assert decades([1e-1, 1e-2, 1e-3, 1e-5, 1e-6], 2.0) == [4, 0, 2]
+    assert decades([0.1], 2.0) == [0] and decades([], 2.0) == []
