@@ -59,7 +59,8 @@ class Setting:
     """One measurement: ``work`` solves, coefficients and all, and its result goes to ``sampled``.
 
     ``unknowns`` takes the result, too. ``note`` says what a reader has to know of this setting,
-    ``words`` what the result says of itself.
+    ``words`` what the result says of itself; ``compiles`` that a first run compiles for its own
+    grid, so that the second one is timed, however long it takes.
     """
 
     problem: str
@@ -69,6 +70,7 @@ class Setting:
     unknowns: Callable[..., int]
     note: str = ""
     words: Callable[..., str] | None = None
+    compiles: bool = False
 
 
 def measure_all(peer: str, package: str, settings: Sequence[Setting]) -> None:
@@ -100,7 +102,10 @@ def measured(setting: Setting) -> dict[str, object]:
         except Exception as error:  # whatever a peer raises is what this run found out
             message = f"fails: {type(error).__name__}: {error}"[:KEPT]
             return nothing | {"note": "; ".join([*notes, message])}
-        seconds = first if first > LONG else timed(setting.work)
+        if first <= LONG:
+            seconds = timed(setting.work)
+        else:
+            seconds = once(setting.work) if setting.compiles else first
     notes += [setting.words(result)] if setting.words else []
     notes += sorted({f"warns: {_words(w.message)}" for w in caught if _tells(w.category)})[:2]
     problem = PROBLEMS[setting.problem]
@@ -117,13 +122,18 @@ def measured(setting: Setting) -> dict[str, object]:
     return found
 
 
+def once(work: Callable[[], object]) -> float:
+    """Return the wall time in seconds of one run."""
+    start = perf_counter()
+    work()
+    return perf_counter() - start
+
+
 def timed(work: Callable[[], object]) -> float:
     """Return the median wall time in seconds of repeats; ``work`` has been called before."""
     times: list[float] = []
     while len(times) < 3 or (len(times) < MOST and sum(times) < ENOUGH):
-        start = perf_counter()
-        work()
-        times.append(perf_counter() - start)
+        times.append(once(work))
     return median(times)
 
 

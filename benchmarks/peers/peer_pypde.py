@@ -79,7 +79,7 @@ def setting(name, count, form):
         name, f"{form}, {count} cells{unit}, t = {TIME[form]:g}",
         partial(solved, problem, count, form),
         lambda answer: cells(*answer), lambda answer: answer[1].size,
-        "compiles at each call" if form == "expression" else "",
+        compiles=True,
     )  # fmt: skip
 
 
