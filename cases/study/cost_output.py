@@ -20,7 +20,8 @@ MEANING = (
     " a warm-up, the median of 3 to 21 runs where one takes less than a second. Every error is that"
     " of the route's own equation: numerical for the averaged equations, sampling and step for the"
     " full system. What averaging itself costs in accuracy is in a table of its own, and in none of"
-    " the others."
+    " the others. What a process remembers (integrals of two or more contact masses, of damping"
+    " that depends on the state) is in the first call, not in the median."
 )
 
 
