@@ -53,11 +53,11 @@ def test_a_slightly_wrong_answer_is_named_with_what_it_disagrees_by():
     right = equation.adaptive(1e-8)
     # Mass moved by 1e-6 while 1e-8 is stated: a factor 1 + 1e-6 moves L1 by 1e-6.
     wrong = Answer(right.panels, lambda H: (1 + 1e-6) * right.density(H), 1e-8, right.unknowns)
-    offered = [*candidates(equation)[-2:], Candidate("wrong", (("1e-8", lambda: wrong),))]
+    offered = [candidates(equation)[-1], Candidate("wrong", (("1e-8", lambda: wrong),))]
     good, (caught,) = priced(equation, offered)
     assert caught.route == "wrong" and not caught.baseline
     assert abs(caught.distance - 1e-6) < 2e-8 and caught.allowed < 2e-8
-    assert {r.route for r in good} == {"FE hp", "quadrature (11)"}
+    assert {r.route for r in good} == {"quadrature (11)"}
     found = replace(EMPTY, routes=tuple(good), not_timed=(caught,))
     assert len(found.problems) == 1 and "wrong" in found.problems[0]
 
@@ -159,7 +159,9 @@ def table_of_fig6b():
     return promised_list(good, range(1, 11))
 
 
-@pytest.mark.parametrize("scene", ["fig6c", "three-mass", "fig4b"])
+@pytest.mark.parametrize(
+    "scene", ["fig6c", "fig8b", "fig4b", pytest.param("three-mass", marks=pytest.mark.slow)]
+)
 def test_settings_of_one_scene_keep_their_digits_on_three_others(table_of_fig6b, scene):
     equation = energy_equation(load_scene(scene).system)
     assert equation.reference_words == "closed form (29)" and len(table_of_fig6b) == 10
