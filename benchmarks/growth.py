@@ -126,9 +126,10 @@ def masses() -> str:
     words = (
         f"\nFrom 2 to 50 masses the coefficients take {times[-1] / times[0]:.1f} times as long,"
         f" from 5 to 50 {times[-1] / times[1]:.1f} times. The masses without contact are integrated"
-        " out, which leaves one integral of (H - V)^(n - 3/2) for any n. Its Gauss rule is refined until"
-        " two agree (`REFINEMENTS` of `averaging/shell/sums.py`): as n grows the integrand narrows,"
-        " and 2 masses need the coarsest rules alone. That, not the matrices, is what grows.\n\n"
+        " out, which leaves one integral of (H - V)^(n - 3/2) for any n. Its Gauss rule is refined"
+        " until two agree (`REFINEMENTS` of `averaging/shell/sums.py`): as n grows the integrand"
+        " narrows, and 2 masses need the coarsest rules alone. That, not the matrices,"
+        " is what grows.\n\n"
     )
     head = ["masses", "process, factorisation included, ms", "coefficients at 350 energies, ms"]
     return "## Masses: averaging with one contact\n" + words + markdown_table(head, rows)
