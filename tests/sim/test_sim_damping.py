@@ -159,7 +159,8 @@ def test_exact_density_of_damping_by_the_energy_and_a_wrong_coefficient() -> Non
     assert far(displacement, of_q, float(displacement.edges[0][-1])) < 4.5
 
 
-@pytest.mark.parametrize("scheme", ["exact_flow", pytest.param("baoab", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["exact_flow", "baoab"])
 def test_identities_of_terms_of_every_kind(scheme: str) -> None:
     result = sample(many_terms(), "q1", "H", scheme=scheme, time=300.0, dt=0.05)
     assert len(result.identities) == 5
@@ -242,7 +243,7 @@ def test_the_unit_of_time_does_not_matter(scale: float) -> None:
 
 def test_bitwise_the_same_for_any_threads_and_chunks_with_terms() -> None:
     def run(threads: int, chunks: tuple[int, ...]) -> Ensemble:
-        ensemble = Ensemble(many_terms(), SCHEMES["exact_flow"], 0.1, 500, 9, threads)
+        ensemble = Ensemble(hardened(), SCHEMES["exact_flow"], 0.1, 500, 9, threads)
         ensemble.watch((), moment_products(2, terms=True))
         for steps in chunks:
             ensemble.advance(steps, stride=2)
@@ -258,7 +259,7 @@ def test_a_trajectory_that_blows_up_is_reported() -> None:
     terms = (DampingTerm(0, 0, -0.5, v=((0, 2),)), DampingTerm(0, 0, 0.3, q=((0, 6),)))
     system = System([1.0], [1.0], [0.1], [0.5], damping_terms=terms)
     with np.errstate(all="ignore"):
-        result = sample(system, "q1", dt=0.1, time=50.0)
+        result = sample(system, "H", dt=0.1, time=50.0)
     assert any("left the finite range" in f for f in result.densities[0].certificate.failures)
 
 

@@ -69,7 +69,7 @@ TWINS: dict[str, Step] = {
 FIVE = pytest.param(lambda: linear(5), marks=pytest.mark.slow, id="five")
 
 
-@pytest.mark.parametrize("make", [fig6, exact, mixed, linear, lambda: linear(1), FIVE])
+@pytest.mark.parametrize("make", [fig6, exact, linear, lambda: linear(1), FIVE])
 @pytest.mark.parametrize("name", sorted(SCHEMES))
 def test_kernel_equals_its_twin(name: str, make: Callable[[], System]) -> None:
     system, h, paths, seed = make(), 0.11, 150, 977
@@ -84,6 +84,14 @@ def test_kernel_equals_its_twin(name: str, make: Callable[[], System]) -> None:
     found = ensemble.phase_points()
     np.testing.assert_allclose(found[0].T, q, rtol=0, atol=1e-12 * np.abs(q).max())
     np.testing.assert_allclose(found[1].T, p, rtol=0, atol=1e-12 * np.abs(p).max())
+
+
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("baoab", "euler_maruyama")]
+
+
+@pytest.mark.parametrize("name", ["exact_flow", *SLOW])
+def test_kernel_of_three_masses_equals_its_twin(name: str) -> None:
+    test_kernel_equals_its_twin(name, mixed)
 
 
 def test_every_scheme_of_the_folder_has_a_twin() -> None:
