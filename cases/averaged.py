@@ -1,6 +1,5 @@
 """Monte Carlo of the averaged equations as a method: the process of a theory, sampled."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf, isfinite
@@ -12,6 +11,7 @@ from averaging.modal.analysis import modal_analysis
 from averaging.modal.internal import internal_refusal
 from averaging.modal.process import modal_process
 from averaging.modal.resonance import resonance_refusal
+from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import Progress, Result, require_applicable, silent
 from fpk.observable import Coordinate, Observable, observable_name
@@ -109,7 +109,7 @@ class AveragedSimulation:
             interval=0.5 * slowest,
             paths=self.paths,
             seed=self.seed,
-            threads=self.threads or len(os.sched_getaffinity(0)),
+            threads=self.threads or usable_cores(),
         )
         densities = simulate_energies(form, observables, sampling, progress=progress)
         settings: dict[str, str | float | int] = {

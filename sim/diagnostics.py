@@ -190,6 +190,8 @@ def diagnosis(
     z = np.abs(drifts(means)) if chunks > 1 else np.zeros((quantities, 2))
     limit = drift_limit(batches, z.size)
     words = []
+    if chunks < 2:
+        words.append("it ended in its first chunk, where no drift is seen; sample for longer")
     if worst.samples < LEAST_TIMES:
         words.append(
             f"the {paths} trajectories are {worst.samples:.3g} autocorrelation times of"

@@ -11,6 +11,7 @@ from time import perf_counter
 import numpy as np
 
 import sim.schemes  # noqa: F401  (its modules register the integrators)
+from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import Progress, Result, require_applicable, silent
 from fpk.observable import Observable
@@ -158,7 +159,7 @@ class MonteCarlo:
             observables,
             scheme=scheme,
             paths=self.paths,
-            threads=self.threads or len(os.sched_getaffinity(0)),
+            threads=self.threads or usable_cores(),
             burn_in=self.burn_in,
             moments=self.moments,
             folder=self.checkpoint,
@@ -177,7 +178,7 @@ class MonteCarlo:
                 seconds=self.seconds,
             )
         settings = dict(run.settings)
-        settings |= {"dt": dt, "long_step": long, "small_steps": steps}
+        settings["small_steps"] = steps
         settings["relaxation_time"] = relaxation
         if time < wanted:
             settings["limited_by"] = "most_steps"
@@ -193,7 +194,10 @@ class MonteCarlo:
                     seed=(self.seed + OTHER_SEED) % 2**64,
                     histograms=run.histograms,
                 )
-            settings |= step_bias(run, half)
+            if PARTIAL in half.settings:
+                settings["step bias"] = "not measured: interrupted"
+            else:
+                settings |= step_bias(run, half)
         return Result(
             method=self,
             densities=run.densities,

@@ -84,8 +84,9 @@ def sample(
         stepping += perf_counter() - start
         chunks, begun = chunks + 1, ensemble.phase
         if lost := ensemble.lost():
+            small = ensemble.dt / ensemble.scheme.small
             words = f"{lost} of {ensemble.paths} trajectories left the finite range"
-            return stepping, [f"{words}; use a smaller dt than {ensemble.dt}"]
+            return stepping, [f"{words}; use a smaller dt than {small:g}"]
         record.chunk_ends(ensemble)
         elapsed = perf_counter() - stop.begin
         late = elapsed > stop.seconds

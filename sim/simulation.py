@@ -86,11 +86,13 @@ def simulate(
 ) -> Simulation:
     """Sample the stationary state of Eq. (6) for ``time`` on each of ``paths`` trajectories.
 
-    ``burn_in`` counts relaxation times (``sim.relaxation``). With ``tol`` the sampling goes on
-    in chunks until the expected L1 error of the first observable is below it, at most for
-    ``longest`` seconds of wall time; with ``seconds`` until that wall time has passed. Samples are
-    about an eighth of the shortest natural period apart: closer ones are nearly equal and cost a
-    histogram entry each. ``histograms`` None: bins that cover what a pilot reaches.
+    Where the scheme makes small steps, ``dt`` is the long one; ``steps`` and nanoseconds in the
+    settings count long ones, "dt" there is the small one. ``burn_in`` counts relaxation times
+    (``sim.relaxation``). With ``tol`` the sampling goes on in chunks until the expected L1 error of
+    the first observable is below it, at most for ``longest`` seconds of wall time; with ``seconds``
+    until that wall time has passed. Samples are about an eighth of the shortest natural period
+    apart: closer ones are nearly equal and cost a histogram entry each. ``histograms`` None: bins
+    that cover what a pilot reaches.
 
     ``make`` makes the ensemble, here or on a cluster. In ``folder`` the state is kept at intervals,
     and a simulation of the same settings goes on from there. With ``partial`` Ctrl-C ends the
@@ -155,7 +157,7 @@ def simulate(
     steps = ensemble.samples * stride
     settings: dict[str, str | float | int] = {
         "scheme": scheme.name,
-        "dt": dt,
+        "dt": dt / scheme.small,
         "paths": paths,
         "steps": steps,
         "time": steps * dt,
@@ -165,6 +167,7 @@ def simulate(
         "seed": seed,
         "threads": ensemble.threads,
         "kT": temperature(system),
+        "long_step": dt,
         "ns_per_particle_step": 1e9 * stepping * ensemble.threads / (paths * steps),
     }
     if keeper.interrupted:
@@ -196,7 +199,7 @@ def _judged(
                 failures.append(
                     f"{identity.name} is off by {identity.z:.1f} standard errors; use a smaller dt"
                 )
-    interval = float(settings["dt"]) * int(settings["stride"])
+    interval = ensemble.dt * int(settings["stride"])
     effective = () if lost or PARTIAL in settings else record.effective(ensemble, interval)
     if effective:
         diagnosed = diagnosis(
