@@ -21,7 +21,10 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 
-@pytest.mark.parametrize("script", ALWAYS)
+@pytest.mark.parametrize(
+    "script",
+    [s if "chebyshev" in s else pytest.param(s, marks=pytest.mark.slow) for s in ALWAYS],
+)
 def test_smallest_settings_print_measurements(script: str) -> None:
     done = run(str(PEERS / script), "--smallest")
     assert done.returncode == 0, done.stderr

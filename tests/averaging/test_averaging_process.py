@@ -216,7 +216,10 @@ def test_eq_29_needs_the_masses():
     assert right < 1e-10 < 0.1 < wrong
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow) if n == "two contact masses" else n for n in SYSTEMS],
+)
 def test_quadrature_of_eq_11_meets_its_estimate(name):
     system = SYSTEMS[name]
     process = energy_process(system)

@@ -68,7 +68,7 @@ def test_expansion_and_elements_agree_where_probability_circulates(tol: float) -
     assert distance(other, elements) > 10.0 * (other.l1_error + elements.l1_error)
 
 
-@pytest.mark.parametrize("tol", [1e-6, 1e-10])
+@pytest.mark.parametrize("tol", [pytest.param(1e-6, marks=pytest.mark.slow), 1e-10])
 def test_strong_circulation_takes_a_weight_on_a_few_elements(tol: float) -> None:
     process = one_sided(*STRONG)
     found = solve_plane(process, tol=tol)

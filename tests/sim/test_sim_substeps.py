@@ -169,7 +169,11 @@ def test_far_trajectories_do_not_touch(make) -> None:
 
 
 @pytest.mark.parametrize("share", [0.05, 0.5, 1.0])
-@pytest.mark.parametrize("make", [stiff, mixed, one], ids=["stiff", "mixed", "one"])
+@pytest.mark.parametrize(
+    "make",
+    [stiff, pytest.param(mixed, marks=pytest.mark.slow), one],
+    ids=["stiff", "mixed", "one"],
+)
 def test_crossings_within_a_long_step_by_rice(make, share: float) -> None:
     """Expected crossings of a s/H by the noise: the tail at a/σ(H), which is 6.66 or more."""
     system = make()
