@@ -36,7 +36,7 @@ def run(threads: int, chunks: tuple[int, ...], paths: int = 5 * LANES - 17) -> E
     return ensemble
 
 
-@pytest.mark.parametrize(("threads", "chunks"), [(1, (60,)), (2, (60,)), (2, (1, 7, 20, 32))])
+@pytest.mark.parametrize(("threads", "chunks"), [(1, (60,)), (2, (1, 7, 20, 32)), (4, (60,))])
 def test_bitwise_the_same_for_any_threads_and_chunks(threads: int, chunks: tuple[int, ...]) -> None:
     reference, other = run(1, (30, 30)), run(threads, chunks)
     np.testing.assert_array_equal(reference.states, other.states)
