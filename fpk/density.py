@@ -28,15 +28,15 @@ class Certificate:
     of p divided by its largest; ``residual`` the algebraic residual relative to the terms that
     cancel in it (for sampling: the largest |z| of the moment identities); ``tail_mass`` a bound
     (for sampling: the share) of the mass outside the support; ``net_flux`` the largest
-    probability flux through an element relative to its one-way parts. ``failures`` says in words
-    what does not hold; the answer is certified when it is empty.
+    probability flux through an element relative to its one-way parts, None where none is computed.
+    ``failures`` says in words what does not hold; the answer is certified when it is empty.
     """
 
     mass_defect: float
     minimum: float
     residual: float
     tail_mass: float
-    net_flux: float = 0.0
+    net_flux: float | None = None
     failures: tuple[str, ...] = ()
 
     @property

@@ -39,11 +39,6 @@ def natural_frequencies(system: System) -> Array:
     return natural_modes(system)[1]
 
 
-def slowest_decay_rate(system: System) -> float:
-    """Return the least decay rate of the linear part, −max Re λ(A); <= 0 if it does not decay."""
-    return float(-np.max(np.linalg.eigvals(drift_matrix(system)).real))
-
-
 def decay_time(system: System) -> float:
     """Return 1/rate of the slowest decay of the linear part; inf where some motion never decays."""
     eigenvalues = np.linalg.eigvals(drift_matrix(system))

@@ -216,12 +216,15 @@ def _judged(
     for m, histogram in enumerate(record.histograms):
         counts = ensemble.counted(first[m], first[m + 1])
         total = counts.sum(axis=0)
-        tail = float(total[-1]) / max(1, int(total.sum()))
+        taken = ensemble.paths * ensemble.samples
+        tail = float(total[-1]) / max(1, taken)
         words = list(failures)
+        if int(total.sum()) != taken:
+            words.append(f"{int(total.sum())} samples were counted of {taken} taken")
         if tail > LARGEST_TAIL:
             words.append(f"{tail:.2g} of the samples lie outside the histogram")
         certificate = Certificate(
-            mass_defect=abs(float(total[:-1].sum()) / max(1, int(total.sum())) + tail - 1.0),
+            mass_defect=abs(float(total.sum()) / max(1, taken) - 1.0),
             minimum=float(total[:-1].min()) / max(1, int(total[:-1].max())),
             residual=worst,
             tail_mass=tail,

@@ -176,6 +176,6 @@ def joined_checks(checks: Sequence[Certificate]) -> Certificate:
         minimum=min(c.minimum for c in checks),
         residual=max(c.residual for c in checks),
         tail_mass=sum(c.tail_mass for c in checks),
-        net_flux=max(c.net_flux for c in checks),
+        net_flux=max((c.net_flux for c in checks if c.net_flux is not None), default=None),
         failures=tuple(words for c in checks for words in c.failures),
     )

@@ -11,7 +11,9 @@ from averaging.exact import Exact
 from cases.compare import compared
 from cases.scene import load_scene
 from cases.stability.case import Check, HardCase
+from cases.stability.noiseless import no_noise, nothing_lost
 from cases.stability.plain import plain_euler
+from cases.stability.systems import with_stops
 from fpk.density import Density, SampledDensity
 from fpk.errors import InvalidInput
 from fpk.method import Progress
@@ -19,7 +21,7 @@ from fpk.observable import parse_observable
 from fpk.system import System
 from sim.ensemble import Ensemble
 from sim.montecarlo import MonteCarlo
-from sim.random import LANES, MAX_TRAJECTORIES
+from sim.random import MAX_TRAJECTORIES
 from sim.scheme import SCHEMES
 from sim.step_size import chosen_step
 
@@ -29,7 +31,6 @@ SHORT = MonteCarlo(paths=4096, relaxations=10.0, burn_in=5.0)
 Array = NDArray[np.float64]
 
 EULER_STEP, EULER_TIME, EULER_PATHS = 0.01, 50.0, 1000
-MANY_STEPS = 1_000_000
 
 
 def motion_cases(progress: Progress) -> Iterator[HardCase]:
@@ -48,12 +49,6 @@ def motion_cases(progress: Progress) -> Iterator[HardCase]:
     for k, case in enumerate(cases, start=1):
         progress(k, len(cases), "hard simulations")
         yield case()
-
-
-def system_with(stiffness: float) -> System:
-    """Return the system of ``stiff-stops``, for which (7) is exact, with stops of ``stiffness``."""
-    system = load_scene("stiff-stops").system
-    return replace(system, contacts=tuple(replace(c, stiffness=stiffness) for c in system.contacts))
 
 
 def against_exact(system: System, method: MonteCarlo) -> tuple[list[Check], SampledDensity]:
@@ -98,7 +93,7 @@ def beyond_clearance(system: System, density: Density | SampledDensity) -> float
 
 def stiff(stiffness: float) -> HardCase:
     """A stiff stop, simulated with the step that the program chooses."""
-    start, system = perf_counter(), system_with(stiffness)
+    start, system = perf_counter(), with_stops(stiffness)
     checks, found = against_exact(system, SHORT)
     lost, state = plain_euler(system, dt=EULER_STEP, time=EULER_TIME, paths=EULER_PATHS)
     outside = float(np.mean(np.abs(state[:, 1]) > system.contacts[0].clearance))
@@ -116,7 +111,7 @@ def stiff(stiffness: float) -> HardCase:
 
 def seeded(seed: int) -> HardCase:
     """A seed at the end of its range, or 0."""
-    start, system = perf_counter(), system_with(10.0)
+    start, system = perf_counter(), with_stops(10.0)
     checks, found = against_exact(system, replace(SHORT, seed=seed))
     return HardCase(
         name=f"seed {seed}",
@@ -148,7 +143,7 @@ def two_humps() -> HardCase:
 
 def too_long_a_step() -> HardCase:
     """A step beyond the stability limit: refused, or marked where the user insists."""
-    start, system = perf_counter(), system_with(1e5)
+    start, system = perf_counter(), with_stops(1e5)
     try:
         replace(SHORT, dt=0.5).solve(system, [])
         refusal = "taken"
@@ -172,101 +167,13 @@ def too_long_a_step() -> HardCase:
     )
 
 
-def _released(system: System, dt: float) -> Ensemble:
-    """Trajectories at rest, pushed into the stops and beside them, up to five kT of the system."""
-    ensemble = Ensemble(system, SCHEMES["exact_flow"], dt, LANES, 1, 1)
-    ensemble.states[:] = 0.0
-    ensemble.states[0, 1] = np.linspace(-0.7, 0.7, LANES)
-    return ensemble
-
-
-def _without(system: System, *, damping: float) -> System:
-    return replace(
-        system, damping=damping * system.damping, noise_intensity=0.0 * system.noise_intensity
-    )
-
-
-def _energies(system: System, ensemble: Ensemble) -> Array:
-    """H of all trajectories half a kick on: states are kept just before one."""
-    q, p = ensemble.phase_points()
-    p = p.copy()
-    for stop in system.stops:
-        sign = 1.0 if stop.side == "right" else -1.0
-        overlap = np.maximum(sign * q[:, stop.mass] - stop.clearance, 0.0)
-        p[:, stop.mass] -= 0.5 * ensemble.dt * sign * stop.force(overlap)
-    return system.hamiltonian(q, p)
-
-
-def no_noise() -> HardCase:
-    """Damping without noise: the energy falls, and there is no density to ask for."""
-    start, system = perf_counter(), _without(system_with(10.0), damping=1.0)
-    dt = chosen_step(system_with(10.0))
-    ensemble, energies = _released(system, dt), []
-    for _ in range(200):
-        ensemble.advance(round(1.0 / dt))
-        energies.append(_energies(system, ensemble))
-    levels = np.array(energies)
-    # Between two looks at it the energy of a step may stand above its mean by (ω dt)²/8 or so.
-    allowed = 0.1 * levels[:-1] + 1e-12 * levels[0].max()
-    rise = float(np.max((levels[1:] - levels[:-1]) - allowed))
-    reason = SHORT.refusal(system, parse_observable("q2", system.n)) or "taken"
-    return HardCase(
-        name="no noise",
-        hard="the state decays into a point: no stationary density",
-        plain="not run",
-        ours=f"energy {levels[0].max():.2g} to {levels[-1].max():.1e}; densities refused",
-        certificate=reason,
-        checks=(
-            Check("the energy falls", rise <= 0.0, f"largest rise beyond the step's {rise:.1e}"),
-            Check("and away", bool(levels[-1].max() < 1e-3 * levels[0].max()), "see above"),
-            Check("densities refuse", "no noise" in reason, reason),
-        ),
-        seconds=perf_counter() - start,
-    )
-
-
-def nothing_lost() -> HardCase:
-    """No damping, no noise: the energy after a million steps."""
-    start, free = perf_counter(), _without(system_with(10.0), damping=0.0)
-    drifts = []
-    for part in (4.0, 8.0):
-        ensemble = _released(free, chosen_step(system_with(10.0)) / part)
-        before, worst = _energies(free, ensemble), 0.0
-        for _ in range(10):
-            ensemble.advance(MANY_STEPS // 10)
-            change = np.abs(_energies(free, ensemble) - before)
-            worst = max(worst, float(np.max(change) / before.max()))
-        drifts.append(worst)
-    # A symmetric scheme keeps a Hamiltonian that differs from H by (ω dt)²; where a stop is touched
-    # its force has no second derivative, and what that adds at random is of a higher order.
-    bound, ratio = (0.45 / 4.0) ** 2, drifts[0] / drifts[1]
-    return HardCase(
-        name="no damping, no noise",
-        hard="a million steps in and out of contact, in which a drift of the energy would add up",
-        plain="not run",
-        ours=f"change of the energy {drifts[0]:.1e} at a quarter of the step, {drifts[1]:.1e} at an"
-        " eighth, of the largest",
-        certificate="none: no density",
-        checks=(
-            Check("bounded by (ω dt)²", drifts[0] < bound, f"{drifts[0]:.1e}, bound {bound:.1e}"),
-            Check("of second order at least", ratio > 3.0, f"halved step: {ratio:.1f} times less"),
-        ),
-        seconds=perf_counter() - start,
-    )
-
-
-def _refused_or_done(paths: int) -> tuple[bool, str]:
-    try:
-        replace(SHORT, paths=paths)
-    except InvalidInput as error:
-        return False, str(error)
-    return True, "taken"
-
-
 def one_trajectory() -> HardCase:
     """A single trajectory has no independent batches to take an error from."""
-    start = perf_counter()
-    _, words = _refused_or_done(1)
+    start, words = perf_counter(), "taken"
+    try:
+        replace(SHORT, paths=1)
+    except InvalidInput as error:
+        words = str(error)
     return HardCase(
         name="one trajectory",
         hard="there is nothing independent to take an error from",
@@ -281,12 +188,12 @@ def one_trajectory() -> HardCase:
 def many_trajectories() -> HardCase:
     """Ten million trajectories, a few steps each."""
     start, paths = perf_counter(), 10_000_000
-    system = system_with(10.0)
+    system = with_stops(10.0)
     ensemble = Ensemble(system, SCHEMES["exact_flow"], chosen_step(system), paths, 1, 2)
     ensemble.advance(20)
     _, p = ensemble.phase_points()
     square = float(np.mean(p[:, 0] ** 2))
-    gigabytes = (ensemble.states.nbytes + ensemble.sums.nbytes) / 1e9
+    gigabytes = (ensemble.states.nbytes + ensemble.sums.nbytes + ensemble.folded.nbytes) / 1e9
     # From the momenta's own law, kT = 1/8, twenty short steps do not lead far away.
     return HardCase(
         name="ten million trajectories",
@@ -304,7 +211,7 @@ def many_trajectories() -> HardCase:
 
 def never_visited() -> HardCase:
     """A density asked for where no sample ever came."""
-    start, system = perf_counter(), system_with(10.0)
+    start, system = perf_counter(), with_stops(10.0)
     found = SHORT.solve(system, [parse_observable("q2", system.n)]).densities[0]
     assert isinstance(found, SampledDensity)
     density, error = found.at(np.array([50.0]))

@@ -104,7 +104,6 @@ def judged(
     tail: float,
     rounding: float,
     residual: float,
-    net_flux: float = 0.0,
 ) -> PlaneSolution:
     """Estimate the error of ``answer`` and check what must hold.
 
@@ -128,7 +127,6 @@ def judged(
         minimum=minimum,
         residual=residual,
         tail_mass=tail,
-        net_flux=net_flux,
         failures=tuple(words for words, failed in checks.items() if failed),
     )
     return PlaneSolution(process, answer, enriched, estimate, relative, certificate)

@@ -7,7 +7,7 @@ import pytest
 
 from averaging.energy_process import energy_process
 from cases.scene import load_scene
-from cases.stability import battery, lines, motion
+from cases.stability import battery, lines, motion, noiseless
 from cases.stability.case import Check, HardCase
 from cases.stability.plain import plain_elements
 from cases.stability.run import GROUPS, hard_cases, hard_line, hard_record, hard_table
@@ -54,7 +54,7 @@ def test_hard_meshes_and_limits_hold(case):
     assert not case().failures
 
 
-@pytest.mark.parametrize("case", [motion.no_noise, motion.one_trajectory, motion.too_long_a_step])
+@pytest.mark.parametrize("case", [noiseless.no_noise, motion.one_trajectory, motion.too_long_a_step])
 def test_hard_simulations_hold(case):
     assert not case().failures
 

@@ -1,0 +1,35 @@
+"""Run ``fpk cost`` on two scenes and join their pages: docs/cost/cost.md and the diagrams.
+
+    python benchmarks/cost_page.py
+
+Takes one to two minutes a scene.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+DOCS = Path(__file__).resolve().parent.parent / "docs" / "cost"
+SCENES = ("fig6b", "fig8b")
+
+
+def main() -> None:
+    """Write the page; stop where a study fails."""
+    parts = [
+        "# What accuracy costs\n\nWritten by `benchmarks/cost_page.py`: the pages of `fpk cost`.\n"
+    ]
+    command = "from cases.cli import main; main()"
+    for scene in SCENES:
+        with TemporaryDirectory() as folder:
+            arguments = [sys.executable, "-c", command, "cost", scene, "--out", folder]
+            subprocess.run(arguments, check=True)
+            page = (Path(folder) / "cost.md").read_text()
+            (DOCS / f"{scene}.svg").write_text((Path(folder) / "cost.svg").read_text())
+        lines = page.replace("cost.svg", f"{scene}.svg").splitlines()
+        parts.append("\n".join(f"#{x}" if x.startswith("#") else x for x in lines) + "\n")
+    (DOCS / "cost.md").write_text("\n".join(parts))
+
+
+if __name__ == "__main__":
+    main()
