@@ -54,7 +54,9 @@ def test_hard_meshes_and_limits_hold(case):
     assert not case().failures
 
 
-@pytest.mark.parametrize("case", [noiseless.no_noise, motion.one_trajectory, motion.too_long_a_step])
+@pytest.mark.parametrize(
+    "case", [noiseless.no_noise, motion.one_trajectory, motion.too_long_a_step]
+)
 def test_hard_simulations_hold(case):
     assert not case().failures
 
