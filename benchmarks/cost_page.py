@@ -26,7 +26,8 @@ def main() -> None:
             subprocess.run(arguments, check=True)
             page = (Path(folder) / "cost.md").read_text()
             (DOCS / f"{scene}.svg").write_text((Path(folder) / "cost.svg").read_text())
-        lines = page.replace("cost.svg", f"{scene}.svg").splitlines()
+        title, *lines = page.splitlines()
+        lines = [title, "", f"![Error against time, {scene}]({scene}.svg)", *lines]
         parts.append("\n".join(f"#{x}" if x.startswith("#") else x for x in lines) + "\n")
     (DOCS / "cost.md").write_text("\n".join(parts))
 
