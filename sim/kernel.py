@@ -8,8 +8,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from fpk.compiled_laws import compiled_laws
+from fpk.compiling import FLAGS
 from sim.arrays import StepArrays, WatchArrays
-from sim.compiled_laws import compiled_laws
 from sim.lanes import add, aligned_rows, kick, row
 from sim.parts.contact import add_contact_energy, add_contact_forces, contact_forces, no_law
 from sim.parts.damping import (
@@ -33,7 +34,7 @@ from sim.parts.observed import (
     sum_products,
 )
 from sim.parts.substeps import AT_ONCE, NARROW, gather, near_lanes, places, scatter, small_steps
-from sim.random import FLAGS, GOLDEN, LANES, fill_normals
+from sim.random import GOLDEN, LANES, fill_normals
 from sim.sources import kernel_stamp
 
 Array = NDArray[np.float64]

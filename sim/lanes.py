@@ -11,7 +11,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sim.random import FLAGS, LANES
+from fpk.compiling import FLAGS
+from sim.random import LANES
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

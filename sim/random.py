@@ -26,6 +26,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from fpk.compiling import FLAGS
+
 Array = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Words = NDArray[np.uint64]
@@ -33,10 +35,6 @@ Halves = NDArray[np.uint32]
 
 LANES = 128
 """Trajectories that run side by side in one block; a constant of compilation."""
-
-FLAGS = {"contract", "nsz", "arcp", "afn"}
-"""Liberties of arithmetic that are taken: none that assumes there is no NaN, and no reassociation,
-which would undo exact differences."""
 
 START = 1 << 39
 """First counter, within a trajectory's words, of those that draw its initial state."""

@@ -6,10 +6,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from fpk.compiled_laws import of_law
+from fpk.compiling import FLAGS
 from sim.arrays import StepArrays
-from sim.compiled_laws import of_law
 from sim.lanes import fill, row
-from sim.random import FLAGS, LANES
+from sim.random import LANES
 
 Array = NDArray[np.float64]
 W = LANES

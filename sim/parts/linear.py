@@ -12,10 +12,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from fpk.compiling import FLAGS
 from sim.arrays import StepArrays
 from sim.lanes import copy, row
 from sim.parts.contact import modified_force, only_stop
-from sim.random import FLAGS, LANES, Singles
+from sim.random import LANES, Singles
 
 Array = NDArray[np.float64]
 W = LANES

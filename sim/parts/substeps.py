@@ -13,11 +13,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from fpk.compiling import FLAGS
 from sim.arrays import StepArrays, SubstepArrays
 from sim.lanes import fill, kick, row
 from sim.parts.contact import contact_forces
 from sim.parts.linear import COLUMNS, map_any, map_one_mass, map_two_masses
-from sim.random import FLAGS, GOLDEN, LANE, LANES, Halves, Singles, Words, box_muller, mixed_word
+from sim.random import GOLDEN, LANE, LANES, Halves, Singles, Words, box_muller, mixed_word
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

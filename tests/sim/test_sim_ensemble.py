@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from sim_systems import fig6, linear, mixed
 
-import sim.compiled_laws
 import sim.schemes  # noqa: F401
+from fpk.compiling import ROOT
 from fpk.observable import parse_observable
 from sim.ensemble import Ensemble, kernel_key
 from sim.histogram import ranged
@@ -19,7 +19,7 @@ from sim.kernel import KernelKey
 from sim.plan import step_arrays
 from sim.random import LANES
 from sim.scheme import SCHEMES
-from sim.sources import KERNEL, ROOT, kernel_stamp, program_stamp
+from sim.sources import KERNEL, kernel_stamp, program_stamp
 from sim.statistics import moment_products
 
 EXACT_FLOW = SCHEMES["exact_flow"]

@@ -7,8 +7,8 @@ from typing import Any
 import numba
 from numba.extending import overload
 
+from fpk.compiling import FLAGS
 from fpk.contact_law import LAWS
-from sim.random import FLAGS
 
 Compiled = Any
 """A ``numba.vectorize`` object of signature (law, overlap, exponent), of a single law (overlap,

@@ -1,0 +1,23 @@
+"""What all compiled code shares: the liberties of its arithmetic and checksums of its sources."""
+
+from pathlib import Path
+from zlib import crc32
+
+FLAGS = {"contract", "nsz", "arcp", "afn"}
+"""Liberties of arithmetic that are taken: none that assumes there is no NaN, and no reassociation,
+which would undo exact differences."""
+
+ROOT = Path(__file__).parents[1]
+
+LAWS = ("fpk/compiling.py", "fpk/compiled_laws.py", "fpk/laws/**/*.py")
+"""Files of this room that compiled code with contact laws in it is made of."""
+
+
+def checksum(patterns: list[str], root: Path = ROOT) -> int:
+    """Return a checksum of the source files that match ``patterns`` below ``root``.
+
+    The disk cache of a compiled function looks at its own file only; a function that closes over
+    the checksum of all that it is compiled from is compiled again when any of it was edited.
+    """
+    files = sorted(file for pattern in patterns for file in root.glob(pattern))
+    return crc32(b"".join(file.read_bytes() for file in files))
