@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from averaging.shell.contact_energies import contact_energies
+from averaging.shell.one_mass import OneMassShell
 from averaging.shell.radial import shell_ray_integrals
 from averaging.shell.reduced import ReducedPotential, reduced_potential
 from averaging.shell.sums import refined_sums
@@ -31,13 +32,12 @@ COARSE = Resolution(points=8, layers=1, target=1e-5, deepest=2)
 class EnergyShell:
     """Shells of constant energy of one system: its reduced potential and contact energies.
 
-    ``integrals`` gives the three ratios and their relative error (energies, 4) at energies above
-    the first contact energy.
+    ``ratios`` gives states, volume, log_slope and error of ``ShellRatios``, (4, energies).
     """
 
     potential: ReducedPotential
     contact_energies: tuple[float, ...]
-    integrals: Callable[[Array], Array]
+    ratios: Callable[[Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,13 +63,15 @@ def energy_shell(system: System) -> EnergyShell:
     """
     potential = reduced_potential(system)
     energies = contact_energies(potential)
-    direct = partial(_integrated_ratios, potential)
-    if potential.count < 2:
-        return EnergyShell(potential, energies, direct)
-    if potential.count == 2:
-        return EnergyShell(potential, energies, ShellTable(direct, energies, Resolution()))
-    single = contact_energies(potential, at_once=1)
-    return EnergyShell(potential, single, ShellTable(direct, single, COARSE))
+    if not potential.count:
+        return EnergyShell(potential, energies, partial(_untouched, potential))
+    if potential.count == 1:
+        return EnergyShell(potential, energies, OneMassShell(potential))
+    resolution = Resolution()
+    if potential.count > 2:
+        energies, resolution = contact_energies(potential, at_once=1), COARSE
+    table = ShellTable(partial(integrated_ratios, potential), energies, resolution)
+    return EnergyShell(potential, energies, partial(_beyond_contact, potential, energies[0], table))
 
 
 def log_linear_states(system: System, energy: Array) -> Array:
@@ -86,21 +88,32 @@ def shell_ratios(shell: EnergyShell, energy: Array) -> ShellRatios:
     The (2n−1)-fold integrals of (10) are reduced to the contact masses: momenta and the other
     displacements are integrated out exactly, which leaves ∫(H − V_red)^(n − c/2 − 1) dq_c.
     """
-    n = shell.potential.n
-    ones = np.ones_like(energy)
-    result = ShellRatios(ones.copy(), ones.copy(), (n - 1.0) * ones, np.zeros_like(energy))
-    touching = np.flatnonzero(energy > min(shell.contact_energies, default=np.inf))
+    return ShellRatios(*shell.ratios(energy))
+
+
+def _untouched(potential: ReducedPotential, energy: Array) -> Array:
+    """The ratios where nothing is touched: exact."""
+    found = np.ones((4, energy.size))
+    found[2], found[3] = potential.n - 1.0, 0.0
+    return found
+
+
+def _beyond_contact(
+    potential: ReducedPotential, first: float, table: ShellTable, energy: Array
+) -> Array:
+    """The ratios, from ``table`` where the energy exceeds the first contact energy."""
+    found = _untouched(potential, energy)
+    touching = np.flatnonzero(energy > first)
     if touching.size:
-        found = shell.integrals(energy[touching])
-        result.states[touching] = found[:, 0]
-        result.volume[touching] = found[:, 1]
-        result.log_slope[touching] = found[:, 2]
-        result.error[touching] = found[:, 3]
-    return result
+        found[:, touching] = table(energy[touching]).T
+    return found
 
 
-def _integrated_ratios(potential: ReducedPotential, energy: Array) -> Array:
-    """Columns states, volume, log_slope and their relative error, by quadrature."""
+def integrated_ratios(potential: ReducedPotential, energy: Array) -> Array:
+    """Return columns states, volume, log_slope and their relative error, by quadrature.
+
+    For energies above the first contact energy and any number of contact masses.
+    """
     n, c = potential.n, potential.count
     sums, error = refined_sums(potential, energy, partial(shell_ray_integrals, potential), np.abs)
     a = n - 0.5 * c - 1.0
