@@ -39,10 +39,6 @@ def effects_of(system: System) -> Effects:
     """Return the effects that act in ``system``."""
     stops = system.stops
     noise = system.noise_matrix
-    right, left = (
-        sorted((s.mass, s.stiffness, s.clearance, s.law, s.power) for s in stops if s.side == side)
-        for side in ("right", "left")
-    )
     return Effects(
         masses=system.n,
         laws=tuple(sorted({stop.law for stop in stops})),
@@ -53,8 +49,21 @@ def effects_of(system: System) -> Effects:
         coupled_damping=bool(np.any(system.damping != np.diag(np.diag(system.damping)))),
         state_damping=bool(system.damping_terms),
         energy_damping=any(term.energy for term in system.damping_terms),
-        mirror=right == left and all(_even(term) for term in system.damping_terms),
+        mirror=looks_the_same_mirrored(system),
     )
+
+
+def looks_the_same_mirrored(system: System) -> bool:
+    """Whether the system is the same under q → −q."""
+    right, left = (
+        sorted(
+            (s.mass, s.stiffness, s.clearance, s.law, s.power)
+            for s in system.stops
+            if s.side == side
+        )
+        for side in ("right", "left")
+    )
+    return right == left and all(_even(term) for term in system.damping_terms)
 
 
 def _even(term: DampingTerm) -> bool:

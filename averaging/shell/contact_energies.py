@@ -40,11 +40,15 @@ def contact_energies(
 
 def _lowest(potential: ReducedPotential, subset: tuple[int, ...]) -> float:
     rows = potential.rows[list(subset)]
-    foot: Array = np.linalg.pinv(rows) @ potential.clearance[list(subset)]
     others = [s for s in range(len(potential.stops)) if s not in subset]
-    overlap = potential.rows[others] @ foot - potential.clearance[others]
-    if len(subset) == potential.count or np.all(overlap <= 0.0):
+    if len(subset) == potential.count:
+        # As many stops as masses: there is one such point.
+        foot: Array = np.linalg.solve(rows, potential.clearance[list(subset)])
         return float(0.5 * foot @ foot + _energy_of(potential, others, foot))
+    foot = np.linalg.pinv(rows) @ potential.clearance[list(subset)]
+    overlap = potential.rows[others] @ foot - potential.clearance[others]
+    if np.all(overlap <= 0.0):
+        return float(0.5 * foot @ foot)
     _, _, basis = np.linalg.svd(rows)
     free = basis[len(subset) :].T
 

@@ -4,10 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky
 
 from fpk.contact import Contact
-from fpk.effects import effects_of
+from fpk.effects import looks_the_same_mirrored
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -62,7 +61,7 @@ def reduced_potential(system: System, *extra: int) -> ReducedPotential:
     """
     masses = tuple(sorted({*system.contact_masses, *extra}))
     compliance = compliance_matrix(system)[np.ix_(masses, masses)]
-    L = cholesky(compliance, lower=True) if masses else np.zeros((0, 0))
+    L = np.linalg.cholesky(compliance) if masses else np.zeros((0, 0))
     stops = system.stops
     signs = np.array([1.0 if stop.side == "right" else -1.0 for stop in stops])
     rows = np.array([L[masses.index(stop.mass)] for stop in stops]).reshape(len(stops), len(masses))
@@ -73,5 +72,5 @@ def reduced_potential(system: System, *extra: int) -> ReducedPotential:
         stops=stops,
         rows=signs[:, None] * rows,
         clearance=np.array([stop.clearance for stop in stops], dtype=float),
-        mirror=effects_of(system).mirror,
+        mirror=looks_the_same_mirrored(system),
     )
