@@ -20,7 +20,8 @@ FUNCTIONALS = ("mean energy", "integral of p²")
 class Answer:
     """A density of one or two energies: smooth between ``panels``, zero beyond them.
 
-    ``l1_error`` is its own estimate of its L1 error.
+    ``l1_error`` is its own estimate of its L1 error; ``made`` says how it was made where a route
+    has several ways.
     """
 
     panels: tuple[Array, ...]
@@ -28,6 +29,7 @@ class Answer:
     l1_error: float
     unknowns: int
     degree: int = 0
+    made: str = ""
 
 
 def errors(answer: Answer, reference: Answer) -> dict[str, float]:

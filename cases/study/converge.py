@@ -32,6 +32,7 @@ class Studied:
     theory: str
     equation: str
     observable: str
+    dimension: int
     reference: str
     reference_error: float
     ladders: tuple[Ladder, ...]
@@ -154,6 +155,7 @@ def _studied(equation: Equation, progress: Progress) -> Studied:
         theory=equation.theory,
         equation=equation.name,
         observable=observable_name(equation.observable),
+        dimension=equation.dimension,
         reference=equation.reference_words,
         reference_error=equation.reference.l1_error,
         ladders=ladders(equation, progress=progress),

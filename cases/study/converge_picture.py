@@ -11,6 +11,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from cases.pictures.style import COLOURS, INK, STYLE
 from cases.study.converge import ConvergenceStudy, Studied
 from cases.study.ladders import Ladder
+from cases.study.names import BY_TOL_WORDS
 from cases.study.weak_fit import WeakOrder
 
 HALO: Any = {"boxstyle": "square,pad=0.1", "fc": "#f4f4f4", "ec": "none", "alpha": 0.85}
@@ -56,9 +57,8 @@ def _draw_ladders(axes: Axes, studied: Studied) -> None:
         words = _label(ladder)
         axes.plot(N, e, color=colour, marker=marker, markersize=3.6, lw=1.2, label=words)
         if ladder.degree:
-            dimension = 2 if "," in studied.observable else 1
             slope = N[-3:] / N[-1]
-            theory = 0.5 * e[-1] * slope ** (-(ladder.degree + 1.0) / dimension)
+            theory = 0.5 * e[-1] * slope ** (-(ladder.degree + 1.0) / ladder.dimension)
             axes.plot(N[-3:], theory, color=colour, lw=0.8, ls=(0, (4, 2)))
     axes.set(xscale="log", yscale="log", xlabel="unknowns $N$")
     axes.set_title(f"{studied.equation}; dashed: order of theory")
@@ -99,7 +99,7 @@ def _label(ladder: Ladder) -> str:
     order = ladder.verdicts["L1"].order
     if ladder.degree:
         return f"degree {ladder.degree}, finer: order {order:.2f}"
-    return {"p": "higher degree, same mesh", "hp": "hp elements, by tolerance"}[ladder.family]
+    return "higher degree, same mesh" if ladder.family == "p" else BY_TOL_WORDS[ladder.dimension]
 
 
 def _draw_schemes(axes: Axes, schemes: tuple[WeakOrder, ...]) -> None:

@@ -13,17 +13,19 @@ from matplotlib.ticker import LogLocator, NullLocator
 from cases.pictures.style import INK, STYLE
 from cases.study.cost import CostStudy
 from cases.study.labels import Label, decades, place
+from cases.study.names import BY_TOL, BY_TOL_WORDS, QUADRATURE, QUADRATURE_WORDS, elements
 from cases.study.priced import Point, Priced
 from cases.study.sampling_law import FULL
 from fpk.density import Array
 
 ROUTES = {
-    "FE p = 1": ("#8c8c86", "o", "elements of degree 1, finer meshes"),
-    "FE p = 2": ("#c08a1e", "s", "elements of degree 2"),
-    "FE p = 4": ("#2a9d6f", "^", "elements of degree 4"),
-    "FE p = 8": ("#2878b5", "D", "elements of degree 8"),
-    "FE hp": ("#d1603d", "v", "hp elements, by tolerance"),
-    "quadrature (11)": ("#9a6fc0", "P", "quadrature of (11), by tolerance"),
+    elements(1): ("#8c8c86", "o", "elements of degree 1, finer meshes"),
+    elements(2): ("#c08a1e", "s", "elements of degree 2"),
+    elements(4): ("#2a9d6f", "^", "elements of degree 4"),
+    elements(8): ("#2878b5", "D", "elements of degree 8"),
+    BY_TOL[1]: ("#d1603d", "v", BY_TOL_WORDS[1]),
+    BY_TOL[2]: ("#c23b80", "*", BY_TOL_WORDS[2]),
+    QUADRATURE: ("#9a6fc0", "P", QUADRATURE_WORDS),
     "simulation of (24)": ("#a8577e", "X", "simulation of (24), more paths"),
     "exact_flow, N": ("#5b8def", "o", "own scheme, chosen step, more samples"),
     "exact_flow, (dt, N)": ("#1f4e9c", "o", "own scheme, best step and samples"),

@@ -10,17 +10,18 @@ import numpy as np
 from cases.study.answer import Answer, errors
 from cases.study.equations import Equation
 from cases.study.ladders import TOLERANCES, h_meshes
+from cases.study.names import BY_TOL, QUADRATURE, elements
 from cases.study.priced import NotTimed, Point, Priced
 from cases.study.timing import timed_first, timing
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.method import Progress, silent
 
 DEGREES = (1, 2, 4, 8)
-LEVELS = {1: 7, 2: 4}
+LEVELS = {1: 7, 2: 5}
 LONGEST = 0.4
 """Seconds of one solve beyond which a route is not refined further: the next takes up to ten times
 as long in two dimensions."""
-BY_TOL = TOLERANCES[1::2]
+TIMED_TOLERANCES = TOLERANCES[1::2]
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Candidate:
 
 
 def candidates(equation: Equation) -> tuple[Candidate, ...]:
-    """Return FE p = 1, 2, 4, 8 in h, hp by tol, and quadrature where the equation has it."""
+    """Return elements in h, the solver steered by tol, and quadrature where there is one."""
     found = []
     for degree in DEGREES:
         meshes = h_meshes(equation, degree, LEVELS[equation.dimension])
@@ -47,13 +48,13 @@ def candidates(equation: Equation) -> tuple[Candidate, ...]:
             )
             for m in meshes
         ]
-        found.append(Candidate(f"FE p = {degree}", tuple(steps)))
-    by_tol = [(f"{tol:.0e}", partial(equation.adaptive, tol)) for tol in BY_TOL]
-    found.append(Candidate("FE hp", tuple(by_tol), by_tol=True))
+        found.append(Candidate(elements(degree), tuple(steps)))
+    by_tol = [(f"{tol:.0e}", partial(equation.adaptive, tol)) for tol in TIMED_TOLERANCES]
+    found.append(Candidate(BY_TOL[equation.dimension], tuple(by_tol), by_tol=True))
     if equation.quadrature is not None:
         solve = equation.quadrature
-        by_tol = [(f"{tol:.0e}", partial(solve, tol)) for tol in BY_TOL]
-        found.append(Candidate("quadrature (11)", tuple(by_tol), by_tol=True))
+        by_tol = [(f"{tol:.0e}", partial(solve, tol)) for tol in TIMED_TOLERANCES]
+        found.append(Candidate(QUADRATURE, tuple(by_tol), by_tol=True))
     return tuple(found)
 
 

@@ -9,32 +9,31 @@ import numpy as np
 
 from averaging.energy_process import energy_process
 from averaging.modal.analysis import modal_analysis
-from averaging.modal.energies import modal_energies
 from averaging.modal.internal import internal_refusal
 from averaging.modal.process import modes_process
 from averaging.modal.resonance import resonance_refusal
 from averaging.polynomial_rate import averaged_density
 from averaging.quadrature import solve_by_quadrature
 from cases.study.answer import Answer
+from cases.study.modal_parts import COARSEST as COARSEST_AXIS
+from cases.study.modal_parts import graded, mesh_ends, modal_reference, of_plane
 from fpk.density import Array
 from fpk.errors import NotApplicable
 from fpk.line.mesh import survey, truncation_energy
 from fpk.line.stationary import StationarySolution, solve_on_mesh, solve_stationary
 from fpk.observable import Observable, parse_observable
-from fpk.plane.stationary import PlaneSolution, solve_plane, solve_plane_on_mesh
+from fpk.plane.stationary import solve_plane, solve_plane_on_mesh
 from fpk.process import DiffusionProcess
 from fpk.system import System
 from fpk.vector_process import VectorProcess
 
-BEYOND = {1: 1e-14, 2: 1e-9}
-"""Share of the probability beyond given meshes, by the number of energies: far less than any error
-that their levels reach; it is part of the floor."""
+BEYOND = 1e-14
+"""Share of the probability beyond given meshes of one energy: far less than any error that their
+levels reach; it is part of the floor."""
 FINEST = 1e-12
 """Tolerance of the numerical reference where there is no closed form."""
 COARSEST = {1: 8, 2: 8, 4: 8, 8: 2}
 """Elements of the coarsest mesh of one energy, by degree."""
-COARSEST_AXIS = {1: 8, 2: 6, 4: 3, 8: 1}
-"""Elements an axis of the coarsest mesh of two energies, by degree."""
 
 
 class Clock:
@@ -101,7 +100,7 @@ def energy_equation(system: System, *, changed: Changed = unchanged) -> Equation
     process = replace(process, coefficients=clock.timed(process.coefficients))
     reference, words = _energy_reference(system, right)
     # The mesh must reach as far as the true density does: it comes from the right process.
-    end = truncation_energy(survey(right), BEYOND[1])
+    end = truncation_energy(survey(right), BEYOND)
 
     def coarsest(degree: int) -> tuple[Array, ...]:
         inside = [H for H in right.nonsmooth if end > H]
@@ -140,10 +139,9 @@ def _energy_reference(system: System, process: DiffusionProcess) -> tuple[Answer
 
 
 def modal_equation(system: System) -> Equation:
-    """Return (17) for p(H1, H2) of the first two modes.
+    """Return (17) for p(H1, H2) of the first two modes, its reference by ``modal_reference``.
 
-    Constant damping has (34) as its reference; where the damping depends on the state it is the hp
-    solution at 1e-12. Raises ``NotApplicable`` where the theory does, or n < 2.
+    Raises ``NotApplicable`` where the theory does, or n < 2.
     """
     modes = modal_analysis(system)
     if modes.n < 2:
@@ -156,24 +154,13 @@ def modal_equation(system: System) -> Equation:
     plain = modes_process(modes, [0, 1])
     clock = Clock()
     process = _timed(plain, clock)
-    if modes.state is None:
-        closed = modal_energies(
-            modes.temperature[:2], observable, relative=modes.relative_error, provenance={}
-        )
-        reference = Answer(closed.panels, closed.pdf, closed.l1_error, 0)
-        words = "closed form (34)"
-    else:
-        reference = _of_plane(solve_plane(plain, tol=FINEST))
-        words = f"hp elements, tol {FINEST:g}"
-    scales = np.array(plain.energy_scales)
-    ends = np.array([-np.log(BEYOND[2]) * scale for scale in scales])
-    if modes.state is not None:
-        ends = np.array([nodes[-1] for nodes in reference.panels])
+    reference, words = modal_reference(modes, plain, observable)
+    ends = mesh_ends(modes, plain)
 
     def coarsest(degree: int) -> tuple[Array, ...]:
         first, second = (
-            _graded(end / scale, COARSEST_AXIS.get(degree, 1), degree) * scale
-            for end, scale in zip(ends, scales, strict=True)
+            graded(end, COARSEST_AXIS.get(degree, 1), degree) * scale
+            for end, scale in zip(ends, plain.energy_scales, strict=True)
         )
         return first, second
 
@@ -184,23 +171,13 @@ def modal_equation(system: System) -> Equation:
         reference=reference,
         reference_words=words,
         coarsest=coarsest,
-        on_mesh=lambda nodes, degree: _of_plane(
+        on_mesh=lambda nodes, degree: of_plane(
             solve_plane_on_mesh(process, (nodes[0], nodes[1]), degree)
         ),
-        adaptive=lambda tol: _of_plane(solve_plane(process, tol=tol)),
+        adaptive=lambda tol: of_plane(solve_plane(process, tol=tol)),
         quadrature=None,
         coefficients=clock,
     )
-
-
-def _graded(end: float, count: int, degree: int) -> Array:
-    """Nodes from 0 to ``end`` with equal shares of the L1 error of e^(−x) by ``degree``.
-
-    The share of an element is h^(p+2) |f^(p+1)|, so that h ~ e^(x/(p+2)).
-    """
-    c = degree + 2.0
-    share = np.linspace(0.0, 1.0, count + 1)
-    return np.asarray(-c * np.log1p(share * np.expm1(-end / c)))
 
 
 def _timed(process: VectorProcess, clock: Clock) -> VectorProcess:
@@ -214,7 +191,3 @@ def _timed(process: VectorProcess, clock: Clock) -> VectorProcess:
 
 def _of_line(s: StationarySolution) -> Answer:
     return Answer((s.nodes,), s.density, s.l1_error, s.unknowns, s.degree)
-
-
-def _of_plane(s: PlaneSolution) -> Answer:
-    return Answer(s.nodes, s.density, s.l1_error, s.unknowns, s.answer.degree)

@@ -10,8 +10,10 @@ from cases.errors import BadInput
 from cases.scene import load_scene
 from cases.study.answer import FUNCTIONALS, NORMS, errors
 from cases.study.converge import chosen_routes
+from cases.study.deterministic import candidates
 from cases.study.equations import energy_equation, modal_equation
-from cases.study.ladders import P_DEGREES, bisected, degree_ladder, ladders
+from cases.study.ladders import H_LEVELS, P_DEGREES, degree_ladder, h_meshes, ladders
+from cases.study.names import BY_TOL, BY_TOL_WORDS, EXPLAINED
 from cases.study.weak import known_square, sample_slope, weak_order
 from cases.study.weak_fit import ORDER_ERROR, StepLevel, judged, wanted_error
 from fpk.orders import NEAR, convergence, grid_convergence, observed_orders
@@ -166,19 +168,53 @@ def test_an_equation_that_is_not_the_right_one_does_not_converge():
     assert not found.levels[-1].honest
 
 
-def test_two_energies_approach_the_order_of_theory():
-    # The corner elements of a square are long: what four levels can show is that orders grow
-    # towards p + 1 and reach half of one below it at worst.
-    equation = modal_equation(load_scene("fig8b").system)
-    nodes = equation.coarsest(2)
-    errors_found = []
-    for _ in range(3):
-        answer = equation.on_mesh(nodes, 2)
-        errors_found.append(errors(answer, equation.reference)["L1"])
-        assert errors_found[-1] <= answer.l1_error
-        nodes = bisected(nodes)
-    orders = observed_orders(SIZES[:3], errors_found)
-    assert orders[1] > orders[0] and 2.5 <= orders[1] <= 3.0 + NEAR
+def plane_errors(equation, degree):
+    found = []
+    for nodes in h_meshes(equation, degree, H_LEVELS[2]):
+        answer = equation.on_mesh(nodes, degree)
+        found.append(errors(answer, equation.reference))
+        assert found[-1]["L1"] <= answer.l1_error + equation.reference.l1_error
+    return {key: [e[key] for e in found] for key in NORMS}
+
+
+@pytest.mark.parametrize("scene", ["fig6b", "vanderpol-modal"])
+def test_two_energies_show_the_order_of_theory(scene):
+    # Equation (34) and, with damping that depends on the energies, plain elements as reference.
+    found = plane_errors(modal_equation(load_scene(scene).system), 2)
+    orders = observed_orders(SIZES[:5], found["L1"])
+    assert np.all(np.abs(orders[-2:] - 3.0) <= NEAR)
+    assert np.all(np.diff(np.abs(orders - 3.0)) < 0.0)
+
+
+def test_the_largest_error_of_degree_one_has_the_logarithm_of_theory():
+    # e = C h² (k + b) at h = 2^-k: the order is 2 - log2(1 + 1/(k + b)), so that 1/(2^(2 - order)
+    # - 1) = k + b grows by one a level; a power of h alone would make it grow without a limit.
+    found = plane_errors(modal_equation(load_scene("fig6b").system), 1)
+    orders = observed_orders(SIZES[:5], found["max"])
+    steps = np.diff(1.0 / np.expm1((2.0 - orders) * np.log(2.0)))
+    np.testing.assert_allclose(steps[-2:], 1.0, atol=0.25)
+
+
+@pytest.mark.parametrize("scene", ["vanderpol-modal", "vanderpol"])
+def test_damping_terms_have_a_reference_by_another_method(scene):
+    equation = modal_equation(load_scene(scene).system)
+    assert equation.reference_words.startswith("plain elements (w = 1)")
+    assert equation.reference.made == "w = 1" and equation.reference.l1_error < 1e-10
+    for tol in (1e-4, 1e-8):
+        answer = equation.adaptive(tol)
+        assert answer.made == "" and answer.degree != equation.reference.degree
+        true = errors(answer, equation.reference)["L1"]
+        assert true <= answer.l1_error + equation.reference.l1_error
+        assert true > equation.reference.l1_error  # what is seen is the answer's error
+
+
+def test_the_route_by_tolerance_is_called_what_it_is():
+    # Two energies have no hp elements: p = w u is expanded once.
+    assert set(BY_TOL) == set(BY_TOL_WORDS) == set(EXPLAINED) == {1, 2}
+    equation = modal_equation(load_scene("fig6b").system)
+    names = {c.route for c in candidates(equation)} | {degree_ladder(equation).name}
+    assert BY_TOL[2] == "weighted, tol" and BY_TOL[2] in names
+    assert not any("hp" in name for name in (*names, BY_TOL_WORDS[2]))
 
 
 def test_the_exact_scene_knows_its_moment_and_the_samples_their_slope():
@@ -216,7 +252,7 @@ def test_the_command_prints_one_object_and_leaves_files(fpk, tmp_path):
     record = json.loads(out)
     assert status == 0 and record["scene"] == "fig6b"
     families = {ladder["name"] for ladder in record["equations"][0]["ladders"]}
-    assert families == {"h, p = 1", "h, p = 2", "h, p = 4", "p on a fixed mesh", "hp by tol"}
+    assert families == {"h, p = 1", "h, p = 2", "h, p = 4", "p on a fixed mesh", BY_TOL[1]}
     assert "not a bound" in record["limits_of_the_index"]
     for ending in ("md", "nc", "svg"):
         assert (tmp_path / f"converge.{ending}").stat().st_size > 1000

@@ -17,6 +17,7 @@ from cases.study.deterministic import Candidate, candidates, priced
 from cases.study.equations import energy_equation
 from cases.study.full_system import full_reference
 from cases.study.labels import decades
+from cases.study.names import BY_TOL, QUADRATURE
 from cases.study.priced import NotTimed, Point, Priced, crossovers, price_list, promised_list
 from cases.study.sampled import full_routes
 from cases.study.sampling_law import FULL, Law
@@ -57,7 +58,7 @@ def test_a_slightly_wrong_answer_is_named_with_what_it_disagrees_by():
     good, (caught,) = priced(equation, offered)
     assert caught.route == "wrong" and not caught.baseline
     assert abs(caught.distance - 1e-6) < 2e-8 and caught.allowed < 2e-8
-    assert {r.route for r in good} == {"quadrature (11)"}
+    assert {r.route for r in good} == {QUADRATURE}
     found = replace(EMPTY, routes=tuple(good), not_timed=(caught,))
     assert len(found.problems) == 1 and "wrong" in found.problems[0]
 
@@ -153,7 +154,7 @@ def table_of_fig6b():
     """The part of the table of fig6b that is said to hold for other scenes: ten digits."""
     equation = energy_equation(load_scene("fig6b").system)
     steered = [c for c in candidates(equation) if c.by_tol]
-    assert {c.route for c in steered} == {"FE hp", "quadrature (11)"}
+    assert {c.route for c in steered} == {BY_TOL[1], QUADRATURE}
     good, bad = priced(equation, steered)
     assert not bad
     return promised_list(good, range(1, 11))
@@ -169,7 +170,7 @@ def test_settings_of_one_scene_keep_their_digits_on_three_others(table_of_fig6b,
     for c in table_of_fig6b:
         settings[c.route, c.point.settings].append(c.digits)
     for (route, tol), digits in settings.items():
-        solve = equation.adaptive if route == "FE hp" else equation.quadrature
+        solve = equation.adaptive if route == BY_TOL[1] else equation.quadrature
         answer = solve(float(tol))
         true = errors(answer, equation.reference)["L1"]
         assert true <= 10.0 ** -max(digits)
