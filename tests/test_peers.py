@@ -1,12 +1,16 @@
 """The benchmark of other programs: what needs only SciPy and scikit-fem runs, the rest is named."""
 
 import json
+import runpy
 import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from fpk.quadrature import panel_rule
 
 ROOT = Path(__file__).resolve().parent.parent
 PEERS = ROOT / "benchmarks" / "peers"
@@ -29,13 +33,53 @@ def test_smallest_settings_print_measurements(script: str) -> None:
     done = run(str(PEERS / script), "--smallest")
     assert done.returncode == 0, done.stderr
     lines = [json.loads(line) for line in done.stdout.splitlines()]
-    assert {"W1", "W2"} <= {line["problem"] for line in lines}
+    assert {"W1", "W2", "W3"} <= {line["problem"] for line in lines}
     for line in lines:
         assert set(line) == KEYS | {"note"}
         # With mass one on both sides ∫|p_h − p| <= 2 unless p_h is negative; all are far below.
         assert 0.0 < line["L1"] < 0.1
         assert abs(line["mass"] - 1.0) < 1e-6
         assert line["seconds"] > 0.0 and line["unknowns"] > 0
+
+
+def test_the_density_of_the_coupled_problem_is_stationary() -> None:
+    """E[s · ∇v + ½ b : ∇∇v] = 0 for every v, here monomials; not so without b_12."""
+    problem = runpy.run_path(str(PEERS / "coupled.py"))["Mixture"]("W3")
+    H, w = (a.ravel() for a in panel_rule(np.linspace(0.0, 60.0, 61), 16))
+    at = np.array([a.ravel() for a in np.meshgrid(H, H, indexing="ij")])
+    x, y = at
+    p = np.outer(w, w).ravel() * problem.exact(at)
+    (s, t), (b, d), divergence = problem.coefficients(at)
+    c = problem.cross(at)
+    of = problem.process
+    full = of.diffusion(at.T)
+    assert np.array_equal(np.moveaxis(full, 0, -1), [[b, c], [c, d]])
+    assert np.array_equal(of.drift(at.T).T, [s, t])
+    assert np.array_equal(of.diffusion_divergence(at.T).T, divergence)
+    identities = (
+        (s,), (t,), (2 * x * s, b), (2 * y * t, d), (y * s, x * t, c),
+        (2 * x * y * s, x**2 * t, y * b, 2 * x * c),
+    )  # fmt: skip
+    # Round-off of a sum of 960² numbers, as a random walk: 960 eps = 2e-13 of their sizes.
+    assert abs(p.sum() + problem.tail((60.0, 60.0)) - 1.0) < 2e-13
+    for terms in identities:
+        assert abs(p @ sum(terms)) < 2e-13 * sum(p @ np.abs(term) for term in terms)
+    *rest, _ = identities[4]
+    assert abs(p @ sum(rest)) > 0.1 * sum(p @ np.abs(term) for term in rest)
+
+
+def test_probability_circulates_in_the_coupled_problem() -> None:
+    """The slopes of ln p that fit no flux, b⁻¹ (2s − ∇·b), are no gradient."""
+    process = runpy.run_path(str(PEERS / "coupled.py"))["Mixture"]("W3").process
+
+    def slope(x: float, y: float) -> np.ndarray:
+        at = np.array([[x, y]])
+        flow = 2.0 * process.drift(at) - process.diffusion_divergence(at)
+        return np.linalg.solve(process.diffusion(at)[0], flow[0])
+
+    curl = slope(1.001, 0.8)[1] - slope(0.999, 0.8)[1]
+    curl -= slope(1.0, 0.801)[0] - slope(1.0, 0.799)[0]
+    assert abs(curl / 0.002) > 0.1
 
 
 @pytest.mark.parametrize("module", OTHERS)

@@ -16,7 +16,6 @@ import numpy as np
 from problems import ALPHA, DAMPING, NOISE, PROBLEMS
 
 from averaging.energy_process import energy_balance, energy_process
-from averaging.modal.process import modal_process
 from averaging.quadrature import solve_by_quadrature
 from averaging.shell.ratios import energy_shell
 from fpk.line.stationary import solve_stationary
@@ -49,7 +48,7 @@ def quadrature(problem, tol):
 
 def plane(problem, tol):
     """Return the hp solution in two energies."""
-    return solve_plane(modal_process(problem.system), tol=tol)
+    return solve_plane(problem.process, tol=tol)
 
 
 def lean(problem):

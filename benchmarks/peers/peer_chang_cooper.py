@@ -8,7 +8,7 @@ from measure import Setting, cells, measure_all  # first: NumPy then has one thr
 
 import numpy as np
 from problems import PROBLEMS
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, diags_array, eye_array, kron
 from scipy.sparse.linalg import splu
 
 LINE_END, PLANE_END = 8.0, 20.0
@@ -20,7 +20,7 @@ def solved(problem, count):
     scale = [LINE_END] if problem.dimension == 1 else PLANE_END * problem.temperature
     edges = [np.linspace(0.0, end, count + 1) for end in scale]
     number = np.arange(count**problem.dimension).reshape([count] * problem.dimension)
-    rows, columns, entries = [], [], []
+    rows, columns, entries, mixed = [], [], [], []
     for axis, edge in enumerate(edges):
         axes = [0.5 * (e[1:] + e[:-1]) for e in edges]
         axes[axis] = edge[1:-1]  # no flux crosses the outermost edges
@@ -37,12 +37,29 @@ def solved(problem, count):
             rows += [row, row]
             columns += [left, right]
             entries += [sign * upper.ravel(), -sign * lower.ravel()]
+        if problem.dimension == 2 and (cross := problem.cross(at)) is not None:
+            mixed += [_mixed(cross, axis, edges, left, right)]
     A = coo_array((np.hstack(entries), (np.hstack(rows), np.hstack(columns)))).tocsc()
+    A = sum(mixed, A).tocsc()
     pin = int(number[tuple([count // 32] * problem.dimension)])
     rest = np.delete(number.ravel(), pin)
     p = np.ones(number.size)
     p[rest] = splu(A[rest][:, rest].tocsc()).solve(-A[rest][:, [pin]].toarray().ravel())
     return edges, p / (p.sum() * np.prod([e[1] for e in edges]))
+
+
+def _mixed(cross, axis, edges, left, right):
+    """Minus the divergence of the flux −½ b₁₂ ∂p along the other axis: central, not positive."""
+    n = edges[0].size - 1
+    steps = diags_array([-0.5, 0.5], offsets=[-1, 1], shape=(n, n)).tolil()
+    steps[0, [0, 1]] = steps[-1, [-2, -1]] = -1.0, 1.0  # one-sided at the walls
+    slope = kron(eye_array(n), steps) if axis == 0 else kron(steps, eye_array(n))
+    slope = slope.tocsr() / edges[1 - axis][1]
+    flux = diags_array(-0.25 * cross.ravel()) @ (slope[left] + slope[right])
+    faces = np.arange(left.size)
+    out = coo_array((np.ones(left.size), (left, faces)), shape=(n * n, left.size))
+    into = coo_array((np.ones(left.size), (right, faces)), shape=(n * n, left.size))
+    return (into - out) @ flux / edges[axis][1]
 
 
 def _bernoulli(w):
@@ -69,4 +86,5 @@ if __name__ == "__main__":
     settings = [setting("W1", count) for count in (1_000, 8_000, 200_000)]
     settings += [setting(name, 16_000) for name in others]
     settings += [setting("W2", count) for count in (32, 128, 256, 512)]
+    settings += [setting("W3", count) for count in (64, 128, 256)]
     measure_all("Chang-Cooper", "scipy", settings)

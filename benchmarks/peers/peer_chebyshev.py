@@ -123,10 +123,22 @@ def plane(problem, n, ends):
             A[k, -1, k, :] = flux[:, -1]
     mass = np.outer(*(0.5 * end * weights for end in ends)).ravel()
     A = A.reshape(m * m, m * m)
+    if (cross := problem.cross(at)) is not None:
+        A -= mixed(cross, 2.0 / ends[0] * D, 2.0 / ends[1] * D)
     A[0] = mass
     right = np.zeros(m * m)
     right[0] = 1.0
     return ends, np.linalg.solve(A, right).reshape(m, m)
+
+
+def mixed(cross, first, second):
+    """Return ∂₁∂₂(b₁₂ p), and at the far ends its part of the flux, ½ ∂(b₁₂ p) along them."""
+    m = len(first)
+    rows = first[:, None, :, None] * second[None, :, None, :]
+    last = np.eye(m)[-1]
+    rows[-1] = 0.5 * last[:, None] * second[:, None, :]
+    rows[:, -1] = 0.5 * first[:, :, None] * last
+    return rows.reshape(m * m, m * m) * cross.ravel()
 
 
 def plane_sampled(answer):
@@ -154,11 +166,11 @@ def line_setting(name, degrees, end, mapped=False):
     )
 
 
-def plane_setting(n, reach):
+def plane_setting(name, n, reach):
     """Return one measurement in two energies, the box ``reach`` means long."""
-    problem = PROBLEMS["W2"]
+    problem = PROBLEMS[name]
     return Setting(
-        "W2",
+        name,
         f"tensor, degree {n}, box {reach:g} means",
         partial(plane, problem, n, tuple(float(reach * t) for t in problem.temperature)),
         plane_sampled,
@@ -175,12 +187,23 @@ def settings():
     two = "W1, two contact energies"
     found += [line_setting(two, (d[0], d[1], d[1]), e) for d, e in SPLIT]
     found += [line_setting(two, (d[0], d[1], d[1]), e, mapped=True) for d, e in MAPPED]
-    return found + [plane_setting(*step) for step in PLANE]
+    found += [plane_setting("W2", *step) for step in PLANE]
+    return found + [plane_setting("W3", *step) for step in COUPLED]
 
 
 SPLIT = (((8, 48), 6.5), ((10, 96), 7.5), ((10, 160), 7.5), ((10, 224), 7.5), ((10, 288), 7.5))
 MAPPED = (((8, 32), 6.5), ((8, 48), 7.0), ((10, 72), 7.5), ((10, 96), 7.5), ((10, 128), 7.5))
 PLANE = ((14, 12.0), (18, 14.0), (22, 18.0), (26, 22.0), (30, 26.0), (36, 29.0), (40, 32.0))
+COUPLED = (
+    (20, 14.0),
+    (24, 15.0),
+    (30, 18.0),
+    (36, 20.0),
+    (42, 22.0),
+    (46, 24.0),
+    (48, 24.0),
+    (50, 26.0),
+)
 
 
 if __name__ == "__main__":

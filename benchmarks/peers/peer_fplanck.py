@@ -3,6 +3,7 @@
 Its units are made such that kT = 1 and the drag is 1/(½b). Its potential is −ln(½ b p) of the
 closed form, so that the answer is handed to it; from the force 2 s/b it has to find it. As released
 (0.2.2) it needs ``numpy.product``, which NumPy 2 took away: it is put back here.
+Its drag is one number an axis, so that its diffusion is diagonal: it cannot be asked for W3.
 """
 
 from functools import partial

@@ -1,8 +1,9 @@
-"""NGSolve: P2 on uniform meshes, p = 8 and 16 on graded ones with a node at each contact energy.
+"""NGSolve: P2 on uniform meshes, p = 8 to 16 on graded ones with a node at each contact energy.
 
-Condensed, sparse LU. The coefficients are evaluated by NumPy at the integration points of a whole
-mesh at once: a coefficient function evaluated point by point would cost hundreds of times more.
-Meshes and boxes were found by hand.
+Condensed, sparse LU. In two energies the coefficients are written as NGSolve's own functions. In
+one they are integrals, evaluated by NumPy at the integration points of a whole mesh at once: a
+function evaluated point by point would cost hundreds of times more. Meshes and boxes were found by
+hand.
 """
 
 from functools import partial
@@ -51,19 +52,23 @@ def mesh_of(axes):
     return ngs.Mesh(m)
 
 
-def integration(mesh, degree):
-    """Return the space of values at integration points, and the rule with the same points.
+def functions(problem, mesh, degree):
+    """Return ½b_ii, ½∇·b − s and ½b_12 as functions of NGSolve, and the rule to integrate with."""
+    if problem.dimension == 2:
+        s, b, slope, cross = problem.written(ngs.x, ngs.y, _sigmoid)
+        rest = [(0.5 * slope[i] - s[i]).Compile() for i in range(2)]
+        return [0.5 * d for d in b], rest, None if cross is None else 0.5 * cross, ngs.dx
+    # A space of values at integration points: its order is that of its polynomials, degree + 1
+    # points. Its GetIntegrationRules has no rule for intervals (6.2.2608): whoever passes it
+    # integrates at other points than the values belong to, see the page.
+    space = ngs.comp.IntegrationRuleSpace(mesh, order=degree)
+    rules = {ngs.SEGM: ngs.IntegrationRule(ngs.SEGM, 2 * degree)}
+    s, b, slope = problem.coefficients(at_points(space, ngs.x))
+    return [given(space, 0.5 * b)], [given(space, 0.5 * slope - s)], None, ngs.dx(intrules=rules)
 
-    In 1-D the order of the space is that of its polynomials, degree + 1 points, and its
-    ``GetIntegrationRules`` has no rule for intervals (6.2.2608): whoever passes it integrates at
-    other points than the values belong to; the graded answers were off by 0.10 to 0.16 in L1,
-    without a warning.
-    """
-    if mesh.dim == 1:
-        rules = {ngs.SEGM: ngs.IntegrationRule(ngs.SEGM, 2 * degree)}
-        return ngs.comp.IntegrationRuleSpace(mesh, order=degree), ngs.dx(intrules=rules)
-    space = ngs.comp.IntegrationRuleSpace(mesh, order=2 * degree)
-    return space, ngs.dx(intrules=space.GetIntegrationRules())
+
+def _sigmoid(z):
+    return 1.0 / (1.0 + ngs.exp(-z))
 
 
 def at_points(space, function):
@@ -84,17 +89,14 @@ def solved(problem, axes, degree):
     """Return the axes and p_h, of mass one."""
     mesh = mesh_of(axes)
     space = ngs.H1(mesh, order=degree)
-    points, rule = integration(mesh, degree)
-    names = (ngs.x, ngs.y)[: len(axes)]
-    at = np.array([at_points(points, name) for name in names])
-    s, b, slope = (np.reshape(a, at.shape) for a in problem.coefficients(
-        at[0] if problem.dimension == 1 else at
-    ))  # fmt: skip
+    diffusion, rest, cross, rule = functions(problem, mesh, degree)
     p, v = space.TnT()
     A = ngs.BilinearForm(space, condense=True)
     for i in range(len(axes)):
-        diffusion, rest = given(points, 0.5 * b[i]), given(points, 0.5 * slope[i] - s[i])
-        A += (diffusion * ngs.grad(p)[i] + rest * p) * ngs.grad(v)[i] * rule
+        flux = diffusion[i] * ngs.grad(p)[i] + rest[i] * p
+        if cross is not None:
+            flux += cross * ngs.grad(p)[1 - i]
+        A += flux * ngs.grad(v)[i] * rule
     A.Assemble()
     found = ngs.GridFunction(space)
     free = ngs.BitArray(space.FreeDofs(coupling=True))
@@ -153,14 +155,14 @@ def line_setting(name, degree, words, axes):
     )  # fmt: skip
 
 
-def plane_setting(degree, count, reach, words):
+def plane_setting(name, degree, count, reach, words):
     """Return one measurement in two energies; ``reach`` in multiples of each mean."""
-    problem = PROBLEMS["W2"]
+    problem = PROBLEMS[name]
     graded = words == "graded"
     share = graded_axis(count, reach, degree) if graded else np.linspace(0.0, reach, count + 1)
     axes = tuple(t * share for t in problem.temperature)
     return Setting(
-        "W2", f"p = {degree}, {words}, {count} elements an axis, box {reach:g} means",
+        name, f"p = {degree}, {words}, {count} elements an axis, box {reach:g} means",
         partial(solved, problem, axes, degree), sampled, lambda answer: answer[1].space.ndof,
     )  # fmt: skip
 
@@ -174,7 +176,21 @@ PLANE = (
     (8, 6, 21.0, "graded"),
     (8, 8, 24.0, "graded"),
     (8, 10, 26.0, "graded"),
+    (8, 12, 28.0, "graded"),
     (16, 5, 34.0, "graded"),
+)
+COUPLED = (
+    (2, 128, 20.0, "uniform"),
+    (8, 4, 18.0, "graded"),
+    (8, 6, 20.0, "graded"),
+    (8, 8, 22.0, "graded"),
+    (8, 12, 23.0, "graded"),
+    (8, 14, 24.0, "graded"),
+    (8, 16, 24.0, "graded"),
+    (12, 6, 24.0, "graded"),
+    (12, 8, 26.0, "graded"),
+    (16, 5, 26.0, "graded"),
+    (16, 6, 28.0, "graded"),
 )
 
 
@@ -190,7 +206,8 @@ def settings():
                 axes = graded_line(problem, *step)
                 words = f"graded, {axes[0].size - 1} elements, box {step[1]:g}"
                 found.append(line_setting(name, 8, words, axes))
-    return found + [plane_setting(*step) for step in PLANE]
+    found += [plane_setting("W2", *step) for step in PLANE]
+    return found + [plane_setting("W3", *step) for step in COUPLED]
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """py-pde: stepped in time until nothing changes, as it has no steady solver.
 
 Once in flux form, −div J with J = 0 at the walls, and once as its examples write an equation, term
-by term in one expression with a vanishing normal derivative on every side.
+by term in one expression with a vanishing normal derivative on every side. W3 is not asked of it:
+it gets no further in W2.
 """
 
 from functools import partial

@@ -20,6 +20,7 @@ ELEMENTS = {
 }
 LINE = ((1, 1_600), (1, 12_800), (1, 51_200), (2, 800), (2, 6_400), (2, 51_200))
 PLANE = ((1, 64), (1, 256), (1, 512), (2, 32), (2, 128), (2, 256))
+COUPLED = ((1, 64), (1, 256), (2, 32), (2, 128))
 """Degree and elements along an axis, each degree from its smallest."""
 
 
@@ -39,9 +40,12 @@ def solved(problem, degree, count):
             s, b, slope = problem.coefficients(w.x[0])
             return (0.5 * b * p.grad[0] + (0.5 * slope - s) * p) * v.grad[0]
         s, b, slope = problem.coefficients(w.x)
-        return sum(
+        total = sum(
             (0.5 * b[i] * p.grad[i] + (0.5 * slope[i] - s[i]) * p) * v.grad[i] for i in range(2)
         )
+        if (cross := problem.cross(w.x)) is not None:
+            total += 0.5 * cross * (p.grad[0] * v.grad[1] + p.grad[1] * v.grad[0])
+        return total
 
     @skfem.LinearForm
     def mass(v, w):
@@ -85,4 +89,5 @@ if __name__ == "__main__":
     settings += [setting("W1, B = 1e4", 2, 6_400), setting("W1, two contact energies", 2, 6_400)]
     settings += [setting("W1, one-sided", 2, 6_400)]
     settings += [setting("W2", *step) for step in PLANE]
+    settings += [setting("W3", *step) for step in COUPLED]
     measure_all("scikit-fem", "scikit-fem", settings)

@@ -4,22 +4,26 @@ Peers get the coefficients by their own quadrature of the level integrals, which
 points on each smooth part of the reduced potential and is several times cheaper than that of
 ``averaging.shell``, which knows no particular law and estimates its error. What they are judged
 against are the closed forms (29) and (34) of this program. W1 is fig6 with B = 10 and δ = 0.5, the
-energy p(H); W2 is fig8b, two uncoupled modal energies p(H1, H2); the rest are W1 with other stops.
+energy p(H); W2 is fig8b, two uncoupled modal energies p(H1, H2); W3 is coupled, see ``coupled.py``;
+the rest are W1 with other stops.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from coupled import Mixture
 from numpy.typing import NDArray
 
 from averaging.energy_density import EnergyDensity, averaged_closed_form
 from averaging.energy_process import energy_process
 from averaging.modal.analysis import modal_analysis
+from averaging.modal.process import modal_process
 from cases.scene import load_scene
 from fpk.contact import Contact
 from fpk.quadrature import gauss_legendre, panel_rule
 from fpk.system import System
+from fpk.vector_process import VectorProcess
 
 Array = NDArray[np.float64]
 
@@ -109,6 +113,11 @@ class Plane:
         """The scene's system, read from its file."""
         return load_scene(self.scene).system
 
+    @property
+    def process(self) -> VectorProcess:
+        """The averaged modal energies, from the system on, nothing remembered."""
+        return modal_process(self.system)
+
     @cached_property
     def rates(self) -> tuple[Array, Array]:
         """c*_ii/M*_i and d_i/M*_i of (33)."""
@@ -122,10 +131,20 @@ class Plane:
         return np.asarray(noise / damping)
 
     def coefficients(self, points: Array) -> tuple[Array, Array, Array]:
-        """Return s_i, b_ii and ∂b_ii/∂H_i at points (2, ...), each of that shape."""
+        """Return s_i, b_ii and Σ_j ∂b_ij/∂H_j at points (2, ...), each of that shape."""
         damping, noise = (r.reshape(2, *[1] * (points.ndim - 1)) for r in self.rates)
         constant = np.broadcast_to(2.0 * noise, points.shape)
         return noise - damping * points, 2.0 * noise * points, constant
+
+    def written(self, x, y, sigmoid):
+        """Return (s_1, s_2), (b_11, b_22), Σ_j ∂b_ij/∂H_j and no b_12, for symbols."""
+        found = [
+            (d - c * H, 2.0 * d * H, 2.0 * d) for c, d, H in zip(*self.rates, (x, y), strict=True)
+        ]
+        return *zip(*found, strict=True), None
+
+    def cross(self, points: Array) -> None:
+        """No b_12: None, for whoever can leave it out."""
 
     def exact(self, points: Array) -> Array:
         """p(H1, H2) of (34) at points (2, ...)."""
@@ -139,7 +158,7 @@ class Plane:
         return float(1.0 - inside[0] * inside[1])
 
 
-Problem = Line | Plane
+Problem = Line | Plane | Mixture
 PROBLEMS: dict[str, Problem] = {
     p.name: p
     for p in (
@@ -148,6 +167,7 @@ PROBLEMS: dict[str, Problem] = {
         Line("W1, two contact energies", (10.0, 0.5), (10.0, 0.8)),
         Line("W1, one-sided", None, (10.0, 0.5)),
         Plane("W2", "fig8b"),
+        Mixture("W3"),
     )
 }
 
