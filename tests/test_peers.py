@@ -33,7 +33,7 @@ def test_smallest_settings_print_measurements(script: str) -> None:
     done = run(str(PEERS / script), "--smallest")
     assert done.returncode == 0, done.stderr
     lines = [json.loads(line) for line in done.stdout.splitlines()]
-    assert {"W1", "W2", "W3"} <= {line["problem"] for line in lines}
+    assert {"W1", "W2", "W3", "W4"} <= {line["problem"] for line in lines}
     for line in lines:
         assert set(line) == KEYS | {"note"}
         # With mass one on both sides ∫|p_h − p| <= 2 unless p_h is negative; all are far below.
@@ -80,6 +80,16 @@ def test_probability_circulates_in_the_coupled_problem() -> None:
     curl = slope(1.001, 0.8)[1] - slope(0.999, 0.8)[1]
     curl -= slope(1.0, 0.801)[0] - slope(1.0, 0.799)[0]
     assert abs(curl / 0.002) > 0.1
+
+
+def test_the_peers_get_the_coefficients_of_the_scene() -> None:
+    problem = runpy.run_path(str(PEERS / "vanderpol.py"))["Averaged"]("W4", "vanderpol")
+    at = np.array([[0.0, 0.02, 0.3], [0.1, 0.4, 0.05]])
+    drift, diffusion, divergence = problem.coefficients(at)
+    np.testing.assert_allclose(drift, problem.process.drift(at.T).T, rtol=1e-13, atol=1e-16)
+    full = np.moveaxis(problem.process.diffusion(at.T), 0, -1)
+    np.testing.assert_allclose(full, [[diffusion[0], 0.0 * at[0]], [0.0 * at[0], diffusion[1]]])
+    np.testing.assert_allclose(divergence, problem.process.diffusion_divergence(at.T).T)
 
 
 @pytest.mark.parametrize("module", OTHERS)

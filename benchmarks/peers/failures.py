@@ -14,7 +14,7 @@ LEAST_ORDER = 1.0
 """Order in the unknowns an axis below which refining does not count as converging."""
 GROWN = 2.0
 """Factor on the unknowns from which two settings tell an order."""
-DIMENSION = {"W2": 2, "W3": 2}
+DIMENSION = {"W2": 2, "W3": 2, "W4": 2}
 
 
 def failures(lines: Sequence[Line]) -> list[list[str]]:

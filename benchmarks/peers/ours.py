@@ -116,7 +116,9 @@ def plane_sampled(solution):
 
 def estimated(solution):
     """Return the words on the solution's own estimate of its error."""
-    return f"estimate {solution.l1_error:.1e}"
+    words = f"estimate {solution.l1_error:.1e}"
+    certificate = getattr(solution, "certificate", None)
+    return words if certificate is None or certificate.certified else f"{words}, not certified"
 
 
 def settings():

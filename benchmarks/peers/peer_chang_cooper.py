@@ -86,5 +86,5 @@ if __name__ == "__main__":
     settings = [setting("W1", count) for count in (1_000, 8_000, 200_000)]
     settings += [setting(name, 16_000) for name in others]
     settings += [setting("W2", count) for count in (32, 128, 256, 512)]
-    settings += [setting("W3", count) for count in (64, 128, 256)]
+    settings += [setting(name, count) for name in ("W3", "W4") for count in (64, 128, 256)]
     measure_all("Chang-Cooper", "scipy", settings)

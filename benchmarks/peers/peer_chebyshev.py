@@ -188,7 +188,8 @@ def settings():
     found += [line_setting(two, (d[0], d[1], d[1]), e) for d, e in SPLIT]
     found += [line_setting(two, (d[0], d[1], d[1]), e, mapped=True) for d, e in MAPPED]
     found += [plane_setting("W2", *step) for step in PLANE]
-    return found + [plane_setting("W3", *step) for step in COUPLED]
+    found += [plane_setting("W3", *step) for step in COUPLED]
+    return found + [plane_setting("W4", *step) for step in CIRCULATING]
 
 
 SPLIT = (((8, 48), 6.5), ((10, 96), 7.5), ((10, 160), 7.5), ((10, 224), 7.5), ((10, 288), 7.5))
@@ -204,6 +205,8 @@ COUPLED = (
     (48, 24.0),
     (50, 26.0),
 )
+
+CIRCULATING = ((42, 7.0), (54, 8.0), (64, 9.0))
 
 
 if __name__ == "__main__":

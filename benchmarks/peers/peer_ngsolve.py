@@ -158,8 +158,9 @@ def line_setting(name, degree, words, axes):
 def plane_setting(name, degree, count, reach, words):
     """Return one measurement in two energies; ``reach`` in multiples of each mean."""
     problem = PROBLEMS[name]
-    graded = words == "graded"
-    share = graded_axis(count, reach, degree) if graded else np.linspace(0.0, reach, count + 1)
+    even = np.linspace(0.0, 1.0, count + 1)
+    share = {"uniform": reach * even, "squares": reach * even**2}.get(words)
+    share = graded_axis(count, reach, degree) if share is None else share
     axes = tuple(t * share for t in problem.temperature)
     return Setting(
         name, f"p = {degree}, {words}, {count} elements an axis, box {reach:g} means",
@@ -192,6 +193,17 @@ COUPLED = (
     (16, 5, 26.0, "graded"),
     (16, 6, 28.0, "graded"),
 )
+CIRCULATING = (
+    (2, 128, 10.0, "uniform"),
+    (8, 6, 8.0, "squares"),
+    (8, 8, 9.0, "squares"),
+    (8, 12, 10.0, "squares"),
+    (8, 17, 10.5, "squares"),
+    (12, 7, 10.5, "squares"),
+    (12, 9, 11.0, "squares"),
+    (16, 8, 12.0, "squares"),
+)
+"""Nodes are equidistant in √H: with both energies large p changes within a layer at the axes."""
 
 
 def settings():
@@ -207,7 +219,8 @@ def settings():
                 words = f"graded, {axes[0].size - 1} elements, box {step[1]:g}"
                 found.append(line_setting(name, 8, words, axes))
     found += [plane_setting("W2", *step) for step in PLANE]
-    return found + [plane_setting("W3", *step) for step in COUPLED]
+    found += [plane_setting("W3", *step) for step in COUPLED]
+    return found + [plane_setting("W4", *step) for step in CIRCULATING]
 
 
 if __name__ == "__main__":

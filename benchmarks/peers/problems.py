@@ -4,8 +4,8 @@ Peers get the coefficients by their own quadrature of the level integrals, which
 points on each smooth part of the reduced potential and is several times cheaper than that of
 ``averaging.shell``, which knows no particular law and estimates its error. What they are judged
 against are the closed forms (29) and (34) of this program. W1 is fig6 with B = 10 and δ = 0.5, the
-energy p(H); W2 is fig8b, two uncoupled modal energies p(H1, H2); W3 is coupled, see ``coupled.py``;
-the rest are W1 with other stops.
+energy p(H); W2 is fig8b, two uncoupled modal energies p(H1, H2); W3 and W4 are
+coupled, see ``coupled.py`` and ``vanderpol.py``; the rest are W1 with other stops.
 """
 
 from dataclasses import dataclass
@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from coupled import Mixture
 from numpy.typing import NDArray
+from vanderpol import Averaged
 
 from averaging.energy_density import EnergyDensity, averaged_closed_form
 from averaging.energy_process import energy_process
@@ -158,7 +159,7 @@ class Plane:
         return float(1.0 - inside[0] * inside[1])
 
 
-Problem = Line | Plane | Mixture
+Problem = Line | Plane | Mixture | Averaged
 PROBLEMS: dict[str, Problem] = {
     p.name: p
     for p in (
@@ -168,6 +169,7 @@ PROBLEMS: dict[str, Problem] = {
         Line("W1, one-sided", None, (10.0, 0.5)),
         Plane("W2", "fig8b"),
         Mixture("W3"),
+        Averaged("W4", "vanderpol"),
     )
 }
 

@@ -11,7 +11,7 @@ from math import inf
 OURS = "vibro-fpk"
 GIVEN = "hp on the peers' coefficients"
 ALONE = "coefficients alone"
-PLANES = ("W2", "W3")
+PLANES = ("W2", "W3", "W4")
 NOT_ANALYTIC = ("W1, B = 1e4", "W1, two contact energies", "W1, one-sided")
 Line = dict
 Choice = Callable[[Line], bool]
@@ -36,7 +36,7 @@ def whole(line: Line) -> bool:
 def given(line: Line) -> bool:
     """This program with the peers' coefficients; in two energies there is nothing to give.
 
-    Those of W2 cost next to nothing, and W3 is no system: all are given the same.
+    Those of W2 and W4 cost next to nothing, and W3 is no system: all are given the same.
     """
     return line["peer"] == OURS and line["setting"].startswith(GIVEN)
 
