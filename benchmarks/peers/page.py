@@ -109,8 +109,8 @@ OMISSIONS = """\
 - W4 is a scene on which this program was tuned (`plane.md`), and about ten settings each of NGSolve
   and Chebyshev collocation were tried on it. A mapping H = x², as in the meshes of NGSolve, was not
   tried for Chebyshev collocation, and would help it.
-- Not asked for W3: fplanck, whose diffusion is diagonal, and py-pde, which gets nowhere in W2. Nor
-  were they for W4.
+- Not asked for W3: fplanck, whose diffusion is diagonal, and py-pde, which gets nowhere in W2. For
+  W4 neither of them nor FiPy, whose answers are those of Chang-Cooper there, to save time.
   Chang-Cooper's fluxes have no off-diagonal term: central differences stand for it, which are not
   positive. FiPy's holds the last solution's p: it is solved nine times, then p no longer changes.
 - Unfair to FiPy and py-pde: made for other things; py-pde has no steady solver and is stepped in

@@ -83,5 +83,5 @@ if __name__ == "__main__":
     settings += [setting("W1, B = 1e4", 16_000), setting("W1, two contact energies", 16_000)]
     settings += [setting("W1, one-sided", 16_000)]
     settings += [setting("W2", count) for count in (32, 128, 256)]
-    settings += [setting(name, count) for name in ("W3", "W4") for count in (32, 128)]
+    settings += [setting("W3", count) for count in (32, 128)]
     measure_all("FiPy", "FiPy", settings)

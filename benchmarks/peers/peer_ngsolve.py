@@ -194,7 +194,6 @@ COUPLED = (
     (16, 6, 28.0, "graded"),
 )
 CIRCULATING = (
-    (2, 128, 10.0, "uniform"),
     (8, 6, 8.0, "squares"),
     (8, 8, 9.0, "squares"),
     (8, 12, 10.0, "squares"),
