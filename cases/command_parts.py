@@ -1,6 +1,8 @@
 """What the commands of ``fpk`` share: options, ends, JSON; nothing heavy is imported here."""
 
 import json
+import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -38,6 +40,43 @@ Checkpoint = Annotated[
     Path | None,
     typer.Option(metavar="DIR", help="Keep the simulation's state there and go on from it."),
 ]
+StudyFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--out", help="Folder for the study: tables (.md), numbers (.nc), picture (.svg)."
+    ),
+]
+FIRST_SEED = 1
+"""Seed of a study where none is given."""
+
+
+def begin_study(scene: str, out: Path | None) -> "Scene":
+    """Load the scene and make the folder of a study, so that a refusal comes before any work.
+
+    Linear algebra takes one thread from here on: small matrices gain nothing from more, and times
+    of routes can be compared then and do not depend on load.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from cases.files import make_folder
+    from cases.scene import load_scene
+
+    loaded = load_scene(scene)
+    if out is not None:
+        make_folder(out)
+    return loaded
+
+
+def end_study(
+    found: Any, text: Callable[[], str], written: Sequence[Path], *, as_json: bool
+) -> None:
+    """Print a study as its JSON object or as ``text`` with the files written; say its problems."""
+    if as_json:
+        print_json(found.record())
+    else:
+        typer.echo(text())
+        for path in written:
+            typer.echo(f"wrote {path}")
+    end_with(found.problems)
 
 
 def end_with(problems: Any) -> None:

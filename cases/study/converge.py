@@ -114,7 +114,11 @@ def study_convergence(
     threads: int | None = None,
     progress: Progress = silent,
 ) -> ConvergenceStudy:
-    """Measure how the errors of ``routes`` fall; ``seconds`` is for the steps of each scheme."""
+    """Measure how the errors of ``routes`` fall; ``seconds`` is for the steps of each scheme.
+
+    Of several routes those that do not apply are told; one alone raises ``NotApplicable`` or
+    ``NotCertified``.
+    """
     start = perf_counter()
     equations, refusals = [], {}
     without = None
@@ -126,6 +130,8 @@ def study_convergence(
             if route == "nonintegrable" and scene.system.contacts:
                 without = degree_ladder(make(replace(scene.system, contacts=())))
         except (NotApplicable, NotCertified) as reason:
+            if len(routes) == 1:  # it was asked for, and there is nothing else to show
+                raise
             refusals[route] = str(reason)
     schemes: list[WeakOrder] = []
     samples = None
@@ -144,6 +150,8 @@ def study_convergence(
             ]
             samples = sample_slope(scene.system, seed=seed, threads=threads)
         except NotApplicable as reason:
+            if len(routes) == 1:
+                raise
             refusals[SIMULATION] = str(reason)
     return ConvergenceStudy(
         scene, tuple(equations), without, tuple(schemes), samples, refusals, perf_counter() - start

@@ -183,8 +183,13 @@ def _told(s: WeakOrder) -> str:
     low, high = s.order_error
     base = "closed form" if s.known else "intercept of the regression"
     ratios = ", ".join(f"{o:.2f} ± {e:.2f}" for o, e in s.ratios) or "none resolved"
+    order = (
+        f"no weak order: the best fit is at the end of those tried, {low:.2f} to {high:.2f}"
+        if s.beyond
+        else f"weak order {s.order:.2f} ({low:.2f} to {high:.2f}, one s.e.)"
+    )
     words = (
-        f"{s.scheme}: weak order {s.order:.2f} ({low:.2f} to {high:.2f}, one s.e.), theory"
+        f"{s.scheme}: {order}, theory"
         f" {s.theory}: {s.verdict}; consecutive ratios: {ratios}; chi² {s.chi2:.1f} of {s.freedom}"
         f" with the order of theory; limit {s.limit:.6f} ± {s.limit_error:.1e} ({base}); standard"
         f" error wanted {s.wanted:.1e}"

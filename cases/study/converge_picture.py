@@ -112,7 +112,7 @@ def _draw_schemes(axes: Axes, schemes: tuple[WeakOrder, ...]) -> None:
         e, bar = np.array(s.errors), np.array(s.error_bars)
         low, high = s.order_error
         found = f"order {s.order:.1f} ± {0.5 * (high - low):.1f}"
-        told = "not resolved" if s.verdict == "not resolved" else found
+        told = s.verdict if s.beyond or s.verdict == "not resolved" else found
         axes.errorbar(
             dt, e, [np.minimum(bar, 0.9 * e), bar], color=colour, marker=marker, markersize=3.6,
             ls="", capsize=2, lw=1.0,

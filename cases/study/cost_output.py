@@ -9,6 +9,7 @@ from cases.fields import program_version
 from cases.files import write_by, write_text
 from cases.study.cost import CostStudy
 from cases.study.cost_picture import cost_figure
+from cases.study.names import BY_TOL, EXPLAINED
 from cases.study.priced import Point
 from cases.study.sampling_law import FULL
 from cases.study.tables import Table, markdown_text, shown
@@ -74,11 +75,11 @@ def _prices(study: CostStudy, equation: str) -> Table:
                 told_bytes(c.point.timing.memory),
             )
         )
-    remark = "≈: by the law of sampling, not run." if equation == FULL else ""
+    remarks = ["≈: by the law of sampling, not run."] if equation == FULL else []
+    there = {r.route for r in study.routes if r.equation == equation}
+    remarks += [EXPLAINED[d] for d, name in BY_TOL.items() if name in there]
     head = ("digits", "route", "settings", "time", "memory")
-    return Table(
-        f"{equation}: to get so many digits (L1)", head, tuple(rows), (remark,) if remark else ()
-    )
+    return Table(f"{equation}: to get so many digits (L1)", head, tuple(rows), tuple(remarks))
 
 
 def _promises(study: CostStudy) -> Table:

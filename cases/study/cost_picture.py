@@ -24,7 +24,7 @@ ROUTES = {
     elements(4): ("#2a9d6f", "^", "elements of degree 4"),
     elements(8): ("#2878b5", "D", "elements of degree 8"),
     BY_TOL[1]: ("#d1603d", "v", BY_TOL_WORDS[1]),
-    BY_TOL[2]: ("#c23b80", "*", BY_TOL_WORDS[2]),
+    BY_TOL[2]: ("#8c1d18", "h", BY_TOL_WORDS[2]),
     QUADRATURE: ("#9a6fc0", "P", QUADRATURE_WORDS),
     "simulation of (24)": ("#a8577e", "X", "simulation of (24), more paths"),
     "exact_flow, N": ("#5b8def", "o", "own scheme, chosen step, more samples"),

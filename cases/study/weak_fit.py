@@ -16,6 +16,8 @@ ORDER_ERROR = 0.25
 """One standard error of the order that a study asks for."""
 UNRESOLVED = 0.5
 """Error of the order above which neighbouring orders are not told apart, and it is not judged."""
+LOWEST_ORDER, HIGHEST_ORDER = 0.25, 10.0
+"""Orders between which the fit is sought."""
 
 Verdict = Literal["as theory", "pre-asymptotic", "not resolved", "unstable"]
 
@@ -59,6 +61,12 @@ class WeakOrder:
     wanted: float
     short: float
     verdict: Verdict
+
+    @property
+    def beyond(self) -> bool:
+        """Whether the best fit is at an end of the orders tried: no order is known."""
+        low, high = self.order_error
+        return low <= LOWEST_ORDER or high >= HIGHEST_ORDER
 
     @property
     def errors(self) -> list[float]:
@@ -130,7 +138,7 @@ def judged(
     ``wanted`` and ``short`` are handed through.
     """
     limit, slope, limit_error, slope_error = fit(levels, theory, truth)
-    orders: Array = np.linspace(0.25, 10.0, 391)
+    orders: Array = np.linspace(LOWEST_ORDER, HIGHEST_ORDER, 391)
     profile = np.array([_chi2(levels, r, truth) for r in orders])
     best = int(profile.argmin())
     inside = orders[profile <= profile[best] + 1.0]

@@ -259,6 +259,24 @@ def test_the_command_prints_one_object_and_leaves_files(fpk, tmp_path):
     assert "asymptotic" in (tmp_path / "converge.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(
+    ("scene", "words"), [("one-mass", "one mass"), ("near-resonance", "internal resonance")]
+)
+def test_a_route_that_alone_is_asked_for_and_does_not_apply_is_refused(fpk, scene, words):
+    status, out, err = fpk("converge", scene, "--route", "integrable", "--json")
+    assert status == 2 and not out and words in err and err.count("\n") == 1
+
+
+def test_a_fit_at_the_end_of_the_orders_tried_is_called_none():
+    # The bias of the two largest of five steps only: no power does that.
+    values = [1.0 + b for b in (1.0, 0.03, 0.0, 0.0, 0.0)]
+    levels = [StepLevel(dt, v, 1e-4, 1.0, 1.0) for dt, v in zip(STEPS, values, strict=True)]
+    found = judged("x", 0, 2, levels, None, 1e-4, 1.0)
+    assert found.beyond and found.verdict == "pre-asymptotic"
+    good = judged("x", 0, 2, levels_of(2, 1e-5, np.random.default_rng(7)), None, 1e-5, 1.0)
+    assert not good.beyond
+
+
 def test_a_wrong_route_is_refused_in_one_line(fpk):
     status, out, err = fpk("converge", "fig6b", "--route", "magic")
     assert status == 2 and not out and "nonintegrable" in err
