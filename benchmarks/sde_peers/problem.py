@@ -1,0 +1,90 @@
+"""The system that every package steps, as plain numbers, and what its samples are judged by.
+
+fig6's chain with equal c/D, so that p(q2) is known: dq = p dt,
+dp = −(K q + g(q2) e2 + c p) dt + √(2 D) dW, Eq. (6) with unit masses (D: ``E[W W'] = 2 D δ``).
+"""
+
+import sys
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import quad
+
+sys.path.append(str(Path(__file__).resolve().parent.parent))
+
+from accuracy import _weight, exact_scene, exact_square
+
+from fpk.contact import Contact
+from fpk.system import System
+
+Array = NDArray[np.float64]
+
+EDGES = np.linspace(-1.6, 1.6, 65)
+"""Bins of p(q2), those of ``accuracy.error_against_time``; beyond them is one bin more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Two unit masses: K (2, 2), c (2,), D (2,), stops of stiffness B at ±δ of the second."""
+
+    K: Array
+    c: Array
+    D: Array
+    B: float
+    clearance: float
+
+    @property
+    def noise(self) -> Array:
+        """√(2 D) (2,)."""
+        return np.sqrt(2.0 * self.D)
+
+    def force(self, q: Array) -> Array:
+        """Return K q + g(q2) e2 of displacements (2, paths), Eq. (2) with the power 3/2."""
+        force = self.K @ q
+        overlap = np.maximum(np.abs(q[1]) - self.clearance, 0.0)
+        force[1] += np.sign(q[1]) * self.B * overlap * np.sqrt(overlap)
+        return force
+
+    def start(self, paths: int, seed: int) -> Array:
+        """Return states (4, paths), q = 0 and momenta of the temperature ΣD/Σc."""
+        kT = self.D.sum() / self.c.sum()
+        p = np.sqrt(kT) * np.random.default_rng(seed).standard_normal((2, paths))
+        return np.vstack([np.zeros_like(p), p])
+
+
+def chain_of(system: System) -> Chain:
+    """Return the numbers of a system of two unit masses with one two-sided Hertz contact."""
+    right = next(stop for stop in system.stops if stop.side == "right")
+    return Chain(
+        system.stiffness_matrix,
+        np.diag(system.damping).copy(),
+        np.diag(system.noise_matrix).copy(),
+        float(right.stiffness),
+        float(right.clearance),
+    )
+
+
+def judged() -> Chain:
+    """Return the chain with equal c/D, whose p(q2) is exact."""
+    return chain_of(exact_scene())
+
+
+def printed() -> Chain:
+    """Return fig6 as the paper has it, weakly damped: it is where paths are lost."""
+    contacts = (Contact(1, "both", 10.0, 0.5),)
+    return chain_of(System([1.0, 1.0], [1.0, 1.0], [0.08, 0.04], [0.01, 0.02], contacts=contacts))
+
+
+def square() -> float:
+    """Return E q2² of ``judged``."""
+    return exact_square()
+
+
+def probabilities() -> Array:
+    """Return the exact probability of each bin of ``EDGES`` and, last, beyond them."""
+    norm = 2.0 * quad(_weight, 0, 6, points=[0.5])[0]
+    inside = np.array([quad(_weight, a, b)[0] / norm for a, b in pairwise(EDGES)])
+    return np.append(inside, 1.0 - inside.sum())

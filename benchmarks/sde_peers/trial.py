@@ -1,0 +1,290 @@
+"""What every package's script shares: how a scheme is tried, timed and judged, and its lines.
+
+A script lists its settings and says how a walk is made of one; ``measure_all`` prints JSON lines of
+three kinds. ``scheme``: one scheme at one step, the keys peer, version, kind, scheme, step, order,
+paths, ns (per particle-step), first (seconds of the first call, compilation in it), lost (share of
+paths), bias (relative, of E q2²), bias_error (one standard error), L1 (of p(q2), the sampling noise
+taken off) and L1_error; allowed (the step at which L1 is ``WANTED``), ns_time (per particle and
+unit time there), seconds (until the noise is ``WANTED``, too); allowed_square and ns_time_square
+(the same where the bias of E q2² is ``WANTED``); note. ``law``: L1 at the allowed step after a
+sampled time, and what A/√time says. ``lost``: the share of paths that fig6 as printed loses.
+
+Times are of the processor, one core: what else the machine does is not in them.
+"""
+
+import os
+
+os.environ.update(
+    OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1", NUMBA_NUM_THREADS="1"
+)
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from statistics import median
+from time import process_time
+from types import ModuleType
+from typing import Protocol
+
+import numpy as np
+from choice import best
+from numpy.typing import NDArray
+from problem import EDGES, Chain, judged, printed, probabilities, square
+
+Array = NDArray[np.float64]
+
+WANTED = 1e-3
+"""L1 of p(q2) that the allowed step leaves, and that times are derived for; bias of E q2²."""
+RESOLVED = 3.0
+"""Standard errors from which a bias is told from zero."""
+BURN_IN, BETWEEN = 40.0, 0.4
+"""Time before the first sample (the energy's rate is (c1 + c2)/2 = 0.3: e^-12 is left of the
+start), and time between samples."""
+REPEATS, LEAST = 7, 0.03
+"""Timed repeats, of so many seconds each at least."""
+JUDGED = 32
+"""Paths below which there is no standard error to judge a bias by: they are timed only."""
+LOST = 1e3
+"""Size of a state from which a path counts as lost; the energy there is 1e6 kT and more."""
+LOST_BY, LOST_STEP, LOST_PATHS = 200.0, 0.01, 1024
+CHECKED = (2e-3, 4e-3, 8e-3)
+CHECK_SECONDS = 2.5
+"""L1 at which the law of sampling is checked: the least that takes no more than so many seconds."""
+MISSING = 3
+"""Exit status of a script whose package is not installed."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One scheme at one step: ``order`` is its weak order, in theory, for this additive noise.
+
+    ``seconds`` of processor time are sampled for the bias. ``probe`` asks for the lost paths of
+    fig6 as printed, too.
+    """
+
+    scheme: str
+    step: float
+    order: int
+    paths: int
+    seconds: float = 3.0
+    note: str = ""
+    probe: bool = False
+
+
+class Walk(Protocol):
+    """Trajectories of one setting that have begun."""
+
+    def advance(self, steps: int) -> None:
+        """Make so many steps, and return when they are made."""
+
+    def states(self) -> Array:
+        """Return the states (4, paths): q1, q2, p1, p2."""
+
+
+Maker = Callable[[Setting, Chain, Array, int], Walk]
+"""From a setting, the system, states (4, paths) to start from and a seed."""
+
+
+def measure_all(peer: str, package: str, settings: Sequence[Setting], maker: Maker) -> None:
+    """Try the settings that the command line asks for and print the lines."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--smallest", action="store_true", help="the first setting, briefly")
+    parser.add_argument("--sampling", type=float, help="A of L1 = A/√(paths × time)")
+    arguments = parser.parse_args()
+    chosen = [replace(settings[0], seconds=0.2)] if arguments.smallest else settings
+    about = {"peer": peer, "version": version_of(package)}
+    found = []
+    for setting in chosen:
+        line = about | tried(setting, maker, arguments.sampling)
+        found.append(line)
+        print(json.dumps(line), flush=True)
+        if setting.probe and not arguments.smallest:
+            print(json.dumps(about | lost(setting, maker)), flush=True)
+    chosen_line = best(found, (peer,))
+    if chosen_line and arguments.sampling:
+        line = law(chosen[found.index(chosen_line)], chosen_line, maker, arguments.sampling)
+        if line:
+            print(json.dumps(about | line), flush=True)
+
+
+def tried(setting: Setting, maker: Maker, sampling: float | None) -> dict:
+    """Return the line of one setting; what a package raises is a finding and goes into the note."""
+    try:
+        walk, first = begun(setting, maker, judged())
+        advanced(walk, round(BURN_IN / setting.step), stride(setting))
+        ns = nanoseconds(walk, setting)
+        square_sums, counts = sampled(walk, setting)
+        gone = share_lost(walk)
+    except Exception as error:  # whatever a package raises is what this run found out
+        words = f"fails: {type(error).__name__}: {' '.join(str(error).split())}"[:160]
+        return described(setting, None, None, {}, {}, words)
+    judge = not gone and setting.paths >= JUDGED
+    found = {**square_bias(square_sums), **density_bias(counts)} if judge else {}
+    return described(setting, ns, sampling, {"first": first, "lost": gone}, found, "")
+
+
+def described(
+    setting: Setting, ns: float | None, sampling: float | None, about: dict, found: dict, words: str
+) -> dict:
+    """Return the line of kind ``scheme``; keys that were not found are None."""
+    line: dict = {"kind": "scheme", "scheme": setting.scheme, "step": setting.step}
+    line |= {"order": setting.order, "paths": setting.paths, "ns": ns}
+    line |= dict.fromkeys(("first", "lost", "bias", "bias_error", "L1", "L1_error")) | about | found
+    by_density = allowed_step(setting, line["L1"], line["L1_error"])
+    by_square = allowed_step(setting, line["bias"], line["bias_error"])
+    ns_time, ns_square = (ns / h if ns and h else None for h in (by_density, by_square))
+    seconds = 1e-9 * ns_time * (sampling / WANTED) ** 2 if ns_time and sampling else None
+    line |= {"allowed": by_density, "ns_time": ns_time, "seconds": seconds}
+    line |= {"allowed_square": by_square, "ns_time_square": ns_square}
+    return line | {"note": "; ".join(filter(None, [setting.note, words]))}
+
+
+def allowed_step(setting: Setting, bias: float | None, error: float | None) -> float | None:
+    """Return the step of bias ``WANTED`` by the weak order, from the bias at a step above it.
+
+    A bias below ``WANTED`` at the step leaves that step: nothing is extrapolated upward. None where
+    the bias cannot be told from zero and may be larger than ``WANTED``, or was not found.
+    """
+    if bias is None or error is None:
+        return None
+    if abs(bias) + 2.0 * error <= WANTED:
+        return setting.step
+    if abs(bias) < RESOLVED * error:
+        return None
+    return setting.step * min(1.0, WANTED / abs(bias)) ** (1.0 / setting.order)
+
+
+def begun(setting: Setting, maker: Maker, chain: Chain) -> tuple[Walk, float]:
+    """Return a walk and the seconds of its first steps, compilation in them."""
+    start = process_time()
+    walk = maker(setting, chain, chain.start(setting.paths, 17), 23)
+    walk.advance(stride(setting))
+    return walk, process_time() - start
+
+
+def stride(setting: Setting) -> int:
+    """Return the steps between two samples."""
+    return max(1, round(BETWEEN / setting.step))
+
+
+def sampled(walk: Walk, setting: Setting) -> tuple[Array, Array]:
+    """Return means of q2² over each path, and counts (2, bins): of each half of the paths."""
+    sums, counts, samples = np.zeros(setting.paths), np.zeros((2, EDGES.size)), 0
+    end = process_time() + setting.seconds
+    while process_time() < end:
+        walk.advance(stride(setting))
+        q = walk.states()[1]
+        with np.errstate(over="ignore", invalid="ignore"):  # lost paths are counted at the end
+            sums += q**2
+        counts += counted(q)
+        samples += 1
+    return sums / samples, counts
+
+
+def counted(q: Array) -> Array:
+    """Return counts (2, bins) of two halves of q2 (paths,); the last bin is beyond ``EDGES``."""
+    bins, half = EDGES.size - 1, q.size // 2
+    inside = (q >= EDGES[0]) & (q < EDGES[-1])
+    share = (np.where(inside, q, EDGES[0]) - EDGES[0]) / (EDGES[-1] - EDGES[0])
+    where = np.where(inside, np.minimum((bins * share).astype(int), bins - 1), bins)
+    halves = (where[:half], where[half:])
+    return np.array([np.bincount(w, minlength=bins + 1) for w in halves], dtype=float)
+
+
+def square_bias(means: Array) -> dict[str, float]:
+    """Return bias and bias_error from the means of the paths, which are independent."""
+    exact = square()
+    error = means.std(ddof=1) / np.sqrt(means.size)
+    return {"bias": float(means.mean() / exact - 1.0), "bias_error": float(error / exact)}
+
+
+def density_bias(counts: Array) -> dict[str, float]:
+    """Return L1 and L1_error of p(q2) from the counts (2, bins) of two independent halves.
+
+    Half their difference has the noise of their mean and no bias: its L1 is taken off in quadrature
+    (exact for Gaussian noise where bias and noise are of one shape over the bins). Half of it is
+    the error: the L1 of noise of 65 correlated bins scatters by less.
+    """
+    halves = counts / counts.sum(axis=1, keepdims=True)
+    whole = np.abs(halves.mean(axis=0) - probabilities()).sum()
+    noise = 0.5 * np.abs(halves[0] - halves[1]).sum()
+    return {"L1": float(np.sqrt(max(whole**2 - noise**2, 0.0))), "L1_error": float(0.5 * noise)}
+
+
+def advanced(walk: Walk, steps: int, every: int) -> None:
+    """Make at least ``steps`` steps, ``every`` at a time: what is compiled is for that number."""
+    for _ in range(-(-steps // every)):
+        walk.advance(every)
+
+
+def nanoseconds(walk: Walk, setting: Setting) -> float:
+    """Return the median processor time per particle-step, nothing observed."""
+    steps = stride(setting)
+    while timed(walk, steps) < LEAST:
+        steps *= 2
+    times = [timed(walk, steps) for _ in range(REPEATS)]
+    return 1e9 * median(times) / (steps * setting.paths)
+
+
+def timed(walk: Walk, steps: int) -> float:
+    """Return the processor time of so many steps."""
+    start = process_time()
+    walk.advance(steps)
+    return process_time() - start
+
+
+def share_lost(walk: Walk) -> float:
+    """Return the share of paths that are not finite or far out."""
+    with np.errstate(invalid="ignore"):
+        return float(np.mean(~(np.abs(walk.states()) < LOST).all(axis=0)))
+
+
+def lost(setting: Setting, maker: Maker) -> dict:
+    """Return the line of the paths that fig6 as printed loses by ``LOST_BY``."""
+    setting = replace(setting, step=LOST_STEP, paths=LOST_PATHS)
+    walk, _ = begun(setting, maker, printed())
+    advanced(walk, round(LOST_BY / LOST_STEP), 20 * stride(setting))
+    words = {"scheme": setting.scheme, "step": LOST_STEP, "paths": LOST_PATHS, "time": LOST_BY}
+    return {"kind": "lost", **words, "lost": share_lost(walk)}
+
+
+def law(setting: Setting, line: dict, maker: Maker, sampling: float) -> dict | None:
+    """Return the line of L1 at the allowed step beside A/√time; None where it would take long."""
+    fit = [e for e in CHECKED if 1e-9 * line["ns_time"] * (sampling / e) ** 2 < CHECK_SECONDS]
+    if not fit:
+        return None
+    setting = replace(setting, step=line["allowed"])
+    walk, _ = begun(setting, maker, judged())
+    every = stride(setting)
+    advanced(walk, round(BURN_IN / setting.step), every)
+    samples = max(1, round((sampling / fit[0]) ** 2 / (setting.paths * every * setting.step)))
+    counts = np.zeros(EDGES.size)
+    spent = 0.0
+    for _ in range(samples):
+        spent += timed(walk, every)
+        counts += counted(walk.states()[1]).sum(axis=0)
+    time = samples * every * setting.step * setting.paths
+    L1 = float(np.abs(counts / counts.sum() - probabilities()).sum())
+    words = {"scheme": setting.scheme, "step": setting.step, "time": time, "spent": spent}
+    return {"kind": "law", **words, "L1": L1, "expected": sampling / time**0.5}
+
+
+def need(module: str) -> ModuleType:
+    """Return the module, or exit with the status ``MISSING``, naming it."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        print(f"missing: {module} ({error})", file=sys.stderr)
+        sys.exit(MISSING)
+
+
+def version_of(package: str) -> str:
+    """Return the installed version of a distribution."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "–"
