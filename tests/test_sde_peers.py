@@ -69,7 +69,9 @@ def test_the_page_in_the_repository_has_the_structure_that_the_scripts_write() -
 def test_an_allowed_step_follows_the_order_and_is_not_made_up() -> None:
     run_code(
         "from math import isclose\n"
+        "from sde_page import ALLOWED_BIAS\n"
         "from trial import Setting, WANTED, allowed_step\n"
+        "assert ALLOWED_BIAS == WANTED\n"
         "setting = Setting('some', 0.3, 2, 64)\n"
         "assert isclose(allowed_step(setting, -9.0 * WANTED, 0.1 * WANTED), 0.1)\n"
         "assert allowed_step(setting, 0.2 * WANTED, 0.1 * WANTED) == 0.3  # never longer\n"
@@ -80,7 +82,7 @@ def test_an_allowed_step_follows_the_order_and_is_not_made_up() -> None:
         "from trial import density_bias\n"
         "p = probabilities()\n"
         "assert isclose(p.sum(), 1.0) and p.min() > 0\n"
-        "q = p.copy(); q[10] += 0.01; q[50] -= 0.01\n"
+        "q = p.copy(); q[20] += 0.01; q[32] -= 0.01\n"
         "rng = np.random.default_rng(5)\n"
         "n = 10**7\n"
         "right = density_bias(np.array([rng.multinomial(n, p) for _ in range(2)]))\n"
