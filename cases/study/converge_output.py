@@ -194,6 +194,8 @@ def _told(s: WeakOrder) -> str:
         f" with the order of theory; limit {s.limit:.6f} ± {s.limit_error:.1e} ({base}); standard"
         f" error wanted {s.wanted:.1e}"
     )
+    if s.verdict == "pre-asymptotic" and not s.known:
+        words += "; the errors above are from that intercept, which rests on a fit that fails"
     return words + (
         f", short of it by a factor {s.short:.1f} in the time given." if s.short > 1.05 else "."
     )

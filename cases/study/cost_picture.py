@@ -50,6 +50,8 @@ ROUND_OFF = 2e-15
 EVERY = 3.0
 """Decades of error between the points of a route that are labelled, its ends apart."""
 SIZE = 7.5
+UPRIGHT = 5
+"""Points of a dashed vertical that labels keep clear of: ``place`` takes 24 between two of them."""
 
 
 def cost_figure(study: CostStudy) -> Figure:
@@ -73,7 +75,14 @@ def cost_figure(study: CostStudy) -> Figure:
         figure.set_layout_engine("none")
         for axes, name in zip(drawn, equations, strict=False):
             own = [r for r in study.routes if r.equation == name]
-            place(axes, _labels(own), [_curve(_shown(r)) for r in own if _shown(r)])
+            drawn_lines = [_curve(_shown(r)) for r in own if _shown(r)]
+            if name == FULL:
+                low, high = axes.get_ylim()
+                drawn_lines += [
+                    (np.full(UPRIGHT, m.distance), np.geomspace(low, high, UPRIGHT))
+                    for m in study.models
+                ]
+            place(axes, _labels(own), drawn_lines)
     return figure
 
 
