@@ -36,7 +36,10 @@ def modes_process(modes: ModalAnalysis, chosen: Sequence[int]) -> VectorProcess:
     noise = (modes.noise / modes.modal_mass)[index]
 
     def diffusion(energies: Array) -> Array:
-        return np.asarray(2.0 * (noise * energies)[..., None] * np.eye(noise.size))
+        n = noise.size
+        b = np.zeros((*energies.shape, n))
+        b.reshape(-1, n * n)[:, :: n + 1] = 2.0 * noise * energies.reshape(-1, n)
+        return b
 
     def diffusion_divergence(energies: Array) -> Array:
         return np.broadcast_to(2.0 * noise, energies.shape).copy()

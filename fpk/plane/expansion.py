@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.errors import NotCertified
+from fpk.plane.basis import Basis, orthonormal
 from fpk.plane.weight import Weight
 from fpk.quadrature import panel_rule
 from fpk.vector_process import VectorProcess
@@ -21,53 +22,8 @@ from fpk.vector_process import VectorProcess
 Array = NDArray[np.float64]
 
 EPS = float(np.finfo(float).eps)
-MOST_PANELS = 48
-"""Panels along one axis: 48 panels of 16 points make 6e5 places."""
-
-
-@dataclass(frozen=True, eq=False)
-class Basis:
-    """Polynomials of one energy, orthonormal for a measure, by their three-term recurrence.
-
-    ``P_{k+1} = ((H − centre_k) P_k − spread_{k−1} P_{k−1}) / spread_k``, P_0 = 1.
-    """
-
-    centres: Array
-    spreads: Array
-
-    def values(self, H: Array) -> Array:
-        """All polynomials at energies of any shape, (degree + 1, …)."""
-        return self.with_slopes(H)[0]
-
-    def with_slopes(self, H: Array) -> tuple[Array, Array]:
-        """All polynomials and their slopes."""
-        H = np.asarray(H, float)
-        P = np.zeros((self.centres.size + 1, *H.shape))
-        D = np.zeros_like(P)
-        P[0] = 1.0
-        for k, (centre, spread) in enumerate(zip(self.centres, self.spreads, strict=True)):
-            P[k + 1], D[k + 1] = (H - centre) * P[k], P[k] + (H - centre) * D[k]
-            if k:
-                P[k + 1] -= self.spreads[k - 1] * P[k - 1]
-                D[k + 1] -= self.spreads[k - 1] * D[k - 1]
-            P[k + 1] /= spread
-            D[k + 1] /= spread
-        return P, D
-
-
-def orthonormal(H: Array, measure: Array, degree: int) -> Basis:
-    """Return the basis for point masses ``measure`` at ``H``, by Stieltjes' procedure."""
-    share = measure / measure.sum()
-    before, now, spread = np.zeros_like(H), np.ones_like(H), 0.0
-    centres, spreads = [], []
-    for _ in range(degree):
-        centre = float(share @ (H * now**2))
-        following = (H - centre) * now - spread * before
-        spread = float(np.sqrt(share @ following**2))
-        before, now = now, following / spread
-        centres.append(centre)
-        spreads.append(spread)
-    return Basis(np.array(centres), np.array(spreads))
+MOST_PANELS = 24
+"""Panels along one axis: 24 panels of 34 points make 7e5 places."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,14 +47,19 @@ class Places:
         return np.asarray(np.exp(-self.exponent))
 
 
-def places_of(weight: Weight, nats: float, points: int) -> Places:
-    """Return ``points`` Gauss points on each panel.
+def panels_of(weight: Weight, nats: float) -> tuple[Array, Array]:
+    """Return the nodes of panels as far as w > exp(−``nats``).
 
     Raises ``NotCertified`` where w takes more than ``MOST_PANELS``.
     """
     nodes = weight.panels(nats)
     if max(x.size for x in nodes) > MOST_PANELS + 1:
         raise NotCertified(f"the weight takes more than {MOST_PANELS} panels along one energy")
+    return nodes
+
+
+def places_of(weight: Weight, nodes: tuple[Array, Array], nats: float, points: int) -> Places:
+    """Return ``points`` Gauss points on each panel."""
     (x, first), (y, second) = (
         (H.ravel(), share.ravel()) for H, share in (panel_rule(n, points) for n in nodes)
     )
@@ -139,8 +100,15 @@ class Expansion:
         p = self.u(x, y) * np.exp(-self.weight.exponent(x, y))
         return np.asarray(np.where(inside, p, 0.0))
 
+    def on_grid(self, H1: Array, H2: Array) -> Array:
+        """u on the grid (H1.size, H2.size)."""
+        first, second = (b.values(H) for b, H in zip(self.bases, (H1, H2), strict=True))
+        return np.asarray(first.T @ self.coefficients @ second)
+
     def u(self, H1: Array, H2: Array) -> Array:
         """u at energies that broadcast together."""
+        if H1.ndim == 2 and H1.shape[1] == 1 and H2.ndim == 1:
+            return self.on_grid(H1[:, 0], H2)
         first, second = (b.values(H) for b, H in zip(self.bases, (H1, H2), strict=True))
         across = np.tensordot(self.coefficients, second, axes=1)
         total = first[0] * across[0]
@@ -162,14 +130,20 @@ class Solved:
 
 
 def solve_expansion(
-    process: VectorProcess, weight: Weight, degree: int, *, nats: float, points: int
+    process: VectorProcess,
+    weight: Weight,
+    nodes: tuple[Array, Array],
+    degree: int,
+    *,
+    nats: float,
+    points: int,
 ) -> Solved:
     """Return p = w u of mass 1 with u of ``degree`` along each axis.
 
-    Integrals go as far as w > exp(−``nats``), over panels of ``points`` Gauss points. Raises
-    ``NotCertified`` where there is no unique solution.
+    Integrals go over panels between ``nodes``, of ``points`` Gauss points, as far as
+    w > exp(−``nats``). Raises ``NotCertified`` where there is no unique solution.
     """
-    at = places_of(weight, nats, points)
+    at = places_of(weight, nodes, nats, points)
     w = np.where(at.seen, at.w, 0.0) * at.area
     H1, H2 = at.energies
     bases = orthonormal(H1, w.sum(axis=1), degree), orthonormal(H2, w.sum(axis=0), degree)
@@ -195,19 +169,19 @@ def solve_expansion(
 
 def _coefficients(process: VectorProcess, at: Places, w: Array) -> tuple[Array, ...]:
     """w α_1, w α_2, −½ w b_11, −½ w b_12 and −½ w b_22 at the points, 0 where nothing is seen."""
-    i, j = np.nonzero(at.seen)
+    places = np.flatnonzero(at.seen)
+    i, j = np.divmod(places, w.shape[1])
     H = np.stack([at.energies[0][i], at.energies[1][j]], axis=1)
-    a = process.drift(H) - 0.5 * process.diffusion_divergence(H)
+    shares = w.ravel()[places]
+    a = (process.drift(H) - 0.5 * process.diffusion_divergence(H)).T * shares
     b = process.diffusion(H)
-    b11, b12, b22 = -0.5 * b[:, 0, 0], -0.5 * b[:, 0, 1], -0.5 * b[:, 1, 1]
-    first, second = (slope[i, j] for slope in at.slopes)
-    a1, a2 = a[:, 0] - b11 * first - b12 * second, a[:, 1] - b12 * first - b22 * second
-    shares, found = w[i, j], []
-    for values in (a1, a2, b11, b12, b22):
-        grid = np.zeros(w.shape)
-        grid[i, j] = values * shares
-        found.append(grid)
-    return tuple(found)
+    half = -0.5 * shares
+    b11, b12, b22 = half * b[:, 0, 0], half * b[:, 0, 1], half * b[:, 1, 1]
+    first, second = (slope.ravel()[places] for slope in at.slopes)
+    a1, a2 = a[0] - b11 * first - b12 * second, a[1] - b12 * first - b22 * second
+    grids = np.zeros((5, w.size))
+    grids[:, places] = a1, a2, b11, b12, b22
+    return tuple(grids.reshape(5, *w.shape))
 
 
 def _matrix(c: tuple[Array, ...], first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:

@@ -51,12 +51,16 @@ def surveyed(process: VectorProcess) -> Survey:
     Raises ``NotCertified`` where the density does not fall off, or b is singular off the axes.
     """
     inside = np.maximum(SURVEY, NEXT_TO_ZERO)
-    flow, diffusion = _coefficients(process, inside, inside)
-    try:
-        slopes = np.linalg.solve(diffusion, flow[..., None])[..., 0]
-    except np.linalg.LinAlgError:
-        raise NotCertified("some combination of the two energies gets no noise") from None
-    first, second = np.moveaxis(slopes * process.energy_scales, -1, 0)
+    flow, b = _coefficients(process, inside, inside)
+    determinant = b[..., 0, 0] * b[..., 1, 1] - b[..., 0, 1] * b[..., 1, 0]
+    if not np.all(determinant > 0.0):
+        raise NotCertified("some combination of the two energies gets no noise")
+    first = b[..., 1, 1] * flow[..., 0] - b[..., 0, 1] * flow[..., 1]
+    second = b[..., 0, 0] * flow[..., 1] - b[..., 1, 0] * flow[..., 0]
+    first, second = (
+        slope * (scale / determinant)
+        for slope, scale in zip((first, second), process.energy_scales, strict=True)
+    )
     along = _integral(first), _integral(second.T).T
     paths = along[0][:, :1] + along[1] + along[1][:1] + along[0]
     guess = Survey(0.5 * paths, np.stack([first, second]))

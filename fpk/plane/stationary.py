@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.errors import InvalidInput, NotCertified
-from fpk.plane.expansion import Solved, solve_expansion
+from fpk.plane.expansion import Solved, panels_of, solve_expansion
 from fpk.plane.mesh import Survey, surveyed
 from fpk.plane.on_mesh import solve_by_elements, solve_plane_on_mesh
 from fpk.plane.solution import PlaneSolution, judged, mass_beyond
@@ -29,9 +29,9 @@ DEGREES = (4, 8, 12, 16)
 STEP = 4
 ENRICHMENT = 2
 """Degrees by which the comparison solution exceeds the answer along both axes."""
-POINTS = 12
-"""Gauss points on each panel: see ``fpk.plane.weight.NATS_PER_PANEL``."""
-MORE_POINTS = 16
+POINTS = 18
+"""Gauss points on each panel, beyond the degree: see ``fpk.plane.weight.NATS_PER_PANEL``."""
+MORE_POINTS = 22
 """Those of the comparison solution: the distance to it holds the error of the integrals, too."""
 LEAST_NATS = 36.0
 """Integrals go at least to w = e^−36 = 2e-16, beyond what the sign of p is looked at for."""
@@ -125,34 +125,40 @@ def _expansion(
     # e^−n/2 in the norm weighted by w.
     nats = max(LEAST_NATS, -2.0 * float(np.log(tol)))
     try:
-        answer = solve_expansion(process, weight, degree, nats=nats, points=POINTS)
-        enriched = solve_expansion(
-            process, weight, degree + ENRICHMENT, nats=nats + MORE_NATS, points=MORE_POINTS
+        nodes = panels_of(weight, nats + MORE_NATS)
+        answer = solve_expansion(process, weight, nodes, degree, nats=nats, points=degree + POINTS)
+        better = solve_expansion(
+            process,
+            weight,
+            nodes,
+            degree + ENRICHMENT,
+            nats=nats + MORE_NATS,
+            points=degree + MORE_POINTS,
         )
     except NotCertified:
         return None
-    at = enriched.places
-    x, y = at.energies[0][:, None], at.energies[1]
-    p, better = (s.density.u(x, y) * at.w for s in (answer, enriched))
-    rounding = answer.density.rounding(x, y)
+    at = better.places
+    u, enriched = (s.density.on_grid(*at.energies) for s in (answer, better))
+    p = u * at.w
+    rounding = answer.density.rounding(at.energies[0][:, None], at.energies[1])
     return judged(
         process,
         answer.density,
-        enriched.density,
-        (p, better, at.area),
+        better.density,
+        (p, enriched * at.w, at.area),
         tol=tol,
-        tail=_tail(enriched, p),
+        tail=_tail(better, p, degree + MORE_POINTS),
         rounding=float(np.sum(at.area * np.abs(p) * rounding)),
         residual=answer.residual,
     )
 
 
-def _tail(solved: Solved, p: Array) -> float:
-    """Mass where no integral was taken: between the nodes, and beyond them."""
+def _tail(solved: Solved, p: Array, last: int) -> float:
+    """Mass where no integral was taken: between the nodes, and beyond the ``last`` points."""
     at = solved.places
     total = float(np.sum(np.where(at.seen, 0.0, np.abs(p)) * at.area))
     for axis, (H, nodes) in enumerate(zip(at.energies, at.nodes, strict=True)):
         width = at.area.sum(axis=1 - axis) / at.area.sum() * nodes[-1]
         along = np.abs((p * at.area).sum(axis=1 - axis) / width)
-        total += mass_beyond(H[-MORE_POINTS:], along[-MORE_POINTS:])
+        total += mass_beyond(H[-last:], along[-last:])
     return total

@@ -3,15 +3,16 @@
 Only how soon u is found depends on w, not what p is: the equation is solved for w u.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from numpy.polynomial.polynomial import polyder
 from numpy.typing import NDArray
 
 from fpk.errors import NotCertified
 from fpk.plane.mesh import SURVEY, Survey
+from fpk.plane.polynomials import Grid, fits, grid_of, of_total_degree, powers_of, values_at
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -36,11 +37,16 @@ UNIT_GRID = np.linspace(0.0, 1.0, 49)
 REACH = 30.0
 """Ends of the places that are looked at, in units of the fitted box; Φ has to rise as far."""
 LOOKED_AT = np.concatenate([UNIT_GRID, np.geomspace(1.04, REACH, 48)])
+OUTSIDE = np.maximum(LOOKED_AT[:, None], LOOKED_AT) > 1.0
 FLOOR = float(np.exp(-44.0))
 """Added to w on elements, which span all of it: 8e-20 keeps their matrices regular, and u need only
 be above −1e5 there for p ≥ −1e-14."""
-NATS_PER_PANEL = 10.0
-"""Rise of Φ over a panel: 12 Gauss points integrate exp(−10 t) to 1e-14 by their remainder."""
+NATS_PER_PANEL = 32.0
+"""Rise of Φ over a panel, N: m + k Gauss points integrate exp(−N t) times a product of two
+polynomials of degree k, if it is bounded by 1 and the worst there is, to Σ I_j(N/2), j ≥ 2m,
+against e^(N/2)/N: to 4e-14 for N = 32 and m = 18."""
+EVEN = 10.0
+"""Nats that are shared out evenly on top, for places at which Φ does not change at all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,16 +61,14 @@ class Weight:
 
     def exponent(self, H1: Array, H2: Array) -> Array:
         """Φ at energies that broadcast together."""
-        return _polynomial(self.coefficients, H1 / self.scales[0], H2 / self.scales[1])
+        return values_at(self.coefficients, H1 / self.scales[0], H2 / self.scales[1])
 
     def on_grid(self, H1: Array, H2: Array) -> tuple[Array, Array, Array]:
         """Φ and its two slopes on the grid (H1.size, H2.size)."""
-        x, y = H1[:, None] / self.scales[0], H2 / self.scales[1]
-        first, second = (
-            _polynomial(_slope(self.coefficients, axis), x, y) / self.scales[axis]
-            for axis in (0, 1)
-        )
-        return _polynomial(self.coefficients, x, y), first, second
+        x, y = H1 / self.scales[0], H2 / self.scales[1]
+        grid = grid_of(x, y, len(self.coefficients) - 1)
+        first, second = grid.slopes(self.coefficients)
+        return grid.values(self.coefficients), first / self.scales[0], second / self.scales[1]
 
     def floored(self, H1: Array, H2: Array) -> Array:
         """w + ``FLOOR`` at energies that broadcast together."""
@@ -80,14 +84,14 @@ class Weight:
     def terms(self, H1: Array, H2: Array) -> Array:
         """Sum of the sizes of the terms of Φ at energies that broadcast together."""
         sizes = np.abs(self.coefficients)
-        return _polynomial(sizes, np.abs(H1) / self.scales[0], np.abs(H2) / self.scales[1])
+        return values_at(sizes, np.abs(H1) / self.scales[0], np.abs(H2) / self.scales[1])
 
     def ends(self, nats: float) -> tuple[float, float]:
         """Energies along each axis as far as w > exp(−``nats``).
 
         Raises ``NotCertified`` where w does not fall so far within ``REACH``.
         """
-        phi = _polynomial(self.coefficients, LOOKED_AT[:, None], LOOKED_AT)
+        phi = _looked_at(len(self.coefficients) - 1)[0].values(self.coefficients)
         seen = phi < nats
         if seen[-1].any() or seen[:, -1].any():
             raise NotCertified(f"the weight falls by less than {nats:.0f} nats")
@@ -107,8 +111,7 @@ class Weight:
         nodes = []
         for axis, (H, slope) in enumerate(zip(grids, slopes, strict=True)):
             rate = np.where(phi < nats, np.abs(slope), 0.0).max(axis=1 - axis)
-            # An even share on top, for places at which Φ does not change at all.
-            rate = rate + NATS_PER_PANEL / H[-1]
+            rate = rate + EVEN / H[-1]
             rise = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * H[1])])
             count = int(np.ceil(rise[-1] / NATS_PER_PANEL))
             nodes.append(np.interp(np.linspace(0.0, rise[-1], count + 1), rise, H))
@@ -129,24 +132,21 @@ def flux_free_weight(survey: Survey, scales: tuple[float, ...]) -> Weight | None
     first, second = (min(n, SURVEY.size - 1) for n in last)
     inside = (slice(1, first + 1), slice(1, second + 1))
     ends = SURVEY[first], SURVEY[second]
-    x, y = SURVEY[inside[0]] / ends[0], SURVEY[inside[1]] / ends[1]
+    grid = grid_of(SURVEY[inside[0]] / ends[0], SURVEY[inside[1]] / ends[1], DEGREES[-1])
     wanted = [-slope[inside] * end for slope, end in zip(survey.slopes, ends, strict=True)]
     root = _importance(depth[inside])
     right = np.concatenate([(root * slope).ravel() for slope in wanted])
-    fits = []
-    for degree in DEGREES:
-        powers = _powers(degree)[1:]
-        i, j = powers.T
-        X, Y = (z[:, None] ** np.arange(degree + 1) for z in (x, y))
-        along = root[..., None] * (i * X[:, np.maximum(i - 1, 0)])[:, None, :] * Y[:, j]
-        across = root[..., None] * X[:, None, i] * (j * Y[:, np.maximum(j - 1, 0)])
-        rows = np.concatenate([along.reshape(-1, i.size), across.reshape(-1, i.size)])
-        phi, misfit = _least_squares(rows, right, powers)
-        fits.append((phi, misfit))
-        if misfit <= EXACT:
-            break
-    outside = np.maximum(LOOKED_AT[:, None], LOOKED_AT) > 1.0
-    return _chosen(fits, (ends[0] * scales[0], ends[1] * scales[1]), lambda _: outside)
+
+    def columns() -> Iterable[tuple[NDArray[np.int64], Array]]:
+        for degree in DEGREES:
+            i, j = (powers := of_total_degree(degree)).T
+            along = root[..., None] * grid.dx[:, None, i] * grid.y[:, j]
+            across = root[..., None] * grid.x[:, None, i] * grid.dy[:, j]
+            yield powers, np.concatenate([along, across]).reshape(-1, i.size)
+
+    return _chosen(
+        fits(columns(), right), (ends[0] * scales[0], ends[1] * scales[1]), lambda _: OUTSIDE
+    )
 
 
 def fitted_weight(
@@ -157,75 +157,60 @@ def fitted_weight(
     Beyond the grid, and where Φ exceeds ``level`` (nats below the largest p), Φ has to rise along
     every ray from the origin.
     """
+    if not known.any():
+        return None
     scales = float(grid[0][-1]), float(grid[1][-1])
-    x, y = grid[0] / scales[0], grid[1] / scales[1]
-    top = float(log_p[known].max()) if known.any() else 0.0
-    target = np.where(known, top - log_p, 0.0)
-    root = _importance(target) * known
-    fits = []
-    for degree in DEGREES:
-        powers = _powers(degree)
-        too_few = PER_COEFFICIENT * len(powers) > np.count_nonzero(known)
-        if too_few or degree > max(2.0, level / NATS_PER_DEGREE):
-            break
-        X, Y = (z[:, None] ** np.arange(degree + 1) for z in (x, y))
-        rows = root[..., None] * X[:, None, powers[:, 0]] * Y[:, powers[:, 1]]
-        phi, misfit = _least_squares(rows.reshape(-1, len(powers)), (root * target).ravel(), powers)
-        fits.append((phi, misfit))
-        if misfit <= EXACT:
-            break
-    outside = np.maximum(LOOKED_AT[:, None], LOOKED_AT) > 1.0
-    return _chosen(fits, scales, lambda phi: outside | (phi > level))
+    at = np.nonzero(known)
+    X, Y = (
+        powers_of(H / end, DEGREES[-1])[0][place]
+        for H, end, place in zip(grid, scales, at, strict=True)
+    )
+    target = log_p[known].max() - log_p[known]
+    root = _importance(target)
+
+    def columns() -> Iterable[tuple[NDArray[np.int64], Array]]:
+        yield np.zeros((1, 2), np.int64), root[:, None]
+        for degree in DEGREES:
+            too_few = PER_COEFFICIENT * (degree + 1) * (degree + 2) > 2 * target.size
+            if too_few or degree > max(2.0, level / NATS_PER_DEGREE):
+                return
+            i, j = (powers := of_total_degree(degree)).T
+            yield powers, root[:, None] * X[:, i] * Y[:, j]
+
+    found = fits(columns(), root * target)
+    return _chosen(found, scales, lambda phi: OUTSIDE | (phi > level))
 
 
-def _polynomial(coefficients: Array, x: Array, y: Array) -> Array:
-    """Σ coefficients[i, j] x^i y^j at places that broadcast together."""
-    powers = np.stack([y**j for j in range(coefficients.shape[1])])
-    across = np.tensordot(coefficients, powers, axes=1)
-    total = across[-1]
-    for row in across[-2::-1]:
-        total = total * x + row
-    return np.asarray(np.broadcast_to(total, np.broadcast_shapes(x.shape, y.shape)))
-
-
-def _slope(coefficients: Array, axis: int) -> Array:
-    return np.asarray(polyder(coefficients, axis=axis))
+@lru_cache
+def _looked_at(degree: int) -> tuple[Grid, Grid]:
+    """Powers at the places that are looked at, and in the box of the fit."""
+    return grid_of(LOOKED_AT, LOOKED_AT, degree), grid_of(UNIT_GRID, UNIT_GRID, degree)
 
 
 def _importance(depth: Array) -> Array:
     return np.asarray(np.sqrt(np.exp(-depth / IMPORTANCE) + LEAST))
 
 
-def _powers(degree: int) -> NDArray[np.int64]:
-    """Pairs of powers of total degree up to ``degree``, the constant first."""
-    return np.array([(i, k - i) for k in range(degree + 1) for i in range(k + 1)])
-
-
-def _least_squares(rows: Array, right: Array, powers: NDArray[np.int64]) -> tuple[Array, float]:
-    found = np.linalg.lstsq(rows, right, rcond=None)[0]
-    size = int(powers.max()) + 1
-    phi = np.zeros((size, size))
-    phi[powers[:, 0], powers[:, 1]] = found
-    return phi, float(np.linalg.norm(rows @ found - right) / np.linalg.norm(right))
-
-
 def _chosen(
-    fits: list[tuple[Array, float]],
+    found: Iterable[tuple[Array, float]],
     scales: tuple[float, float],
     unknown: Callable[[Array], Flags],
 ) -> Weight | None:
     """The best of the fits that rise along every ray where the density is ``unknown``."""
     best, least = None, np.inf
-    g, box = LOOKED_AT, UNIT_GRID
-    for phi, misfit in fits:
-        # Φ counts from its least value where it was fitted.
-        raised = phi.copy()
-        raised[0, 0] -= _polynomial(phi, box[:, None], box).min()
-        values = _polynomial(raised, g[:, None], g)
-        along = g[:, None] * _polynomial(_slope(phi, 0), g[:, None], g)
-        along = along + g * _polynomial(_slope(phi, 1), g[:, None], g)
-        far = unknown(values)
-        safe = np.all(along[far] > 0.0) and np.all(values[far] > 0.0)
-        if safe and misfit < BETTER * least:
-            best, least = Weight(raised, scales), misfit
+    for phi, misfit in found:
+        if misfit < BETTER * least:
+            looked_at, box = _looked_at(len(phi) - 1)
+            # Φ counts from its least value where it was fitted.
+            raised = phi.copy()
+            raised[0, 0] -= box.values(phi).min()
+            values = looked_at.values(raised)
+            powers = np.arange(len(phi))
+            # i Φ_ij + j Φ_ij are the coefficients of x ∂Φ/∂x + y ∂Φ/∂y.
+            along = looked_at.values((powers[:, None] + powers) * raised)
+            far = unknown(values)
+            if np.all(along[far] > 0.0) and np.all(values[far] > 0.0):
+                best, least = Weight(raised, scales), misfit
+        if misfit <= EXACT:
+            break
     return best
