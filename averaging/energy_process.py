@@ -4,10 +4,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from averaging.shell.moments import TermPower, term_power
 from averaging.shell.ratios import EnergyShell, energy_shell, shell_ratios
+from fpk.compiling import FLAGS
 from fpk.equivalent import dissipated_power, equivalent_temperature
 from fpk.errors import NotApplicable
 from fpk.process import Coefficients, DiffusionProcess
@@ -84,7 +86,7 @@ def energy_process(system: System) -> DiffusionProcess:
     return DiffusionProcess(
         coefficients=coefficients,
         energy_scale=scale,
-        nonsmooth=tuple(H for H in shell.contact_energies if H > 0.0),
+        nonsmooth=shell.contact_energies,
         degrees_of_freedom=system.n,
         state_damping=terms is not None,
     )
@@ -93,19 +95,27 @@ def energy_process(system: System) -> DiffusionProcess:
 def _coefficients(
     shell: EnergyShell, balance: EnergyBalance, scale: float, energy: Array
 ) -> Coefficients:
-    ratios = shell_ratios(shell, energy)
+    ratios = shell.ratios(energy)
     n = shell.potential.n
-    tau = energy / n * ratios.volume / ratios.states
-    tau_slope = 1.0 - tau * ratios.log_slope / energy
-    dissipation = -balance.damping * tau
-    return Coefficients(
-        drift=dissipation + balance.noise,
-        diffusion=2.0 * balance.noise * tau,
-        diffusion_slope=2.0 * balance.noise * tau_slope,
-        dissipation=dissipation,
-        log_density_of_states=np.log(ratios.states) + (n - 1) * np.log(energy / scale),
-        relative_error=ratios.error,
-    )
+    return Coefficients(*_averaged(ratios, energy, n, balance.damping, balance.noise, scale))
+
+
+@njit(fastmath=FLAGS, error_model="numpy", cache=True, nogil=True)
+def _averaged(
+    ratios: Array, energy: Array, n: int, damping: float, noise: float, scale: float
+) -> Array:
+    """Rows of ``Coefficients`` from the rows of ``ShellRatios``, at energies (energies,)."""
+    found = np.empty((6, energy.size))
+    for i in range(energy.size):
+        states, volume, log_slope = ratios[0, i], ratios[1, i], ratios[2, i]
+        tau = energy[i] / n * volume / states
+        found[0, i] = noise - damping * tau
+        found[1, i] = 2.0 * noise * tau
+        found[2, i] = 2.0 * noise * (1.0 - tau * log_slope / energy[i])
+        found[3, i] = -damping * tau
+        found[4, i] = np.log(states) + (n - 1) * np.log(energy[i] / scale)
+        found[5, i] = ratios[3, i]
+    return found
 
 
 def _with_terms(

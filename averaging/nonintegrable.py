@@ -136,7 +136,7 @@ def _from_elements(system: System, solution: StationarySolution) -> EnergyDensit
     return tabulated(
         system,
         solution.process,
-        solution.nodes,
+        solution.panels,
         u,
         u_error,
         l1_error=solution.l1_error,

@@ -28,12 +28,21 @@ def contact_energies(
     most, are just touched; for one stop and no other in the way this is H_c = ½ k_eff δ², which
     is 0 without clearance.
     """
+    if potential.count == 1:
+        # One mass: each stop is touched at one point.
+        energies = set(potential((potential.clearance / potential.rows[:, 0])[:, None]).tolist())
+        return _distinct(energies)
     energies = set()
     indices = range(len(potential.stops))
     for size in range(1, min(potential.count, at_once) + 1):
         for subset in combinations(indices, size):
             if len({potential.stops[s].mass for s in subset}) == size:
                 energies.add(_lowest(potential, subset))
+    return _distinct(energies)
+
+
+def _distinct(energies: set[float]) -> tuple[float, ...]:
+    """Return them ascending, those that differ by less than ``SAME`` once."""
     ascending = sorted(energies)
     return tuple(H for k, H in enumerate(ascending) if k == 0 or H - ascending[k - 1] > SAME * H)
 
@@ -43,9 +52,9 @@ def _lowest(potential: ReducedPotential, subset: tuple[int, ...]) -> float:
     others = [s for s in range(len(potential.stops)) if s not in subset]
     if len(subset) == potential.count:
         # As many stops as masses: there is one such point.
-        foot: Array = np.linalg.solve(rows, potential.clearance[list(subset)])
-        return float(0.5 * foot @ foot + _energy_of(potential, others, foot))
-    foot = np.linalg.pinv(rows) @ potential.clearance[list(subset)]
+        corner: Array = np.asarray(np.linalg.solve(rows, potential.clearance[list(subset)]), float)
+        return float(0.5 * corner @ corner + _energy_of(potential, others, corner))
+    foot: Array = np.linalg.pinv(rows) @ potential.clearance[list(subset)]
     overlap = potential.rows[others] @ foot - potential.clearance[others]
     if np.all(overlap <= 0.0):
         return float(0.5 * foot @ foot)

@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from averaging.shell.reduced import ReducedPotential
-from averaging.shell.sums import REFINEMENTS, ROOT_ROUND_OFF, ROUND_OFF, TARGET
+from averaging.shell.sums import ROOT_ROUND_OFF, ROUND_OFF, TARGET
 from fpk.compiled_laws import compiled_laws, of_law
 from fpk.compiling import FLAGS, LAWS, checksum
 from fpk.quadrature import gauss_legendre
@@ -24,9 +24,12 @@ from fpk.quadrature import gauss_legendre
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+RULES = (14, 18, 24, 48, 96, 192)
+"""Gauss points a panel; an energy moves on to the next rule while two disagree. The first two are
+evaluated at once: 32 points fill four vectors, as fewer would."""
 NEAR = 0.01
-"""Distance to the turning point, relative to the overlap, below which n = 1, whose integrand is
-1/√v, takes the fall of the contact energy from the force: the difference would cancel."""
+"""Difference of overlap, relative to the overlap, below which that of the contact energy is taken
+from the force, as it would cancel: beyond a second stop, and for n = 1, whose integrand is 1/√v."""
 DIED_OUT = 1e-18
 """Share of its value at the stop below which v^a is left out."""
 LEAST_LEFT = 0.1
@@ -46,7 +49,7 @@ class Rays(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """Gauss points of ``REFINEMENTS`` one after another, rule k being ``first[k]:first[k + 1]``."""
+    """Gauss points of ``RULES`` one after another, rule k being ``first[k]:first[k + 1]``."""
 
     first: Integers  # (rules + 1,)
     share: Array  # of [0, 1], and
@@ -71,10 +74,10 @@ class Work(NamedTuple):
 @lru_cache
 def gauss_rules() -> Rules:
     """Return the points of all rules."""
-    t, w = (np.concatenate(part) for part in zip(*map(gauss_legendre, REFINEMENTS), strict=True))
+    t, w = (np.concatenate(part) for part in zip(*map(gauss_legendre, RULES), strict=True))
     phi = 0.25 * np.pi * (1.0 + t)
     return Rules(
-        first=np.cumsum([0, *REFINEMENTS]),
+        first=np.cumsum([0, *RULES]),
         share=0.5 * (1.0 + t),
         weight=0.5 * w,
         sine2=np.sin(phi) ** 2,
@@ -129,7 +132,7 @@ def compiled_ratios(names: tuple[str, ...], single: bool) -> Any:
         whole = np.array([_cosines(2 * n - 2), _cosines(2 * n), 0.0])
         share = DIED_OUT ** (1.0 / (n - 1.5)) if n > 2 and stamp >= 0 else 0.0
         share = share if share > LEAST_LEFT else 0.0
-        size = REFINEMENTS[-1]
+        size = RULES[-1]
         e = np.empty((7, size))
         work = Work(e[0], e[1], e[2], e[3], e[4], e[5], e[6])
         free, sums, finer = np.empty(3), np.empty(3), np.empty(3)
@@ -208,7 +211,7 @@ def _disagreement(coarse: Array, fine: Array) -> float:
 @_inner
 def _cosines(m: int) -> float:
     """√2 ∫cos^m θ dθ from 0 to π/2, m even."""
-    integral = np.sqrt(2.0) * 0.5 * np.pi
+    integral: float = np.sqrt(2.0) * 0.5 * np.pi
     for k in range(2, m + 1, 2):
         integral *= (k - 1) / k
     return integral
@@ -242,6 +245,15 @@ def _level(r: float, rays: Rays, a: int, b: int, U: Any) -> float:
 
 
 @_inner
+def _mean_force(middle: float, width: float, law: int, e: float, g: Any) -> float:
+    """Mean of the force over a width of ``NEAR`` of the overlap: three Gauss points are exact."""
+    shift = 0.5 * np.sqrt(0.6) * width
+    ends = of_law(g, law, middle - shift, e) + of_law(g, law, middle + shift, e)
+    mean: float = (5.0 * ends + 8.0 * of_law(g, law, middle, e)) / 18.0
+    return mean
+
+
+@_inner
 def _turning_point(
     start: float, height: float, rays: Rays, a: int, b: int, U: Any, g: Any
 ) -> float:
@@ -251,13 +263,16 @@ def _turning_point(
     in log x, and the iteration comes down on the root from that of the springs alone.
     """
     L = rays.reach
-    x = 2.0 * height / (start + np.sqrt(start * start + 2.0 * height))
+    x: float = 2.0 * height / (start + np.sqrt(start * start + 2.0 * height))
     for _ in range(NEWTON_STEPS):
         rise, steepness = x * (start + 0.5 * x), start + x
         for s in range(a, b):
             before = max(L * start - rays.clearance[s], 0.0)
             B, e, law = rays.stiffness[s], rays.exponent[s], rays.law[s]
-            rise += B * (of_law(U, law, before + L * x, e) - of_law(U, law, before, e))
+            if L * x < NEAR * before:
+                rise += B * L * x * _mean_force(before + 0.5 * L * x, L * x, law, e, g)
+            else:
+                rise += B * (of_law(U, law, before + L * x, e) - of_law(U, law, before, e))
             steepness += L * B * of_law(g, law, before + L * x, e)
         # Where the rise is x^m, x (height/rise)^(1/m) is the root: near it by a Padé approximant.
         ratio, m = height / rise, x * steepness / rise
@@ -278,7 +293,8 @@ def _turning_points(
 ) -> None:
     """Fill X, the distance from each stop to the turning point, and how far its panel goes.
 
-    X is 0 where no panel begins at the stop; ``top`` is negative where v^a has died out by −top.
+    X is 0 where no panel begins at the stop. ``top`` is X − end where the next stop ends the
+    panel, 0 where the turning point does, and where v^a dies out before, −end.
     """
     for k in range(rays.first.size - 1):
         a, b = rays.first[k], rays.first[k + 1]
@@ -291,12 +307,29 @@ def _turning_points(
             if done or end <= start or height <= 0.0:
                 continue
             X[s] = _turning_point(start, height, rays, a, s + 1, U, g)
-            top[s] = min(end - start, X[s])
+            if end - start < X[s]:
+                top[s] = X[s] - (end - start)
+                if top[s] < 1e-5 * X[s]:
+                    # It cancels: what is left of H over the slope half-way, whose relative error
+                    # is of the order of its square.
+                    left = H - _level(end, rays, a, s + 1, U)
+                    top[s] = left / _slope(0.5 * (end + start + X[s]), rays, a, s + 1, g)
             if share > 0.0:
                 gone = _turning_point(start, height * (1.0 - share), rays, a, s + 1, U, g)
-                if gone < top[s]:
+                if gone < X[s] - top[s]:
                     top[s] = -gone
                     done = True
+
+
+@_inner
+def _slope(r: float, rays: Rays, a: int, b: int, g: Any) -> float:
+    """V' at the place r of the ray whose stops are a to b."""
+    slope: float = r
+    for s in range(a, b):
+        overlap = max(rays.reach * r - rays.clearance[s], 0.0)
+        force = rays.stiffness[s] * of_law(g, rays.law[s], overlap, rays.exponent[s])
+        slope += rays.reach * force
+    return slope
 
 
 @_inner
@@ -317,7 +350,7 @@ def _panels(
                 _points(start, X[s], top[s], rules, i, size, work)
                 _heights(H, start, X[s], rays, a, s + 1, size, work, U, g, single)
                 if single:
-                    _one_degree(H, start, rays, a, s + 1, size, work, g, bend)
+                    _one_degree(start, rays, a, s + 1, size, work, U, g, bend)
                 else:
                     _many_degrees(n, size, work)
                 _add(0, split, 1.0 / np.sqrt(H), n, work, coarse)
@@ -343,7 +376,7 @@ def _points(
 ) -> None:
     """Write x, (X − x)(start + ½ (X + x)) and dx of the points from ``i``."""
     x, left, v, dx = work.x, work.left, work.v, work.dx
-    if top == X:
+    if top == 0.0:
         for j in range(size):
             x[j] = X * rules.sine2[i + j]
             left[j] = X * rules.cosine2[i + j]
@@ -356,7 +389,7 @@ def _points(
             left[j] = X - x[j]
             dx[j] = -2.0 * top * rules.share[i + j] * rules.weight[i + j]
     else:
-        end = np.arctan2(np.sqrt(top), np.sqrt(X - top))
+        end = np.arctan2(np.sqrt(X - top), np.sqrt(top))
         for j in range(size):
             sine, cosine = np.sin(end * rules.share[i + j]), np.cos(end * rules.share[i + j])
             x[j] = X * sine * sine
@@ -377,7 +410,7 @@ def _heights(
         before = max(L * start - rays.clearance[s], 0.0)
         B, e, law = rays.stiffness[s], rays.exponent[s], rays.law[s]
         last = of_law(U, law, before + L * X, e)
-        if single:
+        if single or before > 0.0:
             for j in range(size):
                 now = before + L * x[j]
                 left = L * work.left[j]
@@ -390,14 +423,6 @@ def _heights(
                 v[j] += B * (last - of_law(U, law, before + L * x[j], e))
     for j in range(size):
         v[j] *= 1.0 / H
-
-
-@_inner
-def _mean_force(middle: float, width: float, law: int, e: float, g: Any) -> float:
-    """Mean of the force over a width of ``NEAR`` of the overlap: three Gauss points are exact."""
-    shift = 0.5 * np.sqrt(0.6) * width
-    ends = of_law(g, law, middle - shift, e) + of_law(g, law, middle + shift, e)
-    return (5.0 * ends + 8.0 * of_law(g, law, middle, e)) / 18.0
 
 
 @_inner
@@ -420,17 +445,19 @@ def _many_degrees(n: int, size: int, work: Work) -> None:
 
 @_inner
 def _one_degree(
-    H: float, start: float, rays: Rays, a: int, b: int, size: int, work: Work, g: Any, bend: Any
+    start: float, rays: Rays, a: int, b: int, size: int, work: Work, U: Any, g: Any, bend: Any
 ) -> None:
     """Write v^(−½) dx and (½ − V V''/V'²) v^(−½) dx for n = 1, from V as the variable."""
-    L, x, v = rays.reach, work.x, work.v
+    L = rays.reach
     for j in range(size):
-        steepness, curvature = start + x[j], 1.0
+        r = start + work.x[j]
+        # Not H (1 − v), which cancels near rest.
+        V, steepness, curvature = 0.5 * r * r, r, 1.0
         for s in range(a, b):
-            overlap = max(L * start - rays.clearance[s], 0.0) + L * x[j]
+            overlap = max(L * start - rays.clearance[s], 0.0) + L * work.x[j]
             B, e, law = rays.stiffness[s], rays.exponent[s], rays.law[s]
+            V += B * of_law(U, law, overlap, e)
             steepness += L * B * of_law(g, law, overlap, e)
             curvature += L * L * B * of_law(bend, law, overlap, e)
-        work.states[j] = work.dx[j] / np.sqrt(v[j])
-        turned = 0.5 - H * (1.0 - v[j]) * curvature / (steepness * steepness)
-        work.change[j] = work.states[j] * turned
+        work.states[j] = work.dx[j] / np.sqrt(work.v[j])
+        work.change[j] = work.states[j] * (0.5 - V * curvature / (steepness * steepness))

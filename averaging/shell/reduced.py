@@ -60,8 +60,10 @@ def reduced_potential(system: System, *extra: int) -> ReducedPotential:
     kept, which for a chain is a sum of positive terms, exact to round-off at any stiffness ratio.
     """
     masses = tuple(sorted({*system.contact_masses, *extra}))
-    compliance = compliance_matrix(system)[np.ix_(masses, masses)]
-    L = np.linalg.cholesky(compliance) if masses else np.zeros((0, 0))
+    compliance = compliance_matrix(system)[list(masses)][:, list(masses)]
+    L: Array = np.zeros((0, 0))
+    if masses:
+        L = np.asarray(np.linalg.cholesky(compliance), dtype=float)
     stops = system.stops
     signs = np.array([1.0 if stop.side == "right" else -1.0 for stop in stops])
     rows = np.array([L[masses.index(stop.mass)] for stop in stops]).reshape(len(stops), len(masses))

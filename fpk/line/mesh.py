@@ -1,10 +1,15 @@
 """Meshes of one energy: where they end, and how they follow the coefficients."""
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
+from fpk.compiling import FLAGS
 from fpk.errors import NotCertified
 from fpk.process import DiffusionProcess, log_density_slope
 
@@ -12,6 +17,10 @@ Array = NDArray[np.float64]
 
 NATS_PER_ELEMENT = 3.0
 """Fall of ln(p/T) over one element: exp(−3 t) is met by degree 10 to 1e-11."""
+EACH = 0.03
+"""Share of the tolerance that a first mesh grants each of its elements, ten or so."""
+UNDER = 1e-3
+"""Largest error of an element relative to the density at its far end."""
 GRADING = 0.15
 """Ratio of neighbouring lengths towards a point where smoothness is lost."""
 GRADED_LAYERS = 5
@@ -26,51 +35,68 @@ SURVEY_ROUNDS = 20
 class Survey:
     """Coarse look at the coefficients, from which a mesh starts; the answer does not rest on it.
 
-    ``slope`` is d ln p/dH and ``roughness`` |d ln(p/T)/dH| at ``energy``, all (points,).
+    ``slope`` is d ln p/dH, ``roughness`` |d ln(p/T)/dH| and ``log_mass`` ln of p H up to a constant
+    at ``energy``, all (points,).
     """
 
     energy: Array
     slope: Array
     roughness: Array
+    log_mass: Array
+
+
+GRID = np.concatenate([np.logspace(-3.0, 0.0, 10), np.logspace(0.0, 4.0, 41)[1:]])
+"""Energies looked at, in units of the process's scale."""
 
 
 def survey(process: DiffusionProcess) -> Survey:
     """Evaluate the slopes on a grid from far below to far above the process's energy scale."""
-    grid = np.concatenate([np.logspace(-3.0, 0.0, 10), np.logspace(0.0, 4.0, 60)[1:]])
-    view = _looked_at(process, process.energy_scale * grid)
+    energy = process.energy_scale * GRID
+    view = _surveyed(energy, *_looked_at(process, energy))
     return _closer(process, view) if process.state_damping else view
 
 
-def _looked_at(process: DiffusionProcess, energy: Array) -> Survey:
+def _looked_at(process: DiffusionProcess, energy: Array) -> tuple[Array, Array]:
     c = process.coefficients(energy)
-    return Survey(energy, log_density_slope(c), np.abs(2.0 * c.dissipation / c.diffusion))
+    return log_density_slope(c), np.abs(2.0 * c.dissipation / c.diffusion)
+
+
+def _surveyed(energy: Array, slope: Array, roughness: Array) -> Survey:
+    return Survey(energy, slope, roughness, _log_mass(energy, slope))
 
 
 def _closer(process: DiffusionProcess, view: Survey) -> Survey:
     """Add points until no maximum of p can hide between two of them: it may be narrow."""
     for _ in range(SURVEY_ROUNDS):
-        log_mass = _log_mass(view)
+        log_mass = view.log_mass
         bulk = np.maximum(log_mass[1:], log_mass[:-1]) > log_mass.max() - DEEP
         rate = 1.0 + view.energy * view.slope
         bent = np.abs(np.diff(rate)) * np.diff(np.log(view.energy)) > SAGITTA
         i = np.flatnonzero(bulk & bent)
         if not i.size:
             break
-        new = _looked_at(process, np.sqrt(view.energy[i] * view.energy[i + 1]))
-        view = Survey(
-            np.insert(view.energy, i + 1, new.energy),
-            np.insert(view.slope, i + 1, new.slope),
-            np.insert(view.roughness, i + 1, new.roughness),
+        energy = np.sqrt(view.energy[i] * view.energy[i + 1])
+        slope, roughness = _looked_at(process, energy)
+        view = _surveyed(
+            np.insert(view.energy, i + 1, energy),
+            np.insert(view.slope, i + 1, slope),
+            np.insert(view.roughness, i + 1, roughness),
         )
     return view
 
 
-def _log_mass(view: Survey) -> Array:
-    """ln of p H at the points of the survey, up to a constant."""
+_compiled = njit(fastmath=FLAGS, error_model="numpy", cache=True, nogil=True)
+
+
+@_compiled
+def _log_mass(energy: Array, slope: Array) -> Array:
+    """ln of p H, up to a constant."""
     # In the variable ln H, where the slope varies slowly: d ln(p H)/d ln H = 1 + H d ln p/dH.
-    rate = 1.0 + view.energy * view.slope
-    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(np.log(view.energy))
-    return np.concatenate([[0.0], np.cumsum(steps)])
+    found = np.zeros(energy.size)
+    for i in range(1, energy.size):
+        rate = 2.0 + energy[i] * slope[i] + energy[i - 1] * slope[i - 1]
+        found[i] = found[i - 1] + 0.5 * rate * np.log(energy[i] / energy[i - 1])
+    return found
 
 
 def truncation_energy(view: Survey, tail: float) -> float:
@@ -79,39 +105,112 @@ def truncation_energy(view: Survey, tail: float) -> float:
     The solver bounds the tail again from its own solution. Raises ``NotCertified`` where the
     density does not fall to that share.
     """
-    log_mass = _log_mass(view)
-    depth = log_mass - log_mass.max()
-    beyond = np.flatnonzero((depth < np.log(tail)) & (view.energy > view.energy[depth.argmax()]))
-    if not beyond.size:
+    found: float = _fallen_by(view.energy, view.log_mass, math.log(tail))
+    if not found < math.inf:
         raise NotCertified(
             "the density does not fall off: damping does not balance the noise at high energy"
         )
-    i = beyond[0]
-    share = (np.log(tail) - depth[i - 1]) / (depth[i] - depth[i - 1])
-    return float(view.energy[i - 1] * (view.energy[i] / view.energy[i - 1]) ** share)
+    return found
 
 
-def initial_nodes(view: Survey, end: float, nonsmooth: tuple[float, ...]) -> Array:
+@_compiled
+def _fallen_by(energy: Array, log_mass: Array, log_tail: float) -> float:
+    """The first energy beyond the maximum of p H where ln of it has fallen by −``log_tail``."""
+    top = np.argmax(log_mass)
+    wanted = log_mass[top] + log_tail
+    for i in range(top + 1, energy.size):
+        if log_mass[i] < wanted:
+            share = (wanted - log_mass[i - 1]) / (log_mass[i] - log_mass[i - 1])
+            found: float = energy[i - 1] * (energy[i] / energy[i - 1]) ** share
+            return found
+    return np.inf
+
+
+def initial_nodes(
+    view: Survey,
+    end: float,
+    nonsmooth: tuple[float, ...],
+    *,
+    nats: Array | float = NATS_PER_ELEMENT,
+    layers: bool = True,
+) -> Array:
     """Return nodes from 0 to ``end``: on the nonsmooth energies, dense where p/T varies fast.
 
-    Geometric layers lie above every nonsmooth energy (below it, the density is smooth up to it).
+    ``nats`` is the fall of ln(p/T) over one element, at the energies of the survey. With ``layers``
+    geometric ones lie above every nonsmooth energy (below it, the density is smooth up to it).
     """
-    energy = np.linspace(0.0, end, 65)
-    rate = np.interp(energy, view.energy, view.roughness) / NATS_PER_ELEMENT
-    steps = 0.5 * (rate[1:] + rate[:-1]) * energy[1]
-    count = np.concatenate([[0.0], np.cumsum(steps)])
-    levels = np.linspace(0.0, count[-1], max(int(np.ceil(count[-1])), 2) + 1)
-    nodes = np.interp(levels, count, energy)
-    fixed = np.array(nonsmooth)
-    fixed = fixed[fixed < end]
-    for H in fixed:
-        spacing = np.diff(nodes)[min(int(np.searchsorted(nodes, H)), nodes.size - 1) - 1]
-        nodes = nodes[(np.abs(nodes - H) > 0.3 * spacing) | (nodes == 0.0) | (nodes == end)]
-    nodes = np.unique(np.concatenate([nodes, fixed]))
+    ends = np.array([0.0, *(H for H in nonsmooth if 0.0 < H < end), end])
+    nodes: Array = _placed(view.energy, view.roughness / nats, ends)
+    return with_layers(nodes, nonsmooth) if layers else nodes
+
+
+@_compiled
+def _placed(energy: Array, rate: Array, ends: Array) -> Array:
+    """Nodes among them ``ends``, as many between two as ∫rate asks for, in equal shares of it."""
+    count, last = 64, ends[-1]
+    grid = np.linspace(0.0, last, count + 1)
+    at_grid = np.interp(grid, energy, rate)
+    total = np.zeros(count + 1)
+    for k in range(count):
+        total[k + 1] = total[k] + 0.5 * (at_grid[k] + at_grid[k + 1]) * last / count
+    at_ends = np.interp(ends, grid, total)
+    pieces = np.maximum(np.ceil(at_ends[1:] - at_ends[:-1]), 1.0).astype(np.int64)
+    levels = np.empty(pieces.sum() + 1)
+    k = 0
+    for i in range(pieces.size):
+        step = (at_ends[i + 1] - at_ends[i]) / pieces[i]
+        for j in range(pieces[i]):
+            levels[k + j] = at_ends[i] + j * step
+        k += pieces[i]
+    nodes = np.interp(levels, total, grid)
+    k = 0
+    for i in range(pieces.size):
+        nodes[k] = ends[i]
+        k += pieces[i]
+    nodes[k] = last
+    return nodes
+
+
+def nats_for(view: Survey, degree: int, tol: float) -> Array:
+    """Return how far ln(p/T) may fall over one element of ``degree``, at the survey's energies.
+
+    Over n nats the best polynomial misses e^(−x) by n^(p+1)/((p+1)! 2^(2p+1)) of its largest value
+    (Chebyshev), and an element's error counts by its share of the mass, which is that of its start
+    at the most. Each element gets ``EACH`` of ``tol``, but in the tail no more than what keeps the
+    density positive, by far.
+    """
+    log_unit, log_steepest = _miss(degree)
+    log_first = log_unit + math.log(EACH * tol)
+    found: Array = _granted(view.log_mass, log_first, 1.0 / (degree + 1), log_steepest)
+    return found
+
+
+@_compiled
+def _granted(log_mass: Array, log_first: float, power: float, log_most: float) -> Array:
+    top = np.argmax(log_mass)
+    found = np.empty(log_mass.size)
+    for i in range(log_mass.size):
+        depth = log_mass[i] - log_mass[top] if i > top else 0.0
+        found[i] = np.exp(min((log_first - depth) * power, log_most))
+    return found
+
+
+@lru_cache
+def _miss(degree: int) -> tuple[float, float]:
+    """ln of (p+1)! 2^(2p+1), and of the n where an element's error is ``UNDER`` of e^(−n)."""
+    p = degree + 1
+    log_unit = math.lgamma(p + 1) + (2 * p - 1) * math.log(2.0)
+    found = brentq(lambda n: p * math.log(n) - log_unit + n - math.log(UNDER), 1e-3, 1e3)
+    return log_unit, math.log(found)
+
+
+def with_layers(nodes: Array, nonsmooth: tuple[float, ...]) -> Array:
+    """Return the nodes and geometric layers above those that are nonsmooth energies."""
     layers = GRADING ** np.arange(1.0, GRADED_LAYERS + 1.0)
-    for H in fixed:
-        gap = nodes[np.searchsorted(nodes, H, side="right")] - H
-        nodes = np.unique(np.concatenate([nodes, H + gap * layers]))
+    for H in nonsmooth:
+        if nodes[-1] > H:
+            gap = nodes[np.searchsorted(nodes, H, side="right")] - H
+            nodes = np.unique(np.concatenate([nodes, H + gap * layers]))
     return nodes
 
 
@@ -134,7 +233,15 @@ def tail_bound(view: Survey, end: float, density_at_end: float) -> float:
 
     The rate is that of the survey above ``end``, and taken not to drop below it further out.
     """
-    # The least rate may be that at the end itself, between two points of the survey.
-    at_end = -float(np.interp(end, view.energy, view.slope))
-    rate = float(np.min(-view.slope[view.energy >= end], initial=at_end))
-    return density_at_end / rate if 0.0 < rate < np.inf else float("inf")
+    rate: float = _least_rate(view.energy, view.slope, end)
+    return density_at_end / rate if 0.0 < rate < math.inf else math.inf
+
+
+@_compiled
+def _least_rate(energy: Array, slope: Array, end: float) -> float:
+    # It may be that at the end itself, between two points of the survey.
+    rate: float = -np.interp(end, energy, slope)
+    for i in range(energy.size):
+        if energy[i] >= end:
+            rate = min(rate, -slope[i])
+    return rate

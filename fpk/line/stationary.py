@@ -5,22 +5,27 @@ No boundary condition is imposed at H = 0 (an entrance boundary) nor at the far 
 natural. The equation is solved from its coefficients alone, never from the known solution.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fpk.density import Certificate
-from fpk.line.assembly import (
-    ENRICHMENT,
-    Assembled,
-    SolvedElements,
-    assembled,
-    merged,
-    solve_elements,
-)
+from fpk.line.assembly import SolvedElements, merged, solve_elements
 from fpk.line.elements import Form, shape_functions
-from fpk.line.mesh import Survey, initial_nodes, split_points, survey, tail_bound, truncation_energy
+from fpk.line.local import ENRICHMENT, Assembled, Checks, assembled, checks
+from fpk.line.mesh import (
+    NATS_PER_ELEMENT,
+    Survey,
+    initial_nodes,
+    nats_for,
+    split_points,
+    survey,
+    tail_bound,
+    truncation_energy,
+    with_layers,
+)
 from fpk.process import DiffusionProcess, log_density_slope_error
 from fpk.quadrature import panel_rule
 
@@ -65,6 +70,11 @@ class StationarySolution:
     coefficient_error: float
     l1_error: float
     certificate: Certificate
+
+    @property
+    def panels(self) -> Array:
+        """The nodes, with layers where p is not smooth: between them, quadrature of p is exact."""
+        return with_layers(self.nodes, self.process.nonsmooth)
 
     @property
     def unknowns(self) -> int:
@@ -129,18 +139,23 @@ def solve_stationary(
     The degree follows from ``tol`` unless given. The answer is certified or says what failed.
     Raises ``NotCertified`` where no stationary density exists.
     """
-    degree = int(np.clip(round(-np.log10(tol)), 3, 12)) if degree is None else degree
+    # In the flux form u is smooth where T is not, as long as 2 F/b does not depend on H.
+    smooth = form == "flux" and not process.state_damping
+    if degree is None:
+        degree = int(np.clip(round(-np.log10(tol)) + (4 if smooth else 0), 3, 16 if smooth else 12))
     view = survey(process)
     end = truncation_energy(view, 1e-2 * tol)
-    nodes = initial_nodes(view, end, process.nonsmooth)
+    nats = nats_for(view, degree, tol) if smooth else NATS_PER_ELEMENT
+    nodes = initial_nodes(view, end, process.nonsmooth, nats=nats, layers=not smooth)
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree, form)
     special = np.array([0.0, *process.nonsmooth])
     for _ in range(MOST_ROUNDS):
-        whole = assembled(elements, degree)
-        negative = whole.p.min(axis=1) < NEGATIVE * whole.p.max()
+        whole = Assembled(*assembled(elements.solved))
+        found = Checks(*checks(elements.solved, whole, elements.coefficient_error))
         # Half of the tolerance is left to the tail, the coefficients and round-off.
-        if SAFETY * whole.distance.sum() <= 0.5 * tol and not negative.any():
+        if SAFETY * found.distance <= 0.5 * tol and found.least >= NEGATIVE * found.most:
             break
+        negative = whole.p.min(axis=1) < NEGATIVE * found.most
         marked = negative | (whole.indicator > 0.1 * tol / whole.indicator.size)
         left, right = elements.left[marked], elements.right[marked]
         cut = split_points(left, right, special)
@@ -154,7 +169,7 @@ def solve_stationary(
             process, np.concatenate([left, cut]), np.concatenate([cut, right]), degree, form
         )
         elements = merged(elements, new, ~marked)
-    return _certified(process, view, elements, whole, degree, form, tol)
+    return _certified(process, view, elements, whole, found, degree, form, tol)
 
 
 def solve_on_mesh(
@@ -162,8 +177,9 @@ def solve_on_mesh(
 ) -> StationarySolution:
     """Return the finite element solution on a given mesh, for convergence studies."""
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree, form)
-    whole = assembled(elements, degree)
-    return _certified(process, survey(process), elements, whole, degree, form, np.inf)
+    whole = Assembled(*assembled(elements.solved))
+    found = Checks(*checks(elements.solved, whole, elements.coefficient_error))
+    return _certified(process, survey(process), elements, whole, found, degree, form, np.inf)
 
 
 def _certified(
@@ -171,41 +187,41 @@ def _certified(
     view: Survey,
     elements: SolvedElements,
     whole: Assembled,
+    found: Checks,
     degree: int,
     form: Form,
     tol: float,
 ) -> StationarySolution:
     """Bound the tail, estimate the error and check what must hold of the assembled solution."""
     nodes = np.append(elements.left, elements.right[-1])
-    end_value = abs(float(whole.u[-1, 1])) * float(np.exp(whole.log_scale[-1]))
+    end_value = abs(float(whole.u[-1, 1])) * math.exp(whole.log_scale[-1])
     if form == "flux":
-        end_value *= float(np.exp(process.coefficients(nodes[-1:]).log_density_of_states[0]))
+        end_value *= math.exp(elements.log_states[-1])
     tail = tail_bound(view, float(nodes[-1]), end_value)
-    share = np.abs(whole.share)
-    coefficient_error = _coefficient_error(elements.coefficient_error, share)
-    moved, accumulated = (
-        _accumulated_error(process, nodes, share) if process.state_damping else (0.0, 0.0)
-    )
-    round_off = ROUND_OFF * (share.size + degree**2)
-    estimate = SAFETY * float(whole.distance.sum()) + 2.0 * tail + coefficient_error + round_off
-    estimate += moved
-    minimum = float(whole.p.min() / whole.p.max())
-    residual = float(elements.base.residual.max())
-    net_flux = float(np.max(share * elements.base.net_flux) / np.max(share * elements.base.one_way))
-    checks = {
+    # Errors of s and b shift d ln p/dH by as much. Their effect on ln p is bounded by the error
+    # times the fall of ln p over the bulk of the mass, about one per energy scale; the worst
+    # point of each element counts by its share of the mass.
+    coefficient_error = 2.0 * found.coefficient_error
+    moved, accumulated = 0.0, 0.0
+    if process.state_damping:
+        moved, accumulated = _accumulated_error(process, nodes, np.abs(whole.share))
+    estimate = SAFETY * found.distance + 2.0 * tail + coefficient_error + moved
+    estimate += ROUND_OFF * (nodes.size - 1 + degree**2)
+    minimum = found.least / found.most
+    failed = {
         f"the density falls to {minimum:.2g} of its maximum": minimum < NEGATIVE,
         f"the estimated error {estimate:.2g} exceeds the tolerance {tol:.2g}": not estimate <= tol,
-        f"the algebraic residual is {residual:.2g}": not residual < RESIDUAL,
-        f"the net flux is {net_flux:.2g} of the one-way flux": not net_flux < NET_FLUX,
-        "the density does not fall off at the end of the mesh": not np.isfinite(tail),
+        f"the algebraic residual is {found.residual:.2g}": not found.residual < RESIDUAL,
+        f"the net flux is {found.net_flux:.2g} of the one-way flux": not found.net_flux < NET_FLUX,
+        "the density does not fall off at the end of the mesh": not math.isfinite(tail),
     }
     certificate = Certificate(
-        mass_defect=abs(float(np.sum(whole.weights * whole.p)) - 1.0),
+        mass_defect=abs(found.mass - 1.0),
         minimum=minimum,
-        residual=residual,
+        residual=found.residual,
         tail_mass=tail,
-        net_flux=net_flux,
-        failures=tuple(words for words, failed in checks.items() if failed),
+        net_flux=found.net_flux,
+        failures=tuple(words for words, fails in failed.items() if fails),
     )
     return StationarySolution(
         process=process,
@@ -214,8 +230,8 @@ def _certified(
         nodes=nodes,
         coefficients_u=whole.u,
         log_scale=whole.log_scale,
-        enriched_u=whole.enriched_u,
-        enriched_log_scale=whole.enriched_log_scale,
+        enriched_u=whole.twin,
+        enriched_log_scale=whole.twin_log_scale,
         coefficient_error=coefficient_error + accumulated,
         l1_error=estimate,
         certificate=certificate,
@@ -236,12 +252,3 @@ def _accumulated_error(
     below = np.cumsum(share)
     moved = 2.0 * np.minimum(below, np.maximum(1.0 - below, 0.0) + share)
     return float(steps @ moved), float(steps.sum())
-
-
-def _coefficient_error(relative: Array, share: Array) -> float:
-    """L1 effect of the relative quadrature errors of s and b, which shift d ln p/dH by as much.
-
-    Their effect on ln p is bounded by the error times the fall of ln p over the bulk of the
-    mass, about one per energy scale; the worst element of each counts by its share of the mass.
-    """
-    return float(2.0 * np.sum(share * relative))
