@@ -56,10 +56,12 @@ class MonteCarlo:
     of wall time instead; with ``tol`` it takes the place of ``longest``.
     ``step_pair``: run a second simulation at dt/2, its seed another, on the same bins; settings
     then have the differences as "step bias" of each density and mean, apart from sampling errors.
-    ``moments``: evaluate the moment identities, too. ``threads`` None: all that there are; the
-    answer does not depend on it. ``cluster``: the address of a Dask scheduler whose workers do it,
-    with bitwise the same answer. ``checkpoint``: a folder where the state is kept at intervals and
-    found again. ``partial``: Ctrl-C ends the sampling with what there is, not certified.
+    ``moments``: evaluate the moment identities, too; settings then have the means of the states as
+    "E q2²" and, where their controls hold, "E q2² by control variates" (``sim.control``).
+    ``threads`` None: all that there are; the answer does not depend on it. ``cluster``: the address
+    of a Dask scheduler whose workers do it, with bitwise the same answer. ``checkpoint``: a folder
+    where the state is kept at intervals and found again. ``partial``: Ctrl-C ends the sampling with
+    what there is, not certified.
     ``allow_unstable``: take a ``dt`` at or above the stability limit; nothing is certified then.
 
     Raises ``InvalidInput`` naming the field that cannot be used.

@@ -1,22 +1,32 @@
 """Control variates and the pair of steps: right, honest, and worth it. Seeds were drawn once."""
 
+from collections.abc import Iterable, Sequence
 from math import exp, sqrt
 
 import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.linalg import solve_continuous_lyapunov
-from scipy.stats import chi2
+from scipy.stats import binom, chi2
 from sim_systems import exact, fig6, linear, mixed
 
 from fpk.damping import DampingTerm
-from fpk.density import SampledDensity
+from fpk.density import SampledDensity, moment
 from fpk.observable import parse_observable
 from fpk.system import System
-from sim.control import Controls, displacement_square, path_means, velocity_square
+from sim.control import (
+    FALSE_ALARMS,
+    ControlledMean,
+    Controls,
+    PathMeans,
+    displacement_square,
+    path_means,
+    velocity_square,
+)
 from sim.ensemble import Ensemble
 from sim.flow import linear_diffusion, linear_drift
 from sim.montecarlo import MonteCarlo
+from sim.relaxation import relaxation_time
 from sim.scheme import SCHEMES
 from sim.statistics import Moments, moment_products
 from sim.step_size import chosen_step
@@ -67,6 +77,124 @@ def test_stated_errors_are_right_for_few_trajectories() -> None:
         assert chi2.ppf(1e-4, 64) < square < 1.03 * chi2.isf(1e-4, 64), name
     value, error = np.array(values["q2"]).T
     assert np.sum(((value - exact_square(0.55)) / error) ** 2) > 2.0 * chi2.isf(1e-4, 64)
+
+
+SEEDS = {"adjacent": range(640, 704), "random": np.random.default_rng(82).integers(2**63, size=64)}
+
+
+def over_seeds(seeds: Iterable[int], relaxations: float, scheme: str, dt: float) -> list[PathMeans]:
+    """Means of 1024 trajectories of the exact system, after a burn-in of 10 relaxation times."""
+    found, system = [], exact()
+    steps = relaxation_time(system) / dt
+    for seed in seeds:
+        ensemble = Ensemble(system, SCHEMES[scheme], dt, 1024, int(seed), 2)
+        ensemble.watch((), moment_products(system.n))
+        ensemble.advance(round(10.0 * steps), stride=0)
+        ensemble.advance(round(relaxations * steps), stride=max(1, round(0.4 / dt)))
+        found.append(path_means(system, ensemble.sums, ensemble.live, ensemble.samples))
+    return found
+
+
+def chi_square(values: Sequence[float], errors: Sequence[float], truth: float) -> float:
+    return float(np.sum(((np.array(values) - truth) / np.array(errors)) ** 2))
+
+
+@pytest.mark.parametrize("seeds", SEEDS)
+@pytest.mark.parametrize("relaxations", [0.5, 15.0])
+def test_stated_errors_are_right_over_seeds(seeds: str, relaxations: float) -> None:
+    """64 runs, short and long: Σ z² of each mean is χ²_64, and so many controls are refused.
+
+    Each end of χ² at a false-alarm rate of 1e-5 (48 of them: 5e-4), refusals at 1e-4. The bias of
+    the step is 1e-5, an error at least 4e-4.
+    """
+    runs = over_seeds(SEEDS[seeds], relaxations, "exact_flow", 0.12)
+    for mean_of, i, truth in (
+        (displacement_square, 1, exact_square()),
+        (velocity_square, 0, 0.5),
+        (velocity_square, 1, 0.5),
+    ):
+        means: list[ControlledMean] = [mean_of(paths, i) for paths in runs]
+        plain = chi_square([m.plain.value for m in means], [m.plain.error for m in means], truth)
+        ours = chi_square([m.value for m in means], [m.error for m in means], truth)
+        for square in (plain, ours):
+            assert chi2.ppf(1e-5, 64) < square < chi2.isf(1e-5, 64)
+        assert sum(not m.held for m in means) <= binom.isf(1e-4, 64, FALSE_ALARMS)
+        # What the module says: there is no gain where the controls' bias is unknown.
+        assert all(m.plain.error < 1.02 * np.hypot(m.error, m.unseen) for m in means)
+
+
+def test_a_step_that_biases_the_controls_is_found_out_and_the_plain_mean_stays_right() -> None:
+    """BAOAB at h = 0.3, a bias of −0.7 %: all 64 runs refuse their controls.
+
+    The plain means scatter as they say, Σ z² about their own mean being χ²_63. Controlled ones lie
+    elsewhere by more than the false-alarm rate of 1e-5 allows.
+    """
+    means = [displacement_square(p, 1) for p in over_seeds(SEEDS["adjacent"], 15.0, "baoab", 0.3)]
+    assert not any(m.held for m in means)
+    values, errors = ([getattr(m.plain, k) for m in means] for k in ("value", "error"))
+    square = chi_square(values, errors, float(np.mean(values)))
+    assert chi2.ppf(1e-5, 63) < square < chi2.isf(1e-5, 63)
+    moved = np.mean([m.value for m in means]) - np.mean(values)
+    assert abs(moved) > 4.4 * np.mean([m.unseen for m in means]) / 8.0
+
+
+def test_errors_are_those_of_regression_on_the_controls() -> None:
+    """Intercept of least squares where all controls have the means they are said to have."""
+    (paths,) = over_seeds([5], 2.0, "baoab", 0.3)
+    system, dt = exact(), 0.3
+    ensemble = Ensemble(system, SCHEMES["baoab"], dt, 1024, 5, 1)
+    ensemble.watch((), moment_products(system.n))
+    steps = relaxation_time(system) / dt
+    ensemble.advance(round(10.0 * steps), stride=0)
+    ensemble.advance(round(2.0 * steps), stride=1)
+    each = ensemble.sums.transpose(1, 0, 2).reshape(ensemble.sums.shape[1], -1) / ensemble.samples
+    controls = Controls(system)
+    rows, expected = controls.identities
+    X = np.column_stack([np.ones(1024), (rows @ each).T - expected])
+    y = controls.row((1.0, "q", 1, "q", 1)) @ each
+    solution, residual, rank, _ = np.linalg.lstsq(X, y)
+    covariance = residual[0] / (1024 - rank) * np.linalg.inv(X.T @ X)
+    mean = displacement_square(paths, 1)
+    assert rank == X.shape[1]
+    assert mean.value == pytest.approx(solution[0], rel=1e-9)
+    assert mean.error == pytest.approx(sqrt(covariance[0, 0]), rel=1e-7)
+    assert mean.plain.value == pytest.approx(y.mean(), rel=1e-12)
+    assert mean.plain.error == pytest.approx(y.std(ddof=1) / 32.0, rel=1e-7)
+
+
+def test_a_mean_that_its_controls_determine_has_the_error_of_round_off() -> None:
+    """One mass without contact: E v² follows from its energy balance alone, m c E v² = N."""
+    ensemble = watched(System([1.0], [1.0], [0.2], [0.1]), blocks=8, steps=1000)
+    paths = path_means(ensemble.system, ensemble.sums, ensemble.live, ensemble.samples)
+    mean = velocity_square(paths, 0)
+    assert 0.0 < mean.error < 1e-5 * mean.plain.error
+    assert abs(mean.value - 0.5) < 4.0 * mean.error
+
+
+def test_the_mean_that_is_told_is_that_of_the_histogram() -> None:
+    """Euler at 0.01 is off by 4 %; the mean by control variates is not, and is not told.
+
+    A sample lies within w/2 of the middle m of its bin: ``|q² − m²| <= w |q| + w²/4``, and the
+    moment of the density has w²/12 more.
+    """
+    method = MonteCarlo(paths=4096, time=100.0, dt=0.01, scheme="euler_maruyama", seed=41)
+    result = method.solve(exact(), Q2)
+    density, s = result.densities[0], result.settings
+    assert isinstance(density, SampledDensity)
+    w = float(np.diff(density.edges[0])[0])
+    told = float(s["E q2²"])
+    assert abs(told - moment(density, 2)) < w * sqrt(told) + w**2 / 3.0 + density_tail(density)
+    assert told / exact_square() - 1.0 > 5.0 * float(s["standard error of E q2²"])
+    assert "E q2² by control variates" not in s
+    assert str(s["control variates"]).startswith("not used for")
+    s = MonteCarlo(paths=4096, time=100.0, seed=41).solve(exact(), Q2).settings
+    assert str(s["control variates"]).startswith("used")
+    assert float(s["standard error of E q2² by control variates"]) > 0
+
+
+def density_tail(density: SampledDensity) -> float:
+    """What samples beyond the bins may hold, each below three times the last edge."""
+    return density.certificate.tail_mass * (3.0 * float(density.edges[0][-1])) ** 2
 
 
 def test_controls_gain_and_agree_with_the_plain_means() -> None:

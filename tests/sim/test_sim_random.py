@@ -68,6 +68,23 @@ def test_moments_and_correlations() -> None:
     assert np.max(np.abs(scores)) < 4.5
 
 
+@pytest.mark.parametrize("seeds", [range(1, 65), range(SEED, SEED + 64)])
+def test_adjacent_seeds_are_independent(seeds: range) -> None:
+    """Sums of z and z² over a run of each seed, and correlations of neighbours, number by number.
+
+    Σ of 64 squared z-scores is χ²_64 and 63 sums of products give as many z-scores, of z and of
+    z² − 1, on the same and on the next trajectory: six figures, each end at 1e-5.
+    """
+    steps, paths = 32, 1 << 12
+    z = np.array([random.normals(seed, paths, 0, steps) for seed in seeds])
+    size, squares = steps * paths, (z**2 - 1.0) / np.sqrt(2.0)
+    for x in (z, squares):
+        assert abs(norm.ppf(chi2.cdf(np.sum(x.sum(axis=(1, 2)) ** 2) / size, 64))) < 4.3
+        for shift in (0, 1):
+            products = np.sum(x[1:] * np.roll(x[:-1], shift, axis=2), axis=(1, 2))
+            assert abs(norm.ppf(chi2.cdf(np.sum(products**2) / size, 63))) < 4.3
+
+
 def pairs_of(radius: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Return (2, N) normals of given bits."""
     out = np.empty((2, radius.size), np.float32)
