@@ -81,8 +81,7 @@ def in_degree() -> str:
     words = (
         "\nOne mesh, the contact energy among its nodes; nats: -ln of the ratio of neighbouring"
         " errors, by degree. They do not fall to nothing: the error falls exponentially, log-lin in"
-        " `fpk converge fig6b --out DIR`. With contact the rate is smaller at high degree: above"
-        " the contact energy the coefficients have half-integer powers of H - H_c.\n\n"
+        " `fpk converge fig6b --out DIR`.\n\n"
     )
     head = ["fig6b", "L1 with contact", "nats a degree", "L1 without", "nats a degree"]
     return "## One energy: error and degree\n" + words + markdown_table(head, rows)
@@ -126,10 +125,10 @@ def masses() -> str:
     words = (
         f"\nFrom 2 to 50 masses the coefficients take {times[-1] / times[0]:.1f} times as long,"
         f" from 5 to 50 {times[-1] / times[1]:.1f} times. The masses without contact are integrated"
-        " out, which leaves one integral of (H - V)^(n - 3/2) for any n. Its Gauss rule is refined"
-        " until two agree (`REFINEMENTS` of `averaging/shell/sums.py`): as n grows the integrand"
-        " narrows, and 2 masses need the coarsest rules alone. That, not the matrices,"
-        " is what grows.\n\n"
+        " out, which leaves one integral of (H - V)^(n - 3/2) for any n, cut where it has died out,"
+        " so that a few Gauss points serve any n. What grows is the closed form up to the stop, n"
+        " products, and where neither the first nor the second rule is fine enough"
+        " (`RULES` of `averaging/shell/one_mass.py`).\n\n"
     )
     head = ["masses", "process, factorisation included, ms", "coefficients at 350 energies, ms"]
     return "## Masses: averaging with one contact\n" + words + markdown_table(head, rows)

@@ -27,13 +27,15 @@ Integers = NDArray[np.int64]
 RULES = (14, 18, 24, 48, 96, 192)
 """Gauss points a panel; an energy moves on to the next rule while two disagree. The first two are
 evaluated at once: 32 points fill four vectors, as fewer would."""
+MANY = 5
+"""Masses from which the first rule would be refused, as v^a is narrow."""
 NEAR = 0.01
 """Difference of overlap, relative to the overlap, below which that of the contact energy is taken
 from the force, as it would cancel: beyond a second stop, and for n = 1, whose integrand is 1/√v."""
 DIED_OUT = 1e-18
 """Share of its value at the stop below which v^a is left out."""
-LEAST_LEFT = 0.1
-"""Share of v that is left by then for the cut to be worth a second root: from n = 20 on."""
+LEAST_LEFT = 0.005
+"""Share of v that is left by then for the cut to be worth a second root: from n = 10 on."""
 NEWTON_STEPS = 60
 
 
@@ -158,34 +160,20 @@ def compiled_ratios(names: tuple[str, ...], single: bool) -> Any:
                 _free_part(H, first, n, free)
             for part in range(3):
                 sums[part] = finer[part] = free[part]
-            # The first two rules at once.
-            split = rules.first[1]
-            _panels(H, rays, X, top, n, rules, 0, 2, split, work, sums, finer, U, g, bend, single)
-            error = _disagreement(sums, finer) + floor
-            rule = 2
-            while error > TARGET and rule < rules.first.size - 1:
-                for part in range(3):
-                    sums[part], finer[part] = finer[part], free[part]
+            # Two rules at once, then one after another; of many masses the first is too coarse.
+            begin = 0 if n < MANY else 1
+            rule, stop, error = begin, begin + 2, np.inf
+            split = rules.first[begin + 1] - rules.first[begin]
+            while error > TARGET and stop < rules.first.size:
                 _panels(
-                    H,
-                    rays,
-                    X,
-                    top,
-                    n,
-                    rules,
-                    rule,
-                    rule + 1,
-                    0,
-                    work,
-                    sums,
-                    finer,
-                    U,
-                    g,
-                    bend,
+                    H, rays, X, top, n, rules, rule, stop, split, work, sums, finer, U, g, bend,
                     single,
-                )
+                )  # fmt: skip
                 error = _disagreement(sums, finer) + floor
-                rule += 1
+                rule, stop, split = stop, stop + 1, 0
+                if error > TARGET and stop < rules.first.size:
+                    for part in range(3):
+                        sums[part], finer[part] = finer[part], free[part]
             found[0, i] = finer[0] / (count * whole[0])
             found[1, i] = finer[1] / (count * whole[1])
             found[2, i] = finer[2] / finer[0]

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from anchors import anchored
 from failures import failures
 from report import machine, markdown_table
-from targets import ALONE, GIVEN, OURS, targets
+from targets import ALONE, GIVEN, OURS, PROCESS, targets
 
 Line = dict
 COST_ERRORS = {
@@ -17,6 +17,7 @@ COST_ERRORS = {
 KINDS = (
     (OURS, "hp, ", "this program, hp elements"),
     (OURS, "quadrature", "this program, quadrature (11)"),
+    (OURS, PROCESS, "this program, hp, from the averaged process on"),
     (OURS, GIVEN, "this program, hp, the peers' coefficients"),
     ("Chebyshev", "one domain", "Chebyshev collocation, one domain"),
     ("Chebyshev", "split at", "Chebyshev collocation, split by hand at H_c"),
@@ -222,7 +223,7 @@ def _solutions(lines: Sequence[Line], peer: str) -> list[Line]:
         line
         for line in lines
         if line["peer"] == peer and line["L1"] is not None
-        and not line["setting"].startswith((GIVEN, ALONE))
+        and not line["setting"].startswith((PROCESS, GIVEN, ALONE))
     ]  # fmt: skip
 
 
