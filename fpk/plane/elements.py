@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.line.elements import gauss_rule, shapes_at_gauss
+from fpk.plane.condensation import local_order
 from fpk.vector_process import VectorProcess
 
 Array = NDArray[np.float64]
@@ -89,11 +90,22 @@ def _products(degree: int, rule: int) -> tuple[Array, Array, Array, Array]:
     return vv, sv, vs, ss
 
 
+@lru_cache
+def _places(degree: int) -> NDArray[np.int64]:
+    """Where the entries of an element matrix in ``local_order`` come in the sum factorisation.
+
+    There rows are pairs (i, j) of test and trial functions along H1, columns those along H2.
+    """
+    k = degree + 1
+    i, m = np.divmod(local_order(degree)[0], k)
+    return np.asarray((i[:, None] * k + i) * k * k + m[:, None] * k + m).ravel()
+
+
 def element_matrices(c: PlaneCoefficients, sizes: Array, degree: int, rule: int) -> Array:
     """Return the element matrices (elements, m, m), m = (degree+1)², test functions first.
 
     ``sizes`` (elements, 2) are the lengths along H1 and H2, ``rule`` the one of ``c``. The local
-    number of φ_i ψ_k is i(degree+1)+k.
+    number of φ_i ψ_k is i(degree+1)+k; they come in ``local_order``.
     """
     vv, sv, vs, ss = _products(degree, rule)
     h1, h2 = sizes[:, 0, None, None], sizes[:, 1, None, None]
@@ -101,11 +113,14 @@ def element_matrices(c: PlaneCoefficients, sizes: Array, degree: int, rule: int)
     slope_slope = (-0.5 * h2 / h1 * c.b11) @ vv
     slope_value = (h2 * c.a1) @ vv
     value_value = (h1 * c.a2) @ sv + (-0.5 * h1 / h2 * c.b22) @ ss
-    parts = [(ss, slope_slope), (sv, slope_value), (vv, value_value)]
+    outer, inner = [ss, sv, vv], [slope_slope, slope_value, value_value]
     if np.any(c.b12):
-        parts[1] = (sv, slope_value + (-0.5 * c.b12) @ vs)
-        parts.append((vs, (-0.5 * c.b12) @ sv))
-    total = sum(outer.T @ inner for outer, inner in parts)
-    k = degree + 1
-    matrices: Array = np.asarray(total).reshape(-1, k, k, k, k).transpose(0, 1, 3, 2, 4)
-    return matrices.reshape(-1, k * k, k * k)
+        inner[1] += (-0.5 * c.b12) @ vs
+        outer.append(vs)
+        inner.append((-0.5 * c.b12) @ sv)
+    factors, places = np.concatenate(outer).T, _places(degree)
+    m = (degree + 1) ** 2
+    matrices = np.empty((len(sizes), m, m))
+    for matrix, *parts in zip(matrices, *inner, strict=True):
+        np.take((factors @ np.concatenate(parts)).ravel(), places, out=matrix.reshape(-1))
+    return matrices

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fpk.errors import NotCertified
 from fpk.line.elements import gauss_rule, shapes_at_gauss
-from fpk.plane.condensation import null_vector
+from fpk.plane.condensation import local_order, null_vector
 from fpk.plane.elements import coefficients_at, element_matrices, gauss_energies, weighted
 from fpk.plane.mesh import Survey, axis_nodes, bisected
 from fpk.plane.solution import NEGATIVE, PlaneSolution, judged, mass_beyond
@@ -137,7 +137,7 @@ def _solved(
         coefficients, weights = weighted(coefficients, w, slopes), weights * w
     matrices = element_matrices(coefficients, sizes, degree, rule)
     phi, _ = shapes_at_gauss(degree, rule)
-    masses = (phi @ weights @ phi.T).reshape(len(sizes), -1)
+    masses = (phi @ weights @ phi.T).reshape(len(sizes), -1)[:, local_order(degree)[0]]
     counts = (nodes[0].size - 1, nodes[1].size - 1)
     try:
         found = null_vector(matrices, masses, counts, degree)

@@ -6,7 +6,7 @@ from its coefficients alone: any w gives the same p, a good one sooner. Where pr
 much, u is a polynomial on each of a few elements; where no w is found the elements expand p itself.
 """
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from fpk.plane.mesh import Survey, surveyed
 from fpk.plane.on_mesh import solve_by_elements, solve_plane_on_mesh
 from fpk.plane.solution import PlaneSolution, judged, mass_beyond
 from fpk.plane.weight import Weight, flux_free_weight
-from fpk.plane.weighted import solve_with_weight, weight_of
+from fpk.plane.weighted import KNOWN, lacking, solve_with_weight, weight_of
 from fpk.vector_process import VectorProcess
 
 __all__ = ["PlaneSolution", "solve_plane", "solve_plane_on_mesh"]
@@ -74,12 +74,7 @@ def solve_plane(
 
 def _attempts(process: VectorProcess, survey: Survey, tol: float) -> Iterator[PlaneSolution]:
     """Solutions, each made after the last one was found wanting."""
-    weight, least = flux_free_weight(survey, process.energy_scales), np.inf
-    for solution in _expanded(process, weight, tol):
-        yield solution
-        if solution.l1_error < least:
-            least = solution.l1_error
-            weight = weight_of(solution) or weight
+    weight = yield from _expanded(process, flux_free_weight(survey, process.energy_scales), tol)
     try:
         if weight is None:
             tolerance = max(tol, ROUGH)
@@ -92,30 +87,34 @@ def _attempts(process: VectorProcess, survey: Survey, tol: float) -> Iterator[Pl
         return
 
 
-def _expanded(process: VectorProcess, weight: Weight | None, tol: float) -> Iterator[PlaneSolution]:
+def _expanded(
+    process: VectorProcess, weight: Weight | None, tol: float
+) -> Generator[PlaneSolution, None, Weight | None]:
     """Expansions of rising degree, each tried once more with a weight fitted to it.
 
-    Ends where the error falls too slowly, geometrically in the degree, to get there.
+    Ends where the digits that lack fall too slowly to get there in the degrees left, and returns
+    the weight fitted to the best of them.
     """
-    last = np.inf
-    for degree in DEGREES:
-        if weight is None:
-            return
-        solution = _expansion(process, weight, degree, tol)
+    best, least, last = weight, np.inf, np.inf
+    for steps, degree in zip(range(len(DEGREES) - 1, -1, -1), DEGREES, strict=True):
+        solution = None if weight is None else _expansion(process, weight, degree, tol)
         if solution is None:
-            return
+            break
         yield solution
-        error = solution.l1_error
-        fitted = weight_of(solution)
+        digits, fitted = lacking(solution, tol), weight_of(solution)
+        if solution.l1_error < least:
+            best, least = fitted or best, solution.l1_error
         again = None if fitted is None else _expansion(process, fitted, degree, tol)
         if again is not None:
             yield again
-            if again.l1_error < error:
-                weight, error = fitted, again.l1_error
-        steps = (DEGREES[-1] - degree) // STEP
-        if not error * (error / last) ** steps <= (tol if np.isfinite(last) else np.inf):
-            return
-        last = error
+            if again.l1_error < solution.l1_error:
+                weight, digits = fitted, lacking(again, tol)
+            if again.l1_error < least:
+                best, least = weight_of(again) or best, again.l1_error
+        if least > KNOWN or not digits - (last - digits) * steps <= 0.0:
+            break
+        last = digits
+    return best
 
 
 def _expansion(

@@ -1,6 +1,7 @@
 """Expansions p = w u: other weights, other solvers, circulating probability, no weight at all."""
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from fpk.plane.basis import orthonormal
 from fpk.plane.expansion import panels_of, solve_expansion
 from fpk.plane.mesh import surveyed
 from fpk.plane.on_mesh import solve_by_elements
+from fpk.plane.solution import judged
 from fpk.plane.stationary import PlaneSolution, solve_plane
 from fpk.plane.tensor import TensorPolynomial
 from fpk.plane.weight import Weight, fitted_weight, flux_free_weight
@@ -180,6 +182,56 @@ def test_a_fit_that_would_not_fall_off_is_not_taken() -> None:
     straight = fitted_weight(grid, -5.0 * x - y, known, 5.0)
     assert straight is not None
     assert_allclose(straight.exponent(np.array(2.0), np.array(3.0)), 13.0, rtol=1e-9)
+
+
+def mixture() -> VectorProcess:
+    """Full diffusion diag(2 d_i H_i) + 2 κ H Hᵀ, with p the mixture of two exponentials.
+
+    One energy is large or the other: ln p is no polynomial. J = (∂ψ/∂H2, −∂ψ/∂H1),
+    ψ = 0.3 H1 H2 p, circulates.
+    """
+    d, kappa, swirl = np.array([1.0, 0.5]), 0.25, 0.3
+    shares, means = np.array([0.6, 0.4]), np.array([[1.0, 0.5], [0.4, 1.25]])
+
+    def diffusion(H: Array) -> Array:
+        return 2.0 * (d * H)[:, :, None] * np.eye(2) + 2.0 * kappa * H[:, :, None] * H[:, None]
+
+    def divergence(H: Array) -> Array:
+        return 2.0 * d + 6.0 * kappa * H
+
+    def drift(H: Array) -> Array:
+        parts = np.log(shares / means.prod(axis=1)) - H @ (1.0 / means).T
+        portion = np.exp(parts - parts.max(axis=1)[:, None])
+        slope = -(portion / portion.sum(axis=1)[:, None]) @ (1.0 / means)
+        s = 0.5 * divergence(H) + 0.5 * np.einsum("nij,nj->ni", diffusion(H), slope)
+        turned = np.stack([H[:, 0], -H[:, 1]], axis=1) * (1.0 + (H * slope)[:, ::-1])
+        return np.asarray(s + swirl * turned)
+
+    return VectorProcess(drift, diffusion, divergence, tuple(shares @ means))
+
+
+@pytest.mark.parametrize("process", [mixture(), one_sided(*STRONG), one_sided(0.3, 0.05)])
+def test_a_looser_tolerance_takes_no_more_attempts_and_no_more_work(
+    process: VectorProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    attempts: list[PlaneSolution] = []
+
+    def noted(*args: Any, **kwargs: Any) -> PlaneSolution:
+        attempts.append(judged(*args, **kwargs))
+        return attempts[-1]
+
+    monkeypatch.setattr(stationary, "judged", noted)
+    monkeypatch.setattr(on_mesh, "judged", noted)
+    counts, work = [], []
+    for tol in (1e-4, 1e-6, 1e-8, 1e-10):
+        attempts.clear()
+        assert_strictly_certified(solve_plane(process, tol=tol))
+        counts.append(len(attempts))
+        work.append(sum(a.unknowns for a in attempts))
+    # A density that is refused because it is negative is so at any tolerance: no expansion after
+    # expansion is tried at a loose one.
+    assert all(a <= b for a, b in pairwise(counts)), counts
+    assert all(a <= b for a, b in pairwise(work)), work
 
 
 def test_without_any_weight_the_elements_obey_the_same_rule(
