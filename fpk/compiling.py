@@ -7,6 +7,9 @@ FLAGS = {"contract", "nsz", "arcp", "afn"}
 """Liberties of arithmetic that are taken: none that assumes there is no NaN, and no reassociation,
 which would undo exact differences."""
 
+SUMS = FLAGS | {"reassoc"}
+"""The same where nothing depends on the order of a sum: elimination is backward stable in any."""
+
 ROOT = Path(__file__).parents[1]
 
 LAWS = ("fpk/compiling.py", "fpk/compiled_laws.py", "fpk/laws/**/*.py")

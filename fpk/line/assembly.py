@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.line.elements import Form
-from fpk.line.local import Solved, contact_rule, element_rule, solved_elements
+from fpk.line.null_vectors import Solved, solved_elements
+from fpk.line.rules import contact_rule, element_rule
 from fpk.process import Coefficients, DiffusionProcess
 
 Array = NDArray[np.float64]

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from fpk.density import Certificate
 from fpk.line.assembly import SolvedElements, merged, solve_elements
+from fpk.line.chain import Assembled, Checks, assembled, checks
 from fpk.line.elements import Form, shape_functions
-from fpk.line.local import ENRICHMENT, Assembled, Checks, assembled, checks
 from fpk.line.mesh import (
     NATS_PER_ELEMENT,
     Survey,
@@ -26,6 +26,7 @@ from fpk.line.mesh import (
     truncation_energy,
     with_layers,
 )
+from fpk.line.rules import ENRICHMENT
 from fpk.process import DiffusionProcess, log_density_slope_error
 from fpk.quadrature import panel_rule
 

@@ -1,48 +1,24 @@
 """Compiled solution of the stationary FPK equation on one finite element after another.
 
-The null vectors of ``fpk.line.elements``, found by elimination in small dense matrices, and their
-scaling to one continuous density of mass one.
+These are the null vectors of ``fpk.line.elements``, found by elimination in small dense matrices.
 """
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from fpk.compiling import FLAGS
-from fpk.line.elements import gauss_rule, shape_functions
+from fpk.compiling import SUMS
+from fpk.line.rules import Rule
 from fpk.process import Coefficients
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-ENRICHMENT = 2
-"""Degrees by which the comparison solution exceeds the answer."""
-MORE_POINTS = 8
-"""Points by which integrals over an element that begins where contact does exceed the others."""
 NO_WEIGHT = 1e-200
 """Pivot, relative to its row, of a direction of u that has no weight in any equation: it is left
 at zero. So it goes where T spans hundreds of decades in one element (n = 50 masses near H = 0)."""
-
-
-class Rule(NamedTuple):
-    """Points of an element and what shape functions are there.
-
-    ``share`` and ``weight`` (points,) are Gauss points of [0, 1], those of the answer before those
-    of its twin; ``phi``, ``dphi`` (points, degree + 1) are shape functions and slopes of the answer
-    at its own, ``twin_phi``, ``twin_dphi`` of the twin at its own, ``seen`` of the twin at those of
-    the answer.
-    """
-
-    share: Array
-    weight: Array
-    phi: Array
-    dphi: Array
-    twin_phi: Array
-    twin_dphi: Array
-    seen: Array
 
 
 class Solved(NamedTuple):
@@ -67,24 +43,6 @@ class Solved(NamedTuple):
     one_way: Array
 
 
-class Assembled(NamedTuple):
-    """The elements scaled to one density of mass 1, beside their enriched twin.
-
-    ``u``, ``log_scale`` (and the same of the twin) as in ``StationarySolution``; ``share`` the mass
-    of each element, ``p`` (elements, points) the density at the Gauss points; ``distance``
-    ∫|p − p_twin| of each element, and ``indicator`` what of it is its own making.
-    """
-
-    u: Array
-    log_scale: Array
-    twin: Array
-    twin_log_scale: Array
-    share: Array
-    p: Array
-    distance: Array
-    indicator: Array
-
-
 class Work(NamedTuple):
     """What one null vector takes: a matrix and its factors (m, m), a vector and pivots (m,)."""
 
@@ -93,42 +51,6 @@ class Work(NamedTuple):
     r: Array
     pivot: Integers
 
-
-@lru_cache
-def element_rule(degree: int) -> Rule:
-    """Return the points of elements of ``degree``: each degree has Gauss points of its own."""
-    return _rule(degree, *zip(*map(gauss_rule, (degree, degree + ENRICHMENT)), strict=True))
-
-
-@lru_cache
-def contact_rule(degree: int) -> Rule:
-    """Return the points for integrals over an element that begins where contact does.
-
-    Gauss points in (H − H_c)^⅓: in √(H − H_c) T is smooth, but stiff contact leaves a layer just
-    above H_c, which asks for more points there. Slopes are not needed.
-    """
-    count = degree + MORE_POINTS
-    rules = [gauss_rule(d) for d in (count, count + ENRICHMENT)]
-    cubed = [(t**3, 3.0 * t**2 * w) for t, w in rules]
-    return _rule(degree, *zip(*cubed, strict=True))
-
-
-def _rule(degree: int, points: tuple[Array, ...], weights: tuple[Array, ...]) -> Rule:
-    own, twin = points
-    phi, dphi = _shapes(degree, own)
-    twin_phi, twin_dphi = _shapes(degree + ENRICHMENT, twin)
-    seen, _ = _shapes(degree + ENRICHMENT, own)
-    share, weight = np.concatenate(points), np.concatenate(weights)
-    return Rule(share, weight, phi, dphi, twin_phi, twin_dphi, seen)
-
-
-def _shapes(degree: int, share: Array) -> tuple[Array, Array]:
-    value, slope = shape_functions(degree, share)
-    return np.ascontiguousarray(value.T), np.ascontiguousarray(slope.T)
-
-
-SUMS = FLAGS | {"reassoc"}
-"""Here nothing depends on the order of a sum: elimination is backward stable in any."""
 
 _inner = njit(fastmath=SUMS, error_model="numpy", forceinline=True)
 
@@ -322,102 +244,3 @@ def solved_elements(
             found.values[e, k] = value * T[g]
             found.twin_values[e, k] = other * T[g] * np.exp(own - top)
     return found
-
-
-@_inner
-def _chained(u: Array, log_factor: Array, sign: Array, log_scale: Array, log_mass: Array) -> None:
-    """Write signs and logs of the elements' scales of u, and logs of their masses.
-
-    The scales make u continuous, the masses sum to one, and where mass is most u is positive.
-    """
-    count, tiny = log_factor.size, 2.2250738585072014e-308
-    sign[0], log_scale[0], top = 1.0, 0.0, 0
-    for e in range(count):
-        if e:
-            leaving, entering = u[e - 1, 1], u[e, 0]
-            log_scale[e] = (
-                log_scale[e - 1]
-                + np.log(max(abs(leaving), tiny))
-                - np.log(max(abs(entering), tiny))
-            )
-            sign[e] = -sign[e - 1] if (leaving < 0.0) != (entering < 0.0) else sign[e - 1]
-        log_mass[e] = log_scale[e] + log_factor[e]
-        top = e if log_mass[e] > log_mass[top] else top
-    total, turned, most = 0.0, sign[top], log_mass[top]
-    for e in range(count):
-        sign[e] *= turned
-        total += sign[e] * np.exp(log_mass[e] - most)
-    total = most + np.log(total)
-    for e in range(count):
-        log_scale[e] -= total
-        log_mass[e] -= total
-
-
-@njit(fastmath=SUMS, error_model="numpy", cache=True, nogil=True)
-def assembled(s: Solved) -> Assembled:
-    """Scale the elements, ascending, to a global solution."""
-    count, points = s.values.shape
-    sign, twin_sign = np.empty(count), np.empty(count)
-    log_mass, twin_log_mass = np.empty(count), np.empty(count)
-    found = Assembled(
-        np.empty(s.u.shape), np.empty(count), np.empty(s.twin.shape), np.empty(count),
-        np.empty(count), np.empty(s.values.shape), np.empty(count), np.empty(count),
-    )  # fmt: skip
-    _chained(s.u, s.log_factor, sign, found.log_scale, log_mass)
-    _chained(s.twin, s.twin_log_factor, twin_sign, found.twin_log_scale, twin_log_mass)
-    below = 0.0
-    for e in range(count):
-        found.u[e] = sign[e] * s.u[e]
-        found.twin[e] = twin_sign[e] * s.twin[e]
-        share = sign[e] * np.exp(log_mass[e])
-        twin_share = twin_sign[e] * np.exp(twin_log_mass[e])
-        found.share[e] = share
-        distance, shape = 0.0, 0.0
-        for g in range(points):
-            found.p[e, g] = share * s.values[e, g]
-            distance += s.weights[e, g] * abs(found.p[e, g] - twin_share * s.twin_values[e, g])
-            shape += s.weights[e, g] * abs(s.values[e, g] - s.twin_values[e, g])
-        found.distance[e] = distance
-        found.indicator[e] = abs(share) * shape
-        if e:
-            # A wrong step between two neighbours moves the smaller of the masses on its sides.
-            gap = (log_mass[e] - log_mass[e - 1]) - (twin_log_mass[e] - twin_log_mass[e - 1])
-            moved = abs(gap) * min(below, max(1.0 - below, 0.0))
-            found.indicator[e - 1] += moved
-            found.indicator[e] += moved
-        below += abs(share)
-    return found
-
-
-class Checks(NamedTuple):
-    """What an assembled solution is judged by.
-
-    ``distance`` ∫|p − p_twin|, ``mass`` ∫p, ``least`` the smallest and ``most`` the largest p,
-    ``residual`` the largest; ``net_flux`` the largest relative to the largest one-way flux;
-    ``coefficient_error`` Σ share · relative error of the coefficients.
-    """
-
-    distance: float
-    mass: float
-    least: float
-    most: float
-    residual: float
-    net_flux: float
-    coefficient_error: float
-
-
-@njit(fastmath=SUMS, error_model="numpy", cache=True, nogil=True)
-def checks(s: Solved, a: Assembled, relative_error: Array) -> Checks:
-    """Sum up the elements, each with the largest relative error of its coefficients."""
-    distance, mass, residual, net, one_way, error = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    least, most = np.inf, -np.inf
-    for e in range(a.share.size):
-        share = abs(a.share[e])
-        distance += a.distance[e]
-        error += share * relative_error[e]
-        residual = max(residual, s.residual[e])
-        net, one_way = max(net, share * s.net_flux[e]), max(one_way, share * s.one_way[e])
-        for g in range(a.p.shape[1]):
-            mass += s.weights[e, g] * a.p[e, g]
-            least, most = min(least, a.p[e, g]), max(most, a.p[e, g])
-    return Checks(distance, mass, least, most, residual, net / one_way, error)
