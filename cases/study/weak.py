@@ -119,7 +119,8 @@ def sample_slope(
 ) -> SampleSlope:
     """Return how the standard error falls with the sampled time at the chosen step.
 
-    Each error comes from 64 batches and is good to 1/√(2·63) of itself, the bar of the slope.
+    Each error comes from single paths and is good to 1/√(2·63) of itself at least, as errors from
+    64 batches would be: the bar of the slope.
     """
     mass = observed_mass(system)
     method = MonteCarlo(paths=paths, seed=seed, threads=threads)
