@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fpk.errors import NotCertified
 from fpk.plane.basis import Basis, orthonormal
+from fpk.plane.pointwise import evaluated, seen_points, weighted_on_grid
 from fpk.plane.weight import Weight
 from fpk.quadrature import panel_rule
 from fpk.vector_process import VectorProcess
@@ -144,11 +145,13 @@ def solve_expansion(
     w > exp(−``nats``). Raises ``NotCertified`` where there is no unique solution.
     """
     at = places_of(weight, nodes, nats, points)
-    w = np.where(at.seen, at.w, 0.0) * at.area
     H1, H2 = at.energies
+    w, H = seen_points(H1, H2, at.seen, at.exponent, at.area)
     bases = orthonormal(H1, w.sum(axis=1), degree), orthonormal(H2, w.sum(axis=0), degree)
     (P, dP), (Q, dQ) = (b.with_slopes(H) for b, H in zip(bases, at.energies, strict=True))
-    matrix = _matrix(_coefficients(process, at, w), (P, dP), (Q, dQ))
+    matrix = _matrix(
+        weighted_on_grid(w, at.seen, *at.slopes, *evaluated(process, H)), (P, dP), (Q, dQ)
+    )
     masses = (P @ w @ Q.T).ravel()
     # The first test function is 1, its equation 0 = 0: the mass takes its place.
     size = float(np.abs(matrix).max())
@@ -167,24 +170,7 @@ def solve_expansion(
     )
 
 
-def _coefficients(process: VectorProcess, at: Places, w: Array) -> tuple[Array, ...]:
-    """w α_1, w α_2, −½ w b_11, −½ w b_12 and −½ w b_22 at the points, 0 where nothing is seen."""
-    places = np.flatnonzero(at.seen)
-    i, j = np.divmod(places, w.shape[1])
-    H = np.stack([at.energies[0][i], at.energies[1][j]], axis=1)
-    shares = w.ravel()[places]
-    a = (process.drift(H) - 0.5 * process.diffusion_divergence(H)).T * shares
-    b = process.diffusion(H)
-    half = -0.5 * shares
-    b11, b12, b22 = half * b[:, 0, 0], half * b[:, 0, 1], half * b[:, 1, 1]
-    first, second = (slope.ravel()[places] for slope in at.slopes)
-    a1, a2 = a[0] - b11 * first - b12 * second, a[1] - b12 * first - b22 * second
-    grids = np.zeros((5, w.size))
-    grids[:, places] = a1, a2, b11, b12, b22
-    return tuple(grids.reshape(5, *w.shape))
-
-
-def _matrix(c: tuple[Array, ...], first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:
+def _matrix(c: Array, first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:
     """Galerkin matrix, test functions first, by sum factorisation: along H2, then along H1."""
     a1, a2, b11, b12, b22 = c
     (P, dP), (Q, dQ) = first, second

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.errors import NotCertified
+from fpk.plane.pointwise import evaluated, flux_free_slopes
 from fpk.vector_process import VectorProcess
 
 Array = NDArray[np.float64]
@@ -51,16 +52,12 @@ def surveyed(process: VectorProcess) -> Survey:
     Raises ``NotCertified`` where the density does not fall off, or b is singular off the axes.
     """
     inside = np.maximum(SURVEY, NEXT_TO_ZERO)
-    flow, b = _coefficients(process, inside, inside)
-    determinant = b[..., 0, 0] * b[..., 1, 1] - b[..., 0, 1] * b[..., 1, 0]
-    if not np.all(determinant > 0.0):
+    grid = np.stack(np.meshgrid(inside, inside, indexing="ij"), axis=-1).reshape(-1, 2)
+    scales = np.array(process.energy_scales)
+    slopes, regular = flux_free_slopes(*evaluated(process, grid * scales), scales)
+    if not regular:
         raise NotCertified("some combination of the two energies gets no noise")
-    first = b[..., 1, 1] * flow[..., 0] - b[..., 0, 1] * flow[..., 1]
-    second = b[..., 0, 0] * flow[..., 1] - b[..., 1, 0] * flow[..., 0]
-    first, second = (
-        slope * (scale / determinant)
-        for slope, scale in zip((first, second), process.energy_scales, strict=True)
-    )
+    first, second = slopes.reshape(2, SURVEY.size, SURVEY.size)
     along = _integral(first), _integral(second.T).T
     paths = along[0][:, :1] + along[1] + along[1][:1] + along[0]
     guess = Survey(0.5 * paths, np.stack([first, second]))

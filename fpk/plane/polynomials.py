@@ -71,19 +71,22 @@ def fits(blocks: Iterable[tuple[Powers, Array]], right: Array) -> Iterable[tuple
     come as (degree + 1, degree + 1), the misfit relative to ``right``. Ends where the places do not
     tell the columns apart.
     """
-    Q, R = np.empty((right.size, 0)), np.empty((0, 0))
+    Q, R, y = np.empty((right.size, 0)), np.empty((0, 0)), np.empty(0)
     powers, left, size = np.empty((0, 2), np.int64), right, float(np.linalg.norm(right))
     for new, columns in blocks:
-        above, own = Q.T @ columns, columns
+        n, own, above = len(R), columns, np.zeros((len(R), len(new)))
         # Twice is enough to be orthogonal to round-off.
-        own = own - Q @ above
-        again = Q.T @ own
-        q, r = np.linalg.qr(own - Q @ again)
-        if np.any(np.abs(np.diag(r)) <= APART * np.linalg.norm(columns, axis=0)):
+        for _ in range(2 if n else 0):
+            share = Q.T @ own
+            own, above = own - Q @ share, above + share
+        q, r = np.linalg.qr(own)
+        if np.any(np.abs(np.diag(r)) <= APART * np.sqrt(np.sum(columns**2, axis=0))):
             return
-        R = np.block([[R, above + again], [np.zeros((len(new), len(R))), r]])
+        grown = np.zeros((n + len(new),) * 2)
+        grown[:n, :n], grown[:n, n:], grown[n:, n:] = R, above, r
+        more = q.T @ left
+        R, left, y = grown, left - q @ more, np.concatenate([y, more])
         Q, powers = np.concatenate([Q, q], axis=1), np.concatenate([powers, new])
-        left = left - q @ (q.T @ left)
         phi = np.zeros((int(powers.max()) + 1,) * 2)
-        phi[powers[:, 0], powers[:, 1]] = np.linalg.solve(R, Q.T @ right)
+        phi[powers[:, 0], powers[:, 1]] = np.linalg.solve(R, y)
         yield phi, float(np.linalg.norm(left)) / size
