@@ -26,6 +26,10 @@ BEYOND = 1e-3
 """Share of the tolerance that w falls to at the far edges, at first."""
 FIRST_NATS = 25.0
 """Nats at first, at the least: the weight may be far from p, and too much of p lie beyond."""
+MORE_NATS = 4.0
+"""Nats by which w is followed farther for the comparison solution."""
+STEP = 1.05
+"""The least share by which that is: the ends of a steep weight are found to 7 % only."""
 LONGER = 5.0
 """Nats by which w is followed farther where too much lies beyond."""
 KNOWN = 0.1
@@ -49,14 +53,19 @@ def solve_with_weight(
     beyond, stalled = max(nats, FIRST_NATS), 0
     while count <= MOST[0] and stalled < 2:
         try:
-            ends = weight.ends(beyond)
+            ends, farther = weight.ends(beyond), weight.ends(beyond + MORE_NATS)
         except NotCertified:
             return
         grading = np.linspace(0.0, 1.0, count + 1) ** 2
         nodes = ends[0] * grading, ends[1] * grading
-        solution = solve_plane_on_mesh(process, nodes, degree, tol=tol, weight=weight)
+        longer = tuple(
+            np.append(H[:-1], max(end, STEP * H[-1])) for H, end in zip(nodes, farther, strict=True)
+        )
+        solution = solve_plane_on_mesh(
+            process, nodes, degree, tol=tol, weight=weight, longer=(longer[0], longer[1])
+        )
         yield solution
-        if solution.certificate.tail_mass > 0.1 * tol:
+        if solution.certificate.tail_mass > 0.1 * tol or not solution.l1_error < 0.5 * least:
             nats = beyond + LONGER
         beyond = nats
         fitted = weight_of(solution)
@@ -83,7 +92,8 @@ def _finer(count: int, degree: int, digits: float) -> tuple[int, int]:
     """The next elements and degree, for so many digits more where the degree can give them."""
     if degree >= MOST[1]:
         return count + 1, degree
-    return count, min(degree + max(int(np.ceil(digits / PER_DEGREE)), 1), MOST[1])
+    more = min(digits / PER_DEGREE, float(MOST[1]))
+    return count, min(degree + max(int(np.ceil(more)), 1), MOST[1])
 
 
 def weight_of(solution: PlaneSolution) -> Weight | None:
