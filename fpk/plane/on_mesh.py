@@ -50,7 +50,8 @@ def solve_by_elements(
     if not _affordable(pair, degree):
         raise NotCertified(f"the tolerance {tol:.2g} takes more elements than are affordable")
     for _ in range(MOST_ROUNDS):
-        solution = solve_plane_on_mesh(process, pair, degree, tol=tol)
+        longer = _longer(pair[0], True), _longer(pair[1], True)
+        solution = solve_plane_on_mesh(process, pair, degree, tol=tol, longer=longer)
         if solution.certificate.certified or (not strict and solution.l1_error <= tol):
             break
         answer = solution.answer

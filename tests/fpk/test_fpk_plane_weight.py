@@ -1,5 +1,6 @@
 """Expansions p = w u: other weights, other solvers, circulating probability, no weight at all."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from test_fpk_plane import (
     COUPLED,
     ROUND_OFF,
+    Log,
     assert_strictly_certified,
     l1_error,
     manufactured,
@@ -184,33 +186,65 @@ def test_a_fit_that_would_not_fall_off_is_not_taken() -> None:
     assert_allclose(straight.exponent(np.array(2.0), np.array(3.0)), 13.0, rtol=1e-9)
 
 
-def mixture() -> VectorProcess:
-    """Full diffusion diag(2 d_i H_i) + 2 κ H Hᵀ, with p the mixture of two exponentials.
+def mixture(
+    shares: Sequence[float] = (0.6, 0.4),
+    means: Sequence[Sequence[float]] = ((1.0, 0.5), (0.4, 1.25)),
+    noise: tuple[float, float] = (1.0, 0.5),
+    common: float = 0.25,
+    swirl: float = 0.3,
+) -> tuple[VectorProcess, Log]:
+    """Full diffusion diag(2 d_i H_i) + 2 κ H Hᵀ, with p a mixture of exponentials.
 
     One energy is large or the other: ln p is no polynomial. J = (∂ψ/∂H2, −∂ψ/∂H1),
-    ψ = 0.3 H1 H2 p, circulates.
+    ψ = swirl H1 H2 p, circulates.
     """
-    d, kappa, swirl = np.array([1.0, 0.5]), 0.25, 0.3
-    shares, means = np.array([0.6, 0.4]), np.array([[1.0, 0.5], [0.4, 1.25]])
+    d, slopes = np.array(noise), -1.0 / np.array(means)
+    heights = np.log(np.array(shares) * slopes.prod(axis=1))
+
+    def log_p(x: Array, y: Array) -> Array:
+        parts = heights + np.stack(np.broadcast_arrays(x, y), axis=-1) @ slopes.T
+        return np.asarray(np.logaddexp.reduce(parts, axis=-1))
 
     def diffusion(H: Array) -> Array:
-        return 2.0 * (d * H)[:, :, None] * np.eye(2) + 2.0 * kappa * H[:, :, None] * H[:, None]
+        return 2.0 * (d * H)[:, :, None] * np.eye(2) + 2.0 * common * H[:, :, None] * H[:, None]
 
     def divergence(H: Array) -> Array:
-        return 2.0 * d + 6.0 * kappa * H
+        return 2.0 * d + 6.0 * common * H
 
     def drift(H: Array) -> Array:
-        parts = np.log(shares / means.prod(axis=1)) - H @ (1.0 / means).T
-        portion = np.exp(parts - parts.max(axis=1)[:, None])
-        slope = -(portion / portion.sum(axis=1)[:, None]) @ (1.0 / means)
+        parts = heights + H @ slopes.T
+        slope = np.exp(parts - np.logaddexp.reduce(parts, axis=1)[:, None]) @ slopes
         s = 0.5 * divergence(H) + 0.5 * np.einsum("nij,nj->ni", diffusion(H), slope)
         turned = np.stack([H[:, 0], -H[:, 1]], axis=1) * (1.0 + (H * slope)[:, ::-1])
         return np.asarray(s + swirl * turned)
 
-    return VectorProcess(drift, diffusion, divergence, tuple(shares @ means))
+    scales = np.array(shares) @ np.array(means)
+    return VectorProcess(drift, diffusion, divergence, (scales[0], scales[1])), log_p
 
 
-@pytest.mark.parametrize("process", [mixture(), one_sided(*STRONG), one_sided(0.3, 0.05)])
+THREE = (
+    ((0.231, 0.071, 0.698), ((0.398, 1.059), (0.922, 0.417), (1.327, 2.024)), (1.204, 0.619)),
+    ((0.54, 0.16, 0.3), ((1.841, 2.528), (0.497, 0.965), (2.202, 0.857)), (1.196, 0.386)),
+)
+"""Three exponentials, of a random draw: zero flux at the far edges is the largest error."""
+
+
+def test_the_estimate_holds_what_ending_the_mesh_costs() -> None:
+    process, log_p = mixture(*THREE[0], common=0.0, swirl=0.2104)
+    solution = solve_plane(process, tol=1e-6)
+    assert_strictly_certified(solution)
+    assert l1_error(solution, log_p) <= solution.l1_error <= 1e-6
+
+
+@pytest.mark.parametrize("tol", [1e-8, 1e-10])
+def test_the_estimate_of_plain_elements_holds_it_too(tol: float) -> None:
+    process, log_p = mixture(*THREE[1], common=0.0, swirl=0.067)
+    solution = solve_by_elements(process, surveyed(process), tol=tol, degree=None)
+    assert_strictly_certified(solution)
+    assert l1_error(solution, log_p) <= solution.l1_error <= tol
+
+
+@pytest.mark.parametrize("process", [mixture()[0], one_sided(*STRONG), one_sided(0.3, 0.05)])
 def test_a_looser_tolerance_takes_no_more_attempts_and_no_more_work(
     process: VectorProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
