@@ -87,7 +87,7 @@ def assembled(s: Solved) -> Assembled:
         np.empty(count), np.empty(s.values.shape), np.empty(count), np.empty(count),
     )  # fmt: skip
     _chained(s.u, s.log_factor, sign, found.log_scale, log_mass)
-    _chained(s.twin, s.twin_log_factor, twin_sign, found.twin_log_scale, twin_log_mass)
+    _chained(s.twin, s.log_factor, twin_sign, found.twin_log_scale, twin_log_mass)
     below = 0.0
     for e in range(count):
         found.u[e] = sign[e] * s.u[e]
