@@ -123,8 +123,9 @@ def assert_order(errors, counts, order):
 # * Drift-diffusion form: u = p is as smooth as T. Off a node, b' ~ (H − H_c)² in one element
 #   costs a quadrature error ~ h³ of ln p from there on: order min(p + 1, 3). Measured at
 #   refinements where H_c keeps its place (a third) in its element and the sign of that error does
-#   not alternate; for degree 4 on fine meshes, where order 5 of the rest is gone. On a node, the second power (H − H_c)^(9/2) leaves order 4.5 for
-#   degree 4; e = 5/2 (powers 4 and 13/2) lets order p + 1 = 5 be seen.
+#   not alternate; for degree 4 on fine meshes, where order 5 of the rest is gone. On a node, the
+#   second power (H − H_c)^(9/2) leaves order 4.5 for degree 4; e = 5/2 (powers 4 and 13/2) lets
+#   order p + 1 = 5 be seen.
 TWO, FOUR = 2 ** np.arange(4), 4 ** np.arange(4)
 ROWS = [
     *((form, None, p, p + 1, n * TWO) for form in FORMS for p, n in ((1, 48), (2, 48), (4, 12))),
