@@ -92,7 +92,7 @@ def _back_substituted(A: Array, pivot: Integers, x: Array) -> None:
         x[k] /= A[k, k]
 
 
-@_inner
+@njit(fastmath=SUMS, error_model="numpy")
 def _null_vector(
     alpha: Array, beta: Array, mass: Array, phi: Array, dphi: Array, inner: Array, work: Work,
     u: Array,
