@@ -3,9 +3,11 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter
+from typing import Any
 
+from numba.core import event
 from rich.console import Console
-from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
 
 from fpk.method import Progress, silent
@@ -35,6 +37,28 @@ def progress_bar() -> Iterator[Progress]:
         bar.update(tasks[what], completed=done, total=total)
 
     try:
-        yield report
+        with event.install_listener("numba:compile", _Compiling(bar)):
+            yield report
     finally:
         bar.stop()
+
+
+class _Compiling(event.Listener):
+    """Says on the bar that something is being compiled, which takes a while and happens once."""
+
+    def __init__(self, bar: RichProgress) -> None:
+        """Nothing is compiled yet."""
+        self.bar, self.depth, self.tasks = bar, 0, list[TaskID]()
+
+    def on_start(self, event: Any) -> None:
+        """Show a task when the outermost function begins."""
+        self.depth += 1
+        if self.depth == 1:
+            self.bar.start()
+            self.tasks = [self.bar.add_task("compiling, this once", total=None)]
+
+    def on_end(self, event: Any) -> None:
+        """Take it away when it is done."""
+        self.depth -= 1
+        if self.depth == 0:
+            self.bar.remove_task(self.tasks.pop())

@@ -87,11 +87,13 @@ def assembled(s: Solved) -> Assembled:
         np.empty(count), np.empty(s.values.shape), np.empty(count), np.empty(count),
     )  # fmt: skip
     _chained(s.u, s.log_factor, sign, found.log_scale, log_mass)
-    _chained(s.twin, s.twin_log_factor, twin_sign, found.twin_log_scale, twin_log_mass)
+    _chained(s.twin, s.log_factor, twin_sign, found.twin_log_scale, twin_log_mass)
     below = 0.0
     for e in range(count):
-        found.u[e] = sign[e] * s.u[e]
-        found.twin[e] = twin_sign[e] * s.twin[e]
+        for j in range(s.u.shape[1]):
+            found.u[e, j] = sign[e] * s.u[e, j]
+        for j in range(s.twin.shape[1]):
+            found.twin[e, j] = twin_sign[e] * s.twin[e, j]
         share = sign[e] * np.exp(log_mass[e])
         twin_share = twin_sign[e] * np.exp(twin_log_mass[e])
         found.share[e] = share

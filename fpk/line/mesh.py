@@ -147,28 +147,44 @@ def initial_nodes(
 @_compiled
 def _placed(energy: Array, rate: Array, ends: Array) -> Array:
     """Nodes among them ``ends``, as many between two as ∫rate asks for, in equal shares of it."""
-    count, last = 64, ends[-1]
-    grid = np.linspace(0.0, last, count + 1)
-    at_grid = np.interp(grid, energy, rate)
-    total = np.zeros(count + 1)
-    for k in range(count):
-        total[k + 1] = total[k] + 0.5 * (at_grid[k] + at_grid[k + 1]) * last / count
-    at_ends = np.interp(ends, grid, total)
-    pieces = np.maximum(np.ceil(at_ends[1:] - at_ends[:-1]), 1.0).astype(np.int64)
-    levels = np.empty(pieces.sum() + 1)
-    k = 0
-    for i in range(pieces.size):
-        step = (at_ends[i + 1] - at_ends[i]) / pieces[i]
+    count, last, segments = 64, ends[-1], ends.size - 1
+    step, at, total = last / count, 0, np.zeros(count + 1)
+    before = rate[0]
+    for k in range(1, count + 1):
+        while at < energy.size - 2 and energy[at + 1] < k * step:
+            at += 1
+        now = _between(k * step, energy, rate, at)
+        total[k] = total[k - 1] + 0.5 * (before + now) * step
+        before = now
+    first, nodes = 0.0, np.empty(segments)
+    pieces = np.empty(segments, np.int64)
+    for i in range(segments):
+        k = min(int(ends[i + 1] / step), count - 1)
+        amount = total[k] + (total[k + 1] - total[k]) * (ends[i + 1] / step - k)
+        nodes[i] = amount - first
+        pieces[i] = max(math.ceil(amount - first), 1)
+        first = amount
+    found = np.empty(pieces.sum() + 1)
+    at, k, first = 0, 0, 0.0
+    for i in range(segments):
         for j in range(pieces[i]):
-            levels[k + j] = at_ends[i] + j * step
-        k += pieces[i]
-    nodes = np.interp(levels, total, grid)
-    k = 0
-    for i in range(pieces.size):
-        nodes[k] = ends[i]
-        k += pieces[i]
-    nodes[k] = last
-    return nodes
+            wanted = first + nodes[i] * j / pieces[i]
+            while k < count - 1 and total[k + 1] < wanted:
+                k += 1
+            share = (wanted - total[k]) / (total[k + 1] - total[k])
+            found[at] = ends[i] if j == 0 else (k + share) * step
+            at += 1
+        first += nodes[i]
+    found[at] = last
+    return found
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def _between(x: float, energy: Array, values: Array, i: int) -> float:
+    """Linear between the points i and i + 1, constant beyond the first and the last."""
+    share = (x - energy[i]) / (energy[i + 1] - energy[i])
+    value: float = values[i] + (values[i + 1] - values[i]) * min(max(share, 0.0), 1.0)
+    return value
 
 
 def nats_for(view: Survey, degree: int, tol: float) -> Array:
@@ -239,9 +255,10 @@ def tail_bound(view: Survey, end: float, density_at_end: float) -> float:
 
 @_compiled
 def _least_rate(energy: Array, slope: Array, end: float) -> float:
+    rate, i = np.inf, energy.size - 1
+    while i >= 0 and energy[i] >= end:
+        rate = min(rate, -slope[i])
+        i -= 1
     # It may be that at the end itself, between two points of the survey.
-    rate: float = -np.interp(end, energy, slope)
-    for i in range(energy.size):
-        if energy[i] >= end:
-            rate = min(rate, -slope[i])
-    return rate
+    i = min(max(i, 0), energy.size - 2)
+    return min(rate, -_between(end, energy, slope, i))

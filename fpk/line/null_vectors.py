@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from fpk.compiling import SUMS
-from fpk.line.rules import Rule
+from fpk.line.rules import ContactRule, Rule
 from fpk.process import Coefficients
 
 Array = NDArray[np.float64]
@@ -25,16 +25,15 @@ class Solved(NamedTuple):
     """Null vectors of elements and their enriched twins; every array is indexed by element first.
 
     ``u`` (elements, degree + 1), ``twin`` (elements, degree + 3) are coefficients of the shape
-    functions for the mass 1, ``log_factor`` and ``twin_log_factor`` ln of what p = factor·T·u has
-    to be multiplied by, ``values`` and ``twin_values`` (elements, points) p at the answer's points
-    for integrals, whose ``weights`` are. ``residual`` is relative to the terms that cancel in
-    it; ``net_flux`` is the mean of |J| and ``one_way`` that of its two parts.
+    functions for the mass 1, ``log_factor`` ln of what p = factor·T·u has to be multiplied by,
+    ``values`` and ``twin_values`` (elements, points) p at the answer's points for integrals, whose
+    ``weights`` are. ``residual`` is relative to the terms that cancel in it; ``net_flux`` is the
+    mean of |J| and ``one_way`` that of its two parts.
     """
 
     u: Array
     twin: Array
     log_factor: Array
-    twin_log_factor: Array
     values: Array
     twin_values: Array
     weights: Array
@@ -93,7 +92,7 @@ def _back_substituted(A: Array, pivot: Integers, x: Array) -> None:
         x[k] /= A[k, k]
 
 
-@_inner
+@njit(fastmath=SUMS, error_model="numpy")
 def _null_vector(
     alpha: Array, beta: Array, mass: Array, phi: Array, dphi: Array, inner: Array, work: Work,
     u: Array,
@@ -161,86 +160,93 @@ def _null_vector(
 
 @_inner
 def _flux_terms(
-    c: Coefficients, e: int, first: int, h: float, weight: Array, flux: bool, alpha: Array,
+    c: Coefficients,
+    e: int,
+    h: float,
+    weight: Array,
+    flux: bool,
+    alpha: Array,
     beta: Array,
-) -> float:  # fmt: skip
-    """Write α and β of J = α u + β u' with weights, and return ln of the factor left out.
+    T: Array,
+) -> float:
+    """Write α and β of J = α u + β u' with weights, and T; return ln of the factor left out.
 
-    "drift-diffusion": u = p, J = s p − ½ (b p)'. "flux": u = p/T is the phase-space density and
+    "drift-diffusion": u = p, J = s p − ½ (b p)', T = 1. "flux": u = p/T, the phase-space density,
     J = T (F u − ½ b u') with F the part of the drift due to damping; the noise part of the drift,
     ½ (bT)'/T, has cancelled, so that no derivative of b is needed, and u is smooth where T is not.
     """
     top = 0.0
     if flux:
         top = -np.inf
-        for g in range(alpha.size):
-            top = max(top, c.log_density_of_states[e, first + g])
-    for g in range(alpha.size):
-        k, w = first + g, weight[first + g]
+        for g in range(weight.size):
+            top = max(top, c.log_density_of_states[e, g])
+    for g in range(weight.size):
+        w = weight[g]
         if flux:
-            w *= np.exp(c.log_density_of_states[e, k] - top)
-            alpha[g] = c.dissipation[e, k] * h * w
+            T[g] = np.exp(c.log_density_of_states[e, g] - top)
+            w *= T[g]
+            alpha[g] = c.dissipation[e, g] * h * w
         else:
-            alpha[g] = (c.drift[e, k] - 0.5 * c.diffusion_slope[e, k]) * h * w
-        beta[g] = -0.5 * c.diffusion[e, k] * w
+            alpha[g] = (c.drift[e, g] - 0.5 * c.diffusion_slope[e, g]) * h * w
+        beta[g] = -0.5 * c.diffusion[e, g] * w
     return top
 
 
 @njit(fastmath=SUMS, error_model="numpy", cache=True, nogil=True)
 def solved_elements(
-    c: Coefficients, lengths: Array, row: Integers, log_states: Array, rule: Rule, contact: Rule,
-    flux: bool,
+    c: Coefficients, lengths: Array, row: Integers, log_states: Array, rule: Rule,
+    contact: ContactRule, flux: bool,
 ) -> Solved:  # fmt: skip
     """Solve elements from their coefficients (elements, points) at the points of ``rule``.
 
     ``row`` says which row of ``log_states``, ln T at the points of ``contact``, belongs to an
     element that begins where contact does; it is −1 for the others.
     """
-    count, (p, m), (p2, m2) = lengths.size, rule.phi.shape, rule.twin_phi.shape
+    count, (p, m), m2 = lengths.size, rule.phi.shape, rule.twin_phi.shape[1]
     most = contact.phi.shape[0]
     found = Solved(
-        np.empty((count, m)), np.empty((count, m2)), np.empty(count), np.empty(count),
+        np.empty((count, m)), np.empty((count, m2)), np.empty(count),
         np.empty((count, most)), np.empty((count, most)), np.empty((count, most)),
         np.empty(count), np.empty(count), np.empty(count),
     )  # fmt: skip
-    alpha, beta = np.empty(p2), np.empty(p2)
+    alpha, beta = np.empty(p), np.empty(p)
     mass, T = np.empty(contact.share.size), np.ones(contact.share.size)
     own_work = Work(np.empty((m, m)), np.empty((m, m)), np.empty(m), np.empty(m, np.int64))
     work = Work(np.empty((m2, m2)), np.empty((m2, m2)), np.empty(m2), np.empty(m2, np.int64))
     for e in range(count):
         h, begins = lengths[e], row[e] >= 0
-        inner = contact if begins else rule
-        log_T = log_states[row[e]] if begins else c.log_density_of_states[e]
-        points = inner.phi.shape[0]
-        own = _flux_terms(c, e, 0, h, rule.weight, flux, alpha[:p], beta[:p])
-        for g in range(inner.share.size):
-            mass[g] = h * inner.weight[g]
-        if flux:
-            for g in range(points):
-                T[g] = np.exp(log_T[g] - own)
-                mass[g] *= T[g]
+        top = _flux_terms(c, e, h, rule.weight, flux, alpha, beta, T)
+        if begins and flux:
+            for g in range(contact.share.size):
+                T[g] = np.exp(log_states[row[e], g] - top)
+        weight, points = (contact.weight, most) if begins else (rule.weight, p)
+        twin_weight = contact.weight[most:] if begins else rule.twin_weight
+        twin_T = T[most:] if begins else T
+        phi = contact.phi if begins else rule.phi
+        twin_phi = contact.twin_phi if begins else rule.twin_phi
+        seen = contact.seen if begins else rule.twin_phi
+        for g in range(points):
+            mass[g] = h * weight[g] * T[g]
         residual, net, parts = _null_vector(
-            alpha[:p], beta[:p], mass, rule.phi, rule.dphi, inner.phi, own_work, found.u[e]
+            alpha, beta, mass[:points], rule.phi, rule.dphi, phi, own_work, found.u[e]
         )
         found.residual[e], found.net_flux[e], found.one_way[e] = residual, net / h, parts / h
-        top = _flux_terms(c, e, p, h, rule.weight, flux, alpha, beta)
-        if flux:
-            for g in range(points, inner.share.size):
-                mass[g] *= np.exp(log_T[g] - top)
+        for g in range(twin_weight.size):
+            mass[g] = h * twin_weight[g] * twin_T[g]
         _null_vector(
-            alpha, beta, mass[points:], rule.twin_phi, rule.twin_dphi, inner.twin_phi, work,
+            alpha, beta, mass[: twin_weight.size], rule.twin_phi, rule.twin_dphi, twin_phi, work,
             found.twin[e],
         )  # fmt: skip
-        found.log_factor[e], found.twin_log_factor[e] = own, top
+        found.log_factor[e] = top
         for k in range(most):
             # Where there are fewer points the last one fills up, without weight.
             g = min(k, points - 1)
             value, other = 0.0, 0.0
             for j in range(m):
-                value += inner.phi[g, j] * found.u[e, j]
+                value += phi[g, j] * found.u[e, j]
             for j in range(m2):
-                other += inner.seen[g, j] * found.twin[e, j]
-            found.weights[e, k] = h * inner.weight[g] if k < points else 0.0
+                other += seen[g, j] * found.twin[e, j]
+            found.weights[e, k] = h * weight[g] if k < points else 0.0
             found.values[e, k] = value * T[g]
-            found.twin_values[e, k] = other * T[g] * np.exp(own - top)
+            found.twin_values[e, k] = other * T[g]
     return found

@@ -17,49 +17,76 @@ MORE_POINTS = 8
 
 
 class Rule(NamedTuple):
-    """Points of an element and what shape functions are there.
+    """Points of an element, of [0, 1], and what shape functions are there.
 
-    ``share`` and ``weight`` (points,) are Gauss points of [0, 1], those of the answer before those
-    of its twin; ``phi``, ``dphi`` (points, degree + 1) are shape functions and slopes of the answer
-    at its own, ``twin_phi``, ``twin_dphi`` of the twin at its own, ``seen`` of the twin at those of
-    the answer.
+    At the Gauss points ``share`` (points,) with their ``weight`` the flux is tested, for the answer
+    and for its twin; ``phi``, ``dphi`` (points, degree + 1) are shape functions and slopes of the
+    answer, ``twin_phi``, ``twin_dphi`` of the twin. The mass of the twin is integrated with
+    ``twin_weight``, an interpolation at all points but one: how far the two masses differ shows
+    what T lacks of being a polynomial, and exceeds the error of the Gauss rule by far.
+    """
+
+    share: Array
+    weight: Array
+    twin_weight: Array
+    phi: Array
+    dphi: Array
+    twin_phi: Array
+    twin_dphi: Array
+
+
+class ContactRule(NamedTuple):
+    """Points for the mass of an element that begins where contact does, those of the twin last.
+
+    Gauss points in (H − H_c)^⅓: in √(H − H_c) T is smooth, but stiff contact leaves a layer just
+    above H_c, which asks for more points there. ``phi`` are the shape functions of the answer at
+    its own points, ``twin_phi`` of the twin at its own, ``seen`` of the twin at the answer's.
     """
 
     share: Array
     weight: Array
     phi: Array
-    dphi: Array
     twin_phi: Array
-    twin_dphi: Array
     seen: Array
 
 
 @lru_cache
 def element_rule(degree: int) -> Rule:
-    """Return the points of elements of ``degree``: each degree has Gauss points of its own."""
-    return _rule(degree, *zip(*map(gauss_rule, (degree, degree + ENRICHMENT)), strict=True))
+    """Return the points of elements of ``degree``."""
+    share, weight = gauss_rule(degree + ENRICHMENT)
+    return Rule(
+        share,
+        weight,
+        _without_one(share),
+        *_shapes(degree, share),
+        *_shapes(degree + ENRICHMENT, share),
+    )
 
 
 @lru_cache
-def contact_rule(degree: int) -> Rule:
-    """Return the points for integrals over an element that begins where contact does.
+def contact_rule(degree: int) -> ContactRule:
+    """Return the points for masses of elements of ``degree`` that begin where contact does."""
+    own, twin = (gauss_rule(degree + more) for more in (MORE_POINTS, MORE_POINTS + ENRICHMENT))
+    t, w = (np.concatenate(part) for part in zip(own, twin, strict=True))
+    share, count = t**3, own[0].size
+    return ContactRule(
+        share,
+        3.0 * t**2 * w,
+        _shapes(degree, share[:count])[0],
+        _shapes(degree + ENRICHMENT, share[count:])[0],
+        _shapes(degree + ENRICHMENT, share[:count])[0],
+    )
 
-    Gauss points in (H − H_c)^⅓: in √(H − H_c) T is smooth, but stiff contact leaves a layer just
-    above H_c, which asks for more points there. Slopes are not needed.
-    """
-    count = degree + MORE_POINTS
-    rules = [gauss_rule(d) for d in (count, count + ENRICHMENT)]
-    cubed = [(t**3, 3.0 * t**2 * w) for t, w in rules]
-    return _rule(degree, *zip(*cubed, strict=True))
 
-
-def _rule(degree: int, points: tuple[Array, ...], weights: tuple[Array, ...]) -> Rule:
-    own, twin = points
-    phi, dphi = _shapes(degree, own)
-    twin_phi, twin_dphi = _shapes(degree + ENRICHMENT, twin)
-    seen, _ = _shapes(degree + ENRICHMENT, own)
-    share, weight = np.concatenate(points), np.concatenate(weights)
-    return Rule(share, weight, phi, dphi, twin_phi, twin_dphi, seen)
+def _without_one(share: Array) -> Array:
+    """Weights at the points, 0 at the middle one, exact for as many degrees as are left."""
+    kept = np.arange(share.size) != share.size // 2
+    vandermonde = np.polynomial.legendre.legvander(2.0 * share[kept] - 1.0, share.size - 2)
+    moments = np.zeros(share.size - 1)
+    moments[0] = 1.0
+    weight = np.zeros(share.size)
+    weight[kept] = np.linalg.solve(vandermonde.T, moments)
+    return weight
 
 
 def _shapes(degree: int, share: Array) -> tuple[Array, Array]:

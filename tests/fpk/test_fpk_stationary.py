@@ -84,9 +84,10 @@ def test_the_pointwise_estimate_covers_the_pointwise_error(averaged, form):
     # |p_h − p̃| < |p̃ − p|, close to the p + 1 zeros per element of p_h − p̃. Where it fails, it fails
     # by |p̃ − p|, which at the end of an element with (H − H_c)^r there is the share
     # (p/(p + 2))^(2r) of the error in the maximum, up to a constant: for Hertz, r = 3 in the
-    # drift-diffusion form, and p = 4 it is 0.09, one power less is 0.13. Without clearance, T is H times a series
-    # in H^(1/4) at H = 0, so that both scalings to mass one converge algebraically: of a tight
-    # tolerance a common factor is left in which p̃ is hardly better (the L1 estimate covers it).
+    # drift-diffusion form, and p = 4 it is 0.09, one power less is 0.13. Without clearance, T is H
+    # times a series in H^(1/4) at H = 0, so that both scalings to mass one converge algebraically:
+    # of a tight tolerance a common factor is left in which p̃ is hardly better (the L1 estimate
+    # covers it).
     process, reference = averaged
     touching = reference.shell.contact_energies == (0.0,)
     share, excess = (0.1, 0.5) if touching else (0.01, 0.13)
