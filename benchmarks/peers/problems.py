@@ -8,7 +8,7 @@ energy p(H); W2 is fig8b, two uncoupled modal energies p(H1, H2); W3 and W4 are
 coupled, see ``coupled.py`` and ``vanderpol.py``; the rest are W1 with other stops.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -109,10 +109,15 @@ class Plane:
     dimension = 2
     contact_energies = ()
 
+    @cached_property
+    def read(self) -> System:
+        """The scene's system, read from its file once."""
+        return load_scene(self.scene).system
+
     @property
     def system(self) -> System:
-        """The scene's system, read from its file."""
-        return load_scene(self.scene).system
+        """The system, built afresh at each call: nothing is remembered."""
+        return replace(self.read)
 
     @property
     def process(self) -> VectorProcess:

@@ -7,7 +7,7 @@ its own error as 1e-12. NGSolve at p = 16 shares no code with it: that row shows
 apart. Below 1e-12 an L1 of W4 says nothing.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -38,10 +38,15 @@ class Averaged:
     dimension = 2
     contact_energies = ()
 
+    @cached_property
+    def read(self) -> System:
+        """The scene's system, read from its file once."""
+        return load_scene(self.scene).system
+
     @property
     def system(self) -> System:
-        """The scene's system, read from its file."""
-        return load_scene(self.scene).system
+        """The system, built afresh at each call: nothing is remembered."""
+        return replace(self.read)
 
     @property
     def process(self) -> VectorProcess:
