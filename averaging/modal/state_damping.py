@@ -17,7 +17,7 @@ NOTHING = 1e-12
 """A coefficient below this share of the terms that cancel in it counts as none."""
 MOST_COEFFICIENTS = 1_000_000
 MOST_STEPS = 4000
-BALANCED = 1e-9
+BALANCED = 1e-14
 """Imbalance of a mode, relative to all flows in and out, at which the iteration is at rest."""
 FURTHEST = 1e8
 """Energies beyond this many first guesses count as growing for ever."""
