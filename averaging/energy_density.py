@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from averaging.energy_process import energy_balance
 from averaging.shell.ratios import EnergyShell, energy_shell, log_linear_states, shell_ratios
 from fpk.density import Certificate
-from fpk.line.mesh import initial_nodes, survey, truncation_energy
+from fpk.line.mesh import DEEP_LAYERS, initial_nodes, survey, truncation_energy, with_layers
 from fpk.process import DiffusionProcess
 from fpk.quadrature import panel_rule
 from fpk.system import System
@@ -106,7 +106,7 @@ def log_energy_norm(
     shell = energy_shell(system)
     view = survey(process)
     nodes = initial_nodes(view, truncation_energy(view, TAIL), process.nonsmooth)
-    nodes = _graded_to_zero(nodes)
+    nodes = _graded_to_zero(with_layers(nodes, process.nonsmooth, count=DEEP_LAYERS))
 
     def integral(points: int) -> tuple[float, float]:
         x, w = panel_rule(nodes, points)

@@ -4,12 +4,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from averaging.shell.moments import TermPower, term_power
 from averaging.shell.ratios import EnergyShell, energy_shell, shell_ratios
-from fpk.compiling import FLAGS
+from fpk.compiling import kept
 from fpk.equivalent import dissipated_power, equivalent_temperature
 from fpk.errors import NotApplicable
 from fpk.process import Coefficients, DiffusionProcess
@@ -100,12 +99,12 @@ def _coefficients(
     return Coefficients(*_averaged(ratios, energy, n, balance.damping, balance.noise, scale))
 
 
-@njit(fastmath=FLAGS, error_model="numpy", cache=True, nogil=True)
+@kept()
 def _averaged(
     ratios: Array, energy: Array, n: int, damping: float, noise: float, scale: float
 ) -> Array:
     """Rows of ``Coefficients`` from the rows of ``ShellRatios``, at energies (energies,)."""
-    found = np.empty((6, energy.size))
+    found = np.empty((7, energy.size))
     for i in range(energy.size):
         states, volume, log_slope = ratios[0, i], ratios[1, i], ratios[2, i]
         tau = energy[i] / n * volume / states
@@ -114,7 +113,7 @@ def _averaged(
         found[2, i] = 2.0 * noise * (1.0 - tau * log_slope / energy[i])
         found[3, i] = -damping * tau
         found[4, i] = np.log(states) + (n - 1) * np.log(energy[i] / scale)
-        found[5, i] = ratios[3, i]
+        found[5, i], found[6, i] = ratios[3, i], ratios[4, i]
     return found
 
 

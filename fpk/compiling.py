@@ -1,7 +1,13 @@
 """What all compiled code shares: the liberties of its arithmetic and checksums of its sources."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar
 from zlib import crc32
+
+import numba
+
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 FLAGS = {"contract", "nsz", "arcp", "afn"}
 """Liberties of arithmetic that are taken: none that assumes there is no NaN, and no reassociation,
@@ -9,6 +15,26 @@ which would undo exact differences."""
 
 SUMS = FLAGS | {"reassoc"}
 """The same where nothing depends on the order of a sum: elimination is backward stable in any."""
+
+_njit: Any = numba.njit
+
+
+def kept(flags: set[str] = FLAGS) -> Callable[[Function], Function]:
+    """Return the decorator of a compiled function that a disk cache keeps.
+
+    Where no folder can be written there is no cache: it is compiled again in every process.
+    """
+
+    def decorated(function: Function) -> Function:
+        options = {"fastmath": flags, "error_model": "numpy", "nogil": True}
+        try:
+            found: Function = _njit(cache=True, **options)(function)
+        except RuntimeError:
+            found = _njit(**options)(function)
+        return found
+
+    return decorated
+
 
 ROOT = Path(__file__).parents[1]
 

@@ -16,8 +16,9 @@ class Coefficients(NamedTuple):
     ``drift`` s and ``diffusion`` b = σ² (the ½ stays in the FPK equation), ``diffusion_slope``
     b'. ``dissipation`` is the part of the drift that damping causes and ``log_density_of_states``
     is ln T up to a constant, so that ``s = dissipation + ½ (b T)'/T``. ``relative_error``
-    estimates the error of the quadratures behind them, relative to each; that of the drift is
-    relative to the sum of the sizes of its two parts, which may cancel.
+    estimates the error of the quadratures behind all but b', relative to each; that of the drift is
+    relative to the sum of the sizes of its two parts, which may cancel. ``slope_error`` is that of
+    b', relative to the noise's part of the drift at least.
     """
 
     drift: Array
@@ -26,6 +27,7 @@ class Coefficients(NamedTuple):
     dissipation: Array
     log_density_of_states: Array
     relative_error: Array
+    slope_error: Array
 
 
 @dataclass(frozen=True)

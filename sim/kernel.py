@@ -5,11 +5,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from fpk.compiled_laws import compiled_laws
-from fpk.compiling import FLAGS
+from fpk.compiling import kept
 from sim.arrays import StepArrays, WatchArrays
 from sim.lanes import add, aligned_rows, kick, row
 from sim.parts.contact import add_contact_energy, add_contact_forces, contact_forces, no_law
@@ -80,7 +79,7 @@ def compiled_kernel(key: KernelKey) -> Any:
     energies = energy or energy_damping
     potential: Any = compiled_laws(key.laws, "energy") if contact and energies else None
 
-    @njit(fastmath=FLAGS, error_model="numpy", cache=True, nogil=True)
+    @kept()
     def advance(
         x: Array,
         sums: Array,

@@ -26,7 +26,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from fpk.compiling import FLAGS
+from fpk.compiling import FLAGS, kept
 
 Array = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -144,7 +144,7 @@ def fill_normals(
     box_muller(rows, words.view(np.uint32))
 
 
-@njit(fastmath=FLAGS, error_model="numpy", cache=True, nogil=True)
+@kept()
 def _fill_blocks(out: Singles, words: Words, counter: np.uint64, offset: np.uint64) -> None:
     for block in range(out.shape[0]):
         for pair in range(out.shape[1] // (2 * LANES)):

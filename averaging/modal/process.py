@@ -93,6 +93,7 @@ def _square_root(damping: float | Array, noise: float, energy: Array) -> Coeffic
         dissipation=-damping * energy,
         log_density_of_states=nothing,
         relative_error=nothing,
+        slope_error=nothing,
     )
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from averaging.shell.contact_energies import contact_energies
-from averaging.shell.one_mass import OneMassShell
+from averaging.shell.one_mass.ratios import OneMassShell
 from averaging.shell.radial import shell_ray_integrals
 from averaging.shell.reduced import ReducedPotential, reduced_potential
 from averaging.shell.sums import refined_sums
@@ -32,7 +32,7 @@ COARSE = Resolution(points=8, layers=1, target=1e-5, deepest=2)
 class EnergyShell:
     """Shells of constant energy of one system: its reduced potential and contact energies.
 
-    ``ratios`` gives states, volume, log_slope and error of ``ShellRatios``, (4, energies).
+    ``ratios`` gives the rows of ``ShellRatios``, (5, energies).
     """
 
     potential: ReducedPotential
@@ -46,13 +46,15 @@ class ShellRatios:
 
     ``states`` = T(H)/T_lin(H) with T the density of states ∫δ(H − H(q,p)) dq dp (twice the T of
     (10), which integrates over ∂H/∂p_1 > 0 only; for n = 1 it is the period), ``volume`` the same
-    of the phase volume Φ = ∫T dH, ``log_slope`` = H T'/T, ``error`` the relative error of each.
+    of the phase volume Φ = ∫T dH, ``log_slope`` = H T'/T. ``error`` is the relative error of the
+    first two, ``slope_error`` that of the third, relative to 1 at least.
     """
 
     states: Array
     volume: Array
     log_slope: Array
     error: Array
+    slope_error: Array
 
 
 @lru_cache(maxsize=16)
@@ -93,8 +95,8 @@ def shell_ratios(shell: EnergyShell, energy: Array) -> ShellRatios:
 
 def _untouched(potential: ReducedPotential, energy: Array) -> Array:
     """The ratios where nothing is touched: exact."""
-    found = np.ones((4, energy.size))
-    found[2], found[3] = potential.n - 1.0, 0.0
+    found = np.ones((5, energy.size))
+    found[2], found[3:] = potential.n - 1.0, 0.0
     return found
 
 
@@ -105,7 +107,8 @@ def _beyond_contact(
     found = _untouched(potential, energy)
     touching = np.flatnonzero(energy > first)
     if touching.size:
-        found[:, touching] = table(energy[touching]).T
+        found[:4, touching] = table(energy[touching]).T
+        found[4] = found[3]
     return found
 
 

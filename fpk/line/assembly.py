@@ -51,7 +51,8 @@ def solve_elements(
     c = Coefficients(*(part[: energy.size].reshape(energy.shape) for part in flat))
     log_states = flat.log_density_of_states[energy.size : -left.size].reshape(inner.shape)
     solved = Solved(*solved_elements(c, lengths, row, log_states, rule, contact, form == "flux"))
-    error = c.relative_error.max(axis=1)
+    # The flux form asks for no derivative of b.
+    error = (c.relative_error if form == "flux" else c.relative_error + c.slope_error).max(axis=1)
     if begins.size:
         at_inner = flat.relative_error[energy.size : -left.size].reshape(inner.shape)
         error[begins] = np.maximum(error[begins], at_inner.max(axis=1))

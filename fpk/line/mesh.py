@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from fpk.compiling import FLAGS
+from fpk.compiling import FLAGS, kept
 from fpk.errors import NotCertified
 from fpk.process import DiffusionProcess, log_density_slope
 
@@ -24,6 +24,9 @@ UNDER = 1e-3
 GRADING = 0.15
 """Ratio of neighbouring lengths towards a point where smoothness is lost."""
 GRADED_LAYERS = 5
+DEEP_LAYERS = 14
+"""Layers down to 3e-12 of the next element: beside a stiff stop and a small clearance T itself has
+layers as thin as that."""
 SAGITTA = 1.0
 """Largest (d²ln(p H)/d(ln H)²)·(Δ ln H)² between two points of a survey: eight times what ln p H
 may rise above its chord. Asked for where p is within exp(−``DEEP``) of its maximum."""
@@ -85,7 +88,7 @@ def _closer(process: DiffusionProcess, view: Survey) -> Survey:
     return view
 
 
-_compiled = njit(fastmath=FLAGS, error_model="numpy", cache=True, nogil=True)
+_compiled = kept()
 
 
 @_compiled
@@ -105,7 +108,7 @@ def truncation_energy(view: Survey, tail: float) -> float:
     The solver bounds the tail again from its own solution. Raises ``NotCertified`` where the
     density does not fall to that share.
     """
-    found: float = _fallen_by(view.energy, view.log_mass, math.log(tail))
+    found: float = _fallen_by(view.energy, view.slope, view.log_mass, math.log(tail))
     if not found < math.inf:
         raise NotCertified(
             "the density does not fall off: damping does not balance the noise at high energy"
@@ -114,14 +117,19 @@ def truncation_energy(view: Survey, tail: float) -> float:
 
 
 @_compiled
-def _fallen_by(energy: Array, log_mass: Array, log_tail: float) -> float:
+def _fallen_by(energy: Array, slope: Array, log_mass: Array, log_tail: float) -> float:
     """The first energy beyond the maximum of p H where ln of it has fallen by −``log_tail``."""
     top = np.argmax(log_mass)
     wanted = log_mass[top] + log_tail
     for i in range(top + 1, energy.size):
         if log_mass[i] < wanted:
-            share = (wanted - log_mass[i - 1]) / (log_mass[i] - log_mass[i - 1])
-            found: float = energy[i - 1] * (energy[i] / energy[i - 1]) ** share
+            # As in ``_log_mass`` the rate is linear in ln H between two points.
+            length = np.log(energy[i] / energy[i - 1])
+            rate = 1.0 + energy[i - 1] * slope[i - 1]
+            bend = (1.0 + energy[i] * slope[i] - rate) / length
+            fall = log_mass[i - 1] - wanted
+            root = np.sqrt(max(rate * rate - 2.0 * bend * fall, 0.0))
+            found: float = energy[i - 1] * np.exp(min(2.0 * fall / (root - rate), length))
             return found
     return np.inf
 
@@ -132,16 +140,16 @@ def initial_nodes(
     nonsmooth: tuple[float, ...],
     *,
     nats: Array | float = NATS_PER_ELEMENT,
-    layers: bool = True,
+    layers: int = GRADED_LAYERS,
 ) -> Array:
     """Return nodes from 0 to ``end``: on the nonsmooth energies, dense where p/T varies fast.
 
-    ``nats`` is the fall of ln(p/T) over one element, at the energies of the survey. With ``layers``
-    geometric ones lie above every nonsmooth energy (below it, the density is smooth up to it).
+    ``nats`` is the fall of ln(p/T) over one element, at the energies of the survey. Geometric
+    ``layers`` lie above every nonsmooth energy (below it, the density is smooth up to it).
     """
     ends = np.array([0.0, *(H for H in nonsmooth if 0.0 < H < end), end])
     nodes: Array = _placed(view.energy, view.roughness / nats, ends)
-    return with_layers(nodes, nonsmooth) if layers else nodes
+    return with_layers(nodes, nonsmooth, count=layers)
 
 
 @_compiled
@@ -220,11 +228,11 @@ def _miss(degree: int) -> tuple[float, float]:
     return log_unit, math.log(found)
 
 
-def with_layers(nodes: Array, nonsmooth: tuple[float, ...]) -> Array:
+def with_layers(nodes: Array, nonsmooth: tuple[float, ...], *, count: int = GRADED_LAYERS) -> Array:
     """Return the nodes and geometric layers above those that are nonsmooth energies."""
-    layers = GRADING ** np.arange(1.0, GRADED_LAYERS + 1.0)
+    layers = GRADING ** np.arange(1.0, count + 1.0)
     for H in nonsmooth:
-        if nodes[-1] > H:
+        if count and nodes[-1] > H:
             gap = nodes[np.searchsorted(nodes, H, side="right")] - H
             nodes = np.unique(np.concatenate([nodes, H + gap * layers]))
     return nodes

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from fpk.compiling import SUMS
+from fpk.compiling import SUMS, kept
 from fpk.line.rules import ContactRule, Rule
 from fpk.process import Coefficients
 
@@ -28,7 +28,8 @@ class Solved(NamedTuple):
     functions for the mass 1, ``log_factor`` ln of what p = factor·T·u has to be multiplied by,
     ``values`` and ``twin_values`` (elements, points) p at the answer's points for integrals, whose
     ``weights`` are. ``residual`` is relative to the terms that cancel in it; ``net_flux`` is the
-    mean of |J| and ``one_way`` that of its two parts.
+    mean of J and ``one_way`` that of its parts, each way, and of what diffusion would drive if u
+    fell to nothing over the element.
     """
 
     u: Array
@@ -100,7 +101,8 @@ def _null_vector(
     """Write to ``u`` the solution of ∫J v' = 0, ∫p = 1; J = alpha u + beta u', p = mass u.
 
     ``alpha``, ``beta`` and ``mass`` (points,) have the weights in them. Returns the residual
-    relative to the terms that cancel in it, |∫J| and the sum of the integrals of its two parts.
+    relative to the terms that cancel in it, |∫J|, and the integral of its two parts and of what
+    diffusion would drive if u fell to nothing over the element.
     """
     A, B, r, pivot = work.A, work.B, work.r, work.pivot
     points, m = phi.shape
@@ -149,12 +151,13 @@ def _null_vector(
         left, terms = max(left, abs(total)), max(terms, size)
     net, parts = 0.0, 0.0
     for g in range(points):
-        drift, diffusion = 0.0, 0.0
+        value, change = 0.0, 0.0
         for j in range(m):
-            drift += phi[g, j] * u[j]
-            diffusion += dphi[g, j] * u[j]
-        net += alpha[g] * drift + beta[g] * diffusion
-        parts += abs(alpha[g] * drift) + abs(beta[g] * diffusion)
+            value += phi[g, j] * u[j]
+            change += dphi[g, j] * u[j]
+        net += alpha[g] * value + beta[g] * change
+        # In a short element both parts are small beside the terms that make up u'.
+        parts += abs(alpha[g] * value) + abs(beta[g] * change) + abs(beta[g] * value)
     return left / terms, abs(net), parts
 
 
@@ -192,7 +195,7 @@ def _flux_terms(
     return top
 
 
-@njit(fastmath=SUMS, error_model="numpy", cache=True, nogil=True)
+@kept(SUMS)
 def solved_elements(
     c: Coefficients, lengths: Array, row: Integers, log_states: Array, rule: Rule,
     contact: ContactRule, flux: bool,

@@ -39,8 +39,11 @@ class ContactRule(NamedTuple):
     """Points for the mass of an element that begins where contact does, those of the twin last.
 
     Gauss points in (H − H_c)^⅓: in √(H − H_c) T is smooth, but stiff contact leaves a layer just
-    above H_c, which asks for more points there. ``phi`` are the shape functions of the answer at
-    its own points, ``twin_phi`` of the twin at its own, ``seen`` of the twin at the answer's.
+    above H_c, which asks for more points there. Without clearance, or with very little beside a
+    stiff stop, T has other roots and both rules converge algebraically: twice as many points keep
+    less than half of the error for any power of H − H_c from ½ on. ``phi`` are the shape functions
+    of the answer at its own points, ``twin_phi`` of the twin at its own, ``seen`` of the twin at
+    the answer's.
     """
 
     share: Array
@@ -66,7 +69,8 @@ def element_rule(degree: int) -> Rule:
 @lru_cache
 def contact_rule(degree: int) -> ContactRule:
     """Return the points for masses of elements of ``degree`` that begin where contact does."""
-    own, twin = (gauss_rule(degree + more) for more in (MORE_POINTS, MORE_POINTS + ENRICHMENT))
+    own = gauss_rule(degree + MORE_POINTS)
+    twin = gauss_rule(2 * (degree + MORE_POINTS))
     t, w = (np.concatenate(part) for part in zip(own, twin, strict=True))
     share, count = t**3, own[0].size
     return ContactRule(

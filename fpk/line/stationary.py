@@ -12,10 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.density import Certificate
+from fpk.errors import NotCertified
 from fpk.line.assembly import SolvedElements, merged, solve_elements
 from fpk.line.chain import Assembled, Checks, assembled, checks
 from fpk.line.elements import Form, shape_functions
 from fpk.line.mesh import (
+    DEEP_LAYERS,
+    GRADED_LAYERS,
     NATS_PER_ELEMENT,
     Survey,
     initial_nodes,
@@ -33,8 +36,9 @@ from fpk.quadrature import panel_rule
 Array = NDArray[np.float64]
 
 SAFETY = 2.0
-"""Factor on the distance to the comparison solution: at an algebraic singularity of order r the
-enriched solution keeps the share (p/(p+2))^(2r+2) of the error, at most a half for p >= 4."""
+"""Factor on the distance to the comparison solution: at an algebraic singularity of order r of u it
+keeps the share (p/(p+2))^(2r+2) of the error, at most a half for p >= 4; integrals beside a contact
+energy have twice as many points there (``fpk.line.rules``)."""
 MOST_ROUNDS = 40
 MOST_ELEMENTS = 20_000
 ROUND_OFF = 4e-16
@@ -45,10 +49,9 @@ RESIDUAL = 1e-13
 """Largest algebraic residual that counts as round-off, relative to the terms that cancel in it."""
 NEGATIVE = -1e-14
 """Smallest p / max p that counts as round-off."""
-NET_FLUX = 1e-9
-"""Largest net over one-way flux that counts as round-off: in an element over which p changes by
-the share ε, drift and diffusion cancel terms 1/ε larger, and grading goes down to 4e-7 of the
-energy beside a contact energy: 2e-16 over that is 5e-10."""
+NET_FLUX = 1e-12
+"""Largest net over one-way flux that counts as round-off: some thousand roundings, of sums over the
+shape functions and the points of an element."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,50 +87,49 @@ class StationarySolution:
 
     def phase_space_density(self, energy: Array) -> Array:
         """p_h/T (up to the constant left out of ln T) at energies of any shape; 0 outside."""
-        u = self._expand(self.coefficients_u, self.log_scale, self.degree, energy)
-        if self.form == "flux":
-            return u
-        return u * np.exp(-self._log_states(energy))
+        return self._of_answer(energy, self._log_factor(energy, of_p=False))
 
     def phase_space_error(self, energy: Array) -> Array:
         """Estimate of |p_h − p|/T at energies of any shape."""
-        return self._error(energy) * (
-            1.0 if self.form == "flux" else np.exp(-self._log_states(energy))
-        )
+        return self._error(energy, self._log_factor(energy, of_p=False))
 
     def density(self, energy: Array) -> Array:
         """p_h at energies of any shape; 0 outside the mesh."""
-        u = self._expand(self.coefficients_u, self.log_scale, self.degree, energy)
-        return u * self._weight(energy)
+        return self._of_answer(energy, self._log_factor(energy, of_p=True))
 
     def pointwise_error(self, energy: Array) -> Array:
         """Estimate of |p_h − p| at energies of any shape."""
-        return self._error(energy) * self._weight(energy)
+        return self._error(energy, self._log_factor(energy, of_p=True))
 
-    def _error(self, energy: Array) -> Array:
+    def _of_answer(self, energy: Array, log_factor: Array) -> Array:
+        return self._expand(self.coefficients_u, self.log_scale, self.degree, energy, log_factor)
+
+    def _error(self, energy: Array, log_factor: Array) -> Array:
         """Error of u: distance to the enriched solution and what shifts all of p alike."""
-        u = self._expand(self.coefficients_u, self.log_scale, self.degree, energy)
-        better = self._expand(
-            self.enriched_u, self.enriched_log_scale, self.degree + ENRICHMENT, energy
-        )
+        u = self._of_answer(energy, log_factor)
+        degree = self.degree + ENRICHMENT
+        better = self._expand(self.enriched_u, self.enriched_log_scale, degree, energy, log_factor)
         floor = self.coefficient_error + self.certificate.tail_mass + ROUND_OFF * self.nodes.size
         return np.asarray(SAFETY * np.abs(u - better) + floor * np.abs(u))
 
-    def _log_states(self, energy: Array) -> Array:
+    def _log_factor(self, energy: Array, *, of_p: bool) -> Array:
+        """ln of what makes p, or else p/T, of u."""
+        energy = np.asarray(energy, dtype=float)
+        if of_p == (self.form == "drift-diffusion"):
+            return np.zeros(energy.shape)
         safe = np.clip(energy, np.finfo(float).tiny, self.nodes[-1])
-        return self.process.coefficients(safe.ravel()).log_density_of_states.reshape(energy.shape)
+        log_states = self.process.coefficients(safe.ravel()).log_density_of_states
+        return np.asarray((log_states if of_p else -log_states).reshape(energy.shape))
 
-    def _weight(self, energy: Array) -> Array:
-        if self.form == "drift-diffusion":
-            return np.ones(np.shape(energy))
-        return np.exp(self._log_states(np.asarray(energy, dtype=float)))
-
-    def _expand(self, u: Array, log_scale: Array, degree: int, energy: Array) -> Array:
+    def _expand(
+        self, u: Array, log_scale: Array, degree: int, energy: Array, log_factor: Array
+    ) -> Array:
         x = np.asarray(energy, dtype=float).ravel()
         k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.nodes.size - 2)
         t = (x - self.nodes[k]) / (self.nodes[k + 1] - self.nodes[k])
         phi, _ = shape_functions(degree, t)
-        value = np.einsum("jx,xj->x", phi, u[k]) * np.exp(log_scale[k])
+        # One factor: of many masses p/T overflows where T underflows.
+        value = np.einsum("jx,xj->x", phi, u[k]) * np.exp(log_scale[k] + log_factor.ravel())
         inside = (x >= self.nodes[0]) & (x <= self.nodes[-1])
         return np.where(inside, value, 0.0).reshape(np.shape(energy))
 
@@ -145,9 +147,14 @@ def solve_stationary(
     if degree is None:
         degree = int(np.clip(round(-np.log10(tol)) + (4 if smooth else 0), 3, 16 if smooth else 12))
     view = survey(process)
+    if not np.all(np.isfinite(view.log_mass)):
+        raise NotCertified(
+            "the coefficients leave the range of double precision: choose other units"
+        )
     end = truncation_energy(view, 1e-2 * tol)
     nats = nats_for(view, degree, tol) if smooth else NATS_PER_ELEMENT
-    nodes = initial_nodes(view, end, process.nonsmooth, nats=nats, layers=not smooth)
+    layers = 0 if smooth else DEEP_LAYERS if form == "drift-diffusion" else GRADED_LAYERS
+    nodes = initial_nodes(view, end, process.nonsmooth, nats=nats, layers=layers)
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree, form)
     special = np.array([0.0, *process.nonsmooth])
     for _ in range(MOST_ROUNDS):

@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from fpk.compiling import FLAGS
+from fpk.compiling import kept
 
 Array = NDArray[np.float64]
 
@@ -37,7 +36,7 @@ def orthonormal(H: Array, measure: Array, degree: int) -> Basis:
     return Basis(*_orthonormal(H.copy(), measure / measure.sum(), degree))
 
 
-@njit(fastmath=FLAGS, error_model="numpy", cache=True, nogil=True)
+@kept()
 def _orthonormal(H: Array, share: Array, degree: int) -> tuple[Array, Array]:
     """Centres and spreads (degree,) for the masses ``share`` of sum 1."""
     centres, spreads = np.empty(degree), np.empty(degree)
@@ -57,7 +56,7 @@ def _orthonormal(H: Array, share: Array, degree: int) -> tuple[Array, Array]:
     return centres, spreads
 
 
-@njit(fastmath=FLAGS, error_model="numpy", cache=True, nogil=True)
+@kept()
 def _with_slopes(centres: Array, spreads: Array, H: Array) -> tuple[Array, Array]:
     """All polynomials and their slopes at energies (points,), (degree + 1, points) each."""
     P, D = np.empty((centres.size + 1, H.size)), np.empty((centres.size + 1, H.size))

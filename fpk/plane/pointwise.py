@@ -1,10 +1,9 @@
 """Compiled arithmetic at the places of an expansion and of the survey."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from fpk.compiling import FLAGS
+from fpk.compiling import kept
 from fpk.vector_process import VectorProcess
 
 Array = NDArray[np.float64]
@@ -19,7 +18,7 @@ def evaluated(process: VectorProcess, energies: Array) -> tuple[Array, Array, Ar
     return s, divergence, b
 
 
-_compiled = njit(fastmath=FLAGS, error_model="numpy", cache=True, nogil=True)
+_compiled = kept()
 
 
 @_compiled

@@ -32,6 +32,17 @@ SYSTEMS = {
         ),
     ),
 }
+# Layers and roots above H_c that no single rule resolves: found by a search for estimates below the
+# true error.
+THIN = {
+    **{
+        f"n = {n}, B = {B:g}": chain(n, both(B, 1e-3, mass=n - 1))
+        for n, B in ((1, 1.0), (1, 1e6), (1, 1e12), (2, 1e6), (2, 1e12))
+    },
+    "power 3.7": chain(1, both(1e12, 1e-3, law="power", exponent=3.7, mass=0)),
+    "no clearance, n = 1": chain(1, both(1.0, 0.0, mass=0)),
+    "no clearance, B = 1e12": chain(2, both(1e12, 0.0)),
+}
 TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10)
 HONEST_ABOVE = 1e-12
 """Below, the round-off of the reference (T by quadrature, to some 1e-13) is not told apart."""
@@ -67,6 +78,17 @@ def test_the_tolerance_is_met_and_the_estimate_honest(averaged, form):
         assert certificate.minimum >= NEGATIVE == -1e-14
         assert 0.0 <= certificate.tail_mass <= tol
         assert np.all(solution.density(np.array([-1.0, 1.01 * solution.nodes[-1]])) == 0.0)
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("name", THIN)
+def test_thin_layers_are_in_the_estimate(name, form):
+    process = energy_process(THIN[name])
+    reference = averaged_closed_form(THIN[name], process)
+    for tol in (1e-3, *TOLERANCES):
+        solution = solve_stationary(process, tol=tol, form=form)
+        assert true_error(solution, reference) <= solution.l1_error + reference.l1_error
+        assert solution.certificate.certified or solution.l1_error > tol
 
 
 def test_both_forms_agree_within_their_estimates(averaged):

@@ -1,0 +1,1 @@
+"""Energy shells of a system with one contact mass, compiled."""

@@ -1,0 +1,174 @@
+"""Energy shells of a system with one contact mass, compiled: the integrals of (25), (28), any n.
+
+One contact mass leaves integrals over a line, ∫ v^a (1, v, a/v) dr with v = 1 − V_red/H and
+a = n − 3/2, along the two rays from rest. Up to the first stop they are powers of cosines in
+closed form. Beyond, x = X sin²φ with X the distance to the turning point removes the root there and
+the half-integer powers of Hertz contact, as in ``averaging.shell.panel``, of which this is the
+compiled twin for one mass. For many masses v^a has died out long before the turning point, and
+x = x₀ s² goes as far as that: the same few points serve any number of masses.
+"""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from averaging.shell.one_mass.panels import RULES, Rules, Work, add_panels, gauss_rules
+from averaging.shell.one_mass.rays import Rays, inner, turning_points
+from averaging.shell.reduced import ReducedPotential
+from averaging.shell.sums import ROOT_ROUND_OFF, ROUND_OFF, TARGET
+from fpk.compiled_laws import compiled_laws
+from fpk.compiling import LAWS, checksum, kept
+
+Array = NDArray[np.float64]
+
+SOURCES = ("averaging/shell/one_mass/*.py", "averaging/shell/sums.py", "fpk/quadrature.py")
+"""Files that the ratios are compiled from, beside the laws."""
+MANY = 5
+"""Masses from which the first rule would be refused, as v^a is narrow."""
+ROUNDED = 0.5 * np.finfo(float).eps
+"""For n = 1 the part beyond a stop is ~ √(H − V), V at the stop: a rounding of H is relative to T
+ε √(H/(H − V)), of either sign, half of it to be expected."""
+DIED_OUT = 1e-18
+"""Share of its value at the stop below which v^a is left out."""
+LEAST_LEFT = 0.005
+"""Share of v that is left by then for the cut to be worth a second root: from n = 10 on."""
+
+
+class OneMassShell:
+    """The ratios of ``shell_ratios`` for one contact mass, compiled for the laws that act."""
+
+    def __init__(self, potential: ReducedPotential) -> None:
+        """Sort the stops along the rays, of which there is one where V is even."""
+        stops = potential.stops
+        names = tuple(sorted({stop.law for stop in stops}))
+        sides = ("right",) if potential.mirror else ("right", "left")
+        along = [sorted((s for s in stops if s.side == side), key=_clearance) for side in sides]
+        inner = [stop for side in along for stop in side]
+        self.rays = Rays(
+            np.cumsum([0, *map(len, along)]),
+            np.array([s.clearance for s in inner], dtype=float),
+            np.array([s.stiffness for s in inner], dtype=float),
+            np.array([s.power for s in inner], dtype=float),
+            np.array([names.index(s.law) for s in inner], dtype=np.int64),
+            float(potential.L[0, 0]),
+        )
+        self.n = potential.n
+        self.ratios = compiled_ratios(names, potential.n == 1)
+
+    def __call__(self, energy: Array) -> Array:
+        """The rows of ``ShellRatios``, (5, energies)."""
+        found = np.empty((5, energy.size))
+        self.ratios(energy, self.rays, self.n, gauss_rules(), found)
+        return found
+
+
+def _clearance(stop: Any) -> float:
+    return float(stop.clearance)
+
+
+@lru_cache
+def compiled_ratios(names: tuple[str, ...], single: bool) -> Any:
+    """Return the ratios for the laws ``names``; n = 1 (``single``) needs their slopes, too."""
+    stamp = checksum([*LAWS, *SOURCES])
+    U: Any = compiled_laws(names, "energy")
+    g: Any = compiled_laws(names, "force")
+    bend: Any = compiled_laws(names, "slope" if single else "force")
+
+    @kept()
+    def ratios(energy: Array, rays: Rays, n: int, rules: Rules, found: Array) -> None:
+        """Fill the rows of ``found``, (5, energies)."""
+        whole = np.array([_cosines(2 * n - 2), _cosines(2 * n), 0.0])
+        # The stamp is always positive: it stands here to be a part of what the disk cache looks at.
+        share = DIED_OUT ** (1.0 / (n - 1.5)) if n > 2 and stamp >= 0 else 0.0
+        share = share if share > LEAST_LEFT else 0.0
+        size = RULES[-1]
+        e = np.empty((7, size))
+        work = Work(e[0], e[1], e[2], e[3], e[4], e[5], e[6])
+        free, sums, finer = np.empty(3), np.empty(3), np.empty(3)
+        X, top = np.empty(rays.clearance.size), np.empty(rays.clearance.size)
+        count = rays.first.size - 1
+        floor = ROOT_ROUND_OFF if single else ROUND_OFF
+        least = np.inf
+        for k in range(count):
+            if rays.first[k + 1] > rays.first[k]:
+                least = min(least, rays.clearance[rays.first[k]] / rays.reach)
+        for i in range(energy.size):
+            H = energy[i]
+            if 0.5 * least * least >= H:
+                found[0, i] = found[1, i] = 1.0
+                found[2, i], found[3, i], found[4, i] = n - 1.0, 0.0, 0.0
+                continue
+            least_height = turning_points(H, rays, share, X, top, U, g)
+            rounding = floor
+            if single:
+                rounding += ROUNDED * np.sqrt(H / least_height)
+            free[0] = free[1] = free[2] = 0.0
+            for k in range(count):
+                first = np.inf
+                if rays.first[k + 1] > rays.first[k]:
+                    first = rays.clearance[rays.first[k]] / rays.reach
+                _free_part(H, first, n, free)
+            for part in range(3):
+                sums[part] = finer[part] = free[part]
+            # Two rules at once, then one after another; of many masses the first is too coarse.
+            begin = 0 if n < MANY else 1
+            rule, stop = begin, begin + 2
+            split = rules.first[begin + 1] - rules.first[begin]
+            error, slope_error = np.inf, np.inf
+            while max(error, slope_error) > TARGET and stop < rules.first.size:
+                add_panels(
+                    H, rays, X, top, n, rules, rule, stop, split, work, sums, finer, U, g, bend,
+                    single,
+                )  # fmt: skip
+                error, slope_error = _disagreement(sums, finer)
+                rule, stop, split = stop, stop + 1, 0
+                if max(error, slope_error) > TARGET and stop < rules.first.size:
+                    for part in range(3):
+                        sums[part], finer[part] = finer[part], free[part]
+            found[0, i] = finer[0] / (count * whole[0])
+            found[1, i] = finer[1] / (count * whole[1])
+            found[2, i] = finer[2] / finer[0]
+            found[3, i], found[4, i] = error + rounding, slope_error + error + rounding
+
+    return ratios
+
+
+@inner
+def _disagreement(coarse: Array, fine: Array) -> tuple[float, float]:
+    """Relative differences of two sums, T and Φ, and of T', relative to T at least.
+
+    Infinite where a sum is no number.
+    """
+    states = abs(coarse[0] - fine[0]) / fine[0]
+    volume = abs(coarse[1] - fine[1]) / fine[1]
+    change = abs(coarse[2] - fine[2]) / max(abs(fine[2]), fine[0])
+    if not np.isfinite(states + volume + change):
+        return np.inf, np.inf
+    return max(states, volume), change
+
+
+@inner
+def _cosines(m: int) -> float:
+    """√2 ∫cos^m θ dθ from 0 to π/2, m even."""
+    integral: float = np.sqrt(2.0) * 0.5 * np.pi
+    for k in range(2, m + 1, 2):
+        integral *= (k - 1) / k
+    return integral
+
+
+@inner
+def _free_part(H: float, end: float, n: int, out: Array) -> None:
+    """Add the three integrals up to the first stop, where V = ½ r²; r = √(2H) sin θ."""
+    sine = min(end / np.sqrt(2.0 * H), 1.0)
+    cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
+    # ∫cos^m from that of m − 2, (cos^(m−1) sin + (m − 1) ∫cos^(m−2))/m: sums of positive terms.
+    power, below, integral = cosine * sine, 0.0, np.arctan2(sine, cosine)
+    for m in range(2, 2 * n, 2):
+        below = integral
+        integral = (power + (m - 1) * integral) / m
+        power *= cosine * cosine
+    out[0] += np.sqrt(2.0) * integral
+    out[1] += np.sqrt(2.0) * (power + (2 * n - 1) * integral) / (2 * n)
+    out[2] += np.sqrt(2.0) * (n - 1.5) * below
