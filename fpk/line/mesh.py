@@ -21,6 +21,9 @@ EACH = 0.03
 """Share of the tolerance that a first mesh grants each of its elements, ten or so."""
 UNDER = 1e-3
 """Largest error of an element relative to the density at its far end."""
+SPREAD = 20.0
+LOG_SPREAD = math.log(SPREAD)
+"""Largest ratio of the ends of an element that begins where contact does."""
 GRADING = 0.15
 """Ratio of neighbouring lengths towards a point where smoothness is lost."""
 GRADED_LAYERS = 5
@@ -145,10 +148,17 @@ def initial_nodes(
     """Return nodes from 0 to ``end``: on the nonsmooth energies, dense where p/T varies fast.
 
     ``nats`` is the fall of ln(p/T) over one element, at the energies of the survey. Geometric
-    ``layers`` lie above every nonsmooth energy (below it, the density is smooth up to it).
+    ``layers`` lie above every nonsmooth energy (below it, the density is smooth up to it). Where
+    that is tiny beside its element, T still changes with H/H_c: elements grow from there.
     """
     ends = np.array([0.0, *(H for H in nonsmooth if 0.0 < H < end), end])
     nodes: Array = _placed(view.energy, view.roughness / nats, ends)
+    wide = [H for H in ends[1:-1] if nodes[np.searchsorted(nodes, H) + 1] > SPREAD * H]
+    if wide:
+        steps = np.concatenate(
+            [H * SPREAD ** np.arange(1.0, np.log(end / H) / LOG_SPREAD) for H in wide]
+        )
+        nodes = np.unique(np.concatenate([nodes, steps]))
     return with_layers(nodes, nonsmooth, count=layers)
 
 
