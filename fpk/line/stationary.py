@@ -127,7 +127,7 @@ class StationarySolution:
         x = np.asarray(energy, dtype=float).ravel()
         k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.nodes.size - 2)
         t = (x - self.nodes[k]) / (self.nodes[k + 1] - self.nodes[k])
-        phi, _ = shape_functions(degree, t)
+        phi, _ = shape_functions(degree, np.clip(t, 0.0, 1.0))
         # One factor: of many masses p/T overflows where T underflows.
         value = np.einsum("jx,xj->x", phi, u[k]) * np.exp(log_scale[k] + log_factor.ravel())
         inside = (x >= self.nodes[0]) & (x <= self.nodes[-1])

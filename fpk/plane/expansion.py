@@ -59,6 +59,17 @@ def panels_of(weight: Weight, nats: float) -> tuple[Array, Array]:
     return nodes
 
 
+def _in_quarters(nodes: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Nodes that cut each panel in four: p falls by e^(−8) at the most from one to the next.
+
+    Whoever integrates p over them needs no more than twelve Gauss points: e^(−8t) to 3e-16.
+    """
+    first, second = (
+        np.interp(np.arange(4 * (x.size - 1) + 1), 4.0 * np.arange(x.size), x) for x in nodes
+    )
+    return first, second
+
+
 def places_of(weight: Weight, nodes: tuple[Array, Array], nats: float, points: int) -> Places:
     """Return ``points`` Gauss points on each panel."""
     (x, first), (y, second) = (
@@ -72,7 +83,7 @@ def places_of(weight: Weight, nodes: tuple[Array, Array], nats: float, points: i
 
 @dataclass(frozen=True, eq=False)
 class Expansion:
-    """p = w u on the panels ``nodes``, 0 outside; ``coefficients`` (degree + 1, degree + 1)."""
+    """p = w u between ``nodes``, 0 outside; ``coefficients`` (degree + 1, degree + 1)."""
 
     nodes: tuple[Array, Array]
     weight: Weight
@@ -164,7 +175,7 @@ def solve_expansion(
     left, terms = np.abs(matrix @ u), np.abs(matrix) @ np.abs(u)
     k = degree + 1
     return Solved(
-        Expansion(at.nodes, weight, bases, np.asarray(u.reshape(k, k))),
+        Expansion(_in_quarters(at.nodes), weight, bases, np.asarray(u.reshape(k, k))),
         at,
         float(left.max() / terms.max()) if terms.max() > 0.0 else np.inf,
     )
