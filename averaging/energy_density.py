@@ -106,7 +106,9 @@ def log_energy_norm(
     shell = energy_shell(system)
     view = survey(process)
     nodes = initial_nodes(view, truncation_energy(view, TAIL), process.nonsmooth)
-    nodes = _graded_to_zero(with_layers(nodes, process.nonsmooth, count=DEEP_LAYERS))
+    if shell.potential.count == 1:  # of more, an energy costs milliseconds and more
+        nodes = with_layers(nodes, process.nonsmooth, count=DEEP_LAYERS)
+    nodes = _graded_to_zero(nodes)
 
     def integral(points: int) -> tuple[float, float]:
         x, w = panel_rule(nodes, points)

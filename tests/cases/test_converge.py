@@ -178,7 +178,9 @@ def plane_errors(equation, degree):
     return {key: [e[key] for e in found] for key in NORMS}
 
 
-@pytest.mark.parametrize("scene", ["fig6b", "vanderpol-modal"])
+@pytest.mark.parametrize(
+    "scene", ["fig6b", pytest.param("vanderpol-modal", marks=pytest.mark.slow)]
+)
 def test_two_energies_show_the_order_of_theory(scene):
     # Equation (34) and, with damping that depends on the energies, plain elements as reference.
     found = plane_errors(modal_equation(load_scene(scene).system), 2)
@@ -196,7 +198,9 @@ def test_the_largest_error_of_degree_one_has_the_logarithm_of_theory():
     np.testing.assert_allclose(steps[-2:], 1.0, atol=0.25)
 
 
-@pytest.mark.parametrize("scene", ["vanderpol-modal", "vanderpol"])
+@pytest.mark.parametrize(
+    "scene", ["vanderpol-modal", pytest.param("vanderpol", marks=pytest.mark.slow)]
+)
 def test_damping_terms_have_a_reference_by_another_method(scene):
     equation = modal_equation(load_scene(scene).system)
     assert equation.reference_words.startswith("plain elements (w = 1)")

@@ -95,7 +95,7 @@ def shown(scene):
     return text
 
 
-@examples(40)
+@examples(20)
 @given(text=valid_scenes())
 def test_a_valid_scene_loads_and_is_shown(text, tmp_path):
     path = tmp_path / "any.toml"

@@ -14,7 +14,7 @@ from cases.routes import Sampling
 from cases.scene import load_scene
 
 GRID = ["--vary", "contact.stiffness=0.01:100:log2", "--vary", "contact.clearance=0.5:2:2"]
-QUICK = ["--paths", 4096, "--time", 60, "--seed", 3]
+QUICK = ["--paths", 4096, "--time", 30, "--seed", 3]
 
 
 def test_a_grid_reaches_both_ends_evenly_or_in_equal_ratios():

@@ -229,7 +229,7 @@ def test_weak_order_two_in_the_step() -> None:
     assert abs(np.log2(biases[0] / biases[1]) - 2.0) < 0.4
 
 
-@pytest.mark.parametrize("scale", [4.0, 0.5])
+@pytest.mark.parametrize("scale", [4.0, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_the_unit_of_time_does_not_matter(scale: float) -> None:
     # Powers of two scale all arithmetic but the exponential of the flow exactly; the noise makes
     # trajectories contract to each other, so that round-off does not grow.
