@@ -6,7 +6,7 @@ BY_TOL = {1: "FE hp", 2: "weighted, tol"}
 """The solver that is steered by a tolerance, by the number of energies."""
 BY_TOL_WORDS = {1: "hp elements, by tolerance", 2: "weighted expansion of (17), by tolerance"}
 EXPLAINED = {
-    1: "FE hp: elements of high degree, short at the contact energies, until the tolerance is met.",
+    1: "FE hp: elements whose number and degree follow from the tolerance, cut until it is met.",
     2: (
         "weighted, tol: no elements with a mesh to refine but p = w u, with w = exp(−Φ) a positive"
         " weight near p and u one polynomial; where probability circulates much u is one on each of"
