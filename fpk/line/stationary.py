@@ -125,6 +125,8 @@ class StationarySolution:
         self, u: Array, log_scale: Array, degree: int, energy: Array, log_factor: Array
     ) -> Array:
         x = np.asarray(energy, dtype=float).ravel()
+        if not x.size:
+            return np.zeros(np.shape(energy))
         k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.nodes.size - 2)
         t = (x - self.nodes[k]) / (self.nodes[k + 1] - self.nodes[k])
         phi, _ = shape_functions(degree, np.clip(t, 0.0, 1.0))

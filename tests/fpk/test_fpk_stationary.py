@@ -126,6 +126,15 @@ def test_the_pointwise_estimate_covers_the_pointwise_error(averaged, form):
         assert estimate.mean() <= 100.0 * difference.mean()
 
 
+@pytest.mark.parametrize("form", FORMS)
+def test_no_energies_have_no_densities(form):
+    solution = solve_stationary(energy_process(SYSTEMS["B = 10"]), tol=1e-4, form=form)
+    for shape in ((0,), (3, 0)):
+        nothing = np.empty(shape)
+        for of in (solution.density, solution.pointwise_error, solution.phase_space_density):
+            assert of(nothing).shape == shape
+
+
 def test_another_system_is_outside_the_estimate():
     process = energy_process(SYSTEMS["B = 10"])
     other = chain(2, both(10.0, 0.55))
