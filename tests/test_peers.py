@@ -82,7 +82,8 @@ def test_probability_circulates_in_the_coupled_problem() -> None:
     assert abs(curl / 0.002) > 0.1
 
 
-def test_the_peers_get_the_coefficients_of_the_scene() -> None:
+def test_the_peers_get_the_coefficients_of_the_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(PEERS)
     problem = runpy.run_path(str(PEERS / "vanderpol.py"))["Averaged"]("W4", "vanderpol")
     at = np.array([[0.0, 0.02, 0.3], [0.1, 0.4, 0.05]])
     drift, diffusion, divergence = problem.coefficients(at)

@@ -15,17 +15,14 @@ os.environ.update(
 
 import argparse
 import json
-import sys
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from statistics import median
 from time import perf_counter
-from types import ModuleType
 
 import numpy as np
+from installed import version_of
 from numpy.typing import NDArray
 from problems import PROBLEMS
 
@@ -35,8 +32,6 @@ LONG = 1.0
 """Seconds above which the first run is the only one; what it loads, a smaller one has loaded."""
 MOST, ENOUGH = 21, 0.4
 """Repeats at most, and seconds of repeats that are enough once there are three."""
-MISSING = 3
-"""Exit status of a script whose peer is not installed."""
 KEPT = 160
 """Letters kept of a warning or an error."""
 
@@ -135,23 +130,6 @@ def timed(work: Callable[[], object]) -> float:
     while len(times) < 3 or (len(times) < MOST and sum(times) < ENOUGH):
         times.append(once(work))
     return median(times)
-
-
-def need(module: str) -> ModuleType:
-    """Return the module, or exit with the status ``MISSING``, naming it."""
-    try:
-        return import_module(module)
-    except ImportError as error:
-        print(f"missing: {module} ({error})", file=sys.stderr)
-        sys.exit(MISSING)
-
-
-def version_of(package: str) -> str:
-    """Return the installed version of a distribution."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "–"
 
 
 def cells(edges: Sequence[Array], values: Array) -> Sampled:

@@ -8,7 +8,8 @@ Its drag is one number an axis, so that its diffusion is diagonal: it cannot be 
 
 from functools import partial
 
-from measure import Setting, cells, measure_all, need  # first: NumPy then has one thread
+from installed import need
+from measure import Setting, cells, measure_all  # first: NumPy then has one thread
 
 # isort: split
 

@@ -9,7 +9,8 @@ hand.
 from functools import partial
 from itertools import pairwise
 
-from measure import Sampled, Setting, measure_all, need  # first: NumPy then has one thread
+from installed import need
+from measure import Sampled, Setting, measure_all  # first: NumPy then has one thread
 
 # isort: split
 

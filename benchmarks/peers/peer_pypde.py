@@ -7,7 +7,8 @@ it gets no further in W2.
 
 from functools import partial
 
-from measure import Setting, cells, measure_all, need  # first: NumPy then has one thread
+from installed import need
+from measure import Setting, cells, measure_all  # first: NumPy then has one thread
 
 # isort: split
 

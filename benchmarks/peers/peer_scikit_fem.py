@@ -2,7 +2,8 @@
 
 from functools import partial
 
-from measure import Sampled, Setting, measure_all, need  # first: NumPy then has one thread
+from installed import need
+from measure import Sampled, Setting, measure_all  # first: NumPy then has one thread
 
 # isort: split
 

@@ -1,17 +1,17 @@
 """The equations that every peer solves: coefficients for the peers, closed forms to judge them.
 
-Peers get the coefficients by their own quadrature of the level integrals, which takes 16 Gauss
-points on each smooth part of the reduced potential and is several times cheaper than that of
-``averaging.shell``, which knows no particular law and estimates its error. What they are judged
+Peers get the coefficients by a quadrature of the level integrals in NumPy, which takes 16 Gauss
+points on each smooth part of the reduced potential and estimates no error. What they are judged
 against are the closed forms (29) and (34) of this program. W1 is fig6 with B = 10 and δ = 0.5, the
-energy p(H); W2 is fig8b, two uncoupled modal energies p(H1, H2); W3 and W4 are
-coupled, see ``coupled.py`` and ``vanderpol.py``; the rest are W1 with other stops.
+energy p(H); W2 is fig8b, two uncoupled modal energies p(H1, H2); W3 and W4 are coupled, see
+``coupled.py`` and ``vanderpol.py``; the rest are W1 with other stops.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from afresh import afresh
 from coupled import Mixture
 from numpy.typing import NDArray
 from vanderpol import Averaged
@@ -20,7 +20,6 @@ from averaging.energy_density import EnergyDensity, averaged_closed_form
 from averaging.energy_process import energy_process
 from averaging.modal.analysis import modal_analysis
 from averaging.modal.process import modal_process
-from cases.scene import load_scene
 from fpk.contact import Contact
 from fpk.quadrature import gauss_legendre, panel_rule
 from fpk.system import System
@@ -109,25 +108,15 @@ class Plane:
     dimension = 2
     contact_energies = ()
 
-    @cached_property
-    def read(self) -> System:
-        """The scene's system, read from its file once."""
-        return load_scene(self.scene).system
-
-    @property
-    def system(self) -> System:
-        """The system, built afresh at each call: nothing is remembered."""
-        return replace(self.read)
-
     @property
     def process(self) -> VectorProcess:
         """The averaged modal energies, from the system on, nothing remembered."""
-        return modal_process(self.system)
+        return modal_process(afresh(self.scene))
 
     @cached_property
     def rates(self) -> tuple[Array, Array]:
         """c*_ii/M*_i and d_i/M*_i of (33)."""
-        modes = modal_analysis(self.system)
+        modes = modal_analysis(afresh(self.scene))
         return modes.damping / modes.modal_mass, modes.noise / modes.modal_mass
 
     @cached_property

@@ -16,6 +16,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
 
+from installed import MISSING  # noqa: E402
 from page import written  # noqa: E402
 
 SCRIPTS = {
@@ -30,8 +31,6 @@ SCRIPTS = {
 }
 LIMIT = 120.0
 """Seconds a script may take."""
-MISSING = 3
-"""Exit status of a script whose peer is not installed."""
 THREADS = ("OMP", "OPENBLAS", "MKL", "NUMBA", "NUMEXPR")
 
 

@@ -7,19 +7,18 @@ its own error as 1e-12. NGSolve at p = 16 shares no code with it: that row shows
 apart. Below 1e-12 an L1 of W4 says nothing.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from afresh import afresh
 from numpy.typing import NDArray
 
 from averaging.modal.analysis import modal_analysis
 from averaging.modal.process import modal_process
-from cases.scene import load_scene
 from fpk.plane.solution import PlaneSolution
 from fpk.plane.stationary import solve_plane
 from fpk.quadrature import panel_rule
-from fpk.system import System
 from fpk.vector_process import VectorProcess
 
 Array = NDArray[np.float64]
@@ -38,20 +37,10 @@ class Averaged:
     dimension = 2
     contact_energies = ()
 
-    @cached_property
-    def read(self) -> System:
-        """The scene's system, read from its file once."""
-        return load_scene(self.scene).system
-
-    @property
-    def system(self) -> System:
-        """The system, built afresh at each call: nothing is remembered."""
-        return replace(self.read)
-
     @property
     def process(self) -> VectorProcess:
         """The averaged modal energies, from the system on, nothing remembered."""
-        return modal_process(self.system)
+        return modal_process(afresh(self.scene))
 
     @property
     def temperature(self) -> Array:
@@ -61,7 +50,7 @@ class Averaged:
     @cached_property
     def rates(self) -> tuple[Array, Array, Array]:
         """d_i (2,), γ_i (2,) and g_ij (2, 2)."""
-        modes = modal_analysis(self.system)
+        modes = modal_analysis(afresh(self.scene))
         assert modes.state is not None
         (part,) = modes.state.parts
         linear = np.zeros((2, 2))

@@ -16,7 +16,7 @@ sys.path.append(str(Path(__file__).resolve().parent.parent))
 
 from accuracy import error_against_time, exact_scene
 from problem import EDGES, Array, Chain, judged
-from trial import (
+from trial import (  # first: it knows the way to ``installed``
     BURN_IN,
     Setting,
     begun,
@@ -25,8 +25,11 @@ from trial import (
     nanoseconds,
     square_bias,
     stride,
-    version_of,
 )
+
+# isort: split
+
+from installed import version_of
 
 import sim.schemes  # noqa: F401  (its modules register the integrators)
 from fpk.observable import parse_observable

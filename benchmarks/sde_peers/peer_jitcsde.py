@@ -10,7 +10,11 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 from problem import Array, Chain
-from trial import Setting, Walk, measure_all, need
+from trial import Setting, Walk, measure_all  # first: it knows the way to ``installed``
+
+# isort: split
+
+from installed import need
 
 SETTINGS = (
     Setting("SRA1, 512 copies", 0.2, 2, 512),

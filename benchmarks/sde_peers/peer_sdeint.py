@@ -9,7 +9,11 @@ no use; they are left out.
 import numpy as np
 from problem import Array, Chain
 from scipy.sparse import csr_array
-from trial import Setting, Walk, measure_all, need
+from trial import Setting, Walk, measure_all  # first: it knows the way to ``installed``
+
+# isort: split
+
+from installed import need
 
 SETTINGS = (
     Setting("stratHeun, sparse G", 0.1, 2, 8192, 5.0),

@@ -23,15 +23,17 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from statistics import median
 from time import process_time
-from types import ModuleType
 from typing import Protocol
 
 import numpy as np
+
+sys.path.append(str(Path(__file__).resolve().parent.parent / "peers"))
+
 from choice import best
+from installed import version_of
 from numpy.typing import NDArray
 from problem import EDGES, Chain, judged, printed, probabilities, square
 
@@ -54,8 +56,6 @@ LOST_BY, LOST_STEP, LOST_PATHS = 200.0, 0.01, 1024
 CHECKED = (2e-3, 4e-3, 8e-3)
 CHECK_SECONDS = 2.5
 """L1 at which the law of sampling is checked: the least that takes no more than so many seconds."""
-MISSING = 3
-"""Exit status of a script whose package is not installed."""
 
 
 @dataclass(frozen=True)
@@ -272,20 +272,3 @@ def law(setting: Setting, line: dict, maker: Maker, sampling: float) -> dict | N
     L1 = float(np.abs(counts / counts.sum() - probabilities()).sum())
     words = {"scheme": setting.scheme, "step": setting.step, "time": time, "spent": spent}
     return {"kind": "law", **words, "L1": L1, "expected": sampling / time**0.5}
-
-
-def need(module: str) -> ModuleType:
-    """Return the module, or exit with the status ``MISSING``, naming it."""
-    try:
-        return import_module(module)
-    except ImportError as error:
-        print(f"missing: {module} ({error})", file=sys.stderr)
-        sys.exit(MISSING)
-
-
-def version_of(package: str) -> str:
-    """Return the installed version of a distribution."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "–"

@@ -22,7 +22,6 @@ EACH = 0.03
 UNDER = 1e-3
 """Largest error of an element relative to the density at its far end."""
 SPREAD = 20.0
-LOG_SPREAD = math.log(SPREAD)
 """Largest ratio of the ends of an element that begins where contact does."""
 GRADING = 0.15
 """Ratio of neighbouring lengths towards a point where smoothness is lost."""
@@ -156,7 +155,7 @@ def initial_nodes(
     wide = [H for H in ends[1:-1] if nodes[np.searchsorted(nodes, H) + 1] > SPREAD * H]
     if wide:
         steps = np.concatenate(
-            [H * SPREAD ** np.arange(1.0, np.log(end / H) / LOG_SPREAD) for H in wide]
+            [H * SPREAD ** np.arange(1.0, np.log(end / H) / math.log(SPREAD)) for H in wide]
         )
         nodes = np.unique(np.concatenate([nodes, steps]))
     return with_layers(nodes, nonsmooth, count=layers)
