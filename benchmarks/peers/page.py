@@ -95,10 +95,10 @@ OMISSIONS = """\
   the answer known, at no cost. They give no estimate of their error, and most no check of
   anything; ours finds mesh and box, and its time has the estimate, the certificate and a second,
   finer solution in it.
-- Unfair to this program: the peers' coefficients are a quadrature written for this one contact
-  law, several times cheaper than that of the program, which takes any law and estimates its
-  error. The rows "hp on the peers' coefficients" take that difference out; their contact energies
-  are given, too.
+- The peers' coefficients are a quadrature written for this one contact law, in NumPy and without an
+  estimate of its error; that of the program takes any law, estimates its error and is compiled.
+  The rows "hp on the peers' coefficients" take that difference out; their contact energies are
+  given, too.
 - Unfair to this program: cell values are judged at the middles of cells only. As functions,
   constant or linear between them, they would be worse.
 - Unfair to the peers: W2 has no flux and an exponential solution, the weight that this program

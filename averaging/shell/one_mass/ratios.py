@@ -9,6 +9,7 @@ x = x₀ s² goes as far as that: the same few points serve any number of masses
 """
 
 from functools import lru_cache
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -41,17 +42,17 @@ class OneMassShell:
 
     def __init__(self, potential: ReducedPotential) -> None:
         """Sort the stops along the rays, of which there is one where V is even."""
-        stops = potential.stops
+        stops = sorted(potential.stops, key=attrgetter("clearance"))
         names = tuple(sorted({stop.law for stop in stops}))
         sides = ("right",) if potential.mirror else ("right", "left")
-        along = [sorted((s for s in stops if s.side == side), key=_clearance) for side in sides]
-        inner = [stop for side in along for stop in side]
+        rays = [[stop for stop in stops if stop.side == side] for side in sides]
+        along = [stop for ray in rays for stop in ray]
         self.rays = Rays(
-            np.cumsum([0, *map(len, along)]),
-            np.array([s.clearance for s in inner], dtype=float),
-            np.array([s.stiffness for s in inner], dtype=float),
-            np.array([s.power for s in inner], dtype=float),
-            np.array([names.index(s.law) for s in inner], dtype=np.int64),
+            np.cumsum([0, *map(len, rays)]),
+            np.array([s.clearance for s in along], dtype=float),
+            np.array([s.stiffness for s in along], dtype=float),
+            np.array([s.power for s in along], dtype=float),
+            np.array([names.index(s.law) for s in along], dtype=np.int64),
             float(potential.L[0, 0]),
         )
         self.n = potential.n
@@ -62,10 +63,6 @@ class OneMassShell:
         found = np.empty((5, energy.size))
         self.ratios(energy, self.rays, self.n, gauss_rules(), found)
         return found
-
-
-def _clearance(stop: Any) -> float:
-    return float(stop.clearance)
 
 
 @lru_cache
@@ -79,13 +76,12 @@ def compiled_ratios(names: tuple[str, ...], single: bool) -> Any:
     @kept()
     def ratios(energy: Array, rays: Rays, n: int, rules: Rules, found: Array) -> None:
         """Fill the rows of ``found``, (5, energies)."""
-        whole = np.array([_cosines(2 * n - 2), _cosines(2 * n), 0.0])
+        free_states, free_volume = _cosines(2 * n - 2), _cosines(2 * n)
         # The stamp is always positive: it stands here to be a part of what the disk cache looks at.
         share = DIED_OUT ** (1.0 / (n - 1.5)) if n > 2 and stamp >= 0 else 0.0
         share = share if share > LEAST_LEFT else 0.0
-        size = RULES[-1]
-        e = np.empty((7, size))
-        work = Work(e[0], e[1], e[2], e[3], e[4], e[5], e[6])
+        w = np.empty((7, RULES[-1]))
+        work = Work(w[0], w[1], w[2], w[3], w[4], w[5], w[6])
         free, sums, finer = np.empty(3), np.empty(3), np.empty(3)
         X, top = np.empty(rays.clearance.size), np.empty(rays.clearance.size)
         count = rays.first.size - 1
@@ -127,8 +123,8 @@ def compiled_ratios(names: tuple[str, ...], single: bool) -> Any:
                 if max(error, slope_error) > TARGET and stop < rules.first.size:
                     for part in range(3):
                         sums[part], finer[part] = finer[part], free[part]
-            found[0, i] = finer[0] / (count * whole[0])
-            found[1, i] = finer[1] / (count * whole[1])
+            found[0, i] = finer[0] / (count * free_states)
+            found[1, i] = finer[1] / (count * free_volume)
             found[2, i] = finer[2] / finer[0]
             found[3, i], found[4, i] = error + rounding, slope_error + error + rounding
 
