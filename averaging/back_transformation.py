@@ -174,7 +174,7 @@ def displacement_panels(source: EnergyDensity, mass: int) -> Array:
     end = float(source.nodes[-1])
     compliance = float(compliance_matrix(source.system)[mass, mass])
     thermal = np.sqrt(compliance * source.temperature)
-    stops = [stop for stop in source.system.stops if stop.mass == mass]
+    stops = [stop for stop in source.system.stops if stop.index == mass]
     limits = {side: _limit(stops, side, compliance, end) for side in ("left", "right")}
     low, high = -limits["left"], limits["right"]
     nodes = [np.linspace(low, high, max(4, int(np.ceil((high - low) / thermal))) + 1)]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from averaging.energy_process import energy_balance
 from averaging.shell.ratios import EnergyShell, energy_shell, log_linear_states, shell_ratios
-from fpk.density import Certificate
+from fpk.certificate import Certificate
 from fpk.line.mesh import DEEP_LAYERS, initial_nodes, survey, truncation_energy, with_layers
 from fpk.process import DiffusionProcess
 from fpk.quadrature import panel_rule

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from time import perf_counter
 from typing import Self
 
 import numpy as np
@@ -16,9 +15,10 @@ from averaging.nonintegrable import energy_only_refusal
 from averaging.polynomial_rate import density_of_rate
 from averaging.shell.reduced import reduced_potential
 from fpk.errors import NotApplicable
-from fpk.method import Progress, Result, require_applicable, silent
+from fpk.method import Method, Plan, Progress, Result
 from fpk.observable import Observable
 from fpk.quadrature import panel_rule
+from fpk.route import ROUTES, Route, register
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -65,10 +65,10 @@ def _by_energy(system: System) -> Array:
         if t.q or t.v:
             key = (t.q, t.v, t.energy)
             entry = others.setdefault(key, np.zeros((system.n, system.n)))
-            entry[t.i, t.j] += t.coefficient
+            entry[t.row, t.column] += t.coefficient
         else:
-            matrices[t.energy, t.i, t.j] += 0.5 * t.coefficient
-            matrices[t.energy, t.j, t.i] += 0.5 * t.coefficient
+            matrices[t.energy, t.row, t.column] += 0.5 * t.coefficient
+            matrices[t.energy, t.column, t.row] += 0.5 * t.coefficient
     # c_ij(q) = −c_ji(q) does no work and leaves a density of H alone; with v in it, it does not.
     working = [k for k, m in others.items() if np.any(m + m.T)]
     turning = [t for t in terms if t.v]
@@ -80,7 +80,7 @@ def _by_energy(system: System) -> Array:
 
 
 @dataclass(frozen=True)
-class Exact:
+class Exact(Method):
     """Exact stationary density C exp(−∫h dH) of the full system, Eqs. (7), (22), (23).
 
     It exists where (8) holds; with constant damping h is a constant, and the normalisation the
@@ -88,40 +88,23 @@ class Exact:
     """
 
     @property
-    def name(self) -> str:
-        """The method's name on the command line."""
-        return "exact"
+    def route(self) -> Route:
+        """The route that the method follows."""
+        return ROUTES["exact", "closed-form"]
 
-    @property
-    def solver(self) -> str:
-        """How the method's equation is solved, on the command line."""
-        return "closed-form"
-
-    def refusal(self, system: System, observable: Observable) -> str | None:
-        """Return why there is no exact density of ``observable``, or None where there is."""
-        try:
-            compatibility(system)
-        except NotApplicable as reason:
-            return str(reason)
-        return energy_only_refusal(system, observable)
-
-    def solve(
-        self,
-        system: System,
-        observables: Sequence[Observable],
-        *,
-        progress: Progress = silent,
-    ) -> Result:
-        """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses."""
-        require_applicable(self, system, observables)
-        start = perf_counter()
-        source = exact_energy_density(system)
-        densities = tuple(back_transformed(source, observable) for observable in observables)
+    def prepare(self, system: System) -> Plan:
+        """Return the plan for ``system``; raise ``NotApplicable`` where (8) does not hold."""
         h = compatibility(system)
         settings: dict[str, str | float | int] = {"equation": "(7), (22)", "h": float(h[0])}
         for power, coefficient in enumerate(h[1:], start=1):
             settings[f"h, H^{power}"] = float(coefficient)
-        return Result(self, densities, perf_counter() - start, settings=settings)
+
+        def solve(observables: Sequence[Observable], progress: Progress) -> Result:
+            source = exact_energy_density(system)
+            densities = tuple(back_transformed(source, observable) for observable in observables)
+            return Result(self, densities, settings=settings)
+
+        return Plan(lambda observable: energy_only_refusal(system, observable), solve)
 
     def refined(self) -> Self:
         """Return itself: there is nothing to refine."""
@@ -178,3 +161,8 @@ def _log_configuration_integral(source: EnergyDensity, h: float) -> tuple[float,
             total = total @ w.ravel()
         sums.append(float(total))
     return constant + log_det + float(np.log(sums[1])), abs(sums[0] / sums[1] - 1.0) + 1e-15
+
+
+register(
+    Route("exact", "closed-form", "exact", "(7)", "full", False, "#2878b5", make=Exact),
+)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from time import perf_counter
 from typing import Self
 
 import numpy as np
@@ -11,11 +10,13 @@ from scipy.linalg import eigh
 from scipy.stats import gamma as gamma_distribution
 from scipy.stats import multivariate_normal, norm
 
-from fpk.density import Certificate, Density
+from fpk.certificate import Certificate
+from fpk.density import Density
 from fpk.errors import NotApplicable
 from fpk.linear import diffusion_matrix, drift_matrix, stationary_covariance
-from fpk.method import Progress, Result, require_applicable, silent
+from fpk.method import Method, Plan, Progress, Result
 from fpk.observable import Observable, observable_name
+from fpk.route import ROUTES, Route, register
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -29,7 +30,7 @@ LARGEST_ERROR = 1e-6
 
 
 @dataclass(frozen=True)
-class Linear:
+class Linear(Method):
     """Gaussian density with the covariance of the Lyapunov equation, for a scene without contact.
 
     It is the exact stationary density of the full linear system; averaging does not reproduce it
@@ -37,59 +38,45 @@ class Linear:
     """
 
     @property
-    def name(self) -> str:
-        """The method's name on the command line."""
-        return "linear"
+    def route(self) -> Route:
+        """The route that the method follows."""
+        return ROUTES["linear", "closed-form"]
 
-    @property
-    def solver(self) -> str:
-        """How the method's equation is solved, on the command line."""
-        return "closed-form"
-
-    def refusal(self, system: System, observable: Observable) -> str | None:
-        """Return why the density of ``observable`` is not Gaussian, or None where it follows."""
+    def prepare(self, system: System) -> Plan:
+        """Return the plan for ``system``; raise ``NotApplicable`` where it is not Gaussian."""
         if system.contacts:
-            return "the system has contacts, so its density is not Gaussian"
-        kinds = [c.kind for c in observable]
-        if "H" in kinds and (len(observable) > 1 or observable[0].index is not None):
-            return (
-                f"{observable_name(observable)}: of the energies, only the density of the total "
-                "energy H is available"
-            )
-        try:
-            covariance = stationary_covariance(system)
-        except NotApplicable as reason:
-            return str(reason)
-        if np.min(np.diag(covariance)) <= 0:
-            return "no noise reaches a mass, so its density is concentrated at rest"
-        return None
-
-    def solve(
-        self,
-        system: System,
-        observables: Sequence[Observable],
-        *,
-        progress: Progress = silent,
-    ) -> Result:
-        """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses."""
-        require_applicable(self, system, observables)
-        start = perf_counter()
+            raise NotApplicable("the system has contacts, so its density is not Gaussian")
         covariance = stationary_covariance(system)
-        A, b = drift_matrix(system), diffusion_matrix(system)
-        residual = A @ covariance + covariance @ A.T + b
-        error = float(np.max(np.abs(residual)) / np.max(np.abs(A @ covariance)))
-        # The covariance answers the residual through the slowest mode.
-        rate = -float(np.max(np.linalg.eigvals(A).real))
-        relative = error * max(1.0, float(np.max(np.abs(np.linalg.eigvals(A)))) / rate)
-        densities = tuple(
-            _energy(system, covariance, o, relative)
-            if o[0].kind == "H"
-            else gaussian_density(
-                covariance, o, relative=relative, provenance={"equation": "Lyapunov"}
+        if np.min(np.diag(covariance)) <= 0:
+            raise NotApplicable("no noise reaches a mass, so its density is concentrated at rest")
+
+        def refusal(observable: Observable) -> str | None:
+            kinds = [c.kind for c in observable]
+            if "H" in kinds and (len(observable) > 1 or observable[0].index is not None):
+                return (
+                    f"{observable_name(observable)}: of the energies, only the density of the "
+                    "total energy H is available"
+                )
+            return None
+
+        def solve(observables: Sequence[Observable], progress: Progress) -> Result:
+            A, b = drift_matrix(system), diffusion_matrix(system)
+            residual = A @ covariance + covariance @ A.T + b
+            error = float(np.max(np.abs(residual)) / np.max(np.abs(A @ covariance)))
+            # The covariance answers the residual through the slowest mode.
+            rate = -float(np.max(np.linalg.eigvals(A).real))
+            relative = error * max(1.0, float(np.max(np.abs(np.linalg.eigvals(A)))) / rate)
+            densities = tuple(
+                _energy(system, covariance, o, relative)
+                if o[0].kind == "H"
+                else gaussian_density(
+                    covariance, o, relative=relative, provenance={"equation": "Lyapunov"}
+                )
+                for o in observables
             )
-            for o in observables
-        )
-        return Result(self, densities, perf_counter() - start, settings={"equation": "Lyapunov"})
+            return Result(self, densities, settings={"equation": "Lyapunov"})
+
+        return Plan(refusal, solve)
 
     def refined(self) -> Self:
         """Return itself: there is nothing to refine."""
@@ -193,3 +180,17 @@ def _energy(system: System, covariance: Array, observable: Observable, relative:
         _certificate(relative, tail + left_out),
         {"equation": "Lyapunov"},
     )
+
+
+register(
+    Route(
+        "linear",
+        "closed-form",
+        "Gaussian, exact without contact",
+        "(6)",
+        "full",
+        False,
+        "#5b8def",
+        make=Linear,
+    )
+)

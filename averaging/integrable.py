@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from time import perf_counter
+from functools import partial
 from typing import Literal, Self, get_args
 
 import numpy as np
@@ -19,8 +19,9 @@ from averaging.modal.resonance import nearest_resonance, resonance_refusal, stro
 from fpk.clearance import CLEARANCE_RULE, stop_clearances
 from fpk.density import Density
 from fpk.errors import NotApplicable
-from fpk.method import Progress, Result, check_solver, require_applicable, silent
+from fpk.method import Method, Plan, Progress, Result, check_solver
 from fpk.observable import Observable, observable_name
+from fpk.route import ROUTES, Route, register
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -32,7 +33,7 @@ LEFT_OUT = "contacts left out"
 
 
 @dataclass(frozen=True)
-class Integrable:
+class Integrable(Method):
     """Averaged modal energies (17), (33), their stationary density (34) and (35), (36).
 
     Contacts are left out: ``settings`` and provenance say so, with the rule clearance > 2 rms of
@@ -55,42 +56,33 @@ class Integrable:
         check_solver(self.solver, get_args(Solver), self.tol)
 
     @property
-    def name(self) -> str:
-        """The method's name on the command line."""
-        return "integrable"
+    def route(self) -> Route:
+        """The route that the method follows."""
+        return ROUTES["integrable", self.solver]
 
-    def refusal(self, system: System, observable: Observable) -> str | None:
-        """Return why the theory does not give ``observable``, or None where it does."""
-        try:
-            modes = modal_analysis(system)
-        except NotApplicable as reason:
-            return str(reason)
-        return (
+    def prepare(self, system: System) -> Plan:
+        """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
+        modes = modal_analysis(system)
+        reason = (
             resonance_refusal(modes)
             or internal_refusal(system, modes)
             or unsolved(modes, self.solver)
-            or self._unknown(observable, modes)
         )
+        if reason:
+            raise NotApplicable(reason)
 
-    def solve(
-        self,
-        system: System,
-        observables: Sequence[Observable],
-        *,
-        progress: Progress = silent,
-    ) -> Result:
-        """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses."""
-        require_applicable(self, system, observables)
-        start = perf_counter()
-        modes = modal_analysis(system)
-        settings = {**self._equation(modes), **_validity(system, modes)}
-        if modes.state is not None:
-            densities = state_dependent_densities(
-                modes, observables, self.solver, tol=self.tol, provenance=settings
-            )
-        else:
-            densities = tuple(self._density(modes, o, settings) for o in observables)
-        return Result(self, densities, perf_counter() - start, settings=settings)
+        def solve(observables: Sequence[Observable], progress: Progress) -> Result:
+            settings = {**self._equation(modes), **_validity(system, modes)}
+            if modes.state is not None:
+                densities = state_dependent_densities(
+                    modes, observables, self.solver, tol=self.tol, provenance=settings
+                )
+            else:
+                densities = tuple(self._density(modes, o, settings) for o in observables)
+            neglected = str(settings.get(LEFT_OUT, ""))
+            return Result(self, densities, settings=settings, neglected=neglected)
+
+        return Plan(lambda observable: self._unknown(observable, modes), solve)
 
     def refined(self) -> Self:
         """Return the method with a tolerance ten times smaller, down to 1e-12."""
@@ -164,9 +156,9 @@ def _validity(system: System, modes: ModalAnalysis) -> dict[str, str | float | i
         )
     elif system.stops:
         variance = np.diag(modal_covariance(modes.linearised))
-        ratios = [(s.clearance / float(np.sqrt(variance[s.mass])), s.mass) for s in system.stops]
+        ratios = [(s.clearance / float(np.sqrt(variance[s.index])), s.mass) for s in system.stops]
         ratio, mass = min(ratios)
-        found[LEFT_OUT] = _clearance_rule(len(ratios), ratio, mass + 1, ratio > CLEARANCE_RULE)
+        found[LEFT_OUT] = _clearance_rule(len(ratios), ratio, mass, ratio > CLEARANCE_RULE)
     return found
 
 
@@ -175,4 +167,23 @@ def _clearance_rule(stops: int, ratio: float, mass: int, holds: bool) -> str:
     return (
         f"{stops}; the rule clearance > {CLEARANCE_RULE:g} rms "
         f"{'holds' if holds else 'does not hold'}: least is {ratio:.3g} rms at mass {mass}"
+    )
+
+
+for _solver, _words, _equation in (
+    ("closed-form", "modal averaging, closed form", "(34)"),
+    ("fem", "modal averaging, finite elements", "(19)"),
+    ("quadrature", "modal averaging, quadrature", "(11)"),
+):
+    register(
+        Route(
+            "integrable",
+            _solver,
+            _words,
+            _equation,
+            "averaged",
+            False,
+            "#2a9d6f",
+            make=partial(Integrable, solver=_solver),  # type: ignore[arg-type]
+        )
     )

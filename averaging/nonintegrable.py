@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from time import perf_counter
+from functools import partial
 from typing import Literal, Self, get_args
 
 import numpy as np
@@ -15,13 +15,13 @@ from averaging.polynomial_rate import averaged_density, averaged_rate
 from averaging.quadrature import QuadratureSolution, solve_by_quadrature
 from averaging.shell.ratios import log_linear_states
 from averaging.tabulated import tabulated
-from fpk.density import Certificate
-from fpk.errors import NotApplicable
+from fpk.certificate import Certificate
 from fpk.line.elements import Form
 from fpk.line.stationary import StationarySolution, solve_stationary
-from fpk.method import Progress, Result, check_solver, require_applicable, silent
+from fpk.method import Method, Plan, Progress, Result, check_solver
 from fpk.observable import Observable, observable_name
 from fpk.process import DiffusionProcess
+from fpk.route import ROUTES, Route, register
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -29,7 +29,7 @@ Solver = Literal["fem", "quadrature", "closed-form"]
 
 
 @dataclass(frozen=True)
-class NonIntegrable:
+class NonIntegrable(Method):
     """Averaged energy process (24)-(28), its stationary density and what follows from it, (30).
 
     ``solver``: "fem" solves the FPK equation of the process by finite elements, in the given
@@ -48,33 +48,22 @@ class NonIntegrable:
         check_solver(self.solver, get_args(Solver), self.tol)
 
     @property
-    def name(self) -> str:
-        """The method's name on the command line."""
-        return "nonintegrable"
+    def route(self) -> Route:
+        """The route that the method follows."""
+        return ROUTES["nonintegrable", self.solver]
 
-    def refusal(self, system: System, observable: Observable) -> str | None:
-        """Return why the theory does not give ``observable``, or None where it does."""
-        try:
-            energy_balance(system)
-            if self.solver == "closed-form":
-                averaged_rate(system)
-        except NotApplicable as reason:
-            return str(reason)
-        return energy_only_refusal(system, observable)
+    def prepare(self, system: System) -> Plan:
+        """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
+        energy_balance(system)
+        if self.solver == "closed-form":
+            averaged_rate(system)
 
-    def solve(
-        self,
-        system: System,
-        observables: Sequence[Observable],
-        *,
-        progress: Progress = silent,
-    ) -> Result:
-        """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses."""
-        require_applicable(self, system, observables)
-        start = perf_counter()
-        source, settings = self._energy_density(system, energy_process(system))
-        densities = tuple(back_transformed(source, observable) for observable in observables)
-        return Result(self, densities, perf_counter() - start, settings=settings)
+        def solve(observables: Sequence[Observable], progress: Progress) -> Result:
+            source, settings = self._energy_density(system, energy_process(system))
+            densities = tuple(back_transformed(source, observable) for observable in observables)
+            return Result(self, densities, settings=settings)
+
+        return Plan(lambda observable: energy_only_refusal(system, observable), solve)
 
     def refined(self) -> Self:
         """Return the method with a tolerance ten times smaller, down to 1e-12."""
@@ -181,3 +170,22 @@ def _log_unit(system: System, process: DiffusionProcess) -> float:
     """
     scale = np.array([process.energy_scale])
     return float(log_linear_states(system, scale)[0])
+
+
+for _solver, _words, _equation in (
+    ("fem", "energy averaging, finite elements", "(24)"),
+    ("closed-form", "energy averaging, closed form", "(29)"),
+    ("quadrature", "energy averaging, quadrature", "(11)"),
+):
+    register(
+        Route(
+            "nonintegrable",
+            _solver,
+            _words,
+            _equation,
+            "averaged",
+            False,
+            "#d1603d",
+            make=partial(NonIntegrable, solver=_solver),  # type: ignore[arg-type]
+        )
+    )

@@ -13,7 +13,7 @@ from averaging.energy_density import (
 )
 from averaging.energy_process import energy_balance
 from averaging.tabulated import tabulated
-from fpk.density import Certificate
+from fpk.certificate import Certificate
 from fpk.errors import NotApplicable
 from fpk.line.mesh import initial_nodes, survey, truncation_energy
 from fpk.process import DiffusionProcess
@@ -38,8 +38,8 @@ def averaged_rate(system: System) -> Array:
     rate = np.zeros(1 + max((term.energy for term in terms), default=0))
     rate[0] = balance.damping
     for term in terms:
-        if term.i == term.j:
-            rate[term.energy] += term.coefficient / system.mass[term.i]
+        if term.row == term.column:
+            rate[term.energy] += term.coefficient / system.mass[term.row]
     return rate / balance.noise
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from averaging.energy_density import EnergyDensity, Provenance
 from averaging.shell.ratios import energy_shell
 from averaging.weyl import WeylTable, continued, weyl_table
-from fpk.density import Certificate
+from fpk.certificate import Certificate
 from fpk.line.mesh import e_fold, survey
 from fpk.process import DiffusionProcess
 from fpk.system import System

@@ -22,7 +22,7 @@ Row = dict[str, str | int | float]
 def exact_scene() -> System:
     """Return fig6's chain with c_i/D_i = 2 for both: its density is exp(−2 H), so that errors are
     against a closed form."""
-    contacts = (Contact(1, "both", 10.0, 0.5),)
+    contacts = (Contact(2, "both", 10.0, 0.5),)
     return System([1.0, 1.0], [1.0, 1.0], [0.2, 0.4], [0.1, 0.2], contacts=contacts)
 
 

@@ -41,7 +41,7 @@ def slope(x: list[float], y: list[float]) -> float:
 
 def chain(n: int) -> System:
     """Return n unit masses, the last one between two stops."""
-    stop = Contact(n - 1, "both", 10.0, 0.5)
+    stop = Contact(n, "both", 10.0, 0.5)
     one = np.ones(n)
     return System(one, one, 0.08 * one, 0.02 * one, contacts=(stop,))
 

@@ -40,7 +40,7 @@ Row = dict[str, str | int | float]
 
 def scene(*, contact: bool, stiffness: float = 10.0) -> System:
     """Return fig6 with δ = 0.5, or the same without contact."""
-    contacts = (Contact(1, "both", stiffness, 0.5),) if contact else ()
+    contacts = (Contact(2, "both", stiffness, 0.5),) if contact else ()
     return System([1.0, 1.0], [1.0, 1.0], [0.08, 0.04], [0.01, 0.02], contacts=contacts)
 
 

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf, isfinite
-from time import perf_counter
 from typing import Literal, Self, get_args
 
 from averaging.energy_process import energy_balance, energy_process
@@ -13,8 +13,9 @@ from averaging.modal.process import modal_process
 from averaging.modal.resonance import resonance_refusal
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.method import Progress, Result, require_applicable, silent
+from fpk.method import Method, Plan, Progress, Result
 from fpk.observable import Coordinate, Observable, observable_name
+from fpk.route import ROUTES, Route, register
 from fpk.system import System
 from sim.averaged.line import line_form
 from sim.averaged.paths import BATCHES, LEAST_PATHS, EnergySampling, exact, simulate_energies
@@ -27,7 +28,7 @@ SAMPLED_TIMES = 20.0
 
 
 @dataclass(frozen=True)
-class AveragedSimulation:
+class AveragedSimulation(Method):
     """Averaged energies (17) or energy (9) of a theory by simulation: its ``solver`` "simulation".
 
     Times come from the process: an energy relaxes in about the time in which noise fills its scale,
@@ -60,46 +61,34 @@ class AveragedSimulation:
                 raise InvalidInput(key, value, "must be a finite number > 0")
 
     @property
-    def name(self) -> str:
-        """The theory's name on the command line."""
-        return self.theory
+    def route(self) -> Route:
+        """The route that the method follows."""
+        return ROUTES[self.theory, "simulation"]
 
-    @property
-    def solver(self) -> str:
-        """How the theory's equation is solved, on the command line."""
-        return "simulation"
+    def prepare(self, system: System) -> Plan:
+        """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
+        if self.theory == "nonintegrable":
+            energy_balance(system)
+        else:
+            modes = modal_analysis(system)
+            if reason := resonance_refusal(modes) or internal_refusal(system, modes):
+                raise NotApplicable(reason)
+        return Plan(self._unknown, lambda o, progress: self._sampled(system, o, progress))
 
-    def refusal(self, system: System, observable: Observable) -> str | None:
-        """Return why the theory or its simulation does not give ``observable``."""
+    def _unknown(self, observable: Observable) -> str | None:
+        """Why the averaged energies do not give the observable, None where they do."""
         name = observable_name(observable)
         if any(c.kind != "H" for c in observable):
             return f"{name}: the averaged simulation samples energies only; use another solver"
-        if self.theory == "nonintegrable":
-            if observable != (Coordinate("H"),):
-                return f"{name}: this theory knows the total energy only; ask for H"
-            try:
-                energy_balance(system)
-            except NotApplicable as reason:
-                return str(reason)
-            return None
+        if self.theory == "nonintegrable" and observable != (Coordinate("H"),):
+            return f"{name}: this theory knows the total energy only; ask for H"
         if len(observable) > 1 and any(c.index is None for c in observable):
             return f"{name}: of two quantities, both must be modal energies"
-        try:
-            modes = modal_analysis(system)
-            return resonance_refusal(modes) or internal_refusal(system, modes)
-        except NotApplicable as reason:
-            return str(reason)
+        return None
 
-    def solve(
-        self,
-        system: System,
-        observables: Sequence[Observable],
-        *,
-        progress: Progress = silent,
+    def _sampled(
+        self, system: System, observables: Sequence[Observable], progress: Progress
     ) -> Result:
-        """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses."""
-        require_applicable(self, system, observables)
-        start = perf_counter()
         form = self._form(system)
         slowest, fastest = float(form.times.max()), float(form.times.min())
         sampling = EnergySampling(
@@ -121,7 +110,7 @@ class AveragedSimulation:
             "time": sampling.time,
             "seed": self.seed,
         }
-        return Result(self, densities, perf_counter() - start, settings=settings)
+        return Result(self, densities, settings=settings)
 
     def refined(self) -> Self:
         """Return the method with four times the paths and half the step: half of both errors."""
@@ -136,3 +125,22 @@ class AveragedSimulation:
 def worth_running(system: System) -> bool:
     """Whether ``fpk run`` samples averaged equations unasked: where no closed form knows better."""
     return bool(system.damping_terms)
+
+
+for _theory, _words, _equation, _colour in (
+    ("nonintegrable", "energy averaging, simulated", "(24)", "#a8577e"),
+    ("integrable", "modal averaging, simulated", "(17)", "#9a6fc0"),
+):
+    register(
+        Route(
+            _theory,
+            "simulation",
+            _words,
+            _equation,
+            "averaged",
+            True,
+            _colour,
+            make=partial(AveragedSimulation, _theory),  # type: ignore[arg-type]
+            unasked=worth_running,
+        )
+    )

@@ -10,7 +10,8 @@ import numpy as np
 from cases.compare import distance_between
 from cases.expect import Expect
 from cases.regime import Regime
-from fpk.density import AnyDensity, Array, Certificate, Density, SampledDensity, l1_distance, moment
+from fpk.certificate import Certificate
+from fpk.density import AnyDensity, Array, Density, SampledDensity, l1_distance, moment
 from fpk.observable import Observable, observable_name
 
 Verdict = Literal["holds", "does not hold", "undecided", "not checked"]

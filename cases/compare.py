@@ -20,7 +20,6 @@ import numpy as np
 from scipy.stats import skew
 from scipy.stats import t as student
 
-from averaging.integrable import LEFT_OUT
 from fpk.density import AnyDensity, Array, Density, SampledDensity, l1_distance
 from fpk.method import Method, Result
 
@@ -38,12 +37,6 @@ BINS_1D, BINS_2D = 128, 32
 ROUND_OFF = -2.0 * float(np.log(np.finfo(float).eps) * np.finfo(float).eps)
 """Floor of a numerical band: both densities are exponentials, the exponent reaches −log(eps)
 before they stop to count, and an exponential is off by eps times its exponent: 1.6e-14."""
-
-FULL = ("exact", "linear")
-"""Methods that solve the full system, no averaging, no sampling."""
-
-ONE_SOLVER = (*FULL, "montecarlo")
-"""Methods whose name alone says how they are solved."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +59,7 @@ class Comparison:
 
 def route_name(method: Method) -> str:
     """Return how tables and legends call a route, such as ``nonintegrable/fem``."""
-    return method.name if method.name in ONE_SOLVER else f"{method.name}/{method.solver}"
+    return method.route.label
 
 
 def compared(results: Sequence[Result], *, averaging_is_exact: bool) -> tuple[Comparison, ...]:
@@ -79,7 +72,7 @@ def compared(results: Sequence[Result], *, averaging_is_exact: bool) -> tuple[Co
     found = []
     for (of_a, a), (of_b, b) in combinations(answers, 2):
         if a.observable == b.observable and not _on_different_bins(a, b):
-            whole = not any(LEFT_OUT in r.settings for r in (of_a, of_b))
+            whole = not (of_a.neglected or of_b.neglected)
             kind = what_is_measured(
                 of_a.method, of_b.method, averaging_is_exact=averaging_is_exact and whole
             )
@@ -96,10 +89,10 @@ def _on_different_bins(a: AnyDensity, b: AnyDensity) -> bool:
 
 def what_is_measured(a: Method, b: Method, *, averaging_is_exact: bool) -> Measures:
     """Return which of the three errors separates the answers of two methods."""
-    averaged = [m.name not in ONE_SOLVER for m in (a, b)]
-    if any(averaged) and a.name != b.name and not averaging_is_exact:
+    averaged = any(m.route.solves == "averaged" for m in (a, b))
+    if averaged and a.name != b.name and not averaging_is_exact:
         return "averaging"
-    sampled = any(m.name == "montecarlo" or m.solver == "simulation" for m in (a, b))
+    sampled = any(m.route.sampled for m in (a, b))
     return "sampling" if sampled else "numerical"
 
 

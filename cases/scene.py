@@ -105,11 +105,11 @@ def _system(table: SceneTable, label: str) -> System:
     except InvalidInput as error:
         raise refused(label, f"system.{error.key}", error.value, error.remedy) from None
     for i, contact in enumerate(contacts):
-        if contact.mass >= system.n:
+        if contact.mass > system.n:
             raise refused(
                 label,
                 f"contact[{i + 1}].mass",
-                contact.mass + 1,
+                contact.mass,
                 f"is not a mass; use 1 to {system.n}",
             )
     return replace(system, contacts=contacts)
@@ -118,7 +118,7 @@ def _system(table: SceneTable, label: str) -> System:
 def _contact(table: ContactTable, index: int, label: str) -> Contact:
     try:
         return Contact(
-            mass=table.mass - 1,
+            mass=table.mass,
             side=table.side,  # type: ignore[arg-type]  # Contact checks it
             stiffness=table.stiffness,
             clearance=table.clearance,
@@ -139,16 +139,14 @@ def _damping_term(table: DampingTermTable, index: int, label: str, *, n: int) ->
             raise refused(label, f"{place}.{key}", mass, f"is not a mass; use 1 to {n}")
     powers = {key: _powers(getattr(table, key), f"{place}.{key}", label, n) for key in ("q", "v")}
     try:
-        return DampingTerm(
-            table.i - 1, table.j - 1, table.coefficient, **powers, energy=table.energy
-        )
+        return DampingTerm(table.i, table.j, table.coefficient, **powers, energy=table.energy)
     except InvalidInput as error:
         key = place if error.key == "damping_term" else f"{place}.{error.key}"
         raise refused(label, key, error.value, error.remedy) from None
 
 
 def _powers(table: dict[str, int], place: str, label: str, n: int) -> tuple[tuple[int, int], ...]:
-    masses = {str(mass + 1): mass for mass in range(n)}
+    masses = {str(mass): mass for mass in range(1, n + 1)}
     for name, power in table.items():
         if name not in masses:
             raise refused(label, f"{place}.{name}", power, f"is not a mass; use 1 to {n}")

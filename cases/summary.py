@@ -146,7 +146,7 @@ def system_record(system: System) -> dict[str, Any]:
             "damping": system.damping,
             "noise_intensity": system.noise_intensity,
             "noise_gain": system.noise_gain,
-            "contacts": [{**asdict(c), "mass": c.mass + 1} for c in system.contacts],
+            "contacts": [asdict(c) for c in system.contacts],
             "damping_terms": [_term_record(term) for term in system.damping_terms],
         }
     )
@@ -154,10 +154,8 @@ def system_record(system: System) -> dict[str, Any]:
 
 
 def _term_record(term: DampingTerm) -> dict[str, Any]:
-    powers = {
-        key: {str(mass + 1): power for mass, power in getattr(term, key)} for key in ("q", "v")
-    }
-    entry = {"i": term.i + 1, "j": term.j + 1, "coefficient": term.coefficient}
+    powers = {key: {str(mass): power for mass, power in getattr(term, key)} for key in ("q", "v")}
+    entry = {"i": term.i, "j": term.j, "coefficient": term.coefficient}
     return {**entry, **powers, "energy": term.energy}
 
 

@@ -41,12 +41,12 @@ def stop_clearances(system: System) -> tuple[StopClearance, ...]:
         rms = [None] * system.n
     return tuple(
         StopClearance(
-            mass=stop.mass + 1,
+            mass=stop.mass,
             side=stop.side,
             clearance=stop.clearance,
             rms=scale,
             ratio=stop.clearance / scale if scale else None,
         )
         for stop in system.stops
-        for scale in [rms[stop.mass]]
+        for scale in [rms[stop.index]]
     )

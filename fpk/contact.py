@@ -15,7 +15,7 @@ Side = Literal["left", "right", "both"]
 class Contact:
     """Stop beside one mass, Eq. (2): ``stiffness · law(overlap)``, ``overlap = ±q − clearance``.
 
-    ``mass`` counts from 0; ``side`` is where the stop stands seen from the mass; ``stiffness`` is
+    ``mass`` counts from 1; ``side`` is where the stop stands seen from the mass; ``stiffness`` is
     B of Eq. (2), in force / length**exponent; ``clearance`` δ >= 0 in length. ``exponent`` is
     needed by the law "power" and refused where the law has its own.
 
@@ -51,6 +51,11 @@ class Contact:
             )
         else:
             object.__setattr__(self, "exponent", own)
+
+    @property
+    def index(self) -> int:
+        """The mass counted from 0, for arrays."""
+        return self.mass - 1
 
     def one_sided(self) -> tuple["Contact", ...]:
         """Return the stops of this contact: one, or left and right for "both"."""

@@ -22,7 +22,7 @@ class DampingTerm:
 
     ``c_ij += coefficient · Π q_a^m · Π v_a^n · H^energy``: on mass i it adds the force
     ``−coefficient · … · v_j``, and nothing on mass j (give a second term where it should). ``i``,
-    ``j`` and the masses in ``q`` and ``v``, pairs (mass, power), count from 0; powers are whole and
+    ``j`` and the masses in ``q`` and ``v``, pairs (mass, power), count from 1; powers are whole and
     at least 1; ``energy`` >= 0. A negative coefficient feeds energy in, as van der Pol's does.
 
     Raises ``InvalidInput`` naming the field that cannot be used.
@@ -44,7 +44,7 @@ class DampingTerm:
             powers: Powers = tuple(sorted(getattr(self, key)))
             for mass, power in powers:
                 if power < 1:
-                    raise InvalidInput(f"{key}.{mass + 1}", power, "must be a power of 1 or more")
+                    raise InvalidInput(f"{key}.{mass}", power, "must be a power of 1 or more")
             object.__setattr__(self, key, powers)
         if self.energy < 0:
             raise InvalidInput("energy", self.energy, "must be a power of 0 or more")
@@ -56,14 +56,24 @@ class DampingTerm:
         object.__setattr__(self, "degree", degree)
 
     @property
+    def row(self) -> int:
+        """The mass i counted from 0, for arrays."""
+        return self.i - 1
+
+    @property
+    def column(self) -> int:
+        """The mass j counted from 0, for arrays."""
+        return self.j - 1
+
+    @property
     def masses(self) -> tuple[int, ...]:
-        """Every mass that the term mentions, from 0, ascending."""
+        """Every mass that the term mentions, ascending."""
         return tuple(sorted({self.i, self.j, *(mass for mass, _ in self.q + self.v)}))
 
     def powers(self, key: str, n: int) -> tuple[int, ...]:
         """Return the powers of all n masses' q or v, 0 where one does not occur."""
         found: Mapping[int, int] = dict(getattr(self, key))
-        return tuple(found.get(mass, 0) for mass in range(n))
+        return tuple(found.get(mass, 0) for mass in range(1, n + 1))
 
     def value(self, q: ArrayLike, v: ArrayLike, energy: ArrayLike) -> Array:
         """Return what c_ij gains at displacements and velocities (..., n) and energies (...)."""
@@ -71,5 +81,5 @@ class DampingTerm:
         value = np.asarray(self.coefficient * np.asarray(energy, dtype=float) ** self.energy)
         for x, powers in ((q, self.q), (v, self.v)):
             for mass, power in powers:
-                value = value * x[..., mass] ** power
+                value = value * x[..., mass - 1] ** power
         return value

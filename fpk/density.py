@@ -1,14 +1,15 @@
 """Probability densities that carry their error, their certificate and where they come from."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.signal import savgol_coeffs
 
+from fpk.certificate import Certificate, Measured, certify
 from fpk.observable import Observable, observable_name
 from fpk.quadrature import panel_rule
 
@@ -18,31 +19,6 @@ ErrorKind = Literal["numerical", "sampling"]
 GAUSS_POINTS = {1: 20, 2: 12}
 """Nodes per panel and axis of the integrals below, by the number of axes: exact for polynomials of
 degree 39 and 23 (panels of joint densities are many, and |p_a − p_b| has kinks anyway)."""
-
-
-@dataclass(frozen=True)
-class Certificate:
-    """Checks that an answer passed or failed; nothing was mended to make them pass.
-
-    ``mass_defect`` is |∫p − 1| over the support, before any tail; ``minimum`` the smallest value
-    of p divided by its largest; ``residual`` the algebraic residual relative to the terms that
-    cancel in it (for sampling: the largest |z| of the moment identities); ``tail_mass`` a bound
-    (for sampling: the share) of the mass outside the support; ``net_flux`` the largest
-    probability flux through an element relative to its one-way parts, None where none is computed.
-    ``failures`` says in words what does not hold; the answer is certified when it is empty.
-    """
-
-    mass_defect: float
-    minimum: float
-    residual: float
-    tail_mass: float
-    net_flux: float | None = None
-    failures: tuple[str, ...] = ()
-
-    @property
-    def certified(self) -> bool:
-        """Whether every check holds."""
-        return not self.failures
 
 
 @dataclass(frozen=True)
@@ -69,6 +45,10 @@ class Density:
         """The observable's name, such as ``q2,p2``."""
         return observable_name(self.observable)
 
+    def __call__(self, *points: ArrayLike) -> Array:
+        """Return the density at ``points``, one number or array per axis."""
+        return np.asarray(self.pdf(*(np.asarray(x, dtype=float) for x in points)))
+
     def at(self, *points: Array) -> tuple[Array, Array]:
         """Return the density and its error at ``points``, one array per axis."""
         return self.pdf(*points), self.pointwise(*points)
@@ -87,6 +67,50 @@ class Density:
             values = np.add.reduceat(values * w.reshape(shape), starts, axis=axis)
             values = values / np.diff(e).reshape(shape)
         return values
+
+
+def certified_density(
+    observable: Observable,
+    panels: tuple[Array, ...],
+    pdf: Callable[..., Array],
+    pointwise: Callable[..., Array],
+    *,
+    measured: Measured,
+    tol: float,
+    added_error: Callable[..., Array] | None = None,
+    provenance: Mapping[str, str | float | int] | None = None,
+) -> Density:
+    """Return a density with its certificate: the one place where densities by a function are made.
+
+    ``panels``, ``pdf`` and ``pointwise`` as in ``Density``. ``measured`` holds what the solver
+    measured, ``tol`` is the L1 tolerance that was asked for. ``added_error`` returns, like
+    ``pointwise``, the part of the error at points that is not in ``measured.l1_error`` (that of
+    integrating coordinates out, say); its integral is added. The mass and the smallest value are
+    measured here, on the density itself: whatever a caller believes of them does not count.
+    """
+    grids = [_quadrature(nodes, len(panels)) for nodes in panels]
+    mesh = np.meshgrid(*(x for x, _ in grids), indexing="ij", sparse=True)
+    values = np.asarray(pdf(*mesh))
+    largest = float(values.max(initial=0.0))
+    smallest = float(values.min(initial=0.0)) / largest if largest > 0.0 else np.nan
+    added = 0.0 if added_error is None else _integral(np.asarray(added_error(*mesh)), grids)
+    checked = replace(
+        measured,
+        l1_error=measured.l1_error + added,
+        mass_defect=abs(_integral(values, grids) - 1.0),
+        minimum=smallest if not measured.minimum < smallest else measured.minimum,
+    )
+    certificate = certify(checked, tol=tol)
+    return Density(
+        observable, panels, pdf, pointwise, checked.l1_error, certificate, provenance or {}
+    )
+
+
+def _integral(values: Array, grids: list[tuple[Array, Array]]) -> float:
+    total = np.broadcast_to(values, tuple(w.size for _, w in grids))
+    for _, w in reversed(grids):
+        total = total @ w
+    return float(total)
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,7 @@ def looks_the_same_mirrored(system: System) -> bool:
     """Whether the system is the same under q → −q."""
     right, left = (
         sorted(
-            (s.mass, s.stiffness, s.clearance, s.law, s.power)
+            (s.index, s.stiffness, s.clearance, s.law, s.power)
             for s in system.stops
             if s.side == side
         )

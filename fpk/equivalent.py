@@ -61,8 +61,8 @@ def _mean_power(system: System, term: DampingTerm) -> float:
     """
     n = system.n
     v = np.array(term.powers("v", n))
-    v[term.i] += 1
-    v[term.j] += 1
+    v[term.row] += 1
+    v[term.column] += 1
     q = term.powers("q", n)
     half = 0.5 * (sum(q) + int(v.sum()))
     compliance: Array = np.asarray(np.linalg.inv(system.stiffness_matrix), dtype=float)

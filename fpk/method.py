@@ -1,12 +1,15 @@
 """What every route from a system to densities has in common."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Protocol, Self
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+from typing import Self
 
 from fpk.density import AnyDensity
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.observable import Observable
+from fpk.route import Route
 from fpk.system import System
 
 Progress = Callable[[int, int, str], None]
@@ -38,31 +41,72 @@ class Identity:
 
 @dataclass(frozen=True)
 class Result:
-    """What one method found: a density per observable asked for, and what it can say of itself."""
+    """What one method found: a density per observable asked for, and what it can say of itself.
+
+    ``neglected`` names in words the effects of the system that the method leaves out, empty where
+    none; ``partial`` says that the work was interrupted and the answer is what there was by then;
+    ``report`` is the typed report of a simulation, None otherwise. ``settings`` is for readers
+    alone: no decision rests on it.
+    """
 
     method: "Method"
     densities: tuple[AnyDensity, ...]
-    seconds: float
+    seconds: float = 0.0
     identities: tuple[Identity, ...] = ()
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
+    neglected: str = ""
+    partial: bool = False
+    report: object | None = None
 
 
-class Method(Protocol):
-    """A route: a frozen record of its own discretisation that can refine itself."""
+@dataclass(frozen=True)
+class Plan:
+    """What a method makes of one system, prepared once.
+
+    ``refusal(observable)`` returns why the observable is not given, None where it is;
+    ``solve(observables, progress)`` returns the result for observables that are.
+    """
+
+    refusal: Callable[[Observable], str | None]
+    solve: Callable[[Sequence[Observable], Progress], Result]
+
+
+class Method(ABC):
+    """A route with its discretisation: a frozen record that can refine itself.
+
+    A method of one's own derives from it as a frozen dataclass, defines the three below, and is
+    registered with ``fpk.route.register``.
+    """
+
+    @property
+    @abstractmethod
+    def route(self) -> Route:
+        """The route that the method follows."""
+
+    @abstractmethod
+    def prepare(self, system: System) -> Plan:
+        """Return the plan for ``system``; raise ``NotApplicable`` with the reason why not."""
+
+    @abstractmethod
+    def refined(self) -> Self:
+        """Return the same method at its next finer level."""
 
     @property
     def name(self) -> str:
         """The method's name on the command line."""
-        ...
+        return self.route.method
 
     @property
     def solver(self) -> str:
         """How the method's equation is solved, on the command line."""
-        ...
+        return self.route.solver
 
     def refusal(self, system: System, observable: Observable) -> str | None:
-        """Return why the method does not apply, or None where it does."""
-        ...
+        """Return why the method does not give ``observable``, or None where it does."""
+        try:
+            return self.prepare(system).refusal(observable)
+        except NotApplicable as reason:
+            return str(reason)
 
     def solve(
         self,
@@ -72,18 +116,12 @@ class Method(Protocol):
         progress: Progress = silent,
     ) -> Result:
         """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses."""
-        ...
-
-    def refined(self) -> Self:
-        """Return the same method at its next finer level."""
-        ...
-
-
-def require_applicable(method: Method, system: System, observables: Sequence[Observable]) -> None:
-    """Raise ``NotApplicable`` with the method's reason where it refuses one of ``observables``."""
-    for observable in observables:
-        if reason := method.refusal(system, observable):
-            raise NotApplicable(reason)
+        start = perf_counter()
+        plan = self.prepare(system)
+        for observable in observables:
+            if reason := plan.refusal(observable):
+                raise NotApplicable(reason)
+        return replace(plan.solve(observables, progress), seconds=perf_counter() - start)
 
 
 def check_solver(solver: str, known: Sequence[str], tol: float) -> None:

@@ -98,8 +98,8 @@ class System:
             if gain.shape != (n, noises):
                 raise InvalidInput("noise_gain", self.noise_gain, f"must be {n} x {noises}")
         for contact in self.contacts:
-            if not 0 <= contact.mass < n:
-                raise InvalidInput("contact.mass", contact.mass + 1, f"is not a mass; use 1 to {n}")
+            if not 1 <= contact.mass <= n:
+                raise InvalidInput("contact.mass", contact.mass, f"is not a mass; use 1 to {n}")
         object.__setattr__(self, "damping_terms", terms)
         k = np.append(stiffness, 0.0)
         spring = np.diag(k[:-1] + k[1:]) - np.diag(k[1:-1], 1) - np.diag(k[1:-1], -1)
@@ -129,7 +129,7 @@ class System:
     @cached_property
     def contact_masses(self) -> tuple[int, ...]:
         """The masses that can touch something, counted from 0, ascending."""
-        return tuple(sorted({contact.mass for contact in self.contacts}))
+        return tuple(sorted({contact.index for contact in self.contacts}))
 
     def arrays(self) -> SystemArrays:
         """Return the arrays for compiled code: the only bridge into it."""
@@ -139,12 +139,12 @@ class System:
             stiffness_matrix=self.stiffness_matrix,
             damping=self.damping,
             noise_matrix=self.noise_matrix,
-            stop_mass=np.array([stop.mass for stop in stops], dtype=np.int64),
+            stop_mass=np.array([stop.index for stop in stops], dtype=np.int64),
             stop_sign=np.array([1.0 if stop.side == "right" else -1.0 for stop in stops]),
             stop_clearance=np.array([stop.clearance for stop in stops], dtype=float),
             stop_stiffness=np.array([stop.stiffness for stop in stops], dtype=float),
             stop_exponent=np.array([stop.power for stop in stops], dtype=float),
-            term_entry=np.array([(t.i, t.j) for t in terms], dtype=np.int64).reshape(-1, 2),
+            term_entry=np.array([(t.row, t.column) for t in terms], dtype=np.int64).reshape(-1, 2),
             term_coefficient=np.array([t.coefficient for t in terms], dtype=float),
             term_q=np.array([t.powers("q", self.n) for t in terms], np.int64).reshape(-1, self.n),
             term_v=np.array([t.powers("v", self.n) for t in terms], np.int64).reshape(-1, self.n),
@@ -156,7 +156,7 @@ class System:
         q = np.asarray(q, dtype=float)
         energy = np.zeros_like(q)
         for stop in self.stops:
-            if stop.mass == mass:
+            if stop.index == mass:
                 sign = 1.0 if stop.side == "right" else -1.0
                 energy = energy + stop.energy(np.maximum(sign * q - stop.clearance, 0.0))
         return energy
@@ -174,7 +174,7 @@ class System:
         if self.damping_terms:
             energy, v = self.hamiltonian(q, p), p / self.mass
             for term in self.damping_terms:
-                c[..., term.i, term.j] += term.value(q, v, energy)
+                c[..., term.row, term.column] += term.value(q, v, energy)
         return c
 
     def hamiltonian(self, q: ArrayLike, p: ArrayLike) -> Array:
@@ -188,10 +188,10 @@ def _effective_terms(terms: tuple[DampingTerm, ...], damping: Array) -> tuple[Da
     """Terms that depend on the state; constant ones are added to ``damping`` (n, n) in place."""
     n, kept = damping.shape[0], []
     for k, term in enumerate(terms, start=1):
-        if outside := [mass + 1 for mass in term.masses if not 0 <= mass < n]:
+        if outside := [mass for mass in term.masses if not 1 <= mass <= n]:
             raise InvalidInput(f"damping_term[{k}]", outside[0], f"is not a mass; use 1 to {n}")
         if term.degree == 0:
-            damping[term.i, term.j] += term.coefficient
+            damping[term.row, term.column] += term.coefficient
         elif term.coefficient != 0.0:
             kept.append(term)
     return tuple(kept)

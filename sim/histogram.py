@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.density import Certificate, SampledDensity
+from fpk.certificate import Certificate
+from fpk.density import SampledDensity
 from fpk.modes import natural_modes
 from fpk.observable import Coordinate, Observable
 from fpk.system import System

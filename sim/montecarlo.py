@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 from functools import partial
 from math import inf, isfinite
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 
 import sim.schemes  # noqa: F401  (its modules register the integrators)
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.method import Progress, Result, require_applicable, silent
+from fpk.method import Method, Plan, Progress, Result
 from fpk.observable import Observable
+from fpk.route import ROUTES, Route, register
 from fpk.system import System
 from sim.cluster import ensembles
 from sim.random import LANES, MAX_TRAJECTORIES
@@ -43,7 +43,7 @@ THREADS_PER_CORE = 4
 
 
 @dataclass(frozen=True)
-class MonteCarlo:
+class MonteCarlo(Method):
     """Simulation of Eq. (6) with sampling errors from independent batches.
 
     ``paths`` trajectories are sampled for ``time`` each, after ``burn_in`` relaxation times.
@@ -116,37 +116,26 @@ class MonteCarlo:
                 raise InvalidInput(key, value, "must be a finite number > 0")
 
     @property
-    def name(self) -> str:
-        """The method's name on the command line."""
-        return "montecarlo"
+    def route(self) -> Route:
+        """The route that the method follows."""
+        return ROUTES["montecarlo", "simulation"]
 
-    @property
-    def solver(self) -> str:
-        """How the method's equation is solved, on the command line."""
-        return "simulation"
-
-    def refusal(self, system: System, observable: Observable) -> str | None:
-        """Return why there is nothing to sample, or None where there is."""
+    def prepare(self, system: System) -> Plan:
+        """Return the plan for ``system``; raise ``NotApplicable`` with the reason why not."""
         if not np.any(system.noise_matrix):
-            return "no noise reaches a mass: the motion dies out and has no stationary density"
-        try:
-            relaxation = relaxation_time(system)
-        except NotApplicable as reason:
-            return str(reason)
+            raise NotApplicable(
+                "no noise reaches a mass: the motion dies out and has no stationary density"
+            )
+        relaxation = relaxation_time(system)
         if relaxation == inf or (system.damping_terms and undamped_mode(system)):
-            return "some motion is not damped: under noise it grows and never becomes stationary"
-        return None
+            raise NotApplicable(
+                "some motion is not damped: under noise it grows and never becomes stationary"
+            )
+        return Plan(lambda observable: None, partial(self._sampled, system))
 
-    def solve(
-        self,
-        system: System,
-        observables: Sequence[Observable],
-        *,
-        progress: Progress = silent,
+    def _sampled(
+        self, system: System, observables: Sequence[Observable], progress: Progress
     ) -> Result:
-        """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses."""
-        begin = perf_counter()
-        require_applicable(self, system, observables)
         scheme = SCHEMES[self.scheme]
         dt = self.step_factor * chosen_step(system) if self.dt is None else self.dt
         unstable = self._unstable(system, dt)
@@ -203,9 +192,9 @@ class MonteCarlo:
         return Result(
             method=self,
             densities=run.densities,
-            seconds=perf_counter() - begin,
             identities=run.moments.identities() if run.moments is not None else (),
             settings=settings,
+            partial=PARTIAL in settings,
         )
 
     def _unstable(self, system: System, dt: float) -> tuple[str, ...]:
@@ -233,3 +222,17 @@ class MonteCarlo:
             seconds=None if self.seconds is None else 4.0 * self.seconds,
             step_factor=self.step_factor * 2.0**-0.25,
         )
+
+
+register(
+    Route(
+        "montecarlo",
+        "simulation",
+        "simulation",
+        "(6)",
+        "full",
+        True,
+        "#c08a1e",
+        make=MonteCarlo,
+    )
+)

@@ -37,7 +37,7 @@ def step_arrays(system: System, scheme: Scheme, dt: float) -> StepArrays:
     for stop in system.stops:
         sign = 1.0 if stop.side == "right" else -1.0
         law = laws.index(stop.law)
-        key = (slots.index(stop.mass), stop.clearance, stop.stiffness, stop.power, law)
+        key = (slots.index(stop.index), stop.clearance, stop.stiffness, stop.power, law)
         merged.setdefault(key, []).append(sign)
     rows = [
         (*key, sign)
@@ -76,15 +76,15 @@ def term_arrays(system: System, springs: Array) -> TermArrays:
     n, factors, counts, powers, scales = system.n, [], [], [], []
     for term in system.damping_terms:
         v = list(term.powers("v", n))
-        v[term.j] += 1
-        powers.append(v[term.i])
+        v[term.column] += 1
+        powers.append(v[term.row])
         scales.append(term.coefficient / float(np.prod(system.mass ** np.array(v))))
-        v[term.i] = 0
+        v[term.row] = 0
         own = [a for a, power in enumerate((*term.powers("q", n), *v)) for _ in range(power)]
         factors += own
         counts.append(len(own))
     return TermArrays(
-        target=np.array([n + term.i for term in system.damping_terms], dtype=np.int64),
+        target=np.array([n + term.row for term in system.damping_terms], dtype=np.int64),
         power=np.array(powers, dtype=np.int64),
         scale=np.array(scales),
         energy=np.array([term.energy for term in system.damping_terms], dtype=np.int64),

@@ -63,10 +63,10 @@ def modal_powers(system: System, temperatures: Array) -> Array:
         q = gaussian_moment(displacements, term.powers("q", n))
         for r in range(n):
             v = list(term.powers("v", n))
-            v[term.j] += 1
+            v[term.column] += 1
             v[r] += 1
             moment = term.coefficient * level * q * gaussian_moment(velocities, tuple(v))
-            power = power + shapes[term.i] * moment * system.mass[r] * shapes[r]
+            power = power + shapes[term.row] * moment * system.mass[r] * shapes[r]
     return np.asarray(power)
 
 
@@ -81,7 +81,7 @@ def undamped_mode(system: System) -> bool:
     reached = constant > UNDAMPED * omega[-1]
     for term in system.damping_terms:
         size = np.abs(shapes) * np.sqrt(system.mass)[:, None]  # at most 1
-        reached |= size[term.i] * size[term.j] > UNDAMPED
+        reached |= size[term.row] * size[term.column] > UNDAMPED
     return not bool(np.all(reached))
 
 

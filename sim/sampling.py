@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fpk.density import Certificate
+from fpk.certificate import Certificate
 from fpk.method import Progress
 from sim.checkpoint import Keeper
 from sim.histogram import Histogram, mirrored, sampled_density, starts

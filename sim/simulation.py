@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from fpk.density import Certificate, SampledDensity
+from fpk.certificate import Certificate
+from fpk.density import SampledDensity
 from fpk.effects import effects_of
 from fpk.method import Progress, silent
 from fpk.observable import Observable, observable_name

@@ -66,7 +66,7 @@ def _reached_stiffness(system: System) -> list[tuple[float, float, float]]:
     compliance = np.linalg.inv(system.stiffness_matrix)
     for i in system.contact_masses:
         k_eff = 1.0 / compliance[i, i]
-        for stop in (s for s in system.stops if s.mass == i):
+        for stop in (s for s in system.stops if s.index == i):
             sign = 1.0 if stop.side == "right" else -1.0
             level = max(REACHED * kT, 0.5 * k_eff * stop.clearance**2 + kT)
 
@@ -79,7 +79,7 @@ def _reached_stiffness(system: System) -> list[tuple[float, float, float]]:
             slope = sum(
                 float(s.slope(q - s.clearance))
                 for s in system.stops
-                if s.mass == i and s.side == stop.side and q > s.clearance
+                if s.index == i and s.side == stop.side and q > s.clearance
             )
             reached.append((slope, float(system.stiffness_matrix[i, i]), float(system.mass[i])))
     return reached
@@ -104,9 +104,9 @@ def term_rate(system: System) -> float:
     v = np.sqrt(2.0 * level / system.mass)
     rates = np.zeros(system.n)
     for term in system.damping_terms:
-        power = 1 + term.powers("v", system.n)[term.i]
-        size = abs(float(term.value(q, v, level))) * v[term.j] / v[term.i]
-        rates[term.i] += power * size / system.mass[term.i]
+        power = 1 + term.powers("v", system.n)[term.row]
+        size = abs(float(term.value(q, v, level))) * v[term.column] / v[term.row]
+        rates[term.row] += power * size / system.mass[term.row]
     return float(np.max(rates))
 
 

@@ -126,7 +126,7 @@ def near_share(system: System, H: float) -> float:
         weight = np.exp(-(energy - energy.min()) / kT)
         speed = sqrt(kT / system.mass[i])
         near = np.zeros(q.size)
-        for stop in (s for s in system.stops if s.mass == i):
+        for stop in (s for s in system.stops if s.index == i):
             gap = stop.clearance - (q if stop.side == "right" else -q)
             near += np.where(gap <= 0.0, 1.0, ndtr((reach - gap) / (H * speed)))
         far *= 1.0 - float(np.sum(np.minimum(near, 1.0) * weight) / np.sum(weight))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.process import mode_process, modes_process
 from averaging.quadrature import solve_by_quadrature
-from fpk.density import Certificate
+from fpk.certificate import Certificate
 from fpk.line.mesh import initial_nodes, survey, tail_bound, truncation_energy
 from fpk.line.stationary import solve_stationary
 from fpk.plane.stationary import solve_plane

@@ -6,7 +6,8 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.density import Certificate, Density
+from fpk.certificate import Certificate
+from fpk.density import Density
 from fpk.observable import Observable
 
 Array = NDArray[np.float64]

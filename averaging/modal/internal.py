@@ -84,14 +84,14 @@ def flow_amplitudes(system: System, modes: ModalAnalysis, integers: Integers) ->
         if order > _factors(term) or (order - _factors(term)) % 2:
             continue
         v = list(term.powers("v", n))
-        v[term.j] += 1
+        v[term.column] += 1
         level = term.coefficient * float(np.sum(theta)) ** term.energy
         # i^(number of velocities) makes a flow real or imaginary, and its sign.
         turned = (1j) ** -(sum(v) + 1)
-        for m in np.flatnonzero(T[term.i]):
+        for m in np.flatnonzero(T[term.row]):
             mode = tuple(int(k == m) for k in range(n))
             powers = (*term.powers("q", n), *v, *mode, *waves)
-            flow = turned * level * T[term.i, m] * gaussian_moment(covariance, powers)
+            flow = turned * level * T[term.row, m] * gaussian_moment(covariance, powers)
             real[m] += flow.real
             imaginary[m] += flow.imag
     return np.asarray(np.hypot(real, imaginary) / np.sqrt(prod(factorial(k) for k in waves)))

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.process import mode_process, modes_process
 from averaging.quadrature import QuadratureSolution, solve_by_quadrature
-from fpk.density import Certificate, Density
+from fpk.certificate import Certificate
+from fpk.density import Density
 from fpk.line.stationary import solve_stationary
 from fpk.observable import Observable
 from fpk.plane.stationary import solve_plane

@@ -49,7 +49,7 @@ def energy_flow(modes: ModeShapes, term: DampingTerm) -> Polynomial:
     """
     T, n = modes.shapes, modes.mass.size
     q, v = term.powers("q", n), list(term.powers("v", n))
-    v[term.j] += 1
+    v[term.column] += 1
     if (sum(q) % 2) or (sum(v) % 2 == 0):
         return Polynomial(np.zeros((0, 0), dtype=np.int64), np.zeros((0, n, n, 2)))
     moment_q = _gaussian_moment(np.einsum("am,bm,m->abm", T, T, 1.0 / modes.stiffness), q)
@@ -68,7 +68,7 @@ def energy_flow(modes: ModeShapes, term: DampingTerm) -> Polynomial:
     total = Polynomial(np.arange(n)[:, None], np.ones((n, 2)))
     for _ in range(term.energy):
         flow = _product(flow, total)
-    force = _sized(term.coefficient * T[term.i])
+    force = _sized(term.coefficient * T[term.row])
     return Polynomial(flow.factors, force[:, None, :] * flow.coefficients[:, None])
 
 

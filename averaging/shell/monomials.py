@@ -82,8 +82,8 @@ def _averaged(
     """Coefficients of y^alpha (H − V_red)^r in the average of one term; (alpha, r) are the keys."""
     n, c = system.n, potential.count
     v = list(term.powers("v", n))
-    v[term.i] += 1
-    v[term.j] += 1
+    v[term.row] += 1
+    v[term.column] += 1
     velocities = gaussian_moment(np.diag(1.0 / system.mass), tuple(v))
     if velocities == 0.0:
         return {}
@@ -95,7 +95,7 @@ def _averaged(
     follow[kept] = potential.L
     follow[free] = -covariance @ K[np.ix_(free, kept)] @ potential.L
     polynomial: Polynomial = {(0,) * (c + len(free)): 1.0}
-    for mass, power in term.q:
+    for mass, power in enumerate(term.powers("q", n)):
         one = {_unit(k, c + len(free)): float(x) for k, x in enumerate(follow[mass]) if x != 0.0}
         if mass in free:
             one[_unit(c + free.index(mass), c + len(free))] = 1.0

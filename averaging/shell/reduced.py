@@ -66,7 +66,9 @@ def reduced_potential(system: System, *extra: int) -> ReducedPotential:
         L = np.asarray(np.linalg.cholesky(compliance), dtype=float)
     stops = system.stops
     signs = np.array([1.0 if stop.side == "right" else -1.0 for stop in stops])
-    rows = np.array([L[masses.index(stop.mass)] for stop in stops]).reshape(len(stops), len(masses))
+    rows = np.array([L[masses.index(stop.index)] for stop in stops]).reshape(
+        len(stops), len(masses)
+    )
     return ReducedPotential(
         n=system.n,
         masses=masses,

@@ -55,7 +55,7 @@ class Line:
         stops = {"left": self.left, "right": self.right}
         if self.left == self.right and self.left is not None:
             stops = {"both": self.left}
-        contacts = tuple(Contact(1, side, *stop) for side, stop in stops.items() if stop)
+        contacts = tuple(Contact(2, side, *stop) for side, stop in stops.items() if stop)
         return System(MASS, (1.0, 1.0), (0.08, 0.04), (0.01, 0.02), contacts=contacts)
 
     @property

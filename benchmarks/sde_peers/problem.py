@@ -74,7 +74,7 @@ def judged() -> Chain:
 
 def printed() -> Chain:
     """Return fig6 as the paper has it, weakly damped: it is where paths are lost."""
-    contacts = (Contact(1, "both", 10.0, 0.5),)
+    contacts = (Contact(2, "both", 10.0, 0.5),)
     return chain_of(System([1.0, 1.0], [1.0, 1.0], [0.08, 0.04], [0.01, 0.02], contacts=contacts))
 
 

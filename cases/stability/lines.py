@@ -46,7 +46,7 @@ def rigid_coefficients(system: System, energy: float) -> tuple[float, float]:
     (H − ½ k_eff q²) to the powers ½ and 3/2 over |q| <= δ, and τ = Φ/T their ratio over 3/2.
     """
     (stop, _) = system.stops
-    stiffness = 1.0 / np.linalg.inv(system.stiffness_matrix)[stop.mass, stop.mass]
+    stiffness = 1.0 / np.linalg.inv(system.stiffness_matrix)[stop.index, stop.index]
     end = min(stop.clearance, float(np.sqrt(2.0 * energy / stiffness)))
 
     def integral(power: float) -> float:

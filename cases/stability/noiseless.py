@@ -41,8 +41,8 @@ def _energies(system: System, ensemble: Ensemble) -> Array:
     p = p.copy()
     for stop in system.stops:
         sign = 1.0 if stop.side == "right" else -1.0
-        overlap = np.maximum(sign * q[:, stop.mass] - stop.clearance, 0.0)
-        p[:, stop.mass] -= 0.5 * ensemble.dt * sign * stop.force(overlap)
+        overlap = np.maximum(sign * q[:, stop.index] - stop.clearance, 0.0)
+        p[:, stop.index] -= 0.5 * ensemble.dt * sign * stop.force(overlap)
     return system.hamiltonian(q, p)
 
 

@@ -66,8 +66,8 @@ def plain_euler(
             force = -q @ system.stiffness_matrix - (p / m) @ system.damping.T
             for stop in system.stops:
                 sign = 1.0 if stop.side == "right" else -1.0
-                overlap = np.maximum(sign * q[:, stop.mass] - stop.clearance, 0.0)
-                force[:, stop.mass] -= sign * stop.force(overlap)
+                overlap = np.maximum(sign * q[:, stop.index] - stop.clearance, 0.0)
+                force[:, stop.index] -= sign * stop.force(overlap)
             q, p = q + dt * p / m, p + dt * force + generator.standard_normal((paths, n)) @ root.T
     finite = np.all(np.isfinite(q) & np.isfinite(p), axis=1)
     return 1.0 - float(finite.mean()), np.hstack([q, p])

@@ -12,7 +12,8 @@ from cases.study.equations import Equation
 from cases.study.full_system import coarse, sampled_distance, shares_of
 from cases.study.priced import NotTimed, Point, Priced
 from cases.study.timing import Timing, timed_first
-from fpk.density import Certificate, Density, SampledDensity
+from fpk.certificate import Certificate
+from fpk.density import Density, SampledDensity
 from fpk.method import Progress, silent
 from fpk.system import System
 

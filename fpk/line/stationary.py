@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.density import Certificate
+from fpk.certificate import Certificate
 from fpk.errors import NotCertified
 from fpk.line.assembly import SolvedElements, merged, solve_elements
 from fpk.line.chain import Assembled, Checks, assembled, checks

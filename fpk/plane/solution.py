@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.density import Certificate
+from fpk.certificate import Certificate
 from fpk.vector_process import VectorProcess
 
 Array = NDArray[np.float64]

@@ -8,7 +8,8 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.density import Certificate, SampledDensity
+from fpk.certificate import Certificate
+from fpk.density import SampledDensity
 from fpk.errors import InvalidInput
 from fpk.method import Progress, silent
 from fpk.observable import Coordinate, Observable

@@ -29,11 +29,11 @@ def chain(n, contacts=()):
 
 
 def both(stiffness, clearance=0.5, *, mass=1, law="hertz", exponent=None):
-    return (Contact(mass, "both", stiffness, clearance, law, exponent),)
+    return (Contact(mass + 1, "both", stiffness, clearance, law, exponent),)
 
 
-TWO_MASSES = (Contact(0, "both", 5.0, 0.3), Contact(1, "both", 10.0, 0.5))
-SKEW = (Contact(0, "right", 3.0, 0.2, "bilinear"), Contact(1, "left", 20.0, 0.4))
+TWO_MASSES = (Contact(1, "both", 5.0, 0.3), Contact(2, "both", 10.0, 0.5))
+SKEW = (Contact(1, "right", 3.0, 0.2, "bilinear"), Contact(2, "left", 20.0, 0.4))
 
 
 def shell_integral(k, stops, energy, exponent):

@@ -15,15 +15,22 @@ def solved(method, system, *names):
 
 def random_system(rng, n):
     """Random masses, springs, full damping and terms: odd powers, off the diagonal, energies."""
-    terms = [DampingTerm(i, i, 0.3, energy=e) for i in range(n) for e in (1, 3)]
+    terms = [DampingTerm(i + 1, i + 1, 0.3, energy=e) for i in range(n) for e in (1, 3)]
     for _ in range(6):
         i, j, *at = rng.integers(n, size=4)
         a, b, e = rng.integers([1, 1, 0], [4, 3, 2])
         size = 0.01 * rng.normal()
-        terms.append(DampingTerm(int(i), int(j), size, ((int(at[0]), int(a)),), (), int(e)))
+        terms.append(
+            DampingTerm(int(i) + 1, int(j) + 1, size, ((int(at[0]) + 1, int(a)),), (), int(e))
+        )
         terms.append(
             DampingTerm(
-                int(i), int(j), size, ((int(at[0]), int(a)),), ((int(at[1]), int(b)),), int(e)
+                int(i) + 1,
+                int(j) + 1,
+                size,
+                ((int(at[0]) + 1, int(a)),),
+                ((int(at[1]) + 1, int(b)),),
+                int(e),
             )
         )
     c = np.diag(rng.uniform(0.05, 0.1, n)) + 0.01 * rng.normal(size=(n, n))
@@ -34,7 +41,7 @@ def random_system(rng, n):
 
 def van_der_pol(coefficient=0.1, damping=(-0.02, 0.01), noise=(8e-4, 8e-4)):
     """c_11 += k (q1² + q2²), with a constant damping that feeds energy into mode 2."""
-    terms = tuple(DampingTerm(0, 0, coefficient, ((k, 2),)) for k in (0, 1))
+    terms = tuple(DampingTerm(1, 1, coefficient, ((k + 1, 2),)) for k in (0, 1))
     return System([1.0, 1.0], [1.0, 1.0], damping, noise, damping_terms=terms)
 
 
@@ -50,9 +57,9 @@ def in_masses(base, matrix, monomial, coefficient):
         for j in range(base.n):
             for a in range(base.n):
                 for b in range(base.n):
-                    powers = ((a, 2),) if a == b else ((a, 1), (b, 1))
+                    powers = ((a + 1, 2),) if a == b else ((a + 1, 1), (b + 1, 1))
                     size = physical[i, j] * inverse[monomial, a] * inverse[monomial, b]
-                    terms.append(DampingTerm(i, j, size, powers))
+                    terms.append(DampingTerm(i + 1, j + 1, size, powers))
     return terms
 
 
@@ -74,7 +81,7 @@ def noise_proportional(h0, h1, *, mass=(1.0, 2.0), scale=1.0):
     """c = (h0 + h1 H) f D fᵀ: condition (8), so the density is C exp(−h0 H − h1 H²/2)."""
     D = scale * PROPORTIONAL
     entries = [(0, 0), (0, 1), (1, 0), (1, 1)]
-    terms = tuple(DampingTerm(i, j, h1 * D[i, j], energy=1) for i, j in entries)
+    terms = tuple(DampingTerm(i + 1, j + 1, h1 * D[i, j], energy=1) for i, j in entries)
     return System(mass, [1.0, 1.5], h0 * D, D, damping_terms=terms)
 
 
@@ -83,7 +90,7 @@ def three_to_one(coefficient, *, energy=False, power=2):
     least = (10.0 - np.sqrt(28.0)) / 36.0
     D = np.array([1e-3, 1e-3])
     if energy:
-        terms = tuple(DampingTerm(i, i, coefficient, energy=1) for i in (0, 1))
+        terms = tuple(DampingTerm(i + 1, i + 1, coefficient, energy=1) for i in (0, 1))
     else:
-        terms = (DampingTerm(0, 0, coefficient, ((0, power),)),)
+        terms = (DampingTerm(1, 1, coefficient, ((1, power),)),)
     return System([1.0, 1.0], [1.0, 9.0 * least**2], 10.0 * D, D, damping_terms=terms)

@@ -77,7 +77,7 @@ def test_condition_8_is_refused(damping, noise):
 CONTACTS = {
     "none": (),
     "both": both(10.0),
-    "right": (Contact(1, "right", 10.0, 0.5),),
+    "right": (Contact(2, "right", 10.0, 0.5),),
     "stiff": both(1e4),
     "zero clearance": both(10.0, 0.0),
     "mass 1": both(10.0, mass=0),
@@ -175,7 +175,7 @@ def test_gaussian_moments_are_those_of_the_covariance():
 
 BACK = {
     "both": fig6(both(10.0)),
-    "right, masses": fig6((Contact(1, "right", 10.0, 0.5),), mass=(0.5, 3.0)),
+    "right, masses": fig6((Contact(2, "right", 10.0, 0.5),), mass=(0.5, 3.0)),
     "stiff": fig6(both(1e4)),
     "three masses": System(
         [1.0, 0.5, 2.0], [1.0, 2.0, 1.0], [0.1] * 3, [0.02] * 3, contacts=both(10.0)
@@ -281,7 +281,7 @@ def test_weyl_integrals_of_a_power(order):
     np.testing.assert_allclose(table(energy), expected, rtol=1e-9)
 
 
-THREE = (*TWO_MASSES, Contact(2, "both", 8.0, 0.4))
+THREE = (*TWO_MASSES, Contact(3, "both", 8.0, 0.4))
 
 
 def three():

@@ -153,7 +153,7 @@ def test_high_order_reaches_further():
     base = van_der_pol()
     high = System(
         base.mass, base.stiffness, [0.01, 0.01], [1e-3, 1e-3],
-        damping_terms=(DampingTerm(0, 0, 1e-3, ((0, 4),), ((1, 2),)),),
+        damping_terms=(DampingTerm(1, 1, 1e-3, ((1, 4),), ((2, 2),)),),
     )  # fmt: skip
     assert (resonance_order(base), resonance_order(high)) == (4, 8)
     near = nearest_resonance(modal_analysis(high), order=8)
@@ -164,13 +164,13 @@ def test_high_order_reaches_further():
 PAIR = [1.0, 1.0]
 CASES = {
     "mode 1: .*high energy": System([1.0], [1.0], [0.1], [0.01], damping_terms=(
-        DampingTerm(0, 0, 0.2, ((0, 2),)), DampingTerm(0, 0, -1e-3, ((0, 4),)))),
+        DampingTerm(1, 1, 0.2, ((1, 2),)), DampingTerm(1, 1, -1e-3, ((1, 4),)))),
     "does not balance": System([1.0], [1.0], [-0.1], [0.01], damping_terms=(
-        DampingTerm(0, 0, -0.2, ((0, 2),)),)),
+        DampingTerm(1, 1, -0.2, ((1, 2),)),)),
     "mode 1 .*no noise": System([1.0], [1.0], [0.1], [0.0], damping_terms=(
-        DampingTerm(0, 0, 0.2, ((0, 2),)),)),
+        DampingTerm(1, 1, 0.2, ((1, 2),)),)),
     "H1 and H2 and H3.*more than two": System(np.ones(3), np.ones(3), np.full(3, 0.01),
-        np.full(3, 1e-3), damping_terms=(DampingTerm(0, 0, 0.1, ((0, 2),)),)),
+        np.full(3, 1e-3), damping_terms=(DampingTerm(1, 1, 0.1, ((1, 2),)),)),
 }  # fmt: skip
 
 
@@ -194,7 +194,7 @@ def test_many_modes_of_a_high_degree_are_averaged_and_too_many_refused():
         ones = np.ones(n)
         return System(ones, ones, 0.1 * ones, 0.1 * ones, damping_terms=(term,))
 
-    term = DampingTerm(0, 0, 0.1, ((0, 4),), ((1, 4),))
+    term = DampingTerm(1, 1, 0.1, ((1, 4),), ((2, 4),))
     assert modal_process(chain(8, term)).drift(np.ones((2, 8))).shape == (2, 8)
     with pytest.raises(NotApplicable, match="more than"):
         modal_analysis(chain(40, term))

@@ -17,7 +17,7 @@ NAMES = ("H2,H1", "H1", "H", "q1", "p2", "q1,q2", "q1,p2")
 
 
 def tiny(coefficient):
-    terms = (DampingTerm(0, 0, coefficient, ((0, 2),)), DampingTerm(1, 0, coefficient, ((1, 2),)))
+    terms = (DampingTerm(1, 1, coefficient, ((1, 2),)), DampingTerm(2, 1, coefficient, ((2, 2),)))
     c, D = [0.008, 0.004], [0.001, 0.002]
     return System([1.0, 1.0], [1.0, 1.0], c, D, damping_terms=terms)
 
@@ -136,7 +136,7 @@ def test_exact_density_over_phase_space(case, tol):
 def test_limit_cycle_of_one_mode():
     # γ = −c + k H/(2 K*): the energy gathers at the cycle 2 K* c/k, q at its turning points.
     k, c, d = 0.1, 0.02, 2e-5
-    system = System([1.0], [1.0], [-c], [d], damping_terms=(DampingTerm(0, 0, k, ((0, 2),)),))
+    system = System([1.0], [1.0], [-c], [d], damping_terms=(DampingTerm(1, 1, k, ((1, 2),)),))
     energy, q, p = solved(Integrable("fem", 1e-9), system, "H1", "q1", "p1")
     assert q.certificate.certified and q.l1_error <= 1e-9
     cycle = 2 * c / k
@@ -176,7 +176,7 @@ def test_contacts_are_left_out_with_the_rule():
     base = van_der_pol()
     system = System(
         base.mass, base.stiffness, base.damping, base.noise_intensity,
-        contacts=(Contact(1, "both", 5.0, 0.3),), damping_terms=base.damping_terms,
+        contacts=(Contact(2, "both", 5.0, 0.3),), damping_terms=base.damping_terms,
     )  # fmt: skip
     (density,) = solved(Integrable("fem", 1e-6), system, "H1")
     assert "does not hold" in density.provenance[LEFT_OUT]

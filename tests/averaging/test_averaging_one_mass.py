@@ -10,16 +10,16 @@ from averaging.shell.reduced import reduced_potential
 from fpk.contact import Contact
 
 STOPS = {
-    "both": (Contact(0, "both", 10.0, 0.5),),
-    "stiff": (Contact(0, "right", 1e8, 0.5),),
-    "skew": (Contact(0, "right", 10.0, 0.5), Contact(0, "left", 3.0, 0.8)),
-    "two on a side": (Contact(0, "right", 10.0, 0.5), Contact(0, "right", 50.0, 0.8)),
+    "both": (Contact(1, "both", 10.0, 0.5),),
+    "stiff": (Contact(1, "right", 1e8, 0.5),),
+    "skew": (Contact(1, "right", 10.0, 0.5), Contact(1, "left", 3.0, 0.8)),
+    "two on a side": (Contact(1, "right", 10.0, 0.5), Contact(1, "right", 50.0, 0.8)),
     "three laws": (
-        Contact(0, "right", 10.0, 0.3),
-        Contact(0, "right", 50.0, 0.6, "bilinear"),
-        Contact(0, "left", 2.0, 0.4, "power", 2.2),
+        Contact(1, "right", 10.0, 0.3),
+        Contact(1, "right", 50.0, 0.6, "bilinear"),
+        Contact(1, "left", 2.0, 0.4, "power", 2.2),
     ),
-    "no clearance": (Contact(0, "both", 10.0, 0.0),),
+    "no clearance": (Contact(1, "both", 10.0, 0.0),),
 }
 
 
@@ -51,8 +51,8 @@ def test_equal_to_the_twin(n, stops):
 
 def test_a_high_power_overflows_nothing():
     # At the root that the springs alone would have, x^101 is beyond double precision.
-    potential = reduced_potential(chain(2, (Contact(1, "both", 1.0, 0.5, "power", 100.0),)))
-    rigid = reduced_potential(chain(2, (Contact(1, "both", 1e12, 0.5),)))
+    potential = reduced_potential(chain(2, (Contact(2, "both", 1.0, 0.5, "power", 100.0),)))
+    rigid = reduced_potential(chain(2, (Contact(2, "both", 1e12, 0.5),)))
     found, stiff = OneMassShell(potential)(np.array([1e6])), OneMassShell(rigid)(np.array([1e6]))
     assert np.all(np.isfinite(found))
     # The mass turns where its overlap is (101 H)^(1/101) = 1.2, a stiff one at the stop, 0.5.
@@ -72,6 +72,6 @@ def test_just_beyond_a_second_stop_nothing_cancels():
 
 def test_stops_of_another_stiffness_are_told_apart():
     energies = np.array([1.0, 10.0])
-    one = OneMassShell(reduced_potential(chain(2, (Contact(1, "both", 10.0, 0.5),))))(energies)
-    other = OneMassShell(reduced_potential(chain(2, (Contact(1, "both", 10.1, 0.5),))))(energies)
+    one = OneMassShell(reduced_potential(chain(2, (Contact(2, "both", 10.0, 0.5),))))(energies)
+    other = OneMassShell(reduced_potential(chain(2, (Contact(2, "both", 10.1, 0.5),))))(energies)
     assert np.all(np.abs(one[0] / other[0] - 1.0) > 1e-4)

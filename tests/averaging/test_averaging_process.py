@@ -66,7 +66,7 @@ def eq_25(system, energy, *, with_masses=True):
 
 @pytest.mark.parametrize("mass", [(1.0, 1.0), (0.5, 3.0)])
 @pytest.mark.parametrize(
-    "contacts, energy", [(both(10.0), 0.2), ((Contact(1, "right", 10.0, 0.5),), 0.5)]
+    "contacts, energy", [(both(10.0), 0.2), ((Contact(2, "right", 10.0, 0.5),), 0.5)]
 )
 def test_coefficients_are_those_of_eq_25(mass, contacts, energy):
     system = fig6(contacts, mass=mass)
@@ -138,7 +138,7 @@ def test_units_do_not_matter():
         one = fig6(contacts)
         stop = contacts[0]
         scaled = Contact(
-            1, "both", stop.stiffness * a * L / t**2 / L**e, 0.5 * L, stop.law, stop.exponent
+            2, "both", stop.stiffness * a * L / t**2 / L**e, 0.5 * L, stop.law, stop.exponent
         )
         two = System(
             a * one.mass,

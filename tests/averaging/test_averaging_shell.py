@@ -26,11 +26,11 @@ def one_mass(n, side, stiffness, law, clearance=0.5):
     left = right = None
     contacts = []
     if side in ("both", "right", "skew"):
-        contacts.append(Contact(n - 1, "right", stiffness, clearance, law, given))
+        contacts.append(Contact(n, "right", stiffness, clearance, law, given))
         right = (clearance, stiffness, e)
     if side in ("both", "skew"):
         more = 1.0 if side == "both" else 1.7
-        contacts.append(Contact(n - 1, "left", stiffness, more * clearance, law, given))
+        contacts.append(Contact(n, "left", stiffness, more * clearance, law, given))
         left = (more * clearance, stiffness, e)
     return chain(n, tuple(contacts)), (left, right)
 
@@ -112,7 +112,7 @@ def two_mass_states(system, energy):
     """Area {V < H} and ∫(H − V)₊ over q1, q2 by scipy, with turning points from min over q1."""
     k1, k2 = map(float, system.stiffness)
     stops = [
-        (stop.mass, 1.0 if stop.side == "right" else -1.0, stop.clearance, stop)
+        (stop.index, 1.0 if stop.side == "right" else -1.0, stop.clearance, stop)
         for stop in system.stops
     ]
 
@@ -186,7 +186,7 @@ def test_two_contact_masses_against_scipy(contacts, energy):
     assert found.states[0] < 0.99
 
 
-THREE = (Contact(0, "both", 5.0, 0.3), Contact(1, "both", 10.0, 0.5), Contact(2, "both", 8.0, 0.8))
+THREE = (Contact(1, "both", 5.0, 0.3), Contact(2, "both", 10.0, 0.5), Contact(3, "both", 8.0, 0.8))
 CALCULUS = {
     "one": (fig6(both(10.0)), 1e-11),
     "one, n = 1": (chain(1, both(1e4, mass=0)), 1e-11),
@@ -194,7 +194,7 @@ CALCULUS = {
     "one, stiff": (fig6(both(1e8)), 1e-11),
     "two": (fig6(TWO_MASSES), 1e-10),
     "two, skew": (fig6(SKEW), 1e-10),
-    "two of five": (chain(5, (Contact(1, "both", 1e3, 0.3), Contact(4, "right", 9.0, 0.5))), 1e-10),
+    "two of five": (chain(5, (Contact(2, "both", 1e3, 0.3), Contact(5, "right", 9.0, 0.5))), 1e-10),
     "three": (chain(3, THREE), 1e-6),
 }
 
@@ -234,7 +234,7 @@ def test_the_calculus_sees_a_wrong_power_of_the_energy():
 
 
 def test_three_masses_of_which_one_is_out_of_reach_are_two():
-    far = Contact(2, "both", 8.0, 50.0)
+    far = Contact(3, "both", 8.0, 50.0)
     energies = np.array([0.3])
     three, two = (ratios(chain(3, c), energies) for c in ((*THREE[:2], far), THREE[:2]))
     for a, b in ((three.states, two.states), (three.volume, two.volume)):
@@ -283,7 +283,7 @@ def test_soft_contact_tends_to_none(n):
 def test_a_mirrored_system_has_the_same_shells():
     mirrored = {"left": "right", "right": "left", "both": "both"}
     energies = np.array([0.1, 0.3, 2.0])
-    for contacts in (SKEW, (Contact(1, "left", 10.0, 0.5),), TWO_MASSES):
+    for contacts in (SKEW, (Contact(2, "left", 10.0, 0.5),), TWO_MASSES):
         turned = tuple(
             Contact(c.mass, mirrored[c.side], c.stiffness, c.clearance, c.law) for c in contacts
         )

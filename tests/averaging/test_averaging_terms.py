@@ -15,18 +15,18 @@ from fpk.process import log_density_slope
 from fpk.system import System
 
 ONE = (
-    DampingTerm(0, 0, 0.7, q=((0, 2),)),
-    DampingTerm(0, 0, -0.3, v=((0, 2),), energy=1),
-    DampingTerm(0, 0, 0.4, q=((0, 1),)),
+    DampingTerm(1, 1, 0.7, q=((1, 2),)),
+    DampingTerm(1, 1, -0.3, v=((1, 2),), energy=1),
+    DampingTerm(1, 1, 0.4, q=((1, 1),)),
 )
 TWO = (
     ONE[0],
-    DampingTerm(1, 0, 0.5, q=((0, 1),), v=((0, 1), (1, 1))),
-    DampingTerm(1, 1, -0.3, q=((1, 3),)),
-    DampingTerm(0, 1, 0.2, q=((0, 1), (1, 1)), v=((0, 1), (1, 1)), energy=1),
+    DampingTerm(2, 1, 0.5, q=((1, 1),), v=((1, 1), (2, 1))),
+    DampingTerm(2, 2, -0.3, q=((2, 3),)),
+    DampingTerm(1, 2, 0.2, q=((1, 1), (2, 1)), v=((1, 1), (2, 1)), energy=1),
 )
-THREE = (*TWO, DampingTerm(2, 0, 0.6, q=((1, 1), (2, 1)), v=((0, 1), (2, 1))))
-RIGHT = (Contact(1, "right", 20.0, 0.3),)
+THREE = (*TWO, DampingTerm(3, 1, 0.6, q=((2, 1), (3, 1)), v=((1, 1), (3, 1))))
+RIGHT = (Contact(2, "right", 20.0, 0.3),)
 
 
 def scene(n, terms, contacts=()):
@@ -36,14 +36,14 @@ def scene(n, terms, contacts=()):
 
 
 SCENES = {
-    "n = 1": scene(1, ONE, (Contact(0, "right", 20.0, 0.3),)),
+    "n = 1": scene(1, ONE, (Contact(1, "right", 20.0, 0.3),)),
     "n = 2": scene(2, TWO, RIGHT),
-    "n = 2, both": scene(2, TWO, (*RIGHT, Contact(0, "both", 5.0, 0.2, "bilinear"))),
+    "n = 2, both": scene(2, TWO, (*RIGHT, Contact(1, "both", 5.0, 0.2, "bilinear"))),
     "n = 3": scene(3, THREE, RIGHT),
-    "n = 3, two": scene(3, THREE, (Contact(1, "both", 20.0, 0.3), Contact(2, "left", 2.0, 0.0))),
+    "n = 3, two": scene(3, THREE, (Contact(2, "both", 20.0, 0.3), Contact(3, "left", 2.0, 0.0))),
     "n = 3, free": scene(3, THREE),
     "odd, even V": scene(
-        2, (DampingTerm(1, 1, 0.5, q=((1, 1),)),), (Contact(1, "both", 20.0, 0.3),)
+        2, (DampingTerm(2, 2, 0.5, q=((2, 1),)),), (Contact(2, "both", 20.0, 0.3),)
     ),
 }
 
@@ -64,7 +64,7 @@ def sampled_power(system, energy, samples=200_000, seed=20261121):
     v *= np.sqrt(2.0 * kinetic)[:, None] / np.linalg.norm(v, axis=1, keepdims=True)
     v /= np.sqrt(system.mass)
     power = sum(
-        t.value(q, v, np.full(kinetic.size, energy)) * v[:, t.i] * v[:, t.j]
+        t.value(q, v, np.full(kinetic.size, energy)) * v[:, t.row] * v[:, t.column]
         for t in system.damping_terms
     )
     weight = kinetic ** (n / 2 - 1) / np.sum(kinetic ** (n / 2 - 1))
@@ -128,7 +128,7 @@ def test_below_contact_the_polynomial_of_the_energy_is_that_of_the_shell():
     # A contact that is out of reach keeps its mass in the integrals: the two ways meet.
     for n, terms in ((1, ONE), (2, TWO), (3, THREE)):
         free = scene(n, terms)
-        far = scene(n, terms, (Contact(n - 1, "right", 20.0, 100.0),))
+        far = scene(n, terms, (Contact(n, "right", 20.0, 100.0),))
         power, polynomials = term_power(far), power_polynomials(far, energy_shell(far).potential)
         energy = np.array([0.1, 1.0, 7.0])
         np.testing.assert_allclose(power(energy)[0], term_power(free)(energy)[0], rtol=1e-13)
@@ -152,8 +152,8 @@ def test_of_two_contact_masses_the_table_is_what_it_interpolates():
 
 
 def test_three_contact_masses_meet_the_sample():
-    stops = tuple(Contact(i, "both", 10.0, 0.3) for i in range(3))
-    system = scene(4, (ONE[0], DampingTerm(1, 1, 0.2, q=((0, 1), (2, 1)))), stops)
+    stops = tuple(Contact(i + 1, "both", 10.0, 0.3) for i in range(3))
+    system = scene(4, (ONE[0], DampingTerm(2, 2, 0.2, q=((1, 1), (3, 1)))), stops)
     power, error = term_power(system)(np.array([1.0]))
     mean, spread = sampled_power(system, 1.0)
     assert abs(power[0] - mean) < 4.5 * spread
@@ -178,7 +178,7 @@ def test_units_do_not_matter():
         )
         for u in one.damping_terms
     )
-    stop = Contact(1, "right", 20.0 * a * L / t**2 / L**1.5, 0.3 * L)
+    stop = Contact(2, "right", 20.0 * a * L / t**2 / L**1.5, 0.3 * L)
     two = System(
         a * one.mass,
         a / t**2 * one.stiffness,
@@ -207,8 +207,8 @@ def test_many_masses_with_a_term():
             np.ones(30),
             np.full(30, 0.1),
             np.full(30, 0.05),
-            contacts=(Contact(29, "both", 10.0, 0.5),),
-            damping_terms=(DampingTerm(3, 3, 0.2, q=((3, 2),)),),
+            contacts=(Contact(30, "both", 10.0, 0.5),),
+            damping_terms=(DampingTerm(4, 4, 0.2, q=((4, 2),)),),
         )
     )(np.array([1.0, 10.0, 40.0]))
     assert np.all(error < 1e-11 * power) and np.all(power > 0)
@@ -222,12 +222,12 @@ TRAJECTORY = System(
     [1.0, 1.0],
     [0.05, 0.02],
     [0.01, 0.02],
-    contacts=(Contact(1, "right", 300.0, 0.2, "bilinear"),),
+    contacts=(Contact(2, "right", 300.0, 0.2, "bilinear"),),
     damping_terms=(
-        DampingTerm(0, 0, 0.3, q=((0, 2),)),
-        DampingTerm(1, 1, 0.2, q=((1, 1),)),
-        DampingTerm(0, 0, 0.4, v=((1, 2),)),
-        DampingTerm(0, 1, 0.1, q=((0, 1), (1, 1))),
+        DampingTerm(1, 1, 0.3, q=((1, 2),)),
+        DampingTerm(2, 2, 0.2, q=((2, 1),)),
+        DampingTerm(1, 1, 0.4, v=((2, 2),)),
+        DampingTerm(1, 2, 0.1, q=((1, 1), (2, 1))),
     ),
 )
 STEP, STEPS, BATCHES, STARTS = 1e-3, 1_000_000, 25, 6

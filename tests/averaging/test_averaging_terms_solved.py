@@ -31,7 +31,7 @@ def densities(method, system, *names):
 def proportional(noise, contacts=()):
     """2 c = h b with h = (−0.05 + 0.1 H)/noise: fed below H = 0.5, damped above."""
     D = noise * np.array([1.0, 2.0])
-    terms = tuple(DampingTerm(i, i, 0.1 * D[i] / noise, energy=1) for i in range(2))
+    terms = tuple(DampingTerm(i + 1, i + 1, 0.1 * D[i] / noise, energy=1) for i in range(2))
     return System(
         [1.0, 2.0], [1.0, 1.5], -0.05 * D / noise, D, contacts=contacts, damping_terms=terms
     )
@@ -91,14 +91,14 @@ def cycle(n, noise, contacts=()):
         [-0.05, *[0.02] * (n - 1)],
         np.full(n, noise),
         contacts=contacts,
-        damping_terms=(DampingTerm(0, 0, 0.1, q=((0, 2),)),),
+        damping_terms=(DampingTerm(1, 1, 0.1, q=((1, 2),)),),
     )
 
 
 @pytest.mark.parametrize("noise", [0.1, 0.01, 0.001])
 @pytest.mark.parametrize("n, stiff", [(1, False), (1, True), (2, False), (2, True)])
 def test_limit_cycles_are_found_wherever_they_are(n, stiff, noise):
-    system = cycle(n, noise, (Contact(n - 1, "both", 10.0, 0.5),) if stiff else ())
+    system = cycle(n, noise, (Contact(n, "both", 10.0, 0.5),) if stiff else ())
     process = energy_process(system)
     # What the quadratures of one mass with contact leave open adds up over 100 nats and more.
     tol = 1e-8 if n == 1 and stiff else 1e-9
@@ -160,7 +160,7 @@ def test_the_limit_cycle_of_one_mass_is_a_gaussian_of_the_energy():
 def test_energies_of_two_levels_are_weighed_against_each_other():
     # α(H) = (H − ½)(H − 2)(H − 4)/D, fed twice: p = exp(−∫α)/Z, with hundreds of nats between.
     D, c = 0.01, np.poly([0.5, 2.0, 4.0])[::-1]
-    terms = tuple(DampingTerm(0, 0, c[e], energy=e) for e in range(1, 4))
+    terms = tuple(DampingTerm(1, 1, c[e], energy=e) for e in range(1, 4))
     system = System([1.0], [1.0], [c[0]], [D], damping_terms=terms)
     levels = np.polynomial.polynomial.polyint(c / D)
 
@@ -188,7 +188,7 @@ def test_energies_of_two_levels_are_weighed_against_each_other():
 def test_what_has_no_stationary_density_is_refused_with_the_reason():
     q1, H = parse_observable("q1", 1), parse_observable("H", 1)
     grows = System(
-        [1.0], [1.0], [0.1], [0.1], damping_terms=(DampingTerm(0, 0, -0.1, q=((0, 2),)),)
+        [1.0], [1.0], [0.1], [0.1], damping_terms=(DampingTerm(1, 1, -0.1, q=((1, 2),)),)
     )
     assert "grows for ever" in NonIntegrable().refusal(grows, H)
     stopped = System(
@@ -196,14 +196,14 @@ def test_what_has_no_stationary_density_is_refused_with_the_reason():
         [1.0],
         [0.1],
         [0.1],
-        contacts=(Contact(0, "both", 10.0, 0.5),),
+        contacts=(Contact(1, "both", 10.0, 0.5),),
         damping_terms=grows.damping_terms,
     )
     assert "grows for ever" in NonIntegrable("quadrature").refusal(stopped, H)
     # An odd term does nothing without contact; alone it damps nothing.
-    odd = System([1.0], [1.0], [0.0], [0.1], damping_terms=(DampingTerm(0, 0, 0.1, q=((0, 1),)),))
+    odd = System([1.0], [1.0], [0.0], [0.1], damping_terms=(DampingTerm(1, 1, 0.1, q=((1, 1),)),))
     assert NonIntegrable().refusal(odd, q1)
-    quiet = System([1.0], [1.0], [0.1], [0.0], damping_terms=(DampingTerm(0, 0, 0.1, energy=1),))
+    quiet = System([1.0], [1.0], [0.1], [0.0], damping_terms=(DampingTerm(1, 1, 0.1, energy=1),))
     assert "no noise" in NonIntegrable().refusal(quiet, q1)
     polynomial = cycle(1, 0.1)
     assert "fem and quadrature" in NonIntegrable("closed-form").refusal(polynomial, H)
@@ -217,15 +217,15 @@ def test_condition_8_with_terms():
         compatibility(cycle(2, 0.1))
     D = [0.1, 0.2]
     unequal = System(
-        [1.0, 1.0], [1.0, 1.0], D, D, damping_terms=(DampingTerm(0, 0, 0.1, energy=1),)
+        [1.0, 1.0], [1.0, 1.0], D, D, damping_terms=(DampingTerm(1, 1, 0.1, energy=1),)
     )
     with pytest.raises(NotApplicable, match=r"\(8\)"):
         compatibility(unequal)
     # What turns without working leaves the density alone, unless it depends on velocities.
-    turn = tuple(DampingTerm(i, 1 - i, 0.3 * (1 - 2 * i), q=((0, 1),)) for i in range(2))
+    turn = tuple(DampingTerm(i + 1, 2 - i, 0.3 * (1 - 2 * i), q=((1, 1),)) for i in range(2))
     system = System([1.0, 1.0], [1.0, 1.0], D, D, damping_terms=turn)
     np.testing.assert_allclose(compatibility(system), [1.0])
-    dragged = tuple(DampingTerm(t.i, t.j, t.coefficient, v=((0, 1),)) for t in turn)
+    dragged = tuple(DampingTerm(t.i, t.j, t.coefficient, v=((1, 1),)) for t in turn)
     with pytest.raises(NotApplicable, match=r"\(8\)"):
         compatibility(System([1.0, 1.0], [1.0, 1.0], D, D, damping_terms=dragged))
 
@@ -242,7 +242,7 @@ def test_a_narrow_maximum_is_not_missed_by_the_survey():
 
 @pytest.mark.parametrize("name", ["q1", "q2", "p1"])
 def test_marginals_of_a_limit_cycle_agree_between_solvers(name):
-    system = cycle(2, 0.001, (Contact(1, "both", 10.0, 0.5),))
+    system = cycle(2, 0.001, (Contact(2, "both", 10.0, 0.5),))
     one = densities(NonIntegrable("fem", tol=1e-9), system, name)[0]
     two = densities(NonIntegrable("quadrature", tol=1e-9), system, name)[0]
     assert l1_distance(one, two) <= one.l1_error + two.l1_error

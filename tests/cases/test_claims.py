@@ -9,8 +9,9 @@ from cases.claims import ACCEPTABLE_L1, findings, shape_of
 from cases.expect import Expect, Range
 from cases.regime import Regime
 from cases.scene import load_scene, shipped_scenes
+from fpk.certificate import Certificate
 from fpk.clearance import StopClearance
-from fpk.density import Certificate, Density, SampledDensity
+from fpk.density import Density, SampledDensity
 from fpk.observable import parse_observable
 
 FLAT = lambda x: np.where(np.abs(x) <= 1, 0.5, 0.0)  # noqa: E731

@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from averaging.integrable import LEFT_OUT
+import cases.routes  # noqa: F401  (registers the routes)
 from cases.compare import chance_l1, compared, what_is_measured
-from fpk.density import Certificate, Density, SampledDensity, l1_distance
+from fpk.certificate import Certificate
+from fpk.density import Density, SampledDensity, l1_distance
 from fpk.method import Result
 from fpk.observable import parse_observable
+from fpk.route import ROUTES
 
 FINE = Certificate(0.0, 0.0, 0.0, 0.0)
 Q1 = parse_observable("q1", 1)
@@ -18,7 +20,10 @@ Q1 = parse_observable("q1", 1)
 @dataclass(frozen=True)
 class Named:
     name: str
-    solver: str = "fem"
+
+    @property
+    def route(self):
+        return next(r for (method, _), r in ROUTES.items() if method == self.name)
 
 
 def gaussian(scale=1.0, l1_error=1e-12):
@@ -40,9 +45,9 @@ def sample(seed, batches=32, size=4000):
     return SampledDensity(Q1, (edges,), values.mean(0), values, FINE)
 
 
-def compare(a, b, *, names=("montecarlo", "exact"), exact=True, settings=()):
+def compare(a, b, *, names=("montecarlo", "exact"), exact=True, neglected=""):
     results = [
-        Result(Named(n), (d,), 0.0, settings=dict(settings) if n == "integrable" else {})
+        Result(Named(n), (d,), neglected=neglected if n == "integrable" else "")
         for n, d in zip(names, (a, b), strict=True)
     ]
     (comparison,) = compared(results, averaging_is_exact=exact)
@@ -85,11 +90,11 @@ def test_averaging_is_reported_and_not_judged():
 
 def test_what_left_contacts_out_is_not_held_to_the_exact_density():
     """With contacts the exact theory may apply, and the integrable one is still another."""
-    names, left_out = ("exact", "integrable"), {LEFT_OUT: "2"}
+    names, left_out = ("exact", "integrable"), "2 stops"
     assert compare(gaussian(), gaussian(1.5), names=names).measures == "numerical"
-    comparison = compare(gaussian(), gaussian(1.5), names=names, settings=left_out)
+    comparison = compare(gaussian(), gaussian(1.5), names=names, neglected=left_out)
     assert comparison.measures == "averaging" and comparison.holds and comparison.band is None
-    others = compare(gaussian(), gaussian(), names=("exact", "nonintegrable"), settings=left_out)
+    others = compare(gaussian(), gaussian(), names=("exact", "nonintegrable"), neglected=left_out)
     assert others.measures == "numerical"
 
 

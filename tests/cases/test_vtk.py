@@ -9,7 +9,8 @@ from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
 from cases.scene import load_scene
 from cases.vtk import SUBDIVISION, field_of
-from fpk.density import Certificate, Density
+from fpk.certificate import Certificate
+from fpk.density import Density
 from fpk.observable import parse_observable
 
 FINE = Certificate(0.0, 0.0, 0.0, 0.0)

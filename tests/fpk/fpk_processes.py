@@ -44,7 +44,7 @@ def chain(n=2, contacts=(), mass=None):
 
 
 def both(stiffness, clearance=0.5, law="hertz", *, mass=1, exponent=None):
-    return (Contact(mass, "both", stiffness, clearance, law, exponent),)
+    return (Contact(mass + 1, "both", stiffness, clearance, law, exponent),)
 
 
 def integral(function, nodes, *, points=24):

@@ -71,7 +71,7 @@ def test_force_starts_at_zero_and_rises(name, exponent):
 
 
 def test_hertz_is_the_three_halves_power_of_eq_2():
-    contact = Contact(0, "right", 7.0, 0.5)
+    contact = Contact(1, "right", 7.0, 0.5)
     assert contact.force(4.0) == pytest.approx(7.0 * 8.0, rel=1e-15)
     assert contact.energy(4.0) == pytest.approx(0.4 * 7.0 * 32.0, rel=1e-15)
     assert contact.power == 1.5
@@ -92,7 +92,7 @@ def test_hertz_is_the_three_halves_power_of_eq_2():
     ],
 )
 def test_a_bad_field_is_named(field, value):
-    fields = {"mass": 0, "side": "both", "stiffness": 1.0, "clearance": 0.5} | {field: value}
+    fields = {"mass": 1, "side": "both", "stiffness": 1.0, "clearance": 0.5} | {field: value}
     with pytest.raises(InvalidInput, match=rf"^{field} = ") as caught:
         Contact(**fields)
     assert caught.value.key == field
@@ -101,7 +101,7 @@ def test_a_bad_field_is_named(field, value):
 @pytest.mark.parametrize("exponent", [None, 0.9, np.nan, np.inf])
 def test_the_power_law_needs_its_exponent(exponent):
     with pytest.raises(InvalidInput, match=r"^exponent = "):
-        Contact(0, "left", 1.0, 0.0, law="power", exponent=exponent)
+        Contact(1, "left", 1.0, 0.0, law="power", exponent=exponent)
 
 
 def test_a_law_of_a_name_that_is_taken_is_refused():
@@ -111,7 +111,7 @@ def test_a_law_of_a_name_that_is_taken_is_refused():
 
 
 def test_both_sides_are_a_left_and_a_right_stop():
-    left, right = Contact(1, "both", 2.0, 0.3).one_sided()
+    left, right = Contact(2, "both", 2.0, 0.3).one_sided()
     assert {left.side, right.side} == {"left", "right"}
-    assert (left.stiffness, left.clearance, left.mass) == (2.0, 0.3, 1)
-    assert Contact(1, "left", 2.0, 0.3).one_sided()[0].side == "left"
+    assert (left.stiffness, left.clearance, left.mass) == (2.0, 0.3, 2)
+    assert Contact(2, "left", 2.0, 0.3).one_sided()[0].side == "left"

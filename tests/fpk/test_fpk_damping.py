@@ -20,8 +20,8 @@ def with_terms(*terms: DampingTerm, damping: tuple[float, float] = (0.08, 0.04))
 
 def test_the_matrix_gains_each_monomial() -> None:
     system = with_terms(
-        DampingTerm(0, 0, 0.5, q=((0, 2),)),
-        DampingTerm(0, 1, -0.3, q=((0, 1),), v=((1, 3),), energy=1),
+        DampingTerm(1, 1, 0.5, q=((1, 2),)),
+        DampingTerm(1, 2, -0.3, q=((1, 1),), v=((2, 3),), energy=1),
     )
     q, p = np.array([[0.3, -0.7], [1.0, 2.0]]), np.array([[0.2, 0.5], [-1.0, 0.4]])
     v, H = p / system.mass, system.hamiltonian(q, p)
@@ -32,14 +32,14 @@ def test_the_matrix_gains_each_monomial() -> None:
 
 
 def test_a_constant_term_joins_the_matrix_and_a_zero_one_is_dropped() -> None:
-    system = with_terms(DampingTerm(0, 1, 0.01), DampingTerm(1, 1, 0.0, q=((0, 2),)))
+    system = with_terms(DampingTerm(1, 2, 0.01), DampingTerm(2, 2, 0.0, q=((1, 2),)))
     assert system.damping_terms == () and system.damping[0, 1] == 0.01
     assert not effects_of(system).state_damping
 
 
 def test_terms_are_effects_and_odd_ones_break_the_mirror() -> None:
-    even = effects_of(with_terms(DampingTerm(0, 0, 0.5, q=((0, 2),))))
-    odd = effects_of(with_terms(DampingTerm(0, 0, 0.5, q=((0, 1),), energy=1)))
+    even = effects_of(with_terms(DampingTerm(1, 1, 0.5, q=((1, 2),))))
+    odd = effects_of(with_terms(DampingTerm(1, 1, 0.5, q=((1, 1),), energy=1)))
     assert even.state_damping and even.mirror and not even.energy_damping
     assert odd.state_damping and not odd.mirror and odd.energy_damping
 
@@ -47,34 +47,34 @@ def test_terms_are_effects_and_odd_ones_break_the_mirror() -> None:
 def test_negative_damping_needs_a_term_that_takes_the_energy_out() -> None:
     with pytest.raises(InvalidInput, match="does not dissipate"):
         with_terms(damping=(-0.1, 0.04))
-    assert with_terms(DampingTerm(0, 0, 0.5, q=((0, 2),)), damping=(-0.1, 0.04)).damping_terms
-    growing = with_terms(DampingTerm(0, 0, -0.5, q=((0, 2),)))
+    assert with_terms(DampingTerm(1, 1, 0.5, q=((1, 2),)), damping=(-0.1, 0.04)).damping_terms
+    growing = with_terms(DampingTerm(1, 1, -0.5, q=((1, 2),)))
     with pytest.raises(NotApplicable, match="grows"):
         equivalent_temperature(growing)
 
 
 def test_no_covariance_where_the_damping_depends_on_the_state() -> None:
     with pytest.raises(NotApplicable, match="not linear"):
-        stationary_covariance(with_terms(DampingTerm(0, 0, 0.5, q=((0, 2),))))
+        stationary_covariance(with_terms(DampingTerm(1, 1, 0.5, q=((1, 2),))))
 
 
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        ({"q": ((0, 0),)}, "power of 1 or more"),
+        ({"q": ((1, 0),)}, "power of 1 or more"),
         ({"energy": -1}, "power of 0 or more"),
-        ({"q": ((0, 9),)}, "degree"),
+        ({"q": ((1, 9),)}, "degree"),
         ({"coefficient": np.nan}, "finite"),
     ],
 )
 def test_refused_terms(wrong: dict[str, object], words: str) -> None:
     with pytest.raises(InvalidInput, match=words):
-        DampingTerm(**{"i": 0, "j": 0, "coefficient": 1.0, **wrong})  # type: ignore[arg-type]
+        DampingTerm(**{"i": 1, "j": 1, "coefficient": 1.0, **wrong})  # type: ignore[arg-type]
 
 
 def test_a_term_of_a_mass_that_is_not_there_is_refused() -> None:
     with pytest.raises(InvalidInput, match="use 1 to 2"):
-        with_terms(DampingTerm(0, 0, 1.0, q=((2, 2),)))
+        with_terms(DampingTerm(1, 1, 1.0, q=((3, 2),)))
 
 
 def test_gaussian_moments_of_isserlis() -> None:
@@ -90,8 +90,8 @@ def test_the_temperature_balances_damping_and_noise() -> None:
     constant = 0.01 + 0.02 / 2.0
     assert equivalent_temperature(CHAIN) == pytest.approx(constant / (0.08 + 0.02), rel=1e-14)
     system = with_terms(
-        DampingTerm(0, 0, 0.7, q=((0, 2),)),
-        DampingTerm(1, 1, 0.2, q=((0, 1), (1, 1)), v=((1, 2),), energy=1),
+        DampingTerm(1, 1, 0.7, q=((1, 2),)),
+        DampingTerm(2, 2, 0.2, q=((1, 1), (2, 1)), v=((2, 2),), energy=1),
         damping=(-0.05, 0.02),
     )
     theta = equivalent_temperature(system)

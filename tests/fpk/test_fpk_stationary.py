@@ -16,7 +16,7 @@ FORMS = ["flux", "drift-diffusion"]
 SYSTEMS = {
     "no contact": chain(2),
     **{f"B = {B:g}": chain(2, both(B)) for B in (1e-6, 0.1, 1.0, 10.0, 1e4)},
-    "one-sided": chain(2, (Contact(1, "right", 10.0, 0.5),)),
+    "one-sided": chain(2, (Contact(2, "right", 10.0, 0.5),)),
     "bilinear": chain(2, both(10.0, law="bilinear")),
     "power 1.3": chain(2, both(10.0, law="power", exponent=1.3)),
     "no clearance": chain(2, both(10.0, 0.0)),
@@ -26,9 +26,9 @@ SYSTEMS = {
     "three stops": chain(
         2,
         (
-            Contact(1, "right", 10.0, 0.5),
-            Contact(1, "right", 50.0, 0.3),
-            Contact(1, "left", 3.0, 0.2),
+            Contact(2, "right", 10.0, 0.5),
+            Contact(2, "right", 50.0, 0.3),
+            Contact(2, "left", 3.0, 0.2),
         ),
     ),
 }

@@ -71,7 +71,7 @@ def eq_21(q, p):
 
 
 def test_hamiltonian_and_potential_are_those_of_eq_21():
-    contacts = (Contact(1, "right", 7.0, 0.5), Contact(1, "left", 9.0, 0.25))
+    contacts = (Contact(2, "right", 7.0, 0.5), Contact(2, "left", 9.0, 0.25))
     one = system(contacts=contacts)
     rng = np.random.default_rng(20041113)
     q, p = rng.normal(size=(2, 200, 2))
@@ -81,7 +81,7 @@ def test_hamiltonian_and_potential_are_those_of_eq_21():
         one.potential(q), [eq_21(x, np.zeros(2)) for x in q], rtol=1e-14, atol=1e-15
     )
     assert one.hamiltonian(q[0], p[0]).shape == ()
-    other = system(contacts=(Contact(1, "right", 7.0, 0.55), contacts[1]))
+    other = system(contacts=(Contact(2, "right", 7.0, 0.55), contacts[1]))
     with pytest.raises(AssertionError):
         np.testing.assert_allclose(other.hamiltonian(q, p), expected, rtol=1e-14)
 
@@ -89,7 +89,7 @@ def test_hamiltonian_and_potential_are_those_of_eq_21():
 @pytest.mark.parametrize("law, exponent", [("hertz", None), ("bilinear", None), ("power", 1.3)])
 @pytest.mark.parametrize("clearance", [0.0, 0.5])
 def test_contact_energy_is_continuous_at_the_clearance(law, exponent, clearance):
-    one = system(contacts=(Contact(1, "both", 7.0, clearance, law, exponent),))
+    one = system(contacts=(Contact(2, "both", 7.0, clearance, law, exponent),))
     e = 1e-9
     # U and U' are continuous there: beyond, U rises by 7 e^(exponent + 1) at the most.
     for sign in (1.0, -1.0):
@@ -101,7 +101,7 @@ def test_contact_energy_is_continuous_at_the_clearance(law, exponent, clearance)
 
 def test_arrays_split_a_contact_of_both_sides():
     one = system(
-        contacts=(Contact(1, "both", 7.0, 0.5), Contact(0, "left", 3.0, 0.1, "power", 2.0))
+        contacts=(Contact(2, "both", 7.0, 0.5), Contact(1, "left", 3.0, 0.1, "power", 2.0))
     )
     arrays = one.arrays()
     stops = {
@@ -146,8 +146,8 @@ def test_arrays_split_a_contact_of_both_sides():
         ("noise_intensity", [np.nan, 0.1]),
         ("noise_gain", [[1.0, 0.0]]),
         ("noise_gain", [1.0, 0.0]),
-        ("contact.mass", (Contact(2, "both", 1.0, 0.5),)),
-        ("contact.mass", (Contact(-1, "both", 1.0, 0.5),)),
+        ("contact.mass", (Contact(3, "both", 1.0, 0.5),)),
+        ("contact.mass", (Contact(0, "both", 1.0, 0.5),)),
     ],
 )
 def test_a_bad_field_is_named(field, value):
@@ -166,7 +166,7 @@ def test_effects_follow_from_the_system():
             damping=[[0.1, 0.02], [0.02, 0.2]],
             noise_intensity=[0.3],
             noise_gain=[[1.0], [1.0]],
-            contacts=(Contact(1, "both", 7.0, 0.5), Contact(0, "left", 3.0, 0.1, "bilinear")),
+            contacts=(Contact(2, "both", 7.0, 0.5), Contact(1, "left", 3.0, 0.1, "bilinear")),
         )
     )
     assert full.laws == ("bilinear", "hertz")
@@ -186,7 +186,7 @@ def test_effects_follow_from_the_system():
     ],
 )
 def test_mirror_says_whether_the_potential_is_even(left, right, mirror):
-    one = system(contacts=(Contact(1, "left", *left), Contact(1, "right", *right)))
+    one = system(contacts=(Contact(2, "left", *left), Contact(2, "right", *right)))
     assert effects_of(one).mirror is mirror
     q = np.random.default_rng(7).normal(size=(50, 2))
     assert np.allclose(one.potential(q), one.potential(-q), rtol=1e-13, atol=0.0) is mirror

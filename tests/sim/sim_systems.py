@@ -10,7 +10,7 @@ def fig6(*, clearance: float = 0.5) -> System:
         stiffness=[1.0, 1.0],
         damping=[0.08, 0.04],
         noise_intensity=[0.01, 0.02],
-        contacts=(Contact(1, "both", 10.0, clearance),),
+        contacts=(Contact(2, "both", 10.0, clearance),),
     )
 
 
@@ -21,7 +21,7 @@ def exact(*, clearance: float = 0.5) -> System:
         stiffness=[1.0, 1.0],
         damping=[0.2, 0.4],
         noise_intensity=[0.1, 0.2],
-        contacts=(Contact(1, "both", 10.0, clearance),),
+        contacts=(Contact(2, "both", 10.0, clearance),),
     )
 
 
@@ -33,9 +33,9 @@ def mixed() -> System:
         damping=[[0.2, 0.05, 0.0], [0.05, 0.3, -0.02], [0.0, -0.02, 0.1]],
         noise_intensity=[[0.05, 0.02, 0.0], [0.02, 0.08, 0.0], [0.0, 0.0, 0.03]],
         contacts=(
-            Contact(0, "right", 3.0, 0.1),
-            Contact(2, "both", 8.0, 0.3, law="bilinear"),
-            Contact(2, "left", 5.0, 0.4, law="power", exponent=2.0),
+            Contact(1, "right", 3.0, 0.1),
+            Contact(3, "both", 8.0, 0.3, law="bilinear"),
+            Contact(3, "left", 5.0, 0.4, law="power", exponent=2.0),
         ),
     )
 

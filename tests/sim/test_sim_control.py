@@ -220,7 +220,7 @@ def test_controls_gain_and_agree_with_the_plain_means() -> None:
         System([1.0, 2.0], [1.0, 1.0], [0.2, 0.2], [0.2, 0.0]),
         pytest.param(
             System(
-                [1.0], [1.0], [-0.1], [0.02], damping_terms=(DampingTerm(0, 0, 0.2, q=((0, 2),)),)
+                [1.0], [1.0], [-0.1], [0.02], damping_terms=(DampingTerm(1, 1, 0.2, q=((1, 2),)),)
             ),
             marks=pytest.mark.slow,
         ),

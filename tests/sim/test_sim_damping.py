@@ -29,28 +29,28 @@ from sim.step_size import temperature
 def hardened(h1: float = 1.5) -> System:
     """c_ij = (h0 + h1 H) D_ij: the density is exp(−h0 H − ½ h1 H²) exactly; h0 = 1."""
     D = np.array([0.2, 0.1])
-    terms = tuple(DampingTerm(i, i, h1 * D[i], energy=1) for i in (0, 1))
+    terms = tuple(DampingTerm(i + 1, i + 1, h1 * D[i], energy=1) for i in (0, 1))
     return System([1.0, 2.0], [1.0, 1.5], D, D, damping_terms=terms)
 
 
 def many_terms() -> System:
     """Every kind of sub-flow (powers 0 to 4 of the own velocity), contact and H among them."""
     terms = (
-        DampingTerm(0, 0, 0.2, q=((0, 2),)),
-        DampingTerm(0, 1, 0.05, q=((1, 1),), v=((1, 1),)),
-        DampingTerm(1, 1, 0.1, v=((1, 2),)),
-        DampingTerm(1, 1, 0.02, v=((0, 1), (1, 1))),
-        DampingTerm(0, 0, 0.1, v=((0, 1),)),
-        DampingTerm(1, 1, 0.02, v=((1, 3),), q=((1, 1),)),
-        DampingTerm(1, 1, 0.1, energy=1),
+        DampingTerm(1, 1, 0.2, q=((1, 2),)),
+        DampingTerm(1, 2, 0.05, q=((2, 1),), v=((2, 1),)),
+        DampingTerm(2, 2, 0.1, v=((2, 2),)),
+        DampingTerm(2, 2, 0.02, v=((1, 1), (2, 1))),
+        DampingTerm(1, 1, 0.1, v=((1, 1),)),
+        DampingTerm(2, 2, 0.02, v=((2, 3),), q=((2, 1),)),
+        DampingTerm(2, 2, 0.1, energy=1),
     )
-    contact = Contact(1, "right", 4.0, 0.3)
+    contact = Contact(2, "right", 4.0, 0.3)
     return System([1.0, 0.7], [1.0, 2.0], [0.2, 0.3], [0.05, 0.05], None, (contact,), terms)
 
 
 def van_der_pol(a: float = 0.1, b: float = 0.1, D: float = 0.01, scale: float = 1.0) -> System:
     """x'' − (a − b x²) x' + x = noise; ``scale`` is the unit of time in which all is given."""
-    term = DampingTerm(0, 0, b / scale, q=((0, 2),))
+    term = DampingTerm(1, 1, b / scale, q=((1, 2),))
     return System([1.0], [1.0 / scale**2], [-a / scale], [D / scale**3], damping_terms=(term,))
 
 
@@ -68,7 +68,7 @@ def term_flow(system: System, k: int, q: np.ndarray, p: np.ndarray, t: float) ->
         v = y / m
         H = system.hamiltonian(q.T, y.T)
         change = np.zeros_like(y)
-        change[term.i] = -term.value(q.T, v.T, H) * v[term.j]
+        change[term.row] = -term.value(q.T, v.T, H) * v[term.column]
         return change
 
     h = t / 200
@@ -204,7 +204,7 @@ def test_the_processor_of_the_terms_removes_the_bias_of_the_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """At 0.36 rad of the faster mode a step the kinetic balances would be off by 13 %."""
-    terms = tuple(DampingTerm(0, 0, 0.1, q=((a, 2),)) for a in (0, 1))
+    terms = tuple(DampingTerm(1, 1, 0.1, q=((a + 1, 2),)) for a in (0, 1))
     system = System([1, 1], [1, 1], [-0.02, 0.01], [8e-4, 8e-4], damping_terms=terms)
 
     def worst() -> float:
@@ -256,7 +256,7 @@ def test_bitwise_the_same_for_any_threads_and_chunks_with_terms() -> None:
 
 def test_a_trajectory_that_blows_up_is_reported() -> None:
     # −v² of negative damping against q⁴: a fast mass blows up within a step.
-    terms = (DampingTerm(0, 0, -0.5, v=((0, 2),)), DampingTerm(0, 0, 0.3, q=((0, 6),)))
+    terms = (DampingTerm(1, 1, -0.5, v=((1, 2),)), DampingTerm(1, 1, 0.3, q=((1, 6),)))
     system = System([1.0], [1.0], [0.1], [0.5], damping_terms=terms)
     with np.errstate(all="ignore"):
         result = sample(system, "H", dt=0.1, time=50.0)
@@ -265,7 +265,7 @@ def test_a_trajectory_that_blows_up_is_reported() -> None:
 
 def test_refusals_and_time() -> None:
     q1 = parse_observable("q1", 1)
-    grows = System([1.0], [1.0], [0.1], [0.1], damping_terms=(DampingTerm(0, 0, -1.0, energy=1),))
+    grows = System([1.0], [1.0], [0.1], [0.1], damping_terms=(DampingTerm(1, 1, -1.0, energy=1),))
     assert "grows" in (MonteCarlo().refusal(grows, q1) or "")
     with pytest.raises(NotApplicable):
         sample(grows, "q1")

@@ -9,7 +9,7 @@ from arviz_stats.base import array_stats
 from scipy.integrate import quad
 from sim_systems import exact, fig6
 
-from fpk.density import Certificate
+from fpk.certificate import Certificate
 from fpk.observable import parse_observable
 from sim.diagnostics import (
     diagnosis,

@@ -11,7 +11,8 @@ from cases.averaged import AveragedSimulation
 from cases.compare import chance_l1, compared
 from cases.routes import Request, method_for
 from cases.scene import load_scene
-from fpk.density import Certificate, Density, l1_distance
+from fpk.certificate import Certificate
+from fpk.density import Density, l1_distance
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.line.stationary import solve_stationary
 from fpk.observable import Coordinate

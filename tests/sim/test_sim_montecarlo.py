@@ -101,7 +101,7 @@ def small(**fields: object) -> MonteCarlo:
     [
         mixed(),
         pytest.param(
-            System([1.0], [1.0], [0.2], [0.1], contacts=(Contact(0, "right", 4.0, 0.0),)),
+            System([1.0], [1.0], [0.2], [0.1], contacts=(Contact(1, "right", 4.0, 0.0),)),
             marks=pytest.mark.slow,
         ),
         pytest.param(
@@ -135,7 +135,7 @@ def test_without_contact_any_step_gives_the_gaussian(dt: float) -> None:
 
 def test_damping_term_of_the_observed_momentum(monkeypatch: pytest.MonkeyPatch) -> None:
     """The kinetic balance of the mass in contact holds with (h²/12) c_ik g_k/m_k only."""
-    contacts = (Contact(1, "both", 10.0, 0.5),)
+    contacts = (Contact(2, "both", 10.0, 0.5),)
     system = System([1.0, 1.0], [1.0, 1.0], [0.8, 0.8], [0.4, 0.4], contacts=contacts)
     method = small(paths=8192, dt=0.2, time=400.0)
     assert abs(method.solve(system, Q2).identities[-1].z) < 4.0

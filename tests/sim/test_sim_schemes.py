@@ -25,9 +25,9 @@ def contact(system: System, q: Array) -> tuple[Array, Array]:
     g, slope = np.zeros_like(q), np.zeros_like(q)
     for stop in system.stops:
         sign = 1.0 if stop.side == "right" else -1.0
-        overlap = np.maximum(sign * q[stop.mass] - stop.clearance, 0.0)
-        g[stop.mass] += sign * stop.force(overlap)
-        slope[stop.mass] += np.where(overlap > 0, stop.slope(overlap), 0.0)
+        overlap = np.maximum(sign * q[stop.index] - stop.clearance, 0.0)
+        g[stop.index] += sign * stop.force(overlap)
+        slope[stop.index] += np.where(overlap > 0, stop.slope(overlap), 0.0)
     return g, slope
 
 
@@ -104,6 +104,6 @@ def test_a_law_registered_by_someone_else_is_simulated(monkeypatch: pytest.Monke
         "cubic", 3.0, lambda x, e: x**3, lambda x, e: x**4 / 4, lambda x, e: 3 * x * x
     )
     monkeypatch.setitem(LAWS, cubic.name, cubic)
-    contact_with_law = Contact(1, "both", 10.0, 0.5, law="cubic")
+    contact_with_law = Contact(2, "both", 10.0, 0.5, law="cubic")
     system = System([1.0, 1.0], [1.0, 1.0], [0.1, 0.1], [0.1, 0.1], contacts=(contact_with_law,))
     test_kernel_equals_its_twin("exact_flow", lambda: system)

@@ -39,12 +39,12 @@ EXACT_FLOW = SCHEMES["exact_flow"]
 
 
 def stiff(stiffness: float = 1e5) -> System:
-    contacts = (Contact(1, "both", stiffness, 0.5),)
+    contacts = (Contact(2, "both", stiffness, 0.5),)
     return System([1.0, 1.0], [1.0, 1.0], [0.08, 0.04], [0.01, 0.02], contacts=contacts)
 
 
 def one(side: str = "right") -> System:
-    return System([2.0], [1.0], [0.2], [0.1], contacts=(Contact(0, side, 3e3, 0.3),))
+    return System([2.0], [1.0], [0.2], [0.1], contacts=(Contact(1, side, 3e3, 0.3),))
 
 
 def longer(small: int) -> Scheme:
@@ -53,12 +53,12 @@ def longer(small: int) -> Scheme:
 
 def near(system: System, H: float, x: Array) -> NDArray[np.bool_]:
     """Return which states x (2n, paths) may touch a stop within H; ten lines of NumPy."""
-    mass = np.array([s.mass for s in system.stops])
+    mass = np.array([s.index for s in system.stops])
     row, bend = exact_flow(system, H).propagator, bends(system, H, mass)
     reach, found = noise_reach(system, H, mass), np.zeros(x.shape[1], bool)
     for k, stop in enumerate(system.stops):
         d = 1.0 if stop.side == "right" else -1.0
-        furthest = np.maximum(d * x[stop.mass], d * (row[stop.mass] @ x) + reach[k])
+        furthest = np.maximum(d * x[stop.index], d * (row[stop.index] @ x) + reach[k])
         found |= furthest + bend[k] @ abs(x) >= stop.clearance
     return found
 
@@ -155,14 +155,14 @@ def test_far_trajectories_do_not_touch(make) -> None:
     x = x[:, far]
     assert x.shape[1] > 300
     short, mean, start = exact_flow(system, H / 64), x.copy(), x.copy()
-    mass = np.array([s.mass for s in system.stops])
+    mass = np.array([s.index for s in system.stops])
     end, room = (exact_flow(system, H).propagator @ x)[mass], bends(system, H, mass) @ abs(x)
     for t in range(1, 65):
         z = rng.normal(size=(short.normals, x.shape[1]))
         x, mean = short.propagator @ x + short.factor @ z, short.propagator @ mean
         for stop in system.stops:
             sign = 1.0 if stop.side == "right" else -1.0
-            assert np.all(sign * x[stop.mass] < stop.clearance)
+            assert np.all(sign * x[stop.index] < stop.clearance)
         chord = start[mass] + (end - start[mass]) * t / 64
         assert np.all(abs(mean[mass] - chord) <= room)
     assert np.any(abs(mean[mass] - start[mass]) > 0.1 * size[0])
@@ -287,7 +287,7 @@ def test_choice_of_the_long_step() -> None:
     small, words = small_steps_in_long(system, EXACT_FLOW, h)
     assert small >= 4 and small * h <= sampling_interval(system) and str(small) in words
     assert small_steps_in_long(system, EXACT_FLOW, 0.5 * h)[0] >= small
-    term = DampingTerm(0, 0, 0.05, q=((0, 2),))
+    term = DampingTerm(1, 1, 0.05, q=((1, 2),))
     damped = System(
         [1.0, 1.0], [1.0, 1.0], [0.08, 0.04], [0.01, 0.02],
         contacts=system.contacts, damping_terms=(term,),

@@ -1,0 +1,93 @@
+"""What an answer is judged by, and the one place where it is judged."""
+
+from dataclasses import dataclass, replace
+
+NEGATIVE = -1e-14
+"""Smallest p / max p that counts as round-off of a density that is not negative."""
+RESIDUAL = 1e-12
+"""Largest algebraic residual, relative to the terms that cancel in it, that counts as round-off."""
+NET_FLUX = 1e-12
+"""Largest net over one-way probability flux that counts as round-off where the net flux is zero."""
+ROUNDING = 1e-14
+"""Departure of a mass from one that is the round-off of its own sum."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What was measured on an answer; every number is computed from the answer, none is typed.
+
+    ``l1_error`` estimates ∫|p − p_exact| and holds all that the numerics contribute: truncation of
+    the mesh, quadrature, interpolation, tails. ``mass_defect`` is |∫p − 1| over the support, before
+    any tail; ``minimum`` the smallest value of p divided by its largest; ``residual`` how far p is
+    from solving its equation, relative to the terms that cancel (for sampling: the largest |z| of
+    the moment identities); ``tail_mass`` a bound (for sampling: the share) of the mass outside the
+    support; ``net_flux`` the largest probability flux through an element relative to its one-way
+    parts, None where none is computed. ``failures``: what else was found wrong, in words.
+    """
+
+    l1_error: float
+    mass_defect: float
+    minimum: float
+    residual: float
+    tail_mass: float
+    net_flux: float | None = None
+    failures: tuple[str, ...] = ()
+
+    def with_failures(self, *words: str) -> "Measured":
+        """Return the same with more found wrong."""
+        return replace(self, failures=(*self.failures, *words))
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Checks that an answer passed or failed; nothing was mended to make them pass.
+
+    The numbers are those of ``Measured``. ``failures`` says in words what does not hold; the answer
+    is certified when it is empty. Made by ``certify`` only.
+    """
+
+    mass_defect: float
+    minimum: float
+    residual: float
+    tail_mass: float
+    net_flux: float | None = None
+    failures: tuple[str, ...] = ()
+
+    @property
+    def certified(self) -> bool:
+        """Whether every check holds."""
+        return not self.failures
+
+
+def certify(measured: Measured, *, tol: float, sampled: bool = False) -> Certificate:
+    """Return the certificate of an answer: the only place where one is made.
+
+    ``tol`` is the tolerance of the L1 error that was asked for, infinite where none was. Of a
+    sampled answer (``sampled``) the residual is a |z| that the simulation judges itself, and no
+    error bound follows from its mass. Comparisons are written so that a NaN fails.
+    """
+    m = measured
+    checks = {
+        f"the density falls to {m.minimum:.2g} of its maximum": m.minimum >= NEGATIVE,
+        f"the estimated error {m.l1_error:.2g} exceeds the tolerance {tol:.2g}": m.l1_error <= tol,
+        "the density does not fall off at the end of the mesh": m.tail_mass < float("inf"),
+    }
+    if not sampled:
+        # ∫|p − p_exact| cannot be less than |∫p − ∫p_exact|.
+        allowed = m.l1_error + ROUNDING
+        checks |= {
+            f"the mass is off by {m.mass_defect:.2g}, more than the stated error {m.l1_error:.2g}":
+                m.mass_defect <= allowed,
+            f"the residual of the equation is {m.residual:.2g}": m.residual < RESIDUAL,
+        }  # fmt: skip
+    if m.net_flux is not None:
+        checks[f"the net flux is {m.net_flux:.2g} of the one-way flux"] = m.net_flux < NET_FLUX
+    failures = tuple(words for words, holds in checks.items() if not holds)
+    return Certificate(
+        mass_defect=m.mass_defect,
+        minimum=m.minimum,
+        residual=m.residual,
+        tail_mass=m.tail_mass,
+        net_flux=m.net_flux,
+        failures=(*m.failures, *failures),
+    )
