@@ -1,8 +1,9 @@
 """The chain of masses, springs, dampers, noises and contacts of Eq. (1)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +13,7 @@ from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput
 
 Array = NDArray[np.float64]
+Fact = TypeVar("Fact")
 
 SEMIDEFINITE_SLACK = 1e-12
 """An eigenvalue above minus this share of the largest one counts as not negative (round-off of
@@ -65,6 +67,7 @@ class System:
     damping_terms: tuple[DampingTerm, ...] = ()
     noise_matrix: Array = field(init=False)
     stiffness_matrix: Array = field(init=False)
+    _facts: dict[Callable[..., Any], Any] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the fields, bring them to matrix form and derive f D fᵀ and K."""
@@ -130,6 +133,32 @@ class System:
     def contact_masses(self) -> tuple[int, ...]:
         """The masses that can touch something, counted from 0, ascending."""
         return tuple(sorted({contact.index for contact in self.contacts}))
+
+    @cached_property
+    def compliance(self) -> Array:
+        """Inverse (n, n) of the stiffness matrix of the chain: Σ 1/k_l over l <= min(i, j).
+
+        Mass i and mass j share the springs from the wall to the nearer of the two; nothing cancels,
+        so that every entry has full relative accuracy for any ratio of the springs.
+        """
+        reach = np.cumsum(1.0 / self.stiffness)
+        matrix: Array = np.minimum.outer(reach, reach)
+        matrix.setflags(write=False)
+        return matrix
+
+    def fact(self, compute: Callable[["System"], Fact]) -> Fact:
+        """Return ``compute(self)``: computed when first asked for, then held by the system.
+
+        For what follows from the system alone and costs something; ``compute`` is a function of a
+        module, which serves as the key. What is raised is not kept.
+        """
+        if compute not in self._facts:
+            self._facts[compute] = compute(self)
+        return cast("Fact", self._facts[compute])
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state to pickle, without the facts: they are computed again."""
+        return {**self.__dict__, "_facts": {}}
 
     def arrays(self) -> SystemArrays:
         """Return the arrays for compiled code: the only bridge into it."""

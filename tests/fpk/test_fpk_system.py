@@ -1,5 +1,7 @@
 """The system of Eq. (1): matrices, Hamiltonian (5), (21), the plain arrays, effects, refusals."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -239,3 +241,19 @@ def test_an_undamped_mode_is_refused():
             stationary_covariance(undamped)
     # One damper reaches both modes of the chain through the springs.
     assert decay_time(system(damping=[0.1, 0.0])) < 1e4
+
+
+def test_compliance_is_the_inverse_of_the_stiffness_matrix():
+    one = System([1.0] * 4, [1.0, 1e6, 3.0, 2e-3], [0.1] * 4, [0.1] * 4)
+    np.testing.assert_allclose(one.compliance @ one.stiffness_matrix, np.eye(4), atol=1e-8)
+
+
+def test_a_fact_is_computed_once_and_not_pickled():
+    one, asked = system(), []
+
+    def fact(of):
+        asked.append(of)
+        return len(asked)
+
+    assert one.fact(fact) == one.fact(fact) == 1 and asked == [one]
+    assert pickle.loads(pickle.dumps(one)).n == one.n
