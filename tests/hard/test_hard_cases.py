@@ -1,76 +1,77 @@
-"""Hard cases: the quick ones as ``fpk verify --hard`` runs them, and that the checks can fail."""
+"""Hard cases: everything stays right where the scene is at its worst; and the checks can fail."""
 
 from dataclasses import replace
 
+import hard_battery
+import hard_meshes
+import hard_scenes
+import hard_simulations
 import numpy as np
 import pytest
+from hard_case import Check, HardCase
+from hard_plain import plain_elements
+from hard_units import in_units, mirrored
+from page import page_text
 
 from averaging.energy_process import energy_process
 from cases.scene import load_scene
-from cases.stability import battery, lines, motion, noiseless
-from cases.stability.case import Check, HardCase
-from cases.stability.plain import plain_elements
-from cases.stability.run import GROUPS, hard_cases, hard_line, hard_record, hard_table
-from cases.stability.scenes import curve_case, hard_scenes
-from cases.summary import plain
 from fpk.system import System
-from fpk.units import in_units, mirrored
-
-QUICK = [
-    "bistable",
-    "chain-10",
-    "clearances",
-    "damping-range",
-    "near-resonance",
-    "never-reached",
-    "noise-range",
-    "one-mass",
-    "silent-mode",
-    "spread-scales",
-    "stiff-stops",
-    "unequal-sides",
-    "vanishing-damping",
-]
-CASES = [(scene, curve) for s in QUICK for scene in [load_scene(s)] for curve in scene.curves]
 
 
-@pytest.mark.parametrize(("scene", "curve"), CASES, ids=[f"{s.name} {c.label}" for s, c in CASES])
-def test_hard_scene_holds(scene, curve):
-    case = curve_case(scene, curve)
+def tiered(cases, slow, names):
+    """The cases as parameters, those in ``slow`` marked so."""
+    marks = {True: [pytest.mark.slow], False: []}
+    pairs = zip(cases, names, strict=True)
+    return [pytest.param(case, marks=marks[case in slow], id=name) for case, name in pairs]
+
+
+SCENES = tiered(
+    hard_scenes.CURVES,
+    [c for c in hard_scenes.CURVES if c[0].name in hard_scenes.SLOW_SCENES],
+    [f"{scene.name} {curve.label}" for scene, curve in hard_scenes.CURVES],
+)
+
+
+@pytest.mark.parametrize("of", SCENES)
+def test_hard_scene_holds(of):
+    case = hard_scenes.curve_case(*of)
     assert not case.failures
     assert len(case.checks) >= 8
 
 
 def test_every_hard_scene_says_why():
-    scenes = hard_scenes()
+    scenes = hard_scenes.hard_scenes()
     assert len(scenes) == 17
     assert all(s.source.startswith("Hard: ") for s in scenes)
 
 
 @pytest.mark.parametrize(
-    "case", [lines.rigid_limit, lines.degrees, lines.gradings, lines.short_end, lines.far_end]
+    "case",
+    tiered(hard_meshes.CASES, hard_meshes.SLOW, [case.__name__ for case in hard_meshes.CASES]),
 )
 def test_hard_meshes_and_limits_hold(case):
     assert not case().failures
 
 
-@pytest.mark.parametrize(
-    "case", [noiseless.no_noise, motion.one_trajectory, motion.too_long_a_step]
-)
+@pytest.mark.parametrize("case", hard_simulations.QUICK)
 def test_hard_simulations_hold(case):
     assert not case().failures
 
 
 @pytest.mark.slow
-def test_every_hard_case_holds():
-    found = list(hard_cases())
-    assert len(found) > 40
-    assert [f for c in found for f in c.failures] == []
+@pytest.mark.parametrize("case", hard_simulations.SLOW)
+def test_long_hard_simulations_hold(case):
+    assert not case().failures
+
+
+def test_there_are_many():
+    modules = (hard_scenes, hard_meshes, hard_simulations)
+    assert sum(len(module.CASES) for module in modules) > 40
 
 
 def test_a_wrong_density_is_noticed(monkeypatch):
     system = load_scene("stiff-stops").system
-    right = battery.energy_density
+    right = hard_battery.energy_density
 
     def wrong(system, solver, observable="H", **settings):
         found = right(system, solver, observable, **settings)
@@ -78,18 +79,18 @@ def test_a_wrong_density_is_noticed(monkeypatch):
             return found
         return replace(found, pdf=lambda H: 1.001 * found.pdf(H))
 
-    monkeypatch.setattr(battery, "energy_density", wrong)
-    checks, _, _ = battery.solver_checks(system, battery.TOL)
+    monkeypatch.setattr(hard_battery, "energy_density", wrong)
+    checks, _, _ = hard_battery.solver_checks(system, hard_battery.TOL)
     failing = [c.what for c in checks if not c.holds]
     assert failing == ["finite elements: true error within the stated one"]
 
 
 def test_an_error_that_does_not_fall_is_noticed(monkeypatch):
     system = load_scene("one-mass").system
-    closed = battery.energy_density(system, "closed-form")
+    closed = hard_battery.energy_density(system, "closed-form")
     shifted = replace(closed, pdf=lambda H: closed.pdf(H * 1.001))
-    assert battery.refinement_check(system, closed).holds
-    assert not battery.refinement_check(system, shifted).holds
+    assert hard_battery.refinement_check(system, closed).holds
+    assert not hard_battery.refinement_check(system, shifted).holds
 
 
 def test_units_are_those_of_the_equation_of_motion():
@@ -121,18 +122,15 @@ def test_the_mirror_swaps_the_sides():
 
 def test_plain_elements_solve_an_easy_case():
     system = System([1.0, 1.0], [1.0, 1.0], [0.08, 0.16], [0.01, 0.02])
-    closed = battery.energy_density(system, "closed-form")
+    closed = hard_battery.energy_density(system, "closed-form")
     error, minimum = plain_elements(energy_process(system), closed)
     # Cells of 0.02 energy scales: third order, (0.02)³ and a factor below one.
     assert error < 8e-6
     assert minimum > -1e-6
 
 
-def test_table_and_record_tell_what_fails():
-    case = HardCase("a | b", "why", "plain", "ours", "certified", (Check("x", False, "2"),), 0.1)
-    assert "1 FAIL" in hard_line(case)
-    assert "a \\| b" in hard_table([case])
-    record = hard_record([case])
-    assert record["holds"] is False
-    assert record["cases"][0]["failures"] == plain(["x: 2"])
-    assert len(GROUPS) == 3
+def test_the_page_shows_what_fails():
+    case = HardCase("a | b", "why", "plain", "ours", "certified", (Check("x", False, "2"),))
+    assert case.failures == ("x: 2",)
+    text = page_text([case])
+    assert "a \\| b" in text and "0 of 1 hold" in text

@@ -1,22 +1,20 @@
 """Hard cases of the simulation: stiff stops, steps, few and many trajectories, nothing lost."""
 
-from collections.abc import Iterator
 from dataclasses import replace
-from time import perf_counter
+from functools import partial
 
 import numpy as np
+from hard_case import Check, HardCase
+from hard_noiseless import no_noise, nothing_lost
+from hard_plain import plain_euler
+from hard_systems import with_stops
 from numpy.typing import NDArray
 
 from averaging.exact import Exact
 from cases.compare import compared
 from cases.scene import load_scene
-from cases.stability.case import Check, HardCase
-from cases.stability.noiseless import no_noise, nothing_lost
-from cases.stability.plain import plain_euler
-from cases.stability.systems import with_stops
 from fpk.density import Density, SampledDensity
 from fpk.errors import InvalidInput
-from fpk.method import Progress
 from fpk.observable import parse_observable
 from fpk.system import System
 from sim.ensemble import Ensemble
@@ -31,24 +29,6 @@ SHORT = MonteCarlo(paths=4096, relaxations=10.0, burn_in=5.0)
 Array = NDArray[np.float64]
 
 EULER_STEP, EULER_TIME, EULER_PATHS = 0.01, 50.0, 1000
-
-
-def motion_cases(progress: Progress) -> Iterator[HardCase]:
-    """Run the cases one after the other."""
-    cases = [
-        *((lambda B=B: stiff(B)) for B in (1e3, 1e5, 1e7)),
-        *((lambda seed=seed: seeded(seed)) for seed in (0, 2**63)),
-        two_humps,
-        too_long_a_step,
-        no_noise,
-        nothing_lost,
-        one_trajectory,
-        many_trajectories,
-        never_visited,
-    ]
-    for k, case in enumerate(cases, start=1):
-        progress(k, len(cases), "hard simulations")
-        yield case()
 
 
 def against_exact(system: System, method: MonteCarlo) -> tuple[list[Check], SampledDensity]:
@@ -93,7 +73,7 @@ def beyond_clearance(system: System, density: Density | SampledDensity) -> float
 
 def stiff(stiffness: float) -> HardCase:
     """A stiff stop, simulated with the step that the program chooses."""
-    start, system = perf_counter(), with_stops(stiffness)
+    system = with_stops(stiffness)
     checks, found = against_exact(system, SHORT)
     lost, state = plain_euler(system, dt=EULER_STEP, time=EULER_TIME, paths=EULER_PATHS)
     outside = float(np.mean(np.abs(state[:, 1]) > system.contacts[0].clearance))
@@ -105,13 +85,12 @@ def stiff(stiffness: float) -> HardCase:
         ours=checks[1].measured + "; in contact " + checks[2].measured,
         certificate="certified" if found.certificate.certified else checks[0].measured,
         checks=tuple(checks),
-        seconds=perf_counter() - start,
     )
 
 
 def seeded(seed: int) -> HardCase:
     """A seed at the end of its range, or 0."""
-    start, system = perf_counter(), with_stops(10.0)
+    system = with_stops(10.0)
     checks, found = against_exact(system, replace(SHORT, seed=seed))
     return HardCase(
         name=f"seed {seed}",
@@ -120,13 +99,12 @@ def seeded(seed: int) -> HardCase:
         ours=checks[1].measured,
         certificate="certified" if found.certificate.certified else checks[0].measured,
         checks=tuple(checks),
-        seconds=perf_counter() - start,
     )
 
 
 def two_humps() -> HardCase:
     """Two humps of the energy with rare passages: right, or said not to be."""
-    start, scene = perf_counter(), load_scene("bistable")
+    scene = load_scene("bistable")
     (_, exact), found = against_exact(scene.system, SHORT)
     words = "; ".join(found.certificate.failures)
     told = exact.holds or bool(words)
@@ -137,13 +115,12 @@ def two_humps() -> HardCase:
         ours=exact.measured,
         certificate=words or "certified",
         checks=(Check("the exact p(q2), or not certified", told, exact.measured),),
-        seconds=perf_counter() - start,
     )
 
 
 def too_long_a_step() -> HardCase:
     """A step beyond the stability limit: refused, or marked where the user insists."""
-    start, system = perf_counter(), with_stops(1e5)
+    system = with_stops(1e5)
     try:
         replace(SHORT, dt=0.5).solve(system, [])
         refusal = "taken"
@@ -163,13 +140,12 @@ def too_long_a_step() -> HardCase:
             Check("refused with the limit", "stability limit" in refusal, refusal),
             Check("marked where insisted on", "stability limit" in words, words),
         ),
-        seconds=perf_counter() - start,
     )
 
 
 def one_trajectory() -> HardCase:
     """A single trajectory has no independent batches to take an error from."""
-    start, words = perf_counter(), "taken"
+    words = "taken"
     try:
         replace(SHORT, paths=1)
     except InvalidInput as error:
@@ -181,13 +157,12 @@ def one_trajectory() -> HardCase:
         ours="refused",
         certificate=words,
         checks=(Check("refused with what to use", "use 4096" in words, words),),
-        seconds=perf_counter() - start,
     )
 
 
 def many_trajectories() -> HardCase:
     """Ten million trajectories, a few steps each."""
-    start, paths = perf_counter(), 10_000_000
+    paths = 10_000_000
     system = with_stops(10.0)
     ensemble = Ensemble(system, SCHEMES["exact_flow"], chosen_step(system), paths, 1, 2)
     ensemble.advance(20)
@@ -205,13 +180,12 @@ def many_trajectories() -> HardCase:
             Check("below 2 GB", gigabytes < 2.0, f"{gigabytes:.2f} GB"),
             Check("finite, none lost", ensemble.lost() == 0, f"{ensemble.lost()} lost"),
         ),
-        seconds=perf_counter() - start,
     )
 
 
 def never_visited() -> HardCase:
     """A density asked for where no sample ever came."""
-    start, system = perf_counter(), with_stops(10.0)
+    system = with_stops(10.0)
     found = SHORT.solve(system, [parse_observable("q2", system.n)]).densities[0]
     assert isinstance(found, SampledDensity)
     density, error = found.at(np.array([50.0]))
@@ -222,5 +196,16 @@ def never_visited() -> HardCase:
         ours=f"{density[0]:.0f} ± {error[0]:.1e}",
         certificate="; ".join(found.certificate.failures) or "certified",
         checks=(Check("an error is stated", bool(error[0] > 0.0), f"{error[0]:.1e}"),),
-        seconds=perf_counter() - start,
     )
+
+
+QUICK = (no_noise, one_trajectory, too_long_a_step)
+SLOW = (
+    *(partial(stiff, B) for B in (1e3, 1e5, 1e7)),
+    *(partial(seeded, seed) for seed in (0, 2**63)),
+    two_humps,
+    nothing_lost,
+    many_trajectories,
+    never_visited,
+)
+CASES = (*SLOW, *QUICK)

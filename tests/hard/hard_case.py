@@ -1,9 +1,6 @@
-"""The record of one hard case, and the registry of the groups in which they are run."""
+"""The record of one hard case: what makes it hard, what was measured, what must hold."""
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-
-from fpk.method import Progress
 
 
 @dataclass(frozen=True)
@@ -17,10 +14,10 @@ class Check:
 
 @dataclass(frozen=True)
 class HardCase:
-    """What came of one hard case.
+    """The outcome of one hard case; it passes if all ``checks`` hold.
 
     ``hard`` says what makes it so, ``plain`` what a plain method gave when it was run, ``ours``
-    what this program gave, ``certificate`` what it says of that. It passes if all ``checks`` hold.
+    what this program gave, ``certificate`` what it says of that.
     """
 
     name: str
@@ -29,13 +26,8 @@ class HardCase:
     ours: str
     certificate: str
     checks: tuple[Check, ...]
-    seconds: float
 
     @property
     def failures(self) -> tuple[str, ...]:
         """The checks that do not hold, in words."""
         return tuple(f"{c.what}: {c.measured}" for c in self.checks if not c.holds)
-
-
-Group = Callable[[Progress], Iterator[HardCase]]
-"""Runs some cases one after the other."""
