@@ -43,4 +43,3 @@ def verify(
     else:
         typer.echo(verify_table(found))
     end_with([f"{v.scene}: {problem}" for v in found for problem in v.problems])
-
