@@ -19,7 +19,7 @@ def main() -> None:
     parts = [
         "# What accuracy costs\n\nWritten by `benchmarks/cost_page.py`: the pages of `fpk cost`.\n"
     ]
-    command = "from cases.cli import main; main()"
+    command = "from cases.commands.cli import main; main()"
     for scene in SCENES:
         with TemporaryDirectory() as folder:
             arguments = [sys.executable, "-c", command, "cost", scene, "--out", folder]

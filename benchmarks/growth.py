@@ -20,12 +20,12 @@ from report import machine, markdown_table
 
 from averaging.energy_process import energy_balance, energy_process
 from averaging.shell.ratios import energy_shell
-from cases.scene import load_scene
-from cases.study.answer import errors
-from cases.study.converge_output import rates
-from cases.study.equations import energy_equation, modal_equation
-from cases.study.ladders import degree_ladder
-from cases.study.timing import timed_first, timing
+from cases.scene.scene import load_scene
+from cases.studies.answer import errors
+from cases.studies.converge_output import rates
+from cases.studies.equations import energy_equation, modal_equation
+from cases.studies.ladders import degree_ladder
+from cases.studies.timing import timed_first, timing
 from fpk.contact import Contact
 from fpk.process import DiffusionProcess
 from fpk.system import System

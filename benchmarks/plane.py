@@ -22,7 +22,7 @@ from report import machine, markdown_table
 
 from averaging.modal.analysis import modal_analysis
 from averaging.modal.process import modal_process, modes_process
-from cases.scene import load_scene
+from cases.scene.scene import load_scene
 from fpk.plane.expansion import Expansion
 from fpk.plane.stationary import PlaneSolution, solve_plane
 from fpk.quadrature import panel_rule

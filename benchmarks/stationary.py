@@ -25,7 +25,7 @@ from report import machine, markdown_table
 from averaging.energy_density import averaged_closed_form
 from averaging.energy_process import energy_process
 from averaging.quadrature import solve_by_quadrature
-from cases.scene import load_scene
+from cases.scene.scene import load_scene
 from fpk.line.stationary import solve_stationary
 from fpk.quadrature import panel_rule
 from fpk.system import System

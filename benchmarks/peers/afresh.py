@@ -3,7 +3,7 @@
 from dataclasses import replace
 from functools import lru_cache
 
-from cases.scene import load_scene
+from cases.scene.scene import load_scene
 from fpk.system import System
 
 

@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from cases.cli import main
+from cases.commands.cli import main
 
 SCENE = """\
 title = "A scene"

@@ -5,7 +5,7 @@ from functools import cache
 
 from hypothesis import strategies as st
 
-from cases.scene import shipped_scenes
+from cases.scene.scene import shipped_scenes
 
 NONSENSE = [
     "nan", "-inf", "inf", "1e400", "-1e308", "5e-324", "-0.0", "9" * 400, "-" + "9" * 400,

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from cases.errors import LONGEST, BadInput
-from cases.scene import load_scene
+from cases.scene.errors import LONGEST, BadInput
+from cases.scene.scene import load_scene
 
 TERM = "[[damping_term]]\nj = 1\ncoefficient = 0.1\n"
 BAD = [  # what is replaced, by what, and what the line must say
@@ -224,6 +224,12 @@ def test_an_option_without_sense_is_one_line(option, text, fpk):
 def test_no_traceback_in_a_process_of_its_own(tmp_path):
     path = tmp_path / "bad.toml"
     path.write_text("[system]\nmass = 1\n")
-    command = [sys.executable, "-c", "from cases.cli import main; main()", "show", str(path)]
+    command = [
+        sys.executable,
+        "-c",
+        "from cases.commands.cli import main; main()",
+        "show",
+        str(path),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2 and done.stdout == "" and done.stderr.count("\n") == 1

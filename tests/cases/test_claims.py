@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from cases.claims import ACCEPTABLE_L1, findings, shape_of
-from cases.expect import Expect, Range
-from cases.regime import Regime
-from cases.scene import load_scene, shipped_scenes
+from cases.comparison.claims import ACCEPTABLE_L1, findings, shape_of
+from cases.comparison.regime import Regime
+from cases.scene.expect import Expect, Range
+from cases.scene.scene import load_scene, shipped_scenes
 from fpk.certificate import Certificate
 from fpk.clearance import StopClearance
 from fpk.density import Density, SampledDensity

@@ -12,9 +12,9 @@ pytest.importorskip("averaging.exact")
 pytest.importorskip("averaging.nonintegrable")
 pytest.importorskip("sim.montecarlo")
 
-from cases.routes import ROUTES, SIMULATION, Request, all_methods, method_for
-from cases.run import run_scene
-from cases.scene import load_scene, shipped_scenes
+from cases.comparison.routes import ROUTES, SIMULATION, Request, all_methods, method_for
+from cases.comparison.run import run_scene
+from cases.scene.scene import load_scene, shipped_scenes
 
 RUN = {"scene", "effects", "regime", "methods", "comparisons", "identities", "seconds"}
 COMPARISON = {"observable", "a", "b", "measures", "L1", "band", "holds"}
@@ -130,7 +130,7 @@ def test_run_judges_and_reports(fpk, tmp_path):
 
 
 def test_a_scene_is_text_in_the_report(tmp_path, scene_text):
-    from cases.report import report_html  # noqa: PLC0415
+    from cases.output.report import report_html  # noqa: PLC0415
 
     path = tmp_path / "evil.toml"
     path.write_text(scene_text.replace('"A scene"', '"<script>alert(1)</script>"'))
@@ -169,8 +169,9 @@ def test_the_tolerance_reaches_solvers_and_not_the_simulation():
 
 def test_help_needs_nothing_heavy():
     code = (
-        "import sys, cases.cli; heavy = {'numpy', 'scipy', 'matplotlib', 'xarray', 'numba',"
-        " 'pydantic', 'skfem'} & sys.modules.keys(); sys.exit(str(sorted(heavy)) if heavy else 0)"
+        "import sys, cases.commands.cli; heavy = {'numpy', 'scipy', 'matplotlib', 'xarray',"
+        " 'numba', 'pydantic', 'skfem'} & sys.modules.keys();"
+        " sys.exit(str(sorted(heavy)) if heavy else 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-import cases.routes  # noqa: F401  (registers the routes)
-from cases.compare import chance_l1, compared, what_is_measured
+import cases.comparison.routes  # noqa: F401  (registers the routes)
+from cases.comparison.compare import chance_l1, compared, what_is_measured
 from fpk.certificate import Certificate
 from fpk.density import Density, SampledDensity, l1_distance
 from fpk.method import Result

@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cases.errors import BadInput
-from cases.scene import load_scene
-from cases.study.answer import FUNCTIONALS, NORMS, errors
-from cases.study.converge import chosen_routes
-from cases.study.deterministic import candidates
-from cases.study.equations import energy_equation, modal_equation
-from cases.study.ladders import H_LEVELS, P_DEGREES, ROUND_OFF, degree_ladder, h_meshes, ladders
-from cases.study.names import BY_TOL, BY_TOL_WORDS, EXPLAINED
-from cases.study.weak import known_square, sample_slope, weak_order
-from cases.study.weak_fit import ORDER_ERROR, StepLevel, judged, wanted_error
+from cases.scene.errors import BadInput
+from cases.scene.scene import load_scene
+from cases.studies.answer import FUNCTIONALS, NORMS, errors
+from cases.studies.converge import chosen_routes
+from cases.studies.deterministic import candidates
+from cases.studies.equations import energy_equation, modal_equation
+from cases.studies.ladders import H_LEVELS, P_DEGREES, ROUND_OFF, degree_ladder, h_meshes, ladders
+from cases.studies.names import BY_TOL, BY_TOL_WORDS, EXPLAINED
+from cases.studies.weak import known_square, sample_slope, weak_order
+from cases.studies.weak_fit import ORDER_ERROR, StepLevel, judged, wanted_error
 from fpk.orders import NEAR, convergence, grid_convergence, observed_orders
 
 SIZES = 2.0 ** -np.arange(6.0)

@@ -9,19 +9,19 @@ import pytest
 from averaging.energy_density import averaged_closed_form
 from averaging.energy_process import energy_process
 from averaging.nonintegrable import NonIntegrable
-from cases.scene import load_scene
-from cases.study.answer import Answer, errors
-from cases.study.cost import CostStudy, study_cost
-from cases.study.cost_output import cost_tables, told_seconds, write_cost
-from cases.study.deterministic import Candidate, candidates, priced
-from cases.study.equations import energy_equation
-from cases.study.full_system import full_reference
-from cases.study.labels import decades
-from cases.study.names import BY_TOL, QUADRATURE
-from cases.study.priced import NotTimed, Point, Priced, crossovers, price_list, promised_list
-from cases.study.sampled import full_routes
-from cases.study.sampling_law import FULL, Law
-from cases.study.timing import Timing
+from cases.scene.scene import load_scene
+from cases.studies.answer import Answer, errors
+from cases.studies.cost import CostStudy, study_cost
+from cases.studies.cost_output import cost_tables, told_seconds, write_cost
+from cases.studies.deterministic import Candidate, candidates, priced
+from cases.studies.equations import energy_equation
+from cases.studies.full_system import full_reference
+from cases.studies.labels import decades
+from cases.studies.names import BY_TOL, QUADRATURE
+from cases.studies.priced import NotTimed, Point, Priced, crossovers, price_list, promised_list
+from cases.studies.sampled import full_routes
+from cases.studies.sampling_law import FULL, Law
+from cases.studies.timing import Timing
 from fpk.density import Density, l1_distance
 from fpk.observable import parse_observable
 
@@ -97,7 +97,7 @@ def test_json_says_null_where_a_route_states_an_infinite_error(fpk, monkeypatch)
         routes=(Priced("r", "e", "axis", (endless,)),),
         not_timed=(NotTimed("w", "e", "4", float("nan"), float("inf"), "no finite error"),),
     )
-    monkeypatch.setattr("cases.study.cost.study_cost", lambda *a, **k: found)
+    monkeypatch.setattr("cases.studies.cost.study_cost", lambda *a, **k: found)
     status, out, _ = fpk("cost", "fig6b", "--json")
     record = json.loads(out)
     assert status == 0 and record["routes"][0]["points"][0]["stated"] is None
@@ -105,7 +105,7 @@ def test_json_says_null_where_a_route_states_an_infinite_error(fpk, monkeypatch)
 
 
 def test_both_studies_say_where_files_are_written_and_print_one_object(fpk, tmp_path, monkeypatch):
-    monkeypatch.setattr("cases.study.cost.study_cost", lambda *a, **k: EMPTY)
+    monkeypatch.setattr("cases.studies.cost.study_cost", lambda *a, **k: EMPTY)
     status, out, err = fpk("cost", "fig6b", "--out", tmp_path)
     assert status == 0 and out.count("wrote ") == 3 and not err
     status, out, err = fpk("cost", "fig6b", "--json", "--out", tmp_path)

@@ -11,19 +11,19 @@ from functools import partial
 import numpy as np
 import pytest
 
-from cases.errors import BadInput
-from cases.fields import csv_text, write_netcdf
-from cases.files import make_folder, write_by, write_text
-from cases.regime_map.build import RegimeMap
-from cases.regime_map.grid import Axis
-from cases.regime_map.output import write_map
-from cases.regime_map.points import MapPoint
-from cases.report import write_report
-from cases.routes import Request, method_for
-from cases.run import run_scene
-from cases.scene import load_scene
-from cases.svg import svg_text
-from cases.vtk import write_pvd, write_vtu
+from cases.comparison.routes import Request, method_for
+from cases.comparison.run import run_scene
+from cases.output.fields import csv_text, write_netcdf
+from cases.output.files import make_folder, write_by, write_text
+from cases.output.report import write_report
+from cases.output.svg import svg_text
+from cases.output.vtk import write_pvd, write_vtu
+from cases.scene.errors import BadInput
+from cases.scene.scene import load_scene
+from cases.studies.regime_map.build import RegimeMap
+from cases.studies.regime_map.grid import Axis
+from cases.studies.regime_map.output import write_map
+from cases.studies.regime_map.points import MapPoint
 
 resource = pytest.importorskip("resource", reason="limits of a process are Unix's")
 
@@ -111,7 +111,7 @@ def test_a_failing_write_keeps_what_was_there(tmp_path):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from cases.files import write_by
+from cases.output.files import write_by
 
 def half(temporary):
     with temporary.open("w") as stream:

@@ -9,11 +9,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scenes_drawn import mutated_scenes, valid_scenes
 
-from cases.errors import LONGEST, BadInput
-from cases.routes import Request, method_for
-from cases.run import run_scene
-from cases.scene import load_scene
-from cases.show import show_record, show_text
+from cases.comparison.routes import Request, method_for
+from cases.comparison.run import run_scene
+from cases.output.show import show_record, show_text
+from cases.scene.errors import LONGEST, BadInput
+from cases.scene.scene import load_scene
 
 REFUSAL = re.compile(r".*/any\.toml: \S.*[:;] .*\S")
 """File, what is wrong, and after a colon or semicolon what to do."""

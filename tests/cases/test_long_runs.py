@@ -24,7 +24,7 @@ def begun(folder):
 def test_control_c_leaves_a_partial_result_and_exit_1(tmp_path):
     command = ["density", *DENSITY, "--seconds", "400", "--checkpoint", str(tmp_path)]
     process = subprocess.Popen(
-        [sys.executable, "-c", "from cases.cli import main; main()", *command],
+        [sys.executable, "-c", "from cases.commands.cli import main; main()", *command],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     while process.poll() is None and not begun(tmp_path):

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from cases.errors import BadInput
-from cases.regime_map.points import MapPoint
-from cases.regime_map.store import NAME, PointStore
+from cases.scene.errors import BadInput
+from cases.studies.regime_map.points import MapPoint
+from cases.studies.regime_map.store import NAME, PointStore
 
 IDENTITY = {"scene": "a\u2028b\u0085c\n", "observable": "q2", "version": "1"}
 """Characters at which a scene's line does not end, though ``splitlines`` thinks so."""

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from cases.figures import figures
-from cases.routes import Request, Sampling, method_for
-from cases.run import run_scene
-from cases.scene import load_scene
-from cases.svg import svg_text
+from cases.comparison.routes import Request, Sampling, method_for
+from cases.comparison.run import run_scene
+from cases.output.figures import figures
+from cases.output.svg import svg_text
+from cases.scene.scene import load_scene
 from fpk.observable import parse_observable
 
 

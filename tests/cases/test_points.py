@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cases.errors import BadInput
-from cases.points import parse_points
+from cases.scene.errors import BadInput
+from cases.scene.points import parse_points
 
 
 def test_ranges_reach_their_end_and_hit_what_was_written():

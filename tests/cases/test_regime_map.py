@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from cases.errors import BadInput
-from cases.regime_map.build import build_map
-from cases.regime_map.grid import parse_axes
-from cases.regime_map.points import winner_of
-from cases.routes import Sampling
-from cases.scene import load_scene
+from cases.comparison.routes import Sampling
+from cases.scene.errors import BadInput
+from cases.scene.scene import load_scene
+from cases.studies.regime_map.build import build_map
+from cases.studies.regime_map.grid import parse_axes
+from cases.studies.regime_map.points import winner_of
 
 GRID = ["--vary", "contact.stiffness=0.01:100:log2", "--vary", "contact.clearance=0.5:2:2"]
 QUICK = ["--paths", 4096, "--time", 30, "--seed", 3]

@@ -6,7 +6,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import proj3d
 
-from cases.pictures.rendered import PIXELS, can_render, lay_rendered
+from cases.output.pictures.rendered import PIXELS, can_render, lay_rendered
 
 pytestmark = pytest.mark.skipif(not can_render(), reason="the extra viz is not installed")
 

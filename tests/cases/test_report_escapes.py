@@ -8,10 +8,10 @@ from xml.etree import ElementTree
 
 import pytest
 
-from cases.report import report_html, write_report
-from cases.routes import Request, method_for
-from cases.run import run_scene
-from cases.scene import load_scene
+from cases.comparison.routes import Request, method_for
+from cases.comparison.run import run_scene
+from cases.output.report import report_html, write_report
+from cases.scene.scene import load_scene
 
 PAYLOADS = [
     "<script>document.title='pwned'</script>",

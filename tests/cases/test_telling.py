@@ -1,8 +1,8 @@
 """What a reader is told: averaging rows once for each pair of theories, reasons joined."""
 
-from cases.compare import Comparison
-from cases.run import Refusal
-from cases.telling import told_comparisons, told_refusals
+from cases.comparison.compare import Comparison
+from cases.comparison.run import Refusal
+from cases.output.telling import told_comparisons, told_refusals
 
 
 def row(a: str, b: str, measures: str = "averaging") -> Comparison:

@@ -4,8 +4,8 @@ import pytest
 
 from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
-from cases.compare import distance_between
-from cases.scene import load_scene
+from cases.comparison.compare import distance_between
+from cases.scene.scene import load_scene
 from fpk.observable import parse_observable
 from sim.montecarlo import MonteCarlo
 

@@ -7,8 +7,8 @@ import pytest
 
 from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
-from cases.scene import load_scene
-from cases.vtk import SUBDIVISION, field_of
+from cases.output.vtk import SUBDIVISION, field_of
+from cases.scene.scene import load_scene
 from fpk.certificate import Certificate
 from fpk.density import Density
 from fpk.observable import parse_observable

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 
 from averaging.energy_process import energy_process
-from cases.scene import load_scene
+from cases.scene.scene import load_scene
 from fpk.density import Density
 from fpk.line.stationary import StationarySolution, solve_on_mesh, solve_stationary
 from fpk.process import DiffusionProcess

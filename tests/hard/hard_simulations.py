@@ -11,8 +11,8 @@ from hard_systems import with_stops
 from numpy.typing import NDArray
 
 from averaging.exact import Exact
-from cases.compare import compared
-from cases.scene import load_scene
+from cases.comparison.compare import compared
+from cases.scene.scene import load_scene
 from fpk.density import Density, SampledDensity
 from fpk.errors import InvalidInput
 from fpk.observable import parse_observable

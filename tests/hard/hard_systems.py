@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from cases.scene import load_scene
+from cases.scene.scene import load_scene
 from fpk.system import System
 
 

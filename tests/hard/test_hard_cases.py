@@ -14,7 +14,7 @@ from hard_units import in_units, mirrored
 from page import page_text
 
 from averaging.energy_process import energy_process
-from cases.scene import load_scene
+from cases.scene.scene import load_scene
 from fpk.system import System
 
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, ncx2
 
-from cases.averaged import AveragedSimulation
-from cases.compare import chance_l1, compared
-from cases.routes import Request, method_for
-from cases.scene import load_scene
+from cases.comparison.averaged import AveragedSimulation
+from cases.comparison.compare import chance_l1, compared
+from cases.comparison.routes import Request, method_for
+from cases.scene.scene import load_scene
 from fpk.certificate import Certificate
 from fpk.density import Density, l1_distance
 from fpk.errors import InvalidInput, NotApplicable

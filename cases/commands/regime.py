@@ -1,0 +1,71 @@
+"""The command ``fpk regime``: which theory holds where, over a grid of parameters."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cases.commands.parts import (
+    Cluster,
+    Json,
+    SceneName,
+    Seed,
+    Threads,
+    check_cluster,
+    end_with,
+    print_json,
+)
+
+
+def regime(
+    scene: SceneName,
+    vary: Annotated[
+        list[str],
+        typer.Option(metavar="KEY=LOW:HIGH:COUNT", help="Once or twice; logCOUNT: equal ratios."),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for picture, table, netCDF; a map goes on there.")
+    ] = None,
+    seed: Seed = None,
+    threads: Threads = None,
+    paths: Annotated[int | None, typer.Option(help="Paths of the simulation.")] = None,
+    time: Annotated[float | None, typer.Option(help="Sampled time a path.")] = None,
+    cluster: Cluster = None,
+    checkpoint: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for finished points, if not --out.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Map the distance of each theory to the full system over one or two parameters."""
+    from cases.output.files import make_folder
+    from cases.scene.scene import load_scene
+
+    loaded = load_scene(scene)
+    from cases.studies.regime_map.grid import parse_axes
+
+    axes = parse_axes(vary, loaded.system)
+    for folder in (out, checkpoint):
+        if folder is not None:
+            make_folder(folder)
+    check_cluster(cluster)
+    from cases.comparison.routes import Request, Sampling, method_for
+    from cases.output.terminal import progress_bar
+    from cases.studies.regime_map.build import build_map
+    from cases.studies.regime_map.output import map_markdown, map_summary, write_map
+
+    sampling = Sampling(seed, threads, paths, time, cluster=cluster)
+    method_for(Request("montecarlo", sampling=sampling))  # refuses what it cannot use
+    with progress_bar() as progress:
+        found = build_map(
+            loaded, axes, sampling=sampling, folder=checkpoint or out, progress=progress
+        )
+    if found.note is not None:
+        typer.echo(f"fpk: note: {found.note}", err=True)
+    written = [] if out is None else write_map(found, out)
+    if as_json:
+        print_json(found.record())
+    else:
+        typer.echo(map_markdown(found) if out is None else map_summary(found))
+        for path in written:
+            typer.echo(f"wrote {path}")
+    end_with(found.problems)

@@ -1,0 +1,1 @@
+"""Routes, the run of a scene, comparisons and claims."""

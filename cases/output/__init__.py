@@ -1,0 +1,1 @@
+"""What is written of an outcome: text, pages, tables, pictures, fields."""

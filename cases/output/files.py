@@ -1,0 +1,61 @@
+"""Files appear under their names whole or not at all."""
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import mkdtemp
+
+from cases.scene.errors import BadInput
+
+REMEDY = "what was there is kept; make room or give another --out"
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write ``text`` in UTF-8 to ``path``, replacing what was there in one step."""
+    write_by(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def write_by(path: Path, write: Callable[[Path], object]) -> None:
+    """Let ``write`` fill a temporary file beside ``path``, then move it there in one step.
+
+    Raises ``BadInput`` with one line when the folder or the disk does not allow it; what was at
+    ``path`` is kept then.
+    """
+    with _readable_errors(path), _folder_beside(path) as folder:
+        temporary = folder / path.name
+        write(temporary)
+        os.replace(temporary, path)
+
+
+def make_folder(path: Path) -> Path:
+    """Return the folder at ``path``, made where it is missing; ``BadInput`` where it cannot be."""
+    with _readable_errors(path):
+        path.mkdir(parents=True, exist_ok=True)
+        with _folder_beside(path / "x"):
+            pass
+    return path
+
+
+@contextmanager
+def _folder_beside(path: Path) -> Iterator[Path]:
+    folder = Path(mkdtemp(prefix=".fpk-", dir=path.parent))
+    try:
+        yield folder
+    finally:
+        for left in folder.iterdir():
+            left.unlink()
+        folder.rmdir()
+
+
+@contextmanager
+def _readable_errors(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        words = error.strerror or error
+        raise BadInput(f"{path}: cannot be written: {words}; {REMEDY}") from None
+    except ValueError as error:
+        if "null" not in str(error):
+            raise
+        raise BadInput(f"{path}: cannot be written: {error}; {REMEDY}") from None

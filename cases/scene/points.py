@@ -1,0 +1,72 @@
+"""Lists of points on the command line: ``-1.5:1.5:0.1``, ``-1,0,0.3`` and pairs ``A x B``."""
+
+import re
+from decimal import Decimal, InvalidOperation
+from math import isfinite
+
+import numpy as np
+
+from cases.scene.errors import BadInput, toml_value
+from fpk.density import Array
+
+MAX_POINTS = 200_000
+"""More than a picture or a table can use; a typing error in a step is caught by it."""
+
+
+def parse_points(text: str, axes: int) -> tuple[Array, ...]:
+    """Return one array of points per axis, for a pair every combination of its two lists.
+
+    Raises ``BadInput`` saying what of ``text`` cannot be used.
+    """
+    parts = [p.strip() for p in re.split(r"[x×]", text)]
+    if len(parts) != axes:
+        form = "one list such as -1:1:0.1" if axes == 1 else "two lists such as -1:1:0.1 x 0,0.5"
+        raise _wrong(text, f"this observable needs {form}")
+    lists = [_list(part, text) for part in parts]
+    if np.prod([float(a.size) for a in lists]) > MAX_POINTS:
+        raise _wrong(text, f"asks for more than {MAX_POINTS} points; use larger steps")
+    return tuple(grid.ravel() for grid in np.meshgrid(*lists, indexing="ij"))
+
+
+def _list(part: str, text: str) -> Array:
+    points: list[float] = []
+    for item in part.split(","):
+        numbers = [_number(n, text) for n in item.split(":")]
+        if len(numbers) == 1:
+            points.append(float(numbers[0]))
+        elif len(numbers) == 3:
+            points.extend(_range(numbers[0], numbers[1], numbers[2], text))
+        else:
+            raise _wrong(text, f"{toml_value(item)} is not start:end:step")
+        if len(points) > MAX_POINTS:
+            raise _wrong(text, f"asks for more than {MAX_POINTS} points; use larger steps")
+    return np.array(points)
+
+
+def _range(start: Decimal, end: Decimal, step: Decimal, text: str) -> list[float]:
+    """Decimal arithmetic, so that the points are the ones that were written and reach the end."""
+    if step == 0 or (end - start) * step < 0:
+        raise _wrong(text, f"a step of {step} does not lead from {start} to {end}")
+    if start != end and abs(step) > abs(end - start):
+        raise _wrong(
+            text, f"a step of {step} is longer than from {start} to {end}; a list is start:end:step"
+        )
+    if abs(float(end - start)) > MAX_POINTS * abs(float(step)):
+        raise _wrong(text, f"asks for more than {MAX_POINTS} points; use larger steps")
+    count = int((end - start) / step) + 1
+    return [float(start + i * step) for i in range(count)]
+
+
+def _number(item: str, text: str) -> Decimal:
+    try:
+        number = Decimal(item.strip())
+        usable = isfinite(float(number)) and abs(number) < Decimal("1e100")
+    except (InvalidOperation, OverflowError, ValueError):
+        usable = False
+    if not usable or (number.adjusted() < -100 and number != 0):
+        raise _wrong(text, f"{toml_value(item.strip())} is not a finite number")
+    return number
+
+
+def _wrong(text: str, remedy: str) -> BadInput:
+    return BadInput(f"--at {toml_value(text)}: {remedy}")

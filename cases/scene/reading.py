@@ -1,0 +1,122 @@
+"""Reading a TOML file that may be anything: too large, not text, not a file, nested without end."""
+
+import re
+import stat
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from cases.scene.errors import BadInput, shortened
+
+MAX_BYTES = 1 << 20
+"""A scene is a page of text; what is larger than this is something else."""
+
+MAX_DEPTH = 16
+"""Levels of tables and lists, and parts of a dotted key; a scene needs five. Some hundreds exhaust
+the stack of what follows, and the parser takes a time of n² for a key of n parts."""
+
+TOKEN = re.compile(
+    r"""
+    (?P<other> "{3} (?: \\. | [^\\] )*? "{3} | '{3} .*? '{3} | \# [^\n]* )
+  | (?P<part> (?! "{3} | '{3} ) (?: " (?: \\. | [^"\\\n] )*+ " | ' [^'\n]*+ ' )
+            | [A-Za-z0-9_-]++ | [\x20\t]++ )
+  | (?P<unclosed> ["'] )
+  | (?P<dot> \. )
+  | .
+    """,
+    re.VERBOSE | re.DOTALL,
+)
+"""What TOML is made of, as far as it takes to count the parts of a key."""
+
+
+def read_toml(path: Path, label: str) -> tuple[dict[str, Any], str]:
+    """Return the tables of the TOML file at ``path`` and its text, without a byte order mark.
+
+    ``label`` names the file in messages. Raises ``BadInput`` with one line for everything that can
+    be wrong with the file.
+    """
+    text = read_text(path, label, most=MAX_BYTES, what="a scene").removeprefix("\ufeff")
+    if not text.strip():
+        raise BadInput(f"{label}: the file is empty; a scene needs at least the table [system]")
+    too_deep = BadInput(f"{label}: nested too deeply; a scene has at most {MAX_DEPTH} levels")
+    if _longest_key(text) > MAX_DEPTH:
+        raise too_deep
+    try:
+        tables = tomllib.loads(text)
+    except RecursionError:
+        raise too_deep from None
+    except ValueError as error:  # TOMLDecodeError and numbers of thousands of digits
+        words = shortened(str(error), 160)
+        raise BadInput(f"{label}: is not valid TOML: {words}; correct it there") from None
+    if _deeper_than(tables, MAX_DEPTH):
+        raise too_deep
+    return tables, text
+
+
+def read_text(path: Path, label: str, *, most: int, what: str) -> str:
+    """Return the UTF-8 text of a regular file of at most ``most`` bytes, ``what`` it should be.
+
+    Nothing is read of a file that is larger, of a folder, a pipe or a device, which may have no
+    end. Raises ``BadInput`` with one line that begins with ``label``.
+    """
+    try:
+        status = path.stat()
+        if refusal := _no_file(status.st_mode, status.st_size, most, what):
+            raise BadInput(f"{label}: {refusal}")
+        with path.open("rb") as stream:
+            content = stream.read(most + 1)
+    except OSError as error:
+        words = error.strerror or error
+        raise BadInput(f"{label}: cannot be read: {words}; give another file") from None
+    except BadInput:
+        raise
+    except ValueError as error:  # a NUL character in the name
+        raise BadInput(f"{label}: cannot be read: {error}; give another name") from None
+    if len(content) > most:
+        raise BadInput(f"{label}: grew beyond {most} bytes while it was read; {what} has fewer")
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise BadInput(
+            f"{label}: is not UTF-8 text: byte 0x{content[error.start]:02x} at position"
+            f" {error.start}; save the file as UTF-8"
+        ) from None
+
+
+def _no_file(mode: int, size: int, most: int, what: str) -> str | None:
+    """Why this is not a file to read, None where it is one."""
+    if stat.S_ISDIR(mode):
+        return f"is a folder; {what} is a file in it"
+    if not stat.S_ISREG(mode):
+        return f"is not a regular file; {what} is one"
+    if size > most:
+        return f"has {size} bytes; {what} has at most {most} ({most >> 20} MiB)"
+    return None
+
+
+def _longest_key(text: str) -> int:
+    """Return how many parts the longest dotted key has (a number with a point counts as two)."""
+    longest = dots = 0
+    for token in TOKEN.finditer(text):
+        kind = token.lastgroup
+        if kind == "unclosed":  # nothing behind it is parsed
+            break
+        if kind != "part":
+            dots = dots + 1 if kind == "dot" else 0
+            longest = max(longest, dots)
+    return longest + 1
+
+
+def _deeper_than(tables: dict[str, Any], most: int) -> bool:
+    """Whether tables and lists lie more than ``most`` levels deep; without recursion."""
+    level: list[Any] = [tables]
+    for _ in range(most):
+        level = [
+            entry
+            for value in level
+            for entry in (value.values() if isinstance(value, dict) else value)
+            if isinstance(entry, (dict, list))
+        ]
+        if not level:
+            return False
+    return True

@@ -1,0 +1,102 @@
+"""Grids of parameters on the command line: ``contact.stiffness=0.01:1000:log25``."""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+from math import isfinite
+
+import numpy as np
+
+from cases.scene.errors import BadInput, toml_value
+from cases.scene.vary import VARIED
+from fpk.density import Array
+from fpk.errors import InvalidInput
+from fpk.system import System
+
+KEYS = ("contact.stiffness", "contact.clearance")
+"""What a map may vary: the numbers among ``VARIED``."""
+
+MOST = 2000
+"""Points of a map; each is a simulation of about a second."""
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """One parameter and the values that it takes; ``symbol`` such as B."""
+
+    key: str
+    values: Array
+    logarithmic: bool
+
+    @property
+    def symbol(self) -> str:
+        """The parameter's letter."""
+        return VARIED[self.key][0]
+
+
+def parse_axes(texts: Sequence[str], system: System) -> tuple[Axis, ...]:
+    """Return one or two axes; raise ``BadInput`` for what cannot be used of them."""
+    if not 1 <= len(texts) <= 2:
+        raise BadInput(f"--vary is given {len(texts)} times; give one parameter or two")
+    axes = tuple(_axis(text) for text in texts)
+    if len({a.key for a in axes}) != len(axes):
+        raise BadInput(f'--vary "{texts[1]}": {axes[0].key} is varied already')
+    count = int(np.prod([a.values.size for a in axes]))
+    if count > MOST:
+        raise BadInput(f"--vary: the grid has {count} points; at most {MOST}")
+    if not system.contacts:
+        raise BadInput(f"--vary {axes[0].key}: the scene has no [[contact]] to vary")
+    for axis, text in zip(axes, texts, strict=True):
+        for value in axis.values:
+            try:
+                VARIED[axis.key][1](system, float(value))
+            except InvalidInput as error:
+                raise _wrong(text, f"{value:g} {error.remedy}") from None
+    return axes
+
+
+def grid_points(axes: Sequence[Axis]) -> Iterator[tuple[float, ...]]:
+    """Yield every combination of the axes' values, the last axis fastest."""
+    return product(*([float(v) for v in axis.values] for axis in axes))
+
+
+def system_at(system: System, axes: Sequence[Axis], point: Sequence[float]) -> System:
+    """Return the system with the parameters of one grid point."""
+    for axis, value in zip(axes, point, strict=True):
+        system = VARIED[axis.key][1](system, value)
+    return system
+
+
+def _axis(text: str) -> Axis:
+    key, equals, grid = (part.strip() for part in text.partition("="))
+    if not equals or key not in KEYS:
+        raise _wrong(text, f"write one of {', '.join(KEYS)}, then =low:high:count")
+    match = re.fullmatch(r"([^:]+):([^:]+):(log)?([0-9]{1,5})", grid)
+    if match is None:
+        raise _wrong(text, "a grid is low:high:count, or low:high:logCOUNT for equal ratios")
+    low, high = _number(match[1], text), _number(match[2], text)
+    logarithmic, count = match[3] is not None, int(match[4])
+    if not low < high:
+        raise _wrong(text, f"{low:g} is not below {high:g}")
+    if not 2 <= count <= MOST:
+        raise _wrong(text, f"a count of {count} cannot be used; use 2 to {MOST}")
+    if logarithmic and low <= 0:
+        raise _wrong(text, "equal ratios need a low end > 0")
+    values = np.geomspace(low, high, count) if logarithmic else np.linspace(low, high, count)
+    # Twelve digits: the same grid point has the same value on any grid that contains it.
+    return Axis(key, np.array([float(f"{v:.12g}") for v in values]), logarithmic)
+
+
+def _number(text: str, whole: str) -> float:
+    try:
+        number = float(text) if re.fullmatch(r"\s*[-+0-9.eE]+\s*", text) else float("nan")
+    except ValueError:
+        number = float("nan")
+    if not isfinite(number) or abs(number) > 1e100:
+        raise _wrong(whole, f"{toml_value(text.strip())} is not a finite number")
+    return number
+
+
+def _wrong(text: str, remedy: str) -> BadInput:
+    return BadInput(f"--vary {toml_value(text)}: {remedy}")
