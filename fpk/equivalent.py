@@ -12,6 +12,9 @@ from fpk.system import System
 
 Array = NDArray[np.float64]
 
+ROUND_OFF = 1e-12
+"""A power below this share of the terms that cancel in it is their round-off, so zero."""
+
 
 def equivalent_temperature(system: System) -> float:
     """Return the θ at which E Σ c_ij v_i v_j = Σ (f D fᵀ)_ii/m_i in the Gibbs state exp(−H/θ).
@@ -36,8 +39,12 @@ def dissipated_power(system: System) -> Array:
     """Return the coefficients of E Σ c_ij v_i v_j in the Gibbs state, ascending powers of θ."""
     power = np.zeros(2 + max((term.degree // 2 for term in system.damping_terms), default=0))
     power[1] = np.sum(np.diag(system.damping) / system.mass)
+    size = np.abs(power)
     for term in system.damping_terms:
-        power[1 + term.degree // 2] += _mean_power(system, term)
+        part = _mean_power(system, term)
+        power[1 + term.degree // 2] += part
+        size[1 + term.degree // 2] += abs(part)
+    power[np.abs(power) <= ROUND_OFF * size] = 0.0
     return np.trim_zeros(power, "b") if np.any(power) else power[:2]
 
 

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from averaging.modal.ends import growth_reason
 from averaging.modal.phase_averages import ModeShapes
 from averaging.modal.state_damping import StateDamping, balanced_energies, state_damping
 from fpk.equivalent import equivalent_temperature
@@ -132,6 +133,8 @@ def _with_state_damping(system: System, modes: ModalAnalysis, sizes: Array) -> M
     except NotApplicable:
         guess = float(np.max(noise / sizes))
     theta = balanced_energies(state, noise, guess)
+    if reason := growth_reason(state):
+        raise NotApplicable(reason)
     cancelling = float(np.max((sizes + state.size(theta)) * theta / noise))
     error = modes.relative_error + _round_off(modes.natural_frequency**2) * cancelling
     return replace(modes, state=state, balance=theta, relative_error=error)

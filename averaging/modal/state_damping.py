@@ -13,8 +13,8 @@ from fpk.system import System
 
 Array = NDArray[np.float64]
 
-NOTHING = 1e-12
-"""A coefficient below this share of the terms that cancel in it counts as none."""
+NEGLIGIBLE = 1e-12
+"""A coefficient below this share of the terms that cancel in it is their round-off, so zero."""
 MOST_COEFFICIENTS = 1_000_000
 MOST_STEPS = 4000
 BALANCED = 1e-14
@@ -85,11 +85,16 @@ class StateDamping:
 
     def polynomial(self) -> Array:
         """Return the coefficients of γ(H), ascending powers, of a damping of one mode."""
+        return self.along(0)
+
+    def along(self, mode: int) -> Array:
+        """Return the coefficients of γ_mode, ascending powers, where all other energies are 0."""
         degree = max((part.factors.shape[1] for part in self.parts), default=0)
         powers = np.zeros(degree + 1)
-        powers[0] = self.constant[0, 0]
+        powers[0] = self.constant[mode, mode]
         for part in self.parts:
-            powers[part.factors.shape[1]] += part.coefficients[:, 0, 0].sum()
+            alone = np.all(part.factors == mode, axis=1)
+            powers[part.factors.shape[1]] += part.coefficients[alone, mode, mode].sum()
         return np.asarray(np.trim_zeros(powers, "b") if powers.any() else powers[:1])
 
 
@@ -114,7 +119,9 @@ def state_damping(system: System, modes: ModeShapes, constant: Array) -> StateDa
     for degree in sorted(of_degree):
         total = added(of_degree[degree])
         value, size = total.coefficients[..., 0], total.coefficients[..., 1]
-        parts.append(Polynomial(total.factors, np.where(np.abs(value) > NOTHING * size, value, 0)))
+        parts.append(
+            Polynomial(total.factors, np.where(np.abs(value) > NEGLIGIBLE * size, value, 0))
+        )
         sizes.append(np.einsum("rmm->rm", size))
     return StateDamping(constant, tuple(parts), tuple(sizes))
 
@@ -143,12 +150,6 @@ def balanced_energies(damping: StateDamping, noise: Array, guess: float) -> Arra
             f"mode {worst + 1}: its damping, which depends on the state, does not balance the "
             "noise, so its energy grows for ever"
         )
-    for block in damping.blocks():
-        if len(block) == 1 and damping.of_block(block).polynomial()[-1] <= 0.0:
-            raise NotApplicable(
-                f"mode {block[0] + 1}: its damping is not positive at high energy, so its energy "
-                "grows for ever"
-            )
     return np.asarray(theta)
 
 
