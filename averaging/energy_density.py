@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from averaging.energy_process import energy_balance
 from averaging.shell.ratios import EnergyShell, energy_shell, log_linear_states, shell_ratios
 from fpk.certificate import Certificate
-from fpk.line.mesh import DEEP_LAYERS, initial_nodes, survey, truncation_energy, with_layers
-from fpk.process import DiffusionProcess
+from fpk.line.mesh import DEEP_LAYERS, initial_nodes, with_layers
+from fpk.probe import probed
+from fpk.process import Process
 from fpk.quadrature import panel_rule
 from fpk.system import System
 
@@ -60,7 +61,7 @@ class EnergyDensity:
 
 def gibbs(
     system: System,
-    process: DiffusionProcess,
+    process: Process,
     inverse_temperature: float,
     log_norm: float,
     *,
@@ -72,8 +73,8 @@ def gibbs(
     ``error`` is the relative error of the normalisation.
     """
     alpha = inverse_temperature
-    view = survey(process)
-    nodes = initial_nodes(view, truncation_energy(view, TAIL), process.nonsmooth)
+    probe = probed(process)
+    nodes = initial_nodes(probe, probe.extent(TAIL), process.nonsmooth)
 
     def u(energy: Array) -> Array:
         return np.asarray(np.exp(log_norm - alpha * energy))
@@ -97,15 +98,15 @@ def gibbs(
 
 
 def log_energy_norm(
-    system: System, process: DiffusionProcess, decay: Callable[[Array], Array]
+    system: System, process: Process, decay: Callable[[Array], Array]
 ) -> tuple[float, float]:
     """Return −ln ∫T(H) exp(−decay) dH and its relative error, with T in full units.
 
     ``decay`` is αH for the C of (29).
     """
     shell = energy_shell(system)
-    view = survey(process)
-    nodes = initial_nodes(view, truncation_energy(view, TAIL), process.nonsmooth)
+    probe = probed(process)
+    nodes = initial_nodes(probe, probe.extent(TAIL), process.nonsmooth)
     if shell.potential.count == 1:  # of more, an energy costs milliseconds and more
         nodes = with_layers(nodes, process.nonsmooth, count=DEEP_LAYERS)
     nodes = _graded_to_zero(nodes)
@@ -124,7 +125,7 @@ def log_energy_norm(
     return -fine, abs(fine - coarse) + quadrature + 4.0 * np.finfo(float).eps * abs(fine)
 
 
-def averaged_closed_form(system: System, process: DiffusionProcess) -> EnergyDensity:
+def averaged_closed_form(system: System, process: Process) -> EnergyDensity:
     """Return p(H) = C T(H) exp(−αH), α = Σ(c_ii/m_i)/Σ(D_ii/m_i): (29) for any n and masses.
 
     The printed (29) holds for two unit masses.

@@ -11,7 +11,7 @@ from averaging.shell.ratios import EnergyShell, energy_shell, shell_ratios
 from fpk.compiling import kept
 from fpk.equivalent import dissipated_power, equivalent_temperature
 from fpk.errors import NotApplicable
-from fpk.process import Coefficients, DiffusionProcess
+from fpk.process import Coefficients, Process
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ def energy_balance(system: System) -> EnergyBalance:
     return EnergyBalance(damping, noise, _last_balance(system, damping, noise))
 
 
-def energy_process(system: System) -> DiffusionProcess:
+def energy_process(system: System) -> Process:
     """Return the averaged energy process dH = s dt + σ dB of ``system``, Eqs. (9), (10), (24)-(28).
 
     With the microcanonical temperature τ(H) = Φ/T, Φ the phase volume and T = Φ' the density of
@@ -82,9 +82,9 @@ def energy_process(system: System) -> DiffusionProcess:
         c = _coefficients(shell, balance, scale, energy)
         return c if terms is None else _with_terms(c, terms, balance, energy)
 
-    return DiffusionProcess(
+    return Process(
         coefficients=coefficients,
-        energy_scale=scale,
+        energy_scales=(scale,),
         nonsmooth=shell.contact_energies,
         degrees_of_freedom=system.n,
         state_damping=terms is not None,

@@ -20,7 +20,7 @@ from fpk.line.elements import Form
 from fpk.line.stationary import StationarySolution, solve_stationary
 from fpk.method import Method, Plan, Progress, Result, check_solver
 from fpk.observable import Observable, observable_name
-from fpk.process import DiffusionProcess
+from fpk.process import Process
 from fpk.route import ROUTES, Route, register
 from fpk.system import System
 
@@ -70,7 +70,7 @@ class NonIntegrable(Method):
         return replace(self, tol=max(0.1 * self.tol, 1e-12))
 
     def _energy_density(
-        self, system: System, process: DiffusionProcess
+        self, system: System, process: Process
     ) -> tuple[EnergyDensity, dict[str, str | float | int]]:
         if self.solver == "closed-form":
             return averaged_density(system, process), {"equation": "(29)"}
@@ -163,7 +163,7 @@ def _from_quadrature(system: System, solution: QuadratureSolution, tol: float) -
     )
 
 
-def _log_unit(system: System, process: DiffusionProcess) -> float:
+def _log_unit(system: System, process: Process) -> float:
     """ln of the density of states in full units over that of the process, a constant.
 
     The process measures T in units of the chain without contacts at its energy scale.

@@ -15,8 +15,9 @@ from averaging.energy_process import energy_balance
 from averaging.tabulated import tabulated
 from fpk.certificate import Certificate
 from fpk.errors import NotApplicable
-from fpk.line.mesh import initial_nodes, survey, truncation_energy
-from fpk.process import DiffusionProcess
+from fpk.line.mesh import initial_nodes
+from fpk.probe import probed
+from fpk.process import Process
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -43,7 +44,7 @@ def averaged_rate(system: System) -> Array:
     return rate / balance.noise
 
 
-def averaged_density(system: System, process: DiffusionProcess) -> EnergyDensity:
+def averaged_density(system: System, process: Process) -> EnergyDensity:
     """Return p(H) = C T(H) exp(−∫α dH): (29) for any n and masses and for c(H)."""
     if not system.damping_terms:
         return averaged_closed_form(system, process)
@@ -51,7 +52,7 @@ def averaged_density(system: System, process: DiffusionProcess) -> EnergyDensity
 
 
 def density_of_rate(
-    system: System, process: DiffusionProcess, rate: Array, *, provenance: Provenance
+    system: System, process: Process, rate: Array, *, provenance: Provenance
 ) -> EnergyDensity:
     """Return u = C exp(−∫_0^H h dH) with h(H) = Σ rate_e H^e, normalised over the shells.
 
@@ -63,8 +64,8 @@ def density_of_rate(
         return np.asarray(polynomial.polyval(energy, integral))
 
     log_norm, error = log_energy_norm(system, process, decay)
-    view = survey(process)
-    nodes = initial_nodes(view, truncation_energy(view, TAIL), process.nonsmooth)
+    probe = probed(process)
+    nodes = initial_nodes(probe, probe.extent(TAIL), process.nonsmooth)
     # The exponent is formed with the round-off of its largest part.
     sizes = polynomial.polyval(float(nodes[-1]), np.abs(integral))
     error += 4.0 * np.finfo(float).eps * float(sizes)

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from fpk.line.mesh import initial_nodes, split_points, survey, tail_bound, truncation_energy
-from fpk.process import Coefficients, DiffusionProcess, log_density_slope_error
+from fpk.line.mesh import initial_nodes, split_points
+from fpk.probe import probed
+from fpk.process import Coefficients, Process, log_density_slope_error
 from fpk.quadrature import gauss_legendre, panel_rule
 
 Array = NDArray[np.float64]
@@ -27,7 +28,7 @@ class QuadratureSolution:
     what errors of 2s/σ² add up to in ln p from one end to the other.
     """
 
-    process: DiffusionProcess
+    process: Process
     nodes: Array
     smooth: Array
     l1_error: float
@@ -50,15 +51,15 @@ class QuadratureSolution:
         return np.where(inside, value, -np.inf).reshape(np.shape(energy))
 
 
-def solve_by_quadrature(process: DiffusionProcess, *, tol: float = 1e-10) -> QuadratureSolution:
+def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> QuadratureSolution:
     """Return p(H) = C/σ² exp(+∫2s/σ² dH), Eq. (11) with its sign corrected.
 
     The integrand is n/H at H → 0, so the integral of (11) from 0 diverges; n/H is integrated in
     closed form and the rest panel by panel, each halved until its Legendre coefficients decay
     below ``tol``.
     """
-    view = survey(process)
-    nodes = initial_nodes(view, truncation_energy(view, 1e-2 * tol), process.nonsmooth)
+    probe = probed(process)
+    nodes = initial_nodes(probe, probe.extent(1e-2 * tol), process.nonsmooth)
     special = np.array([0.0, *process.nonsmooth])
     left, right = nodes[:-1], nodes[1:]
     rate, c = _expanded_rate(process, left, right)
@@ -86,7 +87,7 @@ def solve_by_quadrature(process: DiffusionProcess, *, tol: float = 1e-10) -> Qua
     x, w = panel_rule(solution.nodes, POINTS + 4)
     defect = abs(float(np.sum(w * np.exp(solution.log_density(x)))) - 1.0)
     last = float(np.exp(solution.log_density(solution.nodes[-1:])[0]))
-    beyond = tail_bound(view, float(solution.nodes[-1]), last)
+    beyond = probe.tail_bound(float(solution.nodes[-1]), last)
     # An error of the exponent over one panel shifts the mass on one side of it against the other.
     share = np.sum(w * np.exp(solution.log_density(x)), axis=1)
     below = np.cumsum(share)
@@ -110,9 +111,7 @@ def solve_by_quadrature(process: DiffusionProcess, *, tol: float = 1e-10) -> Qua
     )
 
 
-def _normalised(
-    process: DiffusionProcess, nodes: Array, rate: Array, c: Coefficients
-) -> QuadratureSolution:
+def _normalised(process: Process, nodes: Array, rate: Array, c: Coefficients) -> QuadratureSolution:
     """Integrate the rate over the panels one after another and normalise the density."""
     half = 0.5 * np.diff(nodes)[:, None]
     smooth = half * legendre.legint(rate, axis=1, lbnd=-1)
@@ -132,9 +131,7 @@ def _accumulated(left: Array, right: Array, c: Coefficients) -> Array:
     return np.asarray(0.5 * (right - left) * (log_density_slope_error(c) @ w))
 
 
-def _expanded_rate(
-    process: DiffusionProcess, left: Array, right: Array
-) -> tuple[Array, Coefficients]:
+def _expanded_rate(process: Process, left: Array, right: Array) -> tuple[Array, Coefficients]:
     """Legendre coefficients of 2s/σ² − n/H on panels, and the coefficients at Gauss points."""
     t, w = gauss_legendre(POINTS)
     energy = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * t

@@ -10,8 +10,8 @@ from averaging.energy_density import EnergyDensity, Provenance
 from averaging.shell.ratios import energy_shell
 from averaging.weyl import WeylTable, continued, weyl_table
 from fpk.certificate import Certificate
-from fpk.line.mesh import e_fold, survey
-from fpk.process import DiffusionProcess
+from fpk.probe import probed
+from fpk.process import Process
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ MOST_NODES = 100
 
 def tabulated(
     system: System,
-    process: DiffusionProcess,
+    process: Process,
     nodes: Array,
     u: Callable[[Array], Array],
     u_error: Callable[[Array], Array],
@@ -68,7 +68,7 @@ def tabulated(
     temperature = process.energy_scale / process.degrees_of_freedom
     if varying:
         # u need not fall from H = 0, and may change much faster than over the scale of the energy.
-        temperature = min(temperature, e_fold(survey(process), float(nodes[-1])))
+        temperature = min(temperature, probed(process).e_fold(float(nodes[-1])))
     return EnergyDensity(
         system=system,
         shell=energy_shell(system),

@@ -27,7 +27,7 @@ from cases.studies.equations import energy_equation, modal_equation
 from cases.studies.ladders import degree_ladder
 from cases.studies.timing import timed_first, timing
 from fpk.contact import Contact
-from fpk.process import DiffusionProcess
+from fpk.process import Process
 from fpk.system import System
 
 MASSES = (2, 5, 10, 20, 50)
@@ -102,7 +102,7 @@ def two_energies() -> str:
     return "## Two energies: time and unknowns, p = 8, with its enriched twin\n" + words + table
 
 
-def afresh(system: System) -> DiffusionProcess:
+def afresh(system: System) -> Process:
     """Return the process of a system as if it had never been asked for."""
     energy_balance.cache_clear()
     energy_shell.cache_clear()

@@ -25,8 +25,8 @@ from averaging.modal.process import modal_process, modes_process
 from cases.scene.scene import load_scene
 from fpk.plane.expansion import Expansion
 from fpk.plane.stationary import PlaneSolution, solve_plane
+from fpk.process import Process
 from fpk.quadrature import panel_rule
-from fpk.vector_process import VectorProcess
 
 REPEATS = 5
 LONGEST = 1.0
@@ -59,7 +59,7 @@ def coupled_process(gamma, own, cross, noise):
     """Return the process of s_i = d_i − (γ_i + α_i H_i + c_i H_j) H_i, b_ii = 2 d_i H_i."""
     g, a, d = np.array(gamma), np.array(own), np.array(noise)
     coupling = np.diag(a) + np.array([[0.0, cross[0]], [cross[1], 0.0]])
-    return VectorProcess(
+    return Process.of_functions(
         lambda H: d - (g + H @ coupling.T) * H,
         lambda H: 2.0 * d * H[:, :, None] * np.eye(2),
         lambda H: np.broadcast_to(2.0 * d, H.shape),
@@ -94,7 +94,7 @@ def circulating_process():
             axis=1,
         )
 
-    process = VectorProcess(
+    process = Process.of_functions(
         drift,
         lambda H: 2.0 * H[:, :, None] * np.eye(2),
         lambda H: np.full(H.shape, 2.0),

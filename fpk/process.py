@@ -1,20 +1,25 @@
-"""Diffusion processes of one energy: the coefficients that the FPK solvers get to see."""
+"""Diffusion processes of one or several energies: what the FPK solvers and samplers are given."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+UNKNOWN: Array = np.array(np.nan)
+"""A coefficient that a process does not give: whatever is computed from it is not a number."""
+
 
 class Coefficients(NamedTuple):
-    """Coefficients of ``dH = s dt + √b dB`` at some energies, each array of the energies' shape.
+    """Coefficients of ``dH_i = s_i dt + σ_ij dB_j`` at some energies.
 
-    ``drift`` s and ``diffusion`` b = σ² (the ½ stays in the FPK equation), ``diffusion_slope``
-    b'. ``dissipation`` is the part of the drift that damping causes and ``log_density_of_states``
+    Of one energy every array has the energies' shape; of d energies (points, d) the ``drift`` s and
+    the ``divergence`` Σ_j ∂b_ij/∂H_j are (points, d) and the ``diffusion`` b = σσᵀ, the full
+    symmetric matrix, is (points, d, d). The ½ stays in the FPK equation.
+    ``dissipation`` is the part of the drift that damping causes and ``log_density_of_states``
     is ln T up to a constant, so that ``s = dissipation + ½ (b T)'/T``. ``relative_error``
     estimates the error of the quadratures behind all but b', relative to each; that of the drift is
     relative to the sum of the sizes of its two parts, which may cancel. ``slope_error`` is that of
@@ -23,29 +28,68 @@ class Coefficients(NamedTuple):
 
     drift: Array
     diffusion: Array
-    diffusion_slope: Array
-    dissipation: Array
-    log_density_of_states: Array
-    relative_error: Array
-    slope_error: Array
+    divergence: Array
+    dissipation: Array = UNKNOWN
+    log_density_of_states: Array = UNKNOWN
+    relative_error: Array = UNKNOWN
+    slope_error: Array = UNKNOWN
 
 
 @dataclass(frozen=True)
-class DiffusionProcess:
-    """Diffusion process of one energy on (0, ∞), Ito, Eqs. (9) and (24).
+class Process:
+    """Diffusion process of d energies H_i in (0, ∞), Ito, Eqs. (9), (17), (19), (24).
 
-    ``coefficients`` evaluates it at energies > 0; ``nonsmooth`` holds the energies, ascending,
-    where the coefficients lose smoothness (where contact begins); ``energy_scale`` is an energy
-    of the order of the mean, from which meshes start; ``degrees_of_freedom`` is n in T ~ H^(n−1)
-    at H → 0. ``state_damping`` says that 2 dissipation/diffusion varies with H: the errors of the
-    coefficients then add up in ln p, and p may have its maximum anywhere.
+    ``coefficients`` evaluates it at energies > 0, an array of any shape for one energy and
+    (points, d) for more. ``energy_scales`` (d,) are energies of the order of each mean, from which
+    meshes start; ``nonsmooth`` holds the energies, ascending, where the coefficients of one energy
+    lose smoothness (where contact begins); ``degrees_of_freedom`` is n in T ~ H^(n−1) at H → 0.
+    ``state_damping`` says that 2 dissipation/diffusion varies with H: the errors of the
+    coefficients then add up in ln p, and p may have its maximum anywhere. Row i of b vanishes at
+    H_i = 0, which takes no boundary condition.
     """
 
     coefficients: Callable[[Array], Coefficients]
-    energy_scale: float
-    nonsmooth: tuple[float, ...]
-    degrees_of_freedom: int
+    energy_scales: tuple[float, ...]
+    nonsmooth: tuple[float, ...] = ()
+    degrees_of_freedom: int = 1
     state_damping: bool = False
+
+    @classmethod
+    def of_functions(
+        cls,
+        drift: Callable[[Array], Array],
+        diffusion: Callable[[Array], Array],
+        divergence: Callable[[Array], Array],
+        energy_scales: tuple[float, ...],
+    ) -> Self:
+        """Return the process of s, b and Σ_j ∂b_ij/∂H_j as functions of energies (points, d)."""
+
+        def coefficients(energies: Array) -> Coefficients:
+            if len(energy_scales) > 1:
+                return Coefficients(drift(energies), diffusion(energies), divergence(energies))
+            functions = (drift, diffusion, divergence)
+            column = energies.reshape(-1, 1)
+            return Coefficients(*(f(column).reshape(energies.shape) for f in functions))
+
+        return cls(coefficients, energy_scales)
+
+    def at(self, energies: Array) -> Coefficients:
+        """Return s, b and Σ_j ∂b_ij/∂H_j at (points, d) in the shapes of d energies, d = 1 too."""
+        if self.dimension > 1:
+            return self.coefficients(energies)
+        c = self.coefficients(energies[:, 0])
+        return Coefficients(c.drift[:, None], c.diffusion[:, None, None], c.divergence[:, None])
+
+    @property
+    def dimension(self) -> int:
+        """Number of energies, d."""
+        return len(self.energy_scales)
+
+    @property
+    def energy_scale(self) -> float:
+        """The scale of a process of one energy."""
+        (scale,) = self.energy_scales
+        return scale
 
 
 def log_density_slope_error(c: Coefficients) -> Array:
@@ -56,5 +100,4 @@ def log_density_slope_error(c: Coefficients) -> Array:
 
 def log_density_slope(c: Coefficients) -> Array:
     """Return d ln p/dH = (2 s − b')/b, the slope that zero flux demands, from (11)."""
-    slope: Array = (2.0 * c.drift - c.diffusion_slope) / c.diffusion
-    return slope
+    return np.asarray((2.0 * c.drift - c.divergence) / c.diffusion)

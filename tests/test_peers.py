@@ -52,10 +52,10 @@ def test_the_density_of_the_coupled_problem_is_stationary() -> None:
     (s, t), (b, d), divergence = problem.coefficients(at)
     c = problem.cross(at)
     of = problem.process
-    full = of.diffusion(at.T)
+    full = of.coefficients(at.T).diffusion
     assert np.array_equal(np.moveaxis(full, 0, -1), [[b, c], [c, d]])
-    assert np.array_equal(of.drift(at.T).T, [s, t])
-    assert np.array_equal(of.diffusion_divergence(at.T).T, divergence)
+    assert np.array_equal(of.coefficients(at.T).drift.T, [s, t])
+    assert np.array_equal(of.coefficients(at.T).divergence.T, divergence)
     identities = (
         (s,), (t,), (2 * x * s, b), (2 * y * t, d), (y * s, x * t, c),
         (2 * x * y * s, x**2 * t, y * b, 2 * x * c),
@@ -74,8 +74,8 @@ def test_probability_circulates_in_the_coupled_problem() -> None:
 
     def slope(x: float, y: float) -> np.ndarray:
         at = np.array([[x, y]])
-        flow = 2.0 * process.drift(at) - process.diffusion_divergence(at)
-        return np.linalg.solve(process.diffusion(at)[0], flow[0])
+        flow = 2.0 * process.at(at).drift - process.at(at).divergence
+        return np.linalg.solve(process.at(at).diffusion[0], flow[0])
 
     curl = slope(1.001, 0.8)[1] - slope(0.999, 0.8)[1]
     curl -= slope(1.0, 0.801)[0] - slope(1.0, 0.799)[0]
@@ -87,10 +87,10 @@ def test_the_peers_get_the_coefficients_of_the_scene(monkeypatch: pytest.MonkeyP
     problem = runpy.run_path(str(PEERS / "vanderpol.py"))["Averaged"]("W4", "vanderpol")
     at = np.array([[0.0, 0.02, 0.3], [0.1, 0.4, 0.05]])
     drift, diffusion, divergence = problem.coefficients(at)
-    np.testing.assert_allclose(drift, problem.process.drift(at.T).T, rtol=1e-13, atol=1e-16)
-    full = np.moveaxis(problem.process.diffusion(at.T), 0, -1)
+    np.testing.assert_allclose(drift, problem.process.at(at.T).drift.T, rtol=1e-13, atol=1e-16)
+    full = np.moveaxis(problem.process.at(at.T).diffusion, 0, -1)
     np.testing.assert_allclose(full, [[diffusion[0], 0.0 * at[0]], [0.0 * at[0], diffusion[1]]])
-    np.testing.assert_allclose(divergence, problem.process.diffusion_divergence(at.T).T)
+    np.testing.assert_allclose(divergence, problem.process.at(at.T).divergence.T)
 
 
 @pytest.mark.parametrize("module", OTHERS)

@@ -12,9 +12,10 @@ from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.process import mode_process, modes_process
 from averaging.quadrature import solve_by_quadrature
 from fpk.certificate import Certificate
-from fpk.line.mesh import initial_nodes, survey, tail_bound, truncation_energy
+from fpk.line.mesh import initial_nodes
 from fpk.line.stationary import solve_stationary
 from fpk.plane.stationary import solve_plane
+from fpk.probe import probed
 from fpk.quadrature import panel_rule
 
 Array = NDArray[np.float64]
@@ -103,8 +104,8 @@ def closed_mode(modes: ModalAnalysis, mode: int, *, tol: float) -> EnergyDensity
     its error is the difference from a rule of half as many points, and a bound of the tail.
     """
     process = mode_process(modes, mode)
-    view = survey(process)
-    nodes = initial_nodes(view, truncation_energy(view, 1e-2 * tol), ())
+    probe = probed(process)
+    nodes = initial_nodes(probe, probe.extent(1e-2 * tol), ())
     ratio = float(modes.modal_mass[mode] / modes.noise[mode])
     rate = np.array([modes.damping[mode] / modes.modal_mass[mode]])
     if modes.state is not None:
@@ -123,7 +124,7 @@ def closed_mode(modes: ModalAnalysis, mode: int, *, tol: float) -> EnergyDensity
     share = w * np.exp(fall(x) - top) / norm
     relative += EPS * float(4.0 + nodes.size + 2.0 * np.sum(share * cancelling))
     end = float(np.exp(fall(nodes[-1:]) - top)[0]) / norm
-    tail = tail_bound(view, float(nodes[-1]), end)
+    tail = probe.tail_bound(float(nodes[-1]), end)
 
     def values(x: Array) -> Array:
         x = np.asarray(x, dtype=float)

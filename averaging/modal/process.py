@@ -7,14 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
-from fpk.process import Coefficients, DiffusionProcess
+from fpk.process import Coefficients, Process
 from fpk.system import System
-from fpk.vector_process import VectorProcess
 
 Array = NDArray[np.float64]
 
 
-def modal_process(system: System) -> VectorProcess:
+def modal_process(system: System) -> Process:
     """Return the averaged modal energies dH_i = s_i dt + σ_il dB_l of ``system``, Eqs. (17), (33).
 
     ``s_i = (−c*_ii H_i + d_i)/M*_i``, ``b_ii = 2 d_i H_i/M*_i``, ``b_ij = 0`` for i ≠ j, with
@@ -30,37 +29,35 @@ def modal_process(system: System) -> VectorProcess:
     return modes_process(modes, range(modes.n))
 
 
-def modes_process(modes: ModalAnalysis, chosen: Sequence[int]) -> VectorProcess:
+def modes_process(modes: ModalAnalysis, chosen: Sequence[int]) -> Process:
     """Return the averaged energies of some modes (counted from 0), as no other acts on them."""
     index = list(chosen)
+    if len(index) == 1:
+        return mode_process(modes, index[0])
     noise = (modes.noise / modes.modal_mass)[index]
+    rates = _rates(modes, index)
 
-    def diffusion(energies: Array) -> Array:
+    def coefficients(energies: Array) -> Coefficients:
         n = noise.size
         b = np.zeros((*energies.shape, n))
-        b.reshape(-1, n * n)[:, :: n + 1] = 2.0 * noise * energies.reshape(-1, n)
-        return b
+        b.reshape(-1, n * n)[:, :: n + 1] = 2.0 * noise * energies
+        dissipation = -rates(energies) * energies
+        divergence = np.broadcast_to(2.0 * noise, energies.shape)
+        return Coefficients(noise + dissipation, b, divergence, dissipation)
 
-    def diffusion_divergence(energies: Array) -> Array:
-        return np.broadcast_to(2.0 * noise, energies.shape).copy()
-
-    return VectorProcess(
-        drift=_drift(modes, index, noise),
-        diffusion=diffusion,
-        diffusion_divergence=diffusion_divergence,
-        energy_scales=tuple(float(theta) for theta in modes.temperature[index]),
-    )
+    scales = tuple(float(theta) for theta in modes.temperature[index])
+    return Process(coefficients, energy_scales=scales)
 
 
-def _drift(modes: ModalAnalysis, index: list[int], noise: Array) -> Callable[[Array], Array]:
+def _rates(modes: ModalAnalysis, index: list[int]) -> Callable[[Array], Array]:
+    """c*_ii/M*_i, or γ_i(H) where the damping depends on the state, of energies (points, d)."""
     if modes.state is None:
-        damping = (modes.damping / modes.modal_mass)[index]
-        return lambda energies: np.asarray(noise - damping * energies)
-    state = modes.state.of_block(tuple(index))
-    return lambda energies: np.asarray(noise - state.rates(energies) * energies)
+        constant = (modes.damping / modes.modal_mass)[index]
+        return lambda energies: constant
+    return modes.state.of_block(tuple(index)).rates
 
 
-def mode_process(modes: ModalAnalysis, mode: int) -> DiffusionProcess:
+def mode_process(modes: ModalAnalysis, mode: int) -> Process:
     """Return the energy of one mode (counted from 0): a square-root (CIR) process, Eq. (33).
 
     With constant damping no mode knows of another. The density of states is the period, a
@@ -69,19 +66,12 @@ def mode_process(modes: ModalAnalysis, mode: int) -> DiffusionProcess:
     """
     noise = float(modes.noise[mode] / modes.modal_mass[mode])
     if modes.state is not None:
-        return DiffusionProcess(
-            coefficients=partial(_rated, modes.state.of_block((mode,)).polynomial(), noise),
-            energy_scale=float(modes.temperature[mode]),
-            nonsmooth=(),
-            degrees_of_freedom=1,
-        )
-    damping = float(modes.damping[mode] / modes.modal_mass[mode])
-    return DiffusionProcess(
-        coefficients=partial(_square_root, damping, noise),
-        energy_scale=noise / damping,
-        nonsmooth=(),
-        degrees_of_freedom=1,
-    )
+        rate = modes.state.of_block((mode,)).polynomial()
+        coefficients = partial(_rated, rate, noise)
+    else:
+        damping = float(modes.damping[mode] / modes.modal_mass[mode])
+        coefficients = partial(_square_root, damping, noise)
+    return Process(coefficients, energy_scales=(float(modes.temperature[mode]),))
 
 
 def _square_root(damping: float | Array, noise: float, energy: Array) -> Coefficients:
@@ -89,7 +79,7 @@ def _square_root(damping: float | Array, noise: float, energy: Array) -> Coeffic
     return Coefficients(
         drift=noise - damping * energy,
         diffusion=2.0 * noise * energy,
-        diffusion_slope=nothing + 2.0 * noise,
+        divergence=nothing + 2.0 * noise,
         dissipation=-damping * energy,
         log_density_of_states=nothing,
         relative_error=nothing,

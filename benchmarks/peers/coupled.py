@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from fpk.vector_process import VectorProcess
+from fpk.process import Process
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class Mixture:
         return np.asarray(MEANS.max(axis=0))
 
     @cached_property
-    def process(self) -> VectorProcess:
+    def process(self) -> Process:
         """The same coefficients, as this program's solver asks for them."""
 
         def diffusion(energies: Array) -> Array:
@@ -61,7 +61,7 @@ class Mixture:
         def drift(energies: Array) -> Array:
             return self.coefficients(energies.T)[0].T
 
-        return VectorProcess(drift, diffusion, divergence, tuple(SHARES @ MEANS))
+        return Process.of_functions(drift, diffusion, divergence, tuple(SHARES @ MEANS))
 
     def written(self, x, y, sigmoid):
         """Return (s_1, s_2), (b_11, b_22), Σ_j ∂b_ij/∂H_j and b_12, of arrays or symbols."""

@@ -22,7 +22,7 @@ from averaging.quadrature import solve_by_quadrature
 from averaging.shell.ratios import energy_shell
 from fpk.line.stationary import solve_stationary
 from fpk.plane.stationary import solve_plane
-from fpk.process import Coefficients, DiffusionProcess
+from fpk.process import Coefficients, Process
 from fpk.quadrature import panel_rule
 
 TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
@@ -63,14 +63,14 @@ def lean(problem):
         return Coefficients(
             drift=NOISE - DAMPING * tau,
             diffusion=2.0 * NOISE * tau,
-            diffusion_slope=2.0 * NOISE * (1.0 - tau * slope / states),
+            divergence=2.0 * NOISE * (1.0 - tau * slope / states),
             dissipation=-DAMPING * tau,
             log_density_of_states=np.log(states),
             relative_error=np.zeros_like(energy),
             slope_error=np.zeros_like(energy),
         )
 
-    return DiffusionProcess(coefficients, 2.0 / ALPHA, problem.contact_energies, 2)
+    return Process(coefficients, (2.0 / ALPHA,), problem.contact_energies, 2)
 
 
 @lru_cache

@@ -21,9 +21,9 @@ from averaging.energy_process import energy_process
 from averaging.modal.analysis import modal_analysis
 from averaging.modal.process import modal_process
 from fpk.contact import Contact
+from fpk.process import Process
 from fpk.quadrature import gauss_legendre, panel_rule
 from fpk.system import System
-from fpk.vector_process import VectorProcess
 
 Array = NDArray[np.float64]
 
@@ -109,7 +109,7 @@ class Plane:
     contact_energies = ()
 
     @property
-    def process(self) -> VectorProcess:
+    def process(self) -> Process:
         """The averaged modal energies, from the system on, nothing remembered."""
         return modal_process(afresh(self.scene))
 

@@ -18,8 +18,8 @@ from averaging.modal.analysis import modal_analysis
 from averaging.modal.process import modal_process
 from fpk.plane.solution import PlaneSolution
 from fpk.plane.stationary import solve_plane
+from fpk.process import Process
 from fpk.quadrature import panel_rule
-from fpk.vector_process import VectorProcess
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ class Averaged:
     contact_energies = ()
 
     @property
-    def process(self) -> VectorProcess:
+    def process(self) -> Process:
         """The averaged modal energies, from the system on, nothing remembered."""
         return modal_process(afresh(self.scene))
 

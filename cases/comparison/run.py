@@ -5,6 +5,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from time import perf_counter
 
+from fpk.line.boundary import classify
+from fpk.plane.boundary import classify_edges
+
 from averaging.energy_process import energy_process
 from averaging.modal.process import modal_process
 from cases.comparison.averaged import AveragedSimulation, worth_running
@@ -16,10 +19,8 @@ from cases.scene.vary import Curve
 from fpk.density import AnyDensity
 from fpk.effects import Effects, effects_of
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.line.boundary import classify
 from fpk.method import Method, Progress, Result, silent
 from fpk.observable import Observable, observable_name, parse_observable
-from fpk.plane.boundary import classify_edges
 from fpk.system import System
 from sim.simulation import PARTIAL
 

@@ -19,13 +19,12 @@ from cases.studies.modal_parts import COARSEST as COARSEST_AXIS
 from cases.studies.modal_parts import graded, mesh_ends, modal_reference, of_plane
 from fpk.density import Array
 from fpk.errors import NotApplicable
-from fpk.line.mesh import survey, truncation_energy
 from fpk.line.stationary import StationarySolution, solve_on_mesh, solve_stationary
 from fpk.observable import Observable, parse_observable
 from fpk.plane.stationary import solve_plane, solve_plane_on_mesh
-from fpk.process import DiffusionProcess
+from fpk.probe import probed
+from fpk.process import Process
 from fpk.system import System
-from fpk.vector_process import VectorProcess
 
 BEYOND = 1e-14
 """Share of the probability beyond given meshes of one energy: far less than any error that their
@@ -80,10 +79,10 @@ class Equation:
         return len(self.observable)
 
 
-Changed = Callable[[DiffusionProcess], DiffusionProcess]
+Changed = Callable[[Process], Process]
 
 
-def unchanged(process: DiffusionProcess) -> DiffusionProcess:
+def unchanged(process: Process) -> Process:
     """Return the process itself; tests put a wrong one in its place."""
     return process
 
@@ -100,7 +99,7 @@ def energy_equation(system: System, *, changed: Changed = unchanged) -> Equation
     process = replace(process, coefficients=clock.timed(process.coefficients))
     reference, words = _energy_reference(system, right)
     # The mesh must reach as far as the true density does: it comes from the right process.
-    end = truncation_energy(survey(right), BEYOND)
+    end = probed(right).extent(BEYOND)
 
     def coarsest(degree: int) -> tuple[Array, ...]:
         inside = [H for H in right.nonsmooth if end > H]
@@ -129,7 +128,7 @@ def energy_equation(system: System, *, changed: Changed = unchanged) -> Equation
     )
 
 
-def _energy_reference(system: System, process: DiffusionProcess) -> tuple[Answer, str]:
+def _energy_reference(system: System, process: Process) -> tuple[Answer, str]:
     try:
         closed = averaged_density(system, process)
     except NotApplicable:
@@ -153,7 +152,7 @@ def modal_equation(system: System) -> Equation:
     observable = parse_observable("H1,H2", system.n)
     plain = modes_process(modes, [0, 1])
     clock = Clock()
-    process = _timed(plain, clock)
+    process = replace(plain, coefficients=clock.timed(plain.coefficients))
     reference, words = modal_reference(modes, plain, observable)
     ends = mesh_ends(modes, plain)
 
@@ -177,15 +176,6 @@ def modal_equation(system: System) -> Equation:
         adaptive=lambda tol: of_plane(solve_plane(process, tol=tol)),
         quadrature=None,
         coefficients=clock,
-    )
-
-
-def _timed(process: VectorProcess, clock: Clock) -> VectorProcess:
-    return replace(
-        process,
-        drift=clock.timed(process.drift),
-        diffusion=clock.timed(process.diffusion),
-        diffusion_divergence=clock.timed(process.diffusion_divergence),
     )
 
 

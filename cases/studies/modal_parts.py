@@ -8,10 +8,10 @@ from cases.studies.answer import Answer
 from fpk.density import Array
 from fpk.errors import NotCertified
 from fpk.observable import Observable
-from fpk.plane.mesh import axis_nodes, surveyed
+from fpk.plane.mesh import axis_nodes, probed
 from fpk.plane.stationary import PlaneSolution, solve_plane
 from fpk.plane.tensor import TensorPolynomial
-from fpk.vector_process import VectorProcess
+from fpk.process import Process
 
 BEYOND = 1e-9
 """Share of the probability beyond given meshes: less than any error that their levels reach; it is
@@ -29,7 +29,7 @@ GOOD = 1e-9
 
 
 def modal_reference(
-    modes: ModalAnalysis, process: VectorProcess, observable: Observable
+    modes: ModalAnalysis, process: Process, observable: Observable
 ) -> tuple[Answer, str]:
     """Return p(H1, H2) by another way than the route that is steered by a tolerance, in words, too.
 
@@ -56,7 +56,7 @@ def modal_reference(
     return of_plane(found), words
 
 
-def _plain_elements(process: VectorProcess) -> PlaneSolution:
+def _plain_elements(process: Process) -> PlaneSolution:
     best: PlaneSolution | None = None
     for tol in REFERENCE_TOLERANCES:
         try:
@@ -73,12 +73,12 @@ def _plain_elements(process: VectorProcess) -> PlaneSolution:
     return best
 
 
-def mesh_ends(modes: ModalAnalysis, process: VectorProcess) -> Array:
+def mesh_ends(modes: ModalAnalysis, process: Process) -> Array:
     """Return where given meshes end along both axes, in units of the scales, (2,)."""
     if modes.state is None:
         return np.full(2, -np.log(BEYOND))
-    survey = surveyed(process)
-    nodes = [axis_nodes(survey, k, tail=BEYOND, tol=BEYOND, degree=4) for k in (0, 1)]
+    probe = probed(process)
+    nodes = [axis_nodes(probe, k, tail=BEYOND, tol=BEYOND, degree=4) for k in (0, 1)]
     return np.array([x[-1] for x in nodes])
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fpk.line.elements import Form
 from fpk.line.null_vectors import Solved, solved_elements
 from fpk.line.rules import contact_rule, element_rule
-from fpk.process import Coefficients, DiffusionProcess
+from fpk.process import Coefficients, Process
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ class SolvedElements(NamedTuple):
 
 
 def solve_elements(
-    process: DiffusionProcess, left: Array, right: Array, degree: int, form: Form
+    process: Process, left: Array, right: Array, degree: int, form: Form
 ) -> SolvedElements:
     """Solve the elements between ``left`` and ``right`` in ``degree`` and in the enriched one.
 

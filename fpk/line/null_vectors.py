@@ -190,7 +190,7 @@ def _flux_terms(
             w *= T[g]
             alpha[g] = c.dissipation[e, g] * h * w
         else:
-            alpha[g] = (c.drift[e, g] - 0.5 * c.diffusion_slope[e, g]) * h * w
+            alpha[g] = (c.drift[e, g] - 0.5 * c.divergence[e, g]) * h * w
         beta[g] = -0.5 * c.diffusion[e, g] * w
     return top
 

@@ -20,17 +20,14 @@ from fpk.line.mesh import (
     DEEP_LAYERS,
     GRADED_LAYERS,
     NATS_PER_ELEMENT,
-    Survey,
     initial_nodes,
     nats_for,
     split_points,
-    survey,
-    tail_bound,
-    truncation_energy,
     with_layers,
 )
 from fpk.line.rules import ENRICHMENT
-from fpk.process import DiffusionProcess, log_density_slope_error
+from fpk.probe import Probe, probed
+from fpk.process import Process, log_density_slope_error
 from fpk.quadrature import panel_rule
 
 Array = NDArray[np.float64]
@@ -63,7 +60,7 @@ class StationarySolution:
     kept for the pointwise error. ``l1_error`` estimates ∫|p_h − p| on (0, ∞).
     """
 
-    process: DiffusionProcess
+    process: Process
     form: Form
     degree: int
     nodes: Array
@@ -137,7 +134,7 @@ class StationarySolution:
 
 
 def solve_stationary(
-    process: DiffusionProcess, *, tol: float = 1e-10, form: Form = "flux", degree: int | None = None
+    process: Process, *, tol: float = 1e-10, form: Form = "flux", degree: int | None = None
 ) -> StationarySolution:
     """Return the stationary density to the L1 tolerance ``tol``, adapting the mesh.
 
@@ -148,15 +145,15 @@ def solve_stationary(
     smooth = form == "flux" and not process.state_damping
     if degree is None:
         degree = int(np.clip(round(-np.log10(tol)) + (4 if smooth else 0), 3, 16 if smooth else 12))
-    view = survey(process)
-    if not np.all(np.isfinite(view.log_mass)):
+    probe = probed(process)
+    if not np.all(np.isfinite(probe.log_mass)):
         raise NotCertified(
             "the coefficients leave the range of double precision: choose other units"
         )
-    end = truncation_energy(view, 1e-2 * tol)
-    nats = nats_for(view, degree, tol) if smooth else NATS_PER_ELEMENT
+    end = probe.extent(1e-2 * tol)
+    nats = nats_for(probe, degree, tol) if smooth else NATS_PER_ELEMENT
     layers = 0 if smooth else DEEP_LAYERS if form == "drift-diffusion" else GRADED_LAYERS
-    nodes = initial_nodes(view, end, process.nonsmooth, nats=nats, layers=layers)
+    nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree, form)
     special = np.array([0.0, *process.nonsmooth])
     for _ in range(MOST_ROUNDS):
@@ -179,22 +176,22 @@ def solve_stationary(
             process, np.concatenate([left, cut]), np.concatenate([cut, right]), degree, form
         )
         elements = merged(elements, new, ~marked)
-    return _certified(process, view, elements, whole, found, degree, form, tol)
+    return _certified(process, probe, elements, whole, found, degree, form, tol)
 
 
 def solve_on_mesh(
-    process: DiffusionProcess, nodes: Array, degree: int, *, form: Form = "flux"
+    process: Process, nodes: Array, degree: int, *, form: Form = "flux"
 ) -> StationarySolution:
     """Return the finite element solution on a given mesh, for convergence studies."""
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree, form)
     whole = Assembled(*assembled(elements.solved))
     found = Checks(*checks(elements.solved, whole, elements.coefficient_error))
-    return _certified(process, survey(process), elements, whole, found, degree, form, np.inf)
+    return _certified(process, probed(process), elements, whole, found, degree, form, np.inf)
 
 
 def _certified(
-    process: DiffusionProcess,
-    view: Survey,
+    process: Process,
+    probe: Probe,
     elements: SolvedElements,
     whole: Assembled,
     found: Checks,
@@ -207,7 +204,7 @@ def _certified(
     end_value = abs(float(whole.u[-1, 1])) * math.exp(whole.log_scale[-1])
     if form == "flux":
         end_value *= math.exp(elements.log_states[-1])
-    tail = tail_bound(view, float(nodes[-1]), end_value)
+    tail = probe.tail_bound(float(nodes[-1]), end_value)
     # Errors of s and b shift d ln p/dH by as much. Their effect on ln p is bounded by the error
     # times the fall of ln p over the bulk of the mass, about one per energy scale; the worst
     # point of each element counts by its share of the mass.
@@ -248,9 +245,7 @@ def _certified(
     )
 
 
-def _accumulated_error(
-    process: DiffusionProcess, nodes: Array, share: Array
-) -> tuple[float, float]:
+def _accumulated_error(process: Process, nodes: Array, share: Array) -> tuple[float, float]:
     """L1 effect of the errors of 2s/b where they do not cancel, and their sum, a bound in ln p.
 
     An error of ln p over one element moves mass from one side of it to the other: at the most

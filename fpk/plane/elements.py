@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fpk.line.elements import gauss_rule, shapes_at_gauss
 from fpk.plane.condensation import local_order
-from fpk.vector_process import VectorProcess
+from fpk.process import Process
 
 Array = NDArray[np.float64]
 
@@ -39,17 +39,15 @@ def gauss_energies(nodes: tuple[Array, Array], rule: int) -> tuple[Array, Array]
     return first, second
 
 
-def coefficients_at(
-    process: VectorProcess, nodes: tuple[Array, Array], rule: int
-) -> PlaneCoefficients:
+def coefficients_at(process: Process, nodes: tuple[Array, Array], rule: int) -> PlaneCoefficients:
     """Evaluate the process at the Gauss points; elements run along H2 fastest."""
     first, second = gauss_energies(nodes, rule)
     shape = (first.shape[0], second.shape[0], first.shape[1], second.shape[1])
     H1 = np.broadcast_to(first[:, None, :, None], shape)
     H2 = np.broadcast_to(second[None, :, None, :], shape)
     points = np.stack([H1.ravel(), H2.ravel()], axis=1)
-    a = process.drift(points) - 0.5 * process.diffusion_divergence(points)
-    b = process.diffusion(points)
+    c = process.coefficients(points)
+    a, b = c.drift - 0.5 * c.divergence, c.diffusion
     grid = (-1, first.shape[1], second.shape[1])
     return PlaneCoefficients(
         a[:, 0].reshape(grid),

@@ -17,8 +17,8 @@ from fpk.errors import NotCertified
 from fpk.plane.basis import Basis, orthonormal
 from fpk.plane.pointwise import evaluated, seen_points, weighted_on_grid
 from fpk.plane.weight import Weight
+from fpk.process import Process
 from fpk.quadrature import panel_rule
-from fpk.vector_process import VectorProcess
 
 Array = NDArray[np.float64]
 
@@ -142,7 +142,7 @@ class Solved:
 
 
 def solve_expansion(
-    process: VectorProcess,
+    process: Process,
     weight: Weight,
     nodes: tuple[Array, Array],
     degree: int,

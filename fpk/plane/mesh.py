@@ -7,24 +7,24 @@ from numpy.typing import NDArray
 
 from fpk.errors import NotCertified
 from fpk.plane.pointwise import evaluated, flux_free_slopes
-from fpk.vector_process import VectorProcess
+from fpk.process import Process
 
 Array = NDArray[np.float64]
 
-SURVEY = np.concatenate([[0.0], np.logspace(-2.0, 3.0, 52)])
-"""Energies of the survey along each axis, in units of the process's scale."""
+PROBE = np.concatenate([[0.0], np.logspace(-2.0, 3.0, 52)])
+"""Energies of the probe along each axis, in units of the process's scale."""
 NEXT_TO_ZERO = 1e-4
-"""Where the survey reads the slopes at H_i = 0, in the same unit: b vanishes on the axis itself."""
+"""Where the probe reads the slopes at H_i = 0, in the same unit: b vanishes on the axis itself."""
 FINE = 512
 """Places between which an axis is divided."""
 DEEP = 40.0
-"""Nats by which p has to fall within the survey: what is left there, 4e-18, is below round-off."""
+"""Nats by which p has to fall within the probe: what is left there, 4e-18, is below round-off."""
 TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, eq=False)
-class Survey:
-    """Guess of ln p and of its slopes (2, …) on the grid of ``SURVEY``, in units of the scales.
+class Probe:
+    """Guess of ln p and of its slopes (2, …) on the grid of ``PROBE``, in units of the scales.
 
     Meshes start from it: no answer rests on it.
     """
@@ -35,13 +35,13 @@ class Survey:
     @property
     def falls(self) -> bool:
         """Whether p H1 H2, the density over relative lengths, is least at the far edges."""
-        log = np.log(np.maximum(SURVEY, SURVEY[1]))
+        log = np.log(np.maximum(PROBE, PROBE[1]))
         weighted = self.log_density + log[:, None] + log
         edges = max(weighted[-1].max(), weighted[:, -1].max())
         return bool(edges < weighted.max() - DEEP)
 
 
-def surveyed(process: VectorProcess) -> Survey:
+def probed(process: Process) -> Probe:
     """Return what the density would be if no probability flowed, ∇ ln p = b⁻¹ (2s − ∇·b).
 
     The integral is taken along two paths, first one energy, then the other, and the mean of both:
@@ -51,23 +51,23 @@ def surveyed(process: VectorProcess) -> Survey:
 
     Raises ``NotCertified`` where the density does not fall off, or b is singular off the axes.
     """
-    inside = np.maximum(SURVEY, NEXT_TO_ZERO)
+    inside = np.maximum(PROBE, NEXT_TO_ZERO)
     grid = np.stack(np.meshgrid(inside, inside, indexing="ij"), axis=-1).reshape(-1, 2)
     scales = np.array(process.energy_scales)
     slopes, regular = flux_free_slopes(*evaluated(process, grid * scales), scales)
     if not regular:
         raise NotCertified("some combination of the two energies gets no noise")
-    first, second = slopes.reshape(2, SURVEY.size, SURVEY.size)
+    first, second = slopes.reshape(2, PROBE.size, PROBE.size)
     along = _integral(first), _integral(second.T).T
     paths = along[0][:, :1] + along[1] + along[1][:1] + along[0]
-    guess = Survey(0.5 * paths, np.stack([first, second]))
+    guess = Probe(0.5 * paths, np.stack([first, second]))
     return guess if guess.falls else _closed(process)
 
 
-def _closed(process: VectorProcess) -> Survey:
+def _closed(process: Process) -> Probe:
     """The product of marginals: drift and diffusion averaged over an exponential other energy."""
     t, weight = np.polynomial.laguerre.laggauss(8)
-    inside = np.maximum(SURVEY, NEXT_TO_ZERO)
+    inside = np.maximum(PROBE, NEXT_TO_ZERO)
     slopes = []
     for axis in (0, 1):
         flow, diffusion = _coefficients(process, *((inside, t) if axis == 0 else (t, inside)))
@@ -81,52 +81,52 @@ def _closed(process: VectorProcess) -> Survey:
         # What the closure does farther out is not to be trusted: on at the mean slope so far.
         at = deep[0]
         top = int(np.argmax(log_p[:at]))
-        slope[at:] = (log_p[at] - log_p[top]) / (SURVEY[at] - SURVEY[top])
+        slope[at:] = (log_p[at] - log_p[top]) / (PROBE[at] - PROBE[top])
         slopes.append(slope)
     first, second = (_integral(slope[:, None]) for slope in slopes)
     grid = np.broadcast_arrays(slopes[0][:, None], slopes[1])
-    return Survey(first + second.T, np.stack(grid))
+    return Probe(first + second.T, np.stack(grid))
 
 
-def _coefficients(process: VectorProcess, first: Array, second: Array) -> tuple[Array, Array]:
+def _coefficients(process: Process, first: Array, second: Array) -> tuple[Array, Array]:
     """2s − ∇·b (…, 2) and b (…, 2, 2) on the grid of energies in units of the scales."""
     grid = np.meshgrid(first, second, indexing="ij")
     points = np.stack([x.ravel() for x in grid], axis=1) * process.energy_scales
-    flow = 2.0 * process.drift(points) - process.diffusion_divergence(points)
-    shape = grid[0].shape
-    return flow.reshape(*shape, 2), process.diffusion(points).reshape(*shape, 2, 2)
+    c = process.coefficients(points)
+    flow, shape = 2.0 * c.drift - c.divergence, grid[0].shape
+    return flow.reshape(*shape, 2), c.diffusion.reshape(*shape, 2, 2)
 
 
 def _integral(slope: Array) -> Array:
-    """Trapezoidal ∫ from 0 along the first axis of the survey."""
-    steps = 0.5 * (slope[1:] + slope[:-1]) * np.diff(SURVEY)[:, None]
+    """Trapezoidal ∫ from 0 along the first axis of the probe."""
+    steps = 0.5 * (slope[1:] + slope[:-1]) * np.diff(PROBE)[:, None]
     return np.concatenate([np.zeros_like(slope[:1]), np.cumsum(steps, axis=0)])
 
 
-def axis_nodes(survey: Survey, axis: int, *, tail: float, tol: float, degree: int) -> Array:
+def axis_nodes(probe: Probe, axis: int, *, tail: float, tol: float, degree: int) -> Array:
     """Return nodes in units of the scale, from 0 to where about the share ``tail`` lies beyond.
 
     Between them polynomials of ``degree`` meet p to ``tol`` of the whole mass: over a length h the
     least error is 2 (h/4)^k |p^(k)|/k!, k = degree + 1, with |p^(k)| at the middle for an
     exponential, which is what the mean of its logarithm finds, and 2/π of that on average.
     """
-    log_p, slope = survey.log_density, survey.slopes[axis]
-    bend = -np.gradient(slope, SURVEY, axis=axis)
+    log_p, slope = probe.log_density, probe.slopes[axis]
+    bend = -np.gradient(slope, PROBE, axis=axis)
     if axis == 1:
         log_p, slope, bend = log_p.T, slope.T, bend.T
-    width = np.gradient(SURVEY)
+    width = np.gradient(PROBE)
     log_p = log_p + np.log(width)
     p = np.exp(log_p - log_p.max())
     beyond = np.cumsum((p.sum(axis=1) * width)[::-1])[::-1]
     share = np.log(np.maximum(beyond / beyond[0], TINY))
-    end = float(np.interp(-np.log(tail), -share, SURVEY))
-    rows = slice(0, int(np.searchsorted(SURVEY, end)) + 1)
+    end = float(np.interp(-np.log(tail), -share, PROBE))
+    rows = slice(0, int(np.searchsorted(PROBE, end)) + 1)
     k = degree + 1
     change = log_p[rows] - log_p.max() + log_derivative(slope[rows], bend[rows], k)
     top = change.max(axis=1)
     total = top + np.log(np.exp(change - top[:, None]).sum(axis=1)) - np.log(beyond[0])
     fine = np.linspace(0.0, end, FINE + 1)
-    along = np.interp(fine, SURVEY[rows], total)
+    along = np.interp(fine, PROBE[rows], total)
     summed = np.concatenate([[0.0], np.cumsum(0.5 * (along[1:] + along[:-1]))])
     allowed = np.log(0.25 * np.pi * tol) + k * np.log(4.0)
     cuts, at = [0], 0

@@ -11,11 +11,11 @@ from fpk.errors import NotCertified
 from fpk.line.elements import gauss_rule, shapes_at_gauss
 from fpk.plane.condensation import local_order, null_vector
 from fpk.plane.elements import coefficients_at, element_matrices, gauss_energies, weighted
-from fpk.plane.mesh import Survey, axis_nodes, bisected
+from fpk.plane.mesh import Probe, axis_nodes, bisected
 from fpk.plane.solution import NEGATIVE, PlaneSolution, judged, mass_beyond
 from fpk.plane.tensor import ROUND_OFF, TensorPolynomial, by_element, weight_at_gauss
 from fpk.plane.weight import Weight
-from fpk.vector_process import VectorProcess
+from fpk.process import Process
 
 Array = NDArray[np.float64]
 Nodes = tuple[Array, Array]
@@ -35,18 +35,18 @@ FOR_THE_WEIGHT = 4
 
 
 def solve_by_elements(
-    process: VectorProcess, survey: Survey, *, tol: float, degree: int | None, strict: bool = True
+    process: Process, probe: Probe, *, tol: float, degree: int | None, strict: bool = True
 ) -> PlaneSolution:
     """Return the finite element solution to the L1 tolerance ``tol``, adapting the mesh.
 
-    Degree and first mesh follow from ``tol`` and the ``survey``. The mesh is made longer where mass
+    Degree and first mesh follow from ``tol`` and the ``probe``. The mesh is made longer where mass
     lies beyond, the degree raised where little is missing, and intervals are halved whose highest
     modes are too large or, if ``strict``, where p is negative: until the certificate holds, or
     without ``strict`` the tolerance, or the limits are reached.
     """
     fixed = degree is not None
     degree = int(np.clip(round(-1.6 * np.log10(tol)), 4, 18)) if degree is None else degree
-    pair = _first_nodes(process, survey, degree, tol)
+    pair = _first_nodes(process, probe, degree, tol)
     if not _affordable(pair, degree):
         raise NotCertified(f"the tolerance {tol:.2g} takes more elements than are affordable")
     for _ in range(MOST_ROUNDS):
@@ -79,16 +79,16 @@ def _affordable(nodes: Nodes, degree: int) -> bool:
     return bool(elements * (degree + ENRICHMENT + 1) ** 4 <= MOST_ENTRIES)
 
 
-def _first_nodes(process: VectorProcess, survey: Survey, degree: int, tol: float) -> Nodes:
+def _first_nodes(process: Process, probe: Probe, degree: int, tol: float) -> Nodes:
     first, second = (
-        scale * axis_nodes(survey, axis, tail=1e-2 * tol, tol=SHARE * tol, degree=degree)
+        scale * axis_nodes(probe, axis, tail=1e-2 * tol, tol=SHARE * tol, degree=degree)
         for axis, scale in enumerate(process.energy_scales)
     )
     return first, second
 
 
 def solve_plane_on_mesh(
-    process: VectorProcess,
+    process: Process,
     nodes: Nodes,
     degree: int,
     *,
@@ -140,7 +140,7 @@ def _weights(nodes: Nodes, rule: int) -> Array:
 
 
 def _solved(
-    process: VectorProcess, nodes: Nodes, degree: int, rule: int, weight: Weight | None
+    process: Process, nodes: Nodes, degree: int, rule: int, weight: Weight | None
 ) -> tuple[TensorPolynomial, float]:
     sizes, weights = _sizes(nodes), _weights(nodes, rule)
     coefficients = coefficients_at(process, nodes, rule)

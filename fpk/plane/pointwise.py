@@ -1,20 +1,21 @@
-"""Compiled arithmetic at the places of an expansion and of the survey."""
+"""Compiled arithmetic at the places of an expansion and of the probe."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fpk.compiling import kept
-from fpk.vector_process import VectorProcess
+from fpk.process import Process
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
-def evaluated(process: VectorProcess, energies: Array) -> tuple[Array, Array, Array]:
+def evaluated(process: Process, energies: Array) -> tuple[Array, Array, Array]:
     """Return s, ∇·b and b at energies (points, 2), as arrays of one kind for compiled code."""
-    s, divergence = process.drift(energies), process.diffusion_divergence(energies)
-    b = process.diffusion(energies)
-    s, divergence, b = (np.array(values, float, order="C") for values in (s, divergence, b))
+    c = process.coefficients(energies)
+    s, divergence, b = (
+        np.array(values, float, order="C") for values in (c.drift, c.divergence, c.diffusion)
+    )
     return s, divergence, b
 
 

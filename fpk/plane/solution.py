@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.certificate import Certificate
-from fpk.vector_process import VectorProcess
+from fpk.process import Process
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ class PlaneSolution:
     outside the nodes and from the integral of p.
     """
 
-    process: VectorProcess
+    process: Process
     answer: PlaneDensity
     enriched: PlaneDensity
     l1_error: float
@@ -95,7 +95,7 @@ def mass_beyond(H: Array, along: Array) -> float:
 
 
 def judged(
-    process: VectorProcess,
+    process: Process,
     answer: PlaneDensity,
     enriched: PlaneDensity,
     values: tuple[Array, Array, Array],

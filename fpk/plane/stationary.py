@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from fpk.errors import InvalidInput, NotCertified
 from fpk.plane.expansion import Solved, panels_of, solve_expansion
-from fpk.plane.mesh import Survey, surveyed
+from fpk.plane.mesh import Probe, probed
 from fpk.plane.on_mesh import solve_by_elements, solve_plane_on_mesh
 from fpk.plane.solution import PlaneSolution, judged, mass_beyond
 from fpk.plane.weight import Weight, flux_free_weight
 from fpk.plane.weighted import KNOWN, lacking, solve_with_weight, weight_of
-from fpk.vector_process import VectorProcess
+from fpk.process import Process
 
 __all__ = ["PlaneSolution", "solve_plane", "solve_plane_on_mesh"]
 
@@ -42,7 +42,7 @@ ROUGH = 1e-5
 
 
 def solve_plane(
-    process: VectorProcess, *, tol: float = 1e-10, degree: int | None = None
+    process: Process, *, tol: float = 1e-10, degree: int | None = None
 ) -> PlaneSolution:
     """Return the stationary density of two energies to the L1 tolerance ``tol``.
 
@@ -58,11 +58,11 @@ def solve_plane(
     """
     if process.dimension != 2:
         raise InvalidInput("process", process.dimension, "must have two energies")
-    survey = surveyed(process)
+    probe = probed(process)
     if degree is not None:
-        return solve_by_elements(process, survey, tol=tol, degree=degree)
+        return solve_by_elements(process, probe, tol=tol, degree=degree)
     best: PlaneSolution | None = None
-    for solution in _attempts(process, survey, tol):
+    for solution in _attempts(process, probe, tol):
         if solution.certificate.certified:
             return solution
         if best is None or not best.l1_error <= solution.l1_error:
@@ -72,23 +72,23 @@ def solve_plane(
     return best
 
 
-def _attempts(process: VectorProcess, survey: Survey, tol: float) -> Iterator[PlaneSolution]:
+def _attempts(process: Process, probe: Probe, tol: float) -> Iterator[PlaneSolution]:
     """Solutions, each made after the last one was found wanting."""
-    weight = yield from _expanded(process, flux_free_weight(survey, process.energy_scales), tol)
+    weight = yield from _expanded(process, flux_free_weight(probe, process.energy_scales), tol)
     try:
         if weight is None:
             tolerance = max(tol, ROUGH)
-            rough = solve_by_elements(process, survey, tol=tolerance, degree=None, strict=False)
+            rough = solve_by_elements(process, probe, tol=tolerance, degree=None, strict=False)
             weight = weight_of(rough)
         if weight is not None:
             yield from solve_with_weight(process, weight, tol=tol)
-        yield solve_by_elements(process, survey, tol=tol, degree=None)
+        yield solve_by_elements(process, probe, tol=tol, degree=None)
     except NotCertified:
         return
 
 
 def _expanded(
-    process: VectorProcess, weight: Weight | None, tol: float
+    process: Process, weight: Weight | None, tol: float
 ) -> Generator[PlaneSolution, None, Weight | None]:
     """Expansions of rising degree, each tried once more with a weight fitted to it.
 
@@ -117,9 +117,7 @@ def _expanded(
     return best
 
 
-def _expansion(
-    process: VectorProcess, weight: Weight, degree: int, tol: float
-) -> PlaneSolution | None:
+def _expansion(process: Process, weight: Weight, degree: int, tol: float) -> PlaneSolution | None:
     # An error of size one at w = e^−n, such as the natural condition makes there, is one of
     # e^−n/2 in the norm weighted by w.
     nats = max(LEAST_NATS, -2.0 * float(np.log(tol)))

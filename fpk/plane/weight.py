@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.errors import NotCertified
-from fpk.plane.mesh import SURVEY, Survey
+from fpk.plane.mesh import PROBE, Probe
 from fpk.plane.polynomials import Grid, fits, grid_of, of_total_degree, powers_of, values_at
 
 Array = NDArray[np.float64]
@@ -118,22 +118,22 @@ class Weight:
         return nodes[0], nodes[1]
 
 
-def flux_free_weight(survey: Survey, scales: tuple[float, ...]) -> Weight | None:
-    """Return w fitted to the slopes of the survey's guess of ln p, or None where none falls off.
+def flux_free_weight(probe: Probe, scales: tuple[float, ...]) -> Weight | None:
+    """Return w fitted to the slopes of the probe's guess of ln p, or None where none falls off.
 
     Where probability circulates b⁻¹ (2s − ∇·b) is no gradient, and Φ the nearest potential.
     """
-    depth = survey.log_density.max() - survey.log_density
+    depth = probe.log_density.max() - probe.log_density
     seen = depth < SEEN
     last = [
         max(int(np.flatnonzero(seen.any(axis=1 - axis))[-1]) + 1, len(DEGREES) + 1)
         for axis in (0, 1)
     ]
-    first, second = (min(n, SURVEY.size - 1) for n in last)
+    first, second = (min(n, PROBE.size - 1) for n in last)
     inside = (slice(1, first + 1), slice(1, second + 1))
-    ends = SURVEY[first], SURVEY[second]
-    grid = grid_of(SURVEY[inside[0]] / ends[0], SURVEY[inside[1]] / ends[1], DEGREES[-1])
-    wanted = [-slope[inside] * end for slope, end in zip(survey.slopes, ends, strict=True)]
+    ends = PROBE[first], PROBE[second]
+    grid = grid_of(PROBE[inside[0]] / ends[0], PROBE[inside[1]] / ends[1], DEGREES[-1])
+    wanted = [-slope[inside] * end for slope, end in zip(probe.slopes, ends, strict=True)]
     root = _importance(depth[inside])
     right = np.concatenate([(root * slope).ravel() for slope in wanted])
 

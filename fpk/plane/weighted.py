@@ -9,7 +9,7 @@ from fpk.errors import NotCertified
 from fpk.plane.on_mesh import solve_plane_on_mesh
 from fpk.plane.solution import NEGATIVE, PlaneSolution
 from fpk.plane.weight import Weight, fitted_weight
-from fpk.vector_process import VectorProcess
+from fpk.process import Process
 
 Array = NDArray[np.float64]
 
@@ -40,9 +40,7 @@ SAMPLES = 32
 """Places along each axis at which a weight is fitted."""
 
 
-def solve_with_weight(
-    process: VectorProcess, weight: Weight, *, tol: float
-) -> Iterator[PlaneSolution]:
+def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterator[PlaneSolution]:
     """Yield solutions on ever more elements of ever higher degree, each with a better weight.
 
     The nodes are equidistant in √H, the amplitude: where one energy is large the other one's

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.errors import NotApplicable
-from fpk.process import DiffusionProcess, log_density_slope
+from fpk.process import Process, log_density_slope
 from fpk.quadrature import panel_rule
 from sim.averaged.square_root import SquareRootForm
 
@@ -18,7 +18,7 @@ FIRST = 8
 """Cells next to 0 with the γ of the next one: a difference of equal numbers is divided by X."""
 
 
-def line_form(process: DiffusionProcess) -> SquareRootForm:
+def line_form(process: Process) -> SquareRootForm:
     """Return X = R², R = ∫ dH/√b from 0: a square-root process with β = 4 whatever b(H) is.
 
     By Ito's formula ``dX = μ dt + 2 √X dB``, ``μ = 1 + 2 R (s − b'/4)/√b``, and μ(0) = 2n with n
@@ -34,7 +34,7 @@ def line_form(process: DiffusionProcess) -> SquareRootForm:
     b = process.coefficients((t**2).ravel()).diffusion.reshape(t.shape)
     R = np.concatenate([[0.0], np.cumsum(np.sum(w * 2.0 * t / np.sqrt(b), axis=1))])
     c = process.coefficients(nodes[1:])
-    mu = 1.0 + 2.0 * R[1:] * (c.drift - 0.25 * c.diffusion_slope) / np.sqrt(c.diffusion)
+    mu = 1.0 + 2.0 * R[1:] * (c.drift - 0.25 * c.divergence) / np.sqrt(c.diffusion)
     noise = 2.0 * process.degrees_of_freedom
     gamma = (noise - mu) / R[1:] ** 2
     gamma[:FIRST] = gamma[FIRST]
@@ -63,7 +63,7 @@ def line_form(process: DiffusionProcess) -> SquareRootForm:
     )
 
 
-def _last_energy(process: DiffusionProcess) -> float:
+def _last_energy(process: Process) -> float:
     grid = process.energy_scale * np.logspace(-3.0, 3.0, 600)
     slope = log_density_slope(process.coefficients(grid))
     log_p = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(grid))])

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.errors import NotApplicable
-from fpk.vector_process import VectorProcess
+from fpk.process import Process
 
 Array = NDArray[np.float64]
 Function = Callable[[Array], Array]
@@ -39,7 +39,7 @@ class SquareRootForm:
     times: Array
 
 
-def square_root_form(process: VectorProcess) -> SquareRootForm:
+def square_root_form(process: Process) -> SquareRootForm:
     """Return energies H_i with b_ii = β_i H_i and b_ij = 0 in the form of exact steps.
 
     d_i is the drift on the axis H_i = 0, the other energies as they are; β_i may depend on the
@@ -55,15 +55,15 @@ def square_root_form(process: VectorProcess) -> SquareRootForm:
         for i in range(scales.size):
             edge = H.copy()
             edge[:, i] = 0.0
-            d[:, i] = process.drift(edge)[:, i]
+            d[:, i] = process.at(edge).drift[:, i]
         return d
 
     def slope(H: Array) -> Array:
         safe = np.maximum(H, NEAR_ZERO * scales)
-        b = process.diffusion(safe)
+        b = process.at(safe).diffusion
         return np.asarray(np.diagonal(b, axis1=1, axis2=2) / safe)
 
-    b = process.diffusion(probes)
+    b = process.at(probes).diffusion
     off = b - np.einsum("nii->ni", b)[:, :, None] * np.eye(scales.size)
     if np.any(np.abs(off) > ALIKE * np.abs(b).max(axis=(1, 2), keepdims=True)):
         raise NotApplicable("the noises of two energies are correlated (b_ij ≠ 0): not simulated")
@@ -71,7 +71,7 @@ def square_root_form(process: VectorProcess) -> SquareRootForm:
 
     def whole(H: Array) -> Array:
         safe = np.maximum(H, NEAR_ZERO * scales)
-        return np.asarray((d(H) - process.drift(safe)) / safe)
+        return np.asarray((d(H) - process.at(safe).drift) / safe)
 
     rates, columns = whole(probes), np.arange(scales.size)
     # Read at large energies: next to 0 the difference of equal numbers is divided by H_i.

@@ -23,8 +23,8 @@ from averaging.modal.resonance import (
 from averaging.nonintegrable import NonIntegrable
 from fpk.clearance import stop_clearances
 from fpk.density import l1_distance, mass, moment
+from fpk.ends import classify
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.line.boundary import classify
 from fpk.linear import stationary_covariance
 from fpk.observable import parse_observable
 from fpk.process import log_density_slope
@@ -102,14 +102,14 @@ def test_process_is_the_one_of_each_mode(system):
     assert process.dimension == system.n
     rng = np.random.default_rng(20040801)
     H = rng.exponential(size=(7, system.n)) * process.energy_scales
-    b, divergence = process.diffusion(H), process.diffusion_divergence(H)
+    b, divergence = process.at(H).diffusion, process.at(H).divergence
     for i in range(system.n):
         c = mode_process(modes, i).coefficients(H[:, i])
-        np.testing.assert_allclose(process.drift(H)[:, i], c.drift, rtol=1e-14)
+        np.testing.assert_allclose(process.at(H).drift[:, i], c.drift, rtol=1e-14)
         np.testing.assert_allclose(b[:, i, i], c.diffusion, rtol=1e-14)
-        np.testing.assert_allclose(divergence[:, i], c.diffusion_slope, rtol=1e-14)
+        np.testing.assert_allclose(divergence[:, i], c.divergence, rtol=1e-14)
         # s = dissipation + ½ (b T)'/T with constant T; zero flux gives the exponential (34).
-        np.testing.assert_allclose(c.drift, c.dissipation + 0.5 * c.diffusion_slope, rtol=1e-12)
+        np.testing.assert_allclose(c.drift, c.dissipation + 0.5 * c.divergence, rtol=1e-12)
         np.testing.assert_allclose(log_density_slope(c), -1 / modes.temperature[i], rtol=1e-12)
         lower, _ = classify(mode_process(modes, i))
         assert lower.kind == "entrance"
@@ -130,8 +130,8 @@ def test_drift_and_diffusion_are_phase_averages(system):
         b = 2 * modes.modal_noise * np.einsum("xi,xj->ij", v, v) / theta.shape[0]
         process = modal_process(system)
         scale = np.max(np.abs(b))
-        np.testing.assert_allclose(process.drift(energies[None])[0], s, atol=1e-14)
-        np.testing.assert_allclose(process.diffusion(energies[None])[0], b, atol=1e-14 * scale)
+        np.testing.assert_allclose(process.at(energies[None]).drift[0], s, atol=1e-14)
+        np.testing.assert_allclose(process.at(energies[None]).diffusion[0], b, atol=1e-14 * scale)
 
 
 @pytest.mark.parametrize("solver", ["closed-form", "quadrature", "fem"])

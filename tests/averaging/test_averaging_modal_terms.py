@@ -48,8 +48,8 @@ def test_drift_is_the_phase_average(n, seed):
         process = modal_process(system)
         drift = modes.noise / modes.modal_mass - np.diag(flow)
         size = np.max(np.abs(flow)) + np.max(modes.noise)
-        np.testing.assert_allclose(process.drift(energies[None])[0], drift, atol=1e-13 * size)
-        np.testing.assert_allclose(process.diffusion(energies[None])[0], b, atol=1e-13 * b.max())
+        np.testing.assert_allclose(process.at(energies[None]).drift[0], drift, atol=1e-13 * size)
+        np.testing.assert_allclose(process.at(energies[None]).diffusion[0], b, atol=1e-13 * b.max())
         # All of Γ_mk, of which resonance takes the rest: linear in it.
         found = modes.state.constant + sum(
             np.einsum("rmk,r->mk", part.coefficients, np.prod(energies[part.factors], axis=1))
@@ -77,10 +77,10 @@ def test_drift_is_the_time_average_of_the_undamped_motion(make):
     process = modal_process(system)
     drift = modes.noise / modes.modal_mass - np.diag(flow)
     accuracy = 1e-11
-    np.testing.assert_allclose(process.drift(energies[None])[0], drift, atol=accuracy)
-    np.testing.assert_allclose(process.diffusion(energies[None])[0], b, atol=accuracy)
+    np.testing.assert_allclose(process.at(energies[None]).drift[0], drift, atol=accuracy)
+    np.testing.assert_allclose(process.at(energies[None]).diffusion[0], b, atol=accuracy)
     # The same against one energy 10 % off must fail: the average sees both.
-    off = process.drift(energies[None] * [1.0, 1.1])[0]
+    off = process.at(energies[None] * [1.0, 1.1]).drift[0]
     assert np.max(np.abs(off - drift)) > 1e6 * accuracy
 
 
@@ -195,6 +195,6 @@ def test_many_modes_of_a_high_degree_are_averaged_and_too_many_refused():
         return System(ones, ones, 0.1 * ones, 0.1 * ones, damping_terms=(term,))
 
     term = DampingTerm(1, 1, 0.1, ((1, 4),), ((2, 4),))
-    assert modal_process(chain(8, term)).drift(np.ones((2, 8))).shape == (2, 8)
+    assert modal_process(chain(8, term)).coefficients(np.ones((2, 8))).drift.shape == (2, 8)
     with pytest.raises(NotApplicable, match="more than"):
         modal_analysis(chain(40, term))

@@ -13,7 +13,7 @@ from averaging.shell.ratios import energy_shell, log_linear_states, shell_ratios
 from fpk.contact import Contact
 from fpk.errors import NotApplicable, NotCertified
 from fpk.line.stationary import solve_stationary
-from fpk.process import DiffusionProcess
+from fpk.process import Process
 from fpk.quadrature import panel_rule
 from fpk.system import System
 
@@ -118,7 +118,7 @@ def test_noise_drift_is_half_the_slope_of_diffusion_times_states(name):
     T, T_ends = np.exp(c.log_density_of_states), np.exp(ends.log_density_of_states)
     rise = np.diff(ends.diffusion * T_ends)[0]
     assert w.ravel() @ (2.0 * (c.drift - c.dissipation) * T) == pytest.approx(rise, rel=1e-10)
-    assert w.ravel() @ c.diffusion_slope == pytest.approx(np.diff(ends.diffusion)[0], rel=1e-10)
+    assert w.ravel() @ c.divergence == pytest.approx(np.diff(ends.diffusion)[0], rel=1e-10)
     balance = energy_balance(system)
     np.testing.assert_allclose(c.drift - c.dissipation, balance.noise, rtol=1e-12)
     np.testing.assert_allclose(
@@ -152,7 +152,7 @@ def test_units_do_not_matter():
         c, d = p.coefficients(energy), q.coefficients(E * energy)
         np.testing.assert_allclose(d.drift, c.drift * E / t, rtol=1e-10)
         np.testing.assert_allclose(d.diffusion, c.diffusion * E**2 / t, rtol=1e-10)
-        np.testing.assert_allclose(d.diffusion_slope, c.diffusion_slope * E / t, rtol=1e-10)
+        np.testing.assert_allclose(d.divergence, c.divergence * E / t, rtol=1e-10)
         u, v = averaged_closed_form(one, p), averaged_closed_form(two, q)
         np.testing.assert_allclose(v.energy_pdf(E * energy) * E, u.energy_pdf(energy), rtol=1e-10)
 
@@ -192,7 +192,7 @@ def test_the_printed_sign_of_eq_28_is_not_confined():
         c = process.coefficients(energy)
         return c._replace(drift=c.drift - 2.0 * c.dissipation, dissipation=-c.dissipation)
 
-    wrong = DiffusionProcess(printed, process.energy_scale, process.nonsmooth, 2)
+    wrong = Process(printed, process.energy_scales, process.nonsmooth, 2)
     for form in ("flux", "drift-diffusion"):
         with pytest.raises(NotCertified, match="does not fall off"):
             solve_stationary(wrong, form=form)

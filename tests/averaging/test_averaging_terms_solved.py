@@ -15,9 +15,9 @@ from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.density import l1_distance, mass, moment
 from fpk.errors import NotApplicable
-from fpk.line.mesh import survey, truncation_energy
 from fpk.line.stationary import solve_stationary
 from fpk.observable import parse_observable
+from fpk.probe import probed
 from fpk.quadrature import panel_rule
 from fpk.system import System
 
@@ -230,13 +230,13 @@ def test_condition_8_with_terms():
         compatibility(System([1.0, 1.0], [1.0, 1.0], D, D, damping_terms=dragged))
 
 
-def test_a_narrow_maximum_is_not_missed_by_the_survey():
+def test_a_narrow_maximum_is_not_missed_by_the_probe():
     process = energy_process(cycle(1, 1e-6))
-    view = survey(process)
-    mode = view.energy[np.flatnonzero(np.diff(np.sign(view.slope)) < 0)]
+    probe = probed(process)
+    mode = probe.energy[np.flatnonzero(np.diff(np.sign(probe.slope)) < 0)]
     # Width √(1e-6/0.05) = 0.0045 about H = 1; the first grid has steps of a sixth of H.
     assert np.min(np.abs(mode - 1.0)) < 0.0045
-    assert 1.02 < truncation_energy(view, 1e-12) < 1.06
+    assert 1.02 < probe.extent(1e-12) < 1.06
     assert energy_balance(cycle(1, 1e-6)).energy_scale == pytest.approx(0.5, rel=1e-3)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from fpk.contact import Contact
-from fpk.process import Coefficients, DiffusionProcess
+from fpk.process import Coefficients, Process
 from fpk.quadrature import panel_rule
 from fpk.system import System
 
@@ -16,14 +16,14 @@ def by_hand(dissipation, *, d=1.0, n=1.0, scale=1.0):
         return Coefficients(
             drift=F + d * n,
             diffusion=2.0 * d * energy,
-            diffusion_slope=np.full_like(energy, 2.0 * d),
+            divergence=np.full_like(energy, 2.0 * d),
             dissipation=F,
             log_density_of_states=(n - 1.0) * np.log(energy),
             relative_error=np.zeros_like(energy),
             slope_error=np.zeros_like(energy),
         )
 
-    return DiffusionProcess(coefficients, scale, (), max(round(n), 1))
+    return Process(coefficients, (scale,), (), max(round(n), 1))
 
 
 def cox_ingersoll_ross(*, a, c=1.0, d=1.0):

@@ -4,7 +4,7 @@ import pytest
 from fpk_processes import both, by_hand, chain, cox_ingersoll_ross
 
 from averaging.energy_process import energy_process
-from fpk.line.boundary import classify
+from fpk.ends import classify
 
 
 @pytest.mark.parametrize(
@@ -30,7 +30,7 @@ def test_a_diffusion_of_another_order_is_not_classified():
         c = process.coefficients(energy)
         return c._replace(diffusion=energy**2)
 
-    assert classify(type(process)(squared, 1.0, (), 1))[0].kind == "not classified"
+    assert classify(type(process)(squared, (1.0,), (), 1))[0].kind == "not classified"
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ def globally_assembled(process, nodes, degree, form):
         drift, diffusion = T * c.dissipation, T * c.diffusion
     else:
         T = np.ones_like(energy)
-        drift, diffusion = c.drift - 0.5 * c.diffusion_slope, c.diffusion
+        drift, diffusion = c.drift - 0.5 * c.divergence, c.diffusion
 
     @BilinearForm
     def flux_against_slope(u, v, w):

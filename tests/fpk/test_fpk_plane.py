@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 
 from fpk.errors import InvalidInput, NotCertified
 from fpk.plane.stationary import PlaneSolution, solve_plane, solve_plane_on_mesh
+from fpk.process import Process
 from fpk.quadrature import panel_rule
-from fpk.vector_process import VectorProcess
 
 Array = NDArray[np.float64]
 Log = Callable[[Array, Array], Array]
 
 
-def square_root_process(c: tuple[float, float], d: tuple[float, float]) -> VectorProcess:
+def square_root_process(c: tuple[float, float], d: tuple[float, float]) -> Process:
     """Two independent CIR processes, (33) with unit modal masses: ln p = −Σ c_i H_i/d_i."""
     damping, noise = np.array(c), np.array(d)
 
     def diffusion(H: Array) -> Array:
         return 2.0 * noise * H[:, :, None] * np.eye(2)
 
-    return VectorProcess(
+    return Process.of_functions(
         lambda H: noise - damping * H,
         diffusion,
         lambda H: np.broadcast_to(2.0 * noise, H.shape),
@@ -32,7 +32,7 @@ def square_root_process(c: tuple[float, float], d: tuple[float, float]) -> Vecto
     )
 
 
-def manufactured(cross: float, swirl: float) -> tuple[VectorProcess, Log]:
+def manufactured(cross: float, swirl: float) -> tuple[Process, Log]:
     """Coupled process with the stationary density exp(−H1 − 1.5 H2 − 0.3 H1 H2), by construction.
 
     b is full (off-diagonal by ``cross``) and depends on both energies. The drift is what makes
@@ -68,7 +68,7 @@ def manufactured(cross: float, swirl: float) -> tuple[VectorProcess, Log]:
         s[:, 1] -= swirl * y * (1.0 + x * g[:, 0])
         return s
 
-    return VectorProcess(drift, diffusion, divergence, (1.0, 0.7)), log_p
+    return Process.of_functions(drift, diffusion, divergence, (1.0, 0.7)), log_p
 
 
 def l1_error(solution: PlaneSolution, log_p: Log, *, beyond: float = 1.5) -> float:
@@ -82,7 +82,7 @@ def l1_error(solution: PlaneSolution, log_p: Log, *, beyond: float = 1.5) -> flo
 
 def van_der_pol(
     gamma: tuple[float, float], alpha: tuple[float, float], cross: float, noise: tuple[float, float]
-) -> tuple[VectorProcess, Log]:
+) -> tuple[Process, Log]:
     """s_i = d_i − (γ_i + α_i H_i + d_i cross H_j) H_i, b_ii = 2 d_i H_i: no flux, p in closed form.
 
     ``ln p = −Σ (γ_i H_i + ½ α_i H_i²)/d_i − cross H_1 H_2``; γ_i < 0 makes a ridge off the axis.
@@ -96,7 +96,7 @@ def van_der_pol(
         first, second = ((g[i] * H + 0.5 * own[i] * H**2) / d[i] for i, H in enumerate((x, y)))
         return -first - second - cross * x * y
 
-    process = VectorProcess(
+    process = Process.of_functions(
         lambda H: d - (g + H @ coupling.T) * H,
         lambda H: 2.0 * d * H[:, :, None] * np.eye(2),
         lambda H: np.broadcast_to(2.0 * d, H.shape),
@@ -170,11 +170,10 @@ def test_coupled_damping_within_an_honest_estimate_on_a_mesh_like_that_of_a_prod
 def test_a_wrong_cross_diffusion_is_seen() -> None:
     process, _ = manufactured(0.4, 0.0)
     _, log_p = manufactured(0.0, 0.0)
-    wrong = VectorProcess(
-        process.drift,
-        manufactured(0.0, 0.0)[0].diffusion,
-        manufactured(0.0, 0.0)[0].diffusion_divergence,
-        process.energy_scales,
+    uncrossed = manufactured(0.0, 0.0)[0].coefficients
+    wrong = replace(
+        process,
+        coefficients=lambda H: uncrossed(H)._replace(drift=process.coefficients(H).drift),
     )
     assert l1_error(solve_plane(wrong, tol=1e-5), log_p) > 1e-2
 
@@ -210,12 +209,13 @@ def test_pointwise_estimate_covers_the_difference_nearly_everywhere() -> None:
 
 def test_drift_outwards_is_not_certified() -> None:
     process = square_root_process((0.1, 0.1), (0.1, 0.1))
-    process = replace(process, drift=lambda H: 0.1 + 0.1 * H)
+    within = process.coefficients
+    process = replace(process, coefficients=lambda H: within(H)._replace(drift=0.1 + 0.1 * H))
     with pytest.raises(NotCertified, match="does not fall off along H1"):
         solve_plane(process)
 
 
 def test_one_energy_is_refused() -> None:
-    process = VectorProcess(lambda H: -H, lambda H: H[:, :, None], np.ones_like, (1.0,))
+    process = Process.of_functions(lambda H: -H, lambda H: H[:, :, None], np.ones_like, (1.0,))
     with pytest.raises(InvalidInput, match="two energies"):
         solve_plane(process)

@@ -6,10 +6,10 @@ from numpy.testing import assert_allclose
 from test_fpk_plane import manufactured
 
 from fpk.errors import NotCertified
-from fpk.plane.mesh import surveyed
+from fpk.plane.mesh import probed
 from fpk.plane.pointwise import evaluated, flux_free_slopes, seen_points, weighted_on_grid
 from fpk.plane.polynomials import fits, grid_of, of_total_degree, values_at
-from fpk.vector_process import VectorProcess
+from fpk.process import Process
 
 PROCESS, LOG_P = manufactured(0.4, 0.2)
 X, Y = np.linspace(0.1, 3.0, 7), np.linspace(0.2, 2.0, 5)
@@ -27,7 +27,7 @@ def test_coefficients_on_the_grid_are_those_of_their_formulas() -> None:
         f(grid.reshape(-1, 2)).reshape(7, 5, *shape)
         for f, shape in (
             (PROCESS.drift, (2,)),
-            (PROCESS.diffusion_divergence, (2,)),
+            (PROCESS.divergence, (2,)),
             (PROCESS.diffusion, (2, 2)),
         )
     )
@@ -52,9 +52,9 @@ def test_noise_that_leaves_a_combination_alone_is_refused() -> None:
     def diffusion(H: np.ndarray) -> np.ndarray:
         return np.asarray(2.0 * H[:, :, None] * H[:, None])
 
-    process = VectorProcess(lambda H: 1.0 - H, diffusion, lambda H: 6.0 * H, (1.0, 1.0))
+    process = Process.of_functions(lambda H: 1.0 - H, diffusion, lambda H: 6.0 * H, (1.0, 1.0))
     with pytest.raises(NotCertified, match="gets no noise"):
-        surveyed(process)
+        probed(process)
 
 
 def test_fits_of_rising_degree_are_least_squares_fits() -> None:

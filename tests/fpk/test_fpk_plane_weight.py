@@ -22,24 +22,24 @@ from fpk.errors import NotCertified
 from fpk.plane import on_mesh, stationary
 from fpk.plane.basis import orthonormal
 from fpk.plane.expansion import panels_of, solve_expansion
-from fpk.plane.mesh import surveyed
+from fpk.plane.mesh import probed
 from fpk.plane.on_mesh import solve_by_elements
 from fpk.plane.solution import judged
 from fpk.plane.stationary import PlaneSolution, solve_plane
 from fpk.plane.tensor import TensorPolynomial
 from fpk.plane.weight import Weight, fitted_weight, flux_free_weight
 from fpk.plane.weighted import solve_with_weight
+from fpk.process import Process
 from fpk.quadrature import panel_rule
-from fpk.vector_process import VectorProcess
 
 Array = NDArray[np.float64]
 
 
-def one_sided(first: float, second: float) -> VectorProcess:
+def one_sided(first: float, second: float) -> Process:
     """s_i = d − (γ_i + α H_i + c_i H_j) H_i with c_1 ≠ c_2: probability circulates."""
     d, g = 0.1, np.array([0.1, 0.2])
     coupling = np.array([[0.1, first], [second, 0.1]])
-    return VectorProcess(
+    return Process.of_functions(
         lambda H: d - (g + H @ coupling.T) * H,
         lambda H: 2.0 * d * H[:, :, None] * np.eye(2),
         lambda H: np.full(H.shape, 2.0 * d),
@@ -64,7 +64,7 @@ def distance(first: PlaneSolution, second: PlaneSolution) -> float:
 def test_expansion_and_elements_agree_where_probability_circulates(tol: float) -> None:
     process = one_sided(0.3, 0.05)
     found = solve_plane(process, tol=tol)
-    elements = solve_by_elements(process, surveyed(process), tol=1e-9, degree=None)
+    elements = solve_by_elements(process, probed(process), tol=1e-9, degree=None)
     assert_strictly_certified(found)
     assert_strictly_certified(elements)
     assert distance(found, elements) <= found.l1_error + elements.l1_error
@@ -81,7 +81,7 @@ def test_strong_circulation_takes_a_weight_on_a_few_elements(tol: float) -> None
     assert isinstance(found.answer, TensorPolynomial)
     assert found.answer.weight is not None
     # Without a weight the elements take p to 1e-7 where they need not be positive.
-    plain = solve_by_elements(process, surveyed(process), tol=1e-7, degree=None, strict=False)
+    plain = solve_by_elements(process, probed(process), tol=1e-7, degree=None, strict=False)
     assert plain.l1_error <= 1e-7
     assert distance(found, plain) <= found.l1_error + plain.l1_error
     # A coupling 1e-5 of it away is not taken for it, as far as it can be told.
@@ -119,7 +119,7 @@ def test_weighted_elements_converge_in_the_elements_with_their_order() -> None:
 
 def test_values_on_a_grid_are_those_at_its_points() -> None:
     process = one_sided(*STRONG)
-    weight = flux_free_weight(surveyed(process), process.energy_scales)
+    weight = flux_free_weight(probed(process), process.energy_scales)
     assert weight is not None
     nodes = np.array([0.0, 0.4, 1.5, 5.0]), np.array([0.0, 1.0, 4.0])
     for w in (None, weight):
@@ -164,7 +164,7 @@ def test_basis_is_orthonormal() -> None:
 
 def test_flux_free_weight_is_the_density_where_no_probability_flows() -> None:
     process, log_p = COUPLED["ridge"]
-    weight = flux_free_weight(surveyed(process), process.energy_scales)
+    weight = flux_free_weight(probed(process), process.energy_scales)
     assert weight is not None
     x, y = np.random.default_rng(3).exponential(0.3, (2, 50))
     found = -weight.exponent(x, y)
@@ -192,7 +192,7 @@ def mixture(
     noise: tuple[float, float] = (1.0, 0.5),
     common: float = 0.25,
     swirl: float = 0.3,
-) -> tuple[VectorProcess, Log]:
+) -> tuple[Process, Log]:
     """Full diffusion diag(2 d_i H_i) + 2 κ H Hᵀ, with p a mixture of exponentials.
 
     One energy is large or the other: ln p is no polynomial. J = (∂ψ/∂H2, −∂ψ/∂H1),
@@ -219,7 +219,7 @@ def mixture(
         return np.asarray(s + swirl * turned)
 
     scales = np.array(shares) @ np.array(means)
-    return VectorProcess(drift, diffusion, divergence, (scales[0], scales[1])), log_p
+    return Process.of_functions(drift, diffusion, divergence, (scales[0], scales[1])), log_p
 
 
 THREE = (
@@ -239,14 +239,14 @@ def test_the_estimate_holds_what_ending_the_mesh_costs() -> None:
 @pytest.mark.parametrize("tol", [1e-8, 1e-10])
 def test_the_estimate_of_plain_elements_holds_it_too(tol: float) -> None:
     process, log_p = mixture(*THREE[1], common=0.0, swirl=0.067)
-    solution = solve_by_elements(process, surveyed(process), tol=tol, degree=None)
+    solution = solve_by_elements(process, probed(process), tol=tol, degree=None)
     assert_strictly_certified(solution)
     assert l1_error(solution, log_p) <= solution.l1_error <= tol
 
 
 @pytest.mark.parametrize("process", [mixture()[0], one_sided(*STRONG), one_sided(0.3, 0.05)])
 def test_a_looser_tolerance_takes_no_more_attempts_and_no_more_work(
-    process: VectorProcess, monkeypatch: pytest.MonkeyPatch
+    process: Process, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     attempts: list[PlaneSolution] = []
 

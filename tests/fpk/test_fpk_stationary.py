@@ -218,7 +218,7 @@ def test_what_misses_its_tolerance_says_so():
         c = exact.coefficients(energy)
         return c._replace(relative_error=np.full_like(energy, 1e-6))
 
-    process = type(exact)(blurred, exact.energy_scale, (), 2)
+    process = type(exact)(blurred, exact.energy_scales, (), 2)
     solution = solve_stationary(process, tol=1e-8)
     assert not solution.certificate.certified
     assert "exceeds the tolerance" in solution.certificate.failures[0]

@@ -12,7 +12,7 @@ from averaging.energy_process import energy_process
 from cases.scene.scene import load_scene
 from fpk.density import Density
 from fpk.line.stationary import StationarySolution, solve_on_mesh, solve_stationary
-from fpk.process import DiffusionProcess
+from fpk.process import Process
 from fpk.quadrature import panel_rule
 from fpk.system import System
 
@@ -77,7 +77,7 @@ def rigid_limit() -> HardCase:
     )
 
 
-def _reference() -> tuple[DiffusionProcess, Density, Array]:
+def _reference() -> tuple[Process, Density, Array]:
     system = load_scene("fig3b").system
     process = energy_process(system)
     nodes = solve_stationary(process, tol=TOL).nodes

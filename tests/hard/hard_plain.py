@@ -8,7 +8,7 @@ from scipy.sparse.linalg import MatrixRankWarning, spsolve
 from skfem import Basis, BilinearForm, ElementLineP2, LinearForm, MeshLine
 
 from fpk.density import Density
-from fpk.process import DiffusionProcess
+from fpk.process import Process
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -18,7 +18,7 @@ REACH = 20.0
 """The box of the plain solution in units of the energy scale: about what one would guess."""
 
 
-def plain_elements(process: DiffusionProcess, reference: Density) -> tuple[float, float]:
+def plain_elements(process: Process, reference: Density) -> tuple[float, float]:
     """Return the L1 error and the minimum, relative to the maximum, of plain P2 elements.
 
     ``CELLS`` equal cells, the weak form of the FPK equation as it stands, one row of the matrix
@@ -30,7 +30,7 @@ def plain_elements(process: DiffusionProcess, reference: Density) -> tuple[float
     def flux(u, v, w):  # type: ignore[no-untyped-def]
         H = w.x[0]
         c = process.coefficients(H.ravel())
-        a = (c.drift - 0.5 * c.diffusion_slope).reshape(H.shape)
+        a = (c.drift - 0.5 * c.divergence).reshape(H.shape)
         b = c.diffusion.reshape(H.shape)
         return (a * u - 0.5 * b * u.grad[0]) * v.grad[0]
 

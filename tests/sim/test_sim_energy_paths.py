@@ -17,8 +17,7 @@ from fpk.errors import InvalidInput, NotApplicable
 from fpk.line.stationary import solve_stationary
 from fpk.observable import Coordinate
 from fpk.plane.stationary import solve_plane
-from fpk.process import Coefficients, DiffusionProcess
-from fpk.vector_process import VectorProcess
+from fpk.process import Coefficients, Process
 from sim.averaged.line import line_form
 from sim.averaged.paths import EnergySampling, exact, simulate_energies
 from sim.averaged.square_root import square_root_form, square_root_step
@@ -27,7 +26,7 @@ SAMPLING = EnergySampling(dt=0.1, time=20.0, burn_in=10.0, interval=1.0, paths=4
 H1, H2, TOTAL = Coordinate("H", 0), Coordinate("H", 1), Coordinate("H")
 
 
-def coupled(strength: float, energies: int = 2) -> VectorProcess:
+def coupled(strength: float, energies: int = 2) -> Process:
     """Each mode is damped by the energy of all, b diagonal: ln p = −0.8 ΣH − strength (ΣH)²/1."""
 
     def drift(H):
@@ -37,10 +36,10 @@ def coupled(strength: float, energies: int = 2) -> VectorProcess:
     def diffusion(H):
         return H[:, :, None] * np.eye(energies)
 
-    return VectorProcess(drift, diffusion, lambda H: np.ones_like(H), (0.7,) * energies)
+    return Process.of_functions(drift, diffusion, lambda H: np.ones_like(H), (0.7,) * energies)
 
 
-def energy_dependent(quartic: float) -> DiffusionProcess:
+def energy_dependent(quartic: float) -> Process:
     """One energy whose b is not linear: T = H, τ = H/2/(1 + H), p = H exp(−H − quartic H²)."""
 
     def coefficients(H):
@@ -51,7 +50,7 @@ def energy_dependent(quartic: float) -> DiffusionProcess:
         nothing = np.zeros_like(H)
         return Coefficients(drift, diffusion, slope, dissipation, np.log(H), nothing, nothing)
 
-    return DiffusionProcess(coefficients, 2.0 / (1.0 + quartic), (), 2)
+    return Process(coefficients, (2.0 / (1.0 + quartic),), (), 2)
 
 
 def as_density(observable, panels, pdf, error=1e-9) -> Density:
@@ -94,7 +93,7 @@ def test_agrees_with_elements_on_coupled_damping_and_rejects_a_wrong_coefficient
     pair = pair.coarsened(4)
     band = chance_l1(pair)[1]
 
-    def by_elements(process: VectorProcess) -> Density:
+    def by_elements(process: Process) -> Density:
         found = solve_plane(process, tol=1e-6)
         return as_density((H1, H2), found.nodes, found.density, found.l1_error)
 
