@@ -23,14 +23,9 @@ def test_coefficients_on_the_grid_are_those_of_their_formulas() -> None:
     grid = np.stack(np.meshgrid(X, Y, indexing="ij"), axis=-1)
     assert np.array_equal(H, grid[seen])
     assert_allclose(w, np.where(seen, np.exp(-phi) * area, 0.0), rtol=1e-14)
-    s, divergence, b = (
-        f(grid.reshape(-1, 2)).reshape(7, 5, *shape)
-        for f, shape in (
-            (PROCESS.drift, (2,)),
-            (PROCESS.divergence, (2,)),
-            (PROCESS.diffusion, (2, 2)),
-        )
-    )
+    c = PROCESS.coefficients(grid.reshape(-1, 2))
+    s, divergence = c.drift.reshape(7, 5, 2), c.divergence.reshape(7, 5, 2)
+    b = c.diffusion.reshape(7, 5, 2, 2)
     slopes = np.stack([first, second], axis=-1)
     alpha = s - 0.5 * divergence + 0.5 * np.einsum("xyij,xyj->xyi", b, slopes)
     found = weighted_on_grid(w, seen, first, second, *evaluated(PROCESS, H))
