@@ -5,9 +5,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from time import perf_counter
 
-from fpk.line.boundary import classify
-from fpk.plane.boundary import classify_edges
-
 from averaging.energy_process import energy_process
 from averaging.modal.process import modal_process
 from cases.comparison.averaged import AveragedSimulation, worth_running
@@ -18,6 +15,7 @@ from cases.scene.scene import Scene
 from cases.scene.vary import Curve
 from fpk.density import AnyDensity
 from fpk.effects import Effects, effects_of
+from fpk.ends import classify
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.method import Method, Progress, Result, silent
 from fpk.observable import Observable, observable_name, parse_observable
@@ -114,7 +112,7 @@ def boundaries_of(system: System) -> tuple[Boundary, ...]:
     with suppress(NotApplicable, InvalidInput):
         process = modal_process(system)
         for axis in range(min(process.dimension, MODES_TOLD)):
-            edges = classify_edges(process, axis)
+            edges = classify(process, axis)
             found += [Boundary("integrable", e.end, e.kind, e.reason) for e in edges]
     return tuple(found)
 

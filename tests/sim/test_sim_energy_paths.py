@@ -198,8 +198,12 @@ def test_energies_stay_positive_at_a_coarse_step() -> None:
 
 
 def test_refusals() -> None:
+    def diffusion(H):
+        return H[:, :, None] * np.eye(2) + 0.1 * H.prod(1)[:, None, None]
+
+    independent = coupled(0.1).coefficients
     correlated = replace(
-        coupled(0.1), diffusion=lambda H: H[:, :, None] * np.eye(2) + 0.1 * H.prod(1)[:, None, None]
+        coupled(0.1), coefficients=lambda H: independent(H)._replace(diffusion=diffusion(H))
     )
     with pytest.raises(NotApplicable, match="correlated"):
         square_root_form(correlated)
