@@ -1,0 +1,217 @@
+"""Functions on an interval, and on a rectangle, by polynomials on panels.
+
+The idea is chebfun's: a function known to round-off is an object that can be evaluated,
+differentiated and integrated (T. A. Driscoll, N. Hale and L. N. Trefethen, Chebfun Guide, 2014).
+Here series are of Legendre polynomials, as Gauss points serve to fit and to integrate them alike.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import ArrayLike, NDArray
+
+from fpk.quadrature import gauss_legendre
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+DEGREE = 15
+"""Degree of a fit: with 16 Gauss points a panel, e^(−x) is met to round-off over five e-folds."""
+MOST_ROUNDS = 60
+"""Bisections of a panel of a fit: 2^−60 of its length is below round-off of its ends."""
+
+
+@dataclass(frozen=True, eq=False)
+class Piecewise:
+    """``f(x) = exp(log_scale_k) Σ_j coefficients_kj P_j(t)``, t from −1 to 1 over panel k.
+
+    ``nodes`` (panels + 1,) ascend; ``coefficients`` (panels, degree + 1, ...) may have values of
+    any shape behind them; ``log_scale`` (panels,) lets a density span more than the range of double
+    precision. Beyond the nodes f is ``outside``. ``error`` (panels,) is the estimate of the largest
+    error on each panel that a fit made, before the scale.
+    """
+
+    nodes: Array
+    coefficients: Array
+    log_scale: Array | None = None
+    outside: float = 0.0
+    error: Array | None = None
+
+    def __call__(self, x: ArrayLike, *, log_factor: ArrayLike = 0.0) -> Array:
+        """Return f times exp(``log_factor``), an array of one factor a point, at any points."""
+        at = np.asarray(x, dtype=float)
+        flat = at.ravel()
+        k, P = _legendre_at(self.nodes, flat, self.coefficients.shape[1] - 1)
+        # A sum over terms beats a product of batched vectors where there are few of them.
+        value = np.einsum("xj,xj...->x...", P, self.coefficients[k])
+        tail = (1,) * (value.ndim - 1)
+        factor = np.broadcast_to(np.asarray(log_factor, float), at.shape).ravel()
+        if self.log_scale is not None:
+            # One exponential: scale and factor may leave the range where their product does not.
+            factor = factor + self.log_scale[k]
+        if np.any(factor):
+            value = value * np.exp(factor).reshape(-1, *tail)
+        inside = (flat >= self.nodes[0]) & (flat <= self.nodes[-1])
+        if not inside.all():
+            value = np.where(inside.reshape(-1, *tail), value, self.outside)
+        return value.reshape((*at.shape, *value.shape[1:]))
+
+    def derivative(self) -> "Piecewise":
+        """Return f', panel by panel."""
+        slopes = legendre.legder(self.coefficients, axis=1)
+        slopes /= _per_panel(0.5 * np.diff(self.nodes), slopes)
+        return replace(self, coefficients=slopes, error=None)
+
+    def antiderivative(self) -> "Piecewise":
+        """Return ∫f from the first node, continuous."""
+        scaled, log_scale = self.coefficients, None
+        if self.log_scale is not None:
+            top = float(self.log_scale.max())
+            scaled = scaled * _per_panel(np.exp(self.log_scale - top), scaled)
+            log_scale = np.full(self.log_scale.size, top)
+        within = legendre.legint(scaled, axis=1, lbnd=-1)
+        within *= _per_panel(0.5 * np.diff(self.nodes), within)
+        within[1:, 0] += np.cumsum(within.sum(axis=1), axis=0)[:-1]
+        return replace(self, coefficients=within, log_scale=log_scale, error=None)
+
+    def integral(self) -> Array:
+        """Return ∫f over all panels, of the shape of one value."""
+        scale = 1.0 if self.log_scale is None else np.exp(self.log_scale)
+        return np.asarray(
+            np.tensordot(scale * np.diff(self.nodes), self.coefficients[:, 0], (0, 0))
+        )
+
+
+def fit(
+    f: Callable[[Array], Array],
+    nodes: Array,
+    tol: float,
+    *,
+    degree: int = DEGREE,
+    cut: Callable[[Array, Array], Array] | None = None,
+    estimate: Callable[[Array, Array], Array] | None = None,
+    rounds: int = MOST_ROUNDS,
+) -> Piecewise:
+    """Return the interpolant of ``f`` on panels between ``nodes``, each split until it fits.
+
+    ``f`` maps points (points,) to values (points, ...), and is called with those of all new panels
+    at once. A panel is split at ``cut(left, right)``, half-way unless given, while its error
+    exceeds ``tol``, ``rounds`` times at the most: ``error`` says what was reached. It is
+    ``estimate(lengths, coefficients)``, unless given ``degree`` times the last two coefficients,
+    the largest of all values.
+    """
+    middle = cut if cut is not None else lambda left, right: 0.5 * (left + right)
+    judge = estimate if estimate is not None else _last_two
+    left, right = nodes[:-1], nodes[1:]
+    coefficients = interpolated(f, left, right, degree)
+    error = judge(right - left, coefficients)
+    for _ in range(rounds):
+        at = middle(left, right)
+        split = (error > tol) & (at > left) & (at < right)
+        if not split.any():
+            break
+        new = np.concatenate([left[split], at[split]]), np.concatenate([at[split], right[split]])
+        added = interpolated(f, *new, degree)
+        left, right = (np.append(a[~split], b) for a, b in zip((left, right), new, strict=True))
+        coefficients = np.concatenate([coefficients[~split], added])
+        error = np.append(error[~split], judge(new[1] - new[0], added))
+    order = np.argsort(left)
+    ends = np.append(left[order], nodes[-1])
+    return Piecewise(ends, coefficients[order], error=error[order])
+
+
+def interpolated(f: Callable[[Array], Array], left: Array, right: Array, degree: int) -> Array:
+    """Return Legendre coefficients (panels, degree + 1, ...) of f, exact for ``degree``."""
+    t, w = gauss_legendre(degree + 1)
+    x = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * t
+    values = np.asarray(f(x.ravel()))
+    values = values.reshape(*x.shape, *values.shape[1:])
+    project = (legendre.legvander(t, degree) * w[:, None]).T * (np.arange(degree + 1.0) + 0.5)[
+        :, None
+    ]
+    return np.asarray(np.moveaxis(np.tensordot(project, values, (1, 1)), 1, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class PiecewiseTensor:
+    """``f(x, y) = Σ_ij coefficients_klij P_i(s) P_j(t)`` on the rectangle of panels k and l.
+
+    ``nodes`` along both axes; ``coefficients`` (panels, panels, degrees + 1, degrees + 1); 0
+    outside.
+    """
+
+    nodes: tuple[Array, Array]
+    coefficients: Array
+
+    def __call__(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """Return f at points that broadcast together; of a grid (m, 1), (n,) one axis at a time."""
+        a, b = np.asarray(x, float), np.asarray(y, float)
+        if a.ndim == 2 and a.shape[1] == 1 and b.ndim <= 2 and b.shape[-1:] == (b.size,):
+            return self.on_grid(a.ravel(), b.ravel())
+        if b.ndim == 2 and b.shape[1] == 1 and a.ndim <= 2 and a.shape[-1:] == (a.size,):
+            return self.on_grid(a.ravel(), b.ravel()).T
+        a, b = np.broadcast_arrays(a, b)
+        (k, P), (m, Q) = (self._legendre(axis, z.ravel()) for axis, z in enumerate((a, b)))
+        # Sorted by panel, every panel is one small matrix product.
+        panel = k * (self.nodes[1].size - 1) + m
+        order = np.argsort(panel, kind="stable")
+        used, first = np.unique(panel[order], return_index=True)
+        blocks = self.coefficients.reshape(-1, *self.coefficients.shape[2:])
+        value = np.empty(panel.size)
+        for block, at in zip(used, np.split(order, first[1:]), strict=True):
+            value[at] = np.sum((P[at] @ blocks[block]) * Q[at], axis=1)
+        return value.reshape(a.shape)
+
+    def on_grid(self, x: Array, y: Array) -> Array:
+        """Return f on the grid (x.size, y.size)."""
+        rows = []
+        for axis, z in enumerate((x, y)):
+            k, P = self._legendre(axis, z)
+            full = np.zeros((z.size, self.nodes[axis].size - 1, P.shape[1]))
+            full[np.arange(z.size), k] = P
+            rows.append(full.reshape(z.size, -1))
+        matrix = self.coefficients.transpose(0, 2, 1, 3).reshape(rows[0].shape[1], -1)
+        return np.asarray(rows[0] @ matrix @ rows[1].T)
+
+    def derivative(self, axis: int) -> "PiecewiseTensor":
+        """Return ∂f/∂x (``axis`` 0) or ∂f/∂y (1), panel by panel."""
+        slopes = legendre.legder(self.coefficients, axis=2 + axis)
+        half = 0.5 * np.diff(self.nodes[axis]).reshape(-1, *(1,) * (3 - axis))
+        return replace(self, coefficients=slopes / half)
+
+    def marginal(self, axis: int) -> Piecewise:
+        """Return ∫f over all others than coordinate ``axis``, as a function of that one."""
+        first = self.coefficients[:, :, :, 0] if axis == 0 else self.coefficients[:, :, 0]
+        lengths = np.diff(self.nodes[1 - axis])
+        return Piecewise(self.nodes[axis], np.tensordot(first, lengths, (1 - axis, 0)))
+
+    def integral(self) -> float:
+        """Return ∫∫f."""
+        return float(self.marginal(0).integral())
+
+    def _legendre(self, axis: int, x: Array) -> tuple[Integers, Array]:
+        nodes, degree = self.nodes[axis], self.coefficients.shape[2 + axis] - 1
+        k, P = _legendre_at(nodes, x, degree)
+        return k, P * ((x >= nodes[0]) & (x <= nodes[-1]))[:, None]
+
+
+def _legendre_at(nodes: Array, x: Array, degree: int) -> tuple[Integers, Array]:
+    """Panels of the points x, and all P_j there (points, degree + 1); beyond, those of the end."""
+    k = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, nodes.size - 2)
+    t = (2.0 * x - nodes[k] - nodes[k + 1]) / (nodes[k + 1] - nodes[k])
+    return k, legendre.legvander(np.clip(t, -1.0, 1.0), degree)
+
+
+def _last_two(lengths: Array, coefficients: Array) -> Array:
+    """Bound of Σ|c_j| beyond the degree n for c_j ~ j^(−3/2) (a kink) and faster, (panels,).
+
+    Σ j^(−r) from n on is n c_n/(r − 1); two coefficients, as one may vanish by symmetry.
+    """
+    tail = (coefficients.shape[1] - 1) * np.abs(coefficients[:, -2:]).sum(axis=1)
+    return np.asarray(tail.reshape(lengths.size, -1).max(axis=1))
+
+
+def _per_panel(factor: Array, values: Array) -> Array:
+    return factor.reshape(-1, *(1,) * (values.ndim - 1))
