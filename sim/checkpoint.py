@@ -1,17 +1,18 @@
 """States of unfinished simulations on disk, and Ctrl-C between two pieces of one."""
 
 import hashlib
+import io
 import json
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import perf_counter
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,16 +22,13 @@ from fpk.observable import Observable
 from sim.histogram import Histogram
 from sim.sources import program_stamp
 
-FORMAT = "vibro-fpk checkpoint 1"
+FORMAT = "vibro-fpk checkpoint 2"
 
-EVERY = 2.0
-"""Seconds between two checkpoints, and those for which a simulation does not hear Ctrl-C."""
+INTERVAL = 2.0
+"""Seconds between two checkpoints, and the longest that a simulation takes to notice Ctrl-C."""
 
 FIRST_PIECE = 256
 """Steps after which the time of a step is known."""
-
-PIECE = 1 << 20
-"""Bytes of a file that are read at a time to check it."""
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -39,8 +37,9 @@ Arrays = Mapping[str, NDArray[Any]]
 class Checkpoint:
     """A file that holds one state of one simulation, whole or not at all.
 
-    ``identity`` is a hash of all that the numbers depend on. The file is a line of JSON, the
-    arrays one after the other in NumPy's own format, and the SHA-256 of everything before.
+    ``identity`` is a hash of all that the numbers depend on. The file is NumPy's .npz of the arrays
+    and of the identity behind its own SHA-256: the checksums of a zip archive leave its directory
+    out.
     """
 
     path: Path
@@ -51,15 +50,13 @@ class Checkpoint:
 
         Raises ``Unavailable`` where that is not possible; what was in the file stays.
         """
-        head = {"format": FORMAT, "identity": self.identity, "arrays": list(arrays)}
+        content = io.BytesIO()
+        np.savez(content, identity=np.array([FORMAT, self.identity]), **dict(arrays))
         part = self.path.with_suffix(".part")
         try:
             with part.open("wb") as stream:
-                hashed = _Hashed(stream)
-                hashed.write(json.dumps(head).encode() + b"\n")
-                for array in arrays.values():
-                    np.save(hashed, array, allow_pickle=False)
-                stream.write(hashed.sum.digest())
+                stream.write(hashlib.sha256(content.getbuffer()).digest())
+                stream.write(content.getbuffer())
                 stream.flush()
                 os.fsync(stream.fileno())
             os.replace(part, self.path)
@@ -78,70 +75,43 @@ class Checkpoint:
         """
         try:
             with self.path.open("rb") as stream:
-                if not _whole(stream):
-                    raise Unavailable(f"{self.path}: is damaged; remove it to begin anew")
-                head = json.loads(stream.readline())
-                if (head["format"], head["identity"]) != (FORMAT, self.identity):
-                    raise Unavailable(
-                        f"{self.path}: is of another simulation (other system, settings or"
-                        " version); give another folder or remove it"
-                    )
-                return {name: np.load(stream, allow_pickle=False) for name in head["arrays"]}
+                digest, content = stream.read(hashlib.sha256().digest_size), stream.read()
         except FileNotFoundError:
             return None
         except OSError as error:
             raise Unavailable(f"{self.path}: cannot be read: {reason_of(error)}") from None
-
-
-def _whole(stream: BinaryIO) -> bool:
-    """Return whether a file ends with the hash of all before, read a piece at a time; rewind it."""
-    hashed = hashlib.sha256()
-    left = os.fstat(stream.fileno()).st_size - hashed.digest_size
-    while left > 0 and (piece := stream.read(min(left, PIECE))):
-        hashed.update(piece)
-        left -= len(piece)
-    found = left == 0 and stream.read() == hashed.digest()
-    stream.seek(0)
-    return found
-
-
-@dataclass
-class _Hashed:
-    """A stream that takes the hash of what is written to it."""
-
-    stream: Any
-    sum: Any = field(default_factory=hashlib.sha256)
-
-    def write(self, part: Any) -> int:
-        self.sum.update(part)
-        return int(self.stream.write(part))
+        if hashlib.sha256(content).digest() != digest:
+            raise Unavailable(f"{self.path}: is damaged; remove it to begin anew")
+        with np.load(io.BytesIO(content), allow_pickle=False) as saved:
+            arrays = dict(saved)
+        if arrays.pop("identity").tolist() != [FORMAT, self.identity]:
+            raise Unavailable(
+                f"{self.path}: is of another simulation (other system, settings or"
+                " version); give another folder or remove it"
+            )
+        return arrays
 
 
 def checkpoint_of(folder: Path, settings: Any) -> Checkpoint:
     """Return the checkpoint in ``folder`` of the simulation that has these settings.
 
-    ``settings`` is anything made of records, arrays and numbers; program and format count, too.
+    ``settings`` is anything made of records, arrays and numbers, of which every digit counts;
+    program and format count, too.
     """
     try:
         program = version("vibro-fpk")
     except PackageNotFoundError:
         program = "(not installed)"
-    whole = [FORMAT, program, program_stamp(), settings]
-    identity = hashlib.sha256(json.dumps(_plain(whole), sort_keys=True).encode()).hexdigest()
+    text = json.dumps([FORMAT, program, program_stamp(), settings], default=_listed)
+    identity = hashlib.sha256(text.encode()).hexdigest()
     return Checkpoint(folder / f"montecarlo-{identity[:16]}.checkpoint", identity)
 
 
-def _plain(value: Any) -> Any:
-    """Anything as JSON, of which every digit counts: NaN and infinity have names there."""
-    if hasattr(value, "__dataclass_fields__"):
-        return [type(value).__name__, _plain(asdict(value))]
-    if isinstance(value, Mapping):
-        return {str(key): _plain(part) for key, part in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(part) for part in value]
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    return value if isinstance(value, (str, int, float, bool, type(None))) else repr(value)
+def _listed(value: Any) -> Any:
+    """Array, or record by the fields that it was made from, as JSON has it."""
+    if is_dataclass(value):
+        return [type(value).__name__, *(getattr(value, f.name) for f in fields(value) if f.init)]
+    return value.tolist()
 
 
 def edges_of(histograms: Sequence[Histogram]) -> dict[str, NDArray[Any]]:
@@ -162,11 +132,11 @@ def histograms_of(saved: Arrays, observables: Sequence[Observable]) -> tuple[His
 
 
 @dataclass(eq=False)
-class Keeper:
-    """Advances an ensemble in pieces of about ``EVERY`` seconds; after each the state is kept.
+class Autosave:
+    """Advances an ensemble in pieces of about ``INTERVAL`` seconds and saves the state after each.
 
     ``notes`` are arrays saved with the state: what the loop around needs to go on. Without a
-    checkpoint and anything that may stop it, a piece is all.
+    checkpoint and anything that may stop it there is one piece.
     """
 
     checkpoint: Checkpoint | None = None
@@ -178,11 +148,10 @@ class Keeper:
 
     def load(self) -> dict[str, NDArray[Any]]:
         """Return the state and the notes of the checkpoint, nothing where there is none."""
-        found = None if self.checkpoint is None else self.checkpoint.load()
-        return found or {}
+        return (self.checkpoint.load() if self.checkpoint else None) or {}
 
     def save(self, ensemble: Any) -> None:
-        """Keep the state now."""
+        """Save the state now, if there is a checkpoint."""
         if self.checkpoint is not None:
             self.checkpoint.save({**ensemble.saved(), **self.notes})
             self._saved = perf_counter()
@@ -197,22 +166,21 @@ class Keeper:
             ensemble.advance(piece, stride=stride)
             now = perf_counter()
             # Pieces grow gently: the first ones may have been compiled.
-            self._piece = max(1, min(4 * piece, int(piece * EVERY / max(now - start, 1e-9))))
+            self._piece = max(1, min(4 * piece, int(piece * INTERVAL / max(now - start, 1e-9))))
             steps -= piece
-            stopped = self.stopped is not None and self.stopped()
-            if stopped or now - self._saved >= EVERY:
+            self.interrupted = self.stopped is not None and self.stopped()
+            if self.interrupted or now - self._saved >= INTERVAL:
                 self.save(ensemble)
-            if stopped:
-                self.interrupted = True
+            if self.interrupted:
                 return True
         return False
 
 
 @contextmanager
-def heard_interrupt() -> Iterator[Callable[[], bool]]:
-    """Yield what tells whether Ctrl-C was pressed; a second one interrupts as usual.
+def interruptible() -> Iterator[Callable[[], bool]]:
+    """Yield a function that says whether Ctrl-C was pressed; a second one interrupts as usual.
 
-    Only the main thread of a program hears signals: elsewhere the answer is no.
+    Only the main thread of a program receives signals: elsewhere the answer is no.
     """
     pressed: list[int] = []
     if threading.current_thread() is not threading.main_thread():

@@ -1,18 +1,20 @@
 """What is observed and where it is counted: coordinates, ranges, bins."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import inf, nan
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.certificate import Certificate
+from fpk.certificate import Measured, certify
 from fpk.density import SampledDensity
 from fpk.modes import natural_modes
 from fpk.observable import Coordinate, Observable
 from fpk.system import System
 from sim.arrays import StepArrays, WatchArrays, workspace
 from sim.scheme import Scheme
+from sim.statistics import Product, sampling_error
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -22,6 +24,9 @@ BINS = (1024, 128)
 
 MARGIN = 0.3
 """Share of the pilot's range that is added beyond its extremes."""
+
+LARGEST_TAIL = 1e-3
+"""Share of samples outside a histogram above which its density is not certified."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +111,7 @@ def watch_arrays(
     scheme: Scheme,
     step: StepArrays,
     histograms: Sequence[Histogram],
-    products: Sequence[tuple[str, int, str, int]],
+    products: Sequence[Product],
 ) -> WatchArrays:
     """Return what the kernel reads to observe: processor, histograms, products of moments."""
     n, slots = system.n, step.slot_mass.size
@@ -176,10 +181,42 @@ def mirrored(histogram: Histogram, counts: Integers) -> Integers:
 def sampled_density(
     histogram: Histogram,
     counts: Integers,
-    certificate: Certificate,
-    provenance: dict[str, str | float | int],
+    *,
+    taken: int,
+    mirror: bool = False,
+    residual: float = 0.0,
+    tol: float = inf,
+    failures: Sequence[str] = (),
 ) -> SampledDensity:
-    """Return the density of ``counts`` (batches, bins + 1); nothing is folded in or rescaled."""
+    """Return the density of ``counts`` (batches, bins + 1), certified; nothing is rescaled.
+
+    ``taken`` is the number of samples that were taken; with ``mirror`` each counts as its mirror
+    image, too. ``residual`` is the largest |z| of the moment identities, ``tol`` the tolerance of
+    the expected L1 sampling error, and ``failures`` say what is wrong with the sample itself.
+    """
+    total = counts.sum(axis=0)
+    tail, words = float(total[-1]) / max(1, taken), list(failures)
+    if int(total.sum()) != taken:
+        words.append(f"{int(total.sum())} samples were counted of {taken} taken")
+    if tail > LARGEST_TAIL:
+        words.append(f"{tail:.2g} of the samples lie outside the histogram")
+    density = _density(histogram, mirrored(histogram, counts) if mirror else counts)
+    measured = Measured(
+        l1_error=sampling_error(density),
+        mass_defect=abs(float(total.sum()) / max(1, taken) - 1.0),
+        minimum=float(total[:-1].min()) / max(1, int(total[:-1].max())),
+        residual=residual,
+        tail_mass=tail,
+        failures=tuple(words),
+    )
+    return replace(density, certificate=certify(measured, tol=tol, sampled=True))
+
+
+UNJUDGED = certify(Measured(nan, nan, nan, nan, nan), tol=0.0)
+"""Certificate of a density before it is judged: every check fails."""
+
+
+def _density(histogram: Histogram, counts: Integers) -> SampledDensity:
     shape = tuple(e.size - 1 for e in histogram.edges)
     area = float(np.prod([e[1] - e[0] for e in histogram.edges]))
     total = counts.sum(axis=0)
@@ -191,7 +228,6 @@ def sampled_density(
         histogram.edges,
         values.reshape(shape),
         batch_values.reshape(-1, *shape),
-        certificate,
-        provenance,
+        UNJUDGED,
         one_sample=1.0 / (max(1, total.sum()) * area),
     )

@@ -4,26 +4,21 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib import import_module
 from math import inf, isfinite
 from pathlib import Path
 
 import numpy as np
 
 import sim.schemes  # noqa: F401  (its modules register the integrators)
-from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import Method, Plan, Progress, Result
 from fpk.observable import Observable
 from fpk.route import ROUTES, Route, register
 from fpk.system import System
-from sim.cluster import ensembles
 from sim.random import LANES, MAX_TRAJECTORIES
 from sim.relaxation import relaxation_time, undamped_mode
 from sim.scheme import SCHEMES
-from sim.simulation import PARTIAL, simulate
-from sim.step_pair import mean_settings, step_bias
-from sim.step_size import check_step, chosen_step
-from sim.substeps import cost, with_long_steps
 
 LEAST_PATHS = 32 * LANES
 """Paths below which there are fewer than 32 independent batches to take errors from."""
@@ -35,9 +30,6 @@ MOST_STEPS = 400_000
 """Steps at most where no time is given: of weakly damped systems fewer relaxation times fit in.
 Where only some trajectories make small steps it counts what they cost (``substeps.cost``)."""
 
-OTHER_SEED = 0x9E3779B97F4A7C15
-"""What is added to the seed for the second simulation of a pair: 2**64 over the golden ratio."""
-
 THREADS_PER_CORE = 4
 """Threads at most, in units of the cores that there are."""
 
@@ -46,21 +38,21 @@ THREADS_PER_CORE = 4
 class MonteCarlo(Method):
     """Simulation of Eq. (6) with sampling errors from independent batches.
 
+    Times are in the unit of time of the system, but for ``seconds`` and ``longest`` (wall time).
+
     ``paths`` trajectories are sampled for ``time`` each, after ``burn_in`` relaxation times.
     ``time`` None: ``relaxations`` relaxation times, whatever the unit of time is, but no more than
-    the cost of ``most_steps`` uniform steps (rounded up to whole chunks); ``settings`` then has
-    ``limited_by``.
-    ``dt`` None: ``step_factor`` times the step chosen from the stiffest contact that is reached
-    and the rates of the damping terms. ``tol``: go on until the expected L1 error of the first
-    observable is below it, at most ``longest`` seconds. ``seconds``: go on for so many seconds
-    of wall time instead; with ``tol`` it takes the place of ``longest``.
-    ``step_pair``: run a second simulation at dt/2, its seed another, on the same bins; settings
-    then have the differences as "step bias" of each density and mean, apart from sampling errors.
-    ``moments``: evaluate the moment identities, too; settings then have the means of the states as
-    "E q2²" and, where their controls hold, "E q2² by control variates" (``sim.control``).
+    the cost of ``most_steps`` uniform steps (rounded up to whole chunks), as ``limited_by`` in the
+    report then says. ``dt`` None: ``step_factor`` times the step chosen from the stiffest contact
+    that is reached and the rates of the damping terms. ``tol``: go on until the expected L1 error
+    of the first observable is below it, at most ``longest`` seconds. ``seconds``: go on for so long
+    instead; with ``tol`` it takes the place of ``longest``.
+    ``step_pair``: run a second simulation at dt/2, its seed another, on the same bins; the report
+    then has the difference of each density and moment, apart from sampling errors.
+    ``moments``: evaluate the moment identities, too; the report then has the means of q_i², v_i².
     ``threads`` None: all that there are; the answer does not depend on it. ``cluster``: the address
     of a Dask scheduler whose workers do it, with bitwise the same answer. ``checkpoint``: a folder
-    where the state is kept at intervals and found again. ``partial``: Ctrl-C ends the sampling with
+    where the state is saved at intervals and read again. ``partial``: Ctrl-C ends the sampling with
     what there is, not certified.
     ``allow_unstable``: take a ``dt`` at or above the stability limit; nothing is certified then.
 
@@ -100,17 +92,8 @@ class MonteCarlo(Method):
             raise InvalidInput("threads", self.threads, f"use 1 to {most}")
         if self.most_steps < 1:
             raise InvalidInput("most_steps", self.most_steps, "use 1 or more")
-        positive = (
-            "time",
-            "dt",
-            "tol",
-            "longest",
-            "burn_in",
-            "step_factor",
-            "relaxations",
-            "seconds",
-        )
-        for key in positive:
+        steps, limits = ("dt", "step_factor"), ("tol", "longest", "seconds")
+        for key in ("time", "relaxations", "burn_in", *steps, *limits):
             value = getattr(self, key)
             if value is not None and not (isfinite(value) and value > 0):
                 raise InvalidInput(key, value, "must be a finite number > 0")
@@ -131,81 +114,12 @@ class MonteCarlo(Method):
             raise NotApplicable(
                 "some motion is not damped: under noise it grows and never becomes stationary"
             )
-        return Plan(lambda observable: None, partial(self._sampled, system))
+        return Plan(lambda observable: None, partial(self._run, system))
 
-    def _sampled(
-        self, system: System, observables: Sequence[Observable], progress: Progress
-    ) -> Result:
-        scheme = SCHEMES[self.scheme]
-        dt = self.step_factor * chosen_step(system) if self.dt is None else self.dt
-        unstable = self._unstable(system, dt)
-        relaxation = relaxation_time(system)
-        wanted = self.relaxations * relaxation if self.time is None else self.time
-        scheme, long, steps = with_long_steps(system, scheme, dt)
-        price = cost(system, dt, scheme.small) if scheme.small > 1 else 1.0
-        time = min(wanted, self.most_steps * dt / price) if self.time is None else wanted
-        simulated = partial(
-            simulate,
-            system,
-            observables,
-            scheme=scheme,
-            paths=self.paths,
-            threads=self.threads or usable_cores(),
-            burn_in=self.burn_in,
-            moments=self.moments,
-            folder=self.checkpoint,
-            partial=self.partial,
-            known=unstable,
-            progress=progress,
-        )
-        with ensembles(self.cluster) as make:
-            run = simulated(
-                make=make,
-                dt=long,
-                time=time,
-                seed=self.seed,
-                tol=self.tol if observables else None,
-                longest=self.longest,
-                seconds=self.seconds,
-            )
-        settings = dict(run.settings)
-        settings["small_steps"] = steps
-        settings["relaxation_time"] = relaxation
-        if time < wanted:
-            settings["limited_by"] = "most_steps"
-        if run.paths is not None:
-            settings |= mean_settings(run.paths)
-        settings["step bias"] = "not measured"
-        if self.step_pair and not run.lost and PARTIAL not in run.settings:
-            with ensembles(self.cluster) as make:
-                half = simulated(
-                    make=make,
-                    dt=0.5 * long,
-                    time=float(run.settings["time"]),
-                    seed=(self.seed + OTHER_SEED) % 2**64,
-                    histograms=run.histograms,
-                )
-            if PARTIAL in half.settings:
-                settings["step bias"] = "not measured: interrupted"
-            else:
-                settings |= step_bias(run, half)
-        return Result(
-            method=self,
-            densities=run.densities,
-            identities=run.moments.identities() if run.moments is not None else (),
-            settings=settings,
-            partial=PARTIAL in settings,
-        )
-
-    def _unstable(self, system: System, dt: float) -> tuple[str, ...]:
-        """Why no answer with the step ``dt`` can be certified; raise unless that is allowed."""
-        try:
-            check_step(system, SCHEMES[self.scheme], dt)
-        except InvalidInput as error:
-            if not self.allow_unstable:
-                raise
-            return (f"the step {dt:g} was insisted on: it {error.remedy}",)
-        return ()
+    def _run(self, system: System, observables: Sequence[Observable], progress: Progress) -> Result:
+        # Compiled code and what it needs are imported by those who simulate only.
+        result: Result = import_module("sim.run").run(self, system, observables, progress)
+        return result
 
     def refined(self) -> "MonteCarlo":
         """Return the method with four times the sample: half the sampling error.
@@ -226,13 +140,13 @@ class MonteCarlo(Method):
 
 register(
     Route(
-        "montecarlo",
-        "simulation",
-        "simulation",
-        "(6)",
-        "full",
-        True,
-        "#c08a1e",
+        method="montecarlo",
+        solver="simulation",
+        words="simulation",
+        equation="(6)",
+        solves="full",
+        sampled=True,
+        colour="#c08a1e",
         make=MonteCarlo,
     )
 )

@@ -48,7 +48,7 @@ class Record:
         """Name, product number and factor of every q_i² and v_i²."""
         n = self.masses.size
         asked = [(f"q{i + 1}²", ("q", i, "q", i), 1.0) for i in range(n)] + [
-            (f"v{i + 1}²", ("p", i, "p", i), float(self.masses[i]) ** -2) for i in range(n)
+            (f"v{i + 1}²", ("p", i, "p", i), 1.0 / float(self.masses[i]) ** 2) for i in range(n)
         ]
         return [(name, self.products.index(p), f) for name, p, f in asked if p in self.products]
 
@@ -105,7 +105,7 @@ class Record:
         time = ensemble.samples * interval
         found: list[Effective] = []
         if self.variances:
-            means = self._of_paths(ensemble.sums, ensemble.live) / ensemble.samples
+            means = self.path_means(ensemble)
             found += effective_of_paths(
                 [name for name, _, _ in self.squares],
                 means,
@@ -123,6 +123,13 @@ class Record:
                 name = f"the distribution of {label}"
                 found.append(effective_of_shares(name, part, ensemble.paths * recorded * interval))
         return tuple(found)
+
+    def path_means(self, ensemble: Any) -> Array:
+        """Return the means (squares, paths) of the squares over each trajectory that has its own.
+
+        Those are the trajectories of the first blocks; see ``sim.ensemble.APART``.
+        """
+        return self._of_paths(ensemble.sums, ensemble.live) / ensemble.samples
 
     def saved(self) -> dict[str, NDArray[Any]]:
         """Return all that changes, as arrays: what ``restore`` needs."""

@@ -3,237 +3,198 @@
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from math import ceil, inf
+from functools import cached_property
+from math import ceil, inf, isinf
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from fpk.certificate import Certificate
 from fpk.density import SampledDensity
 from fpk.effects import effects_of
-from fpk.method import Progress, silent
-from fpk.observable import Observable, observable_name
+from fpk.method import Identity, Progress, silent
+from fpk.observable import Observable
 from fpk.system import System
-from sim.checkpoint import Keeper, checkpoint_of, edges_of, heard_interrupt, histograms_of
-from sim.control import PathMeans, path_means
-from sim.diagnostics import diagnosis
-from sim.ensemble import Ensemble, batch_sizes
-from sim.histogram import Histogram, covering, extremes, mirrored, sampled_density, starts
+from sim.assessment import assessed
+from sim.checkpoint import Autosave, checkpoint_of, edges_of, histograms_of, interruptible
+from sim.ensemble import Ensemble
+from sim.histogram import Histogram, covering, extremes
 from sim.record import Record
 from sim.relaxation import relaxation_time
-from sim.sampling import Stop, sample
+from sim.report import Report, Steps
+from sim.sampling import CHUNKS, Loop, Stop, sample
 from sim.scheme import Scheme
-from sim.statistics import Moments, l1_error, moment_products, told
+from sim.statistics import Product, moment_products
 from sim.step_size import sampling_interval, temperature
 
-PARTIAL = "partial"
-"""Setting of a simulation that Ctrl-C ended: when."""
-
 SNAPSHOTS = 16
-"""States of the ensemble from which the pilot finds the ranges of the histograms."""
+"""States of the ensemble from which the pilot takes the ranges of the histograms."""
+
+PILOT_STEPS = 8
+"""Sampling intervals between two of them: about a period of the fastest mode."""
 
 PILOTS = 65536
-"""Trajectories at most that the pilot looks at: the extremes of more lie within the margin."""
+"""Trajectories at most that the pilot reads: the extremes of more lie within the margin."""
 
-LARGEST_TAIL = 1e-3
-"""Share of samples outside a histogram above which its density is not certified."""
 
-LARGEST_Z = 5.0
-"""|z| of a moment identity that chance explains: by Student's t 2e-5 each of 32 batches (4096
-paths), 5e-6 of 64 (8192 and more)."""
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """Everything that the numbers of one simulation of Eq. (6) depend on; times of the system.
 
-STEP_BIAS = 1e-3
-"""Defect of a moment identity, relative to its right side (a virial: to kT), that the step may
-leave beyond chance; a long run sees less than this, and ``residual`` then shows the |z| of it."""
+    ``dt`` is the step in which the ensemble advances, the long one where ``scheme`` makes small
+    ones. ``burn_in`` counts relaxation times (``sim.relaxation``). Each of ``paths`` trajectories
+    is sampled for ``time``; with ``tol`` until the expected L1 error of the first observable is
+    below it, with ``seconds`` until that wall time has passed, or whichever comes first.
+    ``histograms`` None: bins that cover what a pilot reaches.
+    """
+
+    system: System
+    observables: Sequence[Observable]
+    scheme: Scheme
+    dt: float
+    paths: int
+    seed: int
+    time: float
+    burn_in: float = 10.0
+    moments: bool = True
+    tol: float | None = None
+    seconds: float = inf
+    histograms: tuple[Histogram, ...] | None = None
+
+    @property
+    def stride(self) -> int:
+        """Steps from one sample to the next: closer ones are nearly equal, and cost time each."""
+        return max(1, round(sampling_interval(self.system) / self.dt))
+
+    @cached_property
+    def burn_in_steps(self) -> int:
+        """Steps before the sampling begins."""
+        return ceil(self.burn_in * relaxation_time(self.system) / self.dt)
+
+    @property
+    def mirror(self) -> bool:
+        """Whether mirror images of samples are samples, too."""
+        return effects_of(self.system).mirror
+
+    @property
+    def products(self) -> tuple[Product, ...]:
+        """The products whose means are observed."""
+        terms = effects_of(self.system).state_damping
+        return moment_products(self.system.n, terms=terms) if self.moments else ()
+
+    @property
+    def identity(self) -> tuple[Any, ...]:
+        """What a checkpoint must agree with; it may be resumed with another limit of wall time."""
+        asked = (self.burn_in, self.time, self.moments, self.tol, isinf(self.seconds))
+        steps = (self.scheme.name, self.scheme.small, self.dt, self.paths, self.seed)
+        edges = [h.edges for h in self.histograms or ()]
+        return (self.system, list(self.observables), *steps, *asked, edges)
 
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """What one run found; ``lost`` trajectories left the finite range.
-
-    ``paths`` are the means of the products on each trajectory, None without moments.
-    """
+    """What one simulation returns; ``identities`` are empty without moments."""
 
     densities: tuple[SampledDensity, ...]
     histograms: tuple[Histogram, ...]
-    moments: Moments | None
-    paths: PathMeans | None
-    lost: int
-    settings: dict[str, str | float | int]
+    identities: tuple[Identity, ...]
+    report: Report
 
 
 def simulate(
-    system: System,
-    observables: Sequence[Observable],
+    setup: Setup,
     *,
-    scheme: Scheme,
-    dt: float,
-    paths: int,
-    time: float,
-    seed: int,
-    threads: int,
-    burn_in: float = 10.0,
-    moments: bool = True,
-    tol: float | None = None,
-    longest: float = 60.0,
-    seconds: float | None = None,
-    histograms: Sequence[Histogram] | None = None,
     make: Callable[..., Any] = Ensemble,
+    threads: int = 1,
     folder: Path | None = None,
     partial: bool = False,
-    known: Sequence[str] = (),
+    failures: Sequence[str] = (),
     progress: Progress = silent,
 ) -> Simulation:
-    """Sample the stationary state of Eq. (6) for ``time`` on each of ``paths`` trajectories.
+    """Sample the stationary state of Eq. (6) as ``setup`` says.
 
-    Where the scheme makes small steps, ``dt`` is the long one; ``steps`` and nanoseconds in the
-    settings count long ones, "dt" there is the small one. ``burn_in`` counts relaxation times
-    (``sim.relaxation``). With ``tol`` the sampling goes on in chunks until the expected L1 error of
-    the first observable is below it, at most for ``longest`` seconds of wall time; with ``seconds``
-    until that wall time has passed. Samples are about an eighth of the shortest natural period
-    apart: closer ones are nearly equal and cost a histogram entry each. ``histograms`` None: bins
-    that cover what a pilot reaches.
-
-    ``make`` makes the ensemble, here or on a cluster. In ``folder`` the state is kept at intervals,
-    and a simulation of the same settings goes on from there. With ``partial`` Ctrl-C ends the
-    sampling, and what there is by then is the result, not certified. ``known`` says what is known
-    beforehand to stand against a certificate.
+    ``make`` makes the ensemble, here or on a cluster. In ``folder`` the state is saved at
+    intervals, and a simulation of the same setup goes on from there. With ``partial`` Ctrl-C ends
+    the sampling, and what there is by then is the result, not certified. ``failures`` say what is
+    known beforehand to stand against a certificate.
 
     Where the system has the mirror symmetry, densities are those of the samples and of their
     mirror images.
     """
     begin = perf_counter()
-    ensemble = make(system, scheme, dt, paths, seed, threads)
-    stride = max(1, round(sampling_interval(system) / dt))
-    burnt = ceil(burn_in * relaxation_time(system) / dt)
-    effects = effects_of(system)
-    asked = (burn_in, time, moments, tol, seconds is None, [h.edges for h in histograms or ()])
-    identity = (
-        system,
-        scheme.name,
-        scheme.small,
-        dt,
-        paths,
-        seed,
-        list(map(observable_name, observables)),
-    )
-    products = moment_products(system.n, terms=effects.state_damping) if moments else ()
-    keeper = Keeper(None if folder is None else checkpoint_of(folder, (*identity, *asked)))
-    kept = keeper.load()
-    sampling = "loop" in kept
-    if sampling:
-        histograms = histograms_of(kept, observables)
+    ensemble = make(setup.system, setup.scheme, setup.dt, setup.paths, setup.seed, threads)
+    autosave = Autosave(None if folder is None else checkpoint_of(folder, setup.identity))
+    saved, loop = autosave.load(), None
+    if "loop" in saved:
+        histograms, loop = histograms_of(saved, setup.observables), Loop.restored(saved)
+        begin -= loop.elapsed
     else:
-        # Any ranges: with the kinds of observables as later there is one kernel for all.
-        reached = np.full((sum(map(len, observables)), 2), (-1.0, 1.0))
-        ensemble.watch(covering(observables, reached, mirror=effects.mirror), products)
-        if kept:
-            ensemble.restore(kept)
-        keeper.advance(ensemble, burnt - ensemble.done, stride=0)
-    if histograms is None:
-        reached = np.full((sum(map(len, observables)), 2), (inf, -inf))
-        for _ in range(SNAPSHOTS):
-            ensemble.advance(8 * stride, stride=0)
-            found = extremes(system, observables, *ensemble.phase_points(PILOTS))
-            reached[:, 0] = np.minimum(reached[:, 0], found[:, 0])
-            reached[:, 1] = np.maximum(reached[:, 1], found[:, 1])
-        histograms = covering(observables, reached, mirror=effects.mirror)
-    ensemble.watch(histograms, products)
-    record = Record(histograms, products, system.mass, effects.mirror)
-    limit = seconds if seconds is not None else longest if tol is not None else inf
-    if sampling:
-        ensemble.restore(kept)
-        record.restore(kept)
-        keeper.notes = {name: kept[name] for name in ("loop", "measured")}
-        begin -= float(kept["measured"][-1])
-    keeper.notes |= edges_of(histograms)
-    stop = Stop(time, tol, limit, begin)
-    with heard_interrupt() if partial else nullcontext() as keeper.stopped:
-        stepping, failures = sample(
-            ensemble, record, stop, stride=stride, keeper=keeper, progress=progress
-        )
-    keeper.save(ensemble)
-    failures = [*failures, *known]
-    steps = ensemble.samples * stride
-    settings: dict[str, str | float | int] = {
-        "scheme": scheme.name,
-        "dt": dt / scheme.small,
-        "paths": paths,
-        "steps": steps,
-        "time": steps * dt,
-        "burn_in": burnt * dt,
-        "stride": stride,
-        "batches": ensemble.edges.size - 1,
-        "seed": seed,
-        "threads": ensemble.threads,
-        "kT": temperature(system),
-        "long_step": dt,
-        "ns_per_particle_step": 1e9 * stepping * ensemble.threads / (paths * steps),
-    }
-    if keeper.interrupted:
-        settings[PARTIAL] = failures[0]
-    return _judged(system, ensemble, record, failures, settings=settings)
+        _burn_in(setup, ensemble, autosave, saved)
+        histograms = setup.histograms or _pilot(setup, ensemble)
+    ensemble.watch(histograms, setup.products)
+    record = Record(histograms, setup.products, setup.system.mass, setup.mirror)
+    if loop is not None:
+        ensemble.restore(saved)
+        record.restore(saved)
+    autosave.notes |= edges_of(histograms)
+    stop = Stop(setup.time, setup.tol, setup.seconds, begin)
+    with interruptible() if partial else nullcontext() as autosave.stopped:
+        loop = sample(
+            ensemble, record, stop,
+            stride=setup.stride, autosave=autosave, progress=progress, loop=loop,
+        )  # fmt: skip
+    autosave.save(ensemble)
+    interrupted = ""
+    if autosave.interrupted:
+        chunks = f"{loop.chunks} chunks" if stop.open else f"{loop.chunks} of {CHUNKS} chunks"
+        interrupted = f"partial: interrupted after {chunks}"
+    steps = _steps(setup, ensemble, loop.stepping)
+    densities, identities, report = assessed(
+        setup.system, ensemble, record, steps,
+        interrupted=interrupted, failures=failures, tol=setup.tol,
+    )  # fmt: skip
+    return Simulation(densities, tuple(histograms), identities, report)
 
 
-def _judged(
-    system: System,
-    ensemble: Ensemble,
-    record: Record,
-    failures: list[str],
-    *,
-    settings: dict[str, str | float | int],
-) -> Simulation:
-    """Certify what was sampled; where trajectories were lost there is nothing to diagnose."""
-    lost = ensemble.lost()
-    found = Moments(system, ensemble.batch_means()) if record.products else None
-    paths, worst = None, 0.0
-    if found is not None and not lost:
-        mean = batch_sizes(ensemble.edges, ensemble.paths) @ found.batch_means / ensemble.paths
-        paths = path_means(
-            system, ensemble.sums, ensemble.live, ensemble.samples, whole=(ensemble.paths, mean)
-        )
-        for identity in found.identities():
-            worst = max(worst, abs(identity.z))
-            allowed = STEP_BIAS * (identity.expected or temperature(system))
-            if abs(identity.value - identity.expected) > LARGEST_Z * identity.error + allowed:
-                failures.append(
-                    f"{identity.name} is off by {identity.z:.1f} standard errors; use a smaller dt"
-                )
-    interval = ensemble.dt * int(settings["stride"])
-    effective = () if lost or PARTIAL in settings else record.effective(ensemble, interval)
-    if effective:
-        diagnosed = diagnosis(
-            effective,
-            record.names,
-            record.means(),
-            time=ensemble.samples * interval,
-            paths=ensemble.paths,
-            burn_in=float(settings["burn_in"]),
-        )
-        failures += diagnosed.failures
-        settings |= diagnosed.settings()
-    densities, first = [], starts(record.histograms)
-    for m, histogram in enumerate(record.histograms):
-        counts = ensemble.counted(first[m], first[m + 1])
-        total = counts.sum(axis=0)
-        taken = ensemble.paths * ensemble.samples
-        tail = float(total[-1]) / max(1, taken)
-        words = list(failures)
-        if int(total.sum()) != taken:
-            words.append(f"{int(total.sum())} samples were counted of {taken} taken")
-        if tail > LARGEST_TAIL:
-            words.append(f"{tail:.2g} of the samples lie outside the histogram")
-        certificate = Certificate(
-            mass_defect=abs(float(total.sum()) / max(1, taken) - 1.0),
-            minimum=float(total[:-1].min()) / max(1, int(total[:-1].max())),
-            residual=worst,
-            tail_mass=tail,
-            failures=tuple(words),
-        )
-        if record.mirror:
-            counts = mirrored(histogram, counts)
-        densities.append(sampled_density(histogram, counts, certificate, settings))
-        settings[f"sampling error of {densities[-1].name}"] = l1_error(told(densities[-1]))
-    return Simulation(tuple(densities), tuple(record.histograms), found, paths, lost, settings)
+def _burn_in(setup: Setup, ensemble: Any, autosave: Autosave, saved: Any) -> None:
+    """Advance to the end of the burn-in, from the state in ``saved`` if there is one."""
+    # Any ranges: with the kinds of observables as later there is one kernel for all.
+    reached = np.full((sum(map(len, setup.observables)), 2), (-1.0, 1.0))
+    ensemble.watch(covering(setup.observables, reached, mirror=setup.mirror), setup.products)
+    if saved:
+        ensemble.restore(saved)
+    autosave.advance(ensemble, setup.burn_in_steps - ensemble.done, stride=0)
+
+
+def _pilot(setup: Setup, ensemble: Any) -> tuple[Histogram, ...]:
+    """Histograms that cover what the trajectories reach in ``SNAPSHOTS`` states."""
+    reached = np.full((sum(map(len, setup.observables)), 2), (inf, -inf))
+    for _ in range(SNAPSHOTS):
+        ensemble.advance(PILOT_STEPS * setup.stride, stride=0)
+        states = ensemble.phase_points(PILOTS)
+        low, high = extremes(setup.system, setup.observables, *states).T
+        reached[:, 0] = np.minimum(reached[:, 0], low)
+        reached[:, 1] = np.maximum(reached[:, 1], high)
+    return covering(setup.observables, reached, mirror=setup.mirror)
+
+
+def _steps(setup: Setup, ensemble: Any, seconds: float) -> Steps:
+    steps = ensemble.samples * setup.stride
+    return Steps(
+        scheme=setup.scheme.name,
+        dt=setup.dt / setup.scheme.small,
+        paths=setup.paths,
+        steps=steps,
+        time=steps * setup.dt,
+        burn_in=setup.burn_in_steps * setup.dt,
+        stride=setup.stride,
+        batches=ensemble.edges.size - 1,
+        seed=setup.seed,
+        threads=ensemble.threads,
+        temperature=temperature(setup.system),
+        long_step=setup.dt,
+        nanoseconds=1e9 * seconds * ensemble.threads / (setup.paths * steps),
+        relaxation_time=relaxation_time(setup.system),
+        small=setup.scheme.small,
+    )

@@ -13,6 +13,10 @@ from fpk.system import System
 Array = NDArray[np.float64]
 Product = tuple[str, int, str, int]
 
+L1_BINS = (128, 64)
+"""Bins of each axis, of one and of two coordinates, on which an L1 error is computed. On the bins
+of the histogram itself it would show the counting noise of each, which any smoothing removes."""
+
 
 def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
     """Return the products that are summed: p p, q p, q F, p F and q q, F = K q + g(q).
@@ -32,33 +36,18 @@ def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Mean:
-    """A mean and one standard error of it."""
-
-    value: float
-    error: float
-
-
-@dataclass(frozen=True, eq=False)
 class Moments:
     """Stationary second moments of each batch; any linear function of them has its error."""
 
     system: System
     batch_means: Array  # (batches, products)
 
-    def _batches(self, a: str, i: int, b: str, j: int) -> Array:
+    def batches(self, a: str, i: int, b: str, j: int) -> Array:
+        """Return the mean (batches,) of one product in each batch, masses counted from 0."""
         products = moment_products(self.system.n, terms=bool(self.system.damping_terms))
         key = (a, i, b, j) if (a, i, b, j) in products else (b, j, a, i)
         column: Array = self.batch_means[:, products.index(key)]
         return column
-
-    def displacement_square(self, i: int) -> Mean:
-        """Return E q_i², the mass counted from 0."""
-        return _mean(self._batches("q", i, "q", i))
-
-    def velocity_square(self, i: int) -> Mean:
-        """Return E v_i², the mass counted from 0."""
-        return _mean(self._batches("p", i, "p", i) / self.system.mass[i] ** 2)
 
     def identities(self) -> tuple[Identity, ...]:
         """Return the moment identities, exact in the stationary state of Eq. (6).
@@ -72,59 +61,57 @@ class Moments:
         masses = range(system.n)
 
         def damped(a: str, i: int) -> Array:
-            terms = [c[i, j] / m[j] * self._batches(a, i, "p", j) for j in masses]
+            terms = [c[i, j] / m[j] * self.batches(a, i, "p", j) for j in masses]
             if system.damping_terms:
-                terms.append(self._batches(a, i, "d", i))
+                terms.append(self.batches(a, i, "d", i))
             total: Array = np.sum(terms, axis=0)
             return total
 
         noise = np.diag(system.noise_matrix)
         loss = np.sum([damped("p", i) / m[i] for i in masses], axis=0)
-        found = [_identity("energy balance", loss, float(np.sum(noise / m)))]
+        identities = [_identity("energy balance", loss, float(np.sum(noise / m)))]
         for i in masses:
-            kinetic = self._batches("p", i, "p", i) / m[i]
-            virial = kinetic - self._batches("q", i, "f", i) - damped("q", i)
-            found.append(_identity(f"virial of mass {i + 1}", virial, 0.0))
-            work = self._batches("p", i, "f", i) + damped("p", i)
-            found.append(_identity(f"kinetic balance of mass {i + 1}", work, float(noise[i])))
-        return tuple(found)
+            kinetic = self.batches("p", i, "p", i) / m[i]
+            virial = kinetic - self.batches("q", i, "f", i) - damped("q", i)
+            identities.append(_identity(f"virial of mass {i + 1}", virial, 0.0))
+            work = self.batches("p", i, "f", i) + damped("p", i)
+            identities.append(_identity(f"kinetic balance of mass {i + 1}", work, float(noise[i])))
+        return tuple(identities)
 
 
-TOLD_BINS = (128, 64)
-"""Bins of each axis, of one and of two coordinates, on which an L1 error is told: finer ones show
-the counting noise of each bin, which smoothing or joining takes away, instead of the density's."""
+def _identity(name: str, batches: Array, expected: float) -> Identity:
+    error = float(batches.std(ddof=1) / np.sqrt(batches.size))
+    return Identity(name, float(batches.mean()), expected, error)
 
 
-def told(density: SampledDensity) -> SampledDensity:
-    """Return the density with its bins joined to ``TOLD_BINS``, where they are a multiple."""
-    wanted = TOLD_BINS[len(density.edges) - 1]
+def sampling_error(density: SampledDensity) -> float:
+    """Return the expected L1 sampling error: √(2/π) standard errors summed over ``L1_BINS``.
+
+    The expectation of |x| of a normal x is √(2/π) of its standard error, whatever other bins do.
+    """
+    joined = joined_bins(density)
+    return sqrt(2.0 / pi) * _bin_area(joined) * float(np.sum(joined.standard_error))
+
+
+def l1_difference(a: SampledDensity, b: SampledDensity) -> tuple[float, float]:
+    """Return ∫|p_a − p_b| of two independent samples on the same bins, joined to ``L1_BINS``.
+
+    The second number is its expectation were both densities the same.
+    """
+    a, b = joined_bins(a), joined_bins(b)
+    spread = float(np.sum(np.hypot(a.standard_error, b.standard_error)))
+    distance = _bin_area(a) * float(np.sum(np.abs(bin_differences(a, b))))
+    return distance, sqrt(2.0 / pi) * _bin_area(a) * spread
+
+
+def joined_bins(density: SampledDensity) -> SampledDensity:
+    """Return the density with its bins joined to ``L1_BINS``, where they are a multiple."""
+    wanted = L1_BINS[len(density.edges) - 1]
     bins = {e.size - 1 for e in density.edges}
     factor = min(bins) // wanted
     whole = bins == {factor * wanted} and factor > 1
     return density.coarsened(factor) if whole else density
 
 
-def l1_error(density: SampledDensity) -> float:
-    """Return the expected L1 sampling error: √(2/π) standard errors summed over the bins.
-
-    The expectation of |x| of a normal x is √(2/π) of its standard error, whatever other bins do.
-    """
-    area = float(np.prod([e[1] - e[0] for e in density.edges]))
-    return sqrt(2.0 / pi) * area * float(np.sum(density.standard_error))
-
-
-def l1_difference(a: SampledDensity, b: SampledDensity) -> tuple[float, float]:
-    """Return ∫|p_a − p_b| of two independent samples on the same bins, and what chance makes of it:
-    the expectation of that distance were both densities the same."""
-    area = float(np.prod([e[1] - e[0] for e in a.edges]))
-    chance = sqrt(2.0 / pi) * area * float(np.sum(np.hypot(a.standard_error, b.standard_error)))
-    return area * float(np.sum(np.abs(bin_differences(a, b)))), chance
-
-
-def _mean(batches: Array) -> Mean:
-    return Mean(float(batches.mean()), float(batches.std(ddof=1) / np.sqrt(batches.size)))
-
-
-def _identity(name: str, batches: Array, expected: float) -> Identity:
-    mean = _mean(batches)
-    return Identity(name, mean.value, expected, mean.error)
+def _bin_area(density: SampledDensity) -> float:
+    return float(np.prod([e[1] - e[0] for e in density.edges]))

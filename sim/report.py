@@ -1,0 +1,161 @@
+"""What a simulation says of itself, as records; tables and JSON show them as ``settings``."""
+
+from dataclasses import dataclass
+from math import nan
+from typing import Literal
+
+from fpk.observable import Observable, observable_name
+from sim.diagnostics import Diagnosis
+
+Settings = dict[str, str | float | int]
+
+
+@dataclass(frozen=True)
+class Steps:
+    """How the states were advanced and sampled; times in the unit of time of the system.
+
+    ``dt`` is the step of the integrator; ``long_step`` holds ``small`` of them, which only
+    trajectories near a stop make one by one, and ``division`` says why so many. ``steps`` long
+    steps of each of ``paths`` trajectories, together ``time``, were sampled every ``stride``-th
+    after ``burn_in``. ``temperature`` is kT, ``relaxation_time`` the longest decay time without
+    contact, ``nanoseconds`` the processor time per trajectory and long step. ``limited_by`` names
+    the limit that cut the sampled time short of what was asked for.
+    """
+
+    scheme: str
+    dt: float
+    paths: int
+    steps: int
+    time: float
+    burn_in: float
+    stride: int
+    batches: int
+    seed: int
+    threads: int
+    temperature: float
+    long_step: float
+    nanoseconds: float
+    relaxation_time: float
+    small: int = 1
+    division: str = ""
+    limited_by: Literal["", "most_steps"] = ""
+
+
+@dataclass(frozen=True)
+class StepBias:
+    """The difference between the runs at dt and dt/2, and what sampling alone makes of it.
+
+    Of a density: the L1 distance, and its mean were both densities the same. Of a moment: the
+    difference, and one standard error of it. With weak order w it is ``1 − 2^−w`` of the bias at
+    dt: 15/16 of it for ``exact_flow``.
+    """
+
+    difference: float
+    chance: float
+
+
+@dataclass(frozen=True)
+class DensityError:
+    """The expected L1 sampling error of one density, and its step bias where it was measured."""
+
+    observable: Observable
+    sampling: float
+    step_bias: StepBias | None = None
+
+    @property
+    def name(self) -> str:
+        """The observable's name, such as ``q2,p2``."""
+        return observable_name(self.observable)
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The mean of ``name`` over the sampled states, such as ``q2²``, in the unit of the system.
+
+    ``error`` is one standard error, from the means of single trajectories; ``effective_samples``
+    the number of independent samples of equal worth, not a number where it was not estimated.
+    """
+
+    name: str
+    mean: float
+    error: float
+    effective_samples: float = nan
+    step_bias: StepBias | None = None
+
+
+@dataclass(frozen=True)
+class HalfStep:
+    """The second simulation of a pair, at half the step: whether it could be compared."""
+
+    interrupted: bool
+    lost: int
+
+    @property
+    def words(self) -> str:
+        """The same for readers."""
+        if self.interrupted:
+            return "not measured: interrupted"
+        if self.lost:
+            return f"{self.lost} trajectories left the finite range at dt/2"
+        return "dt against dt/2"
+
+
+@dataclass(frozen=True)
+class Report:
+    """Everything a simulation says of itself beside its densities.
+
+    ``errors`` are in the order of the densities. ``diagnosis`` is None where there was nothing to
+    diagnose: trajectories were ``lost`` (left the finite range), or Ctrl-C ended the sampling, as
+    ``interrupted`` then says. ``half_step`` is None where no pair of steps was asked for.
+    """
+
+    steps: Steps
+    errors: tuple[DensityError, ...] = ()
+    diagnosis: Diagnosis | None = None
+    moments: tuple[Moment, ...] = ()
+    interrupted: str = ""
+    lost: int = 0
+    half_step: HalfStep | None = None
+
+    def error_of(self, observable: Observable) -> DensityError:
+        """Return the errors of the density of ``observable``, one of those asked for."""
+        return next(error for error in self.errors if error.observable == observable)
+
+    def settings(self) -> Settings:
+        """Return everything for readers, by the names that tables and JSON have."""
+        s = self.steps
+        settings: Settings = {
+            "scheme": s.scheme,
+            "dt": s.dt,
+            "paths": s.paths,
+            "steps": s.steps,
+            "time": s.time,
+            "burn_in": s.burn_in,
+            "stride": s.stride,
+            "batches": s.batches,
+            "seed": s.seed,
+            "threads": s.threads,
+            "kT": s.temperature,
+            "long_step": s.long_step,
+            "ns_per_particle_step": s.nanoseconds,
+        }
+        if self.interrupted:
+            settings["partial"] = self.interrupted
+        if self.diagnosis is not None:
+            settings |= self.diagnosis.settings()
+        settings |= {f"sampling error of {e.name}": e.sampling for e in self.errors}
+        settings |= {"small_steps": s.division, "relaxation_time": s.relaxation_time}
+        if s.limited_by:
+            settings["limited_by"] = s.limited_by
+        for m in self.moments:
+            settings |= {f"E {m.name}": m.mean, f"standard error of E {m.name}": m.error}
+        settings["step bias"] = "not measured" if self.half_step is None else self.half_step.words
+        for e in self.errors:
+            if e.step_bias is not None:
+                settings[f"step bias of {e.name}"] = e.step_bias.difference
+                settings[f"step bias of {e.name} by chance"] = e.step_bias.chance
+        for m in self.moments:
+            if m.step_bias is not None:
+                settings[f"step bias of E {m.name}"] = m.step_bias.difference
+                settings[f"standard error of step bias of E {m.name}"] = m.step_bias.chance
+        return settings

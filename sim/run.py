@@ -1,0 +1,137 @@
+"""One request of the full simulation: its step, its run, and a second one at half the step."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from math import hypot, inf
+
+from fpk.cores import usable_cores
+from fpk.errors import InvalidInput
+from fpk.method import Progress, Result
+from fpk.observable import Observable
+from fpk.system import System
+from sim.assessment import with_provenance
+from sim.cluster import ensembles
+from sim.montecarlo import MonteCarlo
+from sim.relaxation import relaxation_time
+from sim.report import HalfStep, Report, StepBias
+from sim.scheme import SCHEMES
+from sim.simulation import Setup, Simulation, simulate
+from sim.statistics import l1_difference
+from sim.step_size import check_step, chosen_step
+from sim.substeps import cost, with_long_steps
+
+OTHER_SEED = 0x9E3779B97F4A7C15
+"""Added to the seed for the second simulation of a pair: 2**64 over the golden ratio."""
+
+
+def run(
+    method: MonteCarlo, system: System, observables: Sequence[Observable], progress: Progress
+) -> Result:
+    """Return the densities of ``observables`` with their report, as ``method`` asks for them."""
+    unstable = _unstable(method, system)
+    setup, division, wanted = _setup(method, system, observables)
+    with ensembles(method.cluster) as make:
+        simulated = partial(
+            simulate,
+            make=make,
+            threads=method.threads or usable_cores(),
+            folder=method.checkpoint,
+            partial=method.partial,
+            failures=unstable,
+            progress=progress,
+        )
+        first = simulated(setup)
+        report = first.report
+        steps = replace(report.steps, division=division)
+        if setup.time < wanted:
+            steps = replace(steps, limited_by="most_steps")
+        report = replace(report, steps=steps)
+        if method.step_pair and not (report.lost or report.interrupted):
+            second = simulated(
+                replace(
+                    setup,
+                    dt=0.5 * setup.dt,
+                    time=steps.time,
+                    seed=(setup.seed + OTHER_SEED) % 2**64,
+                    tol=None,
+                    seconds=inf,
+                    histograms=first.histograms,
+                )
+            )
+            report = _with_step_bias(report, first, second)
+    return Result(
+        method=method,
+        densities=with_provenance(first.densities, report),
+        identities=first.identities,
+        settings=report.settings(),
+        partial=bool(report.interrupted),
+        report=report,
+    )
+
+
+def _step(method: MonteCarlo, system: System) -> float:
+    return method.step_factor * chosen_step(system) if method.dt is None else method.dt
+
+
+def _unstable(method: MonteCarlo, system: System) -> tuple[str, ...]:
+    """Why no answer with the step can be certified; raise ``InvalidInput`` unless it is allowed."""
+    dt = _step(method, system)
+    try:
+        check_step(system, SCHEMES[method.scheme], dt)
+    except InvalidInput as error:
+        if not method.allow_unstable:
+            raise
+        return (f"the step {dt:g} was insisted on: it {error.remedy}",)
+    return ()
+
+
+def _setup(
+    method: MonteCarlo, system: System, observables: Sequence[Observable]
+) -> tuple[Setup, str, float]:
+    """Return the setup, why it has so many small steps, and the time that was asked for."""
+    dt = _step(method, system)
+    scheme, long, division = with_long_steps(system, SCHEMES[method.scheme], dt)
+    time = wanted = method.time or method.relaxations * relaxation_time(system)
+    if method.time is None:
+        price = cost(system, dt, scheme.small) if scheme.small > 1 else 1.0
+        time = min(wanted, method.most_steps * dt / price)
+    tol = method.tol if observables else None
+    limit = method.longest if tol is not None else inf
+    return (
+        Setup(
+            system=system,
+            observables=tuple(observables),
+            scheme=scheme,
+            dt=long,
+            paths=method.paths,
+            seed=method.seed,
+            time=time,
+            burn_in=method.burn_in,
+            moments=method.moments,
+            tol=tol,
+            seconds=limit if method.seconds is None else method.seconds,
+        ),
+        division,
+        wanted,
+    )
+
+
+def _with_step_bias(report: Report, first: Simulation, second: Simulation) -> Report:
+    """Return the report with the differences from the run at half the step.
+
+    Of a run that was interrupted there are none, and of one that lost trajectories no moments.
+    """
+    half = second.report
+    report = replace(report, half_step=HalfStep(bool(half.interrupted), half.lost))
+    if half.interrupted:
+        return report
+    pairs = zip(report.errors, first.densities, second.densities, strict=True)
+    errors = [replace(e, step_bias=StepBias(*l1_difference(a, b))) for e, a, b in pairs]
+    moments = report.moments
+    if not half.lost:
+        moments = tuple(
+            replace(a, step_bias=StepBias(a.mean - b.mean, hypot(a.error, b.error)))
+            for a, b in zip(report.moments, half.moments, strict=True)
+        )
+    return replace(report, errors=tuple(errors), moments=moments)
