@@ -74,7 +74,7 @@ def assessed(
         steps=steps,
         errors=tuple(DensityError(d.observable, sampling_error(d)) for d in densities),
         diagnosis=diagnosed,
-        moments=_moments(ensemble, record, effective) if record.products and not lost else (),
+        moments=moments_of(ensemble, record, effective) if record.products and not lost else (),
         interrupted=interrupted,
         lost=lost,
     )
@@ -112,8 +112,8 @@ def _diagnosed(
     )
 
 
-def _moments(ensemble: Any, record: Record, effective: Sequence[Effective]) -> tuple[Moment, ...]:
-    """E q_i² and E v_i² of all trajectories, errors from the means of single ones."""
+def moments_of(ensemble: Any, record: Record, effective: Sequence[Effective]) -> tuple[Moment, ...]:
+    """Return E q_i² and E v_i² over all trajectories, with errors from the means of single ones."""
     each = record.path_means(ensemble)
     errors = np.sqrt(each.var(axis=1, ddof=1) / ensemble.paths)
     sizes = batch_sizes(ensemble.edges, ensemble.paths)

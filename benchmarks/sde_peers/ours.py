@@ -1,8 +1,4 @@
-"""This program, one thread: its exact flow, and the constant A of L1 = A/√(paths × time).
-
-Means are plain ones: the control variates of ``MonteCarlo`` know the mean of the continuous system
-and take some of the step's bias away from moments, but not from the density.
-"""
+"""This program, one thread: its exact flow, and the constant A of L1 = A/√(paths × time)."""
 
 import argparse
 import json

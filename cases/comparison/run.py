@@ -20,7 +20,6 @@ from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.method import Method, Progress, Result, silent
 from fpk.observable import Observable, observable_name, parse_observable
 from fpk.system import System
-from sim.simulation import PARTIAL
 
 MODES_TOLD = 4
 """Modes whose boundaries are told; with constant damping all are alike."""
@@ -96,7 +95,7 @@ def run_scene(scene: Scene, methods: Sequence[Method], *, progress: Progress = s
     start = perf_counter()
     curves: list[CurveOutcome] = []
     for curve in scene.curves:
-        stopped = any(PARTIAL in r.settings for c in curves for r in c.results)
+        stopped = any(r.partial for c in curves for r in c.results)
         wanted = () if stopped else methods
         curves.append(_run_curve(scene, curve, wanted, progress=progress))
     found = findings(scene.expect, curves)

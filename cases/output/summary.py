@@ -15,6 +15,7 @@ from fpk.density import AnyDensity, Array, Density
 from fpk.effects import Effects
 from fpk.method import Method, Result
 from fpk.system import System
+from sim.report import Report
 
 
 def run_record(outcome: Outcome) -> dict[str, Any]:
@@ -74,14 +75,17 @@ def _method_record(result: Result) -> dict[str, Any]:
             {
                 "observable": d.name,
                 "error_kind": d.error_kind,
-                "l1_error": d.l1_error
-                if isinstance(d, Density)
-                else result.settings.get(f"sampling error of {d.name}"),
+                "l1_error": d.l1_error if isinstance(d, Density) else _sampling_error(result, d),
                 "certificate": certificate_record(d),
             }
             for d in result.densities
         ],
     }
+
+
+def _sampling_error(result: Result, density: AnyDensity) -> float | None:
+    report = result.report
+    return report.error_of(density.observable).sampling if isinstance(report, Report) else None
 
 
 def errors_record(errors: ErrorsApart) -> dict[str, Any]:

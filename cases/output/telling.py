@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from cases.comparison.compare import Comparison, route_name
 from cases.comparison.run import CurveOutcome, Refusal
+from sim.report import Report
 
 STATISTICS = {
     "autocorrelation_time": "autocorrelation time",
@@ -39,12 +40,8 @@ def errors_apart(curve: CurveOutcome) -> tuple[ErrorsApart, ...]:
     """Return the three errors of every density that was sampled from the full system."""
     found = []
     for r in curve.results:
-        for d in r.densities:
-            sampling = r.settings.get(f"sampling error of {d.name}")
-            bias = r.settings.get(f"step bias of {d.name}")
-            chance = r.settings.get(f"step bias of {d.name} by chance")
-            if sampling is None:
-                continue
+        errors = r.report.errors if isinstance(r.report, Report) else ()
+        for d in errors:
             route = route_name(r.method)
             told = [c for c in told_comparisons(curve.comparisons) if c.observable == d.name]
             averaging = tuple(
@@ -52,17 +49,17 @@ def errors_apart(curve: CurveOutcome) -> tuple[ErrorsApart, ...]:
                 for c in told
                 if c.measures == "averaging" and route in (c.a, c.b)
             )
-            pair = None if bias is None or chance is None else (float(bias), float(chance))
-            found.append(ErrorsApart(route, d.name, float(sampling), pair, averaging))
+            pair = d.step_bias and (d.step_bias.difference, d.step_bias.chance)
+            found.append(ErrorsApart(route, d.name, d.sampling, pair, averaging))
     return tuple(found)
 
 
 def statistics_of(curve: CurveOutcome) -> tuple[tuple[str, tuple[str | float | int, ...]], ...]:
-    """Return each simulation's route with the settings of ``STATISTICS``, in their order."""
+    """Return each simulation's route with its diagnosis, in the order of ``STATISTICS``."""
     return tuple(
-        (route_name(r.method), tuple(r.settings[key] for key in STATISTICS))
+        (route_name(r.method), tuple(r.report.diagnosis.settings().values()))
         for r in curve.results
-        if all(key in r.settings for key in STATISTICS)
+        if isinstance(r.report, Report) and r.report.diagnosis is not None
     )
 
 

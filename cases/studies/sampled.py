@@ -17,6 +17,7 @@ from fpk.method import Progress, silent
 from fpk.observable import Observable, observable_name
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
+from sim.report import Report
 from sim.scheme import SCHEMES
 
 OWN = "exact_flow"
@@ -89,13 +90,13 @@ def _law_at_some_step(
 
 def _run(
     system: System, observable: Observable, method: MonteCarlo
-) -> tuple[SampledDensity, dict[str, float], float]:
+) -> tuple[SampledDensity, Report, float]:
     """Return the density, what the run says of itself, and its processor time in seconds."""
     result, seconds = timed_first(lambda: method.solve(system, [observable]))
     (found,) = result.densities
     assert isinstance(found, SampledDensity)
-    keys = ("dt", "time", "burn_in", "paths", "relaxation_time")
-    return coarse(found), {key: float(result.settings[key]) for key in keys}, seconds
+    assert isinstance(result.report, Report)
+    return coarse(found), result.report, seconds
 
 
 def _largest_stable(system: System, observable: Observable, method: MonteCarlo) -> float | None:
@@ -103,8 +104,8 @@ def _largest_stable(system: System, observable: Observable, method: MonteCarlo) 
     trial = replace(method, paths=LEAST_PATHS, relaxations=TRIAL, burn_in=1.0)
     while factor > SLOWEST:
         try:
-            found, _, seconds = _run(system, observable, replace(trial, step_factor=factor))
-            if np.all(np.isfinite(found.values)) and not _lost(found):
+            found, report, seconds = _run(system, observable, replace(trial, step_factor=factor))
+            if np.all(np.isfinite(found.values)) and not report.lost:
                 return factor
             if seconds > LONG_TRIAL and factor < 0.25:
                 return None
@@ -112,10 +113,6 @@ def _largest_stable(system: System, observable: Observable, method: MonteCarlo) 
             pass
         factor /= sqrt(2.0) if factor > 0.5 else 2.0
     return None
-
-
-def _lost(found: SampledDensity) -> bool:
-    return any("finite range" in words for words in found.certificate.failures)
 
 
 def _law(
@@ -133,28 +130,32 @@ def _law(
     few = replace(method, relaxations=RELAXATIONS[1])
     if factor < 0.25:
         few = replace(method, paths=LEAST_PATHS, relaxations=RELAXATIONS[0])
-    biased, found, _ = _run(system, observable, replace(few, step_factor=factor))
+    biased, report, _ = _run(system, observable, replace(few, step_factor=factor))
+    largest = report.steps.dt
     distance = sampled_distance(biased, reference.shares(biased.edges[0]))
     noise = float(np.hypot(chance_l1(biased)[0], reference.error))
     resolved = distance > 2.0 * noise
     bias = sqrt(distance**2 - noise**2) if resolved else 2.0 * noise
-    usual, at, seconds = _run(system, observable, replace(few, step_factor=min(0.7 * factor, 1.0)))
+    usual, report, seconds = _run(
+        system, observable, replace(few, step_factor=min(0.7 * factor, 1.0))
+    )
+    at = report.steps
     true = sampled_distance(usual, reference.shares(usual.edges[0]))
     # The bias itself is known to the noise of the run that it was read from.
-    left = (bias + noise) * (at["dt"] / found["dt"]) ** scheme.weak_order
+    left = (bias + noise) * (at.dt / largest) ** scheme.weak_order
     allowed = chance_l1(usual)[1] + left + 2.0 * reference.error
     if not true <= allowed:
         words = f"differs from the {reference.words} by more than chance and its order explain"
-        return NotTimed(scheme.name, FULL, f"dt {at['dt']:.3g}", true, allowed, words)
+        return NotTimed(scheme.name, FULL, f"dt {at.dt:.3g}", true, allowed, words)
     return Law(
         scheme=method.scheme,
-        noise=chance_l1(usual)[0] * sqrt(at["paths"] * at["time"]),
-        bias=bias / found["dt"] ** scheme.weak_order,
+        noise=chance_l1(usual)[0] * sqrt(at.paths * at.time),
+        bias=bias / largest**scheme.weak_order,
         bias_resolved=resolved,
         order=scheme.weak_order,
-        step=seconds * at["dt"] / (at["paths"] * (at["time"] + at["burn_in"])),
-        largest=found["dt"],
-        relaxation=at["relaxation_time"],
+        step=seconds * at.dt / (at.paths * (at.time + at.burn_in)),
+        largest=largest,
+        relaxation=at.relaxation_time,
     )
 
 
@@ -169,13 +170,14 @@ def _in_samples(
     route, points = f"{OWN}, N", []
     for relaxations in RELAXATIONS:
         own = replace(method, relaxations=relaxations)
-        found, at, first = _run(system, observable, own)
+        found, report, first = _run(system, observable, own)
+        at = report.steps
         true = sampled_distance(found, reference.shares(found.edges[0]))
         mean, quantile = chance_l1(found)
-        bias = law.bias * at["dt"] ** law.order
+        bias = law.bias * at.dt**law.order
         # Twice the reference's error: its mean says what chance makes of it, not the worst case.
         allowed = quantile + bias + 2.0 * reference.error
-        settings = f"{at['paths']:.0f} paths, time {at['time']:.3g}, dt {at['dt']:.3g}"
+        settings = f"{at.paths} paths, time {at.time:.3g}, dt {at.dt:.3g}"
         if not true <= allowed:
             words = f"differs from the {reference.words} by more than chance and step explain"
             return NotTimed(route, FULL, settings, true, allowed, words)

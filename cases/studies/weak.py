@@ -17,6 +17,7 @@ from fpk.method import Method, Progress, silent
 from fpk.observable import parse_observable
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
+from sim.report import Report
 from sim.scheme import SCHEMES
 
 LEVELS, FEW_LEVELS = 5, 4
@@ -143,14 +144,15 @@ def _run(
 ) -> StepLevel:
     start = process_time()
     run = replace(method, step_factor=factor, relaxations=relaxations)
-    found = run.solve(system, []).settings
-    name = f"E q{mass + 1}²"
+    report = run.solve(system, []).report
+    assert isinstance(report, Report)
+    steps, known = report.steps, bool(report.moments)
     return StepLevel(
-        dt=float(found["dt"]),
+        dt=steps.dt,
         # Not there where trajectories were lost: nothing is known of the mean then.
-        value=float(found.get(name, nan)),
-        error=float(found.get(f"standard error of {name}", nan)),
-        sampled=float(found["time"]) * float(found["paths"]),
+        value=report.moments[mass].mean if known else nan,
+        error=report.moments[mass].error if known else nan,
+        sampled=steps.time * steps.paths,
         seconds=process_time() - start,
     )
 

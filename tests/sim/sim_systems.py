@@ -1,7 +1,12 @@
 """Systems that the tests of the simulation share."""
 
+from collections.abc import Sequence
+from typing import Any
+
 from fpk.contact import Contact
 from fpk.system import System
+from sim.montecarlo import MonteCarlo
+from sim.report import Report
 
 
 def fig6(*, clearance: float = 0.5) -> System:
@@ -47,3 +52,10 @@ def linear(n: int = 2) -> System:
         damping=[0.1] * n,
         noise_intensity=[0.05] * n,
     )
+
+
+def report_of(method: MonteCarlo, system: System, observables: Sequence[Any] = ()) -> Report:
+    """The report of a simulation."""
+    report = method.solve(system, observables).report
+    assert isinstance(report, Report)
+    return report

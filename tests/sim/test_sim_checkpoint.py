@@ -19,10 +19,11 @@ from sim_systems import fig6
 import sim.checkpoint
 from fpk.errors import Unavailable
 from fpk.observable import parse_observable
-from sim.checkpoint import Checkpoint, Keeper, checkpoint_of, heard_interrupt
+from sim.checkpoint import Autosave, Checkpoint, checkpoint_of, interruptible
 from sim.ensemble import Ensemble
 from sim.montecarlo import MonteCarlo
 from sim.random import LANES
+from sim.report import Report
 from sim.scheme import SCHEMES
 
 METHOD = MonteCarlo(paths=4096, time=4000.0, dt=0.2, seed=17, threads=1)
@@ -36,7 +37,7 @@ import sim.checkpoint
 from dataclasses import replace
 from test_sim_checkpoint import METHOD, OBSERVABLES, arrays_of
 from sim_systems import fig6
-sim.checkpoint.EVERY = float(sys.argv[3])
+sim.checkpoint.INTERVAL = float(sys.argv[3])
 method = replace(METHOD, checkpoint=Path(sys.argv[1]), time=float(sys.argv[4]))
 print("begun", flush=True)
 np.savez(sys.argv[2], **arrays_of(method.solve(fig6(), OBSERVABLES)))
@@ -133,9 +134,9 @@ def test_the_state_goes_to_disk_and_comes_back(tmp_path: Path) -> None:
     ensembles = [Ensemble(fig6(), SCHEMES["exact_flow"], 0.2, 3 * LANES, 1, 1) for _ in range(2)]
     checkpoint = Checkpoint(tmp_path / "state.checkpoint", "one")
     assert checkpoint.load() is None
-    keeper = Keeper(checkpoint, stopped_after(0), {"note": np.array([2.5, np.inf])})
-    assert keeper.advance(ensembles[0], 10**6) and keeper.interrupted
-    found = keeper.load()
+    autosave = Autosave(checkpoint, stopped_after(0), {"note": np.array([2.5, np.inf])})
+    assert autosave.advance(ensembles[0], 10**6) and autosave.interrupted
+    found = autosave.load()
     ensembles[1].restore(found)
     assert ensembles[1].done == ensembles[0].done == sim.checkpoint.FIRST_PIECE
     np.testing.assert_array_equal(ensembles[1].states, ensembles[0].states)
@@ -196,12 +197,14 @@ def test_control_c_leaves_a_partial_result_that_goes_on_later(
 ) -> None:
     expected = arrays_of(METHOD.solve(fig6(), OBSERVABLES))
     method = replace(METHOD, partial=True, checkpoint=tmp_path)
-    monkeypatch.setattr("sim.checkpoint.EVERY", 0.02)
-    monkeypatch.setattr("sim.simulation.heard_interrupt", lambda: _pressed_after(20))
+    monkeypatch.setattr("sim.checkpoint.INTERVAL", 0.02)
+    monkeypatch.setattr("sim.simulation.interruptible", lambda: _pressed_after(20))
     found = method.solve(fig6(), OBSERVABLES)
-    assert found.settings["partial"] in found.densities[0].certificate.failures
-    assert "partial: interrupted after" in str(found.settings["partial"])
-    assert 0 < float(found.settings["time"]) < 4000.0
+    assert found.partial and isinstance(found.report, Report)
+    assert found.report.interrupted.startswith("partial: interrupted after")
+    assert found.report.interrupted in found.densities[0].certificate.failures
+    assert found.settings["partial"] == found.report.interrupted
+    assert found.report.diagnosis is None and 0 < found.report.steps.time < 4000.0
     assert np.all(np.isfinite(found.densities[0].values))
     monkeypatch.undo()
     same(arrays_of(replace(method, partial=False).solve(fig6(), OBSERVABLES)), expected)
@@ -222,7 +225,7 @@ class _pressed_after:
 
 def test_a_second_control_c_interrupts_at_once() -> None:
     before = signal.getsignal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt), heard_interrupt() as pressed:
+    with pytest.raises(KeyboardInterrupt), interruptible() as pressed:
         assert not pressed()
         signal.raise_signal(signal.SIGINT)
         assert pressed()
@@ -230,14 +233,14 @@ def test_a_second_control_c_interrupts_at_once() -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_other_threads_do_not_hear_it() -> None:
-    heard: list[bool] = []
+def test_other_threads_do_not_receive_it() -> None:
+    answers: list[bool] = []
 
     def listen() -> None:
-        with heard_interrupt() as pressed:
-            heard.append(pressed())
+        with interruptible() as pressed:
+            answers.append(pressed())
 
     thread = threading.Thread(target=listen)
     thread.start()
     thread.join()
-    assert heard == [False]
+    assert answers == [False]

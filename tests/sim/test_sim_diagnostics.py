@@ -9,7 +9,6 @@ from arviz_stats.base import array_stats
 from scipy.integrate import quad
 from sim_systems import exact, fig6
 
-from fpk.certificate import Certificate
 from fpk.observable import parse_observable
 from sim.diagnostics import (
     diagnosis,
@@ -26,9 +25,7 @@ from sim.montecarlo import MonteCarlo
 from sim.random import LANES
 from sim.record import Record, octiles
 from sim.scheme import SCHEMES
-from sim.statistics import l1_error, moment_products, told
-
-PASSED = Certificate(0.0, 0.0, 0.0, 0.0)
+from sim.statistics import joined_bins, moment_products, sampling_error
 
 
 def autoregression(phi: float, chains: int, draws: int, seed: int) -> np.ndarray:
@@ -212,12 +209,13 @@ def test_the_stated_error_is_the_real_one_and_the_mirror_gains() -> None:
         (histogram,) = ranged(exact(), [parse_observable("q2", 2)], reach, reach, mirror=True)
         ensemble.watch([histogram])
         ensemble.advance(1200, stride=4)
-        plain = told(sampled_density(histogram, ensemble.counts, PASSED, {}))
-        both = told(sampled_density(histogram, mirrored(histogram, ensemble.counts), PASSED, {}))
+        taken = ensemble.paths * ensemble.samples
+        plain = joined_bins(sampled_density(histogram, ensemble.counts, taken=taken))
+        both = joined_bins(sampled_density(histogram, ensemble.counts, taken=taken, mirror=True))
         width = both.edges[0][1] - both.edges[0][0]
         truth = exact_bins(both.edges[0])
-        ratios.append(width * np.abs(both.values - truth).sum() / l1_error(both))
-        gains.append((l1_error(plain) / l1_error(both)) ** 2)
+        ratios.append(width * np.abs(both.values - truth).sum() / sampling_error(both))
+        gains.append((sampling_error(plain) / sampling_error(both)) ** 2)
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.24)
     # Twice the samples, but for the correlation of x and −x on one trajectory.
     assert 1.4 < np.mean(gains) < 2.2

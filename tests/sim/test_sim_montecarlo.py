@@ -1,6 +1,5 @@
 """The method: against exact densities, identities, refusals. Seeds were drawn once."""
 
-from functools import partial
 from itertools import pairwise
 from math import exp, inf, sqrt
 from typing import Any
@@ -22,8 +21,9 @@ from sim.flow import linear_diffusion, linear_drift
 from sim.histogram import watch_arrays
 from sim.kernel import WatchArrays
 from sim.montecarlo import MonteCarlo
+from sim.report import Report
 from sim.scheme import SCHEMES
-from sim.simulation import simulate
+from sim.simulation import Setup, simulate
 from sim.step_size import chosen_step, contact_frequency
 
 Q2 = (parse_observable("q2", 2),)
@@ -149,13 +149,10 @@ def test_damping_term_of_the_observed_momentum(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_euler_maruyama_is_visibly_biased() -> None:
-    # The plain mean shows it; controls, whose means a biased step moves, may hide it.
-    run = partial(simulate, exact(), (), scheme=SCHEMES["euler_maruyama"], paths=4096, threads=2)
-    moments = run(dt=0.02, time=150.0, seed=5).moments
-    assert moments is not None
-    mean = moments.velocity_square(1)
-    assert mean.value - 0.5 > 8.0 * mean.error
     result = small(scheme="euler_maruyama", dt=0.02, seed=5).solve(exact(), Q2)
+    assert isinstance(result.report, Report)
+    square = result.report.moments[-1]
+    assert square.name == "v2²" and square.mean - 0.5 > 8.0 * square.error
     assert any("standard errors" in f for f in result.densities[0].certificate.failures)
 
 
@@ -216,7 +213,7 @@ def test_target_error_is_met_or_the_certificate_says_so() -> None:
     assert met.densities[0].certificate.certified
     assert calls and calls[0][2] == "simulation" and all(d <= t for d, t, _ in calls)
     missed = small(tol=1e-9, longest=0.01, time=40.0).solve(exact(), Q2)
-    assert any("above tol" in f for f in missed.densities[0].certificate.failures)
+    assert any("exceeds the tolerance" in f for f in missed.densities[0].certificate.failures)
     assert small(tol=0.1).refined().tol == 0.05
 
 
@@ -231,17 +228,17 @@ def test_displacement_of_the_exact_system_to_three_parts_in_ten_thousand() -> No
 def test_weak_order_of_the_displacement_in_the_step() -> None:
     """At large steps, where the bias of the plain mean stands above the sampling error.
 
-    Controls, whose own means such steps move, would add a bias of theirs. The error of the order
-    is that of the two biases; the stability limit is 0.55, and higher orders add to the fourth.
+    The error of the order is that of the two biases; the stability limit is 0.55, and higher orders
+    add to the fourth.
     """
     steps, biases, errors = (0.32, 0.42), [], []
-    run = partial(simulate, exact(), (), scheme=SCHEMES["exact_flow"], paths=65536, threads=2)
+    scheme = SCHEMES["exact_flow"]
     for dt in steps:
-        moments = run(dt=dt, time=6000.0, seed=97).moments
-        assert moments is not None
-        mean = moments.displacement_square(1)
-        biases.append(mean.value / exact_square() - 1.0)
-        errors.append(mean.error / abs(mean.value - exact_square()))
+        square = simulate(
+            Setup(exact(), (), scheme, dt=dt, paths=65536, seed=97, time=6000.0), threads=2
+        ).report.moments[1]
+        biases.append(square.mean / exact_square() - 1.0)
+        errors.append(square.error / abs(square.mean - exact_square()))
     wide = np.log(steps[1] / steps[0])
     order, error = np.log(biases[1] / biases[0]) / wide, np.hypot(*errors) / wide
     assert error < 0.35
