@@ -51,7 +51,8 @@ class Checkpoint:
         Raises ``Unavailable`` where that is not possible; what was in the file stays.
         """
         content = io.BytesIO()
-        np.savez(content, identity=np.array([FORMAT, self.identity]), **dict(arrays))
+        entries: dict[str, Any] = {**arrays, "identity": np.array([FORMAT, self.identity])}
+        np.savez(content, **entries)
         part = self.path.with_suffix(".part")
         try:
             with part.open("wb") as stream:

@@ -129,7 +129,8 @@ class Record:
 
         Those are the trajectories of the first blocks; see ``sim.ensemble.APART``.
         """
-        return self._of_paths(ensemble.sums, ensemble.live) / ensemble.samples
+        means: Array = self._of_paths(ensemble.sums, ensemble.live) / ensemble.samples
+        return means
 
     def saved(self) -> dict[str, NDArray[Any]]:
         """Return all that changes, as arrays: what ``restore`` needs."""
