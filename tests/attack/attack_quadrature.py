@@ -4,7 +4,7 @@ import numpy as np
 
 STEP = 1.0 / 32.0
 """Step of the double exponential rule: half the width of a Gaussian cut at 50 nats."""
-_T = np.arange(-3.4, 3.4 + STEP / 2, STEP)
+_T = np.arange(-4.0, 4.0 + STEP / 2, STEP)
 _S = 0.5 * np.pi * np.sinh(_T)
 FRACTION = 1.0 / (1.0 + np.exp(-2.0 * _S))  # of the piece, with full accuracy near 0
 WEIGHT = STEP * 0.25 * np.pi * np.cosh(_T) / np.cosh(_S) ** 2
