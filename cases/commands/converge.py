@@ -36,7 +36,7 @@ def converge(
     loaded = begin_study(scene, out)
     from cases.output.terminal import progress_bar
     from cases.studies.converge import SECONDS, chosen_routes, study_convergence
-    from cases.studies.converge_output import study_tables, write_study
+    from cases.studies.converge_output import study_tables, write_convergence
     from cases.studies.tables import terminal_text
 
     routes = chosen_routes(route, of)
@@ -49,7 +49,7 @@ def converge(
             threads=threads,
             progress=progress,
         )
-    written = [] if out is None else write_study(found, out)
+    written = [] if out is None else write_convergence(found, out)
     end_study(
         found,
         lambda: terminal_text(f"Convergence: {loaded.title}", study_tables(found)),

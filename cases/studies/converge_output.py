@@ -1,25 +1,24 @@
-"""A convergence study as tables, files and a picture."""
+"""A convergence study as tables, panels of a picture, and rows."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import xarray as xr
 
-from cases.output.fields import program_version
-from cases.output.files import write_by, write_text
-from cases.output.svg import svg_text
-from cases.studies.converge import COLUMNS, ConvergenceStudy, Studied
-from cases.studies.converge_picture import study_figure
-from cases.studies.ladders import Ladder
-from cases.studies.names import EXPLAINED
-from cases.studies.tables import Table, markdown_text, shown, shown_order
+from cases.studies.converge import ConvergenceStudy, Studied
+from cases.studies.ladders import COLUMNS, Ladder
+from cases.studies.picture import Curve, Panel, study_figure
+from cases.studies.tables import Table, markdown_text, rows_dataset, write_study
 from cases.studies.weak_fit import WeakOrder
 from fpk.orders import LIMITS
 
 GCI_WORDS = (
     "GCI: safety factor 1.25 where the observed order is within 10 % of theory, else 3. " + LIMITS
 )
-
+ORDER_WORDS = (
+    "In h: powers of h. In p: nats a degree. By tol: nats a unit of √unknowns. Levels within ten"
+    " times the floor (error of the reference, end of the mesh) give no order."
+)
 TWO_ENERGIES = (
     "Mean energy: with constant damping the drift is linear in the energies, which are test"
     " functions themselves, so that elements of any degree have E H right, and only the end of the"
@@ -29,6 +28,14 @@ TWO_ENERGIES = (
     " 1/|ln h|, which no affordable mesh ends (Eriksson and Thomée, Math. Comp. 42, 1984, 345).",
 )
 """Why two of the orders of (17) are not, and need not be, those of the column of theory."""
+DEGREE_WORDS = (
+    "Nats: -ln of the ratio of neighbouring errors. Where they do not fall with the degree the"
+    " error falls exponentially; a dash stands at the floor. The contact energies are nodes of the"
+    " mesh, but above them the coefficients have half-integer powers of H - H_c: with contact a"
+    " slower rate can take over at high degree, which hp elements, graded there, do without."
+)
+LIMITS_OF_AXIS = (1e-16, 10.0)
+"""Ends of the axis of L1 errors: round-off of one, and more than the largest distance, 2."""
 
 
 def study_tables(study: ConvergenceStudy) -> list[Table]:
@@ -36,10 +43,12 @@ def study_tables(study: ConvergenceStudy) -> list[Table]:
     tables = []
     for studied in study.equations:
         tables += [_errors(studied), _orders(studied), _grid(studied)]
-        if studied.theory == "nonintegrable":
+        if studied.dimension == 1:
             tables.append(_in_degree(studied, study.without_contact))
     if study.schemes:
-        tables += [_steps(study.schemes), *([_samples(study)] if study.samples else [])]
+        tables.append(_steps(study.schemes))
+    if study.samples:
+        tables.append(_samples(study))
     if study.refusals:
         rows = tuple(study.refusals.items())
         tables.append(Table("Routes that do not apply", ("route", "reason"), rows))
@@ -47,107 +56,78 @@ def study_tables(study: ConvergenceStudy) -> list[Table]:
 
 
 def _errors(studied: Studied) -> Table:
-    rows = [
-        (
-            ladder.name if k == 0 else "",
-            level.label,
-            str(level.unknowns),
-            *(shown(level.errors[key]) for key in COLUMNS),
-            shown(level.estimate),
-        )
-        for ladder in studied.ladders
-        for k, level in enumerate(ladder.levels)
-    ]
     return Table(
         f"{studied.equation}, p({studied.observable}): errors",
         ("family", "level", "unknowns", *COLUMNS, "its L1 estimate"),
-        tuple(rows),
+        [
+            (ladder.name, v.setting, v.unknowns, *(v.errors[key] for key in COLUMNS), v.estimate)
+            for ladder in studied.ladders
+            for v in ladder.levels
+        ],
         (
             f"Against: {studied.reference}, itself within {studied.reference_error:.1e} in L1.",
-            EXPLAINED[studied.dimension],
+            f"{studied.ladders[-1].name}: {studied.by_tolerance}",
         ),
     )
 
 
 def _orders(studied: Studied) -> Table:
-    rows = []
-    for ladder in studied.ladders:
-        for k, key in enumerate(COLUMNS):
-            v = ladder.verdicts[key]
-            rows.append(
-                (
-                    ladder.name if k == 0 else "",
-                    key,
-                    " ".join(f"{o:.2f}" for o in v.orders) or "–",
-                    shown_order(v.order, v.spread),
-                    "–" if v.theory is None else f"{v.theory:g}",
-                    v.kind,
-                )
-            )
+    rows = [
+        (
+            ladder.name,
+            key,
+            " ".join(f"{o:.2f}" for o in v.orders),
+            f"{v.order:.2f} ± {v.spread:.2f}" if v.order == v.order else None,
+            None if v.theory is None else f"{v.theory:g}",
+            v.kind,
+        )
+        for ladder in studied.ladders
+        for key, v in ladder.verdicts.items()
+    ]
     return Table(
         f"{studied.equation}: observed orders",
         ("family", "error", "consecutive levels", "last three", "theory", "verdict"),
-        tuple(rows),
-        (
-            "In h: powers of h. In p: nats a degree. By tol: nats a unit of √unknowns. Levels"
-            " within ten times the floor (error of the reference, end of the mesh) give no order.",
-            *(TWO_ENERGIES if studied.dimension == 2 else ()),
-        ),
+        rows,
+        (ORDER_WORDS, *(TWO_ENERGIES if studied.dimension == 2 else ())),
     )
 
 
 def _grid(studied: Studied) -> Table:
     rows = [
         (
-            ladder.name if k == 0 else "",
+            ladder.name,
             key,
             f"{g.value:.10g}",
-            shown_order(g.observed),
+            f"{g.observed:.2f}" if g.observed == g.observed else None,
             f"{g.used:.2f}",
             f"{g.safety:g}",
-            shown(g.index),
-            shown(ladder.levels[-1].errors[key]),
+            g.index,
+            ladder.levels[-1].errors[key],
             g.kind,
         )
         for ladder in studied.ladders
-        for k, (key, g) in enumerate(ladder.grid.items())
+        for key, g in ladder.grid.items()
     ]
-    return Table(
-        f"{studied.equation}: Richardson and grid convergence index (GCI)",
-        (
-            "family",
-            "functional",
-            "Richardson",
-            "observed",
-            "used",
-            "factor",
-            "GCI",
-            "true error",
-            "verdict",
-        ),
-        tuple(rows),
-        (GCI_WORDS,),
-    )
+    head = ("family", "functional", "Richardson", "observed", "used", "factor", "GCI", "true error")
+    title = f"{studied.equation}: Richardson and grid convergence index (GCI)"
+    return Table(title, (*head, "verdict"), rows, (GCI_WORDS,))
+
+
+def _with_and_without(studied: Studied, without: Ladder | None) -> list[tuple[str, Ladder]]:
+    """The ladder in p of the system as it is, and of that without contacts where it has any."""
+    own = [("with contact" if without else "no contact", studied.in_degree)]
+    return own + ([("contacts taken away", without)] if without else [])
 
 
 def _in_degree(studied: Studied, without: Ladder | None) -> Table:
     """Errors by degree on a fixed mesh, with contact and without: nats of error a degree."""
-    own = next(ladder for ladder in studied.ladders if ladder.family == "p")
-    shown_ones = [("as it is", own), *([("without contact", without)] if without else [])]
     rows = [
-        (words if k == 0 else "", level.label, str(level.unknowns), shown(level.errors["L1"]), rate)
-        for words, ladder in shown_ones
-        for k, (level, rate) in enumerate(zip(ladder.levels, rates(ladder), strict=True))
+        (words, level.setting, level.unknowns, level.error, rate)
+        for words, ladder in _with_and_without(studied, without)
+        for level, rate in zip(ladder.levels, rates(ladder), strict=True)
     ]
     head = ("system", "degree", "unknowns", "L1", "nats a degree")
-    remarks = (
-        "Nats: -ln of the ratio of neighbouring errors. Where they do not fall with the degree the"
-        " error falls exponentially; a dash stands at the floor. The contact energies are nodes of"
-        " the mesh, but above them the coefficients have half-integer powers of H - H_c: with"
-        " contact a slower rate can take over at high degree, which hp elements, graded there, do"
-        " without.",
-    )
-    return Table(f"{studied.equation}: exponential convergence in p", head, tuple(rows), remarks)
+    return Table(f"{studied.equation}: exponential convergence in p", head, rows, (DEGREE_WORDS,))
 
 
 def rates(ladder: Ladder) -> list[str]:
@@ -157,29 +137,19 @@ def rates(ladder: Ladder) -> list[str]:
 
 
 def _steps(schemes: tuple[WeakOrder, ...]) -> Table:
-    rows, remarks = [], []
-    for s in schemes:
-        for k, level in enumerate(s.levels):
-            rows.append(
-                (
-                    s.scheme if k == 0 else "",
-                    f"{level.dt:.4g}",
-                    f"{level.value:.6f}",
-                    f"{level.error:.1e}",
-                    shown(s.errors[k]),
-                    shown(s.error_bars[k]),
-                    f"{level.sampled:.2e}",
-                )
-            )
-        remarks.append(_told(s))
-    name = schemes[0].observable
-    head = ("scheme", "dt", name, "one s.e.", "|error|", "its s.e.", "paths x time")
-    return Table("Simulation: weak order in the step", head, tuple(rows), tuple(remarks))
+    rows = [
+        (s.scheme, f"{v.dt:.4g}", f"{v.value:.6f}", v.error, error, bar, v.sampled)
+        for s in schemes
+        for v, error, bar in zip(s.levels, s.errors, s.error_bars, strict=True)
+    ]
+    head = ("scheme", "dt", schemes[0].observable, "one s.e.", "|error|", "its s.e.")
+    remarks = tuple(_order_words(s) for s in schemes)
+    return Table("Simulation: weak order in the step", (*head, "paths x time"), rows, remarks)
 
 
-def _told(s: WeakOrder) -> str:
+def _order_words(s: WeakOrder) -> str:
     if s.verdict == "unstable":
-        return f"{s.scheme}: no step was found that is stable and cheap enough to study."
+        return f"{s.scheme}: no step is stable and cheap enough to study."
     low, high = s.order_error
     base = "closed form" if s.known else "intercept of the regression"
     ratios = ", ".join(f"{o:.2f} ± {e:.2f}" for o, e in s.ratios) or "none resolved"
@@ -196,61 +166,125 @@ def _told(s: WeakOrder) -> str:
     )
     if s.verdict == "pre-asymptotic" and not s.known:
         words += "; the errors above are from that intercept, which rests on a fit that fails"
-    return words + (
-        f", short of it by a factor {s.short:.1f} in the time given." if s.short > 1.05 else "."
-    )
+    short = f", short of it by a factor {s.short:.1f} in the time given."
+    return words + (short if s.short > 1.05 else ".")
 
 
 def _samples(study: ConvergenceStudy) -> Table:
-    found = study.samples
-    assert found is not None
-    pairs = zip(found.sampled, found.errors, strict=True)
-    rows = tuple((f"{n:.2e}", shown(e)) for n, e in pairs)
-    words = f"slope {found.slope:.3f} ± {found.slope_error:.3f}, theory -0.5"
+    slope = study.samples
+    assert slope is not None
+    words = f"slope {slope.slope:.3f} ± {slope.slope_error:.3f}, theory -0.5"
     return Table(
-        f"Simulation: standard error of {found.observable} in samples",
+        f"Simulation: standard error of {slope.observable} in samples",
         ("paths x time", "one s.e."),
-        rows,
+        [(f"{n:.2e}", e) for n, e in zip(slope.sampled, slope.errors, strict=True)],
         (words,),
     )
 
 
-def write_study(study: ConvergenceStudy, folder: Path) -> list[Path]:
+def study_panels(study: ConvergenceStudy) -> list[Panel]:
+    """Return L1 against unknowns of every equation, against the degree, and bias against the step.
+
+    Dashed lines have the slope of theory, below the finest levels.
+    """
+    panels = [_ladder_panel(s) for s in study.equations]
+    panels += [
+        _degree_panel(s, study.without_contact) for s in study.equations if s.dimension == 1
+    ]
+    return [*panels, _step_panel(study.schemes)] if study.schemes else panels
+
+
+def _ladder_panel(studied: Studied) -> Panel:
+    curves = []
+    for ladder in studied.ladders:
+        N = np.array([level.unknowns for level in ladder.levels], dtype=float)
+        e = np.array([level.error for level in ladder.levels])
+        label, dashed = ladder.name, None
+        if ladder.degree:
+            label = f"{ladder.name}: order {ladder.verdicts['L1'].order:.2f}"
+            power = (ladder.degree + 1.0) / ladder.dimension
+            dashed = N[-3:], 0.5 * e[-1] * (N[-3:] / N[-1]) ** -power
+        curves.append(Curve(ladder.name, N, e, label, dashed=dashed))
+    return _error_panel(studied, "dashed: order of theory", "unknowns $N$", curves)
+
+
+def _degree_panel(studied: Studied, without: Ladder | None) -> Panel:
+    """Log-lin: exponential convergence is a straight line."""
+    curves = []
+    for words, ladder in _with_and_without(studied, without):
+        label = f"{words}: $e^{{-{ladder.verdicts['L1'].order:.1f} p}}$"
+        p, e = [-np.log(v.size) for v in ladder.levels], [v.error for v in ladder.levels]
+        curves.append(Curve(words, p, e, label))
+    x = "degree $p$ on a fixed mesh"
+    return _error_panel(studied, "exponential in $p$", x, curves, logarithmic=False)
+
+
+def _error_panel(studied: Studied, words: str, x: str, curves: list[Curve], **how: Any) -> Panel:
+    return Panel(
+        f"{studied.equation}; {words}",
+        x,
+        f"$L_1$ error of p({studied.observable})",
+        curves,
+        floor=studied.reference_error + 1e-15,
+        limits=LIMITS_OF_AXIS,
+        **how,
+    )
+
+
+def _step_panel(schemes: tuple[WeakOrder, ...]) -> Panel:
+    curves = []
+    for s in schemes:
+        label, dashed = f"{s.scheme}: no usable step", None
+        if s.levels:
+            low, high = s.order_error
+            order = f"order {s.order:.1f} ± {0.5 * (high - low):.1f}"
+            words = s.verdict if s.beyond or s.verdict == "not resolved" else order
+            label = f"{s.scheme}: {words} (theory {s.theory})"
+            fit = np.geomspace(s.levels[0].dt, s.levels[-1].dt, 30)
+            dashed = fit, abs(s.slope) * fit**s.theory
+        dt = [level.dt for level in s.levels]
+        curves.append(Curve(s.scheme, dt, s.errors, label, s.error_bars, False, dashed,
+                            joined=False))  # fmt: skip
+    of = schemes[0].observable
+    title = "full system (6), simulation; lines: theory"
+    return Panel(title, "step $dt$, in the scene's unit of time", f"step error of {of}", curves)
+
+
+def write_convergence(study: ConvergenceStudy, folder: Path) -> list[Path]:
     """Write ``converge.md``, ``converge.nc`` and ``converge.svg``; return their paths."""
-    paths = [folder / f"converge.{ending}" for ending in ("md", "nc", "svg")]
     title = f"Convergence: {study.scene.title}"
-    write_text(paths[0], markdown_text(title, study_tables(study)))
-    data = study_dataset(study)
-    write_by(paths[1], lambda temporary: data.to_netcdf(temporary, engine="h5netcdf"))
-    write_text(paths[2], svg_text(study_figure(study), salt="converge"))
-    return paths
+    return write_study(
+        "converge",
+        folder,
+        study.scene,
+        title=title,
+        page=markdown_text(title, study_tables(study)),
+        data=rows_dataset(level=_level_rows(study), step=_step_rows(study)),
+        figure=study_figure(study_panels(study)),
+    )
 
 
-def study_dataset(study: ConvergenceStudy) -> xr.Dataset:
-    """Return one row a level: equation, family, settings, errors, estimate."""
-    levels = [(s, la, v) for s in study.equations for la in s.ladders for v in la.levels]
-    words = {
-        "equation": [s.equation for s, _, _ in levels],
-        "family": [la.name for _, la, _ in levels],
-        "level_name": [v.label for _, _, v in levels],
-    }
-    data = xr.Dataset({key: ("level", np.array(value, dtype=str)) for key, value in words.items()})
-    data["unknowns"] = ("level", np.array([v.unknowns for _, _, v in levels], dtype=int))
-    for key in COLUMNS:
-        data[f"error_{key.replace(' ', '_').replace('²', '2')}"] = (
-            "level",
-            np.array([v.errors[key] for _, _, v in levels], dtype=float),
-        )
-    data["estimate_L1"] = ("level", np.array([v.estimate for _, _, v in levels], dtype=float))
-    steps = [(s.scheme, level) for s in study.schemes for level in s.levels]
-    data["scheme"] = ("step", np.array([name for name, _ in steps], dtype=str))
-    for key in ("dt", "value", "error", "sampled"):
-        column = np.array([getattr(level, key) for _, level in steps], dtype=float)
-        data[f"step_{key}"] = ("step", column)
-    data.attrs = {
-        "title": f"Convergence: {study.scene.title}",
-        "scene": study.scene.name,
-        "scene_file": study.scene.text,
-        "program": f"vibro-fpk {program_version()}",
-    }
-    return data
+def _level_rows(study: ConvergenceStudy) -> list[dict[str, Any]]:
+    return [
+        {
+            "equation": studied.equation,
+            "family": ladder.name,
+            "level_name": level.setting,
+            "unknowns": level.unknowns,
+            **{f"error_{key.replace(' ', '_').replace('²', '2')}": e
+               for key, e in level.errors.items()},
+            "estimate_L1": level.estimate,
+        }
+        for studied in study.equations
+        for ladder in studied.ladders
+        for level in ladder.levels
+    ]  # fmt: skip
+
+
+def _step_rows(study: ConvergenceStudy) -> list[dict[str, Any]]:
+    keys = ("dt", "value", "error", "sampled")
+    return [
+        {"scheme": s.scheme, **{f"step_{key}": getattr(level, key) for key in keys}}
+        for s in study.schemes
+        for level in s.levels
+    ]

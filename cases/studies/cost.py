@@ -1,22 +1,32 @@
 """The work-precision study of a scene: what each digit costs, by every route."""
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from averaging.integrable import Integrable
-from averaging.nonintegrable import NonIntegrable
 from cases.comparison.compare import BINS_1D
 from cases.output.summary import plain
 from cases.scene.scene import Scene
-from cases.studies.deterministic import Candidate, candidates, priced
-from cases.studies.equations import Changed, energy_equation, modal_equation, unchanged
-from cases.studies.full_system import REFERENCE_RELAXATIONS, FullReference, full_reference
-from cases.studies.priced import (
+from cases.studies.equations import Equation, energy_equation, modal_equation, unchanged
+from cases.studies.full_system import (
+    REFERENCE_RELAXATIONS,
+    FullReference,
+    deterministic,
+    full_reference,
+)
+from cases.studies.law import Law
+from cases.studies.levels import (
+    ByTolerance,
+    Discretisation,
+    Level,
+    elements,
+    refined_levels,
+)
+from cases.studies.prices import (
     Cheapest,
     Crossover,
     NotTimed,
@@ -25,17 +35,26 @@ from cases.studies.priced import (
     price_list,
     promised_list,
 )
-from cases.studies.sampled import full_routes
-from cases.studies.sampled_energy import averaged_route
-from cases.studies.sampling_law import FULL, Law
+from cases.studies.runs import observed_mass
+from cases.studies.sampled import FULL, averaged_route, full_routes
 from cases.studies.timing import timed_first, timing
-from cases.studies.weak import observed_mass
 from fpk.density import Density
-from fpk.errors import NotApplicable, NotCertified
-from fpk.method import Method, Progress, silent
+from fpk.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.method import Progress, silent
 from fpk.observable import observable_name, parse_observable
+from fpk.process import Process
+from fpk.system import System
 
 DIGITS = tuple(range(1, 11))
+"""Digits that are priced."""
+DEGREES = (1, 2, 4, 8)
+MESHES = {1: 7, 2: 5}
+"""Bisections of the coarsest mesh, by the number of energies."""
+TOLERANCES, STRIDE = 6, 2
+"""Tolerances that are timed, from 1e-2 on, and digits from one to the next."""
+LONGEST = 0.4
+"""Seconds of one solve beyond which a route is not refined further: the next takes up to ten times
+as long in two dimensions."""
 
 
 @dataclass(frozen=True)
@@ -52,139 +71,194 @@ class Model:
     seconds: float
 
 
-@dataclass(frozen=True)
+@dataclass
 class CostStudy:
-    """Priced routes, those not timed and why, the price list and where routes cross."""
+    """Priced routes, those not timed and why, the price list and where routes cross.
+
+    ``floors`` are the errors of the references by equation; ``full_reference`` says what the full
+    system is held against.
+    """
 
     scene: Scene
-    routes: tuple[Priced, ...]
-    not_timed: tuple[NotTimed, ...]
-    laws: tuple[Law, ...]
-    models: tuple[Model, ...]
-    floors: dict[str, float]
-    full_reference: str
-    prices: tuple[Cheapest, ...]
-    promises: tuple[Cheapest, ...]
-    crossings: tuple[Crossover, ...]
-    seconds: float
+    routes: list[Priced] = field(default_factory=list)
+    not_timed: list[NotTimed] = field(default_factory=list)
+    laws: list[Law] = field(default_factory=list)
+    models: list[Model] = field(default_factory=list)
+    floors: dict[str, float] = field(default_factory=dict)
+    full_reference: str = "not simulated"
+    seconds: float = 0.0
+
+    @property
+    def prices(self) -> tuple[Cheapest, ...]:
+        """The cheapest route and setting for each digit, by equation."""
+        return price_list(self.routes, DIGITS)
+
+    @property
+    def promises(self) -> tuple[Cheapest, ...]:
+        """The cheapest tolerance for each digit: a setting that holds for other scenes."""
+        return promised_list(self.routes, DIGITS)
+
+    @property
+    def crossings(self) -> tuple[Crossover, ...]:
+        """Where the cheapest route changes."""
+        return crossovers(self.routes)
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Routes whose answer disagrees with the reference; those without an answer are told.
-
-        So are baselines: that one of them has no usable step says nothing against the answers.
-        """
+        """Routes whose answer disagrees with the reference."""
         return tuple(
             f"{n.route} of {n.equation} ({n.settings}) is not timed: it differs by"
             f" L1 = {n.distance:.3g}, stated is {n.allowed:.3g}"
             for n in self.not_timed
-            if n.distance == n.distance and not n.baseline
+            if n.wrong
         )
+
+    def add(self, results: Sequence[Priced | NotTimed]) -> None:
+        """Add routes to those that are priced or to those that are not."""
+        self.routes += [r for r in results if isinstance(r, Priced)]
+        self.not_timed += [r for r in results if isinstance(r, NotTimed)]
 
     def record(self) -> dict[str, Any]:
         """Return the study as plain data."""
-        data = asdict(self)
-        data["scene"] = self.scene.name
-        data["problems"] = self.problems
-        found = plain(data)
-        assert isinstance(found, dict)
-        return found
+        record: dict[str, Any] = plain(
+            {
+                "scene": self.scene.name,
+                "routes": [r.record() for r in self.routes],
+                **{
+                    key: [asdict(item) for item in getattr(self, key)]
+                    for key in ("not_timed", "laws", "models", "crossings")
+                },
+                "floors": self.floors,
+                "full_reference": self.full_reference,
+                "prices": [c.record() for c in self.prices],
+                "promises": [c.record() for c in self.promises],
+                "seconds": self.seconds,
+                "problems": self.problems,
+            }
+        )
+        return record
 
 
 def study_cost(
     scene: Scene,
     *,
-    changed: Changed = unchanged,
-    injected: Sequence[Candidate] = (),
+    changed: Callable[[Process], Process] = unchanged,
     simulate: bool = True,
     seed: int = 1,
     relaxations: float = REFERENCE_RELAXATIONS,
     progress: Progress = silent,
 ) -> CostStudy:
-    """Check and time every route of ``scene``, then price the digits.
+    """Check and time every route of ``scene``.
 
-    ``changed`` and ``injected`` put wrong processes and routes in: the study must catch them.
+    ``changed`` puts a wrong process in the place of that of (24): the study must notice.
     """
     start, system = perf_counter(), scene.system
-    good: list[Priced] = []
-    bad: list[NotTimed] = []
-    floors: dict[str, float] = {}
-    nan = float("nan")
-    try:
-        energy = energy_equation(system, changed=changed)
-        floors[energy.name] = energy.reference.l1_error
-        found = priced(energy, [*candidates(energy), *injected], progress=progress)
-        good += found[0]
-        bad += found[1]
-        if simulate:
-            sampled = averaged_route(system, energy, seed=seed, progress=progress)
-            (good if isinstance(sampled, Priced) else bad).append(sampled)  # type: ignore[arg-type]
-    except (NotApplicable, NotCertified) as reason:
-        bad.append(NotTimed("all", "averaged equation (24)", "", nan, nan, str(reason)))
-    try:
-        modal = modal_equation(system)
-        floors[modal.name] = modal.reference.l1_error
-        found = priced(modal, candidates(modal), progress=progress)
-        good += found[0]
-        bad += found[1]
-    except (NotApplicable, NotCertified) as reason:
-        bad.append(NotTimed("all", "averaged equation (17)", "", nan, nan, str(reason)))
-    laws: list[Law] = []
-    models: list[Model] = []
-    words = "not simulated"
-    if simulate:
-        observable = parse_observable(f"q{observed_mass(system) + 1}", system.n)
+    study = CostStudy(scene)
+    makers = {
+        "averaged equation (24)": partial(energy_equation, system, changed=changed),
+        "averaged equation (17)": partial(modal_equation, system),
+    }
+    for name, make in makers.items():
         try:
-            reference = full_reference(system, observable, seed=seed, relaxations=relaxations)
-            words = reference.words
-            floors[FULL] = reference.error
-            more, not_timed, laws = full_routes(
-                system, observable, reference, seed=seed, progress=progress
-            )
-            good += more
-            bad += not_timed
-            models = _models(scene, reference)
-        except NotApplicable as reason:
-            bad.append(NotTimed("all", FULL, "", nan, nan, str(reason)))
-    return CostStudy(
-        scene=scene,
-        routes=tuple(good),
-        not_timed=tuple(bad),
-        laws=tuple(laws),
-        models=tuple(models),
-        floors=floors,
-        full_reference=words,
-        prices=price_list(good, DIGITS),
-        promises=promised_list(good, DIGITS),
-        crossings=crossovers(good),
-        seconds=perf_counter() - start,
-    )
+            equation = make()
+            study.floors[name] = equation.reference.l1_error
+            study.add(priced(equation, candidates(equation), progress=progress))
+            if simulate and equation.dimension == 1:
+                study.add([averaged_route(system, equation, seed=seed, progress=progress)])
+        except (NotApplicable, NotCertified) as reason:
+            study.not_timed.append(NotTimed("all", name, reason=str(reason)))
+    if simulate:
+        try:
+            _full(study, system, seed, relaxations, progress)
+        except (NotApplicable, NotCertified) as reason:
+            study.not_timed.append(NotTimed("all", FULL, reason=str(reason)))
+    study.seconds = perf_counter() - start
+    return study
 
 
-def _models(scene: Scene, reference: FullReference) -> list[Model]:
-    """Averaging error of each theory in p(q_i), and the time of its closed form."""
-    system = scene.system
+def _full(
+    study: CostStudy, system: System, seed: int, relaxations: float, progress: Progress
+) -> None:
     observable = parse_observable(f"q{observed_mass(system) + 1}", system.n)
-    theories: tuple[Method, ...] = (NonIntegrable("closed-form"), Integrable("closed-form"))
-    found = []
-    for method in theories:
-        if method.refusal(system, observable) is not None:
-            continue
+    reference = full_reference(system, observable, seed=seed, relaxations=relaxations)
+    study.full_reference, study.floors[FULL] = reference.words, reference.error
+    results, laws = full_routes(system, observable, reference, seed=seed, progress=progress)
+    study.add(results)
+    study.laws += laws
+    study.models += _models(system, reference)
+
+
+def candidates(equation: Equation) -> tuple[Discretisation, ...]:
+    """Return the coarsest of every route: elements in h, and the routes by tolerance."""
+    by_tol = [ByTolerance(steered, STRIDE, STRIDE) for steered in equation.steered]
+    return *(elements(equation, degree) for degree in DEGREES), *by_tol
+
+
+def priced(
+    equation: Equation, offered: Sequence[Discretisation], *, progress: Progress = silent
+) -> list[Priced | NotTimed]:
+    """Check every answer of every route against the reference; time those routes that agree.
+
+    An answer agrees if its L1 distance is within its own estimate and that of the reference. A
+    route with one answer that does not, or with none at all, is named and not timed.
+    """
+    results = []
+    for k, first in enumerate(offered):
+        progress(k, len(offered), f"cost of {equation.name}")
+        results.append(_priced(equation, first))
+    progress(len(offered), len(offered), f"cost of {equation.name}")
+    return results
+
+
+def _priced(equation: Equation, first: Discretisation) -> Priced | NotTimed:
+    count = TOLERANCES if isinstance(first, ByTolerance) else MESHES[equation.dimension]
+    checked: list[tuple[Discretisation, Level]] = []
+    words = ""
+    try:
+        _, compiling = timed_first(first.solve)  # the levels themselves are timed warm
+        for discretisation, level in refined_levels(first, equation.reference, count):
+            if not np.isfinite(level.estimate):
+                words = "states no finite error of its own: its density does not fall off"
+            elif not level.honest:
+                words = f"differs from the {equation.reference_words} by more than both state"
+            if words:
+                what = level.setting, level.error, level.estimate, words
+                return NotTimed(first.name, equation.name, *what)
+            checked.append((discretisation, level))
+            if level.seconds > LONGEST:
+                break
+    except (NotCertified, NotApplicable, InvalidInput, np.linalg.LinAlgError) as error:
+        return NotTimed(first.name, equation.name, reason=str(error))
+    points = [
+        replace(level, timing=timing(d.solve, level.seconds, equation.coefficients))
+        for d, level in checked
+    ]
+    coldest = replace(points[0].timing, first=max(0.0, compiling - points[0].seconds))
+    points[0] = replace(points[0], timing=coldest)
+    of = observable_name(equation.observable)
+    return Priced(first.name, equation.name, f"numerical: L1 of p({of}), {equation.name}", tuple(points))
+
+
+def _models(system: System, reference: FullReference) -> list[Model]:
+    """Averaging error of each theory in p(q_i), and the time of its fastest route."""
+    observable = parse_observable(f"q{observed_mass(system) + 1}", system.n)
+    models: dict[str, Model] = {}
+    for method in deterministic(system, observable, "averaged"):
         work = partial(method.solve, system, [observable])
         result, first = timed_first(work)
         (density,) = result.densities
         assert isinstance(density, Density)
         nodes = density.panels[0]
         edges = np.linspace(nodes[0], nodes[-1], BINS_1D + 1)
-        mine = density.cell_averages(edges) * np.diff(edges)
-        distance = float(np.sum(np.abs(mine - reference.shares(edges))))
-        found.append(
-            Model(
-                method.name,
-                observable_name(observable),
-                distance,
-                reference.error + density.l1_error,
-                timing(work, first).seconds,
-            )
+        own = density.cell_averages(edges) * np.diff(edges)
+        model = Model(
+            method.route.method,
+            observable_name(observable),
+            float(np.sum(np.abs(own - reference.shares(edges)))),
+            reference.error + density.l1_error,
+            timing(work, first).seconds,
         )
-    return found
+        known = models.setdefault(model.theory, model)
+        if model.seconds < known.seconds:
+            models[model.theory] = model
+    return list(models.values())

@@ -1,21 +1,23 @@
-"""A work-precision study as tables and files."""
+"""A work-precision study as tables, panels of a picture, and rows."""
 
 from pathlib import Path
 
 import numpy as np
-import xarray as xr
 
-from cases.output.fields import program_version
-from cases.output.files import write_by, write_text
-from cases.output.svg import svg_text
 from cases.studies.cost import CostStudy
-from cases.studies.cost_picture import cost_figure
-from cases.studies.names import BY_TOL, EXPLAINED
-from cases.studies.priced import Point
-from cases.studies.sampling_law import FULL
-from cases.studies.tables import Table, markdown_text, shown
+from cases.studies.levels import Level
+from cases.studies.picture import Curve, Panel, study_figure
+from cases.studies.prices import Priced
+from cases.studies.sampled import FULL
+from cases.studies.tables import (
+    Bytes,
+    Seconds,
+    Table,
+    markdown_text,
+    rows_dataset,
+    write_study,
+)
 
-UNITS = ((3.156e7, "a"), (86400.0, "d"), (3600.0, "h"), (60.0, "min"), (1.0, "s"), (1e-3, "ms"))
 MEANING = (
     "Times are processor times on one thread: the wall time of a core that does nothing else, after"
     " a warm-up, the median of 3 to 21 runs where one takes less than a second. Every error is that"
@@ -24,152 +26,108 @@ MEANING = (
     " the others. What a process remembers (integrals of two or more contact masses, of damping"
     " that depends on the state) is in the first call, not in the median."
 )
-
-
-def told_seconds(seconds: float) -> str:
-    """Return a time with a unit that suits it."""
-    if seconds != seconds:
-        return "–"
-    for size, unit in UNITS:
-        if seconds >= size:
-            value = seconds / size
-            return f"{value:.3g} {unit}" if value < 1e4 else f"{value:.1e} {unit}"
-    return f"{seconds * 1e3:.2g} ms"
-
-
-def told_bytes(size: float) -> str:
-    """Return a memory in MB."""
-    return "–" if size != size else f"{size / 1e6:.2g} MB"
+PROMISE = (
+    "Numbers of elements above are right for this scene. A tolerance is met on every scene, or the"
+    " answer is not certified: --tol of fpk run and fpk density is this setting."
+)
+DRAWN, LONGEST = 1e-4, 3600.0
+"""Error and seconds to which the law of sampling is drawn: an hour."""
 
 
 def cost_tables(study: CostStudy) -> list[Table]:
     """Return the price list of every equation, crossovers, averaging errors, all measurements."""
-    tables = [_prices(study, name) for name in dict.fromkeys(c.equation for c in study.prices)]
-    if study.promises:
-        tables.append(_promises(study))
-    tables.append(_crossings(study))
-    if study.models:
-        tables.append(_models(study))
-    if study.not_timed:
-        tables.append(_not_timed(study))
-    if study.laws:
-        tables.append(_laws(study))
-    tables += [_measured(study, name) for name in dict.fromkeys(r.equation for r in study.routes)]
-    return tables
+    equations = list(dict.fromkeys(r.equation for r in study.routes))
+    tables = [_prices(study, name) for name in equations]
+    tables += [_promises(study)] if study.promises else []
+    tables.append(_crossings(study, equations))
+    tables += [_models(study)] if study.models else []
+    tables += [_not_timed(study)] if study.not_timed else []
+    tables += [_laws(study)] if study.laws else []
+    return tables + [_measured(study, name) for name in equations]
 
 
 def _prices(study: CostStudy, equation: str) -> Table:
     rows = []
     for c in study.prices:
-        if c.equation != equation:
-            continue
-        if c.point is None:
-            rows.append((str(c.digits), "reached by none here", "–", "–", "–"))
-            continue
-        rows.append(
-            (
-                str(c.digits),
-                c.route,
-                c.point.settings,
-                ("≈ " if c.point.modelled else "") + told_seconds(c.point.seconds),
-                told_bytes(c.point.timing.memory),
-            )
-        )
-    remarks = ["≈: by the law of sampling, not run."] if equation == FULL else []
-    there = {r.route for r in study.routes if r.equation == equation}
-    remarks += [EXPLAINED[d] for d, name in BY_TOL.items() if name in there]
+        if c.equation == equation and c.point is None:
+            rows.append((c.digits, "reached by none here", None, None, None))
+        elif c.equation == equation and c.point is not None:
+            time = ("≈ " if c.point.modelled else "") + str(Seconds(c.point.seconds))
+            memory = Bytes(c.point.timing.memory)
+            rows.append((c.digits, c.route, c.point.setting, time, memory))  # type: ignore[arg-type]
+    remarks = ("≈: by the law of sampling, not run.",) if equation == FULL else ()
     head = ("digits", "route", "settings", "time", "memory")
-    return Table(f"{equation}: to get so many digits (L1)", head, tuple(rows), tuple(remarks))
+    return Table(f"{equation}: to get so many digits (L1)", head, rows, remarks)
 
 
 def _promises(study: CostStudy) -> Table:
     """The same question for a scene that was not measured: tolerances keep what they promise."""
     rows = [
-        (
-            c.equation,
-            str(c.digits),
-            c.route,
-            f"tol = {c.point.settings}",
-            told_seconds(c.point.seconds),
-            told_bytes(c.point.timing.memory),
-        )
+        (c.equation, c.digits, c.route, p.setting, Seconds(p.seconds), Bytes(p.timing.memory))
         for c in study.promises
-        if c.point is not None
+        if (p := c.point) is not None
     ]
     head = ("equation", "digits", "route", "settings", "time here", "memory")
-    words = (
-        "Numbers of elements above are right for this scene. A tolerance is met on every scene, or"
-        " the answer is not certified: --tol of fpk run and fpk density is this setting."
-    )
-    return Table("Settings that hold for other scenes", head, tuple(rows), (words,))
+    return Table("Settings that hold for other scenes", head, rows, (PROMISE,))
 
 
-def _crossings(study: CostStudy) -> Table:
-    rows = [(c.equation, shown(c.error, 1), c.above, c.below) for c in study.crossings]
-    for equation in dict.fromkeys(r.equation for r in study.routes):
-        if not any(c.equation == equation for c in study.crossings):
-            rows.append((equation, "–", "one route is cheapest at every error measured", ""))
-    return Table(
-        "Where another route becomes the cheapest",
-        ("equation", "below the error", "from", "to"),
-        tuple(rows),
-        _pays(study),
-    )
+def _crossings(study: CostStudy, equations: list[str]) -> Table:
+    rows = [(c.equation, f"{c.error:.1e}", c.above, c.below) for c in study.crossings]
+    for equation in set(equations) - {c.equation for c in study.crossings}:
+        rows.append((equation, "–", "one route is cheapest at every error measured", ""))
+    head = ("equation", "below the error", "from", "to")
+    return Table("Where another route becomes the cheapest", head, rows, _pays(study))
 
 
 def _pays(study: CostStudy) -> tuple[str, ...]:
     """Where Monte Carlo stops paying, in words: on the same equation, and on the full system."""
-    found = []
-    sampled = next((r for r in study.routes if r.route == "simulation of (24)"), None)
-    others = [r for r in study.routes if sampled and r.equation == sampled.equation]
-    if sampled:
+    words = []
+    for sampled in study.routes:
+        if not sampled.sampled or sampled.equation == FULL:
+            continue
+        others = [r for r in study.routes if r.equation == sampled.equation and r is not sampled]
         best = min(sampled.points, key=lambda p: p.seconds)
-        times = [r.seconds_for(best.error) for r in others if r is not sampled]
-        times = [t for t in times if t == t]
-        if times and min(times) < best.seconds:
-            found.append(
-                f"Monte Carlo of (24) does not pay at any error measured: at {best.error:.1e} it"
-                f" takes {best.seconds / min(times):.0f} times as long as the cheapest solver."
+        if (fastest := _fastest(others, best.error)) < best.seconds:
+            words.append(
+                f"Monte Carlo of {sampled.equation} does not pay at any error measured: at"
+                f" {best.error:.1e} it takes {best.seconds / fastest:.0f} times as long as the"
+                " cheapest solver."
             )
     full = [r for r in study.routes if r.equation == FULL]
     for m in study.models:
-        simulated = [r.seconds_for(max(m.distance, m.error)) for r in full]
-        simulated = [t for t in simulated if t == t]
-        if not simulated:
+        if (fastest := _fastest(full, max(m.distance, m.error))) == np.inf:
             continue
-        ratio = min(simulated) / m.seconds
-        words = "beats" if ratio > 1 else "does not beat"
-        found.append(
+        ratio = fastest / m.seconds
+        words.append(
             f"As an answer to the full system the {m.theory} theory is off by"
-            f" L1 = {m.distance:.1e} ± {m.error:.0e}; it {words} simulation above that error (by a"
-            f" factor {max(ratio, 1 / ratio):.0f}), and below it only simulation answers."
+            f" L1 = {m.distance:.1e} ± {m.error:.0e}; it {'beats' if ratio > 1 else 'does not beat'}"
+            f" simulation above that error (by a factor {max(ratio, 1 / ratio):.0f}), and below it"
+            " only simulation answers."
         )
-    return tuple(found)
+    return tuple(words)
+
+
+def _fastest(routes: list[Priced], error: float) -> float:
+    """Return the least time for ``error``, infinite where no route reached it."""
+    return float(np.nanmin([np.inf, *(r.seconds_for(error) for r in routes)]))
 
 
 def _models(study: CostStudy) -> Table:
     rows = [
-        (
-            m.theory,
-            f"p({m.observable})",
-            shown(m.distance),
-            shown(m.error, 0),
-            told_seconds(m.seconds),
-        )
+        (m.theory, f"p({m.observable})", m.distance, f"{m.error:.0e}", Seconds(m.seconds))
         for m in study.models
     ]
-    head = ("theory, closed form", "of", "averaging error", "known to", "time")
+    head = ("theory", "of", "averaging error", "known to", "time")
     words = f"Averaging error: L1 to the full system ({study.full_reference}); no solver lowers it."
-    return Table("What the theories are worth for the full system", head, tuple(rows), (words,))
+    return Table("What the theories are worth for the full system", head, rows, (words,))
 
 
 def _not_timed(study: CostStudy) -> Table:
     rows = [
-        (n.route, n.equation, n.settings or "–", shown(n.distance), shown(n.allowed), n.reason)
-        for n in study.not_timed
+        (n.route, n.equation, n.settings, n.distance, n.allowed, n.reason) for n in study.not_timed
     ]
     head = ("route", "equation", "settings", "L1 distance", "stated", "why it is not timed")
-    return Table("Routes that are not timed", head, tuple(rows))
+    return Table("Routes that are not timed", head, rows)
 
 
 def _laws(study: CostStudy) -> Table:
@@ -178,7 +136,7 @@ def _laws(study: CostStudy) -> Table:
             law.scheme,
             f"{law.noise:.3g}",
             ("" if law.bias_resolved else "< ") + f"{law.bias:.3g}",
-            str(law.order),
+            law.order,
             f"{law.largest:.3g}",
             f"{1e9 * law.step:.3g}",
         )
@@ -186,67 +144,99 @@ def _laws(study: CostStudy) -> Table:
     ]
     head = ("scheme", "A", "B", "r (theory)", "largest dt", "ns a particle step")
     words = "L1 = A/√(paths x time) + B dt^r; (dt, N) is the cheapest path under it, one thread."
-    return Table(f"{FULL}: law of sampling", head, tuple(rows), (words,))
+    return Table(f"{FULL}: law of sampling", head, rows, (words,))
 
 
 def _measured(study: CostStudy, equation: str) -> Table:
+    own = [r for r in study.routes if r.equation == equation]
     rows = [
-        (route.route if k == 0 else "", *_row(point))
-        for route in study.routes
-        if route.equation == equation
-        for k, point in enumerate(p for p in route.points if not p.modelled)
+        (
+            route.route,
+            p.setting,
+            p.error,
+            p.stated,
+            p.unknowns or None,
+            *(Seconds(x) for x in (t.seconds, t.spread, t.first, t.coefficients)),
+            Bytes(t.memory),
+        )
+        for route in own
+        for p in route.points
+        if not p.modelled
+        for t in [p.timing]
     ]
-    axes = dict.fromkeys(r.axis for r in study.routes if r.equation == equation)
     first = ("route", "settings", "L1 error", "stated", "unknowns", "median", "spread")
     head = (*first, "first call more", "coefficients", "memory")
-    return Table(f"{equation}: measurements", head, tuple(rows), tuple(axes))
+    axes = tuple(dict.fromkeys(r.axis for r in own))
+    return Table(f"{equation}: measurements", head, rows, axes)
 
 
-def _row(p: Point) -> tuple[str, ...]:
-    t = p.timing
-    return (
-        p.settings,
-        shown(p.error),
-        shown(p.stated),
-        str(p.unknowns) if p.unknowns else "–",
-        told_seconds(t.seconds),
-        told_seconds(t.spread),
-        told_seconds(t.first),
-        told_seconds(t.coefficients),
-        told_bytes(t.memory),
-    )
+def cost_panels(study: CostStudy) -> list[Panel]:
+    """Return a panel for each equation: error against time of every route.
+
+    Open markers and dotted lines are prices by the law of sampling; dashed levels are the averaging
+    error, which no solver lowers.
+    """
+    panels = []
+    for equation in dict.fromkeys(r.equation for r in study.routes):
+        curves = [
+            Curve(
+                route.route,
+                [p.seconds for p in points],
+                [p.error for p in points],
+                open=points[0].modelled,
+                end=points[-1].setting.rpartition(", ")[2],
+            )
+            for route in study.routes
+            if route.equation == equation and (points := _drawn(route))
+        ]
+        marks = [(m.distance, f"averaging error of the {m.theory} theory") for m in study.models]
+        panels.append(
+            Panel(
+                equation,
+                "processor time in seconds, one thread",
+                "$L_1$ error",
+                curves,
+                floor=max(study.floors.get(equation, 0.0), 2e-15),
+                marks=marks if equation == FULL else (),
+                limits=(0.5 * DRAWN, 1.0) if equation == FULL else (2e-16, 2.0),
+            )
+        )
+    return panels
+
+
+def _drawn(route: Priced) -> list[Level]:
+    return [
+        p
+        for p in route.points
+        if p.error > (0.99 * DRAWN if p.modelled else 0.0)
+        and (p.seconds <= LONGEST or not p.modelled)
+    ]
 
 
 def write_cost(study: CostStudy, folder: Path) -> list[Path]:
     """Write ``cost.md``, ``cost.nc`` and ``cost.svg``; return their paths."""
-    paths = [folder / f"cost.{ending}" for ending in ("md", "nc", "svg")]
-    page = markdown_text(f"What accuracy costs: {study.scene.title}", cost_tables(study))
-    write_text(paths[0], f"{page}\n{MEANING}\n")
-    data = cost_dataset(study)
-    write_by(paths[1], lambda temporary: data.to_netcdf(temporary, engine="h5netcdf"))
-    write_text(paths[2], svg_text(cost_figure(study), salt="cost"))
-    return paths
-
-
-def cost_dataset(study: CostStudy) -> xr.Dataset:
-    """Return one row a point: route, equation, settings, error, seconds, memory."""
-    points = [(r, p) for r in study.routes for p in r.points]
-    text = {
-        "route": [r.route for r, _ in points],
-        "equation": [r.equation for r, _ in points],
-        "axis": [r.axis for r, _ in points],
-        "settings": [p.settings for _, p in points],
-    }
-    data = xr.Dataset({key: ("point", np.array(value, dtype=str)) for key, value in text.items()})
-    for key in ("error", "stated", "unknowns", "modelled"):
-        data[key] = ("point", np.array([float(getattr(p, key)) for _, p in points]))
-    for key in ("seconds", "spread", "first", "coefficients", "memory"):
-        data[key] = ("point", np.array([float(getattr(p.timing, key)) for _, p in points]))
-    data.attrs = {
-        "title": f"What accuracy costs: {study.scene.title}",
-        "meaning": MEANING,
-        "scene": study.scene.name,
-        "scene_file": study.scene.text,
-        "program": f"vibro-fpk {program_version()}",
-    }
-    return data
+    title = f"What accuracy costs: {study.scene.title}"
+    times = ("seconds", "spread", "first", "coefficients", "memory")
+    rows = [
+        {
+            "route": r.route,
+            "equation": r.equation,
+            "axis": r.axis,
+            "settings": p.setting,
+            **{key: float(getattr(p, key)) for key in ("error", "stated", "unknowns", "modelled")},
+            **{key: getattr(p.timing, key) for key in times},
+        }
+        for r in study.routes
+        for p in r.points
+    ]
+    data = rows_dataset(point=rows)
+    data.attrs["meaning"] = MEANING
+    return write_study(
+        "cost",
+        folder,
+        study.scene,
+        title=title,
+        page=f"{markdown_text(title, cost_tables(study))}\n{MEANING}\n",
+        data=data,
+        figure=study_figure(cost_panels(study), width=5.2, height=5.0),
+    )

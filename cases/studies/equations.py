@@ -2,8 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from time import process_time
-from typing import Any
 
 import numpy as np
 
@@ -15,8 +13,8 @@ from averaging.modal.resonance import resonance_refusal
 from averaging.polynomial_rate import averaged_density
 from averaging.quadrature import solve_by_quadrature
 from cases.studies.answer import Answer
-from cases.studies.modal_parts import COARSEST as COARSEST_AXIS
-from cases.studies.modal_parts import graded, mesh_ends, modal_reference, of_plane
+from cases.studies.modal_reference import graded, mesh_ends, modal_reference, of_plane
+from cases.studies.timing import Clock
 from fpk.density import Array
 from fpk.errors import NotApplicable
 from fpk.line.stationary import StationarySolution, solve_on_mesh, solve_stationary
@@ -24,42 +22,34 @@ from fpk.observable import Observable, parse_observable
 from fpk.plane.stationary import solve_plane, solve_plane_on_mesh
 from fpk.probe import probed
 from fpk.process import Process
+from fpk.route import ROUTES, Route
 from fpk.system import System
 
 BEYOND = 1e-14
 """Share of the probability beyond given meshes of one energy: far less than any error that their
 levels reach; it is part of the floor."""
-FINEST = 1e-12
+REFERENCE_TOL = 1e-12
 """Tolerance of the numerical reference where there is no closed form."""
-COARSEST = {1: 8, 2: 8, 4: 8, 8: 2}
-"""Elements of the coarsest mesh of one energy, by degree."""
+COARSEST = {1: {1: 8, 2: 8, 4: 8, 8: 2}, 2: {1: 4, 2: 3, 3: 3, 4: 2, 8: 1}}
+"""Elements an axis of the coarsest mesh, by the number of energies and the degree."""
 
 
-class Clock:
-    """Seconds of processor time spent in the functions given to it."""
+@dataclass(frozen=True)
+class Steered:
+    """A route that is given a tolerance: ``solve(tol)``; ``words`` say how it discretises."""
 
-    def __init__(self) -> None:
-        """Start from zero."""
-        self.seconds = 0.0
-
-    def timed(self, function: Callable[[Array], Any]) -> Callable[[Array], Any]:
-        """Return ``function``, its time added to the clock at each call."""
-
-        def wrapped(energy: Array) -> Any:
-            start = process_time()
-            found = function(energy)
-            self.seconds += process_time() - start
-            return found
-
-        return wrapped
+    route: Route
+    solve: Callable[[float], Answer]
+    words: str
 
 
 @dataclass(frozen=True, eq=False)
 class Equation:
-    """One averaged equation: how it is solved on a mesh, to a tolerance, and what is true of it.
+    """One averaged equation: how it is solved on a mesh, to a tolerance, and its reference.
 
-    ``coarsest`` gives the nodes of each axis of the first mesh by degree; ``coefficients`` is the
-    clock of the process's coefficients within every solution.
+    ``coarsest`` gives the nodes of each axis of the first mesh by degree; ``steered`` are the
+    routes by tolerance, elements first; ``coefficients`` is the clock of the process's coefficients
+    within every solution.
     """
 
     theory: str
@@ -69,8 +59,7 @@ class Equation:
     reference_words: str
     coarsest: Callable[[int], tuple[Array, ...]]
     on_mesh: Callable[[tuple[Array, ...], int], Answer]
-    adaptive: Callable[[float], Answer]
-    quadrature: Callable[[float], Answer] | None
+    steered: tuple[Steered, ...]
     coefficients: Clock
 
     @property
@@ -79,22 +68,20 @@ class Equation:
         return len(self.observable)
 
 
-Changed = Callable[[Process], Process]
-
-
 def unchanged(process: Process) -> Process:
     """Return the process itself; tests put a wrong one in its place."""
     return process
 
 
-def energy_equation(system: System, *, changed: Changed = unchanged) -> Equation:
-    """Return (24) for p(H); its reference never sees ``changed``. ``NotApplicable`` as the theory.
+def energy_equation(
+    system: System, *, changed: Callable[[Process], Process] = unchanged
+) -> Equation:
+    """Return (24) for p(H); ``changed`` never reaches its reference. ``NotApplicable`` as theory.
 
     The closed form (29) is the reference; where damping depends on q or v it is the
     drift-diffusion form by hp elements at 1e-12, in which p itself is the polynomial, not p/T.
     """
-    right = energy_process(system)
-    clock = Clock()
+    right, clock = energy_process(system), Clock()
     process = changed(right)
     process = replace(process, coefficients=clock.timed(process.coefficients))
     reference, words = _energy_reference(system, right)
@@ -103,16 +90,20 @@ def energy_equation(system: System, *, changed: Changed = unchanged) -> Equation
 
     def coarsest(degree: int) -> tuple[Array, ...]:
         inside = [H for H in right.nonsmooth if end > H]
-        nodes = np.linspace(0.0, end, COARSEST.get(degree, 4) + 1)
+        nodes = np.linspace(0.0, end, COARSEST[1].get(degree, 4) + 1)
         return (np.unique(np.concatenate([nodes, inside])),)
 
     def quadrature(tol: float) -> Answer:
-        found = solve_by_quadrature(process, tol=tol)
+        solution = solve_by_quadrature(process, tol=tol)
 
         def density(energy: Array) -> Array:
-            return np.asarray(np.exp(found.log_density(energy)))
+            return np.asarray(np.exp(solution.log_density(energy)))
 
-        return Answer((found.nodes,), density, found.l1_error, 16 * (found.nodes.size - 1))
+        nodes = solution.nodes
+        return Answer((nodes,), density, solution.l1_error, 16 * (nodes.size - 1))
+
+    def elements(tol: float) -> Answer:
+        return _of_line(solve_stationary(process, tol=tol))
 
     return Equation(
         theory="nonintegrable",
@@ -122,8 +113,14 @@ def energy_equation(system: System, *, changed: Changed = unchanged) -> Equation
         reference_words=words,
         coarsest=coarsest,
         on_mesh=lambda nodes, degree: _of_line(solve_on_mesh(process, nodes[0], degree)),
-        adaptive=lambda tol: _of_line(solve_stationary(process, tol=tol)),
-        quadrature=quadrature,
+        steered=(
+            Steered(
+                ROUTES["nonintegrable", "fem"],
+                elements,
+                "elements whose number and degree follow from the tolerance, cut until it is met.",
+            ),
+            Steered(ROUTES["nonintegrable", "quadrature"], quadrature, "quadrature of (11)."),
+        ),
         coefficients=clock,
     )
 
@@ -132,8 +129,8 @@ def _energy_reference(system: System, process: Process) -> tuple[Answer, str]:
     try:
         closed = averaged_density(system, process)
     except NotApplicable:
-        solved = solve_stationary(process, tol=FINEST, form="drift-diffusion")
-        return _of_line(solved), f"drift-diffusion hp elements, tol {FINEST:g}"
+        solved = solve_stationary(process, tol=REFERENCE_TOL, form="drift-diffusion")
+        return _of_line(solved), f"drift-diffusion hp elements, tol {REFERENCE_TOL:g}"
     return Answer((closed.nodes,), closed.energy_pdf, closed.l1_error, 0), "closed form (29)"
 
 
@@ -150,15 +147,14 @@ def modal_equation(system: System) -> Equation:
     if reason := resonance_refusal(modes) or internal_refusal(system, modes):
         raise NotApplicable(reason)
     observable = parse_observable("H1,H2", system.n)
-    plain = modes_process(modes, [0, 1])
-    clock = Clock()
+    plain, clock = modes_process(modes, [0, 1]), Clock()
     process = replace(plain, coefficients=clock.timed(plain.coefficients))
     reference, words = modal_reference(modes, plain, observable)
     ends = mesh_ends(modes, plain)
 
     def coarsest(degree: int) -> tuple[Array, ...]:
         first, second = (
-            graded(end, COARSEST_AXIS.get(degree, 1), degree) * scale
+            graded(end, COARSEST[2].get(degree, 1), degree) * scale
             for end, scale in zip(ends, plain.energy_scales, strict=True)
         )
         return first, second
@@ -173,11 +169,19 @@ def modal_equation(system: System) -> Equation:
         on_mesh=lambda nodes, degree: of_plane(
             solve_plane_on_mesh(process, (nodes[0], nodes[1]), degree)
         ),
-        adaptive=lambda tol: of_plane(solve_plane(process, tol=tol)),
-        quadrature=None,
+        steered=(
+            Steered(
+                ROUTES["integrable", "fem"],
+                lambda tol: of_plane(solve_plane(process, tol=tol)),
+                "p = w u with a positive weight w near p and one polynomial u; where probability"
+                " circulates much u is one on each of a few elements, and where no weight does"
+                " (levels marked w = 1) plain elements take over. With constant damping the first"
+                " weight is (34) itself, and nothing is left to expand.",
+            ),
+        ),
         coefficients=clock,
     )
 
 
 def _of_line(s: StationarySolution) -> Answer:
-    return Answer((s.nodes,), s.density, s.l1_error, s.unknowns, s.degree)
+    return Answer((s.nodes,), s.density, s.l1_error, s.unknowns)

@@ -1,15 +1,25 @@
-"""Levels of refinement of one averaged equation: in h, in p, and in both by a tolerance."""
+"""Families of levels of one averaged equation, and what their errors show: in h, p and by tol."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial, reduce
-from typing import Literal
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import reduce
+from typing import Any, Literal
 
 import numpy as np
 
-from cases.studies.answer import FUNCTIONALS, NORMS, Answer, errors, functionals
+from cases.studies.answer import FUNCTIONALS, NORMS, Answer, errors
 from cases.studies.equations import Equation
-from cases.studies.names import BY_TOL
+from cases.studies.levels import (
+    P_DEGREES,
+    ByTolerance,
+    Discretisation,
+    Elements,
+    Level,
+    degrees,
+    elements,
+    refined_levels,
+    theoretical_order,
+)
 from fpk.density import Array
 from fpk.method import Progress, silent
 from fpk.orders import Convergence, GridConvergence, convergence, grid_convergence
@@ -21,37 +31,23 @@ H_DEGREES = {1: (1, 2, 4), 2: (1, 2, 3)}
 37 000 unknowns and near the floor of the mesh's end, in as long as all others together."""
 H_LEVELS = {1: 7, 2: 5}
 """Meshes, each the bisection of the one before, by the number of energies."""
-P_DEGREES = (1, 2, 3, 4, 6, 8, 10, 12)
-TOLERANCES = tuple(10.0**-k for k in range(1, 13))
+DIGITS = 12
+"""Tolerances are 1e-1 to 1e-12."""
 ROUND_OFF = 1e-15
 """Relative floor of any answer: a few rounding errors of its largest values."""
-
-
-@dataclass(frozen=True)
-class Level:
-    """One level: its settings in words, what it costs, its errors by norm and moment."""
-
-    label: str
-    size: float
-    unknowns: int
-    errors: dict[str, float]
-    estimate: float
-    functionals: dict[str, float]
-
-    @property
-    def honest(self) -> bool:
-        """Whether the true L1 error is within the answer's own estimate."""
-        return self.errors["L1"] <= self.estimate
+COLUMNS = (*NORMS, *FUNCTIONALS)
+"""Errors of a level in the order in which tables show them."""
 
 
 @dataclass(frozen=True)
 class Ladder:
     """Levels from coarse to fine of one family, and what their errors show by norm.
 
-    ``size`` of a level is h for the family "h"; for "p" and "tol" it is exp(−p) and exp(−√N),
-    so that orders are the nats of error that one degree, or one of √N unknowns, takes off.
+    ``degree`` is that of the elements in h, None else; ``verdicts`` by norm and moment, ``grid`` by
+    moment.
     """
 
+    name: str
     equation: str
     dimension: int
     family: Family
@@ -60,141 +56,103 @@ class Ladder:
     verdicts: dict[str, Convergence]
     grid: dict[str, GridConvergence]
 
-    @property
-    def name(self) -> str:
-        """The ladder in words."""
-        words = {"p": "p on a fixed mesh", "tol": BY_TOL[self.dimension]}
-        return f"h, p = {self.degree}" if self.family == "h" else words[self.family]
+    def record(self) -> dict[str, Any]:
+        """Return the ladder as plain data."""
+        return {**asdict(self), "levels": [level.convergence_record() for level in self.levels]}
 
 
 def ladders(equation: Equation, *, progress: Progress = silent) -> tuple[Ladder, ...]:
-    """Return the h-ladders, a p-ladder, and one by tolerance."""
-    plans: list[tuple[Family, int | None, list[tuple[str, float, Callable[[], Answer]]]]] = [
-        *(("h", degree, _by_h(equation, degree)) for degree in H_DEGREES[equation.dimension]),
-        ("p", None, _by_p(equation)),
-        ("tol", None, _by_tol(equation)),
-    ]
-    total = sum(len(plan) for _, _, plan in plans)
-    done, found = 0, []
-    for family, degree, plan in plans:
-        levels = []
-        for label, size, solve in plan:
-            answer = solve()
-            # Only a solver that is steered by a tolerance has several ways.
-            way = f", {answer.made}" if family == "tol" and answer.made else ""
-            levels.append(_level(equation, label + way, size, answer))
-            done += 1
-            progress(done, total, f"convergence of {equation.name}")
-        found.append(_judged(equation, family, degree, levels))
-    return tuple(found)
+    """Return the h-ladders, a p-ladder, and one by tolerance of the route by elements."""
+    steered = ByTolerance(equation.steered[0])
+    plans: list[tuple[Discretisation, int]] = [
+        *((elements(equation, p), H_LEVELS[equation.dimension])
+          for p in H_DEGREES[equation.dimension]),
+        (degrees(equation), len(P_DEGREES)),
+        (steered, DIGITS),
+    ]  # fmt: skip
+    results = []
+    for k, (first, count) in enumerate(plans):
+        progress(k, len(plans), f"convergence of {equation.name}")
+        results.append(_ladder(equation, first, count))
+    progress(len(plans), len(plans), f"convergence of {equation.name}")
+    return tuple(results)
 
 
 def degree_ladder(equation: Equation) -> Ladder:
-    """Return the p-ladder alone: on a fixed mesh with the contact energies among its nodes."""
-    levels = [_level(equation, label, size, solve()) for label, size, solve in _by_p(equation)]
-    return _judged(equation, "p", None, levels)
+    """Return the p-ladder alone."""
+    return _ladder(equation, degrees(equation), len(P_DEGREES))
 
 
-def bisected(nodes: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Return the nodes of every axis with the middles between them."""
-    return tuple(np.sort(np.concatenate([x, 0.5 * (x[1:] + x[:-1])])) for x in nodes)
-
-
-def h_meshes(equation: Equation, degree: int, levels: int) -> list[tuple[Array, ...]]:
-    """Return the coarsest mesh for ``degree`` and its bisections."""
-    meshes = [equation.coarsest(degree)]
-    for _ in range(levels - 1):
-        meshes.append(bisected(meshes[-1]))
-    return meshes
-
-
-def _by_h(equation: Equation, degree: int) -> list[tuple[str, float, Callable[[], Answer]]]:
-    meshes = h_meshes(equation, degree, H_LEVELS[equation.dimension])
-    return [
-        (
-            " x ".join(str(x.size - 1) for x in nodes) + " elements",
-            2.0**-k,
-            partial(equation.on_mesh, nodes, degree),
-        )
-        for k, nodes in enumerate(meshes)
-    ]
-
-
-def _by_p(equation: Equation) -> list[tuple[str, float, Callable[[], Answer]]]:
-    nodes = bisected(equation.coarsest(4))
-    return [(f"p = {p}", float(np.exp(-p)), partial(equation.on_mesh, nodes, p)) for p in P_DEGREES]
-
-
-def _by_tol(equation: Equation) -> list[tuple[str, float, Callable[[], Answer]]]:
-    return [(f"tol = {tol:.0e}", 0.0, partial(equation.adaptive, tol)) for tol in TOLERANCES]
-
-
-def _level(equation: Equation, label: str, size: float, answer: Answer) -> Level:
-    if not size:
-        size = float(np.exp(-np.sqrt(answer.unknowns)))
-    return Level(
-        label=label,
-        size=size,
-        unknowns=answer.unknowns,
-        errors=errors(answer, equation.reference),
-        estimate=answer.l1_error + equation.reference.l1_error,
-        functionals=functionals(answer),
+def _ladder(equation: Equation, first: Discretisation, count: int) -> Ladder:
+    levels = [level for _, level in refined_levels(first, equation.reference, count)]
+    family: Family = first.sweep if isinstance(first, Elements) else "tol"
+    degree = first.degree if isinstance(first, Elements) and first.sweep == "h" else None
+    floor = floors(equation, given_mesh=family != "tol")
+    if family == "tol":  # two tolerances with the same answer are one level
+        most = np.maximum.accumulate([0, *(level.unknowns for level in levels)])
+        levels = [level for level, n in zip(levels, most, strict=False) if level.unknowns > n]
+    return Ladder(
+        name=f"h, p = {degree}" if degree else first.name,
+        equation=equation.name,
+        dimension=equation.dimension,
+        family=family,
+        degree=degree,
+        levels=tuple(levels),
+        verdicts=_verdicts(levels, degree, floor),
+        grid=_grid(levels, degree, floor) if degree else {},
     )
 
 
-def floors(equation: Equation, *, given_mesh: bool) -> dict[str, float]:
-    """Return what cannot be resolved in each norm: the reference's own error, relative to p.
-
-    On a ``given_mesh`` also twice what its end cuts off: the mass is missing there, and found again
-    in the norm of what is left.
-    """
-    reference = equation.reference
-    nothing = Answer(reference.panels, lambda *H: 0.0 * sum(H), 0.0, 0)
-    relative = reference.l1_error + ROUND_OFF
-    found = {norm: relative * size for norm, size in errors(nothing, reference).items()}
-    if given_mesh:
-        ends = [x[-1] for x in equation.coarsest(1)]
-
-        def inside(*H: Array) -> Array:
-            keep = [x <= end for x, end in zip(H, ends, strict=True)]
-            return np.where(reduce(np.logical_and, keep), reference.density(*H), 0.0)
-
-        panels = tuple(
-            np.unique(np.append(x, end)) for x, end in zip(reference.panels, ends, strict=True)
-        )
-        cut = errors(Answer(panels, inside, 0.0, 0), reference)
-        found = {norm: floor + 2.0 * cut[norm] for norm, floor in found.items()}
-    return found
-
-
-def _judged(
-    equation: Equation, family: Family, degree: int | None, levels: Sequence[Level]
-) -> Ladder:
-    floor = floors(equation, given_mesh=family != "tol")
-    if family == "tol":  # the same answer twice, for two tolerances, is one level
-        levels = [level for k, level in enumerate(levels) if k == 0 or _finer(levels, k)]
+def _verdicts(
+    levels: Sequence[Level], degree: int | None, floor: dict[str, float]
+) -> dict[str, Convergence]:
     sizes = [level.size for level in levels]
-    verdicts = {}
-    for key in (*NORMS, *FUNCTIONALS):
-        verdicts[key] = convergence(
+    return {
+        key: convergence(
             sizes,
             [level.errors[key] for level in levels],
             theory=theoretical_order(key, degree) if degree else None,
             floor=floor[key],
         )
-    grid = {}
-    if degree:
-        for key in FUNCTIONALS:
-            values = [level.functionals[key] for level in levels]
-            order = theoretical_order(key, degree)
-            grid[key] = grid_convergence(sizes, values, theory=order, floor=floor[key])
-    return Ladder(equation.name, equation.dimension, family, degree, tuple(levels), verdicts, grid)
+        for key in COLUMNS
+    }
 
 
-def _finer(levels: Sequence[Level], k: int) -> bool:
-    return levels[k].unknowns > max(level.unknowns for level in levels[:k])
+def _grid(
+    levels: Sequence[Level], degree: int, floor: dict[str, float]
+) -> dict[str, GridConvergence]:
+    sizes = [level.size for level in levels]
+    return {
+        key: grid_convergence(
+            sizes,
+            [level.functionals[key] for level in levels],
+            theory=theoretical_order(key, degree),
+            floor=floor[key],
+        )
+        for key in FUNCTIONALS
+    }
 
 
-def theoretical_order(key: str, degree: int) -> float:
-    """Return p + 1 of the norms, 2 p of the moments (Galerkin duality), smoothness allowing it."""
-    return float(degree + 1 if key in NORMS else 2 * degree)
+def floors(equation: Equation, *, given_mesh: bool) -> dict[str, float]:
+    """Return what cannot be resolved in each norm: the reference's own error, relative to p.
+
+    On a ``given_mesh`` also twice what its end cuts off: the mass is missing there, and appears
+    again in the norm of what is left.
+    """
+    reference = equation.reference
+    nothing = Answer(reference.panels, lambda *H: 0.0 * sum(H), 0.0, 0)
+    relative = reference.l1_error + ROUND_OFF
+    floor = {norm: relative * size for norm, size in errors(nothing, reference).items()}
+    if not given_mesh:
+        return floor
+    ends = [x[-1] for x in equation.coarsest(1)]
+
+    def inside(*H: Array) -> Array:
+        within = [x <= end for x, end in zip(H, ends, strict=True)]
+        return np.where(reduce(np.logical_and, within), reference.density(*H), 0.0)
+
+    panels = tuple(
+        np.unique(np.append(x, end)) for x, end in zip(reference.panels, ends, strict=True)
+    )
+    cut = errors(Answer(panels, inside, 0.0, 0), reference)
+    return {norm: value + 2.0 * cut[norm] for norm, value in floor.items()}

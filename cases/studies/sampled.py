@@ -1,36 +1,37 @@
-"""What sampling the full system costs, by every scheme: checked first, then timed."""
+"""What sampling costs: the full system by every scheme, and the averaged equation (24)."""
 
 from dataclasses import replace
 from functools import partial
-from math import sqrt
+from math import inf, isfinite, sqrt
 
 import numpy as np
 
+from cases.comparison.averaged import AveragedSimulation
 from cases.comparison.compare import chance_l1
-from cases.studies.full_system import PATHS, FullReference, coarse, sampled_distance
-from cases.studies.priced import NotTimed, Point, Priced
-from cases.studies.sampling_law import ERRORS, FULL, Law
+from cases.studies.equations import Equation
+from cases.studies.full_system import PATHS, FullReference, sampled_distance, shares_of
+from cases.studies.law import ERRORS, Law
+from cases.studies.levels import Level
+from cases.studies.prices import NotTimed, Priced
+from cases.studies.runs import Run, coarse, largest_stable, run
 from cases.studies.timing import Timing, peak_memory, timed_first
-from fpk.density import SampledDensity
-from fpk.errors import InvalidInput
+from fpk.certificate import Measured
+from fpk.density import Array, SampledDensity, certified_density
 from fpk.method import Progress, silent
 from fpk.observable import Observable, observable_name
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
-from sim.report import Report
 from sim.scheme import SCHEMES
 
-OWN = "exact_flow"
-"""The scheme of the program; the others are baselines."""
-RELAXATIONS = (4.0, 16.0, 64.0)
-"""Sampled relaxation times of the runs at the chosen step."""
-TRIAL = 0.25
-"""Relaxation times of a trial run that finds the largest stable step."""
-SLOWEST = 2.0**-8
-SMALLER = 2
+FULL = "full system (6)"
+RELAXATIONS, LEVELS = 4.0, 3
+"""Sampled relaxation times of the first run at the chosen step, and runs, each a refinement."""
+SMALLEST, PATIENCE = 2.0**-8, 2.0
+"""Smallest step tried, in chosen ones, and seconds of a trial beyond which no smaller one is."""
+HALVINGS = 2
 """Times that the step is halved where a scheme is not yet where its order says."""
-LONG_TRIAL = 2.0
-"""Seconds of a trial at a quarter of the chosen step beyond which no smaller one is tried."""
+FEWEST, AVERAGED_LEVELS, LONG = 256, 4, 2.0
+"""Paths of the first simulation of (24), refinements at most, and the seconds that end them."""
 
 
 def full_routes(
@@ -40,79 +41,56 @@ def full_routes(
     *,
     seed: int,
     progress: Progress = silent,
-) -> tuple[list[Priced], list[NotTimed], list[Law]]:
-    """Measure the schemes, and return their points: in N at the chosen step, and in (dt, N).
+) -> tuple[list[Priced | NotTimed], list[Law]]:
+    """Measure the schemes, and return their points: refined at the chosen step, and in (dt, N).
 
     A baseline without a step at which its law holds is named and not timed: it is no failure.
     """
-    good: list[Priced] = []
-    bad: list[NotTimed] = []
+    results: list[Priced | NotTimed] = []
     laws: list[Law] = []
     name = observable_name(observable)
     axis = f"sampling and step error: expected L1 of p({name}) of the full system"
     for k, scheme in enumerate(sorted(SCHEMES, key=lambda s: -SCHEMES[s].weak_order)):
         progress(k, len(SCHEMES), f"cost of {FULL}")
         method = MonteCarlo(paths=PATHS, scheme=scheme, seed=seed, threads=1)
+        baseline = scheme != MonteCarlo.scheme
         law = _law_at_some_step(system, observable, method, reference)
         if isinstance(law, NotTimed):
-            bad.append(replace(law, baseline=scheme != OWN))
+            results.append(replace(law, baseline=baseline))
             continue
         laws.append(law)
-        if scheme == OWN:
-            found = _in_samples(system, observable, method, law, reference)
-            if isinstance(found, NotTimed):
-                bad.append(found)
-            else:
-                good.append(replace(found, axis=axis))
+        if not baseline:
+            results.append(_refined(system, observable, method, law, reference, axis))
         points = tuple(law.point(error) for error in ERRORS)
-        good.append(Priced(f"{scheme}, (dt, N)", FULL, axis, points))
+        results.append(Priced(f"{scheme}, (dt, N)", FULL, axis, points, sampled=True))
     progress(len(SCHEMES), len(SCHEMES), f"cost of {FULL}")
-    return good, bad, laws
+    return results, laws
 
 
 def _law_at_some_step(
     system: System, observable: Observable, method: MonteCarlo, reference: FullReference
 ) -> Law | NotTimed:
-    """Return the law from the largest step at which it holds: at most ``SMALLER`` halvings."""
-    factor = _largest_stable(system, observable, method)
+    """Return the law from the largest step at which it holds: at most ``HALVINGS`` halvings."""
+    factor = largest_stable(system, method, smallest=SMALLEST, patience=PATIENCE)
     if factor is None:
-        nan = float("nan")
-        words = f"no usable step: none down to {SLOWEST:g} of the chosen one is stable and cheap"
-        return NotTimed(method.scheme, FULL, "", nan, nan, words)
+        words = f"no usable step: none down to {SMALLEST:g} of the chosen one is stable and cheap"
+        return NotTimed(method.scheme, FULL, reason=words)
     law = _law(system, observable, method, factor, reference)
-    for _ in range(SMALLER):  # next to its limit of stability a scheme has no order yet
+    for k in range(HALVINGS):  # next to its limit of stability a scheme has no order yet
         if isinstance(law, Law):
             break
-        factor *= 0.5
-        law = _law(system, observable, method, factor, reference)
+        law = _law(system, observable, method, factor * 0.5 ** (k + 1), reference)
     return law
 
 
-def _run(
-    system: System, observable: Observable, method: MonteCarlo
-) -> tuple[SampledDensity, Report, float]:
-    """Return the density, what the run says of itself, and its processor time in seconds."""
-    result, seconds = timed_first(lambda: method.solve(system, [observable]))
-    (found,) = result.densities
-    assert isinstance(found, SampledDensity)
-    assert isinstance(result.report, Report)
-    return coarse(found), result.report, seconds
-
-
-def _largest_stable(system: System, observable: Observable, method: MonteCarlo) -> float | None:
-    factor = 4.0
-    trial = replace(method, paths=LEAST_PATHS, relaxations=TRIAL, burn_in=1.0)
-    while factor > SLOWEST:
-        try:
-            found, report, seconds = _run(system, observable, replace(trial, step_factor=factor))
-            if np.all(np.isfinite(found.values)) and not report.lost:
-                return factor
-            if seconds > LONG_TRIAL and factor < 0.25:
-                return None
-        except (InvalidInput, ValueError):  # the limit of the scheme, or no range for a histogram
-            pass
-        factor /= sqrt(2.0) if factor > 0.5 else 2.0
-    return None
+def _measured(
+    system: System, observable: Observable, method: MonteCarlo, reference: FullReference
+) -> tuple[Run, SampledDensity, float]:
+    """Run ``method``; return the run, its density and the distance to the reference."""
+    measured = run(system, method, [observable])
+    assert measured.density is not None
+    shares = reference.shares(measured.density.edges[0])
+    return measured, measured.density, sampled_distance(measured.density, shares)
 
 
 def _law(
@@ -126,70 +104,105 @@ def _law(
 
     The second run must be where the law says: what is wrong at any step alike is no bias of a step.
     """
-    scheme = SCHEMES[method.scheme]
-    few = replace(method, relaxations=RELAXATIONS[1])
+    order = SCHEMES[method.scheme].weak_order
+    few = replace(method, relaxations=4.0 * RELAXATIONS)
     if factor < 0.25:
-        few = replace(method, paths=LEAST_PATHS, relaxations=RELAXATIONS[0])
-    biased, report, _ = _run(system, observable, replace(few, step_factor=factor))
-    largest = report.steps.dt
-    distance = sampled_distance(biased, reference.shares(biased.edges[0]))
+        few = replace(method, paths=LEAST_PATHS, relaxations=RELAXATIONS)
+    measure = partial(_measured, system, observable, reference=reference)
+    first, biased, distance = measure(replace(few, step_factor=factor))
     noise = float(np.hypot(chance_l1(biased)[0], reference.error))
     resolved = distance > 2.0 * noise
     bias = sqrt(distance**2 - noise**2) if resolved else 2.0 * noise
-    usual, report, seconds = _run(
-        system, observable, replace(few, step_factor=min(0.7 * factor, 1.0))
-    )
-    at = report.steps
-    true = sampled_distance(usual, reference.shares(usual.edges[0]))
+    usual_run, usual, true = measure(replace(few, step_factor=min(0.7 * factor, 1.0)))
+    mean, quantile = chance_l1(usual)
+    at, largest = usual_run.steps, first.steps.dt
     # The bias itself is known to the noise of the run that it was read from.
-    left = (bias + noise) * (at.dt / largest) ** scheme.weak_order
-    allowed = chance_l1(usual)[1] + left + 2.0 * reference.error
+    left = (bias + noise) * (at.dt / largest) ** order
+    allowed = quantile + left + 2.0 * reference.error
     if not true <= allowed:
         words = f"differs from the {reference.words} by more than chance and its order explain"
-        return NotTimed(scheme.name, FULL, f"dt {at.dt:.3g}", true, allowed, words)
+        return NotTimed(method.scheme, FULL, f"dt {at.dt:.3g}", true, allowed, words)
     return Law(
         scheme=method.scheme,
-        noise=chance_l1(usual)[0] * sqrt(at.paths * at.time),
-        bias=bias / largest**scheme.weak_order,
+        noise=mean * sqrt(usual_run.sampled),
+        bias=bias / largest**order,
         bias_resolved=resolved,
-        order=scheme.weak_order,
-        step=seconds * at.dt / (at.paths * (at.time + at.burn_in)),
+        order=order,
+        step=usual_run.seconds * at.dt / (at.paths * (at.time + at.burn_in)),
         largest=largest,
         relaxation=at.relaxation_time,
     )
 
 
-def _in_samples(
+def _refined(
     system: System,
     observable: Observable,
     method: MonteCarlo,
     law: Law,
     reference: FullReference,
+    axis: str,
 ) -> Priced | NotTimed:
-    """Points in N at the chosen step; each must agree with the reference within chance."""
-    route, points = f"{OWN}, N", []
-    for relaxations in RELAXATIONS:
-        own = replace(method, relaxations=relaxations)
-        found, report, first = _run(system, observable, own)
-        at = report.steps
-        true = sampled_distance(found, reference.shares(found.edges[0]))
-        mean, quantile = chance_l1(found)
+    """Points of the method and its refinements; each must agree with the reference by chance."""
+    route, points = method.route.label, []
+    level = replace(method, relaxations=RELAXATIONS)
+    for k in range(LEVELS):
+        level = level.refined() if k else level
+        measured, density, true = _measured(system, observable, level, reference)
+        mean, quantile = chance_l1(density)
+        at = measured.steps
         bias = law.bias * at.dt**law.order
-        # Twice the reference's error: its mean says what chance makes of it, not the worst case.
+        # Twice the reference's error: its mean is what chance makes of it, not the worst case.
         allowed = quantile + bias + 2.0 * reference.error
         settings = f"{at.paths} paths, time {at.time:.3g}, dt {at.dt:.3g}"
         if not true <= allowed:
             words = f"differs from the {reference.words} by more than chance and step explain"
             return NotTimed(route, FULL, settings, true, allowed, words)
-        again = partial(_run, system, observable, own)
+        again = partial(run, system, level, [observable])
         _, second = timed_first(again)
-        timing = Timing(
-            seconds=0.5 * (first + second),
-            spread=0.5 * abs(first - second),
-            repeats=2,
-            first=0.0,
-            coefficients=0.0,
-            memory=peak_memory(again) if second < 1.0 else float("nan"),
-        )
-        points.append(Point(settings, mean + bias, mean + bias, timing))
-    return Priced(route, FULL, "", tuple(points))
+        both = 0.5 * (measured.seconds + second), 0.5 * abs(measured.seconds - second)
+        memory = peak_memory(again) if second < 1.0 else float("nan")
+        timing = Timing(*both, 2, 0.0, 0.0, memory)
+        points.append(Level(settings, {"L1": mean + bias}, mean + bias, timing))
+    return Priced(route, FULL, axis, tuple(points), sampled=True)
+
+
+def averaged_route(
+    system: System, equation: Equation, *, seed: int, progress: Progress = silent
+) -> Priced | NotTimed:
+    """Return the simulation of (24) and its refinements, each run once after one that compiles."""
+    reference = equation.reference
+    density = certified_density(
+        equation.observable,
+        reference.panels,
+        reference.density,
+        _nothing,
+        measured=Measured(reference.l1_error, 0.0, 0.0, 0.0, 0.0),
+        tol=inf,
+    )
+    level = AveragedSimulation("nonintegrable", seed=seed, threads=1, paths=FEWEST)
+    route, points = level.route.label, []
+    _, compiling = timed_first(partial(level.solve, system, [equation.observable]))
+    for k in range(AVERAGED_LEVELS):
+        progress(k, AVERAGED_LEVELS, route)
+        level = level.refined() if k else level
+        result, seconds = timed_first(partial(level.solve, system, [equation.observable]))
+        (answer,) = result.densities
+        assert isinstance(answer, SampledDensity)
+        sampled = coarse(answer)
+        true = sampled_distance(sampled, shares_of(density)(sampled.edges[0]))
+        mean, quantile = chance_l1(sampled)
+        allowed = quantile + reference.l1_error
+        settings = f"{level.paths} paths, step {level.step:g}"
+        if not (isfinite(true) and true <= allowed):
+            words = f"differs from the {equation.reference_words} by more than chance explains"
+            return NotTimed(route, equation.name, settings, true, allowed, words)
+        timing = Timing(seconds, first=max(0.0, compiling - seconds) if k == 0 else 0.0)
+        points.append(Level(settings, {"L1": mean}, mean, timing))
+        if seconds > LONG:
+            break
+    axis = "sampling error: expected L1 of p(H), within chance of the reference"
+    return Priced(route, equation.name, axis, tuple(points), sampled=True)
+
+
+def _nothing(*energies: Array) -> Array:
+    return 0.0 * energies[0]

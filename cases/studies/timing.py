@@ -8,17 +8,34 @@ import gc
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import nan
 from statistics import median, quantiles
 from time import process_time
 from typing import Any
 
-from cases.studies.equations import Clock
-
-LEAST_REPEATS, MOST_REPEATS = 3, 21
+MIN_REPEATS, MAX_REPEATS = 3, 21
 ENOUGH = 0.1
-"""Seconds of repeats that are enough, once ``LEAST_REPEATS`` are there."""
+"""Seconds of repeats that are enough, once there are ``MIN_REPEATS``."""
 LONG = 1.0
-"""Seconds above which the first run is the only one: compile time and spread are not known then."""
+"""Seconds of a first run above which it is the only one: compile time and spread stay unknown."""
+
+
+class Clock:
+    """Seconds of processor time spent in the functions given to it."""
+
+    def __init__(self) -> None:
+        """Start from zero."""
+        self.seconds = 0.0
+
+    def timed(self, function: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        """Return ``function``, its time added to the clock at each call."""
+
+        def wrapped(argument: Any) -> Any:
+            value, seconds = timed_first(lambda: function(argument))
+            self.seconds += seconds
+            return value
+
+        return wrapped
 
 
 @dataclass(frozen=True)
@@ -26,40 +43,34 @@ class Timing:
     """Median and quartile spread in seconds; what the first call took beyond; peak memory.
 
     ``coefficients`` is the part spent in the process's coefficients; ``memory`` in bytes as
-    allocated by Python and NumPy during one call, not a number where it was not measured.
+    allocated by Python and NumPy during one call. Not a number where it was not measured.
     """
 
     seconds: float
-    spread: float
-    repeats: int
-    first: float
-    coefficients: float
-    memory: float
+    spread: float = nan
+    repeats: int = 1
+    first: float = nan
+    coefficients: float = nan
+    memory: float = nan
 
 
 def timed_first(work: Callable[[], Any]) -> tuple[Any, float]:
-    """Return what the first call gives, and its seconds."""
+    """Return the value of the first call and its seconds of processor time."""
     start = process_time()
-    found = work()
-    return found, process_time() - start
+    value = work()
+    return value, process_time() - start
 
 
 def timing(work: Callable[[], Any], first: float, clock: Clock | None = None) -> Timing:
     """Time ``work``, which was called once before and took ``first`` seconds then."""
     if first > LONG:
-        nan = float("nan")
-        return Timing(first, nan, 1, nan, nan, nan)
+        return Timing(first)
     times: list[float] = []
     before = clock.seconds if clock else 0.0
-    while len(times) < MOST_REPEATS:
-        start = process_time()
-        work()
-        times.append(process_time() - start)
-        if len(times) >= LEAST_REPEATS and sum(times) > ENOUGH:
-            break
+    while len(times) < MAX_REPEATS and (len(times) < MIN_REPEATS or sum(times) <= ENOUGH):
+        times.append(timed_first(work)[1])
     inside = (clock.seconds - before) / len(times) if clock else 0.0
-    middle = median(times)
-    quarter = quantiles(times, n=4, method="inclusive")
+    middle, quarter = median(times), quantiles(times, n=4, method="inclusive")
     return Timing(
         seconds=middle,
         spread=0.5 * (quarter[2] - quarter[0]),

@@ -10,12 +10,12 @@ import numpy as np
 from fpk.density import Array
 from fpk.orders import observed_orders, order_errors
 
-LEAST_ORDER_SIGNAL = 2.0
-"""Standard errors below which an error is none, and orders that rest on it are not given."""
+MIN_ORDER_SIGNAL = 2.0
+"""Standard errors an error must exceed for an order to be given from it."""
 ORDER_ERROR = 0.25
 """One standard error of the order that a study asks for."""
 UNRESOLVED = 0.5
-"""Error of the order above which neighbouring orders are not told apart, and it is not judged."""
+"""Error of the order above which it is not judged: neighbouring orders are not distinguished."""
 LOWEST_ORDER, HIGHEST_ORDER = 0.25, 10.0
 """Orders between which the fit is sought."""
 
@@ -41,8 +41,8 @@ class WeakOrder:
     the intercept of ``limit + slope dtʳ`` with r that of theory. ``order`` ± ``order_error`` is the
     r of the best fit, where its profile rises by one unit of χ²; ``chi2`` that of the fit of theory
     with ``freedom`` degrees. ``wanted`` is the standard error that was asked for, derived from the
-    error of the order that is wanted and the bias that a pilot found, and ``short`` says by what
-    factor the sample fell short of it.
+    error of the order that is wanted and the bias of a pilot run, and ``short`` is the factor by
+    which the sample fell short of it.
     """
 
     scheme: str
@@ -84,8 +84,8 @@ class WeakOrder:
         e, bars = self.errors, self.error_bars
         steps = [level.dt for level in self.levels]
         pairs = zip(observed_orders(steps, e), order_errors(steps, e, bars), strict=True)
-        kept = [a > LEAST_ORDER_SIGNAL * b for a, b in zip(e, bars, strict=True)]
-        both = zip(pairs, kept, kept[1:], strict=False)
+        resolved = [a > MIN_ORDER_SIGNAL * b for a, b in zip(e, bars, strict=True)]
+        both = zip(pairs, resolved, resolved[1:], strict=False)
         return [(float(o), float(s)) for (o, s), a, b in both if a and b]
 
 
@@ -133,7 +133,7 @@ def judged(
     wanted: float,
     short: float,
 ) -> WeakOrder:
-    """Return what the levels show: "as theory" only where other orders are told apart from it.
+    """Return what the levels show: "as theory" only where other orders are excluded.
 
     ``wanted`` and ``short`` are handed through.
     """

@@ -16,16 +16,14 @@ from fpk.process import Process
 BEYOND = 1e-9
 """Share of the probability beyond given meshes: less than any error that their levels reach; it is
 part of the floor."""
-COARSEST = {1: 4, 2: 3, 3: 3, 4: 2, 8: 1}
-"""Elements an axis of the coarsest mesh, by degree."""
 REFERENCE_DEGREE = 12
 REFERENCE_TOLERANCES = (1e-5, 1e-8, 1e-11)
 """One after the other: the last takes 0.2 s and 3 s in the van der Pol scenes, where a tenth of it
 takes up to 10 s and brings no more, as round-off then is most of the estimate."""
-MOST_UNKNOWNS = 30_000
-"""Of a reference that is still refined: the next took 10 s and more in a ring of two modes."""
+MAX_UNKNOWNS = 30_000
+"""Unknowns beyond which the reference is not refined: the next level took 10 s in a ring of modes."""
 GOOD = 1e-9
-"""L1 error of the reference above which its words say why it is not less."""
+"""L1 error of the reference above which its description says why it is not less."""
 
 
 def modal_reference(
@@ -46,28 +44,28 @@ def modal_reference(
             modes.temperature[:2], observable, relative=modes.relative_error, provenance={}
         )
         return Answer(closed.panels, closed.pdf, closed.l1_error, 0), "closed form (34)"
-    found = _plain_elements(process)
-    if not np.isfinite(found.l1_error):
+    solution = _plain_elements(process)
+    if not np.isfinite(solution.l1_error):
         raise NotCertified("plain elements, the reference of (17), have no finite error estimate")
-    count = " x ".join(str(nodes.size - 1) for nodes in found.nodes)
+    count = " x ".join(str(nodes.size - 1) for nodes in solution.nodes)
     words = f"plain elements (w = 1) of degree {REFERENCE_DEGREE}, {count} on a mesh of their own"
-    if found.l1_error > GOOD:
-        words += f"; the floor: a finer one takes more than {MOST_UNKNOWNS} unknowns"
-    return of_plane(found), words
+    if solution.l1_error > GOOD:
+        words += f"; the floor: a finer one takes more than {MAX_UNKNOWNS} unknowns"
+    return of_plane(solution), words
 
 
 def _plain_elements(process: Process) -> PlaneSolution:
     best: PlaneSolution | None = None
     for tol in REFERENCE_TOLERANCES:
         try:
-            found = solve_plane(process, tol=tol, degree=REFERENCE_DEGREE)
+            solution = solve_plane(process, tol=tol, degree=REFERENCE_DEGREE)
         except NotCertified:  # more elements than are affordable
             if best is None:
                 raise
             return best
-        if best is None or found.l1_error < best.l1_error:
-            best = found
-        if found.unknowns > MOST_UNKNOWNS:
+        if best is None or solution.l1_error < best.l1_error:
+            best = solution
+        if solution.unknowns > MAX_UNKNOWNS:
             break
     assert best is not None
     return best
@@ -100,4 +98,4 @@ def of_plane(s: PlaneSolution) -> Answer:
     """Return a solution of two energies as an answer; plain elements are marked w = 1."""
     plain = isinstance(s.answer, TensorPolynomial) and s.answer.weight is None
     made = "w = 1" if plain else ""
-    return Answer(s.nodes, s.density, s.l1_error, s.unknowns, s.answer.degree, made)
+    return Answer(s.nodes, s.density, s.l1_error, s.unknowns, made)

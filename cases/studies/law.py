@@ -3,16 +3,13 @@
 from dataclasses import dataclass
 from math import sqrt
 
-from cases.studies.priced import Point
+from cases.studies.levels import Level
 from cases.studies.timing import Timing
-from sim.montecarlo import LEAST_PATHS
+from sim.montecarlo import LEAST_PATHS, MonteCarlo
 
-FULL = "full system (6)"
-BURN_IN = 10.0
-"""Relaxation times before sampling begins: what ``MonteCarlo`` does unless told otherwise."""
 ERRORS = tuple(10.0**-k for k in (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0))
-"""Errors for which the cheapest (dt, N) is given; up to 1e-3 it is drawn."""
-MOST_PATHS = 2.0**20
+"""Errors for which the cheapest (dt, N) is given."""
+MAX_PATHS = 2.0**20
 BYTES_A_PATH = 48.0
 """State of a path: a few numbers of eight bytes; histograms are small beside it."""
 
@@ -53,12 +50,17 @@ class Law:
 
     def seconds(self, sampled: float, dt: float) -> float:
         """Return the time of a run on one thread, burn-in of the fewest paths included."""
-        return self.step * (sampled + LEAST_PATHS * BURN_IN * self.relaxation) / dt
+        return self.step * (sampled + LEAST_PATHS * MonteCarlo.burn_in * self.relaxation) / dt
 
-    def point(self, error: float) -> Point:
+    def point(self, error: float) -> Level:
         """Return the cheapest settings for ``error`` with their price by the law, not run."""
         dt, sampled = self.cheapest(error)
-        paths = max(float(LEAST_PATHS), min(sampled / self.relaxation, MOST_PATHS))
-        settings = f"{paths:.2g} paths, time {max(sampled / paths, dt):.2g}, dt {dt:.2g}"
+        paths = max(float(LEAST_PATHS), min(sampled / self.relaxation, MAX_PATHS))
         timing = Timing(self.seconds(sampled, dt), 0.0, 0, 0.0, 0.0, paths * BYTES_A_PATH)
-        return Point(settings, error, error, timing, modelled=True)
+        return Level(
+            f"{paths:.2g} paths, time {max(sampled / paths, dt):.2g}, dt {dt:.2g}",
+            {"L1": error},
+            error,
+            timing,
+            modelled=True,
+        )

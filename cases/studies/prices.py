@@ -1,53 +1,35 @@
-"""Points of the work-precision diagram: error, time and settings of one route, or why not timed."""
+"""Prices: for every route error against time, and from them the cheapest setting for an error."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import inf
+from math import inf, nan
+from typing import Any
 
 import numpy as np
 
-from cases.studies.timing import Timing
-
-
-@dataclass(frozen=True)
-class Point:
-    """One setting of a route: its true ``error`` on the route's axis and what it costs.
-
-    ``stated`` is the route's own estimate; ``modelled`` marks a point of the law of sampling that
-    was not run. ``promised`` is the tolerance of a route that is steered by one: it holds for every
-    scene, where a number of elements is right for this one.
-    """
-
-    settings: str
-    error: float
-    stated: float
-    timing: Timing
-    unknowns: int = 0
-    modelled: bool = False
-    promised: float = inf
-
-    @property
-    def seconds(self) -> float:
-        """Median processor time."""
-        return self.timing.seconds
+from cases.studies.levels import Level
 
 
 @dataclass(frozen=True)
 class Priced:
-    """One route for one equation, timed at several settings, from coarse to fine."""
+    """One route for one equation, timed at several settings, from coarse to fine.
+
+    ``axis`` says which error it is; ``sampled`` that it is one of sampling.
+    """
 
     route: str
     equation: str
     axis: str
-    points: tuple[Point, ...]
+    points: tuple[Level, ...]
+    sampled: bool = False
 
-    def frontier(self) -> list[Point]:
+    def frontier(self) -> list[Level]:
         """Return the points that no other of the route beats in both error and time."""
-        found: list[Point] = []
+        best: list[Level] = []
         for point in sorted(self.points, key=lambda p: (p.seconds, p.error)):
-            if not found or point.error < found[-1].error:
-                found.append(point)
-        return found
+            if not best or point.error < best[-1].error:
+                best.append(point)
+        return best
 
     def seconds_for(self, error: float) -> float:
         """Return the time for ``error`` by log-log interpolation; NaN where it was not reached."""
@@ -55,13 +37,17 @@ class Priced:
         e = np.log([max(p.error, 1e-300) for p in front])[::-1]
         t = np.log([p.seconds for p in front])[::-1]
         if not front or np.log(error) < e[0]:
-            return float("nan")
+            return nan
         return float(np.exp(np.interp(np.log(error), e, t)))
 
-    def cheapest(self, error: float) -> Point | None:
+    def cheapest(self, error: float) -> Level | None:
         """Return the cheapest measured or modelled point with at most this error."""
         enough = [p for p in self.points if p.error <= error]
         return min(enough, key=lambda p: p.seconds, default=None)
+
+    def record(self) -> dict[str, Any]:
+        """Return the route as plain data."""
+        return {**vars(self), "points": [p.cost_record() for p in self.points]}
 
 
 @dataclass(frozen=True)
@@ -73,33 +59,42 @@ class NotTimed:
 
     route: str
     equation: str
-    settings: str
-    distance: float
-    allowed: float
-    reason: str
+    settings: str = ""
+    distance: float = nan
+    allowed: float = nan
+    reason: str = ""
     baseline: bool = False
+
+    @property
+    def wrong(self) -> bool:
+        """Whether an answer disagrees: no answer, or a baseline's, says nothing against others."""
+        return self.distance == self.distance and not self.baseline
 
 
 @dataclass(frozen=True)
 class Cheapest:
-    """For an error: the route, its settings, time and memory; ``reached`` False where none does."""
+    """For an error 10^−digits the cheapest route and its point, None where none reaches it."""
 
     equation: str
     digits: int
     route: str
-    point: Point | None
+    point: Level | None
+
+    def record(self) -> dict[str, Any]:
+        """Return the price as plain data."""
+        return {**vars(self), "point": None if self.point is None else self.point.cost_record()}
 
 
 def price_list(routes: Sequence[Priced], digits: Sequence[int]) -> tuple[Cheapest, ...]:
     """Return the cheapest route of each equation for errors 10^−digits."""
-    found = []
+    prices = []
     for equation in dict.fromkeys(r.equation for r in routes):
         own = [r for r in routes if r.equation == equation]
         for d in digits:
             offers = [(r.route, p) for r in own if (p := r.cheapest(10.0**-d)) is not None]
             route, point = min(offers, key=lambda o: o[1].seconds, default=("", None))
-            found.append(Cheapest(equation, d, route, point))
-    return tuple(found)
+            prices.append(Cheapest(equation, d, route, point))
+    return tuple(prices)
 
 
 def promised_list(routes: Sequence[Priced], digits: Sequence[int]) -> tuple[Cheapest, ...]:
@@ -109,8 +104,9 @@ def promised_list(routes: Sequence[Priced], digits: Sequence[int]) -> tuple[Chea
     """
     by_tol = []
     for route in routes:
-        points = tuple(replace(p, error=p.promised) for p in route.points if p.promised < inf)
-        if points:
+        steered = [p for p in route.points if p.promised < inf]
+        if steered:
+            points = tuple(replace(p, errors={**p.errors, "L1": p.promised}) for p in steered)
             by_tol.append(replace(route, points=points))
     return price_list(by_tol, digits)
 
@@ -127,7 +123,7 @@ class Crossover:
 
 def crossovers(routes: Sequence[Priced]) -> tuple[Crossover, ...]:
     """Return where the cheapest route of each equation changes, from large errors to small."""
-    found = []
+    crossings = []
     for equation in dict.fromkeys(r.equation for r in routes):
         own = [r for r in routes if r.equation == equation]
         errors = np.geomspace(0.3, 1e-13, 1001)
@@ -137,5 +133,5 @@ def crossovers(routes: Sequence[Priced]) -> tuple[Crossover, ...]:
         for k in range(1, errors.size):
             a, b = int(winners[k - 1]), int(winners[k])
             if a != b and min(a, b) >= 0:
-                found.append(Crossover(equation, float(errors[k]), own[a].route, own[b].route))
-    return tuple(found)
+                crossings.append(Crossover(equation, float(errors[k]), own[a].route, own[b].route))
+    return tuple(crossings)

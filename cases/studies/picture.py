@@ -1,0 +1,123 @@
+"""The picture of every study: errors on a logarithmic axis over whatever was varied."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from cases.output.pictures.style import COLOURS, INK, STYLE
+from fpk.density import Array
+
+MARKERS = "osD^vXPh"
+DASHES: Any = (0, (4, 2))
+HALO: Any = {"boxstyle": "square,pad=0.1", "fc": "#f4f4f4", "ec": "none", "alpha": 0.85}
+"""Behind words that a curve may cross."""
+SMALL = 7.0
+"""Size of words inside a panel, in points."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Errors ``y`` over ``x``; a name has the same colour and marker in all panels.
+
+    ``bar`` is how far chance may have moved each, drawn as a band where ``banded``; ``dashed`` are
+    the two coordinates of a line of theory. ``open``: computed by a law, not measured. ``joined``:
+    neighbouring points are joined. ``end`` are words at the last point.
+    """
+
+    name: str
+    x: Sequence[float] | Array
+    y: Sequence[float] | Array
+    label: str = ""
+    bar: Sequence[float] | Array | None = None
+    banded: bool = False
+    dashed: tuple[Array, Array] | None = None
+    open: bool = False
+    joined: bool = True
+    end: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Curves over one axis. ``floor``: below it nothing is resolved; ``marks``: levels by words."""
+
+    title: str
+    x: str
+    y: str
+    curves: Sequence[Curve]
+    floor: float | None = None
+    marks: Sequence[tuple[float, str]] = ()
+    logarithmic: bool = True
+    limits: tuple[float, float] | None = None
+
+
+def study_figure(panels: Sequence[Panel], *, width: float = 4.3, height: float = 3.9) -> Figure:
+    """Draw the panels, two in a row; the legend of each stands below it, where no curve passes."""
+    columns = min(2, max(1, len(panels)))
+    rows = max(1, -(-len(panels) // columns))
+    names = list(dict.fromkeys(curve.name for panel in panels for curve in panel.curves))
+    with mpl.rc_context({**STYLE, "font.size": 8.5, "axes.titlesize": 8.5}):
+        figure = Figure(figsize=(width * columns, height * rows), layout="constrained")
+        grid = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes in grid[len(panels) :]:
+            axes.remove()
+        for axes, panel in zip(grid, panels, strict=False):
+            _draw(axes, panel, names)
+    return figure
+
+
+def _draw(axes: Axes, panel: Panel, names: Sequence[str]) -> None:
+    axes.set(xscale="log" if panel.logarithmic else "linear", yscale="log")
+    for curve in panel.curves:
+        k = names.index(curve.name)
+        _draw_curve(axes, curve, COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)])
+    axes.set(title=panel.title, xlabel=panel.x, ylabel=panel.y)
+    if panel.limits is not None:
+        axes.set_ylim(panel.limits)
+    if panel.floor is not None:
+        axes.axhspan(axes.get_ylim()[0], panel.floor, color=INK, alpha=0.08, lw=0)
+        _words_at(axes, panel.floor, "floor: error of the reference", below=True)
+    for level, words in panel.marks:
+        axes.axhline(level, color=INK, lw=0.9, ls=DASHES)
+        _words_at(axes, level, words, below=False)
+    if not panel.curves:
+        return
+    axes.legend(
+        loc="upper left", bbox_to_anchor=(-0.02, -0.19), ncols=2 if len(panel.curves) > 3 else 1,
+        fontsize=SMALL, columnspacing=1.2, handlelength=1.8, borderaxespad=0.0,
+    )  # fmt: skip
+
+
+def _draw_curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:
+    x, y = np.asarray(curve.x, dtype=float), np.asarray(curve.y, dtype=float)
+    line: Any = "none" if not curve.joined else ":" if curve.open else "-"
+    axes.plot(
+        x, y, color=colour, marker=marker, markersize=3.6, lw=1.2, ls=line,
+        mfc="none" if curve.open else colour, label=curve.label or curve.name,
+    )  # fmt: skip
+    if curve.bar is not None:
+        bar = np.asarray(curve.bar, dtype=float)
+        low, high = np.maximum(y - bar, 0.1 * y), y + bar
+        if curve.banded:
+            axes.fill_between(x, low, high, color=colour, alpha=0.25, lw=0)
+        else:
+            axes.vlines(x, low, high, color=colour, lw=0.8)
+    if curve.dashed is not None:
+        axes.plot(*curve.dashed, color=colour, lw=0.9, ls=DASHES)
+    if curve.end and x.size:
+        axes.annotate(
+            curve.end, (x[-1], y[-1]), xytext=(4, 4), textcoords="offset points", fontsize=6.5,
+            color=colour,
+        )  # fmt: skip
+
+
+def _words_at(axes: Axes, level: float, words: str, *, below: bool) -> None:
+    axes.annotate(
+        words, (0.985, level), xycoords=axes.get_yaxis_transform(),
+        xytext=(0, -2 if below else 2), textcoords="offset points", ha="right",
+        va="top" if below else "bottom", fontsize=6.5, bbox=HALO,
+    )  # fmt: skip
