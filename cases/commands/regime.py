@@ -48,16 +48,17 @@ def regime(
         if folder is not None:
             make_folder(folder)
     check_cluster(cluster)
-    from cases.comparison.routes import Request, Sampling, method_for
     from cases.output.terminal import progress_bar
-    from cases.studies.regime_map.build import build_map
+    from cases.studies.regime_map.build import MAP_RELAXATIONS, build_map
     from cases.studies.regime_map.output import map_markdown, map_summary, write_map
+    from sim.montecarlo import MonteCarlo
 
-    sampling = Sampling(seed, threads, paths, time, cluster=cluster)
-    method_for(Request("montecarlo", sampling=sampling))  # refuses what it cannot use
+    settings = {"seed": seed, "threads": threads, "paths": paths, "time": time, "cluster": cluster}
+    given = {key: value for key, value in settings.items() if value is not None}
+    simulation = MonteCarlo(**{"relaxations": MAP_RELAXATIONS, **given})
     with progress_bar() as progress:
         found = build_map(
-            loaded, axes, sampling=sampling, folder=checkpoint or out, progress=progress
+            loaded, axes, simulation=simulation, folder=checkpoint or out, progress=progress
         )
     if found.note is not None:
         typer.echo(f"fpk: note: {found.note}", err=True)

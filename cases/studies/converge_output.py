@@ -188,9 +188,7 @@ def study_panels(study: ConvergenceStudy) -> list[Panel]:
     Dashed lines have the slope of theory, below the finest levels.
     """
     panels = [_ladder_panel(s) for s in study.equations]
-    panels += [
-        _degree_panel(s, study.without_contact) for s in study.equations if s.dimension == 1
-    ]
+    panels += [_degree_panel(s, study.without_contact) for s in study.equations if s.dimension == 1]
     return [*panels, _step_panel(study.schemes)] if study.schemes else panels
 
 

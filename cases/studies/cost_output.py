@@ -98,9 +98,10 @@ def _pays(study: CostStudy) -> tuple[str, ...]:
         if (fastest := _fastest(full, max(m.distance, m.error))) == np.inf:
             continue
         ratio = fastest / m.seconds
+        verb = "beats" if ratio > 1 else "does not beat"
         words.append(
             f"As an answer to the full system the {m.theory} theory is off by"
-            f" L1 = {m.distance:.1e} ± {m.error:.0e}; it {'beats' if ratio > 1 else 'does not beat'}"
+            f" L1 = {m.distance:.1e} ± {m.error:.0e}; it {verb}"
             f" simulation above that error (by a factor {max(ratio, 1 / ratio):.0f}), and below it"
             " only simulation answers."
         )

@@ -6,10 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from averaging.energy_process import energy_process
+from averaging.integrable import Integrable
 from averaging.modal.analysis import modal_analysis
 from averaging.modal.internal import internal_refusal
 from averaging.modal.process import modes_process
 from averaging.modal.resonance import resonance_refusal
+from averaging.nonintegrable import NonIntegrable
 from averaging.polynomial_rate import averaged_density
 from averaging.quadrature import solve_by_quadrature
 from cases.studies.answer import Answer
@@ -22,7 +24,7 @@ from fpk.observable import Observable, parse_observable
 from fpk.plane.stationary import solve_plane, solve_plane_on_mesh
 from fpk.probe import probed
 from fpk.process import Process
-from fpk.route import ROUTES, Route
+from fpk.route import Route
 from fpk.system import System
 
 BEYOND = 1e-14
@@ -115,11 +117,11 @@ def energy_equation(
         on_mesh=lambda nodes, degree: _of_line(solve_on_mesh(process, nodes[0], degree)),
         steered=(
             Steered(
-                ROUTES["nonintegrable", "fem"],
+                NonIntegrable("fem").route,
                 elements,
                 "elements whose number and degree follow from the tolerance, cut until it is met.",
             ),
-            Steered(ROUTES["nonintegrable", "quadrature"], quadrature, "quadrature of (11)."),
+            Steered(NonIntegrable("quadrature").route, quadrature, "quadrature of (11)."),
         ),
         coefficients=clock,
     )
@@ -171,7 +173,7 @@ def modal_equation(system: System) -> Equation:
         ),
         steered=(
             Steered(
-                ROUTES["integrable", "fem"],
+                Integrable("fem").route,
                 lambda tol: of_plane(solve_plane(process, tol=tol)),
                 "p = w u with a positive weight w near p and one polynomial u; where probability"
                 " circulates much u is one on each of a few elements, and where no weight does"

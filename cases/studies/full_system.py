@@ -7,6 +7,7 @@ from math import sqrt
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+import cases.comparison.routes  # noqa: F401  (registers every route)
 from cases.comparison.compare import chance_l1
 from cases.studies.runs import coarse
 from fpk.density import Array, Density, SampledDensity

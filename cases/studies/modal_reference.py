@@ -21,7 +21,7 @@ REFERENCE_TOLERANCES = (1e-5, 1e-8, 1e-11)
 """One after the other: the last takes 0.2 s and 3 s in the van der Pol scenes, where a tenth of it
 takes up to 10 s and brings no more, as round-off then is most of the estimate."""
 MAX_UNKNOWNS = 30_000
-"""Unknowns beyond which the reference is not refined: the next level took 10 s in a ring of modes."""
+"""Unknowns beyond which the reference is not refined: the next took 10 s in a ring of modes."""
 GOOD = 1e-9
 """L1 error of the reference above which its description says why it is not less."""
 

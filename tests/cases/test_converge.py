@@ -10,10 +10,9 @@ from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
 from cases.studies.answer import FUNCTIONALS, NORMS, errors
 from cases.studies.converge import chosen_routes
-from cases.studies.deterministic import candidates
 from cases.studies.equations import energy_equation, modal_equation
-from cases.studies.ladders import H_LEVELS, P_DEGREES, ROUND_OFF, degree_ladder, h_meshes, ladders
-from cases.studies.names import BY_TOL, BY_TOL_WORDS, EXPLAINED
+from cases.studies.ladders import H_LEVELS, ROUND_OFF, degree_ladder, ladders
+from cases.studies.levels import P_DEGREES, ByTolerance, elements, refined_levels
 from cases.studies.weak import known_square, sample_slope, weak_order
 from cases.studies.weak_fit import ORDER_ERROR, StepLevel, judged, wanted_error
 from fpk.orders import NEAR, convergence, grid_convergence, observed_orders
@@ -170,12 +169,10 @@ def test_an_equation_that_is_not_the_right_one_does_not_converge():
 
 
 def plane_errors(equation, degree):
-    found = []
-    for nodes in h_meshes(equation, degree, H_LEVELS[2]):
-        answer = equation.on_mesh(nodes, degree)
-        found.append(errors(answer, equation.reference))
-        assert found[-1]["L1"] <= answer.l1_error + equation.reference.l1_error
-    return {key: [e[key] for e in found] for key in NORMS}
+    first = elements(equation, degree)
+    levels = [level for _, level in refined_levels(first, equation.reference, H_LEVELS[2])]
+    assert all(level.honest for level in levels)
+    return {key: [level.errors[key] for level in levels] for key in NORMS}
 
 
 @pytest.mark.parametrize(
@@ -206,7 +203,7 @@ def test_damping_terms_have_a_reference_by_another_method(scene):
     assert equation.reference_words.startswith("plain elements (w = 1)")
     assert equation.reference.made == "w = 1" and equation.reference.l1_error < 1e-10
     for tol in (1e-4, 1e-8):
-        answer = equation.adaptive(tol)
+        answer = equation.steered[0].solve(tol)
         assert answer.made == ""  # weighted, on a mesh of its own
         meshes = (answer.panels, equation.reference.panels)
         assert [x.size for x in meshes[0]] != [x.size for x in meshes[1]]
@@ -215,19 +212,20 @@ def test_damping_terms_have_a_reference_by_another_method(scene):
         assert true > equation.reference.l1_error  # what is seen is the answer's error
 
 
-def test_the_route_by_tolerance_is_called_what_it_is():
-    # Two energies have no hp elements: p = w u is expanded once.
-    assert set(BY_TOL) == set(BY_TOL_WORDS) == set(EXPLAINED) == {1, 2}
-    equation = modal_equation(load_scene("fig6b").system)
-    names = {c.route for c in candidates(equation)} | {degree_ladder(equation).name}
-    assert BY_TOL[2] == "weighted, tol" and BY_TOL[2] in names
-    assert not any("hp" in name for name in (*names, BY_TOL_WORDS[2]))
+def test_a_discretisation_refines_itself_and_states_its_level():
+    equation = energy_equation(load_scene("fig6b").system)
+    first = elements(equation, 2)
+    finer = first.refined().refined()
+    assert finer.nodes[0].size - 1 == 4 * (first.nodes[0].size - 1)
+    assert (finer.size(None), finer.degree) == (0.25, 2)
+    steered = ByTolerance(equation.steered[0], 2, 2)
+    assert steered.name == "nonintegrable/fem" and steered.refined().promised == 1e-4
 
 
 def test_the_exact_scene_knows_its_moment_and_the_samples_their_slope():
     scene = load_scene("fig3a")
-    assert known_square(scene.system, 1) is not None
-    assert known_square(load_scene("fig6b").system, 1) is None
+    assert known_square(scene.system) is not None
+    assert known_square(load_scene("fig6b").system) is None
     found = sample_slope(scene.system, paths=4096, threads=2)
     assert abs(found.slope + 0.5) < 4.0 * found.slope_error
 
@@ -259,7 +257,9 @@ def test_the_command_prints_one_object_and_leaves_files(fpk, tmp_path):
     record = json.loads(out)
     assert status == 0 and record["scene"] == "fig6b"
     families = {ladder["name"] for ladder in record["equations"][0]["ladders"]}
-    assert families == {"h, p = 1", "h, p = 2", "h, p = 4", "p on a fixed mesh", BY_TOL[1]}
+    assert families == {"h, p = 1", "h, p = 2", "h, p = 4", "p on a fixed mesh"} | {
+        "nonintegrable/fem"
+    }
     assert "not a bound" in record["limits_of_the_index"]
     for ending in ("md", "nc", "svg"):
         assert (tmp_path / f"converge.{ending}").stat().st_size > 1000

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from cases.comparison.routes import Sampling
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
 from cases.studies.regime_map.build import build_map
@@ -96,7 +95,7 @@ def test_points_of_another_map_are_refused_and_kept(fpk, tmp_path):
 def test_where_there_is_an_exact_answer_no_simulation_is_needed(monkeypatch):
     scene = load_scene("fig3a")
     axes = parse_axes(["contact.clearance=0.5:2:3"], scene.system)
-    found = build_map(scene, axes, sampling=Sampling())
+    found = build_map(scene, axes)
     assert {p.reference for p in found.points} == {"exact"} and not found.problems
     assert all(p.L1["nonintegrable"] < 1e-10 for p in found.points)
 

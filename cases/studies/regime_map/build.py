@@ -7,16 +7,22 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from cases.comparison.routes import Sampling
+import numpy as np
+
 from cases.output.fields import program_version
 from cases.output.summary import plain
 from cases.scene.scene import Scene
 from cases.studies.regime_map.grid import Axis, grid_points, system_at
-from cases.studies.regime_map.points import MAP_RELAXATIONS, MapPoint, map_point
-from cases.studies.regime_map.store import PointStore
+from cases.studies.regime_map.points import MapPoint, map_point
+from cases.studies.regime_map.store import MapIdentity, PointStore
+from fpk.density import Array
 from fpk.method import Progress, silent
 from fpk.observable import Observable, observable_name
 from sim.cluster import as_finished, connected
+from sim.montecarlo import MonteCarlo
+
+MAP_RELAXATIONS = 38.0
+"""Relaxation times sampled on a path: chance moves L1 of one displacement by about 0.001."""
 
 
 @dataclass(frozen=True)
@@ -39,15 +45,15 @@ class RegimeMap:
         """Every failure at a point, in words."""
         return tuple(f"{self.place(p)}: {words}" for p in self.points for words in p.problems)
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Points along each axis."""
-        return tuple(axis.values.size for axis in self.axes)
-
     def place(self, point: MapPoint) -> str:
         """Return where a point lies, such as ``B = 10, δ = 0.5``."""
         pairs = zip(self.axes, point.values, strict=True)
         return ", ".join(f"{axis.symbol} = {value:g}" for axis, value in pairs)
+
+    def table(self, value: Callable[[MapPoint], Any]) -> Array:
+        """Return one value of every point in the shape of the grid; NaN for None."""
+        values = np.array([np.nan if (v := value(p)) is None else v for p in self.points])
+        return values.reshape([axis.values.size for axis in self.axes])
 
     def record(self) -> dict[str, Any]:
         """Return the record of ``fpk regime``."""
@@ -68,26 +74,28 @@ def build_map(
     scene: Scene,
     axes: Sequence[Axis],
     *,
-    sampling: Sampling,
+    simulation: MonteCarlo | None = None,
     folder: Path | None = None,
     progress: Progress = silent,
 ) -> RegimeMap:
-    """Return the map of the scene's first displacement; kept and continued in ``folder``."""
+    """Return the map of the scene's first displacement; stored and continued in ``folder``.
+
+    ``simulation`` is the reference where nothing solves the full system; its ``cluster`` takes
+    whole points.
+    """
     start = perf_counter()
     observable = first_displacement(scene)
-    if sampling.time is None:
-        sampling = replace(sampling, relaxations=sampling.relaxations or MAP_RELAXATIONS)
-    # The answer of the simulation does not depend on where and how it is run.
-    counted = asdict(replace(sampling, threads=None))
-    for key in ("cluster", "checkpoint", "partial"):
-        del counted[key]
-    identity = {
-        "scene": scene.text,
-        "observable": observable_name(observable),
-        "keys": [axis.key for axis in axes],
-        "sampling": counted,
-        "version": program_version(),
-    }
+    method = simulation or MonteCarlo(relaxations=MAP_RELAXATIONS)
+    identity = MapIdentity(
+        scene=scene.text,
+        observable=observable_name(observable),
+        keys=tuple(axis.key for axis in axes),
+        paths=method.paths,
+        time=method.time,
+        relaxations=method.relaxations,
+        seed=method.seed,
+        version=program_version(),
+    )
     store = PointStore(folder, identity)
     wanted = list(grid_points(axes))
     missing = [values for values in wanted if values not in store.points]
@@ -96,7 +104,7 @@ def build_map(
         for values in missing
     ]
     progress(0, len(missing), "points of the map")
-    for done, point in enumerate(_found(todo, sampling), start=1):
+    for done, point in enumerate(_finished(todo, method), start=1):
         store.add(point)
         progress(done, len(missing), "points of the map")
     return RegimeMap(
@@ -110,14 +118,14 @@ def build_map(
     )
 
 
-def _found(todo: Sequence[Callable[..., MapPoint]], sampling: Sampling) -> Iterator[MapPoint]:
+def _finished(todo: Sequence[Callable[..., MapPoint]], method: MonteCarlo) -> Iterator[MapPoint]:
     """Yield the points as they are finished: one after the other, or each a task of a cluster."""
-    if sampling.cluster is None:
-        yield from (point(sampling=sampling) for point in todo)
+    if method.cluster is None:
+        yield from (point(method) for point in todo)
         return
-    alone = replace(sampling, cluster=None, threads=1)
-    with connected(sampling.cluster) as client:
-        yield from as_finished(client, [partial(point, sampling=alone) for point in todo])
+    alone = replace(method, cluster=None, threads=1)
+    with connected(method.cluster) as client:
+        yield from as_finished(client, [partial(point, alone) for point in todo])
 
 
 def first_displacement(scene: Scene) -> Observable:

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from math import isfinite
+from math import nan
 
 import numpy as np
 
@@ -14,11 +14,15 @@ from fpk.density import Array
 from fpk.errors import InvalidInput
 from fpk.system import System
 
-KEYS = ("contact.stiffness", "contact.clearance")
-"""What a map may vary: the numbers among ``VARIED``."""
+KEYS = {"contact.stiffness": "contact stiffness $B$", "contact.clearance": "clearance $δ$"}
+"""What a map may vary, the numbers among ``VARIED``, with their words for an axis."""
 
-MOST = 2000
+MAX_POINTS = 2000
 """Points of a map; each is a simulation of about a second."""
+
+
+LARGEST = 1e100
+"""Largest size of an end of a grid: its square is still a number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +38,16 @@ class Axis:
         """The parameter's letter."""
         return VARIED[self.key][0]
 
+    @property
+    def words(self) -> str:
+        """The parameter in words with its letter, for a picture."""
+        return KEYS[self.key]
+
+    @property
+    def scale(self) -> str:
+        """How a picture spaces the values."""
+        return "log" if self.logarithmic else "linear"
+
 
 def parse_axes(texts: Sequence[str], system: System) -> tuple[Axis, ...]:
     """Return one or two axes; raise ``BadInput`` for what cannot be used of them."""
@@ -43,8 +57,8 @@ def parse_axes(texts: Sequence[str], system: System) -> tuple[Axis, ...]:
     if len({a.key for a in axes}) != len(axes):
         raise BadInput(f'--vary "{texts[1]}": {axes[0].key} is varied already')
     count = int(np.prod([a.values.size for a in axes]))
-    if count > MOST:
-        raise BadInput(f"--vary: the grid has {count} points; at most {MOST}")
+    if count > MAX_POINTS:
+        raise BadInput(f"--vary: the grid has {count} points; at most {MAX_POINTS}")
     if not system.contacts:
         raise BadInput(f"--vary {axes[0].key}: the scene has no [[contact]] to vary")
     for axis, text in zip(axes, texts, strict=True):
@@ -79,8 +93,8 @@ def _axis(text: str) -> Axis:
     logarithmic, count = match[3] is not None, int(match[4])
     if not low < high:
         raise _wrong(text, f"{low:g} is not below {high:g}")
-    if not 2 <= count <= MOST:
-        raise _wrong(text, f"a count of {count} cannot be used; use 2 to {MOST}")
+    if not 2 <= count <= MAX_POINTS:
+        raise _wrong(text, f"a count of {count} cannot be used; use 2 to {MAX_POINTS}")
     if logarithmic and low <= 0:
         raise _wrong(text, "equal ratios need a low end > 0")
     values = np.geomspace(low, high, count) if logarithmic else np.linspace(low, high, count)
@@ -90,10 +104,10 @@ def _axis(text: str) -> Axis:
 
 def _number(text: str, whole: str) -> float:
     try:
-        number = float(text) if re.fullmatch(r"\s*[-+0-9.eE]+\s*", text) else float("nan")
+        number = float(text)
     except ValueError:
-        number = float("nan")
-    if not isfinite(number) or abs(number) > 1e100:
+        number = nan
+    if not abs(number) <= LARGEST:
         raise _wrong(whole, f"{toml_value(text.strip())} is not a finite number")
     return number
 

@@ -1,4 +1,4 @@
-"""A map as files: netCDF, comma-separated values, and a table for reading."""
+"""A map as files: picture, netCDF, comma-separated values, and a table for reading."""
 
 import csv
 from io import StringIO
@@ -7,108 +7,91 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from cases.output.fields import UNITS, program_version, write_dataset
+from cases.output.fields import UNITS
 from cases.output.files import write_text
-from cases.output.svg import svg_text
 from cases.studies.regime_map.build import RegimeMap
 from cases.studies.regime_map.picture import regime_figure
 from cases.studies.regime_map.points import NEITHER, THEORIES, UNDECIDED
+from cases.studies.tables import Table, markdown_text, write_study
 from fpk.observable import observable_name
 
 
-def write_map(found: RegimeMap, folder: Path) -> list[Path]:
-    """Write ``regime.svg``, ``regime.nc``, ``regime.csv`` and ``regime.md``; return their paths."""
-    paths = [folder / f"regime.{ending}" for ending in ("svg", "nc", "csv", "md")]
-    write_text(paths[0], svg_text(regime_figure(found), salt="regime"))
-    write_dataset(map_dataset(found), paths[1])
-    write_text(paths[2], map_csv(found))
-    write_text(paths[3], map_markdown(found))
-    return paths
+def write_map(result: RegimeMap, folder: Path) -> list[Path]:
+    """Write ``regime.md``, ``regime.nc``, ``regime.svg`` and ``regime.csv``; return their paths."""
+    paths = write_study(
+        "regime",
+        folder,
+        result.scene,
+        title=f"Map of regimes: {result.scene.title}",
+        page=map_markdown(result),
+        data=map_dataset(result),
+        figure=regime_figure(result),
+    )
+    write_text(folder / "regime.csv", map_csv(result))
+    return [*paths, folder / "regime.csv"]
 
 
-def map_dataset(found: RegimeMap) -> xr.Dataset:
+def map_dataset(result: RegimeMap) -> xr.Dataset:
     """Return ``L1`` and ``error`` (theory, parameters), ``winner`` and ``rms_ratio``."""
-    names = [axis.key for axis in found.axes]
-    shape = found.shape
-
-    def table(key: str) -> list[np.ndarray]:
-        columns = ([getattr(p, key).get(t, np.nan) for p in found.points] for t in THEORIES)
-        return [np.reshape(column, shape) for column in columns]
-
-    name = observable_name(found.observable)
-    ratio = [np.nan if p.rms_ratio is None else p.rms_ratio for p in found.points]
+    keys, name = [axis.key for axis in result.axes], observable_name(result.observable)
+    words = {
+        "L1": f"L1 distance of p({name}) to the full system",
+        "error": "how far chance and the solvers may have moved L1",
+    }
     data = xr.Dataset(
-        {
-            "L1": (
-                ("theory", *names),
-                table("L1"),
-                {"long_name": f"L1 distance of p({name}) to the full system"},
-            ),
-            "error": (
-                ("theory", *names),
-                table("error"),
-                {"long_name": "how far chance and the solvers may have moved L1"},
-            ),
-            "rms_ratio": (
-                names,
-                np.reshape(ratio, shape),
-                {"long_name": "smallest clearance over rms displacement without contact"},
-            ),
-            "winner": (names, np.reshape([p.winner for p in found.points], shape)),
-            "reference": (names, np.reshape([p.reference for p in found.points], shape)),
-        },
         coords={
             "theory": list(THEORIES),
-            **{a.key: (a.key, a.values, {"units": UNITS, "symbol": a.symbol}) for a in found.axes},
-        },
+            **{a.key: (a.key, a.values, {"units": UNITS, "symbol": a.symbol}) for a in result.axes},
+        }
     )
-    data.attrs = {
-        "title": f"Map of regimes: {found.scene.title}",
-        "scene": found.scene.name,
-        "scene_file": found.scene.text,
-        "observable": name,
-        "program": f"vibro-fpk {program_version()}",
-    }
+    for key, meaning in words.items():
+        tables = [result.table(lambda p, k=key, t=t: getattr(p, k).get(t)) for t in THEORIES]  # type: ignore[misc]
+        data[key] = (("theory", *keys), np.array(tables), {"long_name": meaning})
+    ratio = {"long_name": "smallest clearance over rms displacement without contact"}
+    data["rms_ratio"] = (keys, result.table(lambda p: p.rms_ratio), ratio)
+    data["winner"] = (keys, result.table(lambda p: p.winner))
+    data["reference"] = (keys, result.table(lambda p: p.reference))
+    data.attrs = {"observable": name}
     return data
 
 
-def map_csv(found: RegimeMap) -> str:
+def map_csv(result: RegimeMap) -> str:
     """Return one line a point: parameters, L1 and error of each theory, winner, reference."""
     stream = StringIO()
     lines = csv.writer(stream, lineterminator="\n")
     theories = [f"{word} {theory}" for theory in THEORIES for word in ("L1", "error")]
-    keys = [axis.key for axis in found.axes]
-    lines.writerow([*keys, *theories, "winner", "reference", "rms_ratio"])
-    for p in found.points:
+    lines.writerow([*(a.key for a in result.axes), *theories, "winner", "reference", "rms_ratio"])
+    for p in result.points:
         numbers = [part.get(theory, "") for theory in THEORIES for part in (p.L1, p.error)]
         ratio = "" if p.rms_ratio is None else p.rms_ratio
         lines.writerow([*p.values, *numbers, p.winner, p.reference, ratio])
     return stream.getvalue()
 
 
-def map_markdown(found: RegimeMap) -> str:
+def map_markdown(result: RegimeMap) -> str:
     """Return the points as a table, and how often each theory is nearer."""
-    head = [a.symbol for a in found.axes] + [f"L1 {t}" for t in THEORIES] + ["nearer", "δ / rms"]
-    lines = [f"# {found.scene.title}", "", map_summary(found), ""]
-    lines += ["| " + " | ".join(head) + " |", "|" + "---:|" * len(head)]
-    for p in found.points:
-        cells = [f"{v:.4g}" for v in p.values]
-        cells += [
-            f"{p.L1[t]:.4f} ± {p.error[t]:.4f}" if t in p.L1 else "does not apply" for t in THEORIES
-        ]
-        cells += [p.winner, "–" if p.rms_ratio is None else f"{p.rms_ratio:.2f}"]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+    head = (*(a.symbol for a in result.axes), *(f"L1 {t}" for t in THEORIES), "nearer", "δ / rms")
+    rows = [
+        (
+            *(f"{v:.4g}" for v in p.values),
+            *(
+                f"{p.L1[t]:.4f} ± {p.error[t]:.4f}" if t in p.L1 else "does not apply"
+                for t in THEORIES
+            ),
+            p.winner,
+            None if p.rms_ratio is None else f"{p.rms_ratio:.2f}",
+        )
+        for p in result.points
+    ]
+    return markdown_text(result.scene.title, [Table("", head, rows, (map_summary(result),))])
 
 
-def map_summary(found: RegimeMap) -> str:
+def map_summary(result: RegimeMap) -> str:
     """Return in one sentence how often each theory is nearer."""
-    counts = {
-        name: sum(p.winner == name for p in found.points)
-        for name in (*THEORIES, UNDECIDED, NEITHER)
-    }
+    names = (*THEORIES, UNDECIDED, NEITHER)
+    counts = {name: sum(p.winner == name for p in result.points) for name in names}
     words = ", ".join(f"{name} {count}" for name, count in counts.items() if count)
     return (
-        f"p({observable_name(found.observable)}), {len(found.points)} points"
-        f" ({found.reused} from disk), nearer to the full system: {words}"
+        f"p({observable_name(result.observable)}), {len(result.points)} points"
+        f" ({result.reused} from disk), nearer to the full system: {words}"
     )

@@ -3,31 +3,30 @@
 from dataclasses import dataclass
 from time import perf_counter
 
-from cases.comparison.claims import reference_of, theory_of
-from cases.comparison.compare import distance_between, route_name
-from cases.comparison.routes import ROUTES, Request, Sampling, method_for
+from cases.comparison.compare import distance_between
+from cases.studies.full_system import deterministic
 from fpk.clearance import stop_clearances
 from fpk.density import AnyDensity
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.method import Progress, silent
+from fpk.method import Method
 from fpk.observable import Observable
 from fpk.system import System
+from sim.montecarlo import MonteCarlo
 
 THEORIES = ("nonintegrable", "integrable")
+"""Averaged methods that are mapped, in the order of the pictures."""
 UNDECIDED, NEITHER = "undecided", "neither"
-
-MAP_RELAXATIONS = 38.0
-"""Relaxation times sampled on a path: chance moves L1 of one displacement by about 0.001."""
 
 
 @dataclass(frozen=True)
 class MapPoint:
-    """What was found at one grid point.
+    """What was measured at one grid point.
 
-    ``L1`` and ``error`` by theory; a theory that does not apply is left out. ``reference`` is what
-    they are held against. ``rms_ratio``: the smallest clearance over the rms displacement without
-    contact. ``winner``: the nearer theory, "undecided" where the difference is within ``error``,
-    "neither" where no theory applies. ``problems``: what failed or was not certified.
+    ``L1`` and ``error`` by theory; a theory that does not apply is left out. ``reference`` is the
+    route that they are held against. ``rms_ratio``: the smallest clearance over the rms
+    displacement without contact. ``winner``: the nearer theory, "undecided" where the difference is
+    within ``error``, "neither" where no theory applies. ``problems``: what failed or was not
+    certified.
     """
 
     values: tuple[float, ...]
@@ -41,43 +40,44 @@ class MapPoint:
 
 
 def map_point(
-    system: System,
-    observable: Observable,
-    values: tuple[float, ...],
-    *,
-    sampling: Sampling,
-    progress: Progress = silent,
+    system: System, observable: Observable, values: tuple[float, ...], simulation: MonteCarlo
 ) -> MapPoint:
-    """Return what each theory is worth for ``observable`` of ``system``."""
+    """Return what each theory is worth for ``observable`` of ``system``.
+
+    The reference is the first route that solves the full system, ``simulation`` where none does; a
+    theory's answer is that of its first solver that gives the observable.
+    """
     start = perf_counter()
-    found: dict[str, AnyDensity] = {}
+    theories: dict[str, Method] = {}
+    for method in deterministic(system, observable, "averaged"):
+        theories.setdefault(method.route.method, method)
+    exact = deterministic(system, observable, "full")
     problems: list[str] = []
-    for name in ("exact", *(n for n in THEORIES if ROUTES[n].make), "montecarlo"):
-        if name == "montecarlo" and "exact" in found:
-            continue
-        solver = "closed-form" if "closed-form" in ROUTES[name].solvers else None
-        method = method_for(Request(name, solver, sampling=sampling))
-        if method.refusal(system, observable) is not None:
-            continue
+
+    def solved(method: Method) -> AnyDensity | None:
+        name = method.route.method
         try:
-            density = method.solve(system, [observable], progress=progress).densities[0]
+            (density,) = method.solve(system, [observable]).densities
         except (NotApplicable, NotCertified, InvalidInput) as error:
             problems.append(f"{name}: {error}")
-            continue
-        problems += [f"{name}: {failure}" for failure in density.certificate.failures]
-        found[route_name(method)] = density
-    reference = reference_of(found)
+            return None
+        problems.extend(f"{name}: {failure}" for failure in density.certificate.failures)
+        return density
+
+    full = exact[0] if exact else simulation
+    reference = solved(full)
+    answers = {name: solved(theories[name]) for name in THEORIES if name in theories}
     distances = {
-        name: distance_between(theory, reference)
-        for name in THEORIES
-        if (theory := theory_of(found, name)) is not None and reference is not None
+        name: distance_between(density, reference)
+        for name, density in answers.items()
+        if density is not None and reference is not None
     }
     ratios = [s.ratio for s in stop_clearances(system) if s.ratio is not None]
     return MapPoint(
         values=values,
         L1={name: d[0] for name, d in distances.items()},
         error={name: d[1] for name, d in distances.items()},
-        reference="" if reference is None else next(r for r, d in found.items() if d is reference),
+        reference="" if reference is None else full.route.label,
         rms_ratio=min(ratios, default=None),
         winner=winner_of(distances),
         problems=tuple(problems),

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from os.path import lexists
 from pathlib import Path
 from typing import Any
@@ -15,26 +15,45 @@ from cases.studies.regime_map.points import MapPoint
 
 NAME = "points.jsonl"
 
-FORMAT = 2
-"""Of the lines; from 2 on each ends with its own hash."""
+FORMAT = 3
+"""Version of the lines: each ends with its own hash, the first holds a ``MapIdentity``."""
 
 MAX_BYTES = 64 << 20
 """Some hundred times the points that a map may have."""
 
 
+@dataclass(frozen=True)
+class MapIdentity:
+    """Everything that a point's numbers depend on beside its own values.
+
+    ``scene`` is the text of its file, ``keys`` are the parameters that are varied; ``paths``,
+    ``time``, ``relaxations`` and ``seed`` are those of the simulation. Where and by how many
+    threads it is run changes nothing.
+    """
+
+    scene: str
+    observable: str
+    keys: tuple[str, ...]
+    paths: int
+    time: float | None
+    relaxations: float
+    seed: int
+    version: str
+
+
 class PointStore:
     """The points of one map in ``folder``, or in memory only where there is no folder.
 
-    ``identity`` is everything that a point's numbers depend on beside its own values; points of
-    another identity are refused, not mixed in, and so is a file of which any line is not what was
-    written. The one exception is a last line without its end, which is what a killed run leaves:
-    it is dropped, and ``note`` says so.
+    Points of another identity are refused, not mixed in, and so is a file of which any line is not
+    what was written. The one exception is a last line without its end, which is what a killed run
+    leaves: it is dropped, and ``note`` says so.
     """
 
-    def __init__(self, folder: Path | None, identity: dict[str, Any]) -> None:
+    def __init__(self, folder: Path | None, identity: MapIdentity) -> None:
         """Read what is there; raise ``BadInput`` for a file of another map or a damaged one."""
         self._path = None if folder is None else folder / NAME
-        self._head = {"map": hash_of({**identity, "format": FORMAT}), "identity": plain(identity)}
+        record = plain(asdict(identity))
+        self._head = {"map": hash_of({**record, "format": FORMAT}), "identity": record}
         self.points: dict[tuple[float, ...], MapPoint] = {}
         self.note: str | None = None
         if self._path is not None:
@@ -44,7 +63,7 @@ class PointStore:
                 write_text(self._path, "".join(lines))
 
     def add(self, point: MapPoint) -> None:
-        """Keep a finished point, on disk before anything else is done."""
+        """Store a finished point, on disk before anything else is done."""
         self.points[point.values] = point
         if self._path is not None:
             try:
@@ -76,8 +95,8 @@ class PointStore:
             if replace(known, seconds=point.seconds) != point:  # two runs at once write it twice
                 raise _damaged(path, number, "has other numbers than an earlier line of its point")
         if rest:
-            kept = len(self.points)
-            self.note = f"{path}: the last line was cut off and is dropped; {kept} points are kept"
+            count = len(self.points)
+            self.note = f"{path}: the last line was cut off and is dropped; {count} points are kept"
         return not rest
 
 
@@ -104,8 +123,8 @@ def _record(line: str) -> dict[str, Any]:
     """Return the record of one line, or nothing where it is not as ``_line`` wrote it."""
     try:
         record = json.loads(line)
-        said = record.pop("hash")
-        return record if said == hash_of(record) else {}
+        stated = record.pop("hash")
+        return record if stated == hash_of(record) else {}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return {}
 
