@@ -236,7 +236,9 @@ def _priced(equation: Equation, first: Discretisation) -> Priced | NotTimed:
     coldest = replace(points[0].timing, first=max(0.0, compiling - points[0].seconds))
     points[0] = replace(points[0], timing=coldest)
     of = observable_name(equation.observable)
-    return Priced(first.name, equation.name, f"numerical: L1 of p({of}), {equation.name}", tuple(points))
+    return Priced(
+        first.name, equation.name, f"numerical: L1 of p({of}), {equation.name}", tuple(points)
+    )
 
 
 def _models(system: System, reference: FullReference) -> list[Model]:

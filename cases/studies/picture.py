@@ -16,6 +16,8 @@ MARKERS = "osD^vXPh"
 DASHES: Any = (0, (4, 2))
 HALO: Any = {"boxstyle": "square,pad=0.1", "fc": "#f4f4f4", "ec": "none", "alpha": 0.85}
 """Behind words that a curve may cross."""
+NOTHING = (1e-16, 1.0)
+"""Ends of the axis of errors where all of them are zero."""
 SMALL = 7.0
 """Size of words inside a panel, in points."""
 
@@ -76,8 +78,9 @@ def _draw(axes: Axes, panel: Panel, names: Sequence[str]) -> None:
         k = names.index(curve.name)
         _draw_curve(axes, curve, COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)])
     axes.set(title=panel.title, xlabel=panel.x, ylabel=panel.y)
-    if panel.limits is not None:
-        axes.set_ylim(panel.limits)
+    nothing = not any(np.any(np.asarray(curve.y) > 0.0) for curve in panel.curves)
+    if panel.limits or nothing:
+        axes.set_ylim(panel.limits or NOTHING)
     if panel.floor is not None:
         axes.axhspan(axes.get_ylim()[0], panel.floor, color=INK, alpha=0.08, lw=0)
         _words_at(axes, panel.floor, "floor: error of the reference", below=True)

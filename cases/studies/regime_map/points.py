@@ -1,12 +1,13 @@
 """One point of a map: the distance of each theory to the full system, and which is nearer."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from time import perf_counter
 
 from cases.comparison.compare import distance_between
 from cases.studies.full_system import deterministic
 from fpk.clearance import stop_clearances
-from fpk.density import AnyDensity
+from fpk.density import AnyDensity, Density
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.method import Method
 from fpk.observable import Observable
@@ -44,45 +45,55 @@ def map_point(
 ) -> MapPoint:
     """Return what each theory is worth for ``observable`` of ``system``.
 
-    The reference is the first route that solves the full system, ``simulation`` where none does; a
-    theory's answer is that of its first solver that gives the observable.
+    The reference is a route that solves the full system, ``simulation`` where none does. Of several
+    solvers the certified answer with the smallest stated error counts.
     """
     start = perf_counter()
-    theories: dict[str, Method] = {}
-    for method in deterministic(system, observable, "averaged"):
-        theories.setdefault(method.route.method, method)
-    exact = deterministic(system, observable, "full")
     problems: list[str] = []
-
-    def solved(method: Method) -> AnyDensity | None:
-        name = method.route.method
-        try:
-            (density,) = method.solve(system, [observable]).densities
-        except (NotApplicable, NotCertified, InvalidInput) as error:
-            problems.append(f"{name}: {error}")
-            return None
-        problems.extend(f"{name}: {failure}" for failure in density.certificate.failures)
-        return density
-
-    full = exact[0] if exact else simulation
-    reference = solved(full)
-    answers = {name: solved(theories[name]) for name in THEORIES if name in theories}
-    distances = {
-        name: distance_between(density, reference)
-        for name, density in answers.items()
-        if density is not None and reference is not None
-    }
+    exact = deterministic(system, observable, "full")
+    reference = _best(exact or [simulation], system, observable, problems)
+    averaged = deterministic(system, observable, "averaged")
+    distances = {}
+    for theory in THEORIES:
+        own = [m for m in averaged if m.route.method == theory]
+        answer = _best(own, system, observable, problems) if own else None
+        if answer is not None and reference is not None:
+            distances[theory] = distance_between(answer[1], reference[1])
     ratios = [s.ratio for s in stop_clearances(system) if s.ratio is not None]
     return MapPoint(
         values=values,
         L1={name: d[0] for name, d in distances.items()},
         error={name: d[1] for name, d in distances.items()},
-        reference="" if reference is None else full.route.label,
+        reference="" if reference is None else reference[0],
         rms_ratio=min(ratios, default=None),
         winner=winner_of(distances),
         problems=tuple(problems),
         seconds=perf_counter() - start,
     )
+
+
+def _best(
+    methods: Sequence[Method], system: System, observable: Observable, problems: list[str]
+) -> tuple[str, AnyDensity] | None:
+    """Return the best answer with its route's label; say in ``problems`` what is wrong with it."""
+    answers: list[tuple[Method, AnyDensity]] = []
+    refusals = []
+    for method in methods:
+        try:
+            answers.append((method, method.solve(system, [observable]).densities[0]))
+        except (NotApplicable, NotCertified, InvalidInput) as error:
+            refusals.append(f"{method.route.label}: {error}")
+    if not answers:
+        problems.extend(refusals)
+        return None
+    method, density = min(answers, key=lambda a: (not a[1].certificate.certified, _stated(a[1])))
+    label = method.route.label
+    problems.extend(f"{label}: {failure}" for failure in density.certificate.failures)
+    return label, density
+
+
+def _stated(density: AnyDensity) -> float:
+    return density.l1_error if isinstance(density, Density) else 0.0
 
 
 def winner_of(distances: dict[str, tuple[float, float]]) -> str:
