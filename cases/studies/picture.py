@@ -16,8 +16,8 @@ MARKERS = "osD^vXPh"
 DASHES: Any = (0, (4, 2))
 HALO: Any = {"boxstyle": "square,pad=0.1", "fc": "#f4f4f4", "ec": "none", "alpha": 0.85}
 """Behind words that a curve may cross."""
-NOTHING = (1e-16, 1.0)
-"""Ends of the axis of errors where all of them are zero."""
+ROUND_OFF = 1e-16
+"""Where an error of zero is drawn: a rounding error of one."""
 SMALL = 7.0
 """Size of words inside a panel, in points."""
 
@@ -74,13 +74,12 @@ def study_figure(panels: Sequence[Panel], *, width: float = 4.3, height: float =
 
 def _draw(axes: Axes, panel: Panel, names: Sequence[str]) -> None:
     axes.set(xscale="log" if panel.logarithmic else "linear", yscale="log")
+    if panel.limits is not None:
+        axes.set_ylim(panel.limits)
     for curve in panel.curves:
         k = names.index(curve.name)
         _draw_curve(axes, curve, COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)])
     axes.set(title=panel.title, xlabel=panel.x, ylabel=panel.y)
-    nothing = not any(np.any(np.asarray(curve.y) > 0.0) for curve in panel.curves)
-    if panel.limits or nothing:
-        axes.set_ylim(panel.limits or NOTHING)
     if panel.floor is not None:
         axes.axhspan(axes.get_ylim()[0], panel.floor, color=INK, alpha=0.08, lw=0)
         _words_at(axes, panel.floor, "floor: error of the reference", below=True)
@@ -96,7 +95,7 @@ def _draw(axes: Axes, panel: Panel, names: Sequence[str]) -> None:
 
 
 def _draw_curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:
-    x, y = np.asarray(curve.x, dtype=float), np.asarray(curve.y, dtype=float)
+    x, y = np.asarray(curve.x, dtype=float), np.maximum(np.asarray(curve.y, float), ROUND_OFF)
     line: Any = "none" if not curve.joined else ":" if curve.open else "-"
     axes.plot(
         x, y, color=colour, marker=marker, markersize=3.6, lw=1.2, ls=line,
