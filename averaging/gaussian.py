@@ -1,20 +1,19 @@
 """The Gaussian stationary density of a system without contacts, exact for any damping and noise."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
-from scipy.stats import gamma as gamma_distribution
-from scipy.stats import multivariate_normal, norm
+from scipy.linalg import qr, solve_triangular
 
-from fpk.certificate import Certificate
-from fpk.density import Density
+from averaging.gamma_sum import gamma_sum_density
+from fpk.certificate import Measured
+from fpk.density import Density, certified_density
 from fpk.errors import NotApplicable
-from fpk.linear import diffusion_matrix, drift_matrix, stationary_covariance
-from fpk.method import Method, Plan, Progress, Result
+from fpk.linear import LinearCovariance, linear_covariance
+from fpk.method import Method, Plan, Progress, Result, check_solver
 from fpk.observable import Observable, observable_name
 from fpk.route import ROUTES, Route, register
 from fpk.system import System
@@ -23,10 +22,16 @@ Array = NDArray[np.float64]
 Provenance = Mapping[str, str | float | int]
 
 REACH = 8.5
-"""Half-width of the support in standard deviations; 2e-17 of the mass lies beyond."""
-SERIES_TERMS = 2000
-LARGEST_ERROR = 1e-6
-"""Relative error of the covariance, a bound from the residual, above which it is not certified."""
+"""Half-width of the support in standard deviations."""
+TAIL = 1.9e-17
+"""Probability of one coordinate beyond ``REACH`` on both sides, erfc(8.5/√2)."""
+WIDTH = 3.0
+"""Largest width of a panel in standard deviations of one coordinate given the other."""
+PANELS = (17, 120)
+"""Least and largest number of panels along an axis. More than the latter would be needed for
+correlations above 0.999; the mass is measured in uncorrelated coordinates then."""
+EPS = float(np.finfo(float).eps)
+PROVENANCE: Provenance = {"equation": "Lyapunov"}
 
 
 @dataclass(frozen=True)
@@ -34,8 +39,14 @@ class Linear(Method):
     """Gaussian density with the covariance of the Lyapunov equation, for a scene without contact.
 
     It is the exact stationary density of the full linear system; averaging does not reproduce it
-    unless (8) holds, and the difference is the averaging error.
+    unless (8) holds, and the difference is the averaging error. ``tol`` is the L1 tolerance.
     """
+
+    tol: float = 1e-10
+
+    def __post_init__(self) -> None:
+        """Refuse a tolerance that double precision cannot meet."""
+        check_solver(self.solver, (self.solver,), self.tol)
 
     @property
     def route(self) -> Route:
@@ -46,8 +57,8 @@ class Linear(Method):
         """Return the plan for ``system``; raise ``NotApplicable`` where it is not Gaussian."""
         if system.contacts:
             raise NotApplicable("the system has contacts, so its density is not Gaussian")
-        covariance = stationary_covariance(system)
-        if np.min(np.diag(covariance)) <= 0:
+        modal = system.fact(linear_covariance)
+        if np.max(modal.variance) <= 0.0:
             raise NotApplicable("no noise reaches a mass, so its density is concentrated at rest")
 
         def refusal(observable: Observable) -> str | None:
@@ -60,125 +71,94 @@ class Linear(Method):
             return None
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
-            A, b = drift_matrix(system), diffusion_matrix(system)
-            residual = A @ covariance + covariance @ A.T + b
-            error = float(np.max(np.abs(residual)) / np.max(np.abs(A @ covariance)))
-            # The covariance answers the residual through the slowest mode.
-            rate = -float(np.max(np.linalg.eigvals(A).real))
-            relative = error * max(1.0, float(np.max(np.abs(np.linalg.eigvals(A)))) / rate)
-            densities = tuple(
-                _energy(system, covariance, o, relative)
-                if o[0].kind == "H"
-                else gaussian_density(
-                    covariance, o, relative=relative, provenance={"equation": "Lyapunov"}
-                )
-                for o in observables
-            )
-            return Result(self, densities, settings={"equation": "Lyapunov"})
+            densities = tuple(self._density(system, modal, o) for o in observables)
+            return Result(self, densities, settings=PROVENANCE)
 
         return Plan(refusal, solve)
 
     def refined(self) -> Self:
-        """Return itself: there is nothing to refine."""
-        return self
+        """Return the method with a tolerance ten times smaller, down to 1e-12."""
+        return replace(self, tol=max(0.1 * self.tol, 1e-12))
 
-
-def _certificate(residual: float, tail: float) -> Certificate:
-    failures: tuple[str, ...] = ()
-    if not residual < LARGEST_ERROR:
-        failures = (f"the covariance is known to a relative {residual:.2g} only",)
-    return Certificate(
-        mass_defect=tail, minimum=0.0, residual=residual, tail_mass=tail, failures=failures
-    )
+    def _density(self, system: System, modal: LinearCovariance, observable: Observable) -> Density:
+        if observable[0].kind == "H":
+            # H = ½ |x|² of x = (ω Q, P): a sum of gamma variables of shape ½ with the scales λ_j.
+            return gamma_sum_density(
+                np.maximum(modal.variance, 0.0),
+                0.5,
+                modal.variance_error,
+                observable,
+                residual=modal.residual,
+                tol=self.tol,
+                provenance=PROVENANCE,
+            )
+        root = modal.axes * np.sqrt(np.maximum(modal.variance, 0.0))
+        n = system.n
+        factor = np.vstack(
+            [
+                (modal.shapes / modal.omega) @ root[:n],
+                system.mass[:, None] * modal.shapes @ root[n:],
+            ]
+        )
+        return gaussian_density(
+            factor,
+            observable,
+            relative=modal.relative_error,
+            residual=modal.residual,
+            tol=self.tol,
+            provenance=PROVENANCE,
+        )
 
 
 def gaussian_density(
-    covariance: Array, observable: Observable, *, relative: float, provenance: Provenance
+    factor: Array,
+    observable: Observable,
+    *,
+    relative: float,
+    residual: float,
+    tol: float,
+    provenance: Provenance | None = None,
 ) -> Density:
-    """Return the density of one or two of x = (q, p) from the covariance of x, shape (2n, 2n).
+    """Return the density of one or two of x = (q, p) = F ξ, ξ independent standard Gaussians.
 
-    ``relative`` is the relative error of the covariance, as a quadratic form.
+    ``factor`` F (2n, k), so that F Fᵀ is the covariance; nothing of it is lost between strongly
+    correlated coordinates. ``relative`` is the relative error of the covariance as a quadratic
+    form, ``residual`` that of the equation which it solves.
     """
-    n = covariance.shape[0] // 2
-    rows = [(c.index or 0) + (n if c.kind == "p" else 0) for c in observable]
-    part = covariance[np.ix_(rows, rows)]
-    scale = np.sqrt(np.diag(part))
-    count = scale.size
-    correlation = part / np.outer(scale, scale)
-    # Round-off of the single elements counts by the norm of R⁻¹; ``relative`` is that of the form.
-    relative += 1e-15 * count / float(np.linalg.eigvalsh(correlation)[0])
-    panels = tuple(np.linspace(-REACH * s, REACH * s, 18) for s in scale)
-    tail = 2.0 * count * float(norm.sf(REACH))
+    n = factor.shape[0] // 2
+    rows = factor[[(c.index or 0) + (n if c.kind == "p" else 0) for c in observable]]
+    count = len(observable)
+    scale = np.linalg.norm(rows, axis=1)
+    # x/scale = L y with independent standard y: L of the rows' QR.
+    L = np.asarray(qr((rows / scale[:, None]).T, mode="r")[0][:count].T)
+    # Round-off of the rows counts by the condition of L.
+    relative += 8.0 * EPS * factor.shape[1] * float(np.linalg.cond(L))
+    norm = (2.0 * np.pi) ** (-0.5 * count) / float(np.abs(np.prod(np.diag(L))) * np.prod(scale))
+    pieces = int(np.clip(np.ceil(2.0 * REACH / WIDTH / np.min(np.abs(np.diag(L)))), *PANELS))
+    panels = tuple(np.linspace(-REACH * s, REACH * s, pieces + 1) for s in scale)
 
-    def pdf(*x: Array) -> Array:
-        points = np.stack(np.broadcast_arrays(*x), axis=-1).astype(float)
-        return np.asarray(multivariate_normal(cov=part).pdf(points)).reshape(points.shape[:-1])
+    standard = np.linspace(-REACH, REACH, PANELS[0] + 1)
+
+    def distance(x: Sequence[Array]) -> Array:
+        z = np.stack(np.broadcast_arrays(*x), axis=0) / scale.reshape(-1, *[1] * np.ndim(sum(x)))
+        y = solve_triangular(L, z.reshape(count, -1), lower=True)
+        return np.asarray(np.sum(y * y, axis=0).reshape(z.shape[1:]))
 
     def pointwise(*x: Array) -> Array:
-        # With z = x/scale and correlations R: d ln p = ½ zᵀR⁻¹ dR R⁻¹z − ½ tr(R⁻¹ dR), and
-        # |dR| <= relative R in the sense of quadratic forms.
-        z = np.stack(np.broadcast_arrays(*x), axis=-1) / scale
-        distance = np.einsum("...i,ij,...j->...", z, np.linalg.inv(correlation), z)
-        return np.asarray(relative * 0.5 * (distance + count) * pdf(*x))
+        # d ln p = ½ yᵀ E y − ½ tr E, where E = L⁻¹ dR L⁻ᵀ is at most ``relative`` in norm.
+        square = distance(x)
+        return np.asarray(0.5 * relative * (square + count) * norm * np.exp(-0.5 * square))
 
-    l1_error = 2.0 * count * relative + tail
-    return Density(
+    tail = TAIL * count
+    return certified_density(
         observable,
         panels,
-        pdf,
+        lambda *x: norm * np.exp(-0.5 * distance(x)),
         pointwise,
-        l1_error,
-        _certificate(relative, tail),
-        provenance,
-    )
-
-
-def _energy(system: System, covariance: Array, observable: Observable, relative: float) -> Density:
-    """Density of H, a positive quadratic form of a Gaussian vector, as a series of gamma densities.
-
-    Moschopoulos (1985), Ann. Inst. Statist. Math. 37, 541-544: H = ½ Σ λ_j χ²_1 is a mixture of
-    gamma densities of the least scale with positive weights, so the weight left out is the error.
-    """
-    n = system.n
-    G = np.zeros((2 * n, 2 * n))
-    G[:n, :n] = system.stiffness_matrix
-    G[n:, n:] = np.diag(1.0 / system.mass)
-    # H = ½ xᵀ G x: scales λ_j of ½ λ_j χ²_1, a gamma density of shape ½ and scale λ_j.
-    scales = eigh(covariance, np.linalg.inv(G), eigvals_only=True)
-    least = float(scales[0])
-    ratio = 1.0 - least / scales
-    weights = np.zeros(SERIES_TERMS)
-    weights[0] = np.prod(np.sqrt(least / scales))
-    powers = 0.5 * np.sum(np.cumprod(np.tile(ratio, (SERIES_TERMS, 1)), axis=0), axis=1)
-    count = SERIES_TERMS
-    for k in range(1, SERIES_TERMS):
-        weights[k] = np.dot(powers[:k], weights[k - 1 :: -1][:k]) / k
-        if 1.0 - weights[: k + 1].sum() < 1e-15:
-            count = k + 1
-            break
-    weights = weights[:count]
-    left_out = max(1.0 - float(weights.sum()), 0.0)
-    end = float(scales[-1]) * 40.0 + float(np.sum(scales))
-    tail = float(gamma_distribution.sf(end, n, scale=scales[-1]))
-    shapes = n + np.arange(count)
-
-    def pdf(energy: Array) -> Array:
-        x = np.asarray(energy, dtype=float)
-        terms = gamma_distribution.pdf(x[..., None], shapes, scale=least)
-        return np.asarray(terms @ weights)
-
-    def pointwise(energy: Array) -> Array:
-        x = np.asarray(energy, dtype=float) / least
-        return np.asarray((relative + 1e-15) * (x + n) * pdf(energy) + left_out / least)
-
-    return Density(
-        observable,
-        (np.linspace(0.0, end, 41),),
-        pdf,
-        pointwise,
-        4.0 * n * (relative + 1e-15) + left_out + tail,
-        _certificate(relative, tail + left_out),
-        {"equation": "Lyapunov"},
+        measured=Measured(count * relative + tail, np.nan, np.inf, residual, tail),
+        tol=tol,
+        frame=(scale[:, None] * L, (standard,) * count) if pieces == PANELS[1] else None,
+        provenance=provenance,
     )
 
 

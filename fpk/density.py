@@ -78,6 +78,7 @@ def certified_density(
     measured: Measured,
     tol: float,
     added_error: Callable[..., Array] | None = None,
+    frame: tuple[Array, tuple[Array, ...]] | None = None,
     provenance: Mapping[str, str | float | int] | None = None,
 ) -> Density:
     """Return a density with its certificate: the one place where densities by a function are made.
@@ -87,9 +88,15 @@ def certified_density(
     ``pointwise``, the part of the error at points that is not in ``measured.l1_error`` (that of
     integrating coordinates out, say); its integral is added. The mass and the smallest value are
     measured here, on the density itself: whatever a caller believes of them does not count.
+    ``frame``, a matrix F and panels, has them measured at x = F y on panels of y: for coordinates
+    so strongly correlated that no affordable panels of x resolve the ridge.
     """
-    grids = [_quadrature(nodes, len(panels)) for nodes in panels]
+    jacobian, axes = (np.eye(len(panels)), panels) if frame is None else frame
+    grids = [_quadrature(nodes, len(panels)) for nodes in axes]
     mesh = np.meshgrid(*(x for x, _ in grids), indexing="ij", sparse=True)
+    if frame is not None:
+        mesh = list(np.einsum("ij,j...->i...", jacobian, np.array(np.broadcast_arrays(*mesh))))
+        grids[0] = (grids[0][0], grids[0][1] * abs(float(np.linalg.det(jacobian))))
     values = np.asarray(pdf(*mesh))
     largest = float(values.max(initial=0.0))
     smallest = float(values.min(initial=0.0)) / largest if largest > 0.0 else np.nan

@@ -1,5 +1,6 @@
 """Modal analysis of the chain without contacts, Eqs. (12)-(16)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -25,14 +26,16 @@ class ModalAnalysis:
     """Modes of K T = M T ω², ascending, with damping and noise in modal coordinates.
 
     ``X = T Q`` (14), so that ``P = Tᵀ p`` are the modal momenta. ``mode_shapes`` T (n, n), one mode
-    a column; ``modal_mass`` M* and ``modal_stiffness`` K* (n,); ``modal_damping`` c* = Tᵀ c T and
-    ``modal_noise`` D* = Tᵀ (f D fᵀ) T (n, n), E[W*_i W*_j'] = 2 D*_ij δ; ``natural_frequency`` (n,)
-    in radians per time. ``relative_error`` estimates the round-off of what is built from them.
+    a column; ``momentum_shapes`` T⁻ᵀ = M T M*⁻¹ (n, n), so that p = T⁻ᵀ P; ``modal_mass`` M* and
+    ``modal_stiffness`` K* (n,); ``modal_damping`` c* = Tᵀ c T and ``modal_noise`` D* = Tᵀ f D fᵀ T
+    (n, n), E[W*_i W*_j'] = 2 D*_ij δ; ``natural_frequency`` (n,) in radians per time.
+    ``relative_error`` estimates the round-off of what is built from them.
     Where the damping depends on the state, ``modal_damping`` is its constant part, ``state`` has
     all of it, averaged, and ``balance`` (n,) the energies at which it balances the noise.
     """
 
     mode_shapes: Array
+    momentum_shapes: Array
     modal_mass: Array
     modal_stiffness: Array
     modal_damping: Array
@@ -74,6 +77,23 @@ class ModalAnalysis:
             return self.balance
         return np.asarray(self.noise / self.damping)
 
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """Return the groups of modes, ascending, within which a damping rate depends on another."""
+        return self.state.groups() if self.state else tuple((m,) for m in range(self.n))
+
+    def rate(self, mode: int) -> Array:
+        """Return γ(H) of a mode on which no other acts, coefficients in ascending powers of H."""
+        if self.state is None:
+            return np.array([self.damping[mode] / self.modal_mass[mode]])
+        return self.state.of_group((mode,)).along(0)
+
+    def rates(self, group: tuple[int, ...]) -> Callable[[Array], Array]:
+        """Return γ_m at energies (points, k) of a group of modes on which no other acts."""
+        if self.state is not None:
+            return self.state.of_group(group).rates
+        constant = (self.damping / self.modal_mass)[list(group)]
+        return lambda energies: constant
+
     @cached_property
     def linearised(self) -> "ModalAnalysis":
         """The modes with the constant damping equivalent to theirs at the balance; or themselves.
@@ -106,9 +126,11 @@ def modal_analysis(system: System) -> ModalAnalysis:
         for i in np.flatnonzero(np.diag(matrix) <= NOTHING * cancelling[k]):
             raise NotApplicable(f"mode {i + 1} (ω = {omega[i]:.4g}) {words}")
     worst = max(float(np.max(cancelling[k] / np.diag(matrix))) for _, matrix, k in checks)
+    mass = np.einsum("ri,r,ri->i", T, system.mass, T)
     modes = ModalAnalysis(
         mode_shapes=T,
-        modal_mass=np.einsum("ri,r,ri->i", T, system.mass, T),
+        momentum_shapes=system.mass[:, None] * T / mass,
+        modal_mass=mass,
         modal_stiffness=np.einsum("ri,rs,si->i", T, K, T),
         modal_damping=c,
         modal_noise=D,

@@ -1,28 +1,38 @@
 """From the modal energies to displacements and momenta by their characteristic function, (35)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j0
 
 from averaging.modal.analysis import ModalAnalysis
-from averaging.modal.blocks import EnergyDensity, joined_checks
-from fpk.density import Density
+from averaging.modal.groups import POINTS, joined
+from fpk.density import Density, certified_density
 from fpk.observable import Observable
+from fpk.quadrature import panel_rule
 
 Array = NDArray[np.float64]
-Blocks = Sequence[tuple[tuple[int, ...], EnergyDensity]]
 
 FIRST_BAND = 8.0
 """Wave number, in units of 1/rms, at which the search for the band begins: e^-32 for a Gaussian."""
 WIDER = 2.0**0.5
+"""Factor by which the band is widened at a time."""
 MOST_WAVES = 40_000
 """Waves beyond which the band is not widened; what is cut off goes into the error."""
 BEYOND = 3.0
 """What lies beyond the band over what lies in its last ring [s/√2, s]: 1/(√2 − 1) for s^-2."""
+PHASE = {1: 30.0, 2: 16.0}
+"""Radians over a panel that the rules of ``fpk.density`` (20 and 12 points) meet to 1e-9, by the
+number of coordinates."""
+HALF_PANELS = (4.0, 400.0)
+"""Least and largest number of panels on either side of 0."""
+LATTICE = 65
+"""Points along an axis at which the largest density and error are read off."""
 CHUNK = 4_000_000
+"""Numbers held at once: 32 MB."""
 EPS = float(np.finfo(float).eps)
 
 
@@ -58,84 +68,85 @@ class _Waves:
 
 
 def state_density(
-    modes: ModalAnalysis,
-    blocks: Blocks,
-    observable: Observable,
-    *,
-    tol: float,
-    provenance: Mapping[str, str | float | int],
+    modes: ModalAnalysis, groups: Sequence[Density], observable: Observable, *, tol: float
 ) -> Density:
     """Return the density of one or two displacements and momenta from that of the energies.
 
     An observed x is Σ_m √H_m (U_m cos φ_m + W_m sin φ_m), with X = T Q (14) and p_i = m_i Ẋ_i, and
     the phases are independent and uniform:
-    ``E e^{i s·x} = Π_blocks E Π_m J0(√H_m |(s·U_m, s·W_m)|)``, smooth at H = 0 as J0 is even.
+    ``E e^{i s·x} = Π_groups E Π_m J0(√H_m |(s·U_m, s·W_m)|)``, smooth at H = 0 as J0 is even.
     The support is bounded, so a sum over waves of that period has no aliasing error at all; what
     lies beyond the band is estimated from its outermost ring, by Parseval's equation. The
     transform itself does not increase an L1 error.
     Coordinates are made uncorrelated first, so that one band does for both.
     """
     U, W = wave_vectors(modes, observable)
-    grids = {block: energies.on_grid([24] * len(block)) for block, energies in blocks}
-    mean = np.zeros(modes.n)
-    for block, (axes, masses) in grids.items():
-        for k, m in enumerate(block):
-            shape = [-1 if axis == k else 1 for axis in range(len(block))]
-            mean[m] = float(np.sum(masses[0] * axes[k].reshape(shape)))
-    covariance = 0.5 * ((U * mean) @ U.T + (W * mean) @ W.T)
-    L = np.linalg.cholesky(covariance)
+    mean, furthest = np.zeros(modes.n), np.zeros(modes.n)
+    for group in groups:
+        axes, shares, _ = _on_grid(group, [POINTS] * len(group.panels))
+        for k, m in enumerate(_modes_of(group)):
+            others = tuple(axis for axis in range(len(axes)) if axis != k)
+            mean[m] = float(np.sum(shares, axis=others) @ axes[k])
+            furthest[m] = np.sqrt(group.panels[k][-1])
+    L = np.linalg.cholesky(0.5 * ((U * mean) @ U.T + (W * mean) @ W.T))
     inverse = np.linalg.inv(L)
-    furthest = np.zeros(modes.n)
-    for block, energies in blocks:
-        furthest[list(block)] = [np.sqrt(x[-1]) for x in energies.panels]
     box = np.hypot(inverse @ U, inverse @ W) @ furthest
-    waves = _waves(blocks, (inverse @ U, inverse @ W), box, 0.1 * tol)
-    l1_error = sum(energies.l1_error for _, energies in blocks)
-    relative = l1_error + modes.relative_error
-    round_off = EPS * waves.characteristic[0].size ** 0.5 * 8.0
+    waves = _waves(groups, (inverse @ U, inverse @ W), box, 0.1 * tol)
     area = float(np.prod(np.diag(L)))
 
     def both(x: Sequence[Array]) -> Array:
         points = np.stack(np.broadcast_arrays(*x), axis=-1).astype(float)
         y = points.reshape(-1, len(x)) @ inverse.T
         inside = np.all(np.abs(y) <= box, axis=1)
-        found = np.where(inside, waves(list(y.T)), 0.0) / area
-        return found.reshape(2, *points.shape[:-1])
+        values = np.where(inside, waves(list(y.T)), 0.0) / area
+        return np.asarray(values.reshape(2, *points.shape[:-1]))
+
+    own = modes.relative_error * 2.0 * len(observable)  # of T and ω, in the coordinates
+    relative = sum(group.l1_error for group in groups) + own
+    round_off = EPS * waves.characteristic[0].size ** 0.5 * 8.0
+    floor = waves.cut_off / area
+    floor += round_off * float(np.max(np.abs(both([np.zeros(1)] * len(observable)))))
 
     def pointwise(*x: Array) -> Array:
         p, error = both(x)
-        floor = waves.cut_off / area + round_off * float(np.max(np.abs(both_at_rest)))
         return np.asarray(np.abs(error) + relative * np.abs(p) + floor)
 
-    both_at_rest = both([np.zeros(1)] * len(observable))
     extent = np.hypot(U, W) @ furthest
-    highest = np.array([s * n for s, n in zip(waves.steps, waves.counts, strict=True)]) @ abs(
-        inverse
+    highest = [s * n for s, n in zip(waves.steps, waves.counts, strict=True)] @ np.abs(inverse)
+    lattice = [np.linspace(-e, e, LATTICE) for e in extent]
+    values, errors = both(np.meshgrid(*lattice, indexing="ij", sparse=True))
+    measured = joined(groups, own + BEYOND * _ring_norm(waves) + round_off)
+    absolute = (floor + float(np.max(np.abs(errors)))) / float(values.max())
+    # Panels over which the phase at the edge of the band, where next to nothing is left, turns by
+    # ``PHASE``, and no more of them than are affordable.
+    halves = np.ceil(np.clip(extent * highest / PHASE[len(observable)], *HALF_PANELS)).astype(int)
+    return certified_density(
+        observable,
+        tuple(np.linspace(-e, e, 1 + 2 * half) for e, half in zip(extent, halves, strict=True)),
+        lambda *x: both(x)[0],
+        pointwise,
+        measured=replace(measured, absolute_error=absolute),
+        tol=tol,
     )
-    per_panel = 30.0 if len(observable) == 1 else 16.0
-    # Phase over a panel that the rules of ``fpk.density`` (20 and 12 points) meet to 1e-9,
-    # relative to the band's edge, where next to nothing is left.
-    panels = tuple(
-        np.linspace(-e, e, 1 + 2 * int(np.ceil(min(max(e * h / per_panel, 4.0), 400.0))))
-        for e, h in zip(extent, highest, strict=True)
-    )
-    parseval = BEYOND * _ring_norm(waves) + round_off
-    checks = joined_checks([energies.certificate for _, energies in blocks])
-    error = l1_error + 2.0 * len(observable) * modes.relative_error + parseval
-    lattice = [np.linspace(-0.9 * e, 0.9 * e, 65) for e in extent]
-    values = both(np.meshgrid(*lattice, indexing="ij", sparse=True))[0]
-    checks = replace(checks, minimum=min(checks.minimum, float(values.min() / values.max())))
-    if not error <= tol and not checks.failures:
-        words = f"the estimated error {error:.2g} exceeds the tolerance {tol:.2g}"
-        checks = replace(checks, failures=(words,))
-    return Density(observable, panels, lambda *x: both(x)[0], pointwise, error, checks, provenance)
+
+
+def _modes_of(group: Density) -> list[int]:
+    return [c.index or 0 for c in group.observable]
+
+
+def _on_grid(group: Density, points: Sequence[int]) -> tuple[list[Array], Array, Array]:
+    """Gauss energies along each axis, and p and its error there times the weights."""
+    rules = [panel_rule(x, n) for x, n in zip(group.panels, points, strict=True)]
+    axes = [x.ravel() for x, _ in rules]
+    weights = reduce(np.multiply.outer, [w.ravel() for _, w in rules])
+    p, error = group.at(*np.meshgrid(*axes, indexing="ij", sparse=True))
+    return axes, p * weights, error * weights
 
 
 def wave_vectors(modes: ModalAnalysis, observable: Observable) -> tuple[Array, Array]:
     """Return U and W (observed, n) of x = Σ_m √H_m (U_m cos φ_m + W_m sin φ_m)."""
     U, W = np.zeros((len(observable), modes.n)), np.zeros((len(observable), modes.n))
-    # p = M T Q̇ = T⁻ᵀ M* Q̇: the momenta without the masses of the chain.
-    to_momenta = np.linalg.inv(modes.mode_shapes).T * np.sqrt(2.0 * modes.modal_mass)
+    to_momenta = modes.momentum_shapes * np.sqrt(2.0 * modes.modal_mass)  # p = T⁻ᵀ M* Q̇
     for k, coordinate in enumerate(observable):
         i = coordinate.index or 0
         if coordinate.kind == "q":
@@ -145,20 +156,22 @@ def wave_vectors(modes: ModalAnalysis, observable: Observable) -> tuple[Array, A
     return U, W
 
 
-def _waves(blocks: Blocks, vectors: tuple[Array, Array], box: Array, tol: float) -> _Waves:
+def _waves(
+    groups: Sequence[Density], vectors: tuple[Array, Array], box: Array, tol: float
+) -> _Waves:
     """Widen the band until what its outermost ring holds is below ``tol``, by Parseval in L1."""
     steps = tuple(float(np.pi / x) for x in box)
     band = FIRST_BAND
     while True:
         counts = tuple(int(np.ceil(band / step)) for step in steps)
-        found = _Waves(steps, counts, _characteristic(blocks, vectors, steps, counts), 0.0)
+        waves = _Waves(steps, counts, _characteristic(groups, vectors, steps, counts), 0.0)
         wider = np.prod([2.0 * WIDER * n + 1 for n in counts])
-        if BEYOND * _ring_norm(found) <= tol or wider > MOST_WAVES:
+        if BEYOND * _ring_norm(waves) <= tol or wider > MOST_WAVES:
             break
         band *= WIDER
-    total = float(np.sum(np.abs(found.characteristic[0]) * _ring(found)))
+    total = float(np.sum(np.abs(waves.characteristic[0]) * _ring(waves)))
     area = np.prod([step / (2.0 * np.pi) for step in steps])
-    return replace(found, cut_off=float(BEYOND * total * area))
+    return replace(waves, cut_off=float(BEYOND * total * area))
 
 
 def _ring(waves: _Waves) -> Array:
@@ -177,34 +190,34 @@ def _ring_norm(waves: _Waves) -> float:
 
 
 def _characteristic(
-    blocks: Blocks, vectors: tuple[Array, Array], steps: tuple[float, ...], counts: tuple[int, ...]
+    groups: Sequence[Density],
+    vectors: tuple[Array, Array],
+    steps: tuple[float, ...],
+    counts: tuple[int, ...],
 ) -> Array:
-    """φ at all waves, (2, K + 1, 2L + 1): of p, and Σ over blocks of its error times the rest."""
-    s = steps[0] * np.arange(counts[0] + 1)
-    if len(steps) == 1:
-        waves = s[:, None]
-        shape = (s.size, 1)
-    else:
-        t = steps[1] * np.arange(-counts[1], counts[1] + 1)
-        waves = np.stack([part.ravel() for part in np.meshgrid(s, t, indexing="ij")], axis=1)
-        shape = (s.size, t.size)
+    """φ at all waves, (2, K + 1, 2L + 1): of p, and Σ over groups of its error times the rest."""
+    along = [steps[0] * np.arange(counts[0] + 1)]
+    if len(steps) == 2:
+        along.append(steps[1] * np.arange(-counts[1], counts[1] + 1))
+    waves = np.stack([part.ravel() for part in np.meshgrid(*along, indexing="ij")], axis=1)
     size = np.hypot(waves @ vectors[0], waves @ vectors[1])  # (waves, n)
-    phi, doubt = np.ones(size.shape[0]), np.zeros(size.shape[0])
-    for block, energies in blocks:
-        found = _of_block(energies, size[:, list(block)])
-        doubt = doubt * found[0] + phi * found[1]
-        phi = phi * found[0]
-    return np.stack([phi, doubt]).reshape(2, *shape)
+    phi, doubt = np.ones(len(waves)), np.zeros(len(waves))
+    for group in groups:
+        own, error = _of_group(group, size[:, _modes_of(group)])
+        doubt = doubt * own + phi * error
+        phi = phi * own
+    return np.stack([phi, doubt]).reshape(2, counts[0] + 1, -1)
 
 
-def _of_block(energies: EnergyDensity, size: Array) -> Array:
-    """E Π J0(size_m √H_m), (2, waves), by Gauss rules that follow the phase over a panel."""
+def _of_group(group: Density, size: Array) -> tuple[Array, Array]:
+    """E Π J0(size_m √H_m) and its error, (waves,), by Gauss rules that follow the phase."""
     points = []
-    for nodes, z in zip(energies.panels, size.T, strict=True):
+    for nodes, z in zip(group.panels, size.T, strict=True):
         phase = float(np.max(np.diff(np.sqrt(nodes)))) * float(z.max(initial=0.0))
-        points.append(24 + 4 * int(np.ceil(0.15 * phase)))
-    axes, masses = energies.on_grid(points)
-    found = np.empty((2, size.shape[0]))
+        points.append(POINTS + 4 * int(np.ceil(0.15 * phase)))
+    axes, shares, errors = _on_grid(group, points)
+    masses = np.stack([shares, errors])
+    total = np.empty((2, size.shape[0]))
     step = max(CHUNK // sum(x.size for x in axes), 1)
     for start in range(0, size.shape[0], step):
         part = slice(start, start + step)
@@ -212,7 +225,7 @@ def _of_block(energies: EnergyDensity, size: Array) -> Array:
             j0(np.multiply.outer(z, np.sqrt(x))) for z, x in zip(size[part].T, axes, strict=True)
         ]
         if len(bessel) == 1:
-            found[:, part] = masses @ bessel[0].T
+            total[:, part] = masses @ bessel[0].T
         else:
-            found[:, part] = np.einsum("cwx,wx->cw", bessel[0] @ masses, bessel[1])
-    return found
+            total[:, part] = np.einsum("cwx,wx->cw", bessel[0] @ masses, bessel[1])
+    return total[0], total[1]

@@ -20,15 +20,15 @@ def growth_reason(damping: StateDamping) -> str | None:
     leading part vanishes is judged by the rest of the polynomial where that is possible. Groups of
     three modes and more are not judged.
     """
-    for block in damping.blocks():
-        rates = damping.of_block(block)
-        if len(block) == 1 and rates.polynomial()[-1] <= 0.0:
+    for group in damping.groups():
+        rates = damping.of_group(group)
+        if len(group) == 1 and rates.along(0)[-1] <= 0.0:
             return (
-                f"mode {block[0] + 1}: its damping is not positive at high energy, so its energy "
+                f"mode {group[0] + 1}: its damping is not positive at high energy, so its energy "
                 "grows for ever"
             )
-        if len(block) == 2 and (share := _growing_ray(rates)) is not None:
-            first, second = (f"H{m + 1}" for m in block)
+        if len(group) == 2 and (share := _growing_ray(rates)) is not None:
+            first, second = (f"H{m + 1}" for m in group)
             return (
                 f"the damping feeds energy in at high energy, where {first} : {second} approaches "
                 f"{share:.3g} : {1.0 - share:.3g}, so they grow for ever"

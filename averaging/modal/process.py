@@ -1,9 +1,10 @@
 """Averaged modal energies as diffusion processes, Eqs. (17), (18), (32), (33)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
+from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
@@ -30,64 +31,42 @@ def modal_process(system: System) -> Process:
 
 
 def modes_process(modes: ModalAnalysis, chosen: Sequence[int]) -> Process:
-    """Return the averaged energies of some modes (counted from 0), as no other acts on them."""
+    """Return the averaged energies of some modes (counted from 0), as no other acts on them.
+
+    One alone is a square-root (CIR) process, Eq. (33): with constant damping no mode knows of
+    another. The density of states is the period, a constant, and H = 0 is the critical case
+    2 s(0)/b' = 1: an entrance, p(0) finite and positive. The same holds of a mode whose damping
+    γ(H) depends on its own energy alone.
+    """
     index = list(chosen)
+    scales = tuple(float(theta) for theta in modes.temperature[index])
     if len(index) == 1:
-        return mode_process(modes, index[0])
-    noise = (modes.noise / modes.modal_mass)[index]
-    rates = _rates(modes, index)
+        noise = float(modes.noise[index[0]] / modes.modal_mass[index[0]])
+        return Process(partial(_square_root, modes.rate(index[0]), noise), energy_scales=scales)
+    noises = (modes.noise / modes.modal_mass)[index]
+    rates = modes.rates(tuple(index))
 
     def coefficients(energies: Array) -> Coefficients:
-        n = noise.size
+        n = noises.size
         b = np.zeros((*energies.shape, n))
-        b.reshape(-1, n * n)[:, :: n + 1] = 2.0 * noise * energies
+        b.reshape(-1, n * n)[:, :: n + 1] = 2.0 * noises * energies
         dissipation = -rates(energies) * energies
-        divergence = np.broadcast_to(2.0 * noise, energies.shape)
-        return Coefficients(noise + dissipation, b, divergence, dissipation)
+        divergence = np.broadcast_to(2.0 * noises, energies.shape)
+        return Coefficients(noises + dissipation, b, divergence, dissipation)
 
-    scales = tuple(float(theta) for theta in modes.temperature[index])
     return Process(coefficients, energy_scales=scales)
 
 
-def _rates(modes: ModalAnalysis, index: list[int]) -> Callable[[Array], Array]:
-    """c*_ii/M*_i, or γ_i(H) where the damping depends on the state, of energies (points, d)."""
-    if modes.state is None:
-        constant = (modes.damping / modes.modal_mass)[index]
-        return lambda energies: constant
-    return modes.state.of_block(tuple(index)).rates
-
-
-def mode_process(modes: ModalAnalysis, mode: int) -> Process:
-    """Return the energy of one mode (counted from 0): a square-root (CIR) process, Eq. (33).
-
-    With constant damping no mode knows of another. The density of states is the period, a
-    constant, and H = 0 is the critical case 2 s(0)/b' = 1: an entrance, p(0) finite and positive.
-    The same holds of a mode whose damping γ(H) depends on its own energy alone.
-    """
-    noise = float(modes.noise[mode] / modes.modal_mass[mode])
-    if modes.state is not None:
-        rate = modes.state.of_block((mode,)).polynomial()
-        coefficients = partial(_rated, rate, noise)
-    else:
-        damping = float(modes.damping[mode] / modes.modal_mass[mode])
-        coefficients = partial(_square_root, damping, noise)
-    return Process(coefficients, energy_scales=(float(modes.temperature[mode]),))
-
-
-def _square_root(damping: float | Array, noise: float, energy: Array) -> Coefficients:
+def _square_root(rate: Array, noise: float, energy: Array) -> Coefficients:
+    """dH = (d − γ(H) H) dt + √(2 d H) dB with γ = Σ rate_k H^k, no error but round-off."""
+    dissipation = -np.asarray(polynomial.polyval(energy, rate), dtype=float) * energy
     nothing = np.zeros_like(energy)
     return Coefficients(
-        drift=noise - damping * energy,
+        drift=noise + dissipation,
         diffusion=2.0 * noise * energy,
         divergence=nothing + 2.0 * noise,
-        dissipation=-damping * energy,
+        dissipation=dissipation,
         log_density_of_states=nothing,
         relative_error=nothing,
         slope_error=nothing,
     )
-
-
-def _rated(rate: Array, noise: float, energy: Array) -> Coefficients:
-    """As ``_square_root`` with the damping Σ rate_k H^k."""
-    damping = np.asarray(np.polynomial.polynomial.polyval(energy, rate), dtype=float)
-    return _square_root(damping, noise, energy)

@@ -5,7 +5,6 @@ from math import comb, factorial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from averaging.modal.phase_averages import ModeShapes, Polynomial, added, energy_flow
 from fpk.errors import NotApplicable
@@ -59,21 +58,22 @@ class StateDamping:
             total += np.einsum("rm,r,rm->m", sizes, monomials, weight)
         return total
 
-    def blocks(self) -> tuple[tuple[int, ...], ...]:
+    def groups(self) -> tuple[tuple[int, ...], ...]:
         """Return the groups of modes, ascending, within which a γ_m depends on another's energy."""
         n = self.constant.shape[0]
-        joined = np.eye(n)
+        joined = np.eye(n, dtype=bool)
         for part in self.parts:
             row, mode = np.nonzero(np.einsum("rmm->rm", part.coefficients))
             for factor in part.factors.T:
-                joined[mode, factor[row]] = 1.0
-        count, label = connected_components(joined, directed=False)
-        return tuple(tuple(int(m) for m in np.flatnonzero(label == k)) for k in range(count))
+                joined[mode, factor[row]] = True
+        # Reached in any number of steps, either way.
+        reached = np.linalg.matrix_power((joined | joined.T).astype(float), n) > 0.0
+        return tuple(dict.fromkeys(tuple(map(int, np.flatnonzero(row))) for row in reached))
 
-    def of_block(self, block: tuple[int, ...]) -> "StateDamping":
+    def of_group(self, group: tuple[int, ...]) -> "StateDamping":
         """Return the damping of a group of modes on which no other acts."""
-        place = {mode: k for k, mode in enumerate(block)}
-        index = np.array(block)
+        place = {mode: k for k, mode in enumerate(group)}
+        index = np.array(group)
         chosen, sizes = [], []
         for part, size in zip(self.parts, self.sizes, strict=True):
             rows = np.flatnonzero(np.isin(part.factors, index).all(axis=1))
@@ -82,10 +82,6 @@ class StateDamping:
             chosen.append(Polynomial(factors, part.coefficients[within]))
             sizes.append(size[np.ix_(rows, index)])
         return StateDamping(self.constant[np.ix_(index, index)], tuple(chosen), tuple(sizes))
-
-    def polynomial(self) -> Array:
-        """Return the coefficients of γ(H), ascending powers, of a damping of one mode."""
-        return self.along(0)
 
     def along(self, mode: int) -> Array:
         """Return the coefficients of γ_mode, ascending powers, where all other energies are 0."""

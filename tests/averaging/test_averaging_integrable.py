@@ -8,11 +8,12 @@ from scipy.integrate import quad
 from scipy.stats import expon, gamma
 
 from averaging.exact import Exact
+from averaging.gamma_sum import gamma_sum, gamma_sum_error
 from averaging.gaussian import Linear
-from averaging.integrable import LEFT_OUT, Integrable, modal_covariance
+from averaging.integrable import Integrable
 from averaging.modal.analysis import modal_analysis
-from averaging.modal.energies import hypoexponential
-from averaging.modal.process import modal_process, mode_process
+from averaging.modal.observables import modal_factor
+from averaging.modal.process import modal_process, modes_process
 from averaging.modal.resonance import (
     MOST_CORRELATED,
     ORDER,
@@ -49,6 +50,11 @@ def system(request):
 def solved(method, system, *names):
     observables = [parse_observable(name, system.n) for name in names]
     return method.solve(system, observables).densities
+
+
+def modal_covariance(modes):
+    factor = modal_factor(modes)
+    return factor @ factor.T
 
 
 def two_modes():
@@ -104,14 +110,14 @@ def test_process_is_the_one_of_each_mode(system):
     H = rng.exponential(size=(7, system.n)) * process.energy_scales
     b, divergence = process.at(H).diffusion, process.at(H).divergence
     for i in range(system.n):
-        c = mode_process(modes, i).coefficients(H[:, i])
+        c = modes_process(modes, (i,)).coefficients(H[:, i])
         np.testing.assert_allclose(process.at(H).drift[:, i], c.drift, rtol=1e-14)
         np.testing.assert_allclose(b[:, i, i], c.diffusion, rtol=1e-14)
         np.testing.assert_allclose(divergence[:, i], c.divergence, rtol=1e-14)
         # s = dissipation + ½ (b T)'/T with constant T; zero flux gives the exponential (34).
         np.testing.assert_allclose(c.drift, c.dissipation + 0.5 * c.divergence, rtol=1e-12)
         np.testing.assert_allclose(log_density_slope(c), -1 / modes.temperature[i], rtol=1e-12)
-        lower, _ = classify(mode_process(modes, i))
+        lower, _ = classify(modes_process(modes, (i,)))
         assert lower.kind == "entrance"
     off = b * (1 - np.eye(system.n))
     assert not off.any()
@@ -185,7 +191,7 @@ def test_modal_energies_are_independent(solver):
         [1.0, 1e-6],
     ],
 )
-def test_hypoexponential_against_convolution_in_forty_digits(theta):
+def test_sum_of_exponentials_against_convolution_in_forty_digits(theta):
     # Partial fractions of the characteristic function cancel; forty digits can afford it.
     mp.dps = 60
     rates = [1 / mpf(t) + mpf(10) ** -22 * i for i, t in enumerate(theta)]
@@ -199,19 +205,20 @@ def test_hypoexponential_against_convolution_in_forty_digits(theta):
                 weight *= b / (b - a) if i != j else b
             total += weight
         exact.append(float(total))
-    found = hypoexponential(1.0 / np.array(theta), H)
-    np.testing.assert_allclose(found, exact, rtol=2e-13, atol=1e-50)
-    order = hypoexponential(1.0 / np.array(theta[::-1]), H)
-    np.testing.assert_allclose(found, order, rtol=2e-13, atol=1e-50)
+    scales = np.array(theta)
+    p, error = gamma_sum(scales, 1.0, H), gamma_sum_error(scales, 1.0, 0.0 * scales, H)
+    np.testing.assert_allclose(p, exact, rtol=2e-13, atol=1e-50)
+    assert np.all(np.abs(p - exact) <= error + 1e-50)
+    np.testing.assert_allclose(gamma_sum(scales[::-1], 1.0, H), p, rtol=2e-13, atol=1e-50)
 
 
-def test_hypoexponential_against_quad_and_gamma():
+def test_sum_of_exponentials_against_quad_and_gamma():
     H = np.array([0.05, 0.7, 3.0])
     a, b = 1.0, 2.5
     expected = [quad(lambda y, x=x: a * b * np.exp(-a * y - b * (x - y)), 0, x)[0] for x in H]
-    np.testing.assert_allclose(hypoexponential(np.array([a, b]), H), expected, rtol=1e-12)
+    np.testing.assert_allclose(gamma_sum(1.0 / np.array([a, b]), 1.0, H), expected, rtol=1e-12)
     np.testing.assert_allclose(
-        hypoexponential(np.full(7, 2.0), H), gamma.pdf(H, 7, scale=0.5), rtol=1e-13
+        gamma_sum(np.full(7, 0.5), 1.0, H), gamma.pdf(H, 7, scale=0.5), rtol=1e-13
     )
 
 
@@ -413,12 +420,11 @@ def test_resonance_is_refused_only_where_it_matters():
 def test_what_is_left_out_is_said():
     system = fig6(both(10.0, 1.5))
     result = Integrable().solve(system, [parse_observable("q2", 2)])
-    assert "rule clearance > 2 rms does not hold" in result.settings[LEFT_OUT]
-    assert result.densities[0].provenance[LEFT_OUT] == result.settings[LEFT_OUT]
+    assert "rule clearance > 2 rms does not hold" in result.neglected
     wide = Integrable().solve(fig6(both(10.0, 2.5)), [parse_observable("q2", 2)])
-    assert "rule clearance > 2 rms holds" in wide.settings[LEFT_OUT]
+    assert "rule clearance > 2 rms holds" in wide.neglected
     free = Integrable().solve(fig6(), [parse_observable("q2", 2)])
-    assert LEFT_OUT not in free.settings
+    assert free.neglected == ""
     assert l1_distance(result.densities[0], free.densities[0]) == 0.0
     ratios = [s.ratio for s in stop_clearances(system)]
     assert ratios[0] == pytest.approx(1.5 / np.sqrt(stationary_covariance(system)[1, 1]))

@@ -1,0 +1,184 @@
+"""Densities of the energies of one mode, or of two solved for together, Eqs. (11), (19)."""
+
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.polynomial import polynomial
+from numpy.typing import NDArray
+
+from averaging.modal.analysis import ModalAnalysis
+from averaging.modal.process import modes_process
+from averaging.quadrature import solve_by_quadrature
+from fpk.certificate import Measured
+from fpk.density import Density, certified_density
+from fpk.line.mesh import initial_nodes
+from fpk.line.stationary import solve_stationary
+from fpk.observable import Coordinate
+from fpk.plane.stationary import solve_plane
+from fpk.probe import probed
+from fpk.process import Process, log_density_slope
+from fpk.quadrature import panel_rule
+
+Array = NDArray[np.float64]
+Group = tuple[int, ...]
+Solver = Literal["closed-form", "fem", "quadrature"]
+Solved = tuple[tuple[Array, ...], Callable[..., Array], Callable[..., Array], Measured]
+
+POINTS = 24
+"""Gauss points per panel of the integrals of a closed form: over three e-folds they miss 1e-30."""
+TAIL = 1e-17
+"""Share of the probability beyond the last panel of a closed form: below round-off."""
+EPS = float(np.finfo(float).eps)
+
+
+def unsolved(modes: ModalAnalysis, solver: Solver) -> str | None:
+    """Return why the energies of the modes cannot be solved for, or None where they can."""
+    largest = max(modes.groups(), key=len)
+    names = " and ".join(f"H{m + 1}" for m in largest)
+    if len(largest) > 2:
+        return f"the damping couples {names}: more than two energies are not solved for together"
+    if len(largest) == 2 and solver != "fem":
+        return f"the damping couples {names}, so their density is no product; use fem"
+    return None
+
+
+def solved_group(
+    modes: ModalAnalysis, group: Group, solver: Solver, *, share: float, tol: float
+) -> Density:
+    """Return the density of the energies of one or two modes on which no other acts.
+
+    It is solved for to the L1 error ``share`` and judged by the tolerance ``tol``. The relative
+    round-off of the modes, that of γ θ/d, counts by 1 + H/θ of each energy.
+    """
+    process = modes_process(modes, group)
+    if solver == "fem":
+        panels, pdf, error, measured = _by_elements(process, share)
+    elif solver == "quadrature":
+        panels, pdf, error, measured = _by_quadrature(process, share)
+    else:
+        panels, pdf, error, measured = _closed_form(modes, group[0], process)
+    relative, theta = modes.relative_error, modes.temperature[list(group)]
+
+    def of_modes(*energies: Array) -> Array:
+        reach = sum(1.0 + np.asarray(H) / scale for H, scale in zip(energies, theta, strict=True))
+        return np.asarray(relative * reach * np.abs(pdf(*energies)))
+
+    def pointwise(*energies: Array) -> Array:
+        # Beyond the last energy, where p is 0, the error is what was dropped: less than at the end.
+        within = [np.minimum(H, x[-1]) for H, x in zip(energies, panels, strict=True)]
+        dropped = np.abs(pdf(*within) - pdf(*energies))
+        return np.asarray(np.abs(error(*energies)) + of_modes(*energies) + dropped)
+
+    return certified_density(
+        tuple(Coordinate("H", m) for m in group),
+        panels,
+        pdf,
+        pointwise,
+        measured=measured,
+        tol=tol,
+        added_error=of_modes,
+    )
+
+
+def _by_elements(process: Process, tol: float) -> Solved:
+    if process.dimension == 2:
+        solution = solve_plane(process, tol=tol)
+        panels = solution.nodes
+    else:
+        solution = solve_stationary(process, tol=tol)
+        panels = (solution.nodes,)
+    c = solution.certificate
+    measured = Measured(
+        solution.l1_error, c.mass_defect, c.minimum, c.residual, c.tail_mass, c.net_flux, c.failures
+    )
+    return panels, solution.density, solution.pointwise_error, measured
+
+
+def _by_quadrature(process: Process, tol: float) -> Solved:
+    solution = solve_by_quadrature(process, tol=tol)
+
+    def pdf(energy: Array) -> Array:
+        return np.asarray(np.exp(solution.log_density(np.asarray(energy, dtype=float))))
+
+    measured = Measured(
+        solution.l1_error,
+        solution.mass_defect,
+        np.inf,
+        flux_residual(process, solution.log_density, solution.nodes),
+        solution.tail_mass,
+    )
+    return (solution.nodes,), pdf, lambda energy: solution.l1_error * pdf(energy), measured
+
+
+def _closed_form(modes: ModalAnalysis, mode: int, process: Process) -> Solved:
+    """p(H) = C exp(−∫γ(H) M*/d dH) of a mode whose damping depends on its energy alone.
+
+    b ~ H and a constant period make (11) elementary but for C, which is a Gauss rule over panels;
+    its error is the difference from a rule of half as many points, and a bound of the tail. With
+    constant damping it is e^(−H/θ)/θ, Eq. (34) with the exponent −c*_ii H_i/d_i.
+    """
+    probe = probed(process)
+    nodes = initial_nodes(probe, probe.extent(TAIL), ())
+    exponent = polynomial.polyint(-modes.rate(mode) * modes.modal_mass[mode] / modes.noise[mode])
+
+    def fall(x: Array) -> Array:
+        return np.asarray(polynomial.polyval(x, exponent))
+
+    def sizes(x: Array) -> Array:
+        return np.asarray(polynomial.polyval(np.abs(x), np.abs(exponent)))
+
+    (x, w), (y, v) = (panel_rule(nodes, points) for points in (POINTS, POINTS // 2))
+    top = float(fall(x).max())
+    shares = w * np.exp(fall(x) - top)
+    norm = float(np.sum(shares))
+    relative = abs(float(np.sum(v * np.exp(fall(y) - top))) / norm - 1.0)
+    # ln p is a sum of terms of the size of the polynomial of their sizes.
+    relative += EPS * float(4.0 + nodes.size + 2.0 * np.sum(shares * sizes(x)) / norm)
+    log_norm = top + float(np.log(norm))
+
+    def pdf(energy: Array) -> Array:
+        x = np.asarray(energy, dtype=float)
+        inside = (x >= 0.0) & (x <= nodes[-1])
+        return np.where(inside, np.exp(fall(np.clip(x, 0.0, nodes[-1])) - log_norm), 0.0)
+
+    tail = probe.tail_bound(float(nodes[-1]), float(pdf(nodes[-1:])[0]))
+    residual = flux_residual(process, lambda x: fall(x) - log_norm, nodes)
+    measured = Measured(relative + 2.0 * tail, np.nan, np.inf, residual, tail)
+    return (
+        (nodes,),
+        pdf,
+        lambda x: (relative + tail + 2.0 * EPS * sizes(x)) * pdf(x),
+        measured,
+    )
+
+
+def flux_residual(process: Process, log_density: Callable[[Array], Array], nodes: Array) -> float:
+    """Return how far ln p of one energy is from zero flux, (ln p)' = (2s − b')/b.
+
+    The largest difference over a panel between the rise of ln p and the integral of the slope that
+    the coefficients demand, relative to the terms that cancel in both. The first panel, where 2s/b
+    and b'/b grow like 1/H, is entered at its middle.
+    """
+    ends = np.append(0.5 * (nodes[0] + nodes[1]), nodes[1:])
+    x, w = panel_rule(ends, POINTS)
+    c = process.coefficients(x)
+    demanded = np.sum(w * log_density_slope(c), axis=1)
+    parts = np.sum(w * (np.abs(2.0 * c.drift) + np.abs(c.divergence)) / c.diffusion, axis=1)
+    at = log_density(ends)
+    parts += np.abs(at[1:]) + np.abs(at[:-1])
+    return float(np.max(np.abs(np.diff(at) - demanded) / parts))
+
+
+def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:
+    """Return what was measured on several independent densities, for what rests on all of them."""
+    checks = [part.certificate for part in parts]
+    return Measured(
+        l1_error=sum(part.l1_error for part in parts) + added,
+        mass_defect=sum(c.mass_defect for c in checks),
+        minimum=min(c.minimum for c in checks),
+        residual=max(c.residual for c in checks),
+        tail_mass=sum(c.tail_mass for c in checks),
+        net_flux=max((c.net_flux for c in checks if c.net_flux is not None), default=None),
+        failures=tuple(words for c in checks for words in c.failures),
+    )
