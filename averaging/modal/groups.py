@@ -13,9 +13,9 @@ from averaging.quadrature import solve_by_quadrature
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
 from fpk.line.mesh import initial_nodes
-from fpk.line.stationary import solve_stationary
+from fpk.line.stationary import StationarySolution, solve_stationary
 from fpk.observable import Coordinate
-from fpk.plane.stationary import solve_plane
+from fpk.plane.stationary import PlaneSolution, solve_plane
 from fpk.probe import probed
 from fpk.process import Process, log_density_slope
 from fpk.quadrature import panel_rule
@@ -82,6 +82,8 @@ def solved_group(
 
 
 def _by_elements(process: Process, tol: float) -> Solved:
+    solution: PlaneSolution | StationarySolution
+    panels: tuple[Array, ...]
     if process.dimension == 2:
         solution = solve_plane(process, tol=tol)
         panels = solution.nodes
