@@ -6,12 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fpk.ends import FAR_OUT, require_falling
 from fpk.errors import NotCertified
-from fpk.process import Process, log_density_slope
+from fpk.process import Coefficients, Process, log_density_slope
 
 Array = NDArray[np.float64]
 
-GRID = np.concatenate([np.logspace(-3.0, 0.0, 10), np.logspace(0.0, 4.0, 41)[1:]])
+GRID = np.concatenate(
+    [np.logspace(-3.0, 0.0, 10), np.logspace(0.1, 2.0, 20), np.logspace(2.25, 4.0, 8), FAR_OUT[1:]]
+)
 """Energies of a probe, in units of the process's scale."""
 SAGITTA = 1.0
 """Largest (d²ln(p H)/d(ln H)²)·(Δ ln H)² between two points of a probe: eight times what ln p H
@@ -42,15 +45,13 @@ class Probe:
         density does not fall to that share.
         """
         energy, rate = self.energy, 1.0 + self.energy * self.slope
-        top = int(np.argmax(self.log_mass))
-        wanted = float(self.log_mass[top]) + math.log(tail)
-        below = np.flatnonzero(self.log_mass[top:] < wanted)
-        if not below.size:
+        wanted = float(self.log_mass.max()) + math.log(tail)
+        i = int(np.flatnonzero(~(self.log_mass < wanted))[-1]) + 1
+        if i == energy.size:
             raise NotCertified(
                 "the density does not fall off: damping does not balance the noise at high energy"
             )
         # As in ``_probe`` the rate is linear in ln H between two points.
-        i = top + int(below[0])
         length = math.log(energy[i] / energy[i - 1])
         bend = (rate[i] - rate[i - 1]) / length
         fall = self.log_mass[i - 1] - wanted
@@ -58,14 +59,22 @@ class Probe:
         return float(energy[i - 1] * math.exp(min(2.0 * fall / (root - rate[i - 1]), length)))
 
     def tail_bound(self, end: float, density_at_end: float) -> float:
-        """Return a bound of the mass above ``end``: p(end) over the least rate p falls at there.
+        """Return a bound of the mass above ``end`` from p there; infinite where p does not fall.
 
-        The rate is that of the probe above ``end``, and taken not to drop below it further out.
+        Between two energies of the probe p falls at the lesser of the rates at both of them, and
+        beyond the last one at the rate there.
         """
-        beyond = self.slope[self.energy >= end]
-        at_end = float(np.interp(end, self.energy, self.slope))
-        rate = -float(beyond.max(initial=at_end))
-        return density_at_end / rate if 0.0 < rate < math.inf else math.inf
+        beyond = self.energy > end
+        energy = np.append(end, self.energy[beyond])
+        rate = -np.append(np.interp(end, self.energy, self.slope), self.slope[beyond])
+        least = np.minimum(rate[1:], rate[:-1])
+        fall = least * np.diff(energy)
+        if not rate[-1] > 0.0 or np.any(least == 0.0):
+            return math.inf
+        with np.errstate(over="ignore"):
+            density = density_at_end * np.exp(-np.append(0.0, np.cumsum(fall)))
+            pieces = density[:-1] * -np.expm1(-fall) / least
+        return float(pieces.sum() + density[-1] / rate[-1])
 
     def e_fold(self, end: float) -> float:
         """Return the mean energy over which p/T changes by the factor e, below ``end``."""
@@ -76,14 +85,23 @@ class Probe:
 
 
 def probed(process: Process) -> Probe:
-    """Return the probe of a process, from far below to far above its energy scale."""
+    """Return the probe of a process, from far below to far above its energy scale.
+
+    Raises ``NotCertified`` where the density does not fall off at the highest energies.
+    """
     energy = process.energy_scale * GRID
-    probe = _probe(energy, *_slopes(process, energy))
+    # Of energies farther out than that, those whose coefficients overflow are not judged.
+    with np.errstate(over="ignore", invalid="ignore"):
+        c = process.coefficients(energy)
+        slope, roughness = _slopes(c)
+        finite = (FAR_OUT[0] >= GRID) | np.isfinite(slope * energy)
+        energy, slope, roughness = energy[finite], slope[finite], roughness[finite]
+        require_falling(energy, Coefficients(*(np.broadcast_to(a, GRID.shape)[finite] for a in c)))
+    probe = _probe(energy, slope, roughness)
     return _closer(process, probe) if process.state_damping else probe
 
 
-def _slopes(process: Process, energy: Array) -> tuple[Array, Array]:
-    c = process.coefficients(energy)
+def _slopes(c: Coefficients) -> tuple[Array, Array]:
     return log_density_slope(c), np.abs(2.0 * c.dissipation / c.diffusion)
 
 
@@ -105,7 +123,7 @@ def _closer(process: Process, probe: Probe) -> Probe:
         if not i.size:
             break
         energy = np.sqrt(probe.energy[i] * probe.energy[i + 1])
-        slope, roughness = _slopes(process, energy)
+        slope, roughness = _slopes(process.coefficients(energy))
         probe = _probe(
             np.insert(probe.energy, i + 1, energy),
             np.insert(probe.slope, i + 1, slope),

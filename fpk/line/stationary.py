@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.certificate import Certificate
+from fpk.certificate import NEGATIVE, Certificate, Measured, certify
 from fpk.errors import NotCertified
 from fpk.line.assembly import SolvedElements, merged, solve_elements
 from fpk.line.chain import Assembled, Checks, assembled, checks
@@ -43,12 +43,8 @@ ACCUMULATION_POINTS = 6
 """Gauss points an element at which the errors of the coefficients are summed: they are estimates.
 """
 RESIDUAL = 1e-13
-"""Largest algebraic residual that counts as round-off, relative to the terms that cancel in it."""
-NEGATIVE = -1e-14
-"""Smallest p / max p that counts as round-off."""
-NET_FLUX = 1e-12
-"""Largest net over one-way flux that counts as round-off: some thousand roundings, of sums over the
-shape functions and the points of an element."""
+"""Largest algebraic residual that elimination in one element leaves, relative to the terms that
+cancel in it: some hundred roundings, stricter than what a certificate asks of any answer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +53,8 @@ class StationarySolution:
 
     ``nodes`` (elements + 1,); ``coefficients_u`` (elements, degree + 1) of u, with p = u or p = T u
     by ``form``, to be multiplied by exp(``log_scale``) (elements,); the enriched twin of both is
-    kept for the pointwise error. ``l1_error`` estimates ∫|p_h − p| on (0, ∞).
+    there for the pointwise error. ``measured`` is what ``certificate`` was made of, to the
+    tolerance asked for: densities made of the solution are certified from it.
     """
 
     process: Process
@@ -69,8 +66,13 @@ class StationarySolution:
     enriched_u: Array
     enriched_log_scale: Array
     coefficient_error: float
-    l1_error: float
+    measured: Measured
     certificate: Certificate
+
+    @property
+    def l1_error(self) -> float:
+        """Estimate of ∫|p_h − p| on (0, ∞)."""
+        return self.measured.l1_error
 
     @property
     def panels(self) -> Array:
@@ -106,7 +108,7 @@ class StationarySolution:
         u = self._of_answer(energy, log_factor)
         degree = self.degree + ENRICHMENT
         better = self._expand(self.enriched_u, self.enriched_log_scale, degree, energy, log_factor)
-        floor = self.coefficient_error + self.certificate.tail_mass + ROUND_OFF * self.nodes.size
+        floor = self.coefficient_error + self.measured.tail_mass + ROUND_OFF * self.nodes.size
         return np.asarray(SAFETY * np.abs(u - better) + floor * np.abs(u))
 
     def _log_factor(self, energy: Array, *, of_p: bool) -> Array:
@@ -214,22 +216,16 @@ def _certified(
         moved, accumulated = _accumulated_error(process, nodes, np.abs(whole.share))
     estimate = SAFETY * found.distance + 2.0 * tail + coefficient_error + moved
     estimate += ROUND_OFF * (nodes.size - 1 + degree**2)
-    minimum = found.least / found.most
-    failed = {
-        f"the density falls to {minimum:.2g} of its maximum": minimum < NEGATIVE,
-        f"the estimated error {estimate:.2g} exceeds the tolerance {tol:.2g}": not estimate <= tol,
-        f"the algebraic residual is {found.residual:.2g}": not found.residual < RESIDUAL,
-        f"the net flux is {found.net_flux:.2g} of the one-way flux": not found.net_flux < NET_FLUX,
-        "the density does not fall off at the end of the mesh": not math.isfinite(tail),
-    }
-    certificate = Certificate(
+    measured = Measured(
+        l1_error=estimate,
         mass_defect=abs(found.mass - 1.0),
-        minimum=minimum,
+        minimum=found.least / found.most,
         residual=found.residual,
         tail_mass=tail,
         net_flux=found.net_flux,
-        failures=tuple(words for words, fails in failed.items() if fails),
     )
+    if not found.residual < RESIDUAL:
+        measured = measured.with_failures(f"the algebraic residual is {found.residual:.2g}")
     return StationarySolution(
         process=process,
         form=form,
@@ -240,8 +236,8 @@ def _certified(
         enriched_u=whole.twin,
         enriched_log_scale=whole.twin_log_scale,
         coefficient_error=coefficient_error + accumulated,
-        l1_error=estimate,
-        certificate=certificate,
+        measured=measured,
+        certificate=certify(measured, tol=tol),
     )
 
 

@@ -11,6 +11,7 @@ from collections.abc import Generator, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from fpk.ends import require_confined
 from fpk.errors import InvalidInput, NotCertified
 from fpk.plane.expansion import Solved, panels_of, solve_expansion
 from fpk.plane.mesh import Probe, probed
@@ -58,6 +59,7 @@ def solve_plane(
     """
     if process.dimension != 2:
         raise InvalidInput("process", process.dimension, "must have two energies")
+    require_confined(process)
     probe = probed(process)
     if degree is not None:
         return solve_by_elements(process, probe, tol=tol, degree=degree)
