@@ -1,13 +1,15 @@
 """Contact laws of the registry as compiled scalar functions that a kernel can close over."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
+from inspect import getfile
+from pathlib import Path
 from typing import Any
 
 import numba
 from numba.extending import overload
 
-from fpk.compiling import FLAGS
+from fpk.compiling import FLAGS, ROOT
 from fpk.contact_law import LAWS
 
 Compiled = Any
@@ -40,6 +42,17 @@ def compiled_laws(names: tuple[str, ...], part: str) -> Compiled:
     for function in reversed(functions[:-1]):
         choice = _vectorize(["f8(i8,f8,f8)"])(_first_or(function, choice))
     return choice
+
+
+def law_files(names: Sequence[str], root: Path = ROOT) -> tuple[Path, ...]:
+    """Return the files that the compiled laws ``names`` are made of, below ``root``.
+
+    A law that was typed into a session has no file, and nothing that it is compiled into a cache.
+    """
+    laws = (Path(getfile(LAWS[name].force)) for name in names)
+    own = (root / f.relative_to(ROOT) if f.is_relative_to(ROOT) else f for f in laws)
+    compiled = ("fpk/compiling.py", "fpk/compiled_laws.py")
+    return (*(root / name for name in compiled), *(f for f in own if not f.name.startswith("<")))
 
 
 def of_law(function: Compiled, law: int, overlap: float, exponent: float) -> float:

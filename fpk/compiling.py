@@ -1,6 +1,6 @@
 """What all compiled code shares: the liberties of its arithmetic and checksums of its sources."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 from zlib import crc32
@@ -38,15 +38,12 @@ def kept(flags: set[str] = FLAGS) -> Callable[[Function], Function]:
 
 ROOT = Path(__file__).parents[1]
 
-LAWS = ("fpk/compiling.py", "fpk/compiled_laws.py", "fpk/laws/**/*.py")
-"""Files of this room that compiled code with contact laws in it is made of."""
 
+def checksum(files: Sequence[Path]) -> int:
+    """Return a checksum of source files; one that is missing raises ``FileNotFoundError``.
 
-def checksum(patterns: list[str], root: Path = ROOT) -> int:
-    """Return a checksum of the source files that match ``patterns`` below ``root``.
-
-    The disk cache of a compiled function looks at its own file only; a function that closes over
-    the checksum of all that it is compiled from is compiled again when any of it was edited.
+    The disk cache of a compiled function reads the function's own file only. A function that closes
+    over the checksum of all that it is compiled from, and returns it, is compiled again when any of
+    it was edited.
     """
-    files = sorted(file for pattern in patterns for file in root.glob(pattern))
     return crc32(b"".join(file.read_bytes() for file in files))

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fpk.errors import Unavailable, reason_of
 from fpk.observable import Observable
 from sim.histogram import Histogram
-from sim.sources import program_stamp
+from sim.sources import program_checksum
 
 FORMAT = "vibro-fpk checkpoint 2"
 
@@ -103,7 +103,7 @@ def checkpoint_of(folder: Path, settings: Any) -> Checkpoint:
         program = version("vibro-fpk")
     except PackageNotFoundError:
         program = "(not installed)"
-    text = json.dumps([FORMAT, program, program_stamp(), settings], default=_listed)
+    text = json.dumps([FORMAT, program, program_checksum(), settings], default=_listed)
     identity = hashlib.sha256(text.encode()).hexdigest()
     return Checkpoint(folder / f"montecarlo-{identity[:16]}.checkpoint", identity)
 

@@ -35,7 +35,7 @@ from sim.ensemble import (
 from sim.histogram import Histogram, starts
 from sim.random import LANES
 from sim.scheme import Scheme
-from sim.sources import program_stamp
+from sim.sources import program_checksum
 
 Array = NDArray[np.float64]
 
@@ -74,13 +74,13 @@ def connected(address: str) -> Iterator[Any]:
     with client:
         try:
             client.wait_for_workers(1, timeout=WORKERS_IN)
-            stamp = client.submit(program_stamp, pure=False).result()
+            stamp = client.submit(program_checksum, pure=False).result()
         except TimeoutError:
             raise Unavailable(f"cluster {address}: has no worker; start one") from None
         except ImportError as error:
             words = f"its workers cannot import this program ({error}); install vibro-fpk there"
             raise Unavailable(f"cluster {address}: {words}") from None
-        if stamp != program_stamp():
+        if stamp != program_checksum():
             words = "its workers run another version of this program; install the same"
             raise Unavailable(f"cluster {address}: {words}")
         yield client

@@ -77,6 +77,7 @@ def start_displacements(system: System, kT: float, z: Array) -> Array:
     Where a contact is reached they are shortened, by bisection, to the potential energy of the
     springs alone: no start is deeper in a stop than its energy allows.
     """
+    # An inverse, not ``system.compliance``: its rounding is part of what a seed stands for.
     q = np.linalg.cholesky(kT * np.linalg.inv(system.stiffness_matrix)) @ z
     level = 0.5 * np.sum(q * (system.stiffness_matrix @ q), axis=0)
     low, high = np.zeros(q.shape[1]), np.ones(q.shape[1])

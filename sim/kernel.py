@@ -10,31 +10,22 @@ from numpy.typing import NDArray
 from fpk.compiled_laws import compiled_laws
 from fpk.compiling import kept
 from sim.arrays import StepArrays, WatchArrays
-from sim.lanes import add, aligned_rows, kick, row
-from sim.parts.contact import add_contact_energy, add_contact_forces, contact_forces, no_law
-from sim.parts.damping import (
-    damping_forces,
-    kick_by_springs,
-    processed_by_terms,
-    spring_energy,
-    term_flow,
-    term_flow_with_energy,
-    whole_energy,
-)
-from sim.parts.linear import map_any, map_one_mass, map_two_masses
-from sim.parts.observed import (
-    count_all,
-    fold_products,
-    observed_displacements,
-    observed_energy,
-    observed_modes,
-    observed_momenta,
-    observed_springs,
-    sum_products,
+from sim.lanes import aligned_rows, row
+from sim.parts.observed import count_all
+from sim.parts.stages import (
+    add_moments,
+    forces,
+    forces_of_terms,
+    kick_by_contact,
+    kick_by_terms,
+    map_state,
+    observe,
+    terms_after,
+    terms_before,
 )
 from sim.parts.substeps import AT_ONCE, NARROW, gather, near_lanes, places, scatter, small_steps
 from sim.random import GOLDEN, LANES, fill_normals
-from sim.sources import kernel_stamp
+from sim.sources import kernel_checksum
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -43,7 +34,13 @@ W = LANES
 
 @dataclass(frozen=True)
 class KernelKey:
-    """What a kernel is compiled for: contact laws, damping terms and kinds of observation."""
+    """What a kernel is compiled for, and the only such record: effects, scheme, observations.
+
+    ``laws`` are the contact laws that act; ``kick_first`` whether the scheme kicks before its map;
+    ``damping`` and ``energy_damping`` whether there are damping terms, and some with H; then what
+    is ``observed``. ``pairs`` of normals a step draws, ``kicked`` are the masses (from 0) whose
+    kick is fused with the map, ``substeps`` whether some trajectories make small steps.
+    """
 
     laws: tuple[str, ...] = ()
     kick_first: bool = True
@@ -62,48 +59,38 @@ class KernelKey:
 
 @lru_cache
 def compiled_kernel(key: KernelKey) -> Any:
-    """Return the kernel of ``key``; laws that it does not need are not compiled.
-
-    The disk cache looks at this file only; closing over a checksum of all that is compiled makes
-    it miss when a function that the kernel calls was edited.
-    """
+    """Return the kernel of ``key``; laws that it does not need are not compiled."""
     contact, observed, kick_first = bool(key.laws), key.observed, key.kick_first
     damping, energy_damping = key.damping, key.energy_damping
     momenta, energy, modes, moments = key.momenta, key.energy, key.modes, key.moments
-    masses, pairs = key.masses, key.pairs
+    masses, pairs, substeps = key.masses, key.pairs, key.substeps
     kick1, kick2, fused = 0 in key.kicked, 1 in key.kicked, bool(key.kicked)
-    substeps = key.substeps
-    stamp = kernel_stamp()
+    now1, now2 = kick1 and not substeps, kick2 and not substeps  # fused with the map of all lanes
+    apart = contact and not (fused or substeps)  # kicks that are a stage of their own
+    sources = kernel_checksum(key.laws)
     force: Any = compiled_laws(key.laws, "force") if contact else None
     slope: Any = compiled_laws(key.laws, "slope") if contact else None
-    energies = energy or energy_damping
-    potential: Any = compiled_laws(key.laws, "energy") if contact and energies else None
+    needed = contact and (energy or energy_damping)
+    potential: Any = compiled_laws(key.laws, "energy") if needed else None
 
     @kept()
     def advance(
-        x: Array,
-        sums: Array,
-        folded: Array,
-        live: Integers,
-        first: int,
-        counter: np.uint64,
-        steps: int,
-        phase: int,
-        stride: int,
-        offset: np.uint64,
-        step: StepArrays,
-        watch: WatchArrays,
-        counts: Integers,
-    ) -> None:
+        x: Array, sums: Array, folded: Array, live: Integers, first: int, counter: np.uint64,
+        steps: int, phase: int, stride: int, offset: np.uint64, step: StepArrays,
+        watch: WatchArrays, counts: Integers,
+    ) -> int:  # fmt: skip
         """Advance blocks ``x`` (blocks, 2n·W), the first being block ``first`` of the ensemble.
 
         Observes at the start of a step where ``(phase + step number) % stride == 0``, never with
         ``stride`` 0; adds to ``sums`` (first blocks, moments·W), lane by lane, to ``folded`` (other
         blocks, moments·FOLDED) and ``counts`` (all bins, one more a histogram for outside).
+
+        Returns the checksum of the files that it was compiled from: numba's disk cache reads this
+        file alone, and compiles anew where a constant of the kernel has changed.
         """
-        n = step.matrix.shape[0] // 2
-        at, slots = watch.at, step.slot_mass.size
-        s = aligned_rows(at.total if stamp >= 0 else 0)
+        n, at = step.matrix.shape[0] // 2, watch.at
+        matrix = step.substeps.matrix if substeps else step.matrix
+        s = aligned_rows(at.total)
         z, words = aligned_rows(pairs).view(np.float32), aligned_rows(1).view(np.uint64)
         index, second = np.zeros(W, np.int64), np.zeros(W, np.int64)
         if substeps:
@@ -117,100 +104,46 @@ def compiled_kernel(key: KernelKey) -> Any:
             s[: 2 * n * W] = x[b]
             for t in range(steps):
                 watched = observed and stride > 0 and (phase + t) % stride == 0
-                if contact and (watched or not (fused or substeps)):
-                    contact_forces(s, at.contact, step, force, slope)
-                if energy_damping:
-                    spring_energy(s, row(s, at.work + 1), step.terms)
-                    if contact:
-                        add_contact_energy(s, 0, at.work + 1, step, potential)
+                if apart or watched or energy_damping:
+                    forces(s, at, step, contact, energy_damping, force, slope, potential)
                 if damping and kick_first:
-                    for k in range(step.terms.target.size):
-                        if energy_damping:
-                            term_flow_with_energy(s, at.work, step.terms, k, 0.5 * step.dt)
-                        else:
-                            term_flow(s, at.work, step.terms, k, 0.5 * step.dt)
+                    terms_before(s, at, step, energy_damping)
                 if watched:
-                    observed_displacements(s, step, watch)
-                    if momenta:
-                        observed_momenta(s, step, watch)
-                    if damping and watch.term_shift != 0.0:
-                        H = row(s, at.work + 2)
-                        if energy_damping:
-                            whole_energy(s, H, row(s, at.work + 1), step.terms)
-                        processed_by_terms(s, H, at, watch.term_shift, step)
-                    if energy:
-                        observed_energy(s, watch)
+                    observe(
+                        s, step, watch, contact, momenta, damping, energy_damping, energy,
+                        modes, moments, force, potential,
+                    )  # fmt: skip
                     if moments:
-                        observed_springs(s, watch)
-                    if contact and moments:
-                        add_contact_forces(s, at.q, at.force, step, force)
-                    if contact and energy:
-                        add_contact_energy(s, at.q, at.energy, step, potential)
-                    if modes:
-                        observed_modes(s, watch.mode_q, watch.mode_p, watch)
-                    if moments:
-                        if damping:
-                            H = row(s, at.energy)
-                            damping_forces(s, at.q, H, at.damping, at.work, step.terms)
-                        if b < sums.shape[0]:
-                            sum_products(s, sums[b], watch)
-                        else:
-                            fold_products(s, folded[b - sums.shape[0]], live[b], watch)
+                        add_moments(s, b, sums, folded, live, watch)
                     count_all(s, index, second, live[b], watch, counts)
-                if contact and kick_first and not (fused or substeps):
-                    for slot in range(slots):
-                        p, g = row(s, n + step.slot_mass[slot]), row(s, at.contact + 2 * slot, 2)
-                        kick(p, g, step.dt, step.slot_shift[slot])
+                if apart and kick_first:
+                    kick_by_contact(s, at, step, n)
                 if damping and kick_first:
-                    kick_by_springs(s, step.terms)
-                    for k in range(step.terms.target.size - 1, -1, -1):
-                        if energy_damping:
-                            term_flow_with_energy(s, at.work, step.terms, k, 0.5 * step.dt)
-                        else:
-                            term_flow(s, at.work, step.terms, k, 0.5 * step.dt)
+                    terms_after(s, at, step, energy_damping)
                 if damping and not kick_first:
-                    H = row(s, at.work + 2)
-                    if energy_damping:
-                        whole_energy(s, H, row(s, at.work + 1), step.terms)
-                    damping_forces(s, 0, H, at.damping, at.work, step.terms)
+                    forces_of_terms(s, at, step, energy_damping)
                 if substeps:
-                    matrix = step.substeps.matrix
                     near = near_lanes(s, row(s, at.q, 2), index, chosen, step.substeps)
                     gather(groups, s, chosen, near, 2 * n, group)
                     places(places_of, chosen, near, pairs)
-                else:
-                    matrix = step.matrix
+                word = counter + np.uint64(t * step.words)
                 for pair in range(pairs):
-                    word = counter + np.uint64(t * step.words + pair)
-                    pair_rows = z[2 * pair * W : 2 * (pair + 1) * W]
-                    fill_normals(pair_rows, words, trajectory, word, offset)
-                if masses == 1 and pairs == 1:
-                    if fused and not substeps:
-                        map_one_mass(row(s, 0, 2), z, matrix, step, kick1, force, slope)
-                    else:
-                        map_one_mass(row(s, 0, 2), z, matrix, step, False, no_law, no_law)
-                elif masses == 2 and pairs == 2:
-                    if fused and not substeps:
-                        map_two_masses(row(s, 0, 4), z, matrix, step, kick1, kick2, force, slope)
-                    else:
-                        map_two_masses(row(s, 0, 4), z, matrix, step, False, False, no_law, no_law)
-                else:
-                    map_any(s, z, pairs, matrix)
+                    to = z[2 * pair * W : 2 * (pair + 1) * W]
+                    fill_normals(to, words, trajectory, word + np.uint64(pair), offset)
+                map_state(s, z, matrix, step, masses, pairs, now1, now2, force, slope)
                 if substeps:
-                    word = counter + np.uint64(t * step.words + pairs)
+                    word += np.uint64(pairs)
                     place = ((trajectory << np.uint64(40)) + word) * GOLDEN + offset
                     small_steps(
                         groups, group, places_of, near, drawn, halves, place, step,
                         at.contact, (kick1, kick2), masses, pairs, force, slope,
                     )  # fmt: skip
                     scatter(s, groups, chosen, near, 2 * n, group)
-                if contact and not kick_first:
-                    for slot in range(slots):
-                        p, g = row(s, n + step.slot_mass[slot]), row(s, at.contact + 2 * slot, 2)
-                        kick(p, g, step.dt, step.slot_shift[slot])
+                if apart and not kick_first:
+                    kick_by_contact(s, at, step, n)
                 if damping and not kick_first:
-                    for i in range(n):
-                        add(row(s, n + i), row(s, at.damping + i), -step.dt)
+                    kick_by_terms(s, at, step, n)
             x[b] = s[: 2 * n * W]
+        return sources
 
     return advance

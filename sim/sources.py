@@ -1,18 +1,38 @@
 """Checksums of sources: of what a kernel is compiled from, and of all that numbers depend on."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from pkgutil import iter_modules
 
-from fpk.compiling import LAWS, ROOT, checksum
+from fpk.compiled_laws import law_files
+from fpk.compiling import ROOT, checksum
 
-KERNEL = ("arrays.py", "kernel.py", "lanes.py", "random.py", "parts/**/*.py")
+PARTS = ("contact", "damping", "linear", "observed", "stages", "substeps")
+
+KERNEL = (
+    "sim/arrays.py",
+    "sim/kernel.py",
+    "sim/lanes.py",
+    "sim/random.py",
+    *(f"sim/parts/{name}.py" for name in PARTS),
+)
 """Files of this room that a kernel is compiled from."""
 
 
-def kernel_stamp(root: Path = ROOT) -> int:
-    """Return a checksum of the sources that a kernel is compiled from."""
-    return checksum([*(f"sim/{name}" for name in KERNEL), *LAWS], root)
+def kernel_checksum(laws: Sequence[str], root: Path = ROOT) -> int:
+    """Return a checksum of the sources that a kernel with contact ``laws`` is compiled from."""
+    return checksum([*(root / name for name in KERNEL), *law_files(laws, root)])
 
 
-def program_stamp(root: Path = ROOT) -> int:
+def program_checksum(root: Path = ROOT) -> int:
     """Return a checksum of all sources that the numbers of a simulation may depend on."""
-    return checksum(["sim/**/*.py", "fpk/**/*.py"], root)
+    return checksum([*module_files(root / "fpk"), *module_files(root / "sim")])
+
+
+def module_files(package: Path) -> list[Path]:
+    """Return the files of all modules of a package, its own first."""
+    files = [package / "__init__.py"]
+    for module in iter_modules([str(package)]):
+        inside = package / module.name
+        files += module_files(inside) if module.ispkg else [inside.with_suffix(".py")]
+    return files

@@ -120,7 +120,7 @@ def near_share(system: System, H: float) -> float:
     for i, reach in zip(
         system.contact_masses, noise_reach(system, H, np.array(system.contact_masses)), strict=True
     ):
-        k_eff = 1.0 / np.linalg.inv(system.stiffness_matrix)[i, i]
+        k_eff = 1.0 / system.compliance[i, i]
         q = np.linspace(-6.0, 6.0, 4001) * sqrt(kT / k_eff)
         energy = 0.5 * k_eff * q * q + np.array([float(system.contact_energy(i, x)) for x in q])
         weight = np.exp(-(energy - energy.min()) / kT)

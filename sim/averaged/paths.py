@@ -2,18 +2,20 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.certificate import Certificate
+from fpk.certificate import Measured, certify
 from fpk.density import SampledDensity
 from fpk.errors import InvalidInput
 from fpk.method import Progress, silent
 from fpk.observable import Coordinate, Observable
 from sim.averaged.square_root import SquareRootForm, square_root_step
+from sim.histogram import UNJUDGED
+from sim.statistics import sampling_error
 
 Array = NDArray[np.float64]
 
@@ -163,20 +165,22 @@ def _density(
 ) -> SampledDensity:
     area = float(np.prod([e[1] for e in edges]))
     batch_values = counts / (each * area)
-    values = batch_values.mean(axis=0)
-    outside = 1.0 - float(counts.sum()) / (each * BATCHES)
-    return SampledDensity(
+    density = SampledDensity(
         observable,
         edges,
-        values,
+        batch_values.mean(axis=0),
         batch_values,
-        Certificate(
-            mass_defect=abs(float(values.sum()) * area + outside - 1.0),
-            minimum=float(values.min() / values.max()),
-            residual=0.0,
-            tail_mass=outside,
-            failures=failures,
-        ),
+        UNJUDGED,
         {"dt": sampling.inner[1], "paths": sampling.paths, "seed": sampling.seed},
         one_sample=1.0 / (each * BATCHES * area),
     )
+    values, outside = density.values, 1.0 - float(counts.sum()) / (each * BATCHES)
+    measured = Measured(
+        l1_error=sampling_error(density),
+        mass_defect=abs(float(values.sum()) * area + outside - 1.0),
+        minimum=float(values.min() / values.max()),
+        residual=0.0,
+        tail_mass=outside,
+        failures=failures,
+    )
+    return replace(density, certificate=certify(measured, tol=inf, sampled=True))

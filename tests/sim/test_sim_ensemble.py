@@ -20,7 +20,7 @@ from sim.kernel import KernelKey
 from sim.plan import step_arrays
 from sim.random import LANES
 from sim.scheme import SCHEMES
-from sim.sources import KERNEL, kernel_stamp, program_stamp
+from sim.sources import KERNEL, kernel_checksum, module_files, program_checksum
 from sim.statistics import moment_products
 
 EXACT_FLOW = SCHEMES["exact_flow"]
@@ -92,30 +92,42 @@ def test_sums_of_blocks_are_those_of_their_trajectories(monkeypatch: pytest.Monk
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
 
 
-def test_an_edit_is_seen_where_it_matters(tmp_path: Path) -> None:
-    """Of compiled files by both stamps, of others by that of the program only."""
+def test_an_edit_changes_the_checksums_of_what_depends_on_it(tmp_path: Path) -> None:
+    """Of compiled files both, of others that of the program only; a missing file is an error."""
     for room in ("sim", "fpk"):
         shutil.copytree(ROOT / room, tmp_path / room, ignore=shutil.ignore_patterns("__pycache__"))
-    assert kernel_stamp(tmp_path) == kernel_stamp() and program_stamp(tmp_path) == program_stamp()
+
+    def checksums(root: Path) -> tuple[int, int]:
+        return kernel_checksum(("hertz",), root), program_checksum(root)
+
+    assert checksums(tmp_path) == checksums(ROOT)
     for name, compiled in (
         ("sim/parts/contact.py", True),
         ("sim/lanes.py", True),
         ("fpk/laws/hertz.py", True),
+        ("fpk/laws/power.py", False),
         ("sim/statistics.py", False),
         ("fpk/moments.py", False),
     ):
-        before = kernel_stamp(tmp_path), program_stamp(tmp_path)
+        before = checksums(tmp_path)
         with (tmp_path / name).open("a") as file:
             file.write("\n# edited\n")
-        assert (kernel_stamp(tmp_path) != before[0]) == compiled
-        assert program_stamp(tmp_path) != before[1]
+        after = checksums(tmp_path)
+        assert (after[0] != before[0]) == compiled
+        assert after[1] != before[1]
+    (tmp_path / "sim/lanes.py").unlink()
+    with pytest.raises(FileNotFoundError):
+        kernel_checksum(("hertz",), tmp_path)
+    with pytest.raises(FileNotFoundError):
+        program_checksum(tmp_path / "nowhere")
 
 
-def test_whatever_is_compiled_is_in_the_stamp() -> None:
-    files = {path for pattern in KERNEL for path in (ROOT / "sim").glob(pattern)}
+def test_whatever_is_compiled_is_in_the_checksum() -> None:
+    files = {ROOT / name for name in KERNEL}
     sources = {p: p.read_text("utf-8") for p in (ROOT / "sim").rglob("*.py")}
     compiled = {p for p, text in sources.items() if re.search(r"@(njit|kept)\(", text)}
     assert len(compiled) > 6 and compiled <= files
+    assert files <= set(module_files(ROOT / "sim")) == set(sources)
 
 
 SECOND_PROCESS = """

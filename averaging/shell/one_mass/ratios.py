@@ -19,12 +19,18 @@ from averaging.shell.one_mass.panels import RULES, Rules, Work, add_panels, gaus
 from averaging.shell.one_mass.rays import Rays, inner, turning_points
 from averaging.shell.reduced import ReducedPotential
 from averaging.shell.sums import ROOT_ROUND_OFF, ROUND_OFF, TARGET
-from fpk.compiled_laws import compiled_laws
-from fpk.compiling import LAWS, checksum, kept
+from fpk.compiled_laws import compiled_laws, law_files
+from fpk.compiling import ROOT, checksum, kept
 
 Array = NDArray[np.float64]
 
-SOURCES = ("averaging/shell/one_mass/*.py", "averaging/shell/sums.py", "fpk/quadrature.py")
+SOURCES = (
+    "averaging/shell/one_mass/panels.py",
+    "averaging/shell/one_mass/ratios.py",
+    "averaging/shell/one_mass/rays.py",
+    "averaging/shell/sums.py",
+    "fpk/quadrature.py",
+)
 """Files that the ratios are compiled from, beside the laws."""
 MANY = 5
 """Masses from which the first rule would be refused, as v^a is narrow."""
@@ -68,17 +74,16 @@ class OneMassShell:
 @lru_cache
 def compiled_ratios(names: tuple[str, ...], single: bool) -> Any:
     """Return the ratios for the laws ``names``; n = 1 (``single``) needs their slopes, too."""
-    stamp = checksum([*LAWS, *SOURCES])
+    sources = checksum([*law_files(names), *(ROOT / name for name in SOURCES)])
     U: Any = compiled_laws(names, "energy")
     g: Any = compiled_laws(names, "force")
     bend: Any = compiled_laws(names, "slope" if single else "force")
 
     @kept()
-    def ratios(energy: Array, rays: Rays, n: int, rules: Rules, found: Array) -> None:
-        """Fill the rows of ``found``, (5, energies)."""
+    def ratios(energy: Array, rays: Rays, n: int, rules: Rules, found: Array) -> int:
+        """Fill the rows of ``found``, (5, energies); return the checksum of the sources."""
         free_states, free_volume = _cosines(2 * n - 2), _cosines(2 * n)
-        # The stamp is always positive: it stands here to be a part of what the disk cache looks at.
-        share = DIED_OUT ** (1.0 / (n - 1.5)) if n > 2 and stamp >= 0 else 0.0
+        share = DIED_OUT ** (1.0 / (n - 1.5)) if n > 2 else 0.0
         share = share if share > LEAST_LEFT else 0.0
         w = np.empty((7, RULES[-1]))
         work = Work(w[0], w[1], w[2], w[3], w[4], w[5], w[6])
@@ -127,6 +132,7 @@ def compiled_ratios(names: tuple[str, ...], single: bool) -> Any:
             found[1, i] = finer[1] / (count * free_volume)
             found[2, i] = finer[2] / finer[0]
             found[3, i], found[4, i] = error + rounding, slope_error + error + rounding
+        return sources
 
     return ratios
 
