@@ -9,7 +9,12 @@ from numpy.typing import NDArray
 
 from averaging.modal.ends import growth_reason
 from averaging.modal.phase_averages import ModeShapes
-from averaging.modal.state_damping import StateDamping, balanced_energies, state_damping
+from averaging.modal.state_damping import (
+    NEGLIGIBLE,
+    StateDamping,
+    balanced_energies,
+    state_damping,
+)
 from fpk.equivalent import equivalent_temperature
 from fpk.errors import NotApplicable
 from fpk.modes import natural_modes
@@ -17,8 +22,7 @@ from fpk.system import System
 
 Array = NDArray[np.float64]
 
-NOTHING = 1e-12
-"""A modal damping or noise below this share of the terms that cancel in it counts as none."""
+EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,9 +115,7 @@ def modal_analysis(system: System) -> ModalAnalysis:
 
     Raises ``NotApplicable`` where a mode is not damped, or no noise reaches it.
     """
-    K = system.stiffness_matrix
     T, omega = natural_modes(system)
-    squares = omega**2
     c, D = T.T @ system.damping @ T, T.T @ system.noise_matrix @ T
     cancelling = [
         np.einsum("ri,rs,si->i", np.abs(T), np.abs(matrix), np.abs(T))
@@ -123,7 +125,7 @@ def modal_analysis(system: System) -> ModalAnalysis:
     if not system.damping_terms:
         checks.insert(0, ("is not damped, so its energy grows for ever", c, 0))
     for words, matrix, k in checks:
-        for i in np.flatnonzero(np.diag(matrix) <= NOTHING * cancelling[k]):
+        for i in np.flatnonzero(np.diag(matrix) <= NEGLIGIBLE * cancelling[k]):
             raise NotApplicable(f"mode {i + 1} (ω = {omega[i]:.4g}) {words}")
     worst = max(float(np.max(cancelling[k] / np.diag(matrix))) for _, matrix, k in checks)
     mass = np.einsum("ri,r,ri->i", T, system.mass, T)
@@ -131,11 +133,11 @@ def modal_analysis(system: System) -> ModalAnalysis:
         mode_shapes=T,
         momentum_shapes=system.mass[:, None] * T / mass,
         modal_mass=mass,
-        modal_stiffness=np.einsum("ri,rs,si->i", T, K, T),
+        modal_stiffness=omega**2 * mass,
         modal_damping=c,
         modal_noise=D,
         natural_frequency=omega,
-        relative_error=_round_off(squares) * worst,
+        relative_error=_round_off(omega) * worst,
     )
     if not system.damping_terms:
         return modes
@@ -158,15 +160,14 @@ def _with_state_damping(system: System, modes: ModalAnalysis, sizes: Array) -> M
     if reason := growth_reason(state):
         raise NotApplicable(reason)
     cancelling = float(np.max((sizes + state.size(theta)) * theta / noise))
-    error = modes.relative_error + _round_off(modes.natural_frequency**2) * cancelling
+    error = modes.relative_error + _round_off(modes.natural_frequency) * cancelling
     return replace(modes, state=state, balance=theta, relative_error=error)
 
 
-def _round_off(squares: Array) -> float:
-    """Relative round-off of modes: the solver's backward error n ε ω_max² over the least gap of ω².
+def _round_off(omega: Array) -> float:
+    """Relative round-off of modes: that of singular values, n ε ω_max, over the least gap of ω.
 
-    The gap to 0 counts: the stiffness of the slowest mode is as uncertain as that.
+    The gap to 0 counts: the slowest mode is as uncertain as that.
     """
-    gap = float(np.min(np.diff(squares, prepend=0.0)))
-    eps = float(np.finfo(float).eps)
-    return 2.0 * squares.size * eps * float(squares[-1]) / max(gap, eps * float(squares[-1]))
+    gap = float(np.min(np.diff(omega, prepend=0.0)))
+    return 2.0 * omega.size * EPS * float(omega[-1]) / max(gap, EPS * float(omega[-1]))

@@ -38,25 +38,23 @@ EPS = float(np.finfo(float).eps)
 
 @dataclass(frozen=True, eq=False)
 class _Waves:
-    """Sum of waves on the box |y_a| < X_a of whitened coordinates, where it is periodic."""
+    """Sum of waves on the box |y_a| < π/step_a of whitened coordinates, where it is periodic.
 
-    steps: tuple[float, ...]
-    counts: tuple[int, ...]
-    characteristic: Array  # (2, k = 0 .. K, l = −L .. L), of p and of its error
-    cut_off: float
+    ``characteristic`` (2, k = 0 .. K, l = −L .. L) of p and of its error; of one coordinate L = 0.
+    ``cut_off`` bounds what is missing of p.
+    """
 
-    def __call__(self, y: Sequence[Array]) -> Array:
-        """p and its error (2, points) at points y_a (points,), a density of y."""
+    steps: Array
+    counts: tuple[int, int]
+    characteristic: Array
+    cut_off: float = 0.0
+
+    def __call__(self, y: Array) -> Array:
+        """p and its error (2, points) at points y (2, points), a density of y."""
         first, place = np.unique(y[0], return_inverse=True)
         k = np.arange(self.counts[0] + 1)
-        once = np.where(k == 0, 1.0, 2.0)
-        share = np.prod([step / (2.0 * np.pi) for step in self.steps])
-        weighted = self.characteristic * (once * share)[:, None]
-        if len(y) == 1:
-            waves = np.cos(np.multiply.outer(first, self.steps[0] * k))
-            return np.asarray((weighted[..., 0] @ waves.T)[:, place])
-        waves = np.exp(1j * np.multiply.outer(first, self.steps[0] * k))
-        rows = waves @ weighted  # (2, unique, l)
+        weighted = self.characteristic * self.weight[:, None]
+        rows = np.exp(1j * np.multiply.outer(first, self.steps[0] * k)) @ weighted
         m = self.steps[1] * np.arange(-self.counts[1], self.counts[1] + 1)
         total = np.empty((2, y[0].size))
         step = max(CHUNK // m.size, 1)
@@ -65,6 +63,28 @@ class _Waves:
             other = np.exp(1j * np.multiply.outer(y[1][part], m))
             total[:, part] = np.einsum("cxl,xl->cx", rows[:, place[part]], other).real
         return total
+
+    @property
+    def weight(self) -> Array:
+        """Area of a wave over (2π)^d, twice for k > 0: k and −k are stored once (K + 1,)."""
+        once = np.where(np.arange(self.counts[0] + 1) == 0, 1.0, 2.0)
+        return np.asarray(once * np.prod(self.steps / (2.0 * np.pi)))
+
+    @property
+    def ring(self) -> Array:
+        """Which waves lie in the outermost ring of the band, [1/√2, 1] of it, (K + 1, 2L + 1)."""
+        k, m = np.arange(self.counts[0] + 1), np.arange(-self.counts[1], self.counts[1] + 1)
+        size = np.maximum(k[:, None] / self.counts[0], np.abs(m) / max(self.counts[1], 1))
+        return np.asarray(size > 1.0 / WIDER)
+
+    @property
+    def beyond(self) -> float:
+        """L1 norm of what lies beyond the band, from its outermost ring.
+
+        ∫|·| over the box is at most √Σ|φ|², by Parseval and Cauchy-Schwarz.
+        """
+        counted = self.ring * np.where(np.arange(self.counts[0] + 1) == 0, 1.0, 2.0)[:, None]
+        return BEYOND * float(np.sqrt(np.sum(counted * self.characteristic[0] ** 2)))
 
 
 def state_density(
@@ -90,16 +110,18 @@ def state_density(
             furthest[m] = np.sqrt(group.panels[k][-1])
     L = np.linalg.cholesky(0.5 * ((U * mean) @ U.T + (W * mean) @ W.T))
     inverse = np.linalg.inv(L)
-    box = np.hypot(inverse @ U, inverse @ W) @ furthest
-    waves = _waves(groups, (inverse @ U, inverse @ W), box, 0.1 * tol)
+    vectors = inverse @ U, inverse @ W
+    box = np.hypot(*vectors) @ furthest
+    waves = _waves(groups, vectors, box, 0.1 * tol)
     area = float(np.prod(np.diag(L)))
 
     def both(x: Sequence[Array]) -> Array:
-        points = np.stack(np.broadcast_arrays(*x), axis=-1).astype(float)
-        y = points.reshape(-1, len(x)) @ inverse.T
-        inside = np.all(np.abs(y) <= box, axis=1)
-        values = np.where(inside, waves(list(y.T)), 0.0) / area
-        return np.asarray(values.reshape(2, *points.shape[:-1]))
+        points = np.array(np.broadcast_arrays(*x), dtype=float)
+        y = inverse @ points.reshape(len(x), -1)
+        inside = np.all(np.abs(y) <= box[:, None], axis=0)
+        pair = np.vstack([y, np.zeros((2 - len(x), y.shape[1]))])
+        values = np.where(inside, waves(pair), 0.0) / area
+        return np.asarray(values.reshape(2, *points.shape[1:]))
 
     own = modes.relative_error * 2.0 * len(observable)  # of T and ω, in the coordinates
     relative = sum(group.l1_error for group in groups) + own
@@ -112,10 +134,10 @@ def state_density(
         return np.asarray(np.abs(error) + relative * np.abs(p) + floor)
 
     extent = np.hypot(U, W) @ furthest
-    highest = [s * n for s, n in zip(waves.steps, waves.counts, strict=True)] @ np.abs(inverse)
+    highest = (waves.steps * waves.counts)[: len(observable)] @ np.abs(inverse)
     lattice = [np.linspace(-e, e, LATTICE) for e in extent]
     values, errors = both(np.meshgrid(*lattice, indexing="ij", sparse=True))
-    measured = joined(groups, own + BEYOND * _ring_norm(waves) + round_off)
+    measured = joined(groups, own + waves.beyond + round_off)
     absolute = (floor + float(np.max(np.abs(errors)))) / float(values.max())
     # Panels over which the phase at the edge of the band, where next to nothing is left, turns by
     # ``PHASE``, and no more of them than are affordable.
@@ -159,48 +181,29 @@ def wave_vectors(modes: ModalAnalysis, observable: Observable) -> tuple[Array, A
 def _waves(
     groups: Sequence[Density], vectors: tuple[Array, Array], box: Array, tol: float
 ) -> _Waves:
-    """Widen the band until what its outermost ring holds is below ``tol``, by Parseval in L1."""
-    steps = tuple(float(np.pi / x) for x in box)
+    """Widen the band until what lies beyond it is below ``tol`` in L1."""
+    # One coordinate is a pair of which the other has the wave number 0 alone.
+    steps = np.append(np.pi / box, [2.0 * np.pi] * (2 - box.size))
+    pair = [np.pad(v, ((0, 2 - box.size), (0, 0))) for v in vectors]
     band = FIRST_BAND
     while True:
-        counts = tuple(int(np.ceil(band / step)) for step in steps)
-        waves = _Waves(steps, counts, _characteristic(groups, vectors, steps, counts), 0.0)
-        wider = np.prod([2.0 * WIDER * n + 1 for n in counts])
-        if BEYOND * _ring_norm(waves) <= tol or wider > MOST_WAVES:
+        reach = np.ceil(band / steps) * [1, box.size - 1]
+        counts = int(reach[0]), int(reach[1])
+        waves = _Waves(steps, counts, _characteristic(groups, pair, steps, counts))
+        if waves.beyond <= tol or np.prod(2.0 * WIDER * reach + 1.0) > MOST_WAVES:
             break
         band *= WIDER
-    total = float(np.sum(np.abs(waves.characteristic[0]) * _ring(waves)))
-    area = np.prod([step / (2.0 * np.pi) for step in steps])
-    return replace(waves, cut_off=float(BEYOND * total * area))
-
-
-def _ring(waves: _Waves) -> Array:
-    """How often each wave of the outermost ring counts (k and −k are stored once), else 0."""
-    k = np.arange(waves.counts[0] + 1)
-    size = k[:, None] / waves.counts[0]
-    if len(waves.counts) == 2:
-        m = np.abs(np.arange(-waves.counts[1], waves.counts[1] + 1))
-        size = np.maximum(size, m / waves.counts[1])
-    return np.asarray((size > 1.0 / WIDER) * np.where(k == 0, 1.0, 2.0)[:, None])
-
-
-def _ring_norm(waves: _Waves) -> float:
-    """√Σ|φ|² over the ring: ∫|·| over the box is at most that, by Parseval and Cauchy-Schwarz."""
-    return float(np.sqrt(np.sum(_ring(waves) * waves.characteristic[0] ** 2)))
+    missing = np.sum(np.abs(waves.characteristic[0]) * waves.ring * waves.weight[:, None])
+    return replace(waves, cut_off=BEYOND * float(missing))
 
 
 def _characteristic(
-    groups: Sequence[Density],
-    vectors: tuple[Array, Array],
-    steps: tuple[float, ...],
-    counts: tuple[int, ...],
+    groups: Sequence[Density], vectors: Sequence[Array], steps: Array, counts: tuple[int, int]
 ) -> Array:
     """φ at all waves, (2, K + 1, 2L + 1): of p, and Σ over groups of its error times the rest."""
-    along = [steps[0] * np.arange(counts[0] + 1)]
-    if len(steps) == 2:
-        along.append(steps[1] * np.arange(-counts[1], counts[1] + 1))
-    waves = np.stack([part.ravel() for part in np.meshgrid(*along, indexing="ij")], axis=1)
-    size = np.hypot(waves @ vectors[0], waves @ vectors[1])  # (waves, n)
+    along = np.arange(counts[0] + 1), np.arange(-counts[1], counts[1] + 1)
+    waves = np.array([x.ravel() for x in np.meshgrid(*along, indexing="ij")]).T * steps
+    size = np.hypot(*(waves @ v for v in vectors))  # (waves, n)
     phi, doubt = np.ones(len(waves)), np.zeros(len(waves))
     for group in groups:
         own, error = _of_group(group, size[:, _modes_of(group)])

@@ -182,5 +182,5 @@ def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:
         residual=max(c.residual for c in checks),
         tail_mass=sum(c.tail_mass for c in checks),
         net_flux=max((c.net_flux for c in checks if c.net_flux is not None), default=None),
-        failures=tuple(words for c in checks for words in c.failures),
+        failures=tuple(dict.fromkeys(words for c in checks for words in c.failures)),
     )

@@ -151,3 +151,52 @@ def test_random_linear_systems_keep_to_their_error(seed):
                 p, stated = density.at(*(np.array([v]) for v in x))
                 assert abs(p[0] - float(exact)) <= stated[0], name
             assert density.certificate.certified, density.certificate
+
+
+def exact_modes(system):
+    """ω², T with Tᵀ M T = 1 and the modal temperatures, in the working digits of mpmath."""
+    n, mp = system.n, mpmath
+    k = [mp.mpf(float(x)) for x in system.stiffness]
+    root = [mp.sqrt(mp.mpf(float(x))) for x in system.mass]
+    B = mp.matrix(n, n)
+    for i in range(n):
+        B[i, i] = (k[i] + (k[i + 1] if i + 1 < n else 0)) / root[i] ** 2
+        if i:
+            B[i, i - 1] = B[i - 1, i] = -k[i] / (root[i] * root[i - 1])
+    squares, V = mp.eigsy(B)
+    T = mp.matrix([[V[i, j] / root[i] for j in range(n)] for i in range(n)])
+    c, d = (T.T * mp.matrix(x.tolist()) * T for x in (system.damping, system.noise_matrix))
+    return squares, T, [d[i, i] / c[i, i] for i in range(n)]
+
+
+@pytest.mark.parametrize("seed", [20261122, 1, 2, 3, 4, 5])
+def test_random_modal_densities_keep_to_their_error(seed):
+    rng = np.random.default_rng(seed)
+    system = linear_system(rng)
+    n, method = system.n, Integrable()
+    if method.refusal(system, parse_observable("H1", n)):
+        pytest.skip("in resonance")
+    with mpmath.workdps(40):
+        squares, T, theta = exact_modes(system)
+        for name in ("H1", f"H{n}", "H", "q1", f"p{n}"):
+            (density,) = solved(method, system, name)
+            (coordinate,) = density.observable
+            i = coordinate.index
+            for share in rng.exponential(size=4):
+                if coordinate.kind == "H" and i is not None:
+                    x = share * float(theta[i])
+                    exact = mpmath.exp(-mpmath.mpf(x) / theta[i]) / theta[i]
+                elif coordinate.kind == "H":
+                    x, exact = share * float(sum(theta)), mpmath.mpf(0)
+                    for a in theta:
+                        others = [a / (a - b) for b in theta if b is not a]
+                        exact += mpmath.exp(-mpmath.mpf(x) / a) / a * mpmath.fprod(others)
+                else:
+                    factor = [1 / w for w in squares] if coordinate.kind == "q" else [1] * n
+                    size = 1 if coordinate.kind == "q" else mpmath.mpf(float(system.mass[i]))
+                    variance = sum((size * T[i, m]) ** 2 * theta[m] * factor[m] for m in range(n))
+                    x = share * float(mpmath.sqrt(variance))
+                    exact = mpmath.npdf(mpmath.mpf(x), 0, mpmath.sqrt(variance))
+                p, stated = density.at(np.array([x]))
+                assert abs(p[0] - float(exact)) <= stated[0] + 2.3e-16 * p[0], name
+            assert density.certificate.certified == (density.l1_error <= method.tol)
