@@ -104,24 +104,28 @@ def run(
     check_tol(tol)
     if out is not None:
         make_folder(out)
-    from cases.comparison.checkpoints import checkpoint_folder
-    from cases.comparison.routes import Sampling, all_methods
-    from cases.output.report import write_report
-    from cases.output.summary import run_record
-    from cases.output.tables import run_text
+    from cases.commands.checkpoints import checkpoint_folder
+    from cases.comparison.routes import all_methods
+    from cases.output.digest import digest_of
+    from cases.output.text import run_text
 
     check_cluster(cluster)
     folder = checkpoint_folder(checkpoint, loaded, {"seed": seed, "dt": dt, "step_pair": step_pair})
-    sampling = Sampling(
-        seed, threads, seconds=seconds, step_pair=step_pair or None,
-        cluster=cluster, checkpoint=folder, partial=True, dt=dt, allow_unstable=allow_unstable,
+    methods = all_methods(
+        tol=tol, seed=seed, threads=threads, seconds=seconds, step_pair=step_pair, cluster=cluster,
+        checkpoint=folder, partial=True, dt=dt, allow_unstable=allow_unstable,
     )  # fmt: skip
-    outcome = outcome_of(loaded, all_methods(tol=tol, sampling=sampling))
-    written = [] if out is None else write_report(outcome, out)
+    outcome = outcome_of(loaded, methods)
+    written = []
+    if out is not None:
+        from cases.output.report import write_report
+
+        written = write_report(outcome, out)
+    digest = digest_of(outcome)
     if as_json:
-        print_json(run_record(outcome))
+        print_json(digest)
     else:
-        typer.echo(run_text(outcome))
+        typer.echo(run_text(digest))
         for path in written:
             typer.echo(f"wrote {path}")
     end_with(outcome.problems)
@@ -156,7 +160,7 @@ def density(
     from cases.scene.errors import BadInput
     from cases.scene.points import parse_points
     from cases.scene.scene import load_scene
-    from fpk.errors import InvalidInput
+    from fpk.errors import InvalidInput, NotApplicable
     from fpk.observable import parse_observable
 
     loaded = load_scene(scene)
@@ -166,27 +170,27 @@ def density(
     except InvalidInput as error:
         raise BadInput(f'--of "{of}": {error.remedy}') from None
     points = parse_points(at, len(observable))
-    from cases.comparison.checkpoints import checkpoint_folder
-    from cases.comparison.routes import Request, Sampling, method_for, refuse_unused
-    from cases.output.summary import density_record
-    from cases.output.tables import density_text
+    from cases.commands.checkpoints import checkpoint_folder
+    from cases.comparison.routes import chosen, solved
+    from cases.output.records import density_record
     from cases.output.terminal import progress_bar
+    from cases.output.text import density_text
 
     check_cluster(cluster)
-    sampling = Sampling(
-        seed, threads, seconds=seconds, step_pair=step_pair or None,
-        cluster=cluster, checkpoint=checkpoint, partial=True, dt=dt, allow_unstable=allow_unstable,
-    )  # fmt: skip
-    route = method_for(Request(method, solver, tol, sampling))
-    refuse_unused(route, sampling)
-    reason = route.refusal(loaded.system, observable)
-    if reason is not None:
-        raise BadInput(f"{loaded.name}: {method} does not apply: {reason}")
+    try:
+        plan = chosen(
+            loaded.system, observable, method, solver,
+            tol=tol, seed=seed, threads=threads, seconds=seconds, step_pair=step_pair,
+            cluster=cluster, checkpoint=checkpoint, partial=True, dt=dt,
+            allow_unstable=allow_unstable,
+        )  # fmt: skip
+    except NotApplicable as reason:
+        raise BadInput(f"{loaded.name}: {method} does not apply: {reason}") from None
     given = {"seed": seed, "tol": tol, "observable": of, "dt": dt, "step_pair": step_pair}
     checkpoint_folder(checkpoint, loaded, given)
     with progress_bar() as progress:
-        result = route.solve(loaded.system, [observable], progress=progress)
-    record = density_record(loaded, route, result, points)
+        result = solved(plan, [observable], progress=progress)
+    record = density_record(loaded, result, points)
     if as_json:
         print_json(record)
     else:

@@ -47,21 +47,14 @@ def export(
         first = next((o for o in loaded.observables if len(o) == 2), loaded.observables[0])
         loaded = replace(loaded, observables=(first,), curves=loaded.curves[:1])
     from cases.comparison.routes import all_methods
-    from cases.output.fields import csv_text, write_netcdf
-    from cases.output.files import write_text
+    from cases.output.fields import write_csv, write_netcdf
     from cases.output.vtk import write_pvd, write_vtu
 
     loaded = replace(loaded, expect=None)  # without the simulation nothing can be claimed
-    outcome = outcome_of(loaded, [m for m in all_methods(tol=tol) if m.name != "montecarlo"])
-    written = [out]
-    if out.suffix == ".vtu":
-        write_vtu(outcome, loaded.observables[0], out)
-    elif out.suffix == ".pvd":
-        written = write_pvd(outcome, out)
-    elif out.suffix == ".nc":
-        write_netcdf(outcome, out)
-    else:
-        write_text(out, csv_text(outcome))
+    methods = [m for m in all_methods(tol=tol) if not m.route.sampled or m.route.solves != "full"]
+    outcome = outcome_of(loaded, methods)
+    write = {".vtu": write_vtu, ".pvd": write_pvd, ".nc": write_netcdf, ".csv": write_csv}
+    written = write[out.suffix](outcome, out)
     if as_json:
         files = [str(path) for path in written]
         record = {"scene": loaded.name, "file": str(out), "files": files}

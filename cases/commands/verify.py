@@ -26,20 +26,22 @@ def verify(
 
     shipped = [name for name, path in shipped_scenes().items() if path.parent.name != "hard"]
     loaded = [load_scene(name) for name in dict.fromkeys(scenes or shipped)]
-    from cases.comparison.verify import verify_line, verify_record, verify_scene, verify_table
+    from cases.comparison.verify import verify_scene
+    from cases.output.records import verify_record
     from cases.output.terminal import progress_bar
+    from cases.output.text import verify_line, verify_table
 
     width = max(len(scene.name) for scene in loaded)
-    found = []
+    verified = []
     for scene in loaded:
         with progress_bar() as progress:
-            found.append(
+            verified.append(
                 verify_scene(scene, coarse=coarse, seed=seed, threads=threads, progress=progress)
             )
         if not as_json:
-            typer.echo(verify_line(found[-1], width))
+            typer.echo(verify_line(verified[-1], width))
     if as_json:
-        print_json(verify_record(found))
+        print_json(verify_record(verified))
     else:
-        typer.echo(verify_table(found))
-    end_with([f"{v.scene}: {problem}" for v in found for problem in v.problems])
+        typer.echo(verify_table(verified))
+    end_with([f"{v.scene}: {problem}" for v in verified for problem in v.problems])

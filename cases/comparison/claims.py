@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from math import erfc, sqrt
 from typing import Literal, Protocol
 
 import numpy as np
@@ -10,26 +11,42 @@ import numpy as np
 from cases.comparison.compare import distance_between
 from cases.comparison.regime import Regime
 from cases.scene.expect import Expect
-from fpk.certificate import Certificate
-from fpk.density import AnyDensity, Array, Density, SampledDensity, l1_distance, moment
+from fpk.certificate import ROUNDING, Measured
+from fpk.density import (
+    AnyDensity,
+    Array,
+    Density,
+    SampledDensity,
+    certified_density,
+    l1_distance,
+    moment,
+)
 from fpk.observable import Observable, observable_name
+from fpk.route import Route
 
 Verdict = Literal["holds", "does not hold", "undecided", "not checked"]
+
+Bounded = tuple[float, float]
+"""An L1 distance, and how far chance and the solvers may have moved it."""
 
 ALMOST_L1 = 0.05
 """L1 distance to the fitted Gaussian up to which a density is called almost Gaussian: no
 probability is wrong by more than 2.5 %, about what the width of a printed line hides."""
 
 ALMOST_KURTOSIS = 0.3
-"""Excess kurtosis up to which it is called so: the fourth moment is a tenth off the Gaussian's 3.
-A density must meet both to be almost Gaussian; one of them beyond makes it non-Gaussian."""
+"""Excess kurtosis up to which a density is called almost Gaussian: its fourth moment is a tenth off
+the Gaussian's 3. It must meet ``ALMOST_L1``, too; beyond one of them it is non-Gaussian."""
+
+GAUSSIAN_REACH = 9.0
+"""Half-width in standard deviations of the Gaussian that a density is compared with; 2e-19 of its
+mass lies beyond."""
 
 ACCEPTABLE_L1 = 0.1
 """L1 distance to the full system up to which a theory is called acceptable: no probability is
 wrong by more than 5 %."""
 
 
-class CurveFound(Protocol):
+class Curve(Protocol):
     """What the claims need to know of one curve."""
 
     @property
@@ -47,8 +64,8 @@ class CurveFound(Protocol):
         """What decides between the theories."""
         ...
 
-    def densities(self, observable: Observable) -> Mapping[str, AnyDensity]:
-        """Return the densities of one observable by route name."""
+    def densities(self, observable: Observable) -> Mapping[Route, AnyDensity]:
+        """Return the densities of one observable by route."""
         ...
 
 
@@ -81,11 +98,11 @@ class Shape:
         return False if False in near else None if None in near else True
 
 
-def findings(expect: Expect | None, curves: Sequence[CurveFound]) -> tuple[Finding, ...]:
+def findings(expect: Expect | None, curves: Sequence[Curve]) -> tuple[Finding, ...]:
     """Return what became of every claim on every curve that it is about."""
     if expect is None:
         return ()
-    found: list[Finding] = []
+    verdicts: list[Finding] = []
     for wanted, claim_range, words in (
         (False, expect.non_gaussian, "non-Gaussian"),
         (True, expect.almost_gaussian, "almost Gaussian"),
@@ -96,12 +113,12 @@ def findings(expect: Expect | None, curves: Sequence[CurveFound]) -> tuple[Findi
             if curve.value is not None and curve.value in claim_range:
                 symbol = curve.label.partition(" =")[0]
                 claim = f"{observable_name(expect.of)} {words} for {symbol} {claim_range.words}"
-                found.append(_gaussian(claim, curve, expect.of, wanted=wanted))
+                verdicts.append(_gaussian(claim, curve, expect.of, wanted=wanted))
     if expect.nonintegrable_better_with is not None:
-        found += _monotone(expect, curves)
+        verdicts += _monotone(expect, curves)
     for curve in curves:
-        found += _theories(expect, curve)
-    return tuple(found)
+        verdicts += _theories(expect, curve)
+    return tuple(verdicts)
 
 
 def shape_of(density: AnyDensity) -> Shape:
@@ -123,18 +140,19 @@ def shape_of(density: AnyDensity) -> Shape:
     return Shape(distance, chance, kurtosis, 3.0 * spread)
 
 
-def reference_of(found: Mapping[str, AnyDensity]) -> AnyDensity | None:
-    """Return the best answer for the full system: exact where there is one, else sampled."""
-    return next((found[r] for r in ("exact", "linear", "montecarlo") if r in found), None)
+def reference_of(densities: Mapping[Route, AnyDensity]) -> AnyDensity | None:
+    """Return the best answer for the full system: a deterministic one where there is one."""
+    full = (r for r in sorted(densities, key=lambda r: r.sampled) if r.solves == "full")
+    return next((densities[r] for r in full), None)
 
 
-def theory_of(found: Mapping[str, AnyDensity], name: str) -> AnyDensity | None:
-    """Return the answer of an averaged theory, by closed form where there is one."""
-    solvers = ("closed-form", "quadrature", "fem")
-    return next((found[f"{name}/{s}"] for s in solvers if f"{name}/{s}" in found), None)
+def theory_of(densities: Mapping[Route, AnyDensity], name: str) -> AnyDensity | None:
+    """Return the first deterministic answer of the averaged method ``name``."""
+    own = (r for r in densities if r.method == name and not r.sampled)
+    return next((densities[r] for r in own), None)
 
 
-def _gaussian(claim: str, curve: CurveFound, of: Observable, *, wanted: bool) -> Finding:
+def _gaussian(claim: str, curve: Curve, of: Observable, *, wanted: bool) -> Finding:
     density = reference_of(curve.densities(of))
     if density is None:
         return Finding(claim, curve.label, "no answer for the full system", "not checked")
@@ -146,69 +164,65 @@ def _gaussian(claim: str, curve: CurveFound, of: Observable, *, wanted: bool) ->
     )
 
 
-def _monotone(expect: Expect, curves: Sequence[CurveFound]) -> list[Finding]:
+def _monotone(expect: Expect, curves: Sequence[Curve]) -> list[Finding]:
     """Compare neighbours along the varied number, the better one last."""
     direction = expect.nonintegrable_better_with
     symbol = curves[0].label.partition(" =")[0]
     claim = f"nonintegrable theory better with {direction} {symbol}"
     ordered = sorted(curves, key=lambda c: c.value or 0.0, reverse=direction == "smaller")
-    found = []
-    for worse, better in pairwise(ordered):
-        where = f"{worse.label} to {better.label}"
-        pair = [_distance(c, expect.of, "nonintegrable") for c in (worse, better)]
-        if pair[0] is None or pair[1] is None:
-            found.append(Finding(claim, where, "no answer to compare with", "not checked"))
-            continue
-        (a, slack_a), (b, slack_b) = pair[0], pair[1]
-        measured = f"L1 {a:.4f} ± {slack_a:.4f} to {b:.4f} ± {slack_b:.4f}"
-        found.append(Finding(claim, where, measured, _verdict(_less(b, slack_b, a, slack_a))))
-    return found
+    return [
+        _nearer(
+            claim,
+            f"{worse.label} to {better.label}",
+            _distance(better, expect.of, "nonintegrable"),
+            _distance(worse, expect.of, "nonintegrable"),
+        )
+        for worse, better in pairwise(ordered)
+    ]
 
 
-def _theories(expect: Expect, curve: CurveFound) -> list[Finding]:
-    found = []
+def _theories(expect: Expect, curve: Curve) -> list[Finding]:
+    verdicts = []
     if expect.better is not None:
         first, second = expect.better
-        found.append(_better(first, second, curve, expect.of))
-    found += [
+        pair = [_distance(curve, expect.of, name) for name in (first, second)]
+        verdicts.append(_nearer(f"{first} theory better than {second}", curve.label, *pair))
+    verdicts += [
         _acceptable(f"{name} theory acceptable", name, curve, expect.of)
         for name in expect.acceptable
     ]
     rule = expect.clearance_rule
-    ratios = [s.ratio for s in curve.regime.stops]
     if rule is not None:
         claim = f"integrable theory acceptable for clearance > {rule:g} rms"
+        ratios = [s.ratio for s in curve.regime.stops]
         known = [r for r in ratios if r is not None]
         if not known or len(known) < len(ratios):
-            found.append(Finding(claim, curve.label, "the rms is not known", "not checked"))
+            verdicts.append(Finding(claim, curve.label, "the rms is not known", "not checked"))
         elif min(known) > rule:
-            found.append(_acceptable(claim, "integrable", curve, expect.of))
+            verdicts.append(_acceptable(claim, "integrable", curve, expect.of))
         else:
             measured = f"clearance is {min(known):.3g} rms: the rule says nothing here"
-            found.append(Finding(claim, curve.label, measured, "not checked"))
-    return found
+            verdicts.append(Finding(claim, curve.label, measured, "not checked"))
+    return verdicts
 
 
-def _better(first: str, second: str, curve: CurveFound, of: Observable) -> Finding:
-    claim = f"{first} theory better than {second}"
-    a, b = _distance(curve, of, first), _distance(curve, of, second)
-    if a is None or b is None:
-        missing = first if a is None else second
-        return Finding(claim, curve.label, f"no answer of the {missing} theory", "not checked")
-    measured = f"L1 {a[0]:.4f} ± {a[1]:.4f} against {b[0]:.4f} ± {b[1]:.4f}"
-    return Finding(claim, curve.label, measured, _verdict(_less(*a, *b)))
+def _nearer(claim: str, where: str, near: Bounded | None, far: Bounded | None) -> Finding:
+    """Whether ``near`` is the smaller of two distances to the full system."""
+    if near is None or far is None:
+        return Finding(claim, where, "no answer to compare with", "not checked")
+    measured = f"L1 {near[0]:.4f} ± {near[1]:.4f} against {far[0]:.4f} ± {far[1]:.4f}"
+    return Finding(claim, where, measured, _verdict(_less(*near, *far)))
 
 
-def _acceptable(claim: str, name: str, curve: CurveFound, of: Observable) -> Finding:
-    found = _distance(curve, of, name)
-    if found is None:
+def _acceptable(claim: str, name: str, curve: Curve, of: Observable) -> Finding:
+    distance = _distance(curve, of, name)
+    if distance is None:
         return Finding(claim, curve.label, f"no answer of the {name} theory", "not checked")
-    measured = f"L1 to the full system {found[0]:.4f} ± {found[1]:.4f}"
-    return Finding(claim, curve.label, measured, _verdict(_below(*found, ACCEPTABLE_L1)))
+    measured = f"L1 to the full system {distance[0]:.4f} ± {distance[1]:.4f}"
+    return Finding(claim, curve.label, measured, _verdict(_below(*distance, ACCEPTABLE_L1)))
 
 
-def _distance(curve: CurveFound, of: Observable, name: str) -> tuple[float, float] | None:
-    """L1 of a theory to the full system, and how far chance and solvers may have moved it."""
+def _distance(curve: Curve, of: Observable, name: str) -> Bounded | None:
     densities = curve.densities(of)
     theory, reference = theory_of(densities, name), reference_of(densities)
     if theory is None or reference is None:
@@ -236,12 +250,15 @@ def _kurtosis(density: AnyDensity) -> float:
 
 
 def _gaussian_density(density: AnyDensity, mean: float, variance: float) -> Density:
-    reach = 9.0 * np.sqrt(variance)
-    nodes = np.unique(np.append(density.panels[0], [mean - reach, mean + reach]))
+    scale = sqrt(variance)
+    ends = [mean - GAUSSIAN_REACH * scale, mean + GAUSSIAN_REACH * scale]
+    nodes = np.unique(np.concatenate([density.panels[0], np.linspace(*ends, 19)]))
 
     def pdf(x: Array) -> Array:
-        return np.asarray(np.exp(-0.5 * (x - mean) ** 2 / variance) / np.sqrt(2 * np.pi * variance))
+        return np.asarray(np.exp(-0.5 * ((x - mean) / scale) ** 2) / (np.sqrt(2 * np.pi) * scale))
 
-    return Density(
-        density.observable, (nodes,), pdf, np.zeros_like, 0.0, Certificate(0.0, 0.0, 0.0, 0.0)
+    tail = erfc(GAUSSIAN_REACH / sqrt(2.0))
+    measured = Measured(tail + ROUNDING, 0.0, 0.0, 0.0, tail)
+    return certified_density(
+        density.observable, (nodes,), pdf, np.zeros_like, measured=measured, tol=np.inf
     )

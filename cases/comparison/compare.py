@@ -17,11 +17,11 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-from scipy.stats import skew
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from fpk.density import AnyDensity, Array, Density, SampledDensity, l1_distance
-from fpk.method import Method, Result
+from fpk.method import Result
+from fpk.route import Route
 
 Measures = Literal["numerical", "sampling", "averaging"]
 
@@ -44,41 +44,103 @@ class Comparison:
     """Two answers to one question: ``L1 = ∫|p_a − p_b|`` and what it is allowed to be.
 
     ``band`` is None where the difference is reported, not judged; ``error`` says how far chance
-    and the solvers may have moved ``L1`` itself.
+    and the solvers may have moved ``L1`` itself. ``uncertified`` are those of the two routes whose
+    own checks fail: the difference says nothing against the other one then.
     """
 
     observable: str
-    a: str
-    b: str
+    a: Route
+    b: Route
     measures: Measures
     L1: float
     band: float | None
     error: float
-    holds: bool
+    uncertified: tuple[Route, ...] = ()
 
+    @property
+    def holds(self) -> bool:
+        """Whether the difference is allowed; one that is not judged is."""
+        return self.band is None or bool(self.band >= self.L1)
 
-def route_name(method: Method) -> str:
-    """Return how tables and legends call a route, such as ``nonintegrable/fem``."""
-    return method.route.label
+    @property
+    def independent(self) -> bool:
+        """Whether just one of the two is sampled: then no step of the calculation is shared."""
+        return self.a.sampled != self.b.sampled
 
 
 def compared(results: Sequence[Result], *, averaging_is_exact: bool) -> tuple[Comparison, ...]:
     """Return the comparison of every pair of results in every observable they share.
 
     ``averaging_is_exact`` says that the exact theory applies, with which the averaged ones then
-    coincide (end of section 6.2), unless they left out contacts, as their settings then say.
+    coincide (end of section 6.2) unless they neglect something.
     """
     answers = [(r, d) for r in results for d in r.densities]
-    found = []
-    for (of_a, a), (of_b, b) in combinations(answers, 2):
-        if a.observable == b.observable and not _on_different_bins(a, b):
-            whole = not (of_a.neglected or of_b.neglected)
-            kind = what_is_measured(
-                of_a.method, of_b.method, averaging_is_exact=averaging_is_exact and whole
+    pairs = [
+        (first, second)
+        for first, second in combinations(answers, 2)
+        if first[1].observable == second[1].observable
+        and not _on_different_bins(first[1], second[1])
+    ]
+    comparisons = []
+    for (of_a, a), (of_b, b) in pairs:
+        routes = (of_a.method.route, of_b.method.route)
+        whole = not (of_a.neglected or of_b.neglected)
+        kind = what_is_measured(*routes, averaging_is_exact=averaging_is_exact and whole)
+        distance, expected, band = _measured(a, b)
+        comparisons.append(
+            Comparison(
+                a.name,
+                *routes,
+                kind,
+                L1=distance,
+                band=None if kind == "averaging" else band,
+                error=expected,
+                uncertified=tuple(
+                    route
+                    for route, d in zip(routes, (a, b), strict=True)
+                    if not d.certificate.certified
+                ),
             )
-            names = route_name(of_a.method), route_name(of_b.method)
-            found.append(_comparison(*names, a, b, kind=kind))
-    return tuple(sorted(found, key=lambda c: c.observable))
+        )
+    return tuple(sorted(comparisons, key=lambda c: c.observable))
+
+
+def discrepancies(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
+    """Return in words every difference that is not allowed, and which of the two it speaks against.
+
+    An answer is confirmed by one that agrees with it and shares no step of the calculation; of
+    answers that share theirs, two can be wrong in the same way.
+    """
+    return tuple(
+        f"{c.observable}: {c.a.label} and {c.b.label} differ by L1 = {c.L1:.3g}, allowed is"
+        f" {c.band:.3g} ({c.measures}){_doubt(c, comparisons)}"
+        for c in comparisons
+        if not c.holds
+    )
+
+
+def _doubt(difference: Comparison, comparisons: Sequence[Comparison]) -> str:
+    routes = (difference.a, difference.b)
+    if doubtful := difference.uncertified:
+        others = [r.label for r in routes if r not in doubtful]
+        innocent = f": no finding against {others[0]}" if others else ""
+        verb = "is" if others else "are"
+        return f"; {' and '.join(r.label for r in doubtful)} {verb} not certified{innocent}"
+    confirmed = [(r, _confirming(r, difference.observable, comparisons)) for r in routes]
+    confirmed = [(r, other) for r, other in confirmed if other is not None]
+    if len(confirmed) != 1:
+        return ""
+    ((route, other),) = confirmed
+    return f"; {route.label} agrees with {other}, which is calculated independently"
+
+
+def _confirming(route: Route, observable: str, comparisons: Sequence[Comparison]) -> str | None:
+    """Label of an answer that confirms that of ``route``, None where there is none."""
+    for c in comparisons:
+        judged = c.observable == observable and c.band is not None and not c.uncertified
+        if judged and c.holds and c.independent and route in (c.a, c.b):
+            return (c.b if c.a == route else c.a).label
+    return None
 
 
 def _on_different_bins(a: AnyDensity, b: AnyDensity) -> bool:
@@ -87,30 +149,12 @@ def _on_different_bins(a: AnyDensity, b: AnyDensity) -> bool:
     return both and not all(map(np.array_equal, a.panels, b.panels))
 
 
-def what_is_measured(a: Method, b: Method, *, averaging_is_exact: bool) -> Measures:
-    """Return which of the three errors separates the answers of two methods."""
-    averaged = any(m.route.solves == "averaged" for m in (a, b))
-    if averaged and a.name != b.name and not averaging_is_exact:
+def what_is_measured(a: Route, b: Route, *, averaging_is_exact: bool) -> Measures:
+    """Return which of the three errors separates the answers of two routes."""
+    averaged = "averaged" in (a.solves, b.solves)
+    if averaged and a.method != b.method and not averaging_is_exact:
         return "averaging"
-    sampled = any(m.route.sampled for m in (a, b))
-    return "sampling" if sampled else "numerical"
-
-
-def _comparison(
-    name_a: str, name_b: str, a: AnyDensity, b: AnyDensity, *, kind: Measures
-) -> Comparison:
-    distance, expected, band = _measured(a, b)
-    allowed = None if kind == "averaging" else band
-    return Comparison(
-        observable=a.name,
-        a=name_a,
-        b=name_b,
-        measures=kind,
-        L1=distance,
-        band=allowed,
-        error=expected,
-        holds=allowed is None or bool(distance <= allowed),
-    )
+    return "sampling" if a.sampled or b.sampled else "numerical"
 
 
 def distance_between(a: AnyDensity, b: AnyDensity) -> tuple[float, float]:
@@ -150,8 +194,9 @@ def chance_l1(sampled: SampledDensity) -> tuple[float, float]:
     mean, spread = float(draws.mean()), float(draws.std(ddof=1))
     if spread == 0.0:
         return mean, mean
-    z = float(student.isf(FALSE_ALARMS, count - 1))
-    z += (z * z - 1.0) * max(float(skew(draws)), 0.0) / 6.0
+    z = -float(stdtrit(count - 1, FALSE_ALARMS))
+    skewness = float(np.mean(((draws - mean) / draws.std()) ** 3))
+    z += (z * z - 1.0) * max(skewness, 0.0) / 6.0
     return mean, mean + z * spread
 
 

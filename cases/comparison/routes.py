@@ -1,137 +1,97 @@
-"""The routes from a system to densities that the command line offers: one entry each."""
+"""The methods that the command line asks for, made from the registry of routes."""
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields, replace
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from time import perf_counter
 from typing import Any
 
-from averaging.exact import Exact
-from averaging.gaussian import Linear
-from averaging.integrable import Integrable
-from averaging.nonintegrable import NonIntegrable
-from cases.comparison.averaged import AveragedSimulation
+import sim.montecarlo  # noqa: F401  (each of these registers its routes)
 from cases.scene.errors import BadInput
-from fpk.method import Method
-from sim.montecarlo import MonteCarlo
+from fpk.errors import NotApplicable
+from fpk.method import Method, Plan, Progress, Result, silent
+from fpk.observable import Observable
+from fpk.route import ROUTES, Route, methods, solvers_of
+from fpk.system import System
 
-SIMULATION = "simulation"
+
+def listed_routes() -> tuple[Route, ...]:
+    """Return all routes: deterministic before sampled, the full system before averaged ones."""
+    return tuple(sorted(ROUTES.values(), key=lambda r: (r.sampled, r.solves != "full")))
 
 
-@dataclass(frozen=True)
-class Route:
-    """One METHOD of the command line: how it is made from a SOLVER, or why it cannot be yet.
+def method_for(name: str, solver: str | None = None, **settings: Any) -> Method:
+    """Return the method ``name`` by ``solver`` (None: its default) with the settings it has.
 
-    ``solvers`` are the choices, the default first; the solver "simulation" takes seed and threads.
+    A setting that is None is left to the method. Raises ``BadInput`` for names of no route.
     """
-
-    make: Callable[[Any], Any] | None
-    solvers: tuple[str, ...] = ()
-    refusal: str = ""
+    return _made(_routes_of(name, solver)[0], settings)
 
 
-def _averaged(theory: Any, solver: str) -> Any:
-    """The theory by ``solver``; its equations are simulated by a method of their own."""
-    plain = theory() if solver == SIMULATION else theory(solver=solver)
-    return AveragedSimulation(plain.name) if solver == SIMULATION else plain
+def all_methods(*, tol: float | None = None, **settings: Any) -> tuple[Method, ...]:
+    """Return every route with the settings that it has; ``tol`` is for deterministic ones only.
 
-
-ROUTES: dict[str, Route] = {
-    "exact": Route(lambda solver: Exact()),
-    "linear": Route(lambda solver: Linear()),
-    "nonintegrable": Route(
-        lambda solver: _averaged(NonIntegrable, solver),
-        ("fem", "closed-form", "quadrature", SIMULATION),
-    ),
-    "integrable": Route(
-        lambda solver: _averaged(Integrable, solver),
-        ("closed-form", "fem", "quadrature", SIMULATION),
-    ),
-    "montecarlo": Route(lambda solver: MonteCarlo(), (SIMULATION,)),
-}
-
-
-@dataclass(frozen=True)
-class Sampling:
-    """What may be said of the simulation; None leaves it to the method.
-
-    ``paths`` trajectories are sampled for ``time`` each, or for so many ``relaxations`` (times in
-    which the system forgets): whatever the unit of time. ``seconds`` of wall time end it instead,
-    and ``step_pair`` measures the bias of the step. ``cluster`` is the address of a Dask
-    scheduler, ``checkpoint`` a folder, ``partial`` whether Ctrl-C leaves what there is by then;
-    ``dt`` the step, ``allow_unstable`` whether it may be beyond the stability limit.
-    """
-
-    seed: int | None = None
-    threads: int | None = None
-    paths: int | None = None
-    time: float | None = None
-    relaxations: float | None = None
-    seconds: float | None = None
-    step_pair: bool | None = None
-    cluster: str | None = None
-    checkpoint: Path | None = None
-    partial: bool = False
-    dt: float | None = None
-    allow_unstable: bool = False
-
-    def given_to(self, method: Any) -> dict[str, Any]:
-        """Return the settings that were given and that ``method`` has."""
-        known = {f.name for f in fields(method)}
-        return {k: v for k, v in asdict(self).items() if v is not None and k in known}
-
-
-@dataclass(frozen=True)
-class Request:
-    """One METHOD with its SOLVER and settings, as asked for on the command line."""
-
-    method: str
-    solver: str | None = None
-    tol: float | None = None
-    sampling: Sampling = field(default_factory=Sampling)
-
-
-def method_for(request: Request) -> Method:
-    """Return the method asked for; raise ``BadInput`` with the reason where there is none."""
-    route = ROUTES.get(request.method)
-    if route is None:
-        raise BadInput(f"--method {request.method}: use one of {', '.join(ROUTES)}")
-    solver = request.solver
-    if solver is not None and solver not in route.solvers:
-        choices = f"use one of {', '.join(route.solvers)}" if route.solvers else "leave it out"
-        raise BadInput(f"--solver {solver}: not a solver of {request.method}; {choices}")
-    if route.make is None:
-        raise BadInput(f"--method {request.method}: {route.refusal}")
-    solver = solver or (route.solvers[0] if route.solvers else "")
-    method = route.make(solver)
-    settings: dict[str, Any] = request.sampling.given_to(method) if solver == SIMULATION else {}
-    if request.tol is not None and hasattr(method, "tol"):
-        settings["tol"] = request.tol
-    result: Method = replace(method, **settings) if settings else method
-    return result
-
-
-def refuse_unused(method: Method, sampling: Sampling) -> None:
-    """Raise ``BadInput`` for an option of the simulation that was given and ``method`` lacks."""
-    given = {f.name for f in fields(sampling) if getattr(sampling, f.name) not in (None, False)}
-    known = {f.name for f in fields(method)}  # type: ignore[arg-type]  # methods are dataclasses
-    for name in sorted(given - known - {"partial"}):
-        option = "--" + name.replace("_", "-")
-        raise BadInput(f"{option}: not an option of {method.name} by {method.solver}; leave it out")
-
-
-def all_methods(
-    *, tol: float | None = None, sampling: Sampling | None = None
-) -> tuple[Method, ...]:
-    """Return every route that there is, with every solver; ``tol`` is for the solvers alone.
-
-    The simulation keeps its own tolerance: what takes a solver a millisecond more takes sampling
-    a hundred times as long for every digit.
+    A simulation has its own tolerance: a digit that takes a solver a millisecond takes sampling a
+    hundred times as long.
     """
     return tuple(
-        method_for(
-            Request(name, solver, None if solver == SIMULATION else tol, sampling or Sampling())
-        )
-        for name, route in ROUTES.items()
-        if route.make is not None
-        for solver in (route.solvers or (None,))
+        _made(route, settings if route.sampled else {**settings, "tol": tol})
+        for route in listed_routes()
     )
+
+
+def chosen(
+    system: System, observable: Observable, name: str, solver: str | None, **settings: Any
+) -> Plan:
+    """Return the plan of method ``name`` by ``solver``, or by its first that gives ``observable``.
+
+    Raises ``BadInput`` for names of no route and for a setting that was given and the method does
+    not have, ``NotApplicable`` with the reason of the first where none gives the observable.
+    """
+    refusals = []
+    for route in _routes_of(name, solver):
+        method = _made(route, settings)
+        try:
+            plan = method.prepare(system)
+        except NotApplicable as reason:
+            refusals.append(str(reason))
+            continue
+        if reason_why_not := plan.refusal(observable):
+            refusals.append(reason_why_not)
+            continue
+        _refuse_unused(method, settings)
+        return plan
+    raise NotApplicable(refusals[0])
+
+
+def solved(plan: Plan, observables: Sequence[Observable], *, progress: Progress = silent) -> Result:
+    """Return the result of ``plan`` with the seconds that it took."""
+    start = perf_counter()
+    result = plan.solve(observables, progress)
+    return replace(result, seconds=perf_counter() - start)
+
+
+def _routes_of(name: str, solver: str | None) -> list[Route]:
+    choices = solvers_of(name)
+    if not choices:
+        raise BadInput(f"--method {name}: use one of {', '.join(methods())}")
+    if solver is not None and solver not in choices:
+        remedy = f"use one of {', '.join(choices)}" if len(choices) > 1 else "leave it out"
+        raise BadInput(f"--solver {solver}: not a solver of {name}; {remedy}")
+    return [ROUTES[name, s] for s in choices if solver in (None, s)]
+
+
+def _made(route: Route, settings: dict[str, Any]) -> Method:
+    method = route.make()
+    known = {f.name for f in fields(method)}  # type: ignore[arg-type]  # methods are dataclasses
+    given = {k: v for k, v in settings.items() if v is not None and k in known}
+    return replace(method, **given)  # type: ignore[type-var]
+
+
+def _refuse_unused(method: Method, settings: dict[str, Any]) -> None:
+    known = {f.name for f in fields(method)} | {"partial", "tol"}  # type: ignore[arg-type]
+    for name in sorted(k for k, v in settings.items() if v not in (None, False)):
+        if name not in known:
+            option = "--" + name.replace("_", "-")
+            raise BadInput(
+                f"{option}: not an option of {method.name} by {method.solver}; leave it out"
+            )

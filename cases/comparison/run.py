@@ -6,30 +6,33 @@ from dataclasses import dataclass
 from time import perf_counter
 
 from averaging.energy_process import energy_process
+from averaging.exact import compatibility
 from averaging.modal.process import modal_process
-from cases.comparison.averaged import AveragedSimulation, worth_running
 from cases.comparison.claims import Finding, findings
-from cases.comparison.compare import Comparison, compared, route_name
+from cases.comparison.compare import Comparison, compared, discrepancies
 from cases.comparison.regime import Regime, regime_of
+from cases.comparison.routes import solved
 from cases.scene.scene import Scene
 from cases.scene.vary import Curve
 from fpk.density import AnyDensity
 from fpk.effects import Effects, effects_of
-from fpk.ends import classify
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.line.boundary import classify
 from fpk.method import Method, Progress, Result, silent
-from fpk.observable import Observable, observable_name, parse_observable
+from fpk.observable import Observable, observable_name
+from fpk.plane.boundary import classify_edges
+from fpk.route import Route
 from fpk.system import System
 
-MODES_TOLD = 4
-"""Modes whose boundaries are told; with constant damping all are alike."""
+MODES_SHOWN = 4
+"""Modes whose boundaries are shown; with constant damping they are alike in all."""
 
 
 @dataclass(frozen=True)
 class Refusal:
     """A route not taken for some observables; ``failed`` when it was tried and did not succeed."""
 
-    route: str
+    route: Route
     observables: tuple[str, ...]
     reason: str
     failed: bool = False
@@ -47,7 +50,7 @@ class Boundary:
 
 @dataclass(frozen=True)
 class CurveOutcome:
-    """What the routes found for one curve."""
+    """The answers of all routes for one curve, and their comparison."""
 
     label: str
     system: System
@@ -59,14 +62,41 @@ class CurveOutcome:
     comparisons: tuple[Comparison, ...]
     value: float | None = None
 
-    def densities(self, observable: Observable) -> dict[str, AnyDensity]:
-        """Return the densities of one observable by route name."""
+    def densities(self, observable: Observable) -> dict[Route, AnyDensity]:
+        """Return the densities of one observable by route."""
         return {
-            route_name(r.method): d
+            r.method.route: d
             for r in self.results
             for d in r.densities
             if d.observable == observable
         }
+
+    def neglects(self, route: Route) -> bool:
+        """Whether the answer of ``route`` leaves out an effect of the system."""
+        return any(r.neglected for r in self.results if r.method.route == route)
+
+    def is_exact(self, route: Route) -> bool:
+        """Whether ``route`` gives the exact density: by itself, or as condition (8) holds."""
+        exact = self.regime.incompatible is None and not self.neglects(route)
+        return exact or route.solves == "full"
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Every check that does not hold, in words; empty when all do."""
+        problems = list(discrepancies(self.comparisons))
+        problems += [
+            f"{d.name}: {r.method.route.label} is not certified: {failure}"
+            for r in self.results
+            for d in r.densities
+            for failure in d.certificate.failures
+        ]
+        problems += [f"{r.route.label} failed: {r.reason}" for r in self.refusals if r.failed]
+        if not self.refusals and not self.results:
+            problems.append("not run: the program was interrupted")
+        elif not self.results and not problems:
+            reasons = dict.fromkeys(r.reason for r in self.refusals)
+            problems.append(f"no route applies: {'; '.join(reasons)}")
+        return tuple(f"{self.label}: {p}" if self.label else p for p in problems)
 
 
 @dataclass(frozen=True)
@@ -84,45 +114,45 @@ class Outcome:
     @property
     def problems(self) -> tuple[str, ...]:
         """Every check that does not hold, in words; empty when all do."""
-        return tuple(text for curve in self.curves for text in _problems(curve))
+        return tuple(text for curve in self.curves for text in curve.problems)
 
 
 def run_scene(scene: Scene, methods: Sequence[Method], *, progress: Progress = silent) -> Outcome:
-    """Return what ``methods`` find for every curve of ``scene``.
+    """Return the answers of ``methods`` for every curve of ``scene``.
 
     Once a simulation was interrupted, the curves that follow are not run.
     """
     start = perf_counter()
     curves: list[CurveOutcome] = []
     for curve in scene.curves:
-        stopped = any(r.partial for c in curves for r in c.results)
-        wanted = () if stopped else methods
+        interrupted = any(r.partial for c in curves for r in c.results)
+        wanted = () if interrupted else methods
         curves.append(_run_curve(scene, curve, wanted, progress=progress))
-    found = findings(scene.expect, curves)
-    return Outcome(scene, tuple(curves), perf_counter() - start, found)
+    claims = findings(scene.expect, curves)
+    return Outcome(scene, tuple(curves), perf_counter() - start, claims)
 
 
 def boundaries_of(system: System) -> tuple[Boundary, ...]:
     """Return the ends of the averaged energies (24) and (17), of each theory that applies."""
-    found = []
-    with suppress(NotApplicable, InvalidInput):
+    boundaries = []
+    with suppress(NotApplicable):
         ends = classify(energy_process(system))
-        found += [Boundary("nonintegrable", e.end, e.kind, e.reason) for e in ends]
-    with suppress(NotApplicable, InvalidInput):
+        boundaries += [Boundary("nonintegrable", e.end, e.kind, e.reason) for e in ends]
+    with suppress(NotApplicable):
         process = modal_process(system)
-        for axis in range(min(process.dimension, MODES_TOLD)):
-            edges = classify(process, axis)
-            found += [Boundary("integrable", e.end, e.kind, e.reason) for e in edges]
-    return tuple(found)
+        for axis in range(min(process.dimension, MODES_SHOWN)):
+            edges = classify_edges(process, axis)
+            boundaries += [Boundary("integrable", e.end, e.kind, e.reason) for e in edges]
+    return tuple(boundaries)
 
 
-def incompatibility(system: System, methods: Sequence[Method]) -> str | None:
+def incompatibility(system: System) -> str | None:
     """Return why the exact theory (7), (8) does not apply, None where it does."""
-    energy = parse_observable("H", system.n)
-    return next(
-        (m.refusal(system, energy) for m in methods if m.name == "exact"),
-        "the exact theory was not asked",
-    )
+    try:
+        compatibility(system)
+    except NotApplicable as reason:
+        return str(reason)
+    return None
 
 
 def _run_curve(
@@ -131,21 +161,11 @@ def _run_curve(
     results: list[Result] = []
     refusals: list[Refusal] = []
     for method in methods:
-        if isinstance(method, AveragedSimulation) and not worth_running(curve.system):
-            continue
-        reasons = {o: method.refusal(curve.system, o) for o in scene.observables}
-        for reason in dict.fromkeys(r for r in reasons.values() if r is not None):
-            names = tuple(observable_name(o) for o, r in reasons.items() if r == reason)
-            refusals.append(Refusal(route_name(method), names, reason))
-        wanted = [o for o, reason in reasons.items() if reason is None]
-        if not wanted:
-            continue
-        try:
-            results.append(method.solve(curve.system, wanted, progress=progress))
-        except (NotApplicable, NotCertified, InvalidInput) as error:
-            names = tuple(observable_name(o) for o in wanted)
-            refusals.append(Refusal(route_name(method), names, str(error), failed=True))
-    incompatible = incompatibility(curve.system, methods)
+        if method.route.unasked(curve.system):
+            result, refused = _answer(method, curve.system, scene.observables, progress)
+            results += result
+            refusals += refused
+    incompatible = incompatibility(curve.system)
     return CurveOutcome(
         label=curve.label,
         system=curve.system,
@@ -159,21 +179,27 @@ def _run_curve(
     )
 
 
-def _problems(curve: CurveOutcome) -> list[str]:
-    where = f"{curve.label}: " if curve.label else ""
-    found = [
-        f"{where}{c.observable}: {c.a} and {c.b} differ by L1 = {c.L1:.3g},"
-        f" allowed is {c.band:.3g} ({c.measures})"
-        for c in curve.comparisons
-        if not c.holds
+def _answer(
+    method: Method, system: System, observables: Sequence[Observable], progress: Progress
+) -> tuple[list[Result], list[Refusal]]:
+    """The result of one method for the observables that it gives, and the others refused."""
+    names = tuple(observable_name(o) for o in observables)
+    route = method.route
+    try:
+        plan = method.prepare(system)
+    except NotApplicable as error:
+        return [], [Refusal(route, names, str(error))]
+    reasons = [plan.refusal(o) for o in observables]
+    refusals = [
+        Refusal(route, tuple(n for n, r in zip(names, reasons, strict=True) if r == reason), reason)
+        for reason in dict.fromkeys(reasons)
+        if reason is not None
     ]
-    found += [
-        f"{where}{d.name}: {route_name(r.method)} is not certified: {failure}"
-        for r in curve.results
-        for d in r.densities
-        for failure in d.certificate.failures
-    ]
-    found += [f"{where}{r.route} failed: {r.reason}" for r in curve.refusals if r.failed]
-    if not (curve.results or curve.refusals):
-        found.append(f"{where}not run: the program was interrupted")
-    return found
+    wanted = [o for o, reason in zip(observables, reasons, strict=True) if reason is None]
+    if not wanted:
+        return [], refusals
+    try:
+        return [solved(plan, wanted, progress=progress)], refusals
+    except (NotApplicable, NotCertified, InvalidInput) as error:
+        failed = tuple(observable_name(o) for o in wanted)
+        return [], [*refusals, Refusal(route, failed, str(error), failed=True)]

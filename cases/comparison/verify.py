@@ -1,13 +1,10 @@
 """The regression gate: scenes by every route, with a shorter simulation, and one table."""
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 from cases.comparison.claims import Finding, Verdict
-from cases.comparison.routes import Sampling, all_methods
+from cases.comparison.routes import all_methods
 from cases.comparison.run import Outcome, run_scene
-from cases.output.summary import plain
 from cases.scene.scene import Scene
 from fpk.method import Progress, silent
 
@@ -20,7 +17,7 @@ VERDICTS: tuple[Verdict, ...] = ("holds", "does not hold", "undecided", "not che
 
 @dataclass(frozen=True)
 class Verified:
-    """What the gate found for one scene; it passes where there are no ``problems``."""
+    """The verdict of the gate on one scene; it passes where there are no ``problems``."""
 
     scene: str
     curves: int
@@ -52,13 +49,13 @@ def verify_scene(
 
     ``coarse`` is for a quick look: a still shorter simulation.
     """
-    sampling = Sampling(
+    methods = all_methods(
         seed=seed,
         threads=threads,
         paths=COARSE_PATHS if coarse else None,
         relaxations=COARSE if coarse else USUAL,
     )
-    return verified(run_scene(scene, all_methods(sampling=sampling), progress=progress))
+    return verified(run_scene(scene, methods, progress=progress))
 
 
 def verified(outcome: Outcome) -> Verified:
@@ -83,53 +80,3 @@ def verified(outcome: Outcome) -> Verified:
         claims=outcome.findings,
         seconds=outcome.seconds,
     )
-
-
-def verify_record(found: Sequence[Verified]) -> dict[str, Any]:
-    """Return the record of ``fpk verify``."""
-    record: dict[str, Any] = plain(
-        {
-            "scenes": [{**asdict(v), "holds": v.holds} for v in found],
-            "holds": all(v.holds for v in found),
-            "claims": {word: sum(v.count(word) for v in found) for word in VERDICTS},
-            "seconds": sum(v.seconds for v in found),
-        }
-    )
-    return record
-
-
-def verify_line(v: Verified, width: int) -> str:
-    """Return the line of one scene, printed as soon as it is done."""
-    verdict = "holds" if v.holds else f"{len(v.problems)} FAIL"
-    return (
-        f"{v.scene:{width}}  {verdict:8} {v.judged:4} comparisons judged,"
-        f" {v.certificates:3} certificates, {v.seconds:5.1f} s"
-    )
-
-
-def verify_table(found: Sequence[Verified]) -> str:
-    """Return the final table, the claims that do not hold, and the verdict."""
-    width = max(len("every scene"), *(len(v.scene) for v in found))
-    head = ("curves", "judged", "certified", "failing", "claims", "hold", "do not", "open", "s")
-    lines = ["", f"{'scene':{width}}" + "".join(f"{h:>10}" for h in head)]
-    rows = [(v.scene, _row(v)) for v in found]
-    rows.append(
-        ("every scene", [sum(column) for column in zip(*(r for _, r in rows), strict=True)])
-    )
-    for name, row in rows:
-        lines.append(f"{name:{width}}" + "".join(f"{n:10d}" for n in row[:-1]) + f"{row[-1]:10.1f}")
-    against = [(v.scene, f) for v in found for f in v.claims if f.verdict == "does not hold"]
-    if against:
-        lines += ["", "Claims of the source that do not hold (findings, not failures)"]
-    for name, f in against:
-        where = f"{f.curve}: " if f.curve else ""
-        lines.append(f"  {name:{width}}{f.claim}; {where}{f.measured}")
-    failing = [v.scene for v in found if not v.holds]
-    verdict = f"fails: {', '.join(failing)}" if failing else "every check holds"
-    return "\n".join([*lines, "", verdict])
-
-
-def _row(v: Verified) -> list[Any]:
-    unknown = v.count("undecided") + v.count("not checked")
-    claims = [len(v.claims), v.count("holds"), v.count("does not hold"), unknown]
-    return [v.curves, v.judged, v.certificates, len(v.problems), *claims, v.seconds]

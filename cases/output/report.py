@@ -9,23 +9,18 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from cases.comparison.claims import ACCEPTABLE_L1, ALMOST_KURTOSIS, ALMOST_L1
-from cases.comparison.compare import route_name
 from cases.comparison.run import Outcome
-from cases.output.fields import program_version, write_netcdf
+from cases.output.digest import curves_of, digest_of, refusals_of, verdict_of
+from cases.output.fields import write_netcdf
 from cases.output.figures import figures
 from cases.output.files import write_text
+from cases.output.records import program_version
 from cases.output.show import term_text, theories
-from cases.output.summary import effects_record, system_record
 from cases.output.svg import inline_svg, svg_text
-from cases.output.telling import (
-    STATISTICS,
-    errors_apart,
-    statistics_of,
-    told_comparisons,
-    told_refusals,
-)
 
 LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "xarray")
+
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def write_report(outcome: Outcome, folder: Path) -> list[Path]:
@@ -53,20 +48,13 @@ def report_html(outcome: Outcome, pictures: list[dict[str, Any]]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["num"] = number
-    environment.filters["route"] = route_name
-    environment.filters["told"] = told_comparisons
-    environment.filters["reasons"] = told_refusals
-    environment.filters["apart"] = errors_apart
-    environment.filters["statistics"] = statistics_of
-    base = outcome.curves[0]
+    environment.filters |= {"num": number, "reasons": refusals_of, "term": term_text}
+    digest = digest_of(outcome)
     return environment.get_template("report.html").render(
-        outcome=outcome,
         scene=outcome.scene,
-        base=base,
-        system=system_record(base.system),
-        terms=[term_text(term) for term in system_record(base.system)["damping_terms"]],
-        effects=effects_record(base.effects),
+        digest=digest,
+        curves=curves_of(digest),
+        verdict=verdict_of(digest),
         theories=theories(outcome.scene),
         pictures=pictures,
         limits={
@@ -74,11 +62,12 @@ def report_html(outcome: Outcome, pictures: list[dict[str, Any]]) -> str:
             "kurtosis": ALMOST_KURTOSIS,
             "acceptable": ACCEPTABLE_L1,
         },
-        judged=sum(c.band is not None for curve in outcome.curves for c in curve.comparisons),
-        statistics=list(STATISTICS.values()),
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        versions=[("vibro-fpk", program_version()), ("Python", platform.python_version())]
-        + [(name, version(name)) for name in LIBRARIES],
+        versions=[
+            ("vibro-fpk", program_version()),
+            ("Python", platform.python_version()),
+            *((name, version(name)) for name in LIBRARIES),
+        ],
     )
 
 
@@ -94,6 +83,3 @@ def number(value: Any, digits: int = 3) -> str:
     if value == 0 or -3 <= int(exponent or 0) < 5:
         return f"{value:.{digits + 1}g}"
     return f"{mantissa} × 10{str(int(exponent)).translate(SUPERSCRIPTS)}"
-
-
-SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

@@ -1,32 +1,23 @@
 """What a scene is before anything is solved: system, effects, frequencies, theories, boundaries."""
 
-from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 from cases.comparison.regime import regime_of
-from cases.comparison.routes import ROUTES, Request, method_for
+from cases.comparison.routes import listed_routes
 from cases.comparison.run import boundaries_of, incompatibility
-from cases.output.summary import effects_record, plain, system_record
+from cases.output.records import effects_record, plain, system_record
 from cases.scene.scene import Scene
 from fpk.effects import effects_of
+from fpk.errors import NotApplicable
 from fpk.method import Method
-from fpk.observable import Observable, observable_name
-from fpk.system import System
-
-MEANING = {
-    "exact": "exact solution of the full system, Eq. (7)",
-    "linear": "Gaussian of a system without contact",
-    "nonintegrable": "averaging of one energy, Eq. (11)",
-    "integrable": "averaging of the modal energies, Eq. (34)",
-    "montecarlo": "simulation of the full system, Eq. (6)",
-}
+from fpk.observable import observable_name
+from fpk.route import ROUTES, solvers_of
 
 
 def show_record(scene: Scene) -> dict[str, Any]:
     """Return the record of ``fpk show``."""
-    methods = [method_for(Request(name)) for name, route in ROUTES.items() if route.make]
-    regime = regime_of(scene.system, incompatibility(scene.system, methods))
+    regime = regime_of(scene.system, incompatibility(scene.system))
     record = {
         "scene": scene.name,
         "title": scene.title,
@@ -46,29 +37,32 @@ def show_record(scene: Scene) -> dict[str, Any]:
 
 def theories(scene: Scene) -> list[dict[str, Any]]:
     """Return for every METHOD whether it applies to the scene's own system, and why not."""
-    found = []
-    for name, route in ROUTES.items():
-        methods = [method_for(Request(name, solver)) for solver in (route.solvers or (None,))]
-        reasons = [_refused(methods, scene.system, o) for o in scene.observables]
-        refused = list(dict.fromkeys(r for r in reasons if r is not None))
-        found.append(
+    records = []
+    for name in dict.fromkeys(route.method for route in listed_routes()):
+        routes = [ROUTES[name, solver] for solver in solvers_of(name)]
+        by_solver = [_refusals(route.make(), scene) for route in routes]
+        # An observable is refused where every solver refuses it: the default's reason is shown.
+        refused = [column for column in zip(*by_solver, strict=True) if None not in column]
+        records.append(
             {
                 "method": name,
-                "meaning": MEANING[name],
-                "solvers": route.solvers,
-                "applies": None in reasons,
-                "reason": "; ".join(refused) or None,
+                "meaning": f"{routes[0].words}, Eq. {routes[0].equation}",
+                "solvers": solvers_of(name),
+                "applies": len(refused) < len(scene.observables),
+                "reason": "; ".join(dict.fromkeys(str(column[0]) for column in refused)) or None,
             }
         )
-    return found
+    return records
 
 
-def _refused(methods: Sequence[Method], system: System, observable: Observable) -> str | None:
-    """Why none of a theory's solvers gives ``observable``: the first one's reason, or None."""
-    reasons = [method.refusal(system, observable) for method in methods]
-    if None in reasons:
-        return None
-    return str(reasons[0]).removeprefix(f"{observable_name(observable)}: ")
+def _refusals(method: Method, scene: Scene) -> list[str | None]:
+    """Why the method does not give each observable of the scene, None where it does."""
+    try:
+        plan = method.prepare(scene.system)
+    except NotApplicable as reason:
+        return [str(reason)] * len(scene.observables)
+    pairs = [(observable_name(o), plan.refusal(o)) for o in scene.observables]
+    return [reason and reason.removeprefix(f"{name}: ") for name, reason in pairs]
 
 
 def show_text(record: dict[str, Any]) -> str:

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cases.comparison.run import CurveOutcome, Outcome
-from cases.output.fields import UNITS, common_grid, program_version, values_on
 from cases.output.files import write_by
+from cases.output.grids import common_grid, values_on
+from cases.output.records import UNITS, program_version
 from cases.scene.errors import BadInput
 from fpk.density import AnyDensity, Array
 from fpk.observable import Observable, observable_name
@@ -44,14 +45,15 @@ class Field:
         return float(self.points["density"].max())
 
 
-def write_vtu(outcome: Outcome, observable: Observable, path: Path) -> None:
-    """Write one observable of the scene's own system as an unstructured grid of quadratic cells."""
-    curve = outcome.curves[0]
+def write_vtu(outcome: Outcome, path: Path) -> list[Path]:
+    """Write the first observable of the scene's own system as a grid of quadratic cells."""
+    curve, observable = outcome.curves[0], outcome.scene.observables[0]
     if not curve.densities(observable):
         reasons = [r.reason for r in curve.refusals if observable_name(observable) in r.observables]
         why = f": {reasons[0]}" if reasons else ""
         raise BadInput(f"{outcome.scene.name}: no theory gives {observable_name(observable)}{why}")
     _write(outcome, curve, observable, path)
+    return [path]
 
 
 def write_pvd(outcome: Outcome, path: Path) -> list[Path]:
@@ -108,8 +110,9 @@ def field_of(densities: Mapping[str, AnyDensity]) -> Field:
 
 def _write(outcome: Outcome, curve: CurveOutcome, observable: Observable, path: Path) -> None:
     densities = curve.densities(observable)
-    by_elements_first = sorted(densities, key=lambda route: not route.endswith("/fem"))
-    found = field_of({route: densities[route] for route in by_elements_first})
+    # A theory first: the differences from it then show what it leaves out.
+    routes = sorted(densities, key=lambda r: (r.sampled, r.solves != "averaged"))
+    field = field_of({route.label: densities[route] for route in routes})
     scene = outcome.scene
     words = {
         "scene": scene.name,
@@ -120,14 +123,14 @@ def _write(outcome: Outcome, curve: CurveOutcome, observable: Observable, path: 
         "axes": ", ".join(map(str, observable)),
         "quantity": f"probability density of {observable_name(observable)}",
         "units": UNITS,
-        "first route": by_elements_first[0],
+        "first route": routes[0].label,
         "scene file": scene.text,
         "program": f"vibro-fpk {program_version()}",
     }
-    numbers = {"subdivision error": found.subdivision, "largest density": found.largest}
+    numbers = {"subdivision error": field.subdivision, "largest density": field.largest}
 
     def write(temporary: Path) -> None:
-        meshio.vtu.write(temporary, _mesh(found))
+        meshio.vtu.write(temporary, _mesh(field))
         _add_field_data(temporary, words, numbers)
 
     write_by(path, write)
@@ -174,11 +177,11 @@ def _add_field_data(path: Path, words: Mapping[str, str], numbers: Mapping[str, 
 def _ends(densities: Mapping[str, AnyDensity]) -> tuple[Array, ...]:
     """The first density's panels where any density counts, as cells with a node in the middle."""
     first = next(iter(densities.values()))
-    found = []
-    for grid, panels in zip(common_grid(densities), first.panels, strict=True):
+    ends = []
+    for grid, panels in zip(common_grid(densities.values()), first.panels, strict=True):
         within = panels[(panels > grid[0]) & (panels < grid[-1])]
-        found.append(_quadratic(np.unique(np.concatenate([grid[[0, -1]], within]))))
-    return tuple(found)
+        ends.append(_quadratic(np.unique(np.concatenate([grid[[0, -1]], within]))))
+    return tuple(ends)
 
 
 def _quadratic(ends: Array) -> Array:
@@ -200,7 +203,7 @@ def _values(density: AnyDensity, nodes: Sequence[Array]) -> Array:
 
 def _misses(density: AnyDensity, nodes: tuple[Array, ...], values: Array) -> list[Array]:
     """Per axis and cell, the largest |interpolant − density| at the probes along that axis."""
-    found = []
+    misses = []
     for axis, x in enumerate(nodes):
         left, width = x[:-1:2], x[2::2] - x[:-1:2]
         low, middle, high = (
@@ -215,5 +218,5 @@ def _misses(density: AnyDensity, nodes: tuple[Array, ...], values: Array) -> lis
             truth = np.moveaxis(_values(density, probe), axis, 0)
             off = np.abs(guess - truth).reshape(left.size, -1).max(axis=1)
             worst = np.maximum(worst, off)
-        found.append(worst)
-    return found
+        misses.append(worst)
+    return misses

@@ -15,18 +15,12 @@ MAX_DEPTH = 16
 """Levels of tables and lists, and parts of a dotted key; a scene needs five. Some hundreds exhaust
 the stack of what follows, and the parser takes a time of n² for a key of n parts."""
 
-TOKEN = re.compile(
-    r"""
-    (?P<other> "{3} (?: \\. | [^\\] )*? "{3} | '{3} .*? '{3} | \# [^\n]* )
-  | (?P<part> (?! "{3} | '{3} ) (?: " (?: \\. | [^"\\\n] )*+ " | ' [^'\n]*+ ' )
-            | [A-Za-z0-9_-]++ | [\x20\t]++ )
-  | (?P<unclosed> ["'] )
-  | (?P<dot> \. )
-  | .
-    """,
+NO_KEY = re.compile(
+    r""""{3}(?:\\.?|[^\\])*?(?:"{3}|\Z) | '{3}.*?(?:'{3}|\Z)
+      | "(?:\\.|[^"\\\n])*+"? | '[^'\n]*+'? | \#[^\n]* | \d\.\d""",
     re.VERBOSE | re.DOTALL,
 )
-"""What TOML is made of, as far as it takes to count the parts of a key."""
+"""Texts, comments and decimal points: the dots that are left in a line are those of dotted keys."""
 
 
 def read_toml(path: Path, label: str) -> tuple[dict[str, Any], str]:
@@ -39,7 +33,7 @@ def read_toml(path: Path, label: str) -> tuple[dict[str, Any], str]:
     if not text.strip():
         raise BadInput(f"{label}: the file is empty; a scene needs at least the table [system]")
     too_deep = BadInput(f"{label}: nested too deeply; a scene has at most {MAX_DEPTH} levels")
-    if _longest_key(text) > MAX_DEPTH:
+    if any(line.count(".") > MAX_DEPTH for line in NO_KEY.sub("", text).splitlines()):
         raise too_deep
     try:
         tables = tomllib.loads(text)
@@ -92,19 +86,6 @@ def _no_file(mode: int, size: int, most: int, what: str) -> str | None:
     if size > most:
         return f"has {size} bytes; {what} has at most {most} ({most >> 20} MiB)"
     return None
-
-
-def _longest_key(text: str) -> int:
-    """Return how many parts the longest dotted key has (a number with a point counts as two)."""
-    longest = dots = 0
-    for token in TOKEN.finditer(text):
-        kind = token.lastgroup
-        if kind == "unclosed":  # nothing behind it is parsed
-            break
-        if kind != "part":
-            dots = dots + 1 if kind == "dot" else 0
-            longest = max(longest, dots)
-    return longest + 1
 
 
 def _deeper_than(tables: dict[str, Any], most: int) -> bool:

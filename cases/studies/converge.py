@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from time import perf_counter
 from typing import Any
 
-from cases.output.summary import plain
+from cases.output.records import plain
 from cases.scene.errors import BadInput
 from cases.scene.scene import Scene
 from cases.studies.equations import Equation, energy_equation, modal_equation

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cases.comparison.compare import BINS_1D
-from cases.output.summary import plain
+from cases.output.records import plain
 from cases.scene.scene import Scene
 from cases.studies.equations import Equation, energy_equation, modal_equation, unchanged
 from cases.studies.full_system import (

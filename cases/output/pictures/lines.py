@@ -1,6 +1,6 @@
-"""Pictures over one coordinate: densities, differences of solvers, what is left."""
+"""Pictures over one coordinate: densities, differences of solvers, simulation minus theory."""
 
-from collections.abc import Mapping
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -9,23 +9,23 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from cases.comparison.run import CurveOutcome
-from cases.output.fields import values_on
+from cases.output.grids import values_on
 from cases.output.pictures.style import (
     COLOURS,
     INK,
     LINES,
-    SAMPLED,
+    MARKS,
     SHOWN,
-    THEORIES,
-    coincides,
-    cycle,
+    lines_of,
+    samples_of,
     set_labels,
     shown_range,
+    simulation_of,
     symbol_of,
-    theories_in,
+    two_solvers,
     words_of,
 )
-from fpk.density import AnyDensity, Array, Density, SampledDensity, bin_differences
+from fpk.density import Array, Density, SampledDensity, bin_differences
 from fpk.observable import Observable
 
 MARKERS = 56
@@ -34,149 +34,115 @@ MARKERS = 56
 LONGEST_OF_THREE = 31
 """Letters of the longest label with which three columns fit."""
 
-MARKS = ("o", "s", "s")
-"""Markers of the sampled routes: circles for the full system, squares for averaged equations."""
+SMALLEST = 1e-19
+"""Smallest value on a logarithmic axis: round-off of a density of order one is above it."""
 
 
 def density_figure(curves: list[CurveOutcome], observable: Observable) -> Figure:
-    """Draw the densities of one coordinate: theory as lines, simulation as points with bars."""
+    """Draw the densities of one coordinate: deterministic as lines, sampled as points with bars.
+
+    Several curves are distinguished by colour, and their routes by dashes; the routes of a single
+    curve have their own colours, too.
+    """
     figure, axes = _new_figure(4.2)
-    drawn: dict[str, Line2D] = {}
+    legend: dict[str, Line2D] = {}
     ends = []
+    alone = len(curves) == 1
     for curve, colour in zip(curves, cycle(COLOURS), strict=False):
-        found = curve.densities(observable)
-        lines = [r for r in theories_in(found) if not coincides(r, found, curve)]
-        if "exact" in lines and "linear" in lines:
-            lines.remove("linear")
-        x = np.linspace(*shown_range(found), 600)
+        densities = curve.densities(observable)
+        x = np.linspace(*shown_range(densities.values()), 600)
         ends.append((x[0], x[-1]))
-        for route, dashes in zip(lines, LINES, strict=False):
-            axes.plot(x, values_on(found[route], x)[0], color=colour, linestyle=dashes)
-            drawn.setdefault(THEORIES[route], Line2D([], [], color=INK, linestyle=dashes))
-        if "nonintegrable/fem" in found and "nonintegrable/fem" not in lines:
-            y = values_on(found["nonintegrable/fem"], x)[0]
-            axes.plot(x, y, color=INK, linewidth=0.9, linestyle=(0, (1, 2.5)), zorder=4)
-            dots = Line2D([], [], color=INK, linewidth=0.9, linestyle=(0, (1, 2.5)))
-            drawn.setdefault("finite elements", dots)
-        for (route, words), marker in zip(SAMPLED.items(), MARKS, strict=True):
-            sampled = found.get(route)
-            if isinstance(sampled, SampledDensity):
-                _points(axes, sampled, colour, x, marker=marker)
-                drawn.setdefault(
-                    f"{words}, ±2 standard errors",
-                    Line2D([], [], color=INK, marker=marker, markersize=3.4, **_HOLLOW),
-                )
+        for route, dashes in zip(lines_of(curve, observable), LINES, strict=False):
+            style: Any = {"color": route.colour if alone else colour, "linestyle": dashes}
+            axes.plot(x, values_on(densities[route], x)[0], **style)
+            _enter(legend, route.words, alone, **style)
+        for route, sampled in samples_of(curve, observable).items():
+            style = {
+                "color": route.colour if alone else colour,
+                "marker": MARKS[route.solves],
+                "linestyle": "none",
+                "markersize": 3.4,
+                "markerfacecolor": "none",
+                "markeredgewidth": 0.9,
+            }
+            _points(axes, sampled, x, style)
+            _enter(legend, f"{route.words}, ±2 standard errors", alone, **style)
     axes.set_xlim(min(e[0] for e in ends), max(e[1] for e in ends))
     axes.set_ylim(bottom=0)
     set_labels(axes, observable[0])
-    handles, labels = list(drawn.values()), list(drawn)
-    if len(curves) > 1:
-        colours = [c for _, c in zip(curves, cycle(COLOURS), strict=False)]
-        handles = [Line2D([], [], color=c, linewidth=3) for c in colours] + handles
-        labels = [curve.label for curve in curves] + labels
-    _legend(figure, handles, labels)
+    if not alone:
+        colours = dict(zip((c.label for c in curves), cycle(COLOURS), strict=False))
+        of_curves = {w: Line2D([], [], color=c, linewidth=3) for w, c in colours.items()}
+        legend = {**of_curves, **legend}
+    _legend(figure, legend)
     return figure
 
 
 def solver_figure(curves: list[CurveOutcome], observable: Observable) -> Figure:
-    """Draw |finite elements − closed form| and the error that the solver states, log scale."""
+    """Draw the difference of two solvers, and the errors that both state, on a log scale."""
     figure, axes = _new_figure(3.4)
+    legend: dict[str, Line2D] = {}
     for curve, colour in zip(curves, cycle(COLOURS), strict=False):
-        pair = both_answers(curve, observable, "fem")
-        if pair is None:
+        answers = two_solvers(curve, observable)
+        if not answers:
             continue
-        x = np.linspace(*shown_range(curve.densities(observable)), 500)
-        fem, estimate = values_on(pair[0], x)
-        difference = np.abs(fem - values_on(pair[1], x)[0])
-        axes.plot(
-            x, _positive(difference), color=colour, linewidth=1.0, label=curve.label or "difference"
-        )
-        axes.plot(x, _positive(estimate), color=colour, linewidth=1.4, linestyle=(0, (6, 2)))
+        x = np.linspace(*shown_range(curve.densities(observable).values()), 500)
+        (first, stated), (second, also_stated) = (values_on(d, x) for _, d in answers)
+        if len(curves) > 1:
+            legend[curve.label] = Line2D([], [], color=colour, linewidth=3)
+        axes.plot(x, _positive(np.abs(first - second)), color=colour, linewidth=1.0)
+        axes.plot(x, _positive(stated + also_stated), color=colour, linestyle=LINES[1])
+        a, b = (route.solver for route, _ in answers)
+        _enter(legend, f"|{a} − {b}|", False, linewidth=1)
+    _enter(legend, "errors that both state, added", False, linestyle=LINES[1])
     axes.set_yscale("log")
-    handles, labels = axes.get_legend_handles_labels()
-    handles += [
-        Line2D([], [], color=INK, linewidth=1),
-        Line2D([], [], color=INK, linestyle=(0, (6, 2))),
-    ]
-    labels += ["|finite elements − reference|", "error the solver states"]
-    if len(curves) == 1:
-        handles, labels = handles[1:], labels[1:]
-    _legend(figure, handles, labels)
+    _legend(figure, legend)
     set_labels(axes, observable[0], "difference of $p$")
     return figure
 
 
 def left_figure(curves: list[CurveOutcome], observable: Observable) -> Figure:
-    """Draw simulation − theory for each curve and theory, with the band of chance around zero."""
-    shown_curves = [c for c in curves if both_answers(c, observable, "montecarlo")]
-    figure = Figure(figsize=(6.6, 0.9 + 1.35 * len(shown_curves)), layout="constrained")
-    rows = figure.subplots(len(shown_curves), 1, sharex=True, squeeze=False)[:, 0]
-    drawn: dict[str, Line2D] = {}
-    for axes, curve in zip(rows, shown_curves, strict=True):
-        found = curve.densities(observable)
-        sampled = found["montecarlo"]
-        assert isinstance(sampled, SampledDensity)
+    """Draw simulation − theory for each curve and route, with the band of chance around zero."""
+    sampled = [
+        (c, d)
+        for c in curves
+        if (d := simulation_of(c, observable)) is not None and lines_of(c, observable)
+    ]
+    figure = Figure(figsize=(6.6, 0.9 + 1.35 * len(sampled)), layout="constrained")
+    rows = figure.subplots(len(sampled), 1, sharex=True, squeeze=False)[:, 0]
+    legend: dict[str, Line2D] = {}
+    for axes, (curve, simulation) in zip(rows, sampled, strict=True):
+        densities = curve.densities(observable)
         colour = COLOURS[curves.index(curve) % len(COLOURS)]
-        joined = _joined(sampled, 2 * MARKERS)
+        joined = _joined(simulation, 2 * MARKERS)
         x, error = _middles(joined), joined.standard_error
-        shown = _within(x, shown_range(found))
+        shown = _within(x, shown_range(densities.values()))
         axes.fill_between(
             x[shown], -2 * error[shown], 2 * error[shown], color=INK, alpha=0.16, lw=0
         )
         axes.axhline(0.0, color=INK, linewidth=0.7)
-        theories = [r for r in theories_in(found) if not coincides(r, found, curve)]
-        for route, dashes in zip(theories, LINES, strict=False):
-            theory = found[route]
+        for route, dashes in zip(lines_of(curve, observable), LINES, strict=False):
+            theory = densities[route]
             if isinstance(theory, Density):
                 difference = bin_differences(joined, theory)[shown]
-                axes.plot(x[shown], difference, color=colour, linewidth=1.2, linestyle=dashes)
-                drawn.setdefault(
-                    f"simulation − {THEORIES[route]}",
-                    Line2D([], [], color=INK, linewidth=1.2, linestyle=dashes),
-                )
+                style: Any = {"linewidth": 1.2, "linestyle": dashes}
+                axes.plot(x[shown], difference, color=colour, **style)
+                _enter(legend, f"simulation − {route.words}", False, **style)
         axes.set_title(curve.label)
         axes.ticklabel_format(axis="y", style="sci", scilimits=(-2, 2))
-    drawn["±2 standard errors"] = Line2D([], [], color=INK, alpha=0.16, lw=6)
-    _legend(figure, list(drawn.values()), list(drawn))
+    legend["±2 standard errors"] = Line2D([], [], color=INK, alpha=0.16, lw=6)
+    _legend(figure, legend)
     figure.supylabel(f"difference of $p({symbol_of(observable[0])})$", fontsize=9.5)
     rows[-1].set_xlabel(words_of(observable[0]))
     return figure
 
 
-def both_answers(
-    curve: CurveOutcome, observable: Observable, other: str
-) -> tuple[AnyDensity, Density] | None:
-    """Return the answer by elements or simulation, and the best theory to hold against it."""
-    found = curve.densities(observable)
-    if other == "montecarlo":
-        second = next((found[r] for r in theories_in(found)), None)
-        first = found.get("montecarlo")
-        return (first, second) if first is not None and isinstance(second, Density) else None
-    for theory in ("nonintegrable", "integrable"):
-        first = found.get(f"{theory}/fem")
-        references = (f"{theory}/closed-form", f"{theory}/quadrature")
-        second = next((found[r] for r in references if r in found), None)
-        if first is not None and isinstance(second, Density):
-            return first, second
-    return None
-
-
-_HOLLOW: Mapping[str, Any] = {
-    "linestyle": "none",
-    "markerfacecolor": "none",
-    "markeredgewidth": 0.9,
-}
-
-
-def _points(axes: Axes, sampled: SampledDensity, colour: str, x: Array, *, marker: str) -> None:
+def _points(axes: Axes, sampled: SampledDensity, x: Array, style: dict[str, Any]) -> None:
     joined = _joined(sampled, MARKERS)
     middle = _middles(joined)
     shown = _within(middle, (float(x[0]), float(x[-1])))
-    middle, value, error = middle[shown], joined.values[shown], 2 * joined.standard_error[shown]
-    axes.errorbar(
-        middle, value, error, color=colour, fmt=marker, markersize=3.4, elinewidth=0.9,
-        markerfacecolor="none", markeredgewidth=0.9,
-    )  # fmt: skip
+    error = 2 * joined.standard_error[shown]
+    axes.errorbar(middle[shown], joined.values[shown], error, elinewidth=0.9, **style)
 
 
 def _joined(sampled: SampledDensity, wanted: int) -> SampledDensity:
@@ -199,12 +165,20 @@ def _within(x: Array, ends: tuple[float, float]) -> Any:
 
 def _positive(values: Array) -> Array:
     """Leave out what a log scale cannot show."""
-    return np.where(values > 1e-19, values, np.nan)
+    return np.where(values > SMALLEST, values, np.nan)
 
 
-def _legend(figure: Figure, handles: list[Any], labels: list[str]) -> None:
+def _enter(legend: dict[str, Line2D], words: str, own_colour: bool, **style: Any) -> None:
+    """Add an entry to the legend, in ink where the colour means something else."""
+    if not own_colour:
+        style["color"] = INK
+    legend.setdefault(words, Line2D([], [], **style))
+
+
+def _legend(figure: Figure, legend: dict[str, Line2D]) -> None:
     """Words above the picture, in as many columns as its width has room for."""
-    columns = 3 if max(map(len, labels)) <= LONGEST_OF_THREE else 2
+    columns = 3 if max(map(len, legend)) <= LONGEST_OF_THREE else 2
+    handles, labels = list(legend.values()), list(legend)
     figure.legend(handles, labels, loc="outside upper left", ncols=columns, columnspacing=1.6)
 
 

@@ -1,21 +1,22 @@
-"""What all pictures share: ink, colours, words for axes and theories."""
+"""What all pictures share: ink, colours, which routes are drawn, words for axes."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from cases.comparison.run import CurveOutcome
-from cases.output.fields import common_grid, values_on
-from fpk.density import AnyDensity
-from fpk.observable import Coordinate
+from cases.output.grids import common_grid, values_on
+from fpk.density import AnyDensity, Density, SampledDensity
+from fpk.observable import Coordinate, Observable
+from fpk.route import Route
 
 INK = "#1a1b1e"
 """Colour of text and axes; the report replaces it by that of the page's text."""
 
 COLOURS = ("#2878b5", "#d1603d", "#2a9d6f", "#9a6fc0", "#c08a1e", "#5b8def", "#a8577e")
-"""Told apart by colour-blind readers, and legible on white and on black."""
+"""Colours of curves: distinct for colour-blind readers, and legible on white and on black."""
 
 STYLE: Any = {
     "font.family": "DejaVu Sans",
@@ -45,49 +46,58 @@ STYLE: Any = {
 SHOWN = 1e-3
 """Share of the largest value below which a linear axis shows nothing."""
 
-THEORIES = {
-    "exact": "exact, Eq. (7)",
-    "linear": "Gaussian, exact without contact",
-    "nonintegrable/closed-form": "averaging, Eq. (11)",
-    "nonintegrable/fem": "averaging, FPK of (24)",
-    "nonintegrable/quadrature": "averaging, Eq. (11)",
-    "integrable/closed-form": "averaging, Eq. (34)",
-    "integrable/fem": "averaging, FPK (19)",
-    "integrable/quadrature": "averaging, Eq. (11)",
-}
-"""Deterministic routes in words; of one theory's solvers the first is drawn."""
-
-SAMPLED = {
-    "montecarlo": "simulation",
-    "nonintegrable/simulation": "simulation of (24)",
-    "integrable/simulation": "simulation of (17)",
-}
-"""Sampled routes in words: of the full system, and of the averaged equations."""
-
 LINES: Any = ("-", (0, (6, 2)), (0, (6, 2, 1, 2)), (0, (1, 1)))
+"""Dashes of the lines of one curve, by its routes."""
+
+MARKS = {"full": "o", "averaged": "s"}
+"""Markers of samples, by what the route solves."""
 
 
-def theories_in(found: Mapping[str, AnyDensity]) -> list[str]:
-    """Return the route by which each theory in ``found`` is drawn, the exact ones first."""
-    routes: dict[str, str] = {}
-    for route in THEORIES:
-        if route in found:
-            routes.setdefault(route.split("/")[0], route)
-    return list(routes.values())
+def lines_of(curve: CurveOutcome, observable: Observable) -> list[Route]:
+    """Return the routes drawn as lines: an exact one, and of each averaged method its first.
+
+    An averaged method that is exact itself is not drawn beside the exact density.
+    """
+    deterministic = [r for r in curve.densities(observable) if not r.sampled]
+    exact = [r for r in deterministic if r.solves == "full"][:1]
+    averaged: dict[str, Route] = {}
+    for route in deterministic:
+        if route.solves == "averaged" and not (exact and curve.is_exact(route)):
+            averaged.setdefault(route.method, route)
+    return [*exact, *averaged.values()]
 
 
-def coincides(route: str, found: Mapping[str, AnyDensity], curve: CurveOutcome) -> bool:
-    """Return whether the averaged theory is the exact one, and need not be drawn beside it."""
-    return (
-        route.startswith("nonintegrable") and "exact" in found and curve.regime.incompatible is None
-    )
+def samples_of(curve: CurveOutcome, observable: Observable) -> dict[Route, SampledDensity]:
+    """Return the histograms of one observable by route."""
+    densities = curve.densities(observable).items()
+    return {r: d for r, d in densities if isinstance(d, SampledDensity)}
 
 
-def shown_range(found: Mapping[str, AnyDensity]) -> tuple[float, float]:
+def simulation_of(curve: CurveOutcome, observable: Observable) -> SampledDensity | None:
+    """Return the histogram of the full system, None where it was not simulated."""
+    sampled = samples_of(curve, observable).items()
+    return next((d for r, d in sampled if r.solves == "full"), None)
+
+
+def two_solvers(curve: CurveOutcome, observable: Observable) -> list[tuple[Route, Density]]:
+    """Return two deterministic answers to the same averaged equation, empty where there are none.
+
+    The one that states the larger error comes first.
+    """
+    answers: dict[str, list[tuple[Route, Density]]] = {}
+    for route, density in curve.densities(observable).items():
+        if route.solves == "averaged" and isinstance(density, Density):
+            answers.setdefault(route.method, []).append((route, density))
+    pair = next((pair[:2] for pair in answers.values() if len(pair) > 1), [])
+    return sorted(pair, key=lambda answer: -answer[1].l1_error)
+
+
+def shown_range(densities: Iterable[AnyDensity]) -> tuple[float, float]:
     """Where any of the densities exceeds ``SHOWN`` of its largest value."""
-    x = common_grid(found)[0]
+    densities = list(densities)
+    x = common_grid(densities)[0]
     counts = np.zeros(x.size, dtype=bool)
-    for density in found.values():
+    for density in densities:
         value = values_on(density, x)[0]
         counts |= value > SHOWN * value.max()
     inside = np.flatnonzero(counts)
@@ -114,9 +124,3 @@ def words_of(coordinate: Coordinate) -> str:
     words = {"q": "displacement", "p": "momentum", "H": "energy"}[coordinate.kind]
     modal = "modal " if coordinate.kind == "H" and coordinate.index is not None else ""
     return f"{modal}{words} ${symbol_of(coordinate)}$"
-
-
-def cycle(colours: tuple[str, ...]) -> Iterator[str]:
-    """Yield the colours again and again."""
-    while True:
-        yield from colours

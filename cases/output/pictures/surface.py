@@ -1,9 +1,4 @@
-"""A joint density as a surface, by theory and by simulation, as in Fig. 7 of the paper.
-
-VTK shades it where the extra ``viz`` is installed, else matplotlib does.
-"""
-
-from collections.abc import Mapping
+"""A joint density as a surface, by theory and by simulation, as in Fig. 7 of the paper."""
 
 import numpy as np
 from matplotlib import colormaps
@@ -13,11 +8,11 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 
 from cases.comparison.run import CurveOutcome
-from cases.output.fields import common_grid, values_on
-from cases.output.pictures.rendered import can_render, lay_rendered
-from cases.output.pictures.style import SHOWN, THEORIES, symbol_of, theories_in, words_of
+from cases.output.grids import common_grid, values_on
+from cases.output.pictures.style import SHOWN, lines_of, samples_of, symbol_of, words_of
 from fpk.density import AnyDensity, Array, SampledDensity
 from fpk.observable import Observable
+from fpk.route import Route
 
 LINES, SIMULATED = 90, 72
 """Points an axis of the surface; bins an axis at most where it is sampled."""
@@ -30,34 +25,31 @@ DISTANCE = 0.92
 
 
 def surface_figure(curve: CurveOutcome, observable: Observable) -> Figure:
-    """Draw the joint density as surfaces: theory and simulation.
+    """Draw the joint density as surfaces on the same levels: theory and simulation.
 
-    The theory is Eq. (7) where it is exact, else an averaged one; both stand on the same levels.
+    The theory is the exact density where there is one, else an averaged one.
     """
-    chosen = _chosen(curve.densities(observable))
-    grids, values = {}, {}
-    ends = common_grid(chosen, cut=SHOWN)
-    for route, density in chosen.items():
-        grids[route], values[route] = _sheet(density, ends)
-    top = max(float(v.max()) for v in values.values())
+    chosen = _chosen(curve, observable)
+    ends = common_grid(chosen.values(), cut=SHOWN)
+    sheets = {route: _sheet(density, ends) for route, density in chosen.items()}
+    top = max(float(values.max()) for _, values in sheets.values())
     figure = Figure(figsize=(4.3 * len(chosen), 4.0))
-    for place, route in enumerate(chosen, start=1):
+    for place, (route, (grid, values)) in enumerate(sheets.items(), start=1):
         axes = figure.add_subplot(1, len(chosen), place, projection="3d")
         assert isinstance(axes, Axes3D)
         _dress(axes, observable, ends, top)
-        if can_render():
-            lay_rendered(axes, grids[route], values[route], top=top)
-        else:
-            _draw(axes, grids[route], values[route], top)
-        axes.set_title(THEORIES.get(route, "simulation"), y=0.96, loc="left", x=0.05)
+        _draw(axes, grid, values, top)
+        axes.set_title(route.words, y=0.96, loc="left", x=0.05)
     figure.subplots_adjust(left=0.0, right=0.96, bottom=0.06, top=0.96, wspace=0.06)
     return figure
 
 
-def _chosen(found: Mapping[str, AnyDensity]) -> dict[str, AnyDensity]:
-    theory = next(iter(theories_in(found)), next(iter(found)))
-    routes = dict.fromkeys([theory, *(r for r in ("montecarlo",) if r in found)])
-    return {route: found[route] for route in routes}
+def _chosen(curve: CurveOutcome, observable: Observable) -> dict[Route, AnyDensity]:
+    densities = curve.densities(observable)
+    # A theory that neglects something, the contacts for example, comes last.
+    lines = sorted(lines_of(curve, observable), key=curve.neglects)
+    full = [r for r in samples_of(curve, observable) if r.solves == "full"]
+    return {route: densities[route] for route in [*lines[:1], *full] or list(densities)[:1]}
 
 
 def _sheet(density: AnyDensity, ends: tuple[Array, ...]) -> tuple[tuple[Array, ...], Array]:

@@ -1,6 +1,5 @@
 """Finished points of a map on disk, one JSON line each: an interrupted map goes on from there."""
 
-import hashlib
 import json
 from dataclasses import asdict, dataclass, fields, replace
 from os.path import lexists
@@ -8,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cases.output.files import write_text
-from cases.output.summary import plain
+from cases.output.records import hash_of, plain
 from cases.scene.errors import BadInput
 from cases.scene.reading import read_text
 from cases.studies.regime_map.points import MapPoint
@@ -105,12 +104,6 @@ def _damaged(path: Path, number: int, words: str) -> BadInput:
         f"{path}: line {number} {words}: the file is damaged; remove that line, its point is then"
         " computed again"
     )
-
-
-def hash_of(record: dict[str, Any]) -> str:
-    """Return a short hash of everything in ``record``."""
-    text = json.dumps(plain(record), sort_keys=True, ensure_ascii=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _line(record: dict[str, Any]) -> str:

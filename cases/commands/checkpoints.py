@@ -4,12 +4,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-from cases.output.fields import program_version
 from cases.output.files import make_folder, write_text
-from cases.output.summary import plain
+from cases.output.records import hash_of, plain, program_version
 from cases.scene.errors import BadInput
 from cases.scene.scene import Scene
-from cases.studies.regime_map.store import hash_of
 
 NAME = "run.json"
 
@@ -25,13 +23,13 @@ def checkpoint_folder(folder: Path | None, scene: Scene, settings: dict[str, Any
     record = {"run": hash_of(identity), "identity": plain(identity)}
     path = make_folder(folder) / NAME
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))["run"]
+        run = json.loads(path.read_text(encoding="utf-8"))["run"]
     except FileNotFoundError:
         write_text(path, json.dumps(record, ensure_ascii=False) + "\n")
         return folder
     except (OSError, ValueError, KeyError, TypeError):
         raise BadInput(f"{path}: cannot be read; give another --checkpoint") from None
-    if found != record["run"]:
+    if run != record["run"]:
         raise BadInput(
             f"{folder}: holds states of another run (other scene, settings or version);"
             " give another --checkpoint or remove it"

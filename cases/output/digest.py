@@ -1,0 +1,192 @@
+"""What came of a run as one record; the text, the report and ``--json`` are formats of it."""
+
+from collections.abc import Iterable
+from dataclasses import asdict
+from typing import Any
+
+from sim.report import Report
+
+from cases.comparison.compare import Comparison
+from cases.comparison.run import CurveOutcome, Outcome, Refusal
+from cases.output.records import certificate_record, effects_record, plain, system_record
+from fpk.density import Density
+from fpk.method import Result
+from fpk.route import Route
+
+Record = dict[str, Any]
+
+
+def digest_of(outcome: Outcome) -> Record:
+    """Return the record of ``fpk run``: the scene's own system, and beside it the other curves."""
+    base, *others = outcome.curves
+    comparisons = [c for curve in outcome.curves for c in curve.comparisons]
+    record: Record = plain(
+        {
+            "scene": outcome.scene.name,
+            "title": outcome.scene.title,
+            **_curve(base),
+            "curves": [_curve(c) for c in others],
+            "judged": sum(c.band is not None for c in comparisons),
+            "problems": outcome.problems,
+            "claims": [asdict(f) for f in outcome.findings],
+            "seconds": outcome.seconds,
+        }
+    )
+    return record
+
+
+def curves_of(digest: Record) -> list[Record]:
+    """Return the part of every curve, that of the scene's own system first."""
+    return [digest, *digest["curves"]]
+
+
+def refusals_of(curve: Record) -> list[Record]:
+    """Return the refusals of one curve, those with the same reason joined in one entry."""
+    joined: dict[tuple[str, bool], tuple[dict[str, list[str]], dict[str, None]]] = {}
+    for r in curve["methods"]:
+        if not r["applies"]:
+            reason = r["reason"]
+            for name in r["observables"]:
+                reason = reason.removeprefix(f"{name}: ")
+            solvers, names = joined.setdefault((reason, r["failed"]), ({}, {}))
+            solvers.setdefault(r["method"], []).append(r["solver"])
+            names.update(dict.fromkeys(r["observables"]))
+    return [
+        {
+            "routes": ", ".join(f"{method} ({', '.join(s)})" for method, s in solvers.items()),
+            "observables": list(names),
+            "reason": reason,
+            "failed": failed,
+        }
+        for (reason, failed), (solvers, names) in joined.items()
+    ]
+
+
+def verdict_of(digest: Record) -> str:
+    """Return the verdict in one sentence."""
+    if digest["problems"]:
+        return f"{digest['judged']} judged comparisons, {len(digest['problems'])} checks fail"
+    if not digest["judged"]:
+        return "nothing to compare, every certificate holds"
+    return f"{digest['judged']} judged comparisons, every check holds"
+
+
+def _curve(curve: CurveOutcome) -> Record:
+    return {
+        "label": curve.label,
+        "system": system_record(curve.system),
+        "effects": effects_record(curve.effects),
+        "regime": {
+            **asdict(curve.regime),
+            "contacts_negligible": curve.regime.contacts_negligible,
+            "boundaries": [asdict(b) for b in curve.boundaries],
+        },
+        "methods": [*map(_method, curve.results), *map(_refusal, curve.refusals)],
+        "comparisons": _comparisons(curve.comparisons),
+        "errors": [e for r in curve.results for e in _three_errors(r, curve.comparisons)],
+        "identities": [
+            {"method": r.method.route.label, **asdict(i), "z": i.z}
+            for r in curve.results
+            for i in r.identities
+        ],
+    }
+
+
+def _names(route: Route) -> Record:
+    return {"route": route.label, "method": route.method, "solver": route.solver}
+
+
+def _method(result: Result) -> Record:
+    report = result.report if isinstance(result.report, Report) else None
+    return {
+        **_names(result.method.route),
+        "applies": True,
+        "seconds": result.seconds,
+        "settings": dict(result.settings),
+        "diagnosis": asdict(report.diagnosis) if report and report.diagnosis else None,
+        "densities": [
+            {
+                "observable": d.name,
+                "error_kind": d.error_kind,
+                "l1_error": d.l1_error
+                if isinstance(d, Density)
+                else report and report.error_of(d.observable).sampling,
+                "certificate": certificate_record(d),
+            }
+            for d in result.densities
+        ],
+    }
+
+
+def _refusal(refusal: Refusal) -> Record:
+    return {
+        **_names(refusal.route),
+        "applies": False,
+        "failed": refusal.failed,
+        "observables": refusal.observables,
+        "reason": refusal.reason,
+    }
+
+
+def _comparisons(comparisons: Iterable[Comparison]) -> list[Record]:
+    """Rows, ``repeats`` where what separates two theories stands in an earlier row already.
+
+    It is the same by every solver of a theory, as the numerical rows show.
+    """
+    shown: set[tuple[str, ...]] = set()
+    rows = []
+    for c in comparisons:
+        pair = (c.observable, _theory(c.a), _theory(c.b))
+        rows.append(
+            {
+                "observable": c.observable,
+                "a": c.a.label,
+                "b": c.b.label,
+                "measures": c.measures,
+                "L1": c.L1,
+                "band": c.band,
+                "error": c.error,
+                "holds": c.holds,
+                "repeats": c.measures == "averaging" and pair in shown,
+            }
+        )
+        if c.measures == "averaging":
+            shown.add(pair)
+    return rows
+
+
+def _three_errors(result: Result, comparisons: Iterable[Comparison]) -> list[Record]:
+    """The three errors of every density of a simulation, never mixed.
+
+    ``sampling`` is the expected L1 error by chance; ``step_bias`` the L1 distance from the density
+    of half the step and what chance makes of that; ``averaging`` has each averaged theory's L1
+    distance and what chance and solvers make of that.
+    """
+    if not isinstance(result.report, Report):
+        return []
+    route, rows = result.method.route, []
+    for error in result.report.errors:
+        averaging: dict[str, Record] = {}
+        for c in comparisons:
+            own = c.measures == "averaging" and c.observable == error.name and route in (c.a, c.b)
+            if own:
+                theory = _theory(c.b if c.a == route else c.a)
+                averaging.setdefault(theory, {"theory": theory, "L1": c.L1, "error": c.error})
+        bias = error.step_bias
+        rows.append(
+            {
+                "route": route.label,
+                "observable": error.name,
+                "sampling": error.sampling,
+                "step_bias": "not measured"
+                if bias is None
+                else {"L1": bias.difference, "by_chance": bias.chance},
+                "averaging": list(averaging.values()),
+            }
+        )
+    return rows
+
+
+def _theory(route: Route) -> str:
+    """A theory's solvers by one name; its simulation is another route to it."""
+    return route.label if route.sampled else route.method

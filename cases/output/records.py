@@ -1,0 +1,118 @@
+"""Systems, effects, certificates and densities as plain records: what JSON has of them."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from cases.comparison.verify import VERDICTS, Verified
+from cases.scene.scene import Scene
+from fpk.damping import DampingTerm
+from fpk.density import AnyDensity, Array
+from fpk.effects import Effects
+from fpk.method import Result
+from fpk.system import System
+
+UNITS = "the scene's own consistent units"
+
+
+def program_version() -> str:
+    """Return the version of the installed distribution."""
+    try:
+        return version("vibro-fpk")
+    except PackageNotFoundError:
+        return "(not installed)"
+
+
+def plain(value: Any) -> Any:
+    """Return ``value`` as JSON has it: lists and numbers; what is not finite becomes null."""
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not isfinite(value):
+        return None
+    return value
+
+
+def hash_of(record: dict[str, Any]) -> str:
+    """Return a short hash of everything in ``record``."""
+    text = json.dumps(plain(record), sort_keys=True, ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def certificate_record(density: AnyDensity) -> dict[str, Any]:
+    """Return the certificate with whether it holds."""
+    certificate = density.certificate
+    return {**asdict(certificate), "certified": certificate.certified}
+
+
+def density_record(scene: Scene, result: Result, points: tuple[Array, ...]) -> dict[str, Any]:
+    """Return the record of ``fpk density`` at ``points``, one array per axis."""
+    density = result.densities[0]
+    values, errors = density.at(*points)
+    record: dict[str, Any] = plain(
+        {
+            "scene": scene.name,
+            "method": result.method.name,
+            "solver": result.method.solver,
+            "observable": density.name,
+            "points": points[0] if len(points) == 1 else np.stack(points, axis=-1),
+            "density": values,
+            "error": errors,
+            "error_kind": density.error_kind,
+            "certificate": certificate_record(density),
+            "settings": dict(result.settings),
+            "seconds": result.seconds,
+        }
+    )
+    return record
+
+
+def verify_record(verified: Sequence[Verified]) -> dict[str, Any]:
+    """Return the record of ``fpk verify``."""
+    record: dict[str, Any] = plain(
+        {
+            "scenes": [{**asdict(v), "holds": v.holds} for v in verified],
+            "holds": all(v.holds for v in verified),
+            "claims": {word: sum(v.count(word) for v in verified) for word in VERDICTS},
+            "seconds": sum(v.seconds for v in verified),
+        }
+    )
+    return record
+
+
+def effects_record(effects: Effects) -> dict[str, Any]:
+    """Return the effects as users read them: masses counted from 1."""
+    record = asdict(effects)
+    record["contact_masses"] = [i + 1 for i in effects.contact_masses]
+    return {**record, "contact": effects.contact}
+
+
+def system_record(system: System) -> dict[str, Any]:
+    """Return the system as it is computed with: full matrices, masses counted from 1."""
+    record: dict[str, Any] = plain(
+        {
+            "mass": system.mass,
+            "stiffness": system.stiffness,
+            "damping": system.damping,
+            "noise_intensity": system.noise_intensity,
+            "noise_gain": system.noise_gain,
+            "contacts": [asdict(c) for c in system.contacts],
+            "damping_terms": [_term_record(term) for term in system.damping_terms],
+        }
+    )
+    return record
+
+
+def _term_record(term: DampingTerm) -> dict[str, Any]:
+    powers = {key: {str(mass): power for mass, power in getattr(term, key)} for key in ("q", "v")}
+    entry = {"i": term.i, "j": term.j, "coefficient": term.coefficient}
+    return {**entry, **powers, "energy": term.energy}
