@@ -11,7 +11,7 @@ from cases.comparison.run import CurveOutcome, Outcome, Refusal
 from cases.output.records import certificate_record, effects_record, plain, system_record
 from fpk.density import Density
 from fpk.method import Result
-from fpk.route import Route
+from fpk.route import Route, solvers_of
 
 Record = dict[str, Any]
 
@@ -53,7 +53,10 @@ def refusals_of(curve: Record) -> list[Record]:
             names.update(dict.fromkeys(r["observables"]))
     return [
         {
-            "routes": ", ".join(f"{method} ({', '.join(s)})" for method, s in solvers.items()),
+            "routes": ", ".join(
+                method if len(solvers_of(method)) == 1 else f"{method} ({', '.join(s)})"
+                for method, s in solvers.items()
+            ),
             "observables": list(names),
             "reason": reason,
             "failed": failed,
@@ -81,8 +84,8 @@ def _curve(curve: CurveOutcome) -> Record:
             "contacts_negligible": curve.regime.contacts_negligible,
             "boundaries": [asdict(b) for b in curve.boundaries],
         },
-        "methods": [*map(_method, curve.results), *map(_refusal, curve.refusals)],
-        "comparisons": _comparisons(curve.comparisons),
+        "methods": [*map(_method, curve.results), *map(refusal_record, curve.refusals)],
+        "comparisons": comparison_rows(curve.comparisons),
         "errors": [e for r in curve.results for e in _three_errors(r, curve.comparisons)],
         "identities": [
             {"method": r.method.route.label, **asdict(i), "z": i.z}
@@ -118,7 +121,8 @@ def _method(result: Result) -> Record:
     }
 
 
-def _refusal(refusal: Refusal) -> Record:
+def refusal_record(refusal: Refusal) -> Record:
+    """Return the entry of a route that was not taken."""
     return {
         **_names(refusal.route),
         "applies": False,
@@ -128,8 +132,8 @@ def _refusal(refusal: Refusal) -> Record:
     }
 
 
-def _comparisons(comparisons: Iterable[Comparison]) -> list[Record]:
-    """Rows, ``repeats`` where what separates two theories stands in an earlier row already.
+def comparison_rows(comparisons: Iterable[Comparison]) -> list[Record]:
+    """Return the rows, ``repeats`` where an earlier row has what separates the two theories.
 
     It is the same by every solver of a theory, as the numerical rows show.
     """

@@ -7,16 +7,19 @@ import pytest
 
 from cases.comparison.claims import ACCEPTABLE_L1, findings, shape_of
 from cases.comparison.regime import Regime
+from cases.comparison.routes import listed_routes
 from cases.scene.expect import Expect, Range
 from cases.scene.scene import load_scene, shipped_scenes
 from fpk.certificate import Certificate
 from fpk.clearance import StopClearance
 from fpk.density import Density, SampledDensity
 from fpk.observable import parse_observable
+from fpk.route import ROUTES
 
 FLAT = lambda x: np.where(np.abs(x) <= 1, 0.5, 0.0)  # noqa: E731
 FINE = Certificate(0.0, 0.0, 0.0, 0.0)
 Q1 = parse_observable("q1", 1)
+ROUTE = {r.label: (r.method, r.solver) for r in listed_routes()}
 
 
 def density(pdf, reach, l1_error=1e-12):
@@ -54,7 +57,8 @@ class Found:
         object.__setattr__(self, "regime", Regime((1.0,), None, stops))
 
     def densities(self, observable):
-        return self.answers if observable == Q1 else {}
+        answers = {ROUTES[ROUTE[name]]: d for name, d in self.answers.items()}
+        return answers if observable == Q1 else {}
 
 
 def verdicts(expect, *curves):

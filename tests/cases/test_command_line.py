@@ -12,9 +12,10 @@ pytest.importorskip("averaging.exact")
 pytest.importorskip("averaging.nonintegrable")
 pytest.importorskip("sim.montecarlo")
 
-from cases.comparison.routes import ROUTES, SIMULATION, Request, all_methods, method_for
+from cases.comparison.routes import all_methods, method_for
 from cases.comparison.run import run_scene
 from cases.scene.scene import load_scene, shipped_scenes
+from fpk.route import solvers_of
 
 RUN = {"scene", "effects", "regime", "methods", "comparisons", "identities", "seconds"}
 COMPARISON = {"observable", "a", "b", "measures", "L1", "band", "holds"}
@@ -24,6 +25,7 @@ DENSITY = {
 }  # fmt: skip
 CERTIFICATE = {"mass_defect", "minimum", "residual", "tail_mass"}
 AT = ["--at", "-1.5:1.5:0.5"]
+SIMULATION = "simulation"
 
 
 def density(fpk, *arguments):
@@ -33,7 +35,7 @@ def density(fpk, *arguments):
     return json.loads(out)
 
 
-@pytest.mark.parametrize("solver", [s for s in ROUTES["nonintegrable"].solvers if s != SIMULATION])
+@pytest.mark.parametrize("solver", [s for s in solvers_of("nonintegrable") if s != SIMULATION])
 def test_density_has_the_keys_of_the_contract(solver, fpk):
     record = density(
         fpk, "fig6a", "--method", "nonintegrable", "--solver", solver, "--of", "q2", *AT
@@ -134,7 +136,7 @@ def test_a_scene_is_text_in_the_report(tmp_path, scene_text):
 
     path = tmp_path / "evil.toml"
     path.write_text(scene_text.replace('"A scene"', '"<script>alert(1)</script>"'))
-    outcome = run_scene(load_scene(str(path)), [method_for(Request("nonintegrable"))])
+    outcome = run_scene(load_scene(str(path)), [method_for("nonintegrable")])
     page = report_html(outcome, [])
     assert "<script" not in page and "&lt;script&gt;" in page
 

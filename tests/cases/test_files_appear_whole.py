@@ -11,9 +11,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from cases.comparison.routes import Request, method_for
+from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
-from cases.output.fields import csv_text, write_netcdf
+from cases.output.fields import write_csv, write_netcdf
 from cases.output.files import make_folder, write_by, write_text
 from cases.output.report import write_report
 from cases.output.svg import svg_text
@@ -44,7 +44,7 @@ def outcome():
     scene = load_scene("fig6a")
     few = {"observables": scene.observables[:1], "curves": scene.curves[:1], "expect": None}
     scene = replace(scene, **few)
-    return run_scene(scene, [method_for(Request("nonintegrable", "closed-form"))])
+    return run_scene(scene, [method_for("nonintegrable", "closed-form")])
 
 
 @pytest.fixture(scope="module")
@@ -68,10 +68,8 @@ WRITERS = {
     "report": lambda folder, outcome: write_report(outcome, folder),
     ".svg": _svg,
     ".nc": lambda folder, outcome: write_netcdf(outcome, folder / "a.nc"),
-    ".csv": lambda folder, outcome: write_text(folder / "a.csv", csv_text(outcome)),
-    ".vtu": lambda folder, outcome: write_vtu(
-        outcome, outcome.scene.observables[0], folder / "a.vtu"
-    ),
+    ".csv": lambda folder, outcome: write_csv(outcome, folder / "a.csv"),
+    ".vtu": lambda folder, outcome: write_vtu(outcome, folder / "a.vtu"),
     ".pvd": lambda folder, outcome: write_pvd(outcome, folder / "a.pvd"),
     "map": lambda folder, found: write_map(found, folder),
 }

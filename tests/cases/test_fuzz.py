@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scenes_drawn import mutated_scenes, valid_scenes
 
-from cases.comparison.routes import Request, method_for
+from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
 from cases.output.show import show_record, show_text
 from cases.scene.errors import LONGEST, BadInput
@@ -131,7 +131,7 @@ def runs(path, text):
     """By the routes in closed form: densities that are certified, or a reason why not."""
     scene = loaded_or_refused(path, text.encode())
     methods = [
-        method_for(Request(*route))
+        method_for(*route)
         for route in [("exact",), ("linear",), ("nonintegrable", "closed-form"), ("integrable",)]
     ]
     outcome = run_scene(scene, methods)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from cases.comparison.routes import Request, Sampling, method_for
+from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
 from cases.output.figures import figures
 from cases.output.svg import svg_text
@@ -14,8 +14,8 @@ from fpk.observable import parse_observable
 
 def drawn(name, of, *methods):
     scene = replace(load_scene(name), observables=(parse_observable(of, 2),), expect=None)
-    sampling = Sampling(paths=4096, time=60.0)
-    outcome = run_scene(scene, [method_for(Request(m, sampling=sampling)) for m in methods])
+    sampling = {"paths": 4096, "time": 60.0}
+    outcome = run_scene(scene, [method_for(m, **sampling) for m in methods])
     return {stem: (caption, figure) for stem, caption, figure in figures(outcome)}
 
 

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from cases.comparison.routes import Request, method_for
+from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
 from cases.output.report import report_html, write_report
 from cases.scene.scene import load_scene
@@ -43,7 +43,7 @@ def _outcome(folder, scene_text, *, words, label):
     quoted = "'''" + words + "'''"
     text = scene_text.replace('"A scene"', quoted).replace('"tests"', quoted)
     path.write_text(f"# {words}\n{text}")
-    found = run_scene(load_scene(str(path)), [method_for(Request("nonintegrable", "closed-form"))])
+    found = run_scene(load_scene(str(path)), [method_for("nonintegrable", "closed-form")])
     curves = tuple(replace(c, label=f"{label} {i}") for i, c in enumerate(2 * found.curves))
     return replace(found, curves=curves)
 

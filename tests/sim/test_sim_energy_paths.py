@@ -9,7 +9,7 @@ from scipy.stats import chi2, ncx2
 
 from cases.comparison.averaged import AveragedSimulation
 from cases.comparison.compare import chance_l1, compared
-from cases.comparison.routes import Request, method_for
+from cases.comparison.routes import method_for
 from cases.scene.scene import load_scene
 from fpk.certificate import Certificate
 from fpk.density import Density, l1_distance
@@ -162,8 +162,7 @@ def test_as_a_method_it_agrees_with_another_solver_and_is_judged(
 ) -> None:
     system = load_scene(scene).system
     results = [
-        method_for(Request(theory, name)).solve(system, [observable])
-        for name in ("simulation", solver)
+        method_for(theory, name).solve(system, [observable]) for name in ("simulation", solver)
     ]
     (found,) = compared(results, averaging_is_exact=False)
     assert found.measures == "sampling"
