@@ -2,16 +2,29 @@
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
+from importlib import import_module
 from time import perf_counter
 from typing import Any
 
-import sim.montecarlo  # noqa: F401  (each of these registers its routes)
 from cases.scene.errors import BadInput
 from fpk.errors import NotApplicable
 from fpk.method import Method, Plan, Progress, Result, silent
 from fpk.observable import Observable
 from fpk.route import ROUTES, Route, methods, solvers_of
 from fpk.system import System
+
+ROUTE_MODULES = (
+    "averaging.exact",
+    "averaging.gaussian",
+    "averaging.nonintegrable",
+    "averaging.integrable",
+    "cases.comparison.averaged",
+    "sim.montecarlo",
+)
+"""The program's own methods; each module registers its routes when it is imported."""
+
+for _module in ROUTE_MODULES:
+    import_module(_module)
 
 
 def listed_routes() -> tuple[Route, ...]:

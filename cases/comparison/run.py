@@ -16,11 +16,10 @@ from cases.scene.scene import Scene
 from cases.scene.vary import Curve
 from fpk.density import AnyDensity
 from fpk.effects import Effects, effects_of
+from fpk.ends import classify
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.line.boundary import classify
 from fpk.method import Method, Progress, Result, silent
 from fpk.observable import Observable, observable_name
-from fpk.plane.boundary import classify_edges
 from fpk.route import Route
 from fpk.system import System
 
@@ -141,7 +140,7 @@ def boundaries_of(system: System) -> tuple[Boundary, ...]:
     with suppress(NotApplicable):
         process = modal_process(system)
         for axis in range(min(process.dimension, MODES_SHOWN)):
-            edges = classify_edges(process, axis)
+            edges = classify(process, axis)
             boundaries += [Boundary("integrable", e.end, e.kind, e.reason) for e in edges]
     return tuple(boundaries)
 

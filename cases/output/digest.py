@@ -4,14 +4,13 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
-from sim.report import Report
-
 from cases.comparison.compare import Comparison
 from cases.comparison.run import CurveOutcome, Outcome, Refusal
 from cases.output.records import certificate_record, effects_record, plain, system_record
 from fpk.density import Density
 from fpk.method import Result
 from fpk.route import Route, solvers_of
+from sim.report import Report
 
 Record = dict[str, Any]
 
