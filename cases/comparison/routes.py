@@ -10,7 +10,7 @@ from cases.scene.errors import BadInput
 from fpk.errors import NotApplicable
 from fpk.method import Method, Plan, Progress, Result, silent
 from fpk.observable import Observable
-from fpk.route import ROUTES, Route, methods, solvers_of
+from fpk.route import ROUTES, Route, solvers_of
 from fpk.system import System
 
 ROUTE_MODULES = (
@@ -30,6 +30,11 @@ for _module in ROUTE_MODULES:
 def listed_routes() -> tuple[Route, ...]:
     """Return all routes: deterministic before sampled, the full system before averaged ones."""
     return tuple(sorted(ROUTES.values(), key=lambda r: (r.sampled, r.solves != "full")))
+
+
+def listed_methods() -> tuple[str, ...]:
+    """Return the names of all methods in the order of their routes."""
+    return tuple(dict.fromkeys(route.method for route in listed_routes()))
 
 
 def method_for(name: str, solver: str | None = None, **settings: Any) -> Method:
@@ -86,7 +91,7 @@ def solved(plan: Plan, observables: Sequence[Observable], *, progress: Progress 
 def _routes_of(name: str, solver: str | None) -> list[Route]:
     choices = solvers_of(name)
     if not choices:
-        raise BadInput(f"--method {name}: use one of {', '.join(methods())}")
+        raise BadInput(f"--method {name}: use one of {', '.join(listed_methods())}")
     if solver is not None and solver not in choices:
         remedy = f"use one of {', '.join(choices)}" if len(choices) > 1 else "leave it out"
         raise BadInput(f"--solver {solver}: not a solver of {name}; {remedy}")

@@ -6,7 +6,13 @@ from typing import Any
 
 from cases.comparison.compare import Comparison
 from cases.comparison.run import CurveOutcome, Outcome, Refusal
-from cases.output.records import certificate_record, effects_record, plain, system_record
+from cases.output.records import (
+    certificate_record,
+    effects_record,
+    plain,
+    regime_record,
+    system_record,
+)
 from fpk.density import Density
 from fpk.method import Result
 from fpk.route import Route, solvers_of
@@ -79,8 +85,7 @@ def _curve(curve: CurveOutcome) -> Record:
         "system": system_record(curve.system),
         "effects": effects_record(curve.effects),
         "regime": {
-            **asdict(curve.regime),
-            "contacts_negligible": curve.regime.contacts_negligible,
+            **regime_record(curve.regime),
             "boundaries": [asdict(b) for b in curve.boundaries],
         },
         "methods": [*map(_method, curve.results), *map(refusal_record, curve.refusals)],

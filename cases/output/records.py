@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from cases.comparison.regime import Regime
 from cases.comparison.verify import VERDICTS, Verified
 from cases.scene.scene import Scene
 from fpk.damping import DampingTerm
@@ -94,6 +95,13 @@ def effects_record(effects: Effects) -> dict[str, Any]:
     record = asdict(effects)
     record["contact_masses"] = [i + 1 for i in effects.contact_masses]
     return {**record, "contact": effects.contact}
+
+
+def regime_record(regime: Regime) -> dict[str, Any]:
+    """Return what decides between the theories."""
+    stops = [{**asdict(s), "beyond_rule": s.beyond_rule} for s in regime.stops]
+    negligible = regime.contacts_negligible
+    return {**asdict(regime), "stops": stops, "contacts_negligible": negligible}
 
 
 def system_record(system: System) -> dict[str, Any]:

@@ -4,9 +4,9 @@ from dataclasses import asdict
 from typing import Any
 
 from cases.comparison.regime import regime_of
-from cases.comparison.routes import listed_routes
+from cases.comparison.routes import listed_methods
 from cases.comparison.run import boundaries_of, incompatibility
-from cases.output.records import effects_record, plain, system_record
+from cases.output.records import effects_record, plain, regime_record, system_record
 from cases.scene.scene import Scene
 from fpk.effects import effects_of
 from fpk.errors import NotApplicable
@@ -27,7 +27,7 @@ def show_record(scene: Scene) -> dict[str, Any]:
         "curves": [curve.label for curve in scene.curves],
         "effects": effects_record(effects_of(scene.system)),
         "natural_frequencies": regime.natural_frequencies,
-        "regime": {**asdict(regime), "contacts_negligible": regime.contacts_negligible},
+        "regime": regime_record(regime),
         "theories": theories(scene),
         "boundaries": [asdict(b) for b in boundaries_of(scene.system)],
     }
@@ -38,7 +38,7 @@ def show_record(scene: Scene) -> dict[str, Any]:
 def theories(scene: Scene) -> list[dict[str, Any]]:
     """Return for every METHOD whether it applies to the scene's own system, and why not."""
     records = []
-    for name in dict.fromkeys(route.method for route in listed_routes()):
+    for name in listed_methods():
         routes = [ROUTES[name, solver] for solver in solvers_of(name)]
         by_solver = [_refusals(route.make(), scene) for route in routes]
         # An observable is refused where every solver refuses it: the default's reason is shown.

@@ -1,64 +1,19 @@
-"""Progress on standard error: shown on a terminal, after a second, silent elsewhere."""
+"""Progress on standard error: shown on a terminal, silent elsewhere."""
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from time import perf_counter
-from typing import Any
-
-from numba.core import event
-from rich.console import Console
-from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as RichProgress
 
 from fpk.method import Progress, silent
-
-PATIENCE = 1.0
-"""Seconds before a bar appears."""
 
 
 @contextmanager
 def progress_bar() -> Iterator[Progress]:
-    """Yield a progress callback that draws one bar a task on standard error."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
+    """Yield a progress callback; it draws where standard error is a terminal."""
+    if not sys.stderr.isatty():
         yield silent
         return
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
-    bar = RichProgress(*columns, TimeRemainingColumn(), console=console, transient=True)
-    start, tasks = perf_counter(), {}
+    from cases.output.bar import drawn_progress  # takes longer to import than many an answer
 
-    def report(done: int, total: int, what: str) -> None:
-        if perf_counter() - start < PATIENCE:
-            return
-        if not bar.live.is_started:
-            bar.start()
-        if what not in tasks:
-            tasks[what] = bar.add_task(what, total=total)
-        bar.update(tasks[what], completed=done, total=total)
-
-    try:
-        with event.install_listener("numba:compile", _Compiling(bar)):
-            yield report
-    finally:
-        bar.stop()
-
-
-class _Compiling(event.Listener):
-    """Says on the bar that something is being compiled, which takes a while and happens once."""
-
-    def __init__(self, bar: RichProgress) -> None:
-        """Nothing is compiled yet."""
-        self.bar, self.depth, self.tasks = bar, 0, list[TaskID]()
-
-    def on_start(self, event: Any) -> None:
-        """Show a task when the outermost function begins."""
-        self.depth += 1
-        if self.depth == 1:
-            self.bar.start()
-            self.tasks = [self.bar.add_task("compiling, this once", total=None)]
-
-    def on_end(self, event: Any) -> None:
-        """Take it away when it is done."""
-        self.depth -= 1
-        if self.depth == 0:
-            self.bar.remove_task(self.tasks.pop())
+    with drawn_progress() as progress:
+        yield progress

@@ -18,7 +18,7 @@ FINE = Certificate(0.0, 0.0, 0.0, 0.0)
 
 @pytest.fixture(scope="module")
 def pyvista():
-    return pytest.importorskip("pyvista", reason="pyvista comes with the extra viz")
+    return pytest.importorskip("pyvista", reason="pyvista is not installed")
 
 
 def test_a_quadratic_is_kept_without_loss():

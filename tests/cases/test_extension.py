@@ -1,0 +1,76 @@
+"""A method and a contact law of one file each are shown, run, compared, drawn and exported."""
+
+import csv
+import json
+
+import meshio
+import pytest
+import xarray as xr
+
+from cases.comparison.routes import all_methods, method_for
+from cases.comparison.run import run_scene
+from cases.output.report import write_report
+from cases.scene.scene import load_scene
+from fpk.contact_law import LAWS
+from fpk.route import ROUTES
+
+TOY = ("equipartition", "closed-form")
+
+
+@pytest.fixture(scope="module")
+def scene_path(scene_text, tmp_path_factory):
+    """A scene with the law, whose momenta the method knows; both are forgotten afterwards."""
+    import toy_law  # noqa: PLC0415, F401
+    import toy_method  # noqa: PLC0415, F401
+
+    text = scene_text.replace("[0.01, 0.02]", "[0.04, 0.02]").replace('"q2", "H"', '"p1", "q2"')
+    path = tmp_path_factory.mktemp("toy") / "toy.toml"
+    path.write_text(text.replace('side      = "both"', 'side = "both"\nlaw = "cubic"'))
+    yield path
+    del ROUTES[TOY], LAWS["cubic"]
+
+
+@pytest.fixture(scope="module")
+def outcome(scene_path):
+    methods = [method_for(name) for name in ("exact", "nonintegrable", TOY[0])]
+    methods.append(method_for("montecarlo", paths=4096, relaxations=20.0))
+    return run_scene(load_scene(str(scene_path)), methods)
+
+
+def test_they_are_shown(scene_path, fpk):
+    record = json.loads(fpk("show", scene_path, "--json")[1])
+    (theory,) = [t for t in record["theories"] if t["method"] == TOY[0]]
+    assert theory["applies"] and theory["reason"] == "momenta only"
+    assert record["system"]["contacts"][0]["law"] == "cubic"
+    assert TOY[0] in fpk("show", scene_path)[1]
+    assert any(m.name == TOY[0] for m in all_methods())
+
+
+def test_they_are_run_and_compared(scene_path, outcome, fpk):
+    assert not outcome.problems
+    (curve,) = outcome.curves
+    toy = [c for c in curve.comparisons if TOY[0] in (c.a.method, c.b.method)]
+    assert {c.measures for c in toy} == {"numerical", "sampling"} and all(c.holds for c in toy)
+    law = [c for c in curve.comparisons if c.observable == "q2" and c.measures == "sampling"]
+    assert law and all(c.holds for c in law)
+    asked = ["--method", TOY[0], "--of", "p1", "--at", "0", "--json"]
+    record = json.loads(fpk("density", scene_path, *asked)[1])
+    assert record["method"] == TOY[0] and record["certificate"]["certified"]
+    assert record["density"] == pytest.approx([(2 * 3.14159265358979 * 0.5) ** -0.5])
+
+
+def test_they_are_drawn_and_reported(outcome, tmp_path):
+    written = [path.name for path in write_report(outcome, tmp_path)]
+    assert {"density_p1.svg", "density_q2.svg", "left_p1.svg"} <= set(written)
+    page = (tmp_path / "report.html").read_text()
+    assert "equipartition" in page and "cubic law" in page
+    with xr.open_dataset(tmp_path / "result.nc", engine="h5netcdf") as data:
+        assert TOY[0] in data["route_p1"].values.tolist()
+
+
+def test_they_are_exported(scene_path, fpk, tmp_path):
+    assert fpk("export", scene_path, "--of", "p1", "--out", tmp_path / "a.csv")[0] == 0
+    with (tmp_path / "a.csv").open() as stream:
+        assert any(row["route"] == TOY[0] for row in csv.DictReader(stream))
+    assert fpk("export", scene_path, "--of", "p1", "--out", tmp_path / "a.vtu")[0] == 0
+    assert TOY[0] in meshio.read(tmp_path / "a.vtu").point_data

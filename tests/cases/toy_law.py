@@ -1,0 +1,13 @@
+"""A contact law of one's own: force ~ overlap**3."""
+
+from fpk.contact_law import ContactLaw, register
+
+CUBIC = register(
+    ContactLaw(
+        name="cubic",
+        exponent=3.0,
+        force=lambda x, e: x * x * x,
+        energy=lambda x, e: 0.25 * x * x * x * x,
+        slope=lambda x, e: 3.0 * x * x,
+    )
+)
