@@ -13,8 +13,9 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table as RichTable
 
-from cases.output.fields import program_version, write_dataset
+from cases.output.fields import write_dataset
 from cases.output.files import write_text
+from cases.output.records import program_version
 from cases.output.svg import svg_text
 from cases.scene.scene import Scene
 

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cases.output.fields import program_version
-from cases.output.summary import plain
+from cases.output.records import plain, program_version
 from cases.scene.scene import Scene
 from cases.studies.regime_map.grid import Axis, grid_points, system_at
 from cases.studies.regime_map.points import MapPoint, map_point

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from cases.output.fields import UNITS
 from cases.output.files import write_text
+from cases.output.records import UNITS
 from cases.studies.regime_map.build import RegimeMap
 from cases.studies.regime_map.picture import regime_figure
 from cases.studies.regime_map.points import NEITHER, THEORIES, UNDECIDED
