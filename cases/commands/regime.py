@@ -1,7 +1,7 @@
 """The command ``fpk regime``: which theory holds where, over a grid of parameters."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -54,7 +54,7 @@ def regime(
     from sim.montecarlo import MonteCarlo
 
     settings = {"seed": seed, "threads": threads, "paths": paths, "time": time, "cluster": cluster}
-    given = {key: value for key, value in settings.items() if value is not None}
+    given: dict[str, Any] = {k: v for k, v in settings.items() if v is not None}
     simulation = MonteCarlo(**{"relaxations": MAP_RELAXATIONS, **given})
     with progress_bar() as progress:
         found = build_map(

@@ -251,8 +251,8 @@ def _kurtosis(density: AnyDensity) -> float:
 
 def _gaussian_density(density: AnyDensity, mean: float, variance: float) -> Density:
     scale = sqrt(variance)
-    ends = [mean - GAUSSIAN_REACH * scale, mean + GAUSSIAN_REACH * scale]
-    nodes = np.unique(np.concatenate([density.panels[0], np.linspace(*ends, 19)]))
+    panels = mean + scale * np.linspace(-GAUSSIAN_REACH, GAUSSIAN_REACH, 19)
+    nodes = np.unique(np.concatenate([density.panels[0], panels]))
 
     def pdf(x: Array) -> Array:
         return np.asarray(np.exp(-0.5 * ((x - mean) / scale) ** 2) / (np.sqrt(2 * np.pi) * scale))

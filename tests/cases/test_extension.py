@@ -3,7 +3,6 @@
 import csv
 import json
 
-import meshio
 import pytest
 import xarray as xr
 
@@ -73,4 +72,4 @@ def test_they_are_exported(scene_path, fpk, tmp_path):
     with (tmp_path / "a.csv").open() as stream:
         assert any(row["route"] == TOY[0] for row in csv.DictReader(stream))
     assert fpk("export", scene_path, "--of", "p1", "--out", tmp_path / "a.vtu")[0] == 0
-    assert TOY[0] in meshio.read(tmp_path / "a.vtu").point_data
+    assert f'Name="{TOY[0]}"' in (tmp_path / "a.vtu").read_text(errors="replace")
