@@ -17,9 +17,8 @@ from measure import Sampled, Setting, measure_all  # first: NumPy then has one t
 import numpy as np
 from problems import ALPHA, DAMPING, NOISE, PROBLEMS
 
-from averaging.energy_process import energy_balance, energy_process
+from averaging.energy_process import energy_process
 from averaging.quadrature import solve_by_quadrature
-from averaging.shell.ratios import energy_shell
 from fpk.line.stationary import solve_stationary
 from fpk.plane.stationary import solve_plane
 from fpk.process import Coefficients, Process
@@ -34,8 +33,6 @@ JUDGED = 20
 
 def fresh(problem):
     """Return the averaged process, nothing of it remembered."""
-    energy_balance.cache_clear()
-    energy_shell.cache_clear()
     return energy_process(problem.system)
 
 
