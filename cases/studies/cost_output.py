@@ -239,5 +239,5 @@ def write_cost(study: CostStudy, folder: Path) -> list[Path]:
         title=title,
         page=f"{markdown_text(title, cost_tables(study))}\n{MEANING}\n",
         data=data,
-        figure=study_figure(cost_panels(study), width=5.2, height=5.0),
+        figure=study_figure(cost_panels(study), width=5.2),
     )

@@ -18,6 +18,8 @@ HALO: Any = {"boxstyle": "square,pad=0.1", "fc": "#f4f4f4", "ec": "none", "alpha
 """Behind words that a curve may cross."""
 ROUND_OFF = 1e-16
 """Where an error of zero is drawn: a rounding error of one."""
+LEGEND_COLUMNS, LEGEND_ROW = 2, 0.2
+"""Columns of a legend, and the height of one of its rows in inches."""
 SMALL = 7.0
 """Size of words inside a panel, in points."""
 
@@ -57,10 +59,12 @@ class Panel:
     limits: tuple[float, float] | None = None
 
 
-def study_figure(panels: Sequence[Panel], *, width: float = 4.3, height: float = 3.9) -> Figure:
+def study_figure(panels: Sequence[Panel], *, width: float = 4.3) -> Figure:
     """Draw the panels, two in a row; the legend of each stands below it, where no curve passes."""
     columns = min(2, max(1, len(panels)))
     rows = max(1, -(-len(panels) // columns))
+    entries = max((len(panel.curves) for panel in panels), default=0)
+    height = 3.0 + LEGEND_ROW * -(-entries // LEGEND_COLUMNS)
     names = list(dict.fromkeys(curve.name for panel in panels for curve in panel.curves))
     with mpl.rc_context({**STYLE, "font.size": 8.5, "axes.titlesize": 8.5}):
         figure = Figure(figsize=(width * columns, height * rows), layout="constrained")
@@ -89,7 +93,7 @@ def _draw(axes: Axes, panel: Panel, names: Sequence[str]) -> None:
     if not panel.curves:
         return
     axes.legend(
-        loc="upper left", bbox_to_anchor=(-0.02, -0.19), ncols=2 if len(panel.curves) > 3 else 1,
+        loc="upper left", bbox_to_anchor=(-0.02, -0.19), ncols=LEGEND_COLUMNS,
         fontsize=SMALL, columnspacing=1.2, handlelength=1.8, borderaxespad=0.0,
     )  # fmt: skip
 
@@ -118,6 +122,8 @@ def _draw_curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:
 
 
 def _words_at(axes: Axes, level: float, words: str, *, below: bool) -> None:
+    if not axes.get_ylim()[0] <= level <= axes.get_ylim()[1]:
+        return
     axes.annotate(
         words, (0.985, level), xycoords=axes.get_yaxis_transform(),
         xytext=(0, -2 if below else 2), textcoords="offset points", ha="right",

@@ -30,7 +30,7 @@ SMALLEST, PATIENCE = 2.0**-8, 2.0
 """Smallest step tried, in chosen ones, and seconds of a trial beyond which no smaller one is."""
 HALVINGS = 2
 """Times that the step is halved where a scheme is not yet where its order says."""
-FEWEST, AVERAGED_LEVELS, LONG = 256, 4, 2.0
+FEWEST, AVERAGED_LEVELS, LONG = 256, 3, 5.0
 """Paths of the first simulation of (24), refinements at most, and the seconds that end them."""
 
 
