@@ -1,35 +1,33 @@
 """From a density of the energy to densities of displacements and momenta, Eqs. (23), (30)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
+from math import ceil, pi
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
-from averaging.energy_density import EnergyDensity
-from averaging.shell.reduced import compliance_matrix
+from averaging.energy_density import EnergyDensity, Weyl
+from averaging.hidden import HiddenIntegral, conditionals, overlap_at, overlaps
 from fpk.contact import Contact
-from fpk.density import Density
+from fpk.density import Density, certified_density
 from fpk.errors import NotApplicable
 from fpk.observable import Observable, observable_name
-from fpk.quadrature import panel_rule
+from fpk.system import System
 
 Array = NDArray[np.float64]
 
-POINTS = {0: (1, 1), 1: (16, 20), 2: (8, 10)}
-"""Gauss points per panel over 0, 1 or 2 contact masses that are not observed, and of the finer
-rule whose distance is the error estimate."""
-CHUNK = 400_000
-"""Points of an inner integral evaluated at once, to bound memory."""
+POINTS = (10, 14)
+"""Gauss points per panel over a contact mass that is not observed, and of the finer rule: the
+answer is that of the finer one, the distance between the two its error."""
 
 
-def back_transformed(source: EnergyDensity, observable: Observable) -> Density:
+def back_transformed(source: EnergyDensity, observable: Observable, *, tol: float) -> Density:
     """Return the density of ``observable`` that belongs to the phase-space density u(H).
 
     Momenta and masses without contact are quadratic in H and integrated out exactly (Weyl
-    integrals of u); contact masses that are not observed are integrated out by quadrature. For
-    one contact mass, p(q_c) needs none: p(q_c) ~ Ψ(V_red(q_c)).
+    integrals of u); contact masses that are not observed are integrated out by quadrature, on grids
+    that follow their law given the observed ones. ``tol`` is the L1 tolerance that was asked for.
 
     Raises ``NotApplicable`` for modal energies, for H beside another coordinate, and where more
     than two contact masses would have to be integrated out.
@@ -41,38 +39,53 @@ def back_transformed(source: EnergyDensity, observable: Observable) -> Density:
             raise NotApplicable(
                 f"{name} does not follow from a density that depends on the total energy only"
             )
-        return _energy_density(source, observable)
+        return _energy_density(source, observable, tol)
     system = source.system
     q = tuple(c.index for c in observable if c.kind == "q" and c.index is not None)
     p = tuple(c.index for c in observable if c.kind == "p" and c.index is not None)
     hidden = tuple(i for i in system.contact_masses if i not in q)
     if len(hidden) > 2:
         raise NotApplicable(f"{name}: {len(hidden)} contact masses would have to be integrated out")
-    axes = [coordinate.kind for coordinate in observable]
-    coarse, fine = (_Marginal(source, q, p, hidden, points) for points in POINTS[len(hidden)])
+    marginal = _Marginal(source, q, p, hidden)
 
     def pdf(*x: Array) -> Array:
-        return fine(source.weyl, _split(axes, x))
+        return marginal(source.weyl, *_split(kinds, x))
+
+    def added(*x: Array) -> Array:
+        """Error of integrating out: tables of Weyl integrals, quadrature over hidden masses."""
+        split = _split(kinds, x)
+        error = np.zeros(split[0][0].shape if split[0] else split[1][0].shape)
+        if source.table_error is not None:
+            error = error + marginal(source.table_error, *split)
+        if hidden:
+            coarse = marginal(source.weyl, *split, points=POINTS[0])
+            error = error + np.abs(marginal(source.weyl, *split) - coarse)
+        return error
 
     def pointwise(*x: Array) -> Array:
-        split = _split(axes, x)
-        quadrature = np.abs(fine(source.weyl, split) - coarse(source.weyl, split))
-        return fine(source.weyl_error, split) + quadrature
+        return marginal(source.weyl_error, *_split(kinds, x)) + added(*x)
 
     end = float(source.nodes[-1])
     panels = tuple(
-        displacement_panels(source, c.index)
+        displacement_panels(system, c.index, temperature=source.temperature, end=end)
         if c.kind == "q"
         else _momentum_panels(system.mass[c.index], end, source.temperature)
         for c in observable
         if c.index is not None
     )
-    return Density(
-        observable, panels, pdf, pointwise, source.l1_error, source.certificate, source.provenance
+    return certified_density(
+        observable,
+        panels,
+        pdf,
+        pointwise,
+        measured=source.measured,
+        tol=tol,
+        added_error=added,
+        provenance=source.provenance,
     )
 
 
-def _energy_density(source: EnergyDensity, observable: Observable) -> Density:
+def _energy_density(source: EnergyDensity, observable: Observable, tol: float) -> Density:
     # p falls beyond the last node, where some solvers drop it: its value there bounds the loss.
     last = source.nodes[-1]
     dropped = source.energy_pdf(np.array([last * (1.0 - 1e-9)]))[0]
@@ -81,24 +94,27 @@ def _energy_density(source: EnergyDensity, observable: Observable) -> Density:
         energy = np.asarray(energy)
         error = np.exp(source.log_states(energy)) * source.u_error(energy)
         error = np.where((energy > last) & (source.u(energy) == 0.0), dropped, error)
+        if source.closed:
+            error = error + source.states_error(energy)
         return np.where(energy >= 0.0, error, 0.0)
 
-    return Density(
+    return certified_density(
         observable,
         (source.nodes,),
         source.energy_pdf,
         pointwise,
-        source.l1_error,
-        source.certificate,
-        source.provenance,
+        measured=source.measured,
+        tol=tol,
+        added_error=source.states_error if source.closed else None,
+        provenance=source.provenance,
     )
 
 
-def _split(axes: Sequence[str], x: tuple[Array, ...]) -> tuple[list[Array], list[Array]]:
+def _split(kinds: Sequence[str], x: tuple[Array, ...]) -> tuple[list[Array], list[Array]]:
     """Displacements and momenta among the coordinates, in their order, broadcast together."""
     arrays = np.broadcast_arrays(*(np.asarray(part, dtype=float) for part in x))
     by_kind: dict[str, list[Array]] = {"q": [], "p": []}
-    for kind, part in zip(axes, arrays, strict=True):
+    for kind, part in zip(kinds, arrays, strict=True):
         by_kind[kind].append(part)
     return by_kind["q"], by_kind["p"]
 
@@ -107,85 +123,66 @@ class _Marginal:
     """Integral of u(H) over everything but some displacements and momenta."""
 
     def __init__(
-        self,
-        source: EnergyDensity,
-        q: tuple[int, ...],
-        p: tuple[int, ...],
-        hidden: tuple[int, ...],
-        points: int,
+        self, source: EnergyDensity, q: tuple[int, ...], p: tuple[int, ...], hidden: tuple[int, ...]
     ) -> None:
-        """Prepare the quadratic part, which is exact, and the grid of the hidden contact masses."""
+        """Prepare the quadratic part, which is exact, and the integral over ``hidden`` masses."""
         system = source.system
-        self.system, self.q, self.p, self.hidden = system, q, p, hidden
-        kept = [*q, *hidden]
-        compliance = compliance_matrix(system)[np.ix_(kept, kept)]
-        self.K = np.linalg.inv(compliance) if kept else np.zeros((0, 0))
-        self.order = 0.5 * (system.n - len(p)) + 0.5 * (system.n - len(kept))
-        _, log_det = np.linalg.slogdet(compliance) if kept else (1.0, 0.0)
-        # ln det K_ff of the masses integrated out exactly: det K · det(compliance of the others).
-        log_det_free = float(np.sum(np.log(system.stiffness)) + log_det)
+        self.system, self.q, self.p = system, q, p
+        self.laws = conditionals(system, [*q, *hidden])
+        end, T = float(source.nodes[-1]), source.temperature
+        self.hidden = HiddenIntegral(self.laws[len(q) :], T, end)
+        self.order = system.n - 0.5 * (len(p) + len(self.laws))
+        # det K of the masses integrated out exactly is det K over det K_red, a product each.
+        log_det_free = np.sum(np.log(system.stiffness)) - sum(
+            np.log(law.precision) for law in self.laws
+        )
         others = np.delete(system.mass, list(p))
-        self.factor = float(
-            np.exp(
-                self.order * np.log(2.0 * np.pi) + 0.5 * np.sum(np.log(others)) - 0.5 * log_det_free
-            )
+        self.log_factor = float(
+            self.order * np.log(2.0 * pi) + 0.5 * np.sum(np.log(others)) - 0.5 * log_det_free
         )
-        grids = [panel_rule(displacement_panels(source, i), points) for i in hidden]
-        mesh = np.meshgrid(*(x.ravel() for x, _ in grids), indexing="ij")
-        weights = np.meshgrid(*(w.ravel() for _, w in grids), indexing="ij")
-        size = mesh[0].size if hidden else 1
-        self.y = np.array([part.ravel() for part in mesh]).reshape(len(hidden), size)
-        self.w = np.prod([part.ravel() for part in weights], axis=0) if hidden else np.ones(1)
-        self.hidden_energy = 0.5 * np.einsum(
-            "ix,ij,jx->x", self.y, self.K[len(q) :, len(q) :], self.y
-        )
-        for row, i in zip(self.y, hidden, strict=True):
-            self.hidden_energy = self.hidden_energy + system.contact_energy(i, row)
 
     def __call__(
-        self, weyl: Callable[[float, Array], Array], x: tuple[list[Array], list[Array]]
+        self, weyl: Weyl, q: list[Array], p: list[Array], *, points: int = POINTS[1]
     ) -> Array:
         """The density at displacements and momenta of one common shape."""
-        q, p = x
         shape = (q or p)[0].shape
-        size = (q or p)[0].size
-        Q = np.array([part.ravel() for part in q]).reshape(len(q), size)
-        energy = 0.5 * np.einsum("ix,ij,jx->x", Q, self.K[: len(q), : len(q)], Q)
-        for row, i in zip(Q, self.q, strict=True):
-            energy = energy + self.system.contact_energy(i, row)
+        Q = np.array([part.ravel() for part in q]).reshape(len(q), (q or p)[0].size)
+        energy = np.zeros(Q.shape[1])
+        for k, law in enumerate(self.laws[: len(q)]):
+            energy = energy + law.energy(Q[k], law.weights @ Q[:k])
         for momentum, i in zip(p, self.p, strict=True):
             energy = energy + momentum.ravel() ** 2 / (2.0 * self.system.mass[i])
-        coupling = Q.T @ self.K[: len(q), len(q) :]
-        rows = max(1, CHUNK // self.w.size)
-        result = np.empty(size)
-        for start in range(0, size, rows):
-            part = slice(start, start + rows)
-            inner = energy[part, None] + coupling[part] @ self.y + self.hidden_energy
-            result[part] = weyl(self.order, inner) @ self.w
-        return (self.factor * result).reshape(shape)
+        result = self.hidden(lambda E: weyl(self.order, E), energy, Q, points=points)
+        return np.asarray(np.exp(self.log_factor) * result).reshape(shape)
 
 
-def displacement_panels(source: EnergyDensity, mass: int) -> Array:
-    """Return panel nodes of q_mass: the range that the last energy allows, cut at its stops.
+def displacement_panels(system: System, mass: int, *, temperature: float, end: float) -> Array:
+    """Return panel nodes of q_mass (from 0): the range that the energy ``end`` allows.
 
-    Panels have the width of the thermal displacement of the free mass, and grow geometrically
-    from a thousandth of the thermal overlap above every stop of this mass.
+    Panels have the width of the thermal displacement of the free mass, with layers beyond every
+    stop of this mass, and on both sides of where another mass, tied to it, begins to touch.
     """
-    end = float(source.nodes[-1])
-    compliance = float(compliance_matrix(source.system)[mass, mass])
-    thermal = np.sqrt(compliance * source.temperature)
-    stops = [stop for stop in source.system.stops if stop.index == mass]
-    limits = {side: _limit(stops, side, compliance, end) for side in ("left", "right")}
-    low, high = -limits["left"], limits["right"]
-    nodes = [np.linspace(low, high, max(4, int(np.ceil((high - low) / thermal))) + 1)]
-    for stop in stops:
+    compliance = system.compliance
+    own = float(compliance[mass, mass])
+    thermal = np.sqrt(own * temperature)
+    stops = [stop for stop in system.stops if stop.index == mass]
+    low, high = (_limit(stops, side, own, end) for side in ("left", "right"))
+    nodes = [np.linspace(-low, high, max(4, ceil((high + low) / thermal)) + 1)]
+    for stop in system.stops:
         sign = 1.0 if stop.side == "right" else -1.0
-        room = limits[stop.side] - stop.clearance
-        if room > 0:
-            first = 1e-3 * min(_overlap_at(stop, source.temperature, room), room)
-            layers = np.geomspace(first, room, max(2, int(np.ceil(np.log2(room / first)))))
-            nodes.append(sign * (stop.clearance + np.concatenate([[0.0], layers])))
-    return _spaced(np.concatenate(nodes))
+        # Where the mean of the other mass, given this one, is at its stop.
+        share = float(compliance[stop.index, mass]) / own
+        touch = sign * stop.clearance / share
+        if stop.index == mass:
+            nodes.append(touch + sign * overlaps(stop, temperature, end))
+            continue
+        (other,) = conditionals(system, [mass, stop.index])[1:]
+        width = np.sqrt(temperature / other.precision) / share
+        if width < thermal:
+            steps = width * 2.0 ** np.arange(-1.0, ceil(np.log2(2.0 * (high + low) / width)))
+            nodes += [touch + steps, [touch], touch - steps]
+    joined = np.concatenate(nodes)
+    return _spaced(joined[(joined >= -low) & (joined <= high)])
 
 
 def _momentum_panels(mass: float, end: float, temperature: float) -> Array:
@@ -198,17 +195,9 @@ def _momentum_panels(mass: float, end: float, temperature: float) -> Array:
 def _limit(stops: list[Contact], side: str, compliance: float, end: float) -> float:
     """Distance that a mass can go to one side with the energy ``end``."""
     limit = float(np.sqrt(2.0 * compliance * end))
-    for stop in stops:
-        if stop.side == side and stop.clearance < limit:
-            limit = min(limit, stop.clearance + _overlap_at(stop, end, limit - stop.clearance))
-    return limit
-
-
-def _overlap_at(stop: Contact, energy: float, most: float) -> float:
-    """Overlap of one stop at a contact energy, at the most ``most``."""
-    if stop.energy(most) <= energy:
-        return most
-    return float(brentq(lambda x: stop.energy(x) - energy, 0.0, most, xtol=1e-12 * most))
+    return min(
+        [limit, *(s.clearance + overlap_at(s, end) for s in stops if s.side == side)],
+    )
 
 
 def _spaced(nodes: Array) -> Array:

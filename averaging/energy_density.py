@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from averaging.energy_process import energy_balance
 from averaging.shell.ratios import EnergyShell, energy_shell, log_linear_states, shell_ratios
-from fpk.certificate import Certificate
+from averaging.zero_flux import flux_residual
+from fpk.certificate import Measured
 from fpk.line.mesh import DEEP_LAYERS, initial_nodes, with_layers
 from fpk.probe import probed
 from fpk.process import Process
@@ -17,6 +18,8 @@ from fpk.system import System
 
 Array = NDArray[np.float64]
 Provenance = Mapping[str, str | float | int]
+Weyl = Callable[[float, Array], Array]
+"""An integral ∫_0^∞ u(E + x) x^(ν−1)/Γ(ν) dx as a function of ν and E."""
 
 TAIL = 1e-17
 """Share of the probability beyond the last energy of a closed form."""
@@ -31,8 +34,11 @@ class EnergyDensity:
     ``u`` and ``u_error`` take energies. ``weyl(ν, E)`` is ∫_0^∞ u(E + x) x^(ν−1)/Γ(ν) dx, what is
     left of u when 2ν quadratic coordinates are integrated out (a factor (2π)^ν/√det aside), and
     ``weyl_error`` its error; ``nodes`` are energies from 0 to the last one kept, between which u is
-    smooth; ``temperature`` an energy over which u falls by about 1/e. ``l1_error`` holds for p(H)
-    and, as integrating out cannot increase an L1 distance, for all marginals.
+    smooth; ``temperature`` an energy over which u falls by about 1/e. ``measured`` is what was
+    measured on p(H); as integrating out cannot increase an L1 distance, its ``l1_error`` holds for
+    all marginals but for ``table_error``, the error of ``weyl`` beside that of u (None where it is
+    a closed form), and their own quadratures. ``closed`` says that u is a closed form: p(H) = T u
+    then has the error of T, too, which is none of the error of u.
     """
 
     system: System
@@ -41,17 +47,29 @@ class EnergyDensity:
     temperature: float
     u: Callable[[Array], Array]
     u_error: Callable[[Array], Array]
-    weyl: Callable[[float, Array], Array]
-    weyl_error: Callable[[float, Array], Array]
-    l1_error: float
-    certificate: Certificate
+    weyl: Weyl
+    weyl_error: Weyl
+    measured: Measured
+    table_error: Weyl | None = None
+    closed: bool = False
     provenance: Provenance = field(default_factory=dict)
+
+    @property
+    def l1_error(self) -> float:
+        """Estimate of ∫|p_h − p| of the density of the energy."""
+        return self.measured.l1_error
 
     def log_states(self, energy: Array) -> Array:
         """ln T(H) at energies > 0 of any shape, T the density of states of ``shell_ratios``."""
         flat = np.maximum(energy, np.finfo(float).tiny).ravel()
         log_t = log_linear_states(self.system, flat) + np.log(shell_ratios(self.shell, flat).states)
         return np.asarray(log_t.reshape(np.shape(energy)))
+
+    def states_error(self, energy: Array) -> Array:
+        """Error of p(H) by that of T at energies > 0 of any shape: of a closed form only."""
+        flat = np.maximum(energy, np.finfo(float).tiny).ravel()
+        error = shell_ratios(self.shell, flat).error.reshape(np.shape(energy))
+        return np.asarray(error * self.energy_pdf(energy))
 
     def energy_pdf(self, energy: Array) -> Array:
         """p(H) = T(H) u(H); 0 below H = 0."""
@@ -66,11 +84,13 @@ def gibbs(
     log_norm: float,
     *,
     error: float,
+    residual: float | None = None,
     provenance: Provenance,
 ) -> EnergyDensity:
     """Return u = exp(log_norm − αH), the form of (22) and (29), α the inverse temperature.
 
-    ``error`` is the relative error of the normalisation.
+    ``error`` is the relative error of the normalisation. ``residual`` is that of the equation which
+    u solves; that of (24) is measured where none is given.
     """
     alpha = inverse_temperature
     probe = probed(process)
@@ -78,6 +98,10 @@ def gibbs(
 
     def u(energy: Array) -> Array:
         return np.asarray(np.exp(log_norm - alpha * energy))
+
+    log_density = log_density_of(system, lambda energy: log_norm - alpha * energy)
+    if residual is None:
+        residual = flux_residual(process, nodes, log_density)
 
     def weyl(order: float, energy: Array) -> Array:
         return np.asarray(np.exp(log_norm - order * np.log(alpha) - alpha * energy))
@@ -91,10 +115,40 @@ def gibbs(
         u_error=lambda energy: error * u(energy),
         weyl=weyl,
         weyl_error=lambda order, energy: error * weyl(order, energy),
-        l1_error=error + TAIL,
-        certificate=Certificate(mass_defect=error, minimum=0.0, residual=0.0, tail_mass=TAIL),
+        measured=closed_form_measured(
+            process, nodes, float(log_density(nodes[-1:])[0]), error=error, residual=residual
+        ),
+        closed=True,
         provenance=provenance,
     )
+
+
+def closed_form_measured(
+    process: Process, nodes: Array, log_last: float, *, error: float, residual: float
+) -> Measured:
+    """Return what is measured on a closed form before its densities: they have mass and minimum.
+
+    ``log_last`` is ln p at the last of ``nodes``, ``error`` the relative error of the norm.
+    """
+    tail = probed(process).tail_bound(float(nodes[-1]), float(np.exp(log_last)))
+    return Measured(
+        l1_error=error + 2.0 * tail,
+        mass_defect=np.nan,
+        minimum=np.nan,
+        residual=residual,
+        tail_mass=tail,
+    )
+
+
+def log_density_of(system: System, log_u: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    """Return ln p(H) = ln T + ln u as a function of energies > 0, (energies,)."""
+    shell = energy_shell(system)
+
+    def log_density(energy: Array) -> Array:
+        states = np.log(shell_ratios(shell, energy).states)
+        return np.asarray(log_linear_states(system, energy) + states + log_u(energy))
+
+    return log_density
 
 
 def log_energy_norm(

@@ -15,7 +15,7 @@ from averaging.polynomial_rate import averaged_density, averaged_rate
 from averaging.quadrature import QuadratureSolution, solve_by_quadrature
 from averaging.shell.ratios import log_linear_states
 from averaging.tabulated import tabulated
-from fpk.certificate import Certificate
+from fpk.certificate import Measured
 from fpk.line.elements import Form
 from fpk.line.stationary import StationarySolution, solve_stationary
 from fpk.method import Method, Plan, Progress, Result, check_solver
@@ -60,7 +60,7 @@ class NonIntegrable(Method):
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
             source, settings = self._energy_density(system, energy_process(system))
-            densities = tuple(back_transformed(source, observable) for observable in observables)
+            densities = tuple(back_transformed(source, o, tol=self.tol) for o in observables)
             return Result(self, densities, settings=settings)
 
         return Plan(lambda observable: energy_only_refusal(system, observable), solve)
@@ -76,7 +76,7 @@ class NonIntegrable(Method):
             return averaged_density(system, process), {"equation": "(29)"}
         if self.solver == "quadrature":
             by_quadrature = solve_by_quadrature(process, tol=self.tol)
-            return _from_quadrature(system, by_quadrature, self.tol), {
+            return _from_quadrature(system, by_quadrature), {
                 "equation": "(11)",
                 "panels": by_quadrature.nodes.size - 1,
                 "last energy": float(by_quadrature.nodes[-1]),
@@ -122,18 +122,25 @@ def _from_elements(system: System, solution: StationarySolution) -> EnergyDensit
     def u_error(energy: Array) -> Array:
         return np.asarray(scale * solution.phase_space_error(energy))
 
+    checks = solution.certificate
     return tabulated(
         system,
         solution.process,
         solution.panels,
         u,
         u_error,
-        l1_error=solution.l1_error,
-        certificate=solution.certificate,
+        measured=Measured(
+            l1_error=solution.l1_error,
+            mass_defect=checks.mass_defect,
+            minimum=checks.minimum,
+            residual=checks.residual,
+            tail_mass=checks.tail_mass,
+            net_flux=checks.net_flux,
+        ),
     )
 
 
-def _from_quadrature(system: System, solution: QuadratureSolution, tol: float) -> EnergyDensity:
+def _from_quadrature(system: System, solution: QuadratureSolution) -> EnergyDensity:
     process = solution.process
     offset = _log_unit(system, process)
 
@@ -142,24 +149,13 @@ def _from_quadrature(system: System, solution: QuadratureSolution, tol: float) -
         log_t = process.coefficients(flat).log_density_of_states.reshape(np.shape(energy))
         return np.asarray(np.exp(solution.log_density(energy) - log_t - offset))
 
-    # Relative: what is wrong with the norm, and with ln p from one end to the other.
-    relative = solution.l1_error + solution.log_error
     return tabulated(
         system,
         process,
         solution.nodes,
         u,
-        lambda energy: relative * u(energy),
-        l1_error=solution.l1_error,
-        certificate=Certificate(
-            mass_defect=solution.mass_defect,
-            minimum=0.0,
-            residual=0.0,
-            tail_mass=solution.tail_mass,
-            failures=()
-            if solution.l1_error <= tol
-            else (f"the estimated error {solution.l1_error:.2g} exceeds the tolerance {tol:.2g}",),
-        ),
+        lambda energy: solution.log_error(energy) * u(energy),
+        measured=solution.measured,
     )
 
 

@@ -9,11 +9,13 @@ from averaging.energy_density import (
     EnergyDensity,
     Provenance,
     averaged_closed_form,
+    closed_form_measured,
+    log_density_of,
     log_energy_norm,
 )
 from averaging.energy_process import energy_balance
 from averaging.tabulated import tabulated
-from fpk.certificate import Certificate
+from averaging.zero_flux import flux_residual
 from fpk.errors import NotApplicable
 from fpk.line.mesh import initial_nodes
 from fpk.probe import probed
@@ -73,13 +75,20 @@ def density_of_rate(
     def u(energy: Array) -> Array:
         return np.asarray(np.exp(log_norm - decay(energy)))
 
+    log_density = log_density_of(system, lambda energy: log_norm - decay(energy))
     return tabulated(
         system,
         process,
         nodes,
         u,
         lambda energy: error * u(energy),
-        l1_error=error + TAIL,
-        certificate=Certificate(mass_defect=error, minimum=0.0, residual=0.0, tail_mass=TAIL),
+        measured=closed_form_measured(
+            process,
+            nodes,
+            float(log_density(nodes[-1:])[0]),
+            error=error,
+            residual=flux_residual(process, nodes, log_density),
+        ),
+        closed=True,
         provenance=provenance,
     )

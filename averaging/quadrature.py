@@ -6,6 +6,8 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from averaging.zero_flux import flux_residual
+from fpk.certificate import Measured
 from fpk.line.mesh import initial_nodes, split_points
 from fpk.probe import probed
 from fpk.process import Coefficients, Process, log_density_slope_error
@@ -17,6 +19,9 @@ POINTS = 16
 """Gauss points per panel: the exponent is expanded in Legendre polynomials of degree 15."""
 MOST_ROUNDS = 30
 ROUND_OFF = 1e-15
+"""Relative error of p that a panel adds by its round-off."""
+UNMEASURED = Measured(*(float("nan"),) * 5)
+"""Until something was measured: nothing that rests on it is certified."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,22 +29,25 @@ class QuadratureSolution:
     """ln p of Eq. (11) as a piecewise polynomial, p = exp(ln p) on the panels between ``nodes``.
 
     ``smooth`` (panels, POINTS + 1) are Legendre coefficients of ∫(2s/σ² − n/H) dH continued over
-    the panels, with the normalisation in them; ``l1_error`` estimates ∫|p_h − p|, ``log_error``
-    what errors of 2s/σ² add up to in ln p from one end to the other.
+    the panels, with the normalisation in them; ``relative_error`` (panels,) is that of p on each
+    panel, which adds up from where the mass is; ``measured`` is what was measured on p.
     """
 
     process: Process
     nodes: Array
     smooth: Array
-    l1_error: float
-    mass_defect: float
-    tail_mass: float
-    log_error: float = 0.0
+    relative_error: Array
+    measured: Measured
+
+    @property
+    def l1_error(self) -> float:
+        """Estimate of ∫|p_h − p|."""
+        return self.measured.l1_error
 
     def log_density(self, energy: Array) -> Array:
         """ln p at energies > 0 of any shape, −∞ outside the panels."""
         x = np.asarray(energy, dtype=float).ravel()
-        k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.nodes.size - 2)
+        k = self._panel(x)
         left, right = self.nodes[k], self.nodes[k + 1]
         t = (2.0 * x - left - right) / (right - left)
         smooth = np.einsum("xj,xj->x", legendre.legvander(t, POINTS), self.smooth[k])
@@ -49,6 +57,14 @@ class QuadratureSolution:
         value = smooth + n * np.log(safe) - np.log(c.diffusion)
         inside = (x >= 0.0) & (x <= self.nodes[-1])
         return np.where(inside, value, -np.inf).reshape(np.shape(energy))
+
+    def log_error(self, energy: Array) -> Array:
+        """Error of ln p at energies of any shape, constant on each panel."""
+        return np.asarray(self.relative_error[self._panel(np.asarray(energy, dtype=float))])
+
+    def _panel(self, energy: Array) -> NDArray[np.intp]:
+        panel = np.searchsorted(self.nodes, energy, side="right") - 1
+        return np.clip(panel, 0, self.nodes.size - 2)
 
 
 def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> QuadratureSolution:
@@ -83,36 +99,43 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> QuadratureSo
         c = Coefficients(
             *(np.concatenate([a[~marked], b])[order] for a, b in zip(c, new_c, strict=True))
         )
-    solution = _normalised(process, np.append(left, right[-1]), rate, c)
-    x, w = panel_rule(solution.nodes, POINTS + 4)
-    defect = abs(float(np.sum(w * np.exp(solution.log_density(x)))) - 1.0)
-    last = float(np.exp(solution.log_density(solution.nodes[-1:])[0]))
-    beyond = probe.tail_bound(float(solution.nodes[-1]), last)
+    nodes, smooth = _normalised(process, np.append(left, right[-1]), rate, c)
+    solution = QuadratureSolution(process, nodes, smooth, np.zeros(left.size), UNMEASURED)
+    x, w = panel_rule(nodes, POINTS + 4)
+    p = np.exp(solution.log_density(x))
+    last = float(np.exp(solution.log_density(nodes[-1:])[0]))
+    tail_mass = probe.tail_bound(float(nodes[-1]), last)
     # An error of the exponent over one panel shifts the mass on one side of it against the other.
-    share = np.sum(w * np.exp(solution.log_density(x)), axis=1)
+    share = np.sum(w * p, axis=1)
     below = np.cumsum(share)
     moved = np.minimum(below, 1.0 - below + share)
-    error = (
-        2.0 * float(tail @ moved)
-        + 2.0 * float(c.relative_error.max())
-        + defect
-        + 2.0 * beyond
-        + ROUND_OFF * left.size
+    defect = abs(float(share.sum()) - 1.0)
+    l1_error = (
+        2.0 * float(c.relative_error.max()) + defect + 2.0 * tail_mass + ROUND_OFF * left.size
     )
-    log_error = 0.0
+    steps = tail
     if process.state_damping:
-        steps = _accumulated(solution.nodes[:-1], solution.nodes[1:], c)
         # The exponent is a running sum over all panels, whose round-off is relative to its size.
-        round_off = np.finfo(float).eps * float(np.ptp(solution.smooth[:, 0]))
-        error += 2.0 * float(steps @ moved) + round_off
-        log_error = float(np.sum(steps) + np.sum(tail)) + round_off
-    return replace(
-        solution, l1_error=error, mass_defect=defect, tail_mass=beyond, log_error=log_error
+        l1_error += np.finfo(float).eps * float(np.ptp(smooth[:, 0]))
+        steps = tail + _accumulated(nodes[:-1], nodes[1:], c)
+    l1_error += 2.0 * float(steps @ moved)
+    # In ln p the errors add up from the median outwards.
+    total, middle = np.cumsum(steps), int(np.searchsorted(below, 0.5))
+    outwards = np.abs(total - total[min(middle, left.size - 1)]) + steps
+    measured = Measured(
+        l1_error=l1_error,
+        mass_defect=defect,
+        minimum=float(p.min() / p.max()),
+        residual=flux_residual(process, nodes, solution.log_density),
+        tail_mass=tail_mass,
     )
+    return replace(solution, relative_error=l1_error + outwards, measured=measured)
 
 
-def _normalised(process: Process, nodes: Array, rate: Array, c: Coefficients) -> QuadratureSolution:
-    """Integrate the rate over the panels one after another and normalise the density."""
+def _normalised(
+    process: Process, nodes: Array, rate: Array, c: Coefficients
+) -> tuple[Array, Array]:
+    """Integrate the rate over the panels one after another; return nodes and ``smooth`` of p."""
     half = 0.5 * np.diff(nodes)[:, None]
     smooth = half * legendre.legint(rate, axis=1, lbnd=-1)
     smooth[1:, 0] += np.cumsum(smooth.sum(axis=1))[:-1]
@@ -122,7 +145,7 @@ def _normalised(process: Process, nodes: Array, rate: Array, c: Coefficients) ->
     log_p += process.degrees_of_freedom * np.log(energy) - np.log(c.diffusion)
     top = log_p.max()
     smooth[:, 0] -= top + np.log(np.sum(half * w * np.exp(log_p - top)))
-    return QuadratureSolution(process, nodes, smooth, np.inf, np.inf, np.inf)
+    return nodes, smooth
 
 
 def _accumulated(left: Array, right: Array, c: Coefficients) -> Array:

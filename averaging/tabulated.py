@@ -1,15 +1,14 @@
 """Densities u(H) that are known between nodes, with tables of what is left when integrated out."""
 
 from collections.abc import Callable
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from averaging.energy_density import EnergyDensity, Provenance
 from averaging.shell.ratios import energy_shell
-from averaging.weyl import WeylTable, continued, weyl_table
-from fpk.certificate import Certificate
+from averaging.weyl import POINTS, WeylTable, continued, weyl_table
+from fpk.certificate import Measured
 from fpk.probe import probed
 from fpk.process import Process
 from fpk.system import System
@@ -27,27 +26,30 @@ def tabulated(
     u: Callable[[Array], Array],
     u_error: Callable[[Array], Array],
     *,
-    l1_error: float,
-    certificate: Certificate,
+    measured: Measured,
+    closed: bool = False,
     provenance: Provenance | None = None,
 ) -> EnergyDensity:
     """Return the density whose u and error of u are smooth between ``nodes``.
 
-    Where the damping depends on the state u is no exponential: Weyl integrals are tabulated on
-    elements half as long too, which are the answer then, and their error gains the distance to the
-    others and all that u was continued by beyond the last node, where it falls ever faster.
+    Weyl integrals are tabulated twice: the finer table is the answer, the distance to the other
+    one its error. Where the damping depends on the state u is no exponential: the finer table then
+    has elements half as long, too, and the error gains all that u was continued by beyond the last
+    node, where it falls ever faster.
     """
     varying = process.state_damping
     coarse_nodes = _halved(nodes) if varying and nodes.size < MOST_NODES else nodes
     fine_nodes = _halved(coarse_nodes) if varying else nodes
+    tables: dict[tuple[float, str], WeylTable] = {}
 
-    @lru_cache
-    def table(order: float, of_error: bool) -> WeylTable:
-        return weyl_table(order, fine_nodes, u_error if of_error else u)
-
-    @lru_cache
-    def coarse(order: float) -> WeylTable:
-        return weyl_table(order, coarse_nodes, u)
+    def table(order: float, which: str) -> WeylTable:
+        if (order, which) not in tables:
+            function = u_error if which == "error" else u
+            grid, points = (
+                (coarse_nodes, POINTS[0]) if which == "coarse" else (fine_nodes, POINTS[1])
+            )
+            tables[order, which] = weyl_table(order, grid, function, points=points)
+        return tables[order, which]
 
     # Short of the last node, beyond which the density is dropped. u falls from there on, as p does
     # at the end of every mesh, so that Ψ falls too, at any order, wherever u rises below: its value
@@ -55,15 +57,17 @@ def tabulated(
     last = nodes[-1] * (1.0 - 1e-9)
 
     def weyl(order: float, energy: Array) -> Array:
-        return table(order, False)(energy)
+        return table(order, "answer")(energy)
+
+    def table_error(order: float, energy: Array) -> Array:
+        error = np.abs(table(order, "coarse")(energy) - weyl(order, energy))
+        if varying:
+            error += continued(order, np.minimum(energy, last), fine_nodes, u)
+        return np.where(energy < last, error, 0.0)
 
     def weyl_error(order: float, energy: Array) -> Array:
         dropped = weyl(order, np.array([last]))[0]
-        error = table(order, True)(energy)
-        if varying:
-            error = error + np.abs(coarse(order)(energy) - weyl(order, energy))
-            error += continued(order, np.minimum(energy, last), fine_nodes, u)
-        return np.where(energy < last, error, dropped)
+        return np.where(energy < last, table(order, "error")(energy), dropped)
 
     temperature = process.energy_scale / process.degrees_of_freedom
     if varying:
@@ -78,8 +82,9 @@ def tabulated(
         u_error=u_error,
         weyl=weyl,
         weyl_error=weyl_error,
-        l1_error=l1_error,
-        certificate=certificate,
+        measured=measured,
+        table_error=table_error,
+        closed=closed,
         provenance=provenance or {},
     )
 

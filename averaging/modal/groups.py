@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.process import modes_process
-from averaging.quadrature import solve_by_quadrature
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
 from fpk.line.mesh import initial_nodes
@@ -91,26 +90,7 @@ def _by_elements(process: Process, tol: float) -> Solved:
         solution = solve_stationary(process, tol=tol)
         panels = (solution.nodes,)
     c = solution.certificate
-    measured = Measured(
-        solution.l1_error, c.mass_defect, c.minimum, c.residual, c.tail_mass, c.net_flux, c.failures
-    )
-    return panels, solution.density, solution.pointwise_error, measured
-
-
-def _by_quadrature(process: Process, tol: float) -> Solved:
-    solution = solve_by_quadrature(process, tol=tol)
-
-    def pdf(energy: Array) -> Array:
-        return np.asarray(np.exp(solution.log_density(np.asarray(energy, dtype=float))))
-
-    measured = Measured(
-        solution.l1_error,
-        solution.mass_defect,
-        np.inf,
-        flux_residual(process, solution.log_density, solution.nodes),
-        solution.tail_mass,
-    )
-    return (solution.nodes,), pdf, lambda energy: solution.l1_error * pdf(energy), measured
+    return (solution.nodes,), pdf, lambda energy: solution.l1_error * pdf(energy), solution.measured
 
 
 def _closed_form(modes: ModalAnalysis, mode: int, process: Process) -> Solved:

@@ -1,0 +1,274 @@
+"""Integrals over contact masses that are not observed, on grids of their law given the others.
+
+A chain conditioned on some displacements falls apart at them: a mass depends on its neighbours
+among them alone, through the springs in between in series. Its law given those is
+½ a (q − μ)² + U(q), and nothing in a or μ cancels at any ratio of the springs.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import ceil, log2
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.optimize.elementwise import find_root
+
+from fpk.contact import Contact
+from fpk.quadrature import gauss_legendre
+from fpk.system import System
+
+Array = NDArray[np.float64]
+Function = Callable[[Array], Array]
+
+WIDTHS_PER_PANEL = 1.8
+"""Longest panel in units of √(T/a), T the temperature: ten Gauss points integrate exp(−½x²) over it
+to 1e-15."""
+DEPTH = 40.0
+"""Least height above the potential's minimum, in units of T, that a grid reaches: e^−40 = 4e-18."""
+LEVELS = (1e-5, 1e-3, 0.1, 1.0)
+"""Contact energies in units of T between which panels lie beyond a stop, where the potential has a
+half-integer power; higher ones follow by ``RISE`` as far as energies go."""
+RISE = 3.0
+"""Ratio of neighbouring levels: a Gauss rule of ten points integrates exp(−x) over [x, 3x] to 1e-9
+of e^−x at x = 9, and better below."""
+EDGE = {"xatol": 0.0, "xrtol": 1e-2}
+"""Accuracy of the ends of a grid, which no integral is sensitive to: e^−40 lies beyond."""
+CHUNK = 400_000
+"""Points of the innermost integral evaluated at once, to bound memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Conditional:
+    """Law of one displacement given some others of a chain: ½ a (q − Σ w_k q_k)², and its stops.
+
+    ``mass`` counts from 0; ``precision`` is a, the stiffness of the springs to the neighbours among
+    the others, in series; ``weights`` (others,) are the w_k.
+    """
+
+    mass: int
+    precision: float
+    weights: Array
+    stops: tuple[Contact, ...]
+
+    def energy(self, q: Array, mean: Array) -> Array:
+        """½ a (q − mean)² + U(q)."""
+        energy = 0.5 * self.precision * (q - mean) ** 2
+        for stop in self.stops:
+            energy = energy + stop.energy(np.maximum(_sign(stop) * q - stop.clearance, 0.0))
+        return np.asarray(energy)
+
+    def contact_force(self, q: Array) -> Array:
+        """U'(q)."""
+        force = np.zeros_like(q)
+        for stop in self.stops:
+            overlap = np.maximum(_sign(stop) * q - stop.clearance, 0.0)
+            force = force + _sign(stop) * stop.force(overlap)
+        return force
+
+
+def conditional(system: System, mass: int, given: Sequence[int]) -> Conditional:
+    """Return the law of q_mass given the displacements of ``given`` (masses from 0)."""
+    flexibility = 1.0 / system.stiffness
+    weights = np.zeros(len(given))
+    below = max((k for k in given if k < mass), default=-1)
+    left = 1.0 / float(np.sum(flexibility[below + 1 : mass + 1]))
+    precision = left
+    above = min((k for k in given if k > mass), default=None)
+    if above is not None:
+        right = 1.0 / float(np.sum(flexibility[mass + 1 : above + 1]))
+        precision = left + right
+        weights[list(given).index(above)] = right / precision
+    if below >= 0:
+        weights[list(given).index(below)] = left / precision
+    stops = tuple(stop for stop in system.stops if stop.index == mass)
+    return Conditional(mass, precision, weights, stops)
+
+
+def conditionals(system: System, masses: Sequence[int]) -> tuple[Conditional, ...]:
+    """Return the law of each displacement given those before it: Π √a_k² is det K_red."""
+    return tuple(conditional(system, mass, masses[:k]) for k, mass in enumerate(masses))
+
+
+@dataclass(frozen=True, eq=False)
+class HiddenIntegral:
+    """∫ f(E + V(hidden | observed)) over one or two hidden displacements, for a falling f.
+
+    ``laws`` are those of the hidden ones given the observed and each other, outermost first;
+    ``temperature`` the energy over which f falls by 1/e and ``end`` the energy where it ends.
+    """
+
+    laws: tuple[Conditional, ...]
+    temperature: float
+    end: float
+
+    def __call__(self, f: Function, energy: Array, given: Array, *, points: int) -> Array:
+        """Return the integral for energies (N,) of the observed, at ``given`` (observed, N)."""
+        if not self.laws:
+            return f(energy)
+        if not len(given):
+            # One grid serves all: only the energy of the observed momenta differs.
+            _, hidden, weights = self._rule(np.zeros(1), np.zeros((0, 1)), points)
+            distinct, which = np.unique(energy, return_inverse=True)
+            return np.array([f(E + hidden) @ weights for E in distinct])[which]
+        # About 30 panels are not empty, of the panels of each hidden mass.
+        rows = max(1, CHUNK // (30 * points) ** len(self.laws))
+        total = np.zeros(energy.size)
+        for at in range(0, energy.size, rows):
+            part = slice(at, at + rows)
+            row, inner, weights = self._rule(energy[part], given[:, part], points)
+            count = energy[part].size
+            total[part] = np.bincount(row, weights * f(inner), minlength=count)
+        return total
+
+    def _rule(
+        self, energy: Array, given: Array, points: int
+    ) -> tuple[NDArray[np.intp], Array, Array]:
+        """Return the row, the energy and the weight of every point of the hidden masses."""
+        row, weight = np.arange(energy.size, dtype=np.intp), np.ones(energy.size)
+        t, w = gauss_legendre(points)
+        for k, law in enumerate(self.laws):
+            mean = law.weights @ given
+            nodes = self._nodes(k, energy, given, mean)
+            half = 0.5 * np.diff(nodes, axis=1)
+            which, panel = np.nonzero(half > 0.0)
+            half = half[which, panel, None]
+            q = (nodes[which, panel, None] + half * (1.0 + t)).ravel()
+            at = np.repeat(which, points)
+            energy = energy[at] + law.energy(q, mean[at])
+            weight = weight[at] * (half * w).ravel()
+            given = np.concatenate([given[:, at], q[None]])
+            row = row[at]
+        return row, energy, weight
+
+    def _nodes(self, k: int, energy: Array, given: Array, mean: Array) -> Array:
+        """Ends of the panels (N, panels + 1), ascending; empty ones where stops are out of reach.
+
+        Uniform on either side of the minimum of the potential up to where it has risen by all
+        that f can tell, with layers where a stop, or one of the next mass, bends it.
+        """
+        law, T = self.laws[k], self.temperature
+        following = _Following(law, self.laws[k + 1] if k + 1 < len(self.laws) else None, T)
+        shift = following.shift(given)
+        bottom = following.minimum(mean, shift)
+        lowest = following.energy(bottom, mean, shift)
+        height = np.maximum(self.end - energy - lowest, DEPTH * T)
+        # The potential rises by ½ a x² at least.
+        most = np.sqrt(2.0 * height / law.precision)
+        count = ceil(float(np.sqrt(2.0 * max(self.end / T, DEPTH))) / WIDTHS_PER_PANEL)
+        steps = np.linspace(0.0, 1.0, count + 1)[1:]
+        ends = [bottom - following.reach(-most, bottom, mean, shift, lowest + height)]
+        ends += [bottom + following.reach(most, bottom, mean, shift, lowest + height)]
+        low, high = (end[:, None] for end in ends)
+        parts = [bottom[:, None]]
+        parts += [bottom[:, None] + (end - bottom)[:, None] * steps for end in ends]
+        for stop in law.stops:
+            layers = _sign(stop) * (stop.clearance + overlaps(stop, T, self.end))
+            parts.append(np.clip(layers, low, high))
+        parts.append(np.clip(following.layers(shift, float(np.max(most))), low, high))
+        return np.sort(np.hstack(parts), axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Following:
+    """Potential of one hidden mass where the ``next`` one, if any, rests as its own law has it.
+
+    ``mean`` is that of the mass, ``shift`` the part of the mean of the next one that the observed
+    cause, both (N,) like q: the arguments of a root finder that drops what has converged.
+    """
+
+    law: Conditional
+    next: Conditional | None
+    temperature: float
+
+    def shift(self, given: Array) -> Array:
+        """What the observed displacements (observed, N) add to the mean of the next mass."""
+        if self.next is None:
+            return np.zeros(given.shape[1])
+        return np.asarray(self.next.weights[:-1] @ given)
+
+    def energy(self, q: Array, mean: Array, shift: Array) -> Array:
+        energy = self.law.energy(q, mean)
+        if self.next is None:
+            return energy
+        centre = shift + self.next.weights[-1] * q
+        rest = _Following(self.next, None, self.temperature).minimum(centre, 0.0 * centre)
+        return energy + self.next.energy(rest, centre)
+
+    def slope(self, q: Array, mean: Array, shift: Array) -> Array:
+        slope = self.law.precision * (q - mean) + self.law.contact_force(q)
+        if self.next is None:
+            return slope
+        share = self.next.weights[-1]
+        centre = shift + share * q
+        rest = _Following(self.next, None, self.temperature).minimum(centre, 0.0 * centre)
+        return np.asarray(slope + share * self.next.precision * (centre - rest))
+
+    def minimum(self, mean: Array, shift: Array) -> Array:
+        """Where the potential is least, to a hundredth of T.
+
+        The slope rises at the rate a at least: its root is no further from a point than slope/a,
+        and the potential there no more than slope²/2a above the minimum.
+        """
+        small = 0.1 * float(np.sqrt(self.law.precision * self.temperature))
+        slope = self.slope(mean, mean, shift)
+        result = mean.astype(float)
+        i = np.flatnonzero(np.abs(slope) > small)
+        if i.size:
+            step = -slope[i] / self.law.precision
+            share = find_root(
+                lambda s, step, mean, shift: (
+                    np.sign(step) * self.slope(mean + s * step, mean, shift)
+                ),
+                (np.zeros(i.size), np.full(i.size, 1.0 + 1e-9)),
+                args=(step, mean[i], shift[i]),
+                tolerances={"xatol": 0.0, "fatol": small},
+            ).x
+            result[i] += share * step
+        return result
+
+    def reach(self, most: Array, bottom: Array, mean: Array, shift: Array, level: Array) -> Array:
+        """Distance from ``bottom`` at which the potential has risen to ``level``, about."""
+        share = find_root(
+            lambda s, most, bottom, mean, shift, level: (
+                self.energy(bottom + s * most, mean, shift) - level
+            ),
+            (np.zeros_like(most), np.full_like(most, 1.1)),
+            args=(most, bottom, mean, shift, level),
+            tolerances=EDGE,
+        ).x
+        return np.abs(share * most)
+
+    def layers(self, shift: Array, reach: float) -> Array:
+        """Where the next mass begins to touch: layers from a part of the width of its law on."""
+        if self.next is None or not self.next.stops or not self.next.weights[-1] > 0.0:
+            return np.empty((shift.size, 0))
+        share = self.next.weights[-1]
+        width = float(np.sqrt(self.temperature / self.next.precision))
+        count = max(ceil(log2(max(share * reach / width, 1.0))), 0) + 2
+        steps = width * 2.0 ** (np.arange(count) - 1.0)
+        around = np.concatenate([-steps[::-1], [0.0], steps])
+        touch = np.array([_sign(stop) * stop.clearance for stop in self.next.stops])
+        where = (touch[:, None] + around).ravel()
+        return np.asarray((where - shift[:, None]) / share)
+
+
+def overlaps(stop: Contact, temperature: float, end: float) -> Array:
+    """Return overlaps at 0 and at contact energies from ``LEVELS`` of T to ``end``, ascending."""
+    top = max(end / temperature, DEPTH)
+    levels = [*LEVELS, *RISE ** np.arange(1.0, ceil(np.log(top) / np.log(RISE)) + 1.0)]
+    return np.array([0.0, *(overlap_at(stop, level * temperature) for level in levels)])
+
+
+def overlap_at(stop: Contact, energy: float) -> float:
+    """Return the overlap of one stop at a contact energy > 0."""
+    most = 1.0
+    while stop.energy(most) < energy:
+        most *= 2.0
+    while stop.energy(0.5 * most) > energy:
+        most *= 0.5
+    return float(brentq(lambda x: stop.energy(x) / energy - 1.0, 0.0, most, xtol=1e-12 * most))
+
+
+def _sign(stop: Contact) -> float:
+    return 1.0 if stop.side == "right" else -1.0

@@ -1,0 +1,42 @@
+"""How far a closed form is from solving its own equation, (11): the check behind its certificate."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpk.process import Coefficients, Process, log_density_slope_error
+from fpk.quadrature import panel_rule
+
+Array = NDArray[np.float64]
+
+POINTS = (16, 20)
+"""Gauss points per panel of ∫2s/σ² dH, and of the finer rule whose distance is its error."""
+ROUND_OFF = 16.0 * float(np.finfo(float).eps)
+"""Round-off of a logarithm of p or of σ², relative to 1 + |ln|, of some dozens of operations."""
+
+
+def flux_residual(process: Process, nodes: Array, log_density: Callable[[Array], Array]) -> float:
+    """Return how far ln p is from zero flux, d ln(σ² p) = 2s/σ² dH, on the panels of ``nodes``.
+
+    The largest |Δ ln(σ² p) − ∫2s/σ² dH| of a panel beyond what the stated errors of s and σ² and
+    those of the integral explain, relative to ∫2(|s_damping| + |s_noise|)/σ² dH. Coefficients that
+    are known to 1e-6 only do not make a residual: their error is in the stated error of p. ``nodes``
+    are energies >= 0 between which the coefficients are smooth; n/H, the singular part of 2s/σ²
+    at H = 0, is integrated in closed form.
+    """
+    inner = nodes[nodes > 0.0]
+    n = process.degrees_of_freedom
+    integrals = []
+    for points in POINTS:
+        x, w = panel_rule(inner, points)
+        c = Coefficients(*(a.reshape(x.shape) for a in process.coefficients(x.ravel())))
+        integrals.append(np.sum(w * (2.0 * c.drift / c.diffusion - n / x), axis=1))
+    parts = 2.0 * (np.abs(c.dissipation) + np.abs(c.drift - c.dissipation)) / c.diffusion
+    at_nodes = process.coefficients(inner)
+    log_flux = np.log(at_nodes.diffusion) + log_density(inner)
+    defect = np.abs(np.diff(log_flux - n * np.log(inner)) - integrals[1])
+    allowed = np.abs(integrals[1] - integrals[0]) + np.sum(w * log_density_slope_error(c), axis=1)
+    ends = 2.0 * at_nodes.relative_error + ROUND_OFF * (1.0 + np.abs(log_flux))
+    allowed += ends[1:] + ends[:-1]
+    return float(np.max(np.maximum(defect - allowed, 0.0) / np.sum(w * parts, axis=1)))

@@ -1,0 +1,168 @@
+"""Displacements tied by stiff springs to contact masses that are not observed, against Gauss rules."""
+
+import numpy as np
+import pytest
+from averaging_systems import TWO_MASSES, chain, exact_system
+
+from averaging.energy_density import averaged_closed_form
+from averaging.energy_process import energy_process
+from averaging.exact import Exact
+from averaging.hidden import HiddenIntegral, conditionals, overlap_at
+from averaging.nonintegrable import NonIntegrable
+from averaging.zero_flux import flux_residual
+from fpk.contact import Contact
+from fpk.density import moment
+from fpk.observable import parse_observable
+from fpk.system import System
+
+ALPHA = 2.0
+METHODS = {
+    "exact": Exact(),
+    **{s: NonIntegrable(solver=s) for s in ("fem", "quadrature", "closed-form")},
+}
+
+
+def solved(method, system, *names):
+    return method.solve(system, [parse_observable(name, system.n) for name in names]).densities
+
+
+def tied(ratio, contacts):
+    """Two masses with springs 1 and ``ratio``, and (8) with h = ALPHA."""
+    return System([1.0, 1.0], [1.0, ratio], [0.1, 0.1], [0.05, 0.05], contacts=contacts)
+
+
+def graded(low, high, centres, width):
+    """Gauss points and weights on panels that grow from ``width``/2 around ``centres``."""
+    steps = np.concatenate([[0.0], width * 2.0 ** np.arange(-1.0, 40.0)])
+    steps = steps[steps < high - low]
+    fine = np.ravel([c + s * steps for c in centres for s in (-1.0, 1.0)])
+    uniform = np.linspace(low, high, 41)
+    nodes = np.unique(np.concatenate([uniform, fine[(fine > low) & (fine < high)]]))
+    t, w = np.polynomial.legendre.leggauss(24)
+    half = 0.5 * np.diff(nodes)[:, None]
+    return (nodes[:-1, None] + half * (1.0 + t)).ravel(), (half * w).ravel()
+
+
+def expected_q1(system, q1):
+    """p(q1) of two masses in the Gibbs state by panels that know where the stops and q1 are."""
+    k1, k2 = system.stiffness
+    width = 1.0 / np.sqrt(ALPHA * (k1 + k2))
+    stops = [stop.clearance * (1.0 if stop.side == "right" else -1.0) for stop in system.stops]
+
+    def weight(x):
+        # In the extension of the spring between the masses, which nothing cancels.
+        touching = [s - x for s in stops]
+        reach = 9.0 / np.sqrt(ALPHA * k2)
+        z, w = graded(-reach, reach, [s for s in touching if abs(s) < reach], 0.01 * width)
+        V = 0.5 * k1 * x * x + 0.5 * k2 * z * z
+        contacts = system.contact_energy(0, np.array(x)) + system.contact_energy(1, x + z)
+        return w @ np.exp(-ALPHA * (V + contacts))
+
+    x, w = graded(-5.0, 5.0, stops, 0.3 * width)
+    return np.array([weight(part) for part in q1]) / (w @ np.array([weight(part) for part in x]))
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1e4, 1e6])
+@pytest.mark.parametrize("method", METHODS)
+def test_a_mass_tied_to_a_contact_mass(method, ratio):
+    system = tied(ratio, (Contact(2, "both", 10.0, 0.5),))
+    q1 = np.array([0.05, 0.49, 0.5, 0.6])
+    (density,) = solved(METHODS[method], system, "q1")
+    assert density.certificate.certified
+    value, error = density.at(q1)
+    assert np.all(np.abs(value - expected_q1(system, q1)) <= error + 2e-12)
+    assert np.all(error < 1e-11)
+    if ratio == 1e4 and method == "exact":
+        assert value[0] == pytest.approx(0.7236, abs=5e-5)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1e6])
+def test_the_norm_over_two_tied_contact_masses(ratio):
+    contacts = (Contact(1, "both", 10.0, 0.4), Contact(2, "both", 20.0, 0.5))
+    system = tied(ratio, contacts)
+    q1 = np.array([0.0, 0.41, 0.55])
+    (q,) = solved(Exact(), system, "q1")
+    assert q.certificate.certified
+    value, error = q.at(q1)
+    assert np.all(np.abs(value - expected_q1(system, q1)) <= error + 2e-12)
+    assert np.all(error < 1e-11)
+    # E p² = m/h whatever touches what.
+    (p1,) = solved(Exact(), system, "p1")
+    assert moment(p1, 2) == pytest.approx(1.0 / ALPHA, rel=1e-10)
+
+
+@pytest.mark.parametrize("stiffness", [1.0, 1e4])
+def test_two_hidden_contact_masses(stiffness):
+    # In the chain q1 - q2 - q3 with contact of 2 and 3, p(q1) hides both, q1 and q2 are tied.
+    contacts = (Contact(2, "right", 10.0, 0.3), Contact(3, "both", 5.0, 0.5, "bilinear"))
+    system = System([1.0] * 3, [1.0, stiffness, 2.0], [0.2] * 3, [0.1] * 3, contacts=contacts)
+
+    def weight(x):
+        reach = 9.0 / np.sqrt(ALPHA * stiffness)
+        y, wy = graded(x - reach, x + reach, [0.3] if abs(0.3 - x) < reach else [x], 0.1 * reach)
+        z, wz = graded(-4.0, 4.0, [-0.5, 0.5], 0.1)
+        V = 0.5 * x * x + 0.5 * stiffness * (y - x) ** 2 + system.contact_energy(1, y)
+        W = (z - y[:, None]) ** 2 + system.contact_energy(2, z)
+        return wy @ (np.exp(-ALPHA * V) * (np.exp(-ALPHA * W) @ wz))
+
+    (density,) = solved(Exact(), system, "q1")
+    x = np.array([0.2, 0.5])
+    value, error = density.at(x)
+    assert density.certificate.certified and np.all(error < 1e-10)
+    assert value[1] / value[0] == pytest.approx(weight(x[1]) / weight(x[0]), rel=1e-10)
+
+
+def test_conditional_laws_are_those_of_the_stiffness_matrix():
+    system = System([1.0] * 4, [1.0, 3.0, 2.0, 5.0], [0.1] * 4, [0.1] * 4)
+    order = [2, 0, 3, 1]
+    laws = conditionals(system, order)
+    assert np.prod([law.precision for law in laws]) == pytest.approx(np.prod(system.stiffness))
+    q = np.array([0.3, -0.2, 0.7, 0.1])
+    energy = sum(
+        float(law.energy(q[k], law.weights @ q[order[:i]]))
+        for i, (k, law) in enumerate(zip(order, laws, strict=True))
+    )
+    assert energy == pytest.approx(0.5 * q @ system.stiffness_matrix @ q, rel=1e-14)
+
+
+def test_a_hidden_integral_of_a_gaussian_is_its_determinant():
+    system = chain(3)
+    laws = conditionals(system, [1, 2])
+    hidden = HiddenIntegral(laws, 0.5, 20.0)
+    total = hidden(lambda E: np.exp(-2.0 * E), np.array([0.3]), np.zeros((0, 1)), points=10)[0]
+    det = np.prod([law.precision for law in laws])
+    assert total == pytest.approx(np.exp(-0.6) * np.pi / np.sqrt(det), rel=1e-13)
+
+
+def test_the_overlap_at_an_energy():
+    for stop in (Contact(1, "right", 1e9, 0.1), Contact(1, "right", 1e-3, 0.1, "power", 40.0)):
+        for energy in (1e-6, 1.0, 1e3):
+            assert stop.energy(overlap_at(stop, energy)) == pytest.approx(energy, rel=1e-9)
+
+
+def test_closed_forms_are_judged_by_the_tolerance():
+    # Three contact masses: the shells are integrated by cubature to 1e-6.
+    system = System(
+        [1.0] * 3,
+        [1.0] * 3,
+        [0.2] * 3,
+        [0.1] * 3,
+        contacts=(*TWO_MASSES, Contact(3, "both", 8.0, 0.4)),
+    )
+    (density,) = solved(Exact(tol=1e-10), system, "q1,q2")
+    assert density.l1_error > 1e-10 and not density.certificate.certified
+    assert "tolerance" in density.certificate.failures[0]
+    (density,) = solved(Exact(tol=1e-6), system, "q1,q2")
+    assert density.certificate.certified
+
+
+def test_the_residual_of_a_closed_form_sees_a_wrong_temperature():
+    system = exact_system((Contact(2, "both", 10.0, 0.5),))
+    process = energy_process(system)
+    right = averaged_closed_form(system, process)
+    assert right.measured.residual < 1e-13
+
+    def wrong(energy):
+        return np.log(right.energy_pdf(energy)) - 1e-9 * energy
+
+    assert 1e-11 < flux_residual(process, right.nodes, wrong) < 1e-8
