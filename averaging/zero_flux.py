@@ -1,4 +1,4 @@
-"""How far a closed form is from solving its own equation, (11): the check behind its certificate."""
+"""How far a density of the energy is from solving its own equation, (11)."""
 
 from collections.abc import Callable
 
@@ -21,9 +21,9 @@ def flux_residual(process: Process, nodes: Array, log_density: Callable[[Array],
 
     The largest |Δ ln(σ² p) − ∫2s/σ² dH| of a panel beyond what the stated errors of s and σ² and
     those of the integral explain, relative to ∫2(|s_damping| + |s_noise|)/σ² dH. Coefficients that
-    are known to 1e-6 only do not make a residual: their error is in the stated error of p. ``nodes``
-    are energies >= 0 between which the coefficients are smooth; n/H, the singular part of 2s/σ²
-    at H = 0, is integrated in closed form.
+    are known to 1e-6 only make no residual: their error is in the stated error of p. ``nodes`` are
+    energies >= 0 between which the coefficients are smooth; n/H, the singular part of 2s/σ² at
+    H = 0, is integrated in closed form.
     """
     inner = nodes[nodes > 0.0]
     n = process.degrees_of_freedom

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.process import modes_process
+from averaging.quadrature import solve_by_quadrature
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
 from fpk.line.mesh import initial_nodes
@@ -90,7 +91,20 @@ def _by_elements(process: Process, tol: float) -> Solved:
         solution = solve_stationary(process, tol=tol)
         panels = (solution.nodes,)
     c = solution.certificate
-    return (solution.nodes,), pdf, lambda energy: solution.l1_error * pdf(energy), solution.measured
+    measured = Measured(
+        solution.l1_error, c.mass_defect, c.minimum, c.residual, c.tail_mass, c.net_flux, c.failures
+    )
+    return panels, solution.density, solution.pointwise_error, measured
+
+
+def _by_quadrature(process: Process, tol: float) -> Solved:
+    solution = solve_by_quadrature(process, tol=tol)
+
+    def pdf(energy: Array) -> Array:
+        return np.asarray(np.exp(solution.log_density(np.asarray(energy, dtype=float))))
+
+    error = solution.l1_error
+    return (solution.nodes,), pdf, lambda energy: error * pdf(energy), solution.measured
 
 
 def _closed_form(modes: ModalAnalysis, mode: int, process: Process) -> Solved:

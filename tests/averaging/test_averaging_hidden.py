@@ -1,4 +1,4 @@
-"""Displacements tied by stiff springs to contact masses that are not observed, against Gauss rules."""
+"""Displacements tied by stiff springs to contact masses that are not observed."""
 
 import numpy as np
 import pytest
