@@ -15,7 +15,6 @@ from averaging.polynomial_rate import averaged_density, averaged_rate
 from averaging.quadrature import QuadratureSolution, solve_by_quadrature
 from averaging.shell.ratios import log_linear_states
 from averaging.tabulated import tabulated
-from fpk.certificate import Measured
 from fpk.line.elements import Form
 from fpk.line.stationary import StationarySolution, solve_stationary
 from fpk.method import Method, Plan, Progress, Result, check_solver
@@ -122,21 +121,13 @@ def _from_elements(system: System, solution: StationarySolution) -> EnergyDensit
     def u_error(energy: Array) -> Array:
         return np.asarray(scale * solution.phase_space_error(energy))
 
-    checks = solution.certificate
     return tabulated(
         system,
         solution.process,
         solution.panels,
         u,
         u_error,
-        measured=Measured(
-            l1_error=solution.l1_error,
-            mass_defect=checks.mass_defect,
-            minimum=checks.minimum,
-            residual=checks.residual,
-            tail_mass=checks.tail_mass,
-            net_flux=checks.net_flux,
-        ),
+        measured=solution.measured,
     )
 
 
