@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from fpk.errors import NotCertified
 from fpk.process import Coefficients, Process, log_density_slope, log_density_slope_error
@@ -19,14 +18,11 @@ FAR_OUT = np.logspace(4.0, 16.0, 13)
 """Energies, in units of the scale, at which a process has to come back. A term of the damping that
 outweighs one of a lower degree only beyond 1e16 is less than the round-off (2e-16) of it at the
 scale: up to there everything shows that is not round-off."""
-RATIOS = np.concatenate([[0.0], np.logspace(-12.0, 0.0, 13)])
-"""Ratios of two energies at which they are judged far out, either way; none is below its scale."""
-RETURNED = 1e3
-"""Two energies have come back below this, in units of their scales: there the probe begins."""
-ESCAPED = 1e3
-"""Growth from the last of ``FAR_OUT`` that counts as never coming back."""
-FLOW = 400.0
-"""Length of the path of ln H over which two energies have to come back, 37 straight on."""
+LOG_RATIOS = np.log(10.0) * np.concatenate(
+    [np.arange(-48.0, -3.0, 0.5), np.linspace(-3.0, 3.0, 49), np.arange(3.5, 48.5, 0.5)]
+)
+"""ln of the ratios of two energies at which they are judged far out: an energy that the other one,
+1e16 times its scale, damps is held by noise at 1e-16 of its own scale."""
 
 
 @dataclass(frozen=True)
@@ -111,51 +107,27 @@ def require_falling(energy: Array, c: Coefficients) -> None:
 
 
 def require_confined(process: Process) -> None:
-    """Raise ``NotCertified`` where two energies do not come back from far out.
+    """Raise ``NotCertified`` where two energies leave for infinity together.
 
-    There noise moves them by less and less. Where Σ s_i/θ_i, θ_i the scales, is negative on all
-    ``RATIOS`` at all of ``FAR_OUT`` they do (Foster and Lyapunov). Where it is not, the path
-    d ln H_i = (s_i/H_i − b_ii/(2 H_i²)) dt is followed from the highest energies: if one of
-    them leaves for infinity, or comes to rest far out, no density that ends near the scales
-    is stationary (the fluid limit, S. P. Meyn and R. L. Tweedie, Adv. Appl. Prob. 25, 1993, 518).
+    Far out noise moves them by less and less: dH_i = s_i dt. Their ratio approaches one at which
+    s_1/H_1 − s_2/H_2 falls through zero as it grows, quickly, while both change by the larger one's
+    s/H: where that is positive at the highest of ``FAR_OUT`` they come back from nowhere, and no
+    density that falls off is stationary, whatever a mesh that ends earlier makes of it.
     """
     scales = np.array(process.energy_scales)
-    ratios = np.stack([np.ones_like(RATIOS), RATIOS], axis=1)
-    rays = np.concatenate([ratios, ratios[:, ::-1]])
-    far = np.maximum(FAR_OUT[:, None, None] * rays, 1.0)
-    drift = process.coefficients((far * scales).reshape(-1, 2)).drift
-    if np.all(np.sum(drift / scales, axis=1) < 0.0):
-        return
-    for start in far[-1]:
-        level = _followed(process, scales, np.log(start))
-        if level > np.log(RETURNED):
-            H1, H2 = start * scales
-            raise NotCertified(
-                f"the density does not fall off: nothing brings the energies back from H1 = "
-                f"{H1:.3g}, H2 = {H2:.3g}"
-            )
-
-
-def _followed(process: Process, scales: Array, start: Array) -> float:
-    """ln of the larger energy, in units of the scales, where the path from ``start`` ends."""
-
-    def velocity(_: float, x: Array) -> Array:
-        H = scales * np.exp(np.maximum(x, 0.0))
-        c = process.coefficients(H[None])
-        b = np.diagonal(c.diffusion[0])
-        v = c.drift[0] / H - 0.5 * b / H**2
-        # Noise holds an energy at its scale; the length of the path is what time is counted by.
-        v = np.where(v < 0.0, v * np.clip(x, 0.0, 1.0), v)
-        size = np.max(np.abs(v))
-        return np.asarray(v / size if size > 0.0 else v)
-
-    def over(_: float, x: Array) -> float:
-        top = float(np.max(x))
-        return min(top - np.log(RETURNED), np.max(start) + np.log(ESCAPED) - top)
-
-    over.terminal = True  # type: ignore[attr-defined]
-    path = solve_ivp(
-        velocity, (0.0, FLOW), start, method="LSODA", events=over, rtol=1e-6, max_step=1.0
-    )
-    # An event ends the path on either side of it by the accuracy of its root.
-    return float(np.max(path.y[:, -1])) - 1e-6
+    shares = np.exp(np.stack([np.minimum(LOG_RATIOS, 0.0), -np.maximum(LOG_RATIOS, 0.0)], axis=1))
+    H = FAR_OUT[-1] * scales * shares
+    v = process.coefficients(H).drift / H
+    turning, growth = v[:, 0] - v[:, 1], np.where(LOG_RATIOS < 0.0, v[:, 1], v[:, 0])
+    signed = np.flatnonzero(turning)
+    attracts = (turning[signed[:-1]] > 0.0) & (turning[signed[1:]] < 0.0)
+    k, m = signed[:-1][attracts], signed[1:][attracts]
+    # Linear between two ratios; where the difference is below round-off over more, the middle.
+    share = np.where(m == k + 1, turning[k] / (turning[k] - turning[m]), 0.5)
+    leaving = np.flatnonzero(growth[k] + share * (growth[m] - growth[k]) > 0.0)
+    if leaving.size:
+        H1, H2 = H[k[leaving[0]]]
+        raise NotCertified(
+            "the density does not fall off: nothing brings the energies back from "
+            f"H1 = {H1:.3g}, H2 = {H2:.3g}"
+        )
