@@ -1,8 +1,88 @@
-"""Systems, diffusion processes, densities and the finite element solvers of their FPK equation.
+"""Densities of randomly excited vibro-impact systems: the face, and the lowest room.
 
-The lowest room: it knows neither averaging, nor sampling, nor scenes. Conventions that hold in
-every room: Ito equations ``dX = drift dt + noise_factor dB``, ``B`` standard Wiener processes;
-``diffusion = noise_factor @ noise_factor.T``; the FPK operator is
-``-d_i(s_i p) + ½ d_i d_j(b_ij p)``, the ½ staying in the equation; a noise intensity
-``D`` means ``E[W(t) W(t+τ)] = 2 D δ(τ)``.
+``System``, ``Contact`` and ``DampingTerm`` describe Eq. (1); ``load`` reads a scene; ``solve``
+returns densities with their errors and certificates; ``compare`` says what separates them::
+
+    import fpk
+    stop = fpk.Contact(mass=2, side="both", stiffness=10.0, clearance=0.5)
+    system = fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02], contacts=(stop,))
+    answers = fpk.solve(system, ["q2", "H"], methods=["nonintegrable/fem"])
+    answers["q2"](0.3)
+
+Every name is loaded when it is first used. ``load``, ``solve`` and ``compare`` come from the room
+``cases``: the one place where this room, which knows neither averaging, nor sampling, nor scenes,
+points up. Conventions that hold in every room: Ito equations ``dX = drift dt + noise_factor dB``,
+``B`` standard Wiener processes; ``diffusion = noise_factor @ noise_factor.T``; the FPK operator is
+``-d_i(s_i p) + ½ d_i d_j(b_ij p)``, the ½ staying in the equation; a noise intensity ``D`` means
+``E[W(t) W(t+τ)] = 2 D δ(τ)``. Masses count from 1.
 """
+
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cases.api import compare, load, solve
+    from fpk.contact import Contact
+    from fpk.damping import DampingTerm
+    from fpk.density import Density
+    from fpk.errors import InvalidInput, NotApplicable, NotCertified
+    from fpk.system import System
+
+__all__ = [
+    "Contact",
+    "DampingTerm",
+    "Density",
+    "InvalidInput",
+    "NotApplicable",
+    "NotCertified",
+    "System",
+    "compare",
+    "load",
+    "solve",
+]
+
+_HOME = {
+    "Contact": "fpk.contact",
+    "DampingTerm": "fpk.damping",
+    "Density": "fpk.density",
+    "InvalidInput": "fpk.errors",
+    "NotApplicable": "fpk.errors",
+    "NotCertified": "fpk.errors",
+    "System": "fpk.system",
+    "compare": "cases.api",
+    "load": "cases.api",
+    "solve": "cases.api",
+}
+_ROOMS = ("averaging", "sim", "cases")
+
+
+def __getattr__(name: str) -> Any:
+    """Load a name of the face when it is first used."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'fpk' has no attribute {name!r}; it has {', '.join(__all__)}")
+    if _HOME[name].partition(".")[0] in _ROOMS:
+        _refuse_hidden_rooms()
+    value = getattr(import_module(_HOME[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Return the names of the face and of what is loaded."""
+    return sorted({*globals(), *__all__})
+
+
+def _refuse_hidden_rooms() -> None:
+    """Raise ``ImportError`` where a file or folder of the user's has the name of a room."""
+    beside = Path(__file__).resolve().parent.parent
+    for room in _ROOMS:
+        spec = find_spec(room)
+        if spec is None:
+            raise ImportError(f"the package {room} of vibro-fpk is missing: install it again")
+        places = [spec.origin or "", *(spec.submodule_search_locations or ())]
+        where = next(place for place in places if place)
+        # A package's origin is its __init__.py; a folder without one has its location alone.
+        if beside not in Path(where).resolve().parents:
+            raise ImportError(f"{where} hides the package {room} of vibro-fpk: rename it")

@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from functools import cached_property
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,7 +29,8 @@ class Density:
     ``panels`` holds for every axis the ascending nodes between which the density is smooth; the
     first and last are its support. ``pdf`` takes one array per axis (broadcast together) and
     returns the density; ``pointwise`` likewise the estimate of its error there. ``l1_error``
-    estimates ∫|p − p_exact| including the mass outside the support.
+    estimates ∫|p − p_exact| including the mass outside the support. ``source(observable)`` computes
+    the density again: where there is one, the density can be pickled without its functions.
     """
 
     observable: Observable
@@ -39,11 +41,30 @@ class Density:
     certificate: Certificate
     provenance: Mapping[str, str | float | int] = field(default_factory=dict)
     error_kind: ErrorKind = "numerical"
+    source: Callable[[Observable], "AnyDensity"] | None = None
 
     @property
     def name(self) -> str:
         """The observable's name, such as ``q2,p2``."""
         return observable_name(self.observable)
+
+    def __repr__(self) -> str:
+        """Return what the density is of, its error and its support in one line."""
+        return _short(self, f"L1 error {self.l1_error:.2g}")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: all but the functions, which ``source`` computes again."""
+        if self.source is None:
+            raise TypeError(
+                f"the density of {self.name} does not know what it follows from and cannot be "
+                "pickled; take it from the result of a method"
+            )
+        return {k: v for k, v in self.__dict__.items() if k not in ("pdf", "pointwise")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore the density; its functions are computed when they are first called."""
+        again = _Again(state["source"], state["observable"])
+        self.__dict__.update(state, pdf=again.pdf, pointwise=again.pointwise)
 
     def __call__(self, *points: ArrayLike) -> Array:
         """Return the density at ``points``, one number or array per axis."""
@@ -67,6 +88,33 @@ class Density:
             values = np.add.reduceat(values * w.reshape(shape), starts, axis=axis)
             values = values / np.diff(e).reshape(shape)
         return values
+
+
+class _Again:
+    """Functions of a density that was pickled: the density is computed again, once, when needed."""
+
+    def __init__(
+        self, source: Callable[[Observable], "AnyDensity"], observable: Observable
+    ) -> None:
+        self.source, self.observable = source, observable
+
+    @cached_property
+    def density(self) -> Density:
+        density = self.source(self.observable)
+        assert isinstance(density, Density)
+        return density
+
+    def pdf(self, *points: Array) -> Array:
+        return self.density.pdf(*points)
+
+    def pointwise(self, *points: Array) -> Array:
+        return self.density.pointwise(*points)
+
+
+def _short(density: "AnyDensity", error: str) -> str:
+    support = " x ".join(f"[{x[0]:.3g}, {x[-1]:.3g}]" for x in density.panels)
+    certified = "certified" if density.certificate.certified else "not certified"
+    return f"{type(density).__name__}({density.name} on {support}; {certified}, {error})"
 
 
 def certified_density(
@@ -144,6 +192,14 @@ class SampledDensity:
     def name(self) -> str:
         """The observable's name, such as ``q2,p2``."""
         return observable_name(self.observable)
+
+    def __repr__(self) -> str:
+        """Return what the density is of, its samples and its bins in one line."""
+        return _short(self, f"{self.values.size} bins, {self.batch_values.shape[0]} batches")
+
+    def __call__(self, *points: ArrayLike) -> Array:
+        """Return the density at ``points``, one number or array per axis, as ``at`` does."""
+        return self.at(*(np.asarray(x, dtype=float) for x in points))[0]
 
     @property
     def panels(self) -> tuple[Array, ...]:

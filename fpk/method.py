@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Self
 
-from fpk.density import AnyDensity
+from fpk.density import AnyDensity, Density
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.observable import Observable
 from fpk.route import Route
@@ -57,6 +57,12 @@ class Result:
     neglected: str = ""
     partial: bool = False
     report: object | None = None
+
+    def __repr__(self) -> str:
+        """Return the route and the observables in one line."""
+        names = ", ".join(density.name for density in self.densities)
+        partial = ", partial" if self.partial else ""
+        return f"Result({self.method.route.label}: {names}; {self.seconds:.3g} s{partial})"
 
 
 @dataclass(frozen=True)
@@ -121,7 +127,30 @@ class Method(ABC):
         for observable in observables:
             if reason := plan.refusal(observable):
                 raise NotApplicable(reason)
-        return replace(plan.solve(observables, progress), seconds=perf_counter() - start)
+        result = replace(plan.solve(observables, progress), seconds=perf_counter() - start)
+        return traceable(result, system)
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a density by a function follows from: solved again where its function is needed."""
+
+    method: Method
+    system: System
+
+    def __call__(self, observable: Observable) -> AnyDensity:
+        """Return the density of ``observable``, solved for again."""
+        (density,) = self.method.solve(self.system, [observable]).densities
+        return density
+
+
+def traceable(result: Result, system: System) -> Result:
+    """Return ``result`` with densities that know what they follow from and can be pickled."""
+    source = Source(result.method, system)
+    densities = tuple(
+        replace(d, source=source) if isinstance(d, Density) else d for d in result.densities
+    )
+    return replace(result, densities=densities)
 
 
 def check_solver(solver: str, known: Sequence[str], tol: float) -> None:

@@ -146,6 +146,14 @@ class System:
         matrix.setflags(write=False)
         return matrix
 
+    def __repr__(self) -> str:
+        """Return the number of masses and what acts on them in one line."""
+        stops = ", ".join(f"{stop.side} of mass {stop.mass}" for stop in self.stops)
+        return (
+            f"System({self.n} {'mass' if self.n == 1 else 'masses'}; stops: {stops or 'none'}; "
+            f"damping terms: {len(self.damping_terms)})"
+        )
+
     def fact(self, compute: Callable[["System"], Fact]) -> Fact:
         """Return ``compute(self)``: computed when first asked for, then held by the system.
 

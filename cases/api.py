@@ -1,0 +1,165 @@
+"""What ``import fpk`` offers from above its own room: load, solve, compare."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from time import perf_counter
+from typing import Any
+
+import cases.comparison.routes  # noqa: F401  (registers the routes)
+from averaging.exact import compatibility
+from cases.comparison.compare import Comparison, compared
+from cases.scene.scene import Scene, load_scene
+from fpk.density import AnyDensity
+from fpk.errors import InvalidInput, NotApplicable
+from fpk.method import Method, Result, silent, traceable
+from fpk.observable import observable_name, parse_observable
+from fpk.route import ROUTES, Route, solvers_of
+from fpk.system import System
+
+
+@dataclass(frozen=True, repr=False)
+class Answers(Mapping[Any, AnyDensity]):
+    """Densities by observable and method: ``answers["q2", "exact"]``, as names or labels.
+
+    ``answers["q2"]`` will do where one method alone gives q2; ``answers.of("q2")`` returns all by
+    method. ``results`` has what each method returned, ``refusals`` why others were left out.
+    """
+
+    system: System
+    results: tuple[Result, ...]
+    refusals: Mapping[str, str] = field(default_factory=dict)
+
+    def of(self, observable: str) -> dict[str, AnyDensity]:
+        """Return the densities of ``observable`` by the label of the method, empty where none."""
+        name = observable_name(parse_observable(observable, self.system.n))
+        return {
+            result.method.route.label: density
+            for result in self.results
+            for density in result.densities
+            if density.name == name
+        }
+
+    def __getitem__(self, key: str | tuple[str, str]) -> AnyDensity:
+        """Return one density; raise ``KeyError`` with what there is where it is not one."""
+        observable, method = (key, None) if isinstance(key, str) else key
+        densities = self.of(observable)
+        if method is None and len(densities) == 1:
+            return next(iter(densities.values()))
+        if method in densities:
+            return densities[method]
+        if not densities:
+            there = ", ".join(dict.fromkeys(name for name, _ in self))
+            raise KeyError(f"no density of {observable}; there are densities of {there}")
+        labels = ", ".join(densities)
+        raise KeyError(f"say by which method, as in answers[{observable!r}, ...]: {labels}")
+
+    def __iter__(self) -> Iterator[tuple[str, str]]:
+        """Iterate over the pairs (observable, method)."""
+        for result in self.results:
+            for density in result.densities:
+                yield density.name, result.method.route.label
+
+    def __len__(self) -> int:
+        """Return the number of densities."""
+        return sum(len(result.densities) for result in self.results)
+
+    def __repr__(self) -> str:
+        """Return the pairs in one line."""
+        return f"Answers({', '.join(f'{o} by {m}' for o, m in self)})"
+
+
+def load(scene: str) -> Scene:
+    """Return the shipped scene of that name or the one at that path; its ``system`` is Eq. (1).
+
+    Raises ``BadInput``, one line that names file, key, value and what would be right.
+    """
+    return load_scene(str(scene))
+
+
+def solve(
+    system: System,
+    observables: Sequence[str],
+    *,
+    methods: Sequence[str | Method] | None = None,
+    tol: float | None = None,
+) -> Answers:
+    """Return the densities of ``observables`` by ``methods``.
+
+    ``observables`` as on the command line: q1, p1, H, H1, or a pair such as "q2,p2". ``methods``
+    are names ("exact"), names with a solver ("nonintegrable/fem") or ``Method`` records; left out,
+    every route is taken that applies to the system and does not sample: a simulation is run
+    where it is named ("montecarlo"). ``tol`` is the L1 tolerance of the methods named by strings.
+
+    Raises ``InvalidInput`` for an unknown name and ``NotApplicable`` where a method that was named
+    does not apply or does not give an observable.
+    """
+    if isinstance(observables, str):
+        raise InvalidInput("observables", observables, 'must be a list of names, as ["q2", "H"]')
+    wanted = [parse_observable(name, system.n) for name in observables]
+    chosen = _methods(methods, tol)
+    results, refusals = [], {}
+    for method in chosen:
+        label = method.route.label
+        try:
+            start = perf_counter()
+            plan = method.prepare(system)
+            given = [o for o in wanted if _accepted(plan.refusal(o), required=methods is not None)]
+            if not given:
+                refusals[label] = plan.refusal(wanted[0]) or "no observable was asked for"
+                continue
+            result = plan.solve(given, silent)
+        except NotApplicable as reason:
+            if methods is not None:
+                raise NotApplicable(f"{label}: {reason}") from None
+            refusals[label] = str(reason)
+            continue
+        results.append(traceable(replace(result, seconds=perf_counter() - start), system))
+    return Answers(system, tuple(results), refusals)
+
+
+def compare(answers: Answers) -> tuple[Comparison, ...]:
+    """Return what separates any two answers to one question, and which of three errors it is.
+
+    Numerical and sampling differences are judged (``holds``); those that averaging makes are
+    reported, ``band`` is None.
+    """
+    try:
+        compatibility(answers.system)
+        averaging_is_exact = True
+    except NotApplicable:
+        averaging_is_exact = False
+    return compared(answers.results, averaging_is_exact=averaging_is_exact)
+
+
+def _accepted(refusal: str | None, *, required: bool) -> bool:
+    if refusal is not None and required:
+        raise NotApplicable(refusal)
+    return refusal is None
+
+
+def _methods(methods: Sequence[str | Method] | None, tol: float | None) -> list[Method]:
+    if isinstance(methods, str):
+        raise InvalidInput("methods", methods, 'must be a list, as ["exact", "nonintegrable/fem"]')
+    if methods is None:
+        # What is exact for the full system first.
+        routes = sorted(ROUTES.values(), key=lambda route: route.solves != "full")
+        return [_made(route, tol) for route in routes if not route.sampled]
+    return [_named(m, tol) if isinstance(m, str) else m for m in methods]
+
+
+def _named(name: str, tol: float | None) -> Method:
+    method, _, solver = name.partition("/")
+    solvers = solvers_of(method)
+    if not solvers or (solver and solver not in solvers):
+        known = ", ".join(f"{m}/{s}" for m, s in ROUTES)
+        raise InvalidInput("method", name, f"is not a method; use one of {known}")
+    return _made(ROUTES[method, solver or solvers[0]], tol)
+
+
+def _made(route: Route, tol: float | None) -> Method:
+    method = route.make()
+    known = {f.name for f in fields(method)}  # type: ignore[arg-type]  # methods are dataclasses
+    if tol is None or "tol" not in known:
+        return method
+    made: Method = replace(method, tol=tol)  # type: ignore[type-var]
+    return made

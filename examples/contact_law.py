@@ -1,0 +1,30 @@
+"""A contact law of one's own is one record: force, its integral and its derivative."""
+
+import numpy as np
+
+import fpk
+from fpk.contact_law import ContactLaw, register
+
+register(
+    ContactLaw(
+        "cubic",
+        exponent=3.0,
+        force=lambda x, e: x * x * x,
+        energy=lambda x, e: 0.25 * x * x * x * x,
+        slope=lambda x, e: 3.0 * x * x,
+    )
+)
+
+
+def density(law, exponent=None):
+    """p(q1) of an oscillator between stops of that law."""
+    stop = fpk.Contact(1, "both", 10.0, 0.2, law, exponent)
+    system = fpk.System([1.0], [1.0], [0.1], [0.05], contacts=(stop,))
+    return fpk.solve(system, ["q1"], methods=["exact"])["q1"]
+
+
+# The same as the power law with that exponent.
+q = np.linspace(-1.0, 1.0, 21)
+own, power = density("cubic"), density("power", 3.0)
+assert np.all(np.abs(own(q) - power(q)) <= own.at(q)[1] + power.at(q)[1])
+assert own.certificate.certified

@@ -1,0 +1,29 @@
+"""What cannot be answered is refused in one line that says why, and nothing else comes back."""
+
+import fpk
+
+stop = fpk.Contact(mass=2, side="right", stiffness=10.0, clearance=0.5)
+system = fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02], contacts=(stop,))
+
+
+def refused(error, **request):
+    """Check that the request is refused with ``error``, in one line."""
+    try:
+        fpk.solve(system, request.pop("observables", ["q2"]), **request)
+    except error as reason:
+        print(f"{error.__name__}: {reason}")
+        assert "\n" not in str(reason)
+    else:
+        raise AssertionError(f"{request} was answered")
+
+
+refused(fpk.NotApplicable, methods=["exact"])  # damping and noise are not in proportion
+refused(fpk.NotApplicable, methods=["linear"])  # there is a contact
+refused(fpk.NotApplicable, observables=["H1"], methods=["nonintegrable"])
+refused(fpk.InvalidInput, methods=["exakt"])
+refused(fpk.InvalidInput, observables=["q0"])  # masses count from 1
+refused(fpk.InvalidInput, observables=["q3"])
+
+# A tolerance that cannot be met is said, too: the density comes back, not certified.
+p = fpk.solve(system, ["H"], methods=["nonintegrable/fem"], tol=1e-12)["H"]
+assert p.certificate.certified or p.certificate.failures

@@ -1,0 +1,19 @@
+"""Every route that applies, side by side, and which of three errors separates two of them."""
+
+import fpk
+
+scene = fpk.load("fig3a")  # damping in proportion to the noise: the exact solution (7) exists
+answers = fpk.solve(scene.system, ["q2"])  # all that applies and does not sample
+for label, p in answers.of("q2").items():
+    print(f"{label:28} p(0) = {float(p(0.0)):.12f}  L1 error {p.l1_error:.1e}")
+for label, reason in answers.refusals.items():
+    print(f"{label:28} left out: {reason}")
+
+comparisons = fpk.compare(answers)
+for c in comparisons:
+    print(c)
+# What is judged holds: two answers to one equation differ by no more than their errors allow.
+judged = [c for c in comparisons if c.measures == "numerical"]
+assert judged
+assert all(c.holds for c in judged)
+assert answers["q2", "exact"].certificate.certified

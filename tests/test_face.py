@@ -1,0 +1,146 @@
+"""``import fpk``: the face, what it loads, what it says of mistakes, what can be pickled."""
+
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import fpk
+from fpk.density import Density
+from fpk.method import Source
+
+
+def small_system():
+    stop = fpk.Contact(mass=2, side="both", stiffness=10.0, clearance=0.5)
+    return fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02], contacts=(stop,))
+
+
+def python(code, folder):
+    return subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False
+    )
+
+
+def test_import_loads_nothing_heavy(tmp_path):
+    code = "import fpk, sys; print(sorted({'numpy', 'scipy', 'numba', 'cases'} & set(sys.modules)))"
+    done = python(code, tmp_path)
+    assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_system_and_contact_need_no_compiler(tmp_path):
+    code = (
+        "import fpk, sys; fpk.System, fpk.Contact, fpk.DampingTerm; print('numba' in sys.modules)"
+    )
+    assert python(code, tmp_path).stdout.strip() == "False"
+
+
+def test_every_name_of_the_face_is_there():
+    for name in fpk.__all__:
+        assert getattr(fpk, name) is not None
+        assert name in dir(fpk)
+    with pytest.raises(AttributeError, match="it has Contact, DampingTerm"):
+        fpk.nothing  # noqa: B018
+
+
+@pytest.mark.parametrize("hidden", ["sim.py", "cases/", "averaging/__init__.py"])
+def test_a_file_that_hides_a_room_is_named_in_one_line(tmp_path, hidden):
+    path = tmp_path / hidden
+    if hidden.endswith("/"):
+        path.mkdir()
+        (path / "mine.toml").write_text("")
+    else:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("")
+    done = python("import fpk; fpk.solve", tmp_path)
+    room = hidden.split("/")[0].removesuffix(".py")
+    if done.returncode == 0:
+        # A folder without __init__.py is found after a package: it hides nothing.
+        assert hidden == "cases/"
+        return
+    last = done.stderr.strip().splitlines()[-1]
+    assert f"hides the package {room} of vibro-fpk" in last
+    assert str(path).rstrip("/") in last
+
+
+def test_one_method_gives_a_density_that_can_be_called():
+    answers = fpk.solve(small_system(), ["q2", "H"], methods=["nonintegrable/closed-form"])
+    assert isinstance(answers["q2"], Density)
+    assert answers["q2"](0.3).shape == ()
+    assert answers["q2"]([0.0, 0.3]).shape == (2,)
+    assert answers["q2"] is answers["q2", "nonintegrable/closed-form"]
+    assert set(answers) == {(o, "nonintegrable/closed-form") for o in ("q2", "H")}
+    assert len(answers) == 2
+
+
+def test_without_methods_every_deterministic_route_is_tried():
+    answers = fpk.solve(small_system(), ["q2", "H1"])
+    assert not any(result.method.route.sampled for result in answers.results)
+    assert "nonintegrable/fem" in answers.of("q2")
+    assert "integrable/fem" in answers.of("H1")
+    assert "(8)" in answers.refusals["exact"]
+    assert "linear" in answers.refusals
+    with pytest.raises(KeyError, match="say by which method"):
+        answers["q2"]
+    with pytest.raises(KeyError, match="there are densities of"):
+        answers["p1"]
+
+
+@pytest.mark.parametrize(
+    ("request_", "error", "words"),
+    [
+        ({"observables": ["q3"]}, fpk.InvalidInput, "q1..q2"),
+        ({"observables": "q2"}, fpk.InvalidInput, "must be a list"),
+        ({"methods": ["exakt"]}, fpk.InvalidInput, "use one of"),
+        ({"methods": ["nonintegrable/exact"]}, fpk.InvalidInput, "nonintegrable/fem"),
+        ({"methods": "exact"}, fpk.InvalidInput, "must be a list"),
+        ({"methods": ["exact"]}, fpk.NotApplicable, "exact: the compatibility condition"),
+        ({"methods": ["nonintegrable"], "observables": ["H2"]}, fpk.NotApplicable, "total energy"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(request_, error, words):
+    arguments = {"observables": ["q2"], "methods": ["nonintegrable"]} | request_
+    with pytest.raises(error) as caught:
+        fpk.solve(small_system(), arguments["observables"], methods=arguments["methods"])
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_records_print_short():
+    system = small_system()
+    answers = fpk.solve(system, ["q2"], methods=["nonintegrable/closed-form"])
+    for record in (system, answers, answers["q2"], answers.results[0], system.contacts[0]):
+        assert len(repr(record).splitlines()) == 1
+        assert len(repr(record)) < 120
+    assert "q2" in repr(answers["q2"])
+    assert "certified" in repr(answers["q2"])
+
+
+def test_answers_results_and_densities_can_be_pickled():
+    answers = fpk.solve(small_system(), ["q2"], methods=["nonintegrable/closed-form"])
+    q = np.linspace(-1.0, 1.0, 5)
+    for record, of in (
+        (answers, lambda a: a["q2"]),
+        (answers.results[0], lambda r: r.densities[0]),
+        (answers["q2"], lambda d: d),
+    ):
+        again = of(pickle.loads(pickle.dumps(record)))
+        np.testing.assert_array_equal(again(q), answers["q2"](q))
+        np.testing.assert_array_equal(again.at(q)[1], answers["q2"].at(q)[1])
+        assert again.certificate == answers["q2"].certificate
+
+
+def test_a_density_made_by_hand_says_why_it_cannot_be_pickled():
+    p = fpk.solve(small_system(), ["q2"], methods=["nonintegrable/closed-form"])["q2"]
+    assert isinstance(p.source, Source)
+    by_hand = Density(p.observable, p.panels, p.pdf, p.pointwise, p.l1_error, p.certificate)
+    with pytest.raises(TypeError, match="does not know what it follows from"):
+        pickle.dumps(by_hand)
+
+
+def test_compare_says_which_error_it_measures():
+    system = fpk.System([1.0], [1.0], [0.1], [0.05])
+    comparisons = fpk.compare(fpk.solve(system, ["q1"], methods=["exact", "linear"]))
+    assert [c.measures for c in comparisons] == ["numerical"]
+    assert all(c.holds for c in comparisons)
