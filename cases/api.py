@@ -1,19 +1,18 @@
 """What ``import fpk`` offers from above its own room: load, solve, compare."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from time import perf_counter
+from dataclasses import dataclass, field
 from typing import Any
 
-import cases.comparison.routes  # noqa: F401  (registers the routes)
 from averaging.exact import compatibility
 from cases.comparison.compare import Comparison, compared
+from cases.comparison.routes import all_methods, listed_routes, method_for, solved
 from cases.scene.scene import Scene, load_scene
 from fpk.density import AnyDensity
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.method import Method, Result, silent, traceable
+from fpk.method import Method, Result, traceable
 from fpk.observable import observable_name, parse_observable
-from fpk.route import ROUTES, Route, solvers_of
+from fpk.route import solvers_of
 from fpk.system import System
 
 
@@ -101,19 +100,18 @@ def solve(
     for method in chosen:
         label = method.route.label
         try:
-            start = perf_counter()
             plan = method.prepare(system)
             given = [o for o in wanted if _accepted(plan.refusal(o), required=methods is not None)]
             if not given:
                 refusals[label] = plan.refusal(wanted[0]) or "no observable was asked for"
                 continue
-            result = plan.solve(given, silent)
+            result = solved(plan, given)
         except NotApplicable as reason:
             if methods is not None:
                 raise NotApplicable(f"{label}: {reason}") from None
             refusals[label] = str(reason)
             continue
-        results.append(traceable(replace(result, seconds=perf_counter() - start), system))
+        results.append(traceable(result, system))
     return Answers(system, tuple(results), refusals)
 
 
@@ -141,9 +139,7 @@ def _methods(methods: Sequence[str | Method] | None, tol: float | None) -> list[
     if isinstance(methods, str):
         raise InvalidInput("methods", methods, 'must be a list, as ["exact", "nonintegrable/fem"]')
     if methods is None:
-        # What is exact for the full system first.
-        routes = sorted(ROUTES.values(), key=lambda route: route.solves != "full")
-        return [_made(route, tol) for route in routes if not route.sampled]
+        return [m for m in all_methods(tol=tol) if not m.route.sampled]
     return [_named(m, tol) if isinstance(m, str) else m for m in methods]
 
 
@@ -151,15 +147,6 @@ def _named(name: str, tol: float | None) -> Method:
     method, _, solver = name.partition("/")
     solvers = solvers_of(method)
     if not solvers or (solver and solver not in solvers):
-        known = ", ".join(f"{m}/{s}" for m, s in ROUTES)
+        known = ", ".join(f"{route.method}/{route.solver}" for route in listed_routes())
         raise InvalidInput("method", name, f"is not a method; use one of {known}")
-    return _made(ROUTES[method, solver or solvers[0]], tol)
-
-
-def _made(route: Route, tol: float | None) -> Method:
-    method = route.make()
-    known = {f.name for f in fields(method)}  # type: ignore[arg-type]  # methods are dataclasses
-    if tol is None or "tol" not in known:
-        return method
-    made: Method = replace(method, tol=tol)  # type: ignore[type-var]
-    return made
+    return method_for(method, solver or solvers[0], tol=tol)
