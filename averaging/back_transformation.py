@@ -7,8 +7,9 @@ from math import ceil, pi
 import numpy as np
 from numpy.typing import NDArray
 
+from averaging.conditional import conditionals, overlap_at
 from averaging.energy_density import EnergyDensity, Weyl
-from averaging.hidden import HiddenIntegral, conditionals, overlap_at, overlaps
+from averaging.hidden import HiddenIntegral, overlaps
 from fpk.contact import Contact
 from fpk.density import Density, certified_density
 from fpk.errors import NotApplicable

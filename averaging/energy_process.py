@@ -1,7 +1,6 @@
 """Averaged energy process of a quasi-non-integrable Hamiltonian system, Eqs. (9), (24)."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,13 +40,16 @@ class EnergyBalance:
         return self.damping / self.noise
 
 
-@lru_cache(maxsize=16)
 def energy_balance(system: System) -> EnergyBalance:
     """Return Σ c_ii/m_i, Σ (f D fᵀ)_ii/m_i and the scale of the energy where all damping balances.
 
     Raises ``NotApplicable`` where noise or damping vanishes, or damping terms do not outweigh the
     noise at high energy: there is no stationary density then.
     """
+    return system.fact(_energy_balance)
+
+
+def _energy_balance(system: System) -> EnergyBalance:
     damping = float(np.sum(np.diag(system.damping) / system.mass))
     noise = float(np.sum(np.diag(system.noise_matrix) / system.mass))
     if noise <= 0:

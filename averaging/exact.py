@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from scipy.integrate import cubature
 
 from averaging.back_transformation import POINTS, back_transformed
+from averaging.conditional import conditionals
 from averaging.energy_density import EnergyDensity, gibbs
 from averaging.energy_process import energy_process
-from averaging.hidden import DEPTH, HiddenIntegral, conditionals
+from averaging.hidden import DEPTH, HiddenIntegral
 from averaging.nonintegrable import energy_only_refusal
 from averaging.polynomial_rate import density_of_rate
 from averaging.shell.reduced import reduced_potential

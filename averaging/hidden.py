@@ -1,22 +1,16 @@
-"""Integrals over contact masses that are not observed, on grids of their law given the others.
+"""Integrals over contact masses that are not observed, on grids of their law given the others."""
 
-A chain conditioned on some displacements falls apart at them: a mass depends on its neighbours
-among them alone, through the springs in between in series. Its law given those is
-½ a (q − μ)² + U(q), and nothing in a or μ cancels at any ratio of the springs.
-"""
-
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil, log2
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 from scipy.optimize.elementwise import find_root
 
+from averaging.conditional import Conditional, overlap_at, side_sign
 from fpk.contact import Contact
 from fpk.quadrature import gauss_legendre
-from fpk.system import System
 
 Array = NDArray[np.float64]
 Function = Callable[[Array], Array]
@@ -36,58 +30,6 @@ EDGE = {"xatol": 0.0, "xrtol": 1e-2}
 """Accuracy of the ends of a grid, which no integral is sensitive to: e^−40 lies beyond."""
 CHUNK = 400_000
 """Points of the innermost integral evaluated at once, to bound memory."""
-
-
-@dataclass(frozen=True, eq=False)
-class Conditional:
-    """Law of one displacement given some others of a chain: ½ a (q − Σ w_k q_k)², and its stops.
-
-    ``mass`` counts from 0; ``precision`` is a, the stiffness of the springs to the neighbours among
-    the others, in series; ``weights`` (others,) are the w_k.
-    """
-
-    mass: int
-    precision: float
-    weights: Array
-    stops: tuple[Contact, ...]
-
-    def energy(self, q: Array, mean: Array) -> Array:
-        """½ a (q − mean)² + U(q)."""
-        energy = 0.5 * self.precision * (q - mean) ** 2
-        for stop in self.stops:
-            energy = energy + stop.energy(np.maximum(_sign(stop) * q - stop.clearance, 0.0))
-        return np.asarray(energy)
-
-    def contact_force(self, q: Array) -> Array:
-        """U'(q)."""
-        force = np.zeros_like(q)
-        for stop in self.stops:
-            overlap = np.maximum(_sign(stop) * q - stop.clearance, 0.0)
-            force = force + _sign(stop) * stop.force(overlap)
-        return force
-
-
-def conditional(system: System, mass: int, given: Sequence[int]) -> Conditional:
-    """Return the law of q_mass given the displacements of ``given`` (masses from 0)."""
-    flexibility = 1.0 / system.stiffness
-    weights = np.zeros(len(given))
-    below = max((k for k in given if k < mass), default=-1)
-    left = 1.0 / float(np.sum(flexibility[below + 1 : mass + 1]))
-    precision = left
-    above = min((k for k in given if k > mass), default=None)
-    if above is not None:
-        right = 1.0 / float(np.sum(flexibility[mass + 1 : above + 1]))
-        precision = left + right
-        weights[list(given).index(above)] = right / precision
-    if below >= 0:
-        weights[list(given).index(below)] = left / precision
-    stops = tuple(stop for stop in system.stops if stop.index == mass)
-    return Conditional(mass, precision, weights, stops)
-
-
-def conditionals(system: System, masses: Sequence[int]) -> tuple[Conditional, ...]:
-    """Return the law of each displacement given those before it: Π √a_k² is det K_red."""
-    return tuple(conditional(system, mass, masses[:k]) for k, mass in enumerate(masses))
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +105,7 @@ class HiddenIntegral:
         parts = [bottom[:, None]]
         parts += [bottom[:, None] + (end - bottom)[:, None] * steps for end in ends]
         for stop in law.stops:
-            layers = _sign(stop) * (stop.clearance + overlaps(stop, T, self.end))
+            layers = side_sign(stop) * (stop.clearance + overlaps(stop, T, self.end))
             parts.append(np.clip(layers, low, high))
         parts.append(np.clip(following.layers(shift, float(np.max(most))), low, high))
         return np.sort(np.hstack(parts), axis=1)
@@ -248,7 +190,7 @@ class _Following:
         count = max(ceil(log2(max(share * reach / width, 1.0))), 0) + 2
         steps = width * 2.0 ** (np.arange(count) - 1.0)
         around = np.concatenate([-steps[::-1], [0.0], steps])
-        touch = np.array([_sign(stop) * stop.clearance for stop in self.next.stops])
+        touch = np.array([side_sign(stop) * stop.clearance for stop in self.next.stops])
         where = (touch[:, None] + around).ravel()
         return np.asarray((where - shift[:, None]) / share)
 
@@ -258,17 +200,3 @@ def overlaps(stop: Contact, temperature: float, end: float) -> Array:
     top = max(end / temperature, DEPTH)
     levels = [*LEVELS, *RISE ** np.arange(1.0, ceil(np.log(top) / np.log(RISE)) + 1.0)]
     return np.array([0.0, *(overlap_at(stop, level * temperature) for level in levels)])
-
-
-def overlap_at(stop: Contact, energy: float) -> float:
-    """Return the overlap of one stop at a contact energy > 0."""
-    most = 1.0
-    while stop.energy(most) < energy:
-        most *= 2.0
-    while stop.energy(0.5 * most) > energy:
-        most *= 0.5
-    return float(brentq(lambda x: stop.energy(x) / energy - 1.0, 0.0, most, xtol=1e-12 * most))
-
-
-def _sign(stop: Contact) -> float:
-    return 1.0 if stop.side == "right" else -1.0

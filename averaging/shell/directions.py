@@ -4,13 +4,12 @@ from math import pi
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize.elementwise import find_root
 
 from averaging.shell.reduced import ReducedPotential
 from fpk.quadrature import gauss_legendre
 
 Array = NDArray[np.float64]
-
-BISECTIONS = 60
 
 
 def line_rule(potential: ReducedPotential) -> tuple[tuple[float, ...], float]:
@@ -74,28 +73,24 @@ def _line_crossings(
     size = np.linalg.norm(row)
     foot = clearance * row / size**2
     along = np.array([-row[1], row[0]]) / size
+    # V is convex along the line; the springs alone reach H at |t| <= bound.
     bound = np.sqrt(2.0 * energy)
 
-    def value(t: Array) -> Array:
-        return potential(foot + t[:, None] * along)
+    def points(t: Array) -> Array:
+        return np.asarray(foot + t[:, None] * along)
 
-    # V is convex along the line: the sign of a central difference brackets its minimum, and one
-    # root lies on either side of it (the springs alone reach H at |t| <= bound).
-    low, high = -bound, bound.copy()
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        step = 1e-6 * bound
-        rising = value(middle + step) > value(middle - step)
-        low, high = np.where(rising, low, middle), np.where(rising, middle, high)
-    lowest = 0.5 * (low + high)
+    lowest = find_root(lambda t: potential.slope(points(t), along), (-bound, bound)).x
+    inside = potential(points(lowest)) < energy
     angles = []
     for end in (bound, -bound):
-        inside, outside = lowest, end
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (inside + outside)
-            below = value(middle) < energy
-            inside, outside = np.where(below, middle, inside), np.where(below, outside, middle)
-        point = foot + inside[:, None] * along
-        angle = np.arctan2(point[:, 1], point[:, 0])
-        angles.append(np.where(value(lowest) < energy, angle, 0.0))
+        angle = np.zeros(energy.size)
+        if inside.any():
+            t = find_root(
+                lambda t, energy: potential(points(t)) - energy,
+                (lowest[inside], end[inside]),
+                args=(energy[inside],),
+            ).x
+            point = points(t)
+            angle[inside] = np.arctan2(point[:, 1], point[:, 0])
+        angles.append(angle)
     return angles

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from math import lgamma
 
 import numpy as np
@@ -54,7 +54,6 @@ class TermPower:
         return np.sum(g * powers, axis=1), np.sum(error * powers, axis=1)
 
 
-@lru_cache(maxsize=16)
 def term_power(system: System) -> TermPower:
     """Return the averaged power of the damping terms of ``system``, Eq. (10) for c_ij(q, v).
 
@@ -63,6 +62,10 @@ def term_power(system: System) -> TermPower:
     two rules agree. V and the polynomial look the same at −y where ``ReducedPotential.mirror``
     holds, as terms of odd degree end it.
     """
+    return system.fact(_term_power)
+
+
+def _term_power(system: System) -> TermPower:
     shell = energy_shell(system)
     potential = shell.potential
     polynomials = power_polynomials(system, potential)

@@ -7,6 +7,7 @@ from math import exp, lgamma, pi
 import numpy as np
 from numpy.typing import NDArray
 
+from averaging.conditional import bridge_covariance, conditional
 from averaging.shell.reduced import ReducedPotential
 from fpk.damping import DampingTerm
 from fpk.moments import gaussian_moment
@@ -89,11 +90,11 @@ def _averaged(
         return {}
     kept = list(potential.masses)
     free = [i for i in range(n) if i not in kept]
-    K = system.stiffness_matrix
-    covariance: Array = np.asarray(np.linalg.inv(K[np.ix_(free, free)]), dtype=float)
+    covariance = bridge_covariance(system, free, kept)
     follow = np.zeros((n, c))
     follow[kept] = potential.L
-    follow[free] = -covariance @ K[np.ix_(free, kept)] @ potential.L
+    for i in free:
+        follow[i] = conditional(system, i, kept).weights @ potential.L
     polynomial: Polynomial = {(0,) * (c + len(free)): 1.0}
     for mass, power in enumerate(term.powers("q", n)):
         one = {_unit(k, c + len(free)): float(x) for k, x in enumerate(follow[mass]) if x != 0.0}

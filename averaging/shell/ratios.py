@@ -7,7 +7,7 @@ well scaled for any number of masses, and they are exactly 1 below the energy wh
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from math import pi
 
 import numpy as np
@@ -57,12 +57,15 @@ class ShellRatios:
     slope_error: Array
 
 
-@lru_cache(maxsize=16)
 def energy_shell(system: System) -> EnergyShell:
-    """Return the shells of ``system``, the same ones each time: they remember what they integrated.
+    """Return the shells of ``system``, held by the system: they remember what they integrated.
 
     One contact mass is cheap and evaluated afresh; more are kept as piecewise polynomials.
     """
+    return system.fact(_energy_shell)
+
+
+def _energy_shell(system: System) -> EnergyShell:
     potential = reduced_potential(system)
     energies = contact_energies(potential)
     if not potential.count:

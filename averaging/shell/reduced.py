@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from averaging.conditional import conditionals
 from fpk.contact import Contact
 from fpk.effects import looks_the_same_mirrored
 from fpk.system import System
@@ -39,31 +40,30 @@ class ReducedPotential:
             value = value + stop.energy(np.maximum(y @ row - clearance, 0.0))
         return value
 
+    def slope(self, y: Array, direction: Array) -> Array:
+        """Derivative of V_red along ``direction`` (c,) at whitened coordinates (..., c)."""
+        slope: Array = y @ direction
+        for stop, row, clearance in zip(self.stops, self.rows, self.clearance, strict=True):
+            overlap = np.maximum(y @ row - clearance, 0.0)
+            slope = slope + (row @ direction) * stop.force(overlap)
+        return slope
+
     @property
     def count(self) -> int:
         """Number of masses kept, c."""
         return len(self.masses)
 
 
-def compliance_matrix(system: System) -> Array:
-    """Return K⁻¹ of the chain: masses i, j share the springs up to the nearer of them."""
-    chain = np.cumsum(1.0 / system.stiffness)
-    i = np.arange(system.n)
-    shared: Array = chain[np.minimum(i[:, None], i)]
-    return shared
-
-
 def reduced_potential(system: System, *extra: int) -> ReducedPotential:
     """Return the potential over the contact masses and the ``extra`` ones (from 0), ascending.
 
-    The Schur complement is not formed: its inverse is the block of K⁻¹ that belongs to the masses
-    kept, which for a chain is a sum of positive terms, exact to round-off at any stiffness ratio.
+    Integrating masses out of a chain leaves a chain: each mass that stays hangs on the one before
+    it by the springs between them in series. In the extensions of these springs, times the root of
+    their stiffness, ½ qᵀ K_red q is ½|y|², and nothing cancels at any ratio of the springs.
     """
     masses = tuple(sorted({*system.contact_masses, *extra}))
-    compliance = compliance_matrix(system)[list(masses)][:, list(masses)]
-    L: Array = np.zeros((0, 0))
-    if masses:
-        L = np.asarray(np.linalg.cholesky(compliance), dtype=float)
+    stiffness = [law.precision for law in conditionals(system, masses)]
+    L: Array = np.tril(np.ones((len(masses), len(masses)))) / np.sqrt(stiffness)
     stops = system.stops
     signs = np.array([1.0 if stop.side == "right" else -1.0 for stop in stops])
     rows = np.array([L[masses.index(stop.index)] for stop in stops]).reshape(

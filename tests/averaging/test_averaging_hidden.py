@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from averaging_systems import TWO_MASSES, chain, exact_system
 
+from averaging.conditional import bridge_covariance, conditionals, overlap_at
 from averaging.energy_density import averaged_closed_form
 from averaging.energy_process import energy_process
 from averaging.exact import Exact
-from averaging.hidden import HiddenIntegral, conditionals, overlap_at
+from averaging.hidden import HiddenIntegral
 from averaging.nonintegrable import NonIntegrable
 from averaging.zero_flux import flux_residual
 from fpk.contact import Contact
@@ -166,3 +167,24 @@ def test_the_residual_of_a_closed_form_sees_a_wrong_temperature():
         return np.log(right.energy_pdf(energy)) - 1e-9 * energy
 
     assert 1e-11 < flux_residual(process, right.nodes, wrong) < 1e-8
+
+
+def test_one_mass_that_touches_from_rest():
+    # T ~ 1 + c H^(1/4) without clearance: 2s/σ² − 1/H ~ H^(−3/4), which shows at q = 0.
+    system = System([1.0], [1.0], [0.1], [0.05], contacts=(Contact(1, "both", 10.0, 0.0),))
+    q = np.array([0.0, 1e-6, 1e-3, 0.3])
+    (exact,) = solved(Exact(), system, "q1")
+    for solver in ("fem", "quadrature", "closed-form"):
+        (density,) = solved(NonIntegrable(solver), system, "q1")
+        value, error = density.at(q)
+        assert np.all(np.abs(value - exact(q)) <= error + exact.at(q)[1])
+
+
+def test_what_lies_between_given_masses_is_a_bridge():
+    system = System([1.0] * 5, [1.0, 3.0, 2.0, 5.0, 0.5], [0.1] * 5, [0.1] * 5)
+    for given in ([], [2], [1, 3], [0, 4]):
+        free = [i for i in range(5) if i not in given]
+        K = system.stiffness_matrix[np.ix_(free, free)]
+        np.testing.assert_allclose(
+            bridge_covariance(system, free, given), np.linalg.inv(K), rtol=1e-12, atol=1e-14
+        )
