@@ -1,4 +1,4 @@
-"""Static condensation of tensor elements, and the null vector of what is left."""
+"""Static condensation of tensor elements, and the null vector of the condensed system."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -9,15 +9,16 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import splu
 
-from fpk.plane.merging import Plan, plan_of, solve_by_merging
-
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-LEAST_MERGED = 4
-"""Degree from which on elements are merged: below, there is little work in much bookkeeping."""
-MOST_MERGED = 1024
-"""Elements up to which they are."""
+DENSE = 200
+"""Most unknowns of a system that is solved as a dense one: below, LAPACK is faster than SuperLU."""
+PIVOT = 0.01
+"""Least diagonal pivot relative to its column: lower than 1 keeps the symmetric ordering; the
+residual is measured on every solution."""
+DWARFED = 1e-3
+"""Least size of the unknown set to 1 relative to the largest: smaller costs as many digits."""
 
 
 @lru_cache
@@ -29,30 +30,21 @@ def local_order(degree: int) -> tuple[Integers, int]:
     return np.argsort(inside, kind="stable"), int(np.count_nonzero(~inside))
 
 
-def axis_numbers(elements: int, degree: int) -> Integers:
-    """Global numbers (elements, degree + 1) of the shape functions of one axis: vertices first."""
-    vertex = np.arange(elements)[:, None] + np.array([0, 1])
-    bubbles = elements + 1 + np.arange(elements * (degree - 1)).reshape(elements, degree - 1)
-    return np.hstack([vertex, bubbles])
-
-
 class Skeleton(NamedTuple):
-    """The unknowns on the boundaries of elements, and how to merge these.
+    """Unknowns on the boundaries of elements, counted from 0 to ``size``.
 
-    ``numbers`` (elements, boundary unknowns of one) counts them globally from 0 to ``size``,
-    ``vertices`` lists those of all vertices.
+    ``numbers`` (elements, boundary unknowns of one); ``vertices`` those of all vertices.
     """
 
     numbers: Integers
     size: int
     vertices: Integers
-    plan: Plan | None
 
 
 @lru_cache(maxsize=32)
 def skeleton(counts: tuple[int, int], degree: int) -> Skeleton:
     """Return the skeleton of a mesh of ``counts`` elements along each axis."""
-    first, second = (axis_numbers(count, degree) for count in counts)
+    first, second = (_axis_numbers(count, degree) for count in counts)
     width = counts[1] * degree + 1
     flat = first[:, None, :, None] * width + second[None, :, None, :]
     order, boundary = local_order(degree)
@@ -61,9 +53,14 @@ def skeleton(counts: tuple[int, int], degree: int) -> Skeleton:
     )
     vertices = (np.arange(counts[0] + 1)[:, None] * width + np.arange(counts[1] + 1)).ravel()
     numbers = numbers.reshape(counts[0] * counts[1], -1)
-    merging = degree >= LEAST_MERGED and len(numbers) <= MOST_MERGED
-    plan = plan_of(numbers, counts) if merging else None
-    return Skeleton(numbers, used.size, np.searchsorted(used, vertices), plan)
+    return Skeleton(numbers, used.size, np.searchsorted(used, vertices))
+
+
+def _axis_numbers(elements: int, degree: int) -> Integers:
+    """Global numbers (elements, degree + 1) of the shape functions of one axis: vertices first."""
+    vertex = np.arange(elements)[:, None] + np.array([0, 1])
+    bubbles = elements + 1 + np.arange(elements * (degree - 1)).reshape(elements, degree - 1)
+    return np.hstack([vertex, bubbles])
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,10 +78,8 @@ def null_vector(matrices: Array, masses: Array, counts: tuple[int, int], degree:
     """Return the null vector of the assembled element ``matrices``, scaled by ``masses``.
 
     ``masses`` (elements, m) are the integrals of the shape functions; these and the matrices come
-    in ``local_order``, coefficients are returned in that of their products. The bubbles of every
-    element are eliminated; of the skeleton's equations one vertex's is redundant (the vertex
-    functions of all sum to one) and gives way to the mass. Raises ``LinAlgError`` where the rest is
-    singular.
+    in ``local_order``, coefficients are returned in that of their products. The unknowns inside
+    every element are eliminated first. Raises ``LinAlgError`` where the rest is singular.
     """
     order, n = local_order(degree)
     outer, mass = matrices[:, :n, :n], masses[:, :n]
@@ -94,29 +89,54 @@ def null_vector(matrices: Array, masses: Array, counts: tuple[int, int], degree:
         outer = np.asarray(outer + matrices[:, :n, n:] @ fold)
         mass = np.asarray(mass + (masses[:, None, n:] @ fold)[:, 0])
     edges = skeleton(counts, degree)
-    if edges.plan is None:
-        local = _solve(outer, mass, edges)[edges.numbers]
-    else:
-        local = solve_by_merging(outer, mass, edges.plan, edges.vertices)
+    local = _solve(outer, edges)[edges.numbers]
+    local = local / np.sum(mass * local)
     coefficients = np.empty(masses.shape)
     coefficients[:, order[:n]] = local
     coefficients[:, order[n:]] = (fold @ local[:, :, None])[:, :, 0]
     return NullVector(coefficients, _residual(outer, local[:, :, None], edges))
 
 
-def _solve(outer: Array, mass: Array, edges: Skeleton) -> Array:
-    numbers, size, row = edges.numbers, edges.size, int(edges.vertices[0])
-    right = np.zeros(size)
-    right[row] = 1.0
-    weights = np.bincount(numbers.ravel(), mass.ravel(), minlength=size)
+def _solve(outer: Array, edges: Skeleton) -> Array:
+    """The null vector up to a factor: one vertex is set to 1 and its equation left out.
+
+    The vertex functions sum to one, so that their equations add up to 0 = 0 and each is redundant.
+    Solved again with the largest vertex set to 1 where the first one turns out too small.
+    """
+    numbers, size = edges.numbers, edges.size
     rows = np.repeat(numbers, numbers.shape[1], axis=1).ravel()
     columns = np.tile(numbers, (1, numbers.shape[1])).ravel()
-    keep = rows != row
-    data = np.concatenate([outer.ravel()[keep], weights])
-    rows = np.concatenate([rows[keep], np.full(size, row)])
-    columns = np.concatenate([columns[keep], np.arange(size)])
-    matrix = coo_array((data, (rows, columns)), shape=(size, size)).tocsc()
-    return np.asarray(splu(matrix, permc_spec="COLAMD").solve(right))
+    if size <= DENSE:
+        flat = np.bincount(rows * size + columns, outer.ravel(), minlength=size * size)
+        matrix = flat.reshape(size, size)
+    else:
+        matrix = coo_array((outer.ravel(), (rows, columns)), shape=(size, size)).tocsc()
+    vertex = int(edges.vertices[0])
+    for _ in range(2):
+        rest = np.delete(np.arange(size), vertex)
+        x = np.ones(size)
+        if size <= DENSE:
+            x[rest] = np.linalg.solve(matrix[np.ix_(rest, rest)], -matrix[rest, vertex])
+        else:
+            x[rest] = _sparse_solve(matrix[rest], rest, vertex)
+        vertex = int(edges.vertices[np.argmax(np.abs(x[edges.vertices]))])
+        if np.abs(x[vertex]) * DWARFED <= 1.0:
+            break
+    return x
+
+
+def _sparse_solve(matrix: Array, rest: Integers, vertex: int) -> Array:
+    right = -matrix[:, [vertex]].toarray()[:, 0]
+    try:
+        factors = splu(
+            matrix[:, rest].tocsc(),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=PIVOT,
+            options={"SymmetricMode": True},
+        )
+    except RuntimeError as error:  # what SuperLU raises for a singular matrix
+        raise np.linalg.LinAlgError(str(error)) from None
+    return np.asarray(factors.solve(right))
 
 
 def _residual(outer: Array, local: Array, edges: Skeleton) -> float:

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from fpk.line.elements import gauss_rule, shapes_at_gauss
 from fpk.plane.condensation import local_order
+from fpk.plane.mesh import Nodes
+from fpk.plane.weight import Weight
 from fpk.process import Process
 
 Array = NDArray[np.float64]
@@ -20,9 +22,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PlaneCoefficients:
-    """Coefficients at the Gauss points of all elements, each (elements, points, points).
+    """``J_i = a_i u − ½ b_ij ∂_j u`` at the Gauss points of all elements.
 
-    ``a1``, ``a2`` are s_i − ½ ∂_j b_ij; the points run along H1 first, then along H2.
+    Each (elements, points, points), the points along H1 first.
     """
 
     a1: Array
@@ -32,45 +34,49 @@ class PlaneCoefficients:
     b22: Array
 
 
-def gauss_energies(nodes: tuple[Array, Array], rule: int) -> tuple[Array, Array]:
+def gauss_energies(nodes: Nodes, rule: int) -> tuple[Array, Array]:
     """Return the Gauss energies of the elements along each axis, (elements, points) each."""
     t, _ = gauss_rule(rule)
     first, second = (x[:-1, None] + np.diff(x)[:, None] * t for x in nodes)
     return first, second
 
 
-def coefficients_at(process: Process, nodes: tuple[Array, Array], rule: int) -> PlaneCoefficients:
-    """Evaluate the process at the Gauss points; elements run along H2 fastest."""
-    first, second = gauss_energies(nodes, rule)
-    shape = (first.shape[0], second.shape[0], first.shape[1], second.shape[1])
-    H1 = np.broadcast_to(first[:, None, :, None], shape)
-    H2 = np.broadcast_to(second[None, :, None, :], shape)
-    points = np.stack([H1.ravel(), H2.ravel()], axis=1)
-    c = process.coefficients(points)
-    a, b = c.drift - 0.5 * c.divergence, c.diffusion
-    grid = (-1, first.shape[1], second.shape[1])
-    return PlaneCoefficients(
-        a[:, 0].reshape(grid),
-        a[:, 1].reshape(grid),
-        b[:, 0, 0].reshape(grid),
-        b[:, 0, 1].reshape(grid),
-        b[:, 1, 1].reshape(grid),
-    )
+def by_element(values: Array, first: int, second: int) -> Array:
+    """Return values on the grid of the Gauss energies of (first, second) elements by element.
 
-
-def weighted(c: PlaneCoefficients, w: Array, slopes: tuple[Array, Array]) -> PlaneCoefficients:
-    """Return the coefficients of u in p = w u, w = exp(−Φ), from Φ's slopes at the same points.
-
-    ``J_i = w (a_i + ½ b_ij ∂_j Φ) u − ½ w b_ij ∂_j u``.
+    (points of all elements along H1, along H2) becomes (elements, points, points), the elements
+    running along H2 fastest.
     """
-    first, second = slopes
-    return PlaneCoefficients(
-        w * (c.a1 + 0.5 * (c.b11 * first + c.b12 * second)),
-        w * (c.a2 + 0.5 * (c.b12 * first + c.b22 * second)),
-        w * c.b11,
-        w * c.b12,
-        w * c.b22,
-    )
+    blocks = values.reshape(first, len(values) // first, second, -1).transpose(0, 2, 1, 3)
+    return np.asarray(blocks.reshape(first * second, *blocks.shape[2:]))
+
+
+def coefficients_at(
+    process: Process, nodes: Nodes, rule: int, weight: Weight | None
+) -> tuple[PlaneCoefficients, Array]:
+    """Return the coefficients of the equation for u, and w, at the Gauss points of ``rule``.
+
+    With p = w u, w = exp(−Φ), the flux is ``J_i = w (s_i − ½ ∂_j b_ij + ½ b_ij ∂_j Φ) u
+    − ½ w b_ij ∂_j u``; w = 1 without a ``weight``.
+    """
+    energies = gauss_energies(nodes, rule)
+    counts = len(energies[0]), len(energies[1])
+    H1, H2 = (H.ravel() for H in energies)
+    shape = H1.size, H2.size
+    points = np.empty((*shape, 2))
+    points[..., 0], points[..., 1] = H1[:, None], H2
+    c = process.coefficients(points.reshape(-1, 2))
+    drift = (c.drift - 0.5 * c.divergence).reshape(*shape, 2)
+    b = c.diffusion.reshape(*shape, 2, 2)
+    a1, a2, b11, b12, b22 = drift[..., 0], drift[..., 1], b[..., 0, 0], b[..., 0, 1], b[..., 1, 1]
+    w = np.ones(shape)
+    if weight is not None:
+        w, first, second = weight.on_grid(H1, H2)
+        a1 = w * (a1 + 0.5 * (b11 * first + b12 * second))
+        a2 = w * (a2 + 0.5 * (b12 * first + b22 * second))
+        b11, b12, b22 = w * b11, w * b12, w * b22
+    at_gauss = (by_element(x, *counts) for x in (a1, a2, b11, b12, b22))
+    return PlaneCoefficients(*at_gauss), by_element(w, *counts)
 
 
 @lru_cache
@@ -90,7 +96,7 @@ def _products(degree: int, rule: int) -> tuple[Array, Array, Array, Array]:
 
 @lru_cache
 def _places(degree: int) -> NDArray[np.int64]:
-    """Where the entries of an element matrix in ``local_order`` come in the sum factorisation.
+    """Positions of the entries of an element matrix in ``local_order`` in the sum factorisation.
 
     There rows are pairs (i, j) of test and trial functions along H1, columns those along H2.
     """

@@ -1,213 +1,243 @@
-"""The weight w = exp(−Φ) of p = w u: Φ a polynomial of both energies, fitted to −ln p.
+"""The weight w = exp(−Φ) of p = w u: Φ a polynomial of both energies, close to −ln p.
 
-Only how soon u is found depends on w, not what p is: the equation is solved for w u.
+Any weight gives the same p, as the equation is solved for w u; the closer w is to p, the fewer
+unknowns u takes, and the farther out p stays positive.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polygrid2d, polyval2d
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from fpk.errors import NotCertified
-from fpk.plane.mesh import PROBE, Probe
-from fpk.plane.polynomials import Grid, fits, grid_of, of_total_degree, powers_of, values_at
+from fpk.plane.probe import PROBE, Probe
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Powers = NDArray[np.int64]
 
-DEGREES = (1, 2, 3, 4, 5, 6)
-"""Total degrees of Φ that are tried: damping of even powers of q and v gives integers from 1 on."""
+DEGREES = range(1, 7)
+"""Total degrees of Φ. Damping of degree k in the energies gives k + 1 under detailed balance."""
 EXACT = 1e-12
-"""Misfit, relative to what is fitted, below which no higher degree is asked for."""
-BETTER = 0.5
-"""Share of the misfit that a higher degree must bring it down to: it is less safe farther out."""
+"""Relative misfit that is round-off: no higher degree is tried."""
+GAIN = 0.5
+"""Factor by which a higher degree must lower the misfit: high degrees extrapolate badly."""
 IMPORTANCE = 10.0
-"""Nats over which the importance of a place falls to 1/e: u is to be of order one far out too."""
-LEAST = 1e-4
-"""Least importance of a place."""
-PER_COEFFICIENT = 3
-"""Places that each coefficient of Φ is to rest on."""
-NATS_PER_DEGREE = 4.0
-"""Nats of ln p known that a degree of Φ above 2 is to rest on: it is continued far beyond them."""
-SEEN = 36.0
-"""Nats down to which the first guess of p is fitted: e^−36 = 2e-16."""
-UNIT_GRID = np.linspace(0.0, 1.0, 49)
+"""Rise of Φ over which a point's share in the sum of squares falls to 1/e: w matters most where p
+is large, but u = p/w should stay of order one far out, too."""
+LEAST_IMPORTANCE = 1e-4
+"""Share of points far out, so that no fit leaves them entirely free."""
+POINTS_PER_COEFFICIENT = 3
+"""Fewest points of a fit per coefficient, against interpolation of errors."""
+RISE_PER_DEGREE = 4.0
+"""Rise of −ln p that a fit must cover per degree beyond 2: Φ is extrapolated far beyond it."""
+DEPENDENT = 1e-13
+"""Norm of a column orthogonal to those before it, relative to its own, that is round-off."""
+PROBED = 36.0
+"""Rise of −ln p down to which a probe is fitted: e^−36 = 2e-16 of the largest density."""
+UNIT = np.linspace(0.0, 1.0, 49)
 REACH = 30.0
-"""Ends of the places that are looked at, in units of the fitted box; Φ has to rise as far."""
-LOOKED_AT = np.concatenate([UNIT_GRID, np.geomspace(1.04, REACH, 48)])
-OUTSIDE = np.maximum(LOOKED_AT[:, None], LOOKED_AT) > 1.0
+"""How far Φ must rise along every ray, in units of the fitted box."""
+RAYS = np.concatenate([UNIT, np.geomspace(1.04, REACH, 48)])
+"""Coordinates of the grid on which Φ is checked, in units of the fitted box."""
+OUTSIDE = np.maximum(RAYS[:, None], RAYS) > 1.0
 FLOOR = float(np.exp(-44.0))
-"""Added to w on elements, which span all of it: 8e-20 keeps their matrices regular, and u need only
-be above −1e5 there for p ≥ −1e-14."""
-NATS_PER_PANEL = 32.0
-"""Rise of Φ over a panel, N: m + k Gauss points integrate exp(−N t) times a product of two
-polynomials of degree k, if it is bounded by 1 and the worst there is, to Σ I_j(N/2), j ≥ 2m,
-against e^(N/2)/N: to 4e-14 for N = 32 and m = 18."""
+"""Added to w, so that no element matrix is singular: 8e-20, and u ≥ −1e5 there keeps
+p ≥ −1e-14 of its maximum."""
+
+
 EVEN = 10.0
-"""Nats that are shared out evenly on top, for places at which Φ does not change at all."""
+"""Rise of Φ spread evenly over the panels on top of its own, for where Φ hardly changes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Weight:
-    """w(H1, H2) = exp(−Φ), Φ = Σ ``coefficients``[i, j] (H1/``scales``[0])^i (H2/``scales``[1])^j.
+    """w = exp(−Φ) + ``floor``, Φ = Σ ``coefficients``[i, j] (H1/``scales``[0])^i (H2/``scales``[1])^j.
 
-    The least Φ on the grid that is looked at is 0.
+    The least Φ on the fitted box is 0.
     """
 
     coefficients: Array
     scales: tuple[float, float]
+    floor: float = FLOOR
 
     def exponent(self, H1: Array, H2: Array) -> Array:
         """Φ at energies that broadcast together."""
-        return values_at(self.coefficients, H1 / self.scales[0], H2 / self.scales[1])
+        return _values(self.coefficients, H1 / self.scales[0], H2 / self.scales[1])
+
+    def __call__(self, H1: Array, H2: Array) -> Array:
+        """w at energies that broadcast together."""
+        return np.asarray(np.exp(-self.exponent(H1, H2)) + self.floor)
 
     def on_grid(self, H1: Array, H2: Array) -> tuple[Array, Array, Array]:
-        """Φ and its two slopes on the grid (H1.size, H2.size)."""
+        """w and the slopes of −ln w along H1 and H2 on the grid (H1.size, H2.size)."""
         x, y = H1 / self.scales[0], H2 / self.scales[1]
-        grid = grid_of(x, y, len(self.coefficients) - 1)
-        first, second = grid.slopes(self.coefficients)
-        return grid.values(self.coefficients), first / self.scales[0], second / self.scales[1]
-
-    def floored(self, H1: Array, H2: Array) -> Array:
-        """w + ``FLOOR`` at energies that broadcast together."""
-        return np.asarray(np.exp(-self.exponent(H1, H2)) + FLOOR)
-
-    def floored_on_grid(self, H1: Array, H2: Array) -> tuple[Array, Array, Array]:
-        """w + ``FLOOR`` and the two slopes of its −ln on the grid (H1.size, H2.size)."""
-        phi, *slopes = self.on_grid(H1, H2)
-        w = np.exp(-phi)
-        first, second = (slope * (w / (w + FLOOR)) for slope in slopes)
-        return w + FLOOR, first, second
+        w = np.exp(-polygrid2d(x, y, self.coefficients))
+        share = w / (w + self.floor)
+        first, second = (
+            polygrid2d(x, y, polyder(self.coefficients, axis=axis)) * share / self.scales[axis]
+            for axis in (0, 1)
+        )
+        return w + self.floor, first, second
 
     def terms(self, H1: Array, H2: Array) -> Array:
-        """Sum of the sizes of the terms of Φ at energies that broadcast together."""
+        """Sum of the sizes of the terms of Φ, to which its round-off is relative."""
         sizes = np.abs(self.coefficients)
-        return values_at(sizes, np.abs(H1) / self.scales[0], np.abs(H2) / self.scales[1])
+        return _values(sizes, np.abs(H1) / self.scales[0], np.abs(H2) / self.scales[1])
 
-    def ends(self, nats: float) -> tuple[float, float]:
-        """Energies along each axis as far as w > exp(−``nats``).
+    def ends(self, rise: float) -> tuple[float, float]:
+        """Return the energies along each axis beyond which Φ > ``rise`` everywhere.
 
-        Raises ``NotCertified`` where w does not fall so far within ``REACH``.
+        Raises ``NotCertified`` where Φ does not rise so far within ``REACH``.
         """
-        phi = _looked_at(len(self.coefficients) - 1)[0].values(self.coefficients)
-        seen = phi < nats
-        if seen[-1].any() or seen[:, -1].any():
-            raise NotCertified(f"the weight falls by less than {nats:.0f} nats")
+        inside = polygrid2d(RAYS, RAYS, self.coefficients) < rise
+        if inside[-1].any() or inside[:, -1].any():
+            raise NotCertified(f"the weight falls by less than exp(−{rise:.0f})")
         first, second = (
-            float(LOOKED_AT[int(np.flatnonzero(seen.any(axis=1 - axis))[-1]) + 1]) * scale
+            float(RAYS[int(np.flatnonzero(inside.any(axis=1 - axis))[-1]) + 1]) * scale
             for axis, scale in enumerate(self.scales)
         )
         return first, second
 
-    def panels(self, nats: float) -> tuple[Array, Array]:
-        """Nodes along each axis, as far as w > exp(−``nats``), over which Φ changes alike.
+    def panels(self, rise: float, each: float) -> tuple[Array, Array]:
+        """Return nodes along each axis as far as Φ < ``rise``, Φ rising by ``each`` at most between.
 
-        Raises ``NotCertified`` where w does not fall so far within ``REACH``.
+        Raises ``NotCertified`` as ``ends``.
         """
-        grids = [end * UNIT_GRID for end in self.ends(nats)]
-        phi, *slopes = self.on_grid(*grids)
+        grids = [end * UNIT for end in self.ends(rise)]
+        x, y = (H / scale for H, scale in zip(grids, self.scales, strict=True))
+        inside = polygrid2d(x, y, self.coefficients) < rise
         nodes = []
-        for axis, (H, slope) in enumerate(zip(grids, slopes, strict=True)):
-            rate = np.where(phi < nats, np.abs(slope), 0.0).max(axis=1 - axis)
-            rate = rate + EVEN / H[-1]
-            rise = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * H[1])])
-            count = int(np.ceil(rise[-1] / NATS_PER_PANEL))
-            nodes.append(np.interp(np.linspace(0.0, rise[-1], count + 1), rise, H))
+        for axis, H in enumerate(grids):
+            slope = polygrid2d(x, y, polyder(self.coefficients, axis=axis)) / self.scales[axis]
+            rate = np.where(inside, np.abs(slope), 0.0).max(axis=1 - axis)
+            rate += EVEN / H[-1]
+            total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * H[1])])
+            places = np.linspace(0.0, total[-1], int(np.ceil(total[-1] / each)) + 1)
+            nodes.append(np.interp(places, total, H))
         return nodes[0], nodes[1]
 
 
 def flux_free_weight(probe: Probe, scales: tuple[float, ...]) -> Weight | None:
-    """Return w fitted to the slopes of the probe's guess of ln p, or None where none falls off.
+    """Return w fitted to the slopes of the probe, or None where no fit falls off.
 
     Where probability circulates b⁻¹ (2s − ∇·b) is no gradient, and Φ the nearest potential.
     """
-    depth = probe.log_density.max() - probe.log_density
-    seen = depth < SEEN
+    rise = probe.log_density.max() - probe.log_density
     last = [
-        max(int(np.flatnonzero(seen.any(axis=1 - axis))[-1]) + 1, len(DEGREES) + 1)
+        max(int(np.flatnonzero((rise < PROBED).any(axis=1 - axis))[-1]) + 1, len(DEGREES) + 1)
         for axis in (0, 1)
     ]
     first, second = (min(n, PROBE.size - 1) for n in last)
-    inside = (slice(1, first + 1), slice(1, second + 1))
-    ends = PROBE[first], PROBE[second]
-    grid = grid_of(PROBE[inside[0]] / ends[0], PROBE[inside[1]] / ends[1], DEGREES[-1])
-    wanted = [-slope[inside] * end for slope, end in zip(probe.slopes, ends, strict=True)]
-    root = _importance(depth[inside])
-    right = np.concatenate([(root * slope).ravel() for slope in wanted])
-
-    def columns() -> Iterable[tuple[NDArray[np.int64], Array]]:
-        for degree in DEGREES:
-            i, j = (powers := of_total_degree(degree)).T
-            along = root[..., None] * grid.dx[:, None, i] * grid.y[:, j]
-            across = root[..., None] * grid.x[:, None, i] * grid.dy[:, j]
-            yield powers, np.concatenate([along, across]).reshape(-1, i.size)
-
-    return _chosen(
-        fits(columns(), right), (ends[0] * scales[0], ends[1] * scales[1]), lambda _: OUTSIDE
+    # Every second point, the last one included, resolves ln p as well.
+    inside = slice(2 - first % 2, first + 1, 2), slice(2 - second % 2, second + 1, 2)
+    ends = float(PROBE[first]), float(PROBE[second])
+    x, y = PROBE[inside[0]] / ends[0], PROBE[inside[1]] / ends[1]
+    powers, root = _powers(DEGREES[-1])[1:], _importance(rise[inside])
+    i, j = powers.T
+    columns = [
+        root[..., None] * _monomials(x, i, slope=True)[:, None] * _monomials(y, j),
+        root[..., None] * _monomials(x, i)[:, None] * _monomials(y, j, slope=True),
+    ]
+    right = [-root * slope[inside] * end for slope, end in zip(probe.slopes, ends, strict=True)]
+    fits = _fits(
+        np.concatenate([part.reshape(-1, len(powers)) for part in columns]),
+        np.concatenate([part.ravel() for part in right]),
+        powers,
     )
+    return _chosen(fits, (ends[0] * scales[0], ends[1] * scales[1]), lambda _: OUTSIDE)
 
 
 def fitted_weight(
-    grid: tuple[Array, Array], log_p: Array, known: Flags, level: float
+    grid: tuple[Array, Array], log_p: Array, known: Flags, rise: float
 ) -> Weight | None:
     """Return w fitted to ``log_p`` where it is ``known`` on a grid, None where no fit falls off.
 
-    Beyond the grid, and where Φ exceeds ``level`` (nats below the largest p), Φ has to rise along
+    Beyond the grid, and where Φ exceeds ``rise``, how far ln p is known to fall, Φ must rise along
     every ray from the origin.
     """
     if not known.any():
         return None
     scales = float(grid[0][-1]), float(grid[1][-1])
-    at = np.nonzero(known)
-    X, Y = (
-        powers_of(H / end, DEGREES[-1])[0][place]
-        for H, end, place in zip(grid, scales, at, strict=True)
-    )
+    i, j = np.nonzero(known)
     target = log_p[known].max() - log_p[known]
-    root = _importance(target)
+    highest = max(
+        (
+            degree
+            for degree in DEGREES
+            if POINTS_PER_COEFFICIENT * (degree + 1) * (degree + 2) <= 2 * target.size
+            and degree <= max(2.0, rise / RISE_PER_DEGREE)
+        ),
+        default=0,
+    )
+    powers, root = _powers(highest), _importance(target)
+    first, second = powers.T
+    x, y = grid[0][i] / scales[0], grid[1][j] / scales[1]
+    columns = root[:, None] * _monomials(x, first) * _monomials(y, second)
+    return _chosen(
+        _fits(columns, root * target, powers), scales, lambda phi: OUTSIDE | (phi > rise)
+    )
 
-    def columns() -> Iterable[tuple[NDArray[np.int64], Array]]:
-        yield np.zeros((1, 2), np.int64), root[:, None]
-        for degree in DEGREES:
-            too_few = PER_COEFFICIENT * (degree + 1) * (degree + 2) > 2 * target.size
-            if too_few or degree > max(2.0, level / NATS_PER_DEGREE):
-                return
-            i, j = (powers := of_total_degree(degree)).T
-            yield powers, root[:, None] * X[:, i] * Y[:, j]
 
-    found = fits(columns(), root * target)
-    return _chosen(found, scales, lambda phi: OUTSIDE | (phi > level))
+def _values(coefficients: Array, x: Array, y: Array) -> Array:
+    if x.ndim == 2 and x.shape[1] == 1 and y.ndim == 1:
+        return np.asarray(polygrid2d(x[:, 0], y, coefficients))
+    return np.asarray(polyval2d(*np.broadcast_arrays(x, y), coefficients))
 
 
 @lru_cache
-def _looked_at(degree: int) -> tuple[Grid, Grid]:
-    """Powers at the places that are looked at, and in the box of the fit."""
-    return grid_of(LOOKED_AT, LOOKED_AT, degree), grid_of(UNIT_GRID, UNIT_GRID, degree)
+def _powers(degree: int) -> Powers:
+    """Pairs of powers up to a total degree, in its order, (coefficients, 2)."""
+    return np.array([(i, total - i) for total in range(degree + 1) for i in range(total + 1)])
 
 
-def _importance(depth: Array) -> Array:
-    return np.asarray(np.sqrt(np.exp(-depth / IMPORTANCE) + LEAST))
+def _monomials(x: Array, powers: Powers, *, slope: bool = False) -> Array:
+    """x^k or its slope k x^(k−1), (points, powers)."""
+    values = np.vander(x, int(powers.max(initial=0)) + 1, increasing=True)
+    return values[:, powers] if not slope else powers * values[:, np.maximum(powers - 1, 0)]
+
+
+def _fits(columns: Array, right: Array, powers: Powers) -> Iterator[tuple[Array, float]]:
+    """Yield the least-squares fit of ``right`` for each total degree, with its relative misfit.
+
+    ``columns`` belong to ``powers`` by rising degree, so that the leading blocks of one
+    triangular factor hold every fit. Ends where columns are linearly dependent.
+    """
+    R = np.linalg.qr(np.column_stack([columns, right]), mode="r")
+    total = powers.sum(axis=1)
+    dependent = np.abs(np.diag(R)) <= DEPENDENT * np.sqrt(np.sum(R**2, axis=0))
+    for degree in range(1, int(total[-1]) + 1):
+        n = int(np.count_nonzero(total <= degree))
+        if dependent[:n].any():
+            return
+        phi = np.zeros((degree + 1, degree + 1))
+        phi[powers[:n, 0], powers[:n, 1]] = solve_triangular(R[:n, :n], R[:n, -1])
+        yield phi, float(np.linalg.norm(R[n:, -1]) / np.linalg.norm(R[:, -1]))
+
+
+def _importance(rise: Array) -> Array:
+    return np.asarray(np.sqrt(np.exp(-rise / IMPORTANCE) + LEAST_IMPORTANCE))
 
 
 def _chosen(
-    found: Iterable[tuple[Array, float]],
+    fits: Iterator[tuple[Array, float]],
     scales: tuple[float, float],
     unknown: Callable[[Array], Flags],
 ) -> Weight | None:
     """The best of the fits that rise along every ray where the density is ``unknown``."""
     best, least = None, np.inf
-    for phi, misfit in found:
-        if misfit < BETTER * least:
-            looked_at, box = _looked_at(len(phi) - 1)
-            # Φ counts from its least value where it was fitted.
+    for phi, misfit in fits:
+        if misfit < GAIN * least:
             raised = phi.copy()
-            raised[0, 0] -= box.values(phi).min()
-            values = looked_at.values(raised)
+            raised[0, 0] -= polygrid2d(UNIT, UNIT, phi).min()
+            values = polygrid2d(RAYS, RAYS, raised)
+            # (i + j) Φ_ij are the coefficients of x ∂Φ/∂x + y ∂Φ/∂y, the slope along a ray.
             powers = np.arange(len(phi))
-            # i Φ_ij + j Φ_ij are the coefficients of x ∂Φ/∂x + y ∂Φ/∂y.
-            along = looked_at.values((powers[:, None] + powers) * raised)
+            along = polygrid2d(RAYS, RAYS, (powers[:, None] + powers) * raised)
             far = unknown(values)
             if np.all(along[far] > 0.0) and np.all(values[far] > 0.0):
                 best, least = Weight(raised, scales), misfit

@@ -1,0 +1,102 @@
+"""Probe of a process of two energies: the scales and the extent of its density, before any mesh."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpk.errors import NotCertified
+from fpk.process import Process
+
+Array = NDArray[np.float64]
+
+PROBE = np.concatenate([[0.0], np.logspace(-2.0, 3.0, 52)])
+"""Energies of a probe along each axis, in units of the process's scales; ten per decade resolve ln p
+of damping of any power of H."""
+AXIS = 1e-4
+"""Where the slopes at H_i = 0 are evaluated, in units of the scale: b is singular on the axis, and
+the slopes vary over energies of the order of the scale."""
+EXTENT = 40.0
+"""Least fall of ln p within a probe: e^−40 = 4e-18 is below round-off of the mass."""
+CLOSURE_POINTS = 8
+"""Gauss-Laguerre points of averages over the other energy: exact for coefficients of degree 15."""
+
+
+@dataclass(frozen=True, eq=False)
+class Probe:
+    """Approximate ln p and its slopes (2, …) on the grid of ``PROBE`` in units of the scales.
+
+    Meshes and weights start from it; the answer does not rest on it.
+    """
+
+    log_density: Array
+    slopes: Array
+
+    @property
+    def falls(self) -> bool:
+        """Whether p H1 H2, the density of the logarithms of the energies, falls by ``EXTENT``."""
+        log = np.log(np.maximum(PROBE, PROBE[1]))
+        log_mass = self.log_density + log[:, None] + log
+        edges = max(log_mass[-1].max(), log_mass[:, -1].max())
+        return bool(edges < log_mass.max() - EXTENT)
+
+
+def probed(process: Process) -> Probe:
+    """Return the density that zero flux everywhere would give, ∇ ln p = b⁻¹ (2s − ∇·b).
+
+    ln p is the mean of the integrals along two paths, first one energy, then the other: exact
+    under detailed balance, whatever the coupling. Where that does not fall off, the probability
+    circulates strongly; taken instead is the product of approximate marginals (``_closed``).
+
+    Raises ``NotCertified`` where the density does not fall off, or b is singular off the axes.
+    """
+    flow, b, shape = _coefficients(process, PROBE, PROBE)
+    determinant = b[:, 0, 0] * b[:, 1, 1] - b[:, 0, 1] ** 2
+    if not np.all(determinant > 0.0):
+        raise NotCertified("some combination of the two energies gets no noise")
+    scales = process.energy_scales
+    first = (b[:, 1, 1] * flow[:, 0] - b[:, 0, 1] * flow[:, 1]) * (scales[0] / determinant)
+    second = (b[:, 0, 0] * flow[:, 1] - b[:, 0, 1] * flow[:, 0]) * (scales[1] / determinant)
+    first, second = first.reshape(shape), second.reshape(shape)
+    along = _integral(first), _integral(second.T).T
+    paths = along[0][:, :1] + along[1] + along[1][:1] + along[0]
+    probe = Probe(0.5 * paths, np.stack([first, second]))
+    return probe if probe.falls else _closed(process)
+
+
+def _closed(process: Process) -> Probe:
+    """The product of marginals: drift and diffusion averaged over an exponential other energy."""
+    t, share = np.polynomial.laguerre.laggauss(CLOSURE_POINTS)
+    slopes = []
+    for axis in (0, 1):
+        flow, b, shape = _coefficients(process, *((PROBE, t) if axis == 0 else (t, PROBE)))
+        s, diffusion = flow[:, axis].reshape(shape), b[:, axis, axis].reshape(shape)
+        s, diffusion = (s, diffusion) if axis == 0 else (s.T, diffusion.T)
+        slope = (s @ share) / (diffusion @ share) * process.energy_scales[axis]
+        log_p = _integral(slope[:, None])[:, 0]
+        fallen = np.flatnonzero(np.maximum.accumulate(log_p) - log_p > 0.5 * EXTENT)
+        if not fallen.size:
+            raise NotCertified(f"the density does not fall off along H{axis + 1}")
+        # Farther out the closure is no approximation: continued with the mean slope up to there.
+        end = fallen[0]
+        top = int(np.argmax(log_p[:end]))
+        slope[end:] = (log_p[end] - log_p[top]) / (PROBE[end] - PROBE[top])
+        slopes.append(slope)
+    first, second = (_integral(slope[:, None]) for slope in slopes)
+    return Probe(first + second.T, np.stack(np.broadcast_arrays(slopes[0][:, None], slopes[1])))
+
+
+def _coefficients(
+    process: Process, first: Array, second: Array
+) -> tuple[Array, Array, tuple[int, int]]:
+    """2s − ∇·b (points, 2) and b (points, 2, 2) on a grid in units of the scales, and its shape."""
+    grid = np.meshgrid(np.maximum(first, AXIS), np.maximum(second, AXIS), indexing="ij")
+    points = np.stack([x.ravel() for x in grid], axis=1) * process.energy_scales
+    c = process.coefficients(points)
+    return 2.0 * c.drift - c.divergence, c.diffusion, (first.size, second.size)
+
+
+def _integral(slope: Array) -> Array:
+    """Trapezoidal ∫ from 0 along the first axis of the probe."""
+    steps = 0.5 * (slope[1:] + slope[:-1]) * np.diff(PROBE)[:, None]
+    return np.concatenate([np.zeros_like(slope[:1]), np.cumsum(steps, axis=0)])
