@@ -23,7 +23,6 @@ from report import machine, markdown_table
 from averaging.modal.analysis import modal_analysis
 from averaging.modal.process import modal_process, modes_process
 from cases.scene.scene import load_scene
-from fpk.plane.expansion import Expansion
 from fpk.plane.stationary import PlaneSolution, solve_plane
 from fpk.process import Process
 from fpk.quadrature import panel_rule
@@ -133,10 +132,10 @@ def measured_cases():
 
 
 def expanded(answer) -> str:
-    """Return what is a polynomial: u as a whole, u on each element, or p on each element."""
-    if isinstance(answer, Expansion):
-        return "u"
-    return "p, elements" if answer.weight is None else "u, elements"
+    """Return what is a polynomial: nothing where p = C w, else u or p on each of the panels."""
+    if answer.weight is None:
+        return "p"
+    return "u" if answer.degree else "–"
 
 
 def main() -> None:
@@ -191,8 +190,9 @@ def main() -> None:
         " closed form, of one-sided"
         f" coupling against the solution for the tolerance {TOLERANCES[-1]:.0e}. Least p: relative"
         " to the largest, 0 where none is negative; below −1e-14 nothing is certified. Expanded: in"
-        " p = w u, u as one polynomial of both energies or on each of a few elements, or p itself"
-        " on elements where no weight w gets there.\n\n" + markdown_table(header, rows)
+        " p = w u, u as a polynomial on each of few panels, or p itself on plain elements where no"
+        " weight w gets there; – where no probability flows and p = C w.\n\n"
+        + markdown_table(header, rows)
     )
     print(arguments.out.read_text())
 

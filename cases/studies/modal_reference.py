@@ -8,9 +8,9 @@ from cases.studies.answer import Answer
 from fpk.density import Array
 from fpk.errors import NotCertified
 from fpk.observable import Observable
-from fpk.plane.mesh import axis_nodes, probed
+from fpk.plane.mesh import axis_nodes
+from fpk.plane.probe import probed
 from fpk.plane.stationary import PlaneSolution, solve_plane
-from fpk.plane.tensor import TensorPolynomial
 from fpk.process import Process
 
 BEYOND = 1e-9
@@ -94,6 +94,5 @@ def graded(end: float, count: int, degree: int) -> Array:
 
 def of_plane(s: PlaneSolution) -> Answer:
     """Return a solution of two energies as an answer; plain elements are marked w = 1."""
-    plain = isinstance(s.answer, TensorPolynomial) and s.answer.weight is None
-    made = "w = 1" if plain else ""
+    made = "w = 1" if s.answer.weight is None else ""
     return Answer(s.nodes, s.density, s.l1_error, s.unknowns, made)

@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 from fpk.certificate import Measured, certify
 from fpk.errors import NotCertified
 from fpk.line.elements import gauss_rule
+from fpk.piecewise import PiecewiseTensor
 from fpk.plane.elements import gauss_energies
 from fpk.plane.mesh import Nodes
 from fpk.plane.on_mesh import gauss_weights, tails
 from fpk.plane.solution import PlaneSolution
-from fpk.plane.tensor import TensorPolynomial
 from fpk.plane.weight import Weight
+from fpk.plane.weighted import WeightedPolynomial
 from fpk.process import Process
 
 Array = NDArray[np.float64]
@@ -65,7 +66,7 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
         np.interp(np.arange(QUARTERS * (x.size - 1) + 1), QUARTERS * np.arange(x.size), x)
         for x in nodes
     )
-    answer = _constant((quarters[0], quarters[1]), weight, p.coefficients[0, 0, 0])
+    answer = _constant((quarters[0], quarters[1]), weight, 1.0 / float(np.sum(w * area)))
     tail = float(tails(p, RULE).sum())
     mass = float(np.sum(gauss_weights(nodes, RULE - 2) * p.at_gauss(RULE - 2)))
     terms = np.abs(flow) * w.reshape(-1, 1)
@@ -86,7 +87,7 @@ def _line_weights(nodes: Array) -> Array:
     return np.asarray(np.multiply.outer(np.diff(nodes), gauss_rule(RULE)[1]).ravel())
 
 
-def _constant(nodes: Nodes, weight: Weight, factor: float) -> TensorPolynomial:
+def _constant(nodes: Nodes, weight: Weight, factor: float) -> WeightedPolynomial:
     """p = factor · w on the panels between ``nodes``."""
-    panels = (nodes[0].size - 1) * (nodes[1].size - 1)
-    return TensorPolynomial(nodes, 1, np.full((panels, 2, 2), factor), weight)
+    panels = (nodes[0].size - 1, nodes[1].size - 1)
+    return WeightedPolynomial(PiecewiseTensor(nodes, np.full((*panels, 1, 1), factor)), weight)

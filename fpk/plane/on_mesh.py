@@ -9,8 +9,8 @@ from fpk.plane.condensation import local_order, null_vector
 from fpk.plane.elements import by_element, coefficients_at, element_matrices, gauss_energies
 from fpk.plane.mesh import Nodes
 from fpk.plane.solution import PlaneSolution, assessed, mass_beyond
-from fpk.plane.tensor import ROUND_OFF, TensorPolynomial
 from fpk.plane.weight import Weight
+from fpk.plane.weighted import ROUND_OFF, WeightedPolynomial
 from fpk.process import Process
 
 Array = NDArray[np.float64]
@@ -63,20 +63,14 @@ def solve_plane_on_mesh(
     )
 
 
-def element_sizes(nodes: Nodes) -> Array:
-    """Return the lengths of the elements along H1 and H2, (elements, 2)."""
-    first, second = np.meshgrid(np.diff(nodes[0]), np.diff(nodes[1]), indexing="ij")
-    return np.stack([first.ravel(), second.ravel()], axis=1)
-
-
 def gauss_weights(nodes: Nodes, rule: int) -> Array:
     """Return the quadrature weights (elements, points, points) that go with degree ``rule``."""
     _, w = gauss_rule(rule)
-    area = np.prod(element_sizes(nodes), axis=1)
-    return np.asarray(area[:, None, None] * np.multiply.outer(w, w))
+    area = np.multiply.outer(*(np.diff(x) for x in nodes))
+    return np.asarray(area.reshape(-1, 1, 1) * np.multiply.outer(w, w))
 
 
-def tails(p: TensorPolynomial, rule: int) -> Array:
+def tails(p: WeightedPolynomial, rule: int) -> Array:
     """Return estimates of the mass beyond each far edge, (2,)."""
     counts = (p.nodes[0].size - 1, p.nodes[1].size - 1)
     _, w = gauss_rule(rule)
@@ -91,9 +85,10 @@ def tails(p: TensorPolynomial, rule: int) -> Array:
 
 def _solved(
     process: Process, nodes: Nodes, degree: int, rule: int, weight: Weight | None
-) -> tuple[TensorPolynomial, float]:
+) -> tuple[WeightedPolynomial, float]:
     """The solution of mass 1 and its algebraic residual."""
-    sizes = element_sizes(nodes)
+    lengths = np.meshgrid(*(np.diff(x) for x in nodes), indexing="ij")
+    sizes = np.stack([h.ravel() for h in lengths], axis=1)
     coefficients, w = coefficients_at(process, nodes, rule, weight)
     matrices = element_matrices(coefficients, sizes, degree, rule)
     phi, _ = shapes_at_gauss(degree, rule)
@@ -104,6 +99,6 @@ def _solved(
     except np.linalg.LinAlgError:
         raise NotCertified("the stationary equation has no unique solution on this mesh") from None
     k = degree + 1
-    return TensorPolynomial(nodes, degree, null.coefficients.reshape(-1, k, k), weight), (
-        null.residual
-    )
+    return WeightedPolynomial.of_shapes(
+        nodes, null.coefficients.reshape(-1, k, k), weight
+    ), null.residual

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from fpk.certificate import NEGATIVE
 from fpk.errors import NotCertified
 from fpk.plane.mesh import Nodes, axis_nodes, bisected, lengthened
-from fpk.plane.on_mesh import ENRICHMENT, element_sizes, solve_plane_on_mesh, tails
+from fpk.plane.on_mesh import ENRICHMENT, solve_plane_on_mesh, tails
 from fpk.plane.probe import Probe
 from fpk.plane.solution import PlaneSolution
-from fpk.plane.tensor import TensorPolynomial
+from fpk.plane.weighted import WeightedPolynomial
 from fpk.process import Process
 
 Flags = NDArray[np.bool_]
@@ -89,14 +89,12 @@ def _affordable(nodes: Nodes, degree: int) -> bool:
     return bool(elements * (degree + ENRICHMENT + 1) ** 4 <= MAX_ENTRIES)
 
 
-def _too_coarse(p: TensorPolynomial) -> tuple[Flags, Flags]:
+def _too_coarse(p: WeightedPolynomial) -> tuple[Flags, Flags]:
     """Intervals whose highest modes hold too much, at least the worst one, or where p < 0."""
-    counts = (p.nodes[0].size - 1, p.nodes[1].size - 1)
-    area = np.prod(element_sizes(p.nodes), axis=1)
-    size = np.abs(p.coefficients) * area[:, None, None]
-    first = size[:, -2:, :].sum(axis=(1, 2)).reshape(counts).sum(axis=1)
-    second = size[:, :, -2:].sum(axis=(1, 2)).reshape(counts).sum(axis=0)
+    area = np.multiply.outer(*(np.diff(x) for x in p.nodes))
+    size = np.abs(p.u.coefficients) * area[:, :, None, None]
+    first, second = size[:, :, -2:].sum(axis=(1, 2, 3)), size[..., -2:].sum(axis=(0, 2, 3))
     limit = 0.1 * max(first.max(), second.max())
     values = p.at_gauss(p.degree)
-    negative = (values.min(axis=(1, 2)) < NEGATIVE * values.max()).reshape(counts)
+    negative = (values.min(axis=(1, 2)) < NEGATIVE * values.max()).reshape(area.shape)
     return (first > limit) | negative.any(axis=1), (second > limit) | negative.any(axis=0)

@@ -11,8 +11,8 @@ from fpk.process import Process
 Array = NDArray[np.float64]
 
 PROBE = np.concatenate([[0.0], np.logspace(-2.0, 3.0, 52)])
-"""Energies of a probe along each axis, in units of the process's scales; ten per decade resolve ln p
-of damping of any power of H."""
+"""Energies of a probe along each axis, in units of the process's scales; ten per decade resolve
+ln p of damping of any power of H."""
 AXIS = 1e-4
 """Where the slopes at H_i = 0 are evaluated, in units of the scale: b is singular on the axis, and
 the slopes vary over energies of the order of the scale."""

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fpk.certificate import Certificate, Measured, certify
 from fpk.plane.mesh import Nodes
-from fpk.plane.tensor import TensorPolynomial
+from fpk.plane.weighted import WeightedPolynomial
 from fpk.process import Process
 
 Array = NDArray[np.float64]
@@ -26,8 +26,8 @@ class PlaneSolution:
     """
 
     process: Process
-    answer: TensorPolynomial
-    enriched: TensorPolynomial
+    answer: WeightedPolynomial
+    enriched: WeightedPolynomial
     relative_error: float
     measured: Measured
     certificate: Certificate
@@ -73,8 +73,8 @@ def mass_beyond(H: Array, along: Array) -> float:
 
 def assessed(
     process: Process,
-    answer: TensorPolynomial,
-    enriched: TensorPolynomial,
+    answer: WeightedPolynomial,
+    enriched: WeightedPolynomial,
     values: tuple[Array, Array, Array],
     *,
     tol: float,
@@ -99,6 +99,4 @@ def assessed(
         residual=residual,
         tail_mass=tail,
     )
-    return PlaneSolution(
-        process, answer, enriched, relative, measured, certify(measured, tol=tol)
-    )
+    return PlaneSolution(process, answer, enriched, relative, measured, certify(measured, tol=tol))

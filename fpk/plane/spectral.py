@@ -28,7 +28,7 @@ DIGITS_PER_DEGREE = 0.7
 damping and mixtures of exponentials; (4/5)^(p+1) for an error of order p + 1 is 0.65 at p = 12."""
 COARSE = 1e-4
 """Error above which a better weight gains more than unknowns do: it is tried first, and the degree
-is raised by no more than ``COARSE_STEP``. The same holds where only the sign of p is wrong."""
+is raised by no more than ``COARSE_STEP``."""
 COARSE_STEP = 4
 BEYOND = 1e-3
 """Fraction of the tolerance that w falls to at the far edges."""
@@ -49,9 +49,7 @@ SAMPLES = 32
 """Points along each axis at which a weight is fitted."""
 
 
-def solve_with_weight(
-    process: Process, weight: Weight, *, tol: float
-) -> Iterator[PlaneSolution]:
+def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterator[PlaneSolution]:
     """Yield solutions on more and more unknowns, each with a better weight.
 
     The nodes are equidistant in √H, the amplitude: where one energy is large the other one's
@@ -80,8 +78,7 @@ def solve_with_weight(
             rise = beyond + LENGTHENING
         beyond = rise
         better = weight_of(solution)
-        again = solution.l1_error > COARSE or solution.l1_error <= tol
-        if not (halved and again and better is not None):
+        if not (halved and better is not None and solution.l1_error > COARSE):
             panels, degree = _finer(panels, degree, solution, tol)
         if better is not None and solution.l1_error < least:
             weight = better

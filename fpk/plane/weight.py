@@ -56,7 +56,7 @@ EVEN = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Weight:
-    """w = exp(−Φ) + ``floor``, Φ = Σ ``coefficients``[i, j] (H1/``scales``[0])^i (H2/``scales``[1])^j.
+    """w = exp(−Φ) + ``floor`` with Φ = Σ ``coefficients``[i, j] x^i y^j, x, y = H1, H2/``scales``.
 
     The least Φ on the fitted box is 0.
     """
@@ -104,7 +104,7 @@ class Weight:
         return first, second
 
     def panels(self, rise: float, each: float) -> tuple[Array, Array]:
-        """Return nodes along each axis as far as Φ < ``rise``, Φ rising by ``each`` at most between.
+        """Return nodes as far as Φ < ``rise``, between which it rises by ``each`` at the most.
 
         Raises ``NotCertified`` as ``ends``.
         """
@@ -144,12 +144,12 @@ def flux_free_weight(probe: Probe, scales: tuple[float, ...]) -> Weight | None:
         root[..., None] * _monomials(x, i)[:, None] * _monomials(y, j, slope=True),
     ]
     right = [-root * slope[inside] * end for slope, end in zip(probe.slopes, ends, strict=True)]
-    fits = _fits(
+    candidates = fits(
         np.concatenate([part.reshape(-1, len(powers)) for part in columns]),
         np.concatenate([part.ravel() for part in right]),
         powers,
     )
-    return _chosen(fits, (ends[0] * scales[0], ends[1] * scales[1]), lambda _: OUTSIDE)
+    return _chosen(candidates, (ends[0] * scales[0], ends[1] * scales[1]), lambda _: OUTSIDE)
 
 
 def fitted_weight(
@@ -178,9 +178,7 @@ def fitted_weight(
     first, second = powers.T
     x, y = grid[0][i] / scales[0], grid[1][j] / scales[1]
     columns = root[:, None] * _monomials(x, first) * _monomials(y, second)
-    return _chosen(
-        _fits(columns, root * target, powers), scales, lambda phi: OUTSIDE | (phi > rise)
-    )
+    return _chosen(fits(columns, root * target, powers), scales, lambda phi: OUTSIDE | (phi > rise))
 
 
 def _values(coefficients: Array, x: Array, y: Array) -> Array:
@@ -201,13 +199,13 @@ def _monomials(x: Array, powers: Powers, *, slope: bool = False) -> Array:
     return values[:, powers] if not slope else powers * values[:, np.maximum(powers - 1, 0)]
 
 
-def _fits(columns: Array, right: Array, powers: Powers) -> Iterator[tuple[Array, float]]:
+def fits(columns: Array, right: Array, powers: Powers) -> Iterator[tuple[Array, float]]:
     """Yield the least-squares fit of ``right`` for each total degree, with its relative misfit.
 
     ``columns`` belong to ``powers`` by rising degree, so that the leading blocks of one
     triangular factor hold every fit. Ends where columns are linearly dependent.
     """
-    R = np.linalg.qr(np.column_stack([columns, right]), mode="r")
+    R = np.asarray(np.linalg.qr(np.column_stack([columns, right]), mode="r"))
     total = powers.sum(axis=1)
     dependent = np.abs(np.diag(R)) <= DEPENDENT * np.sqrt(np.sum(R**2, axis=0))
     for degree in range(1, int(total[-1]) + 1):

@@ -1,0 +1,93 @@
+"""Coefficients, probe and fits of two energies against plain NumPy."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from test_fpk_plane import manufactured
+
+from fpk.errors import NotCertified
+from fpk.plane.elements import by_element, coefficients_at, gauss_energies
+from fpk.plane.probe import AXIS, PROBE, probed
+from fpk.plane.weight import Weight, fits
+from fpk.process import Process
+
+PROCESS, LOG_P = manufactured(0.4, 0.2)
+X, Y = np.linspace(0.1, 3.0, 7), np.linspace(0.2, 2.0, 5)
+WEIGHT = Weight(np.array([[0.0, 1.2, 0.1], [0.8, 0.2, 0.0], [0.05, 0.0, 0.0]]), (1.0, 2.0))
+
+
+def test_coefficients_at_gauss_points_are_those_of_their_formulas() -> None:
+    nodes = np.array([0.0, 0.7, 2.0]), np.array([0.0, 1.0, 1.5, 3.0])
+    c, w = coefficients_at(PROCESS, nodes, 3, WEIGHT)
+    first, second = gauss_energies(nodes, 3)
+    x, y = np.meshgrid(first, second, indexing="ij")
+    H = np.stack([x, y], axis=-1).reshape(-1, 2)
+    at = PROCESS.coefficients(H)
+    value, *slopes = WEIGHT.on_grid(first.ravel(), second.ravel())
+    slope = np.stack(slopes, axis=-1).reshape(-1, 2)
+    a = at.drift - 0.5 * at.divergence + 0.5 * np.einsum("nij,nj->ni", at.diffusion, slope)
+    b = at.diffusion
+    expected = (a[:, 0], a[:, 1], b[:, 0, 0], b[:, 0, 1], b[:, 1, 1])
+    for got, values in zip((c.a1, c.a2, c.b11, c.b12, c.b22), expected, strict=True):
+        values = values.reshape(value.shape) * value
+        assert_allclose(got, by_element(values, 2, 3), rtol=1e-12, atol=1e-15)
+    # Elements run along H2 fastest, the points of one along H1 first.
+    assert_allclose(w[1, 2, 4], WEIGHT(first[0, 2], second[1, 4]), rtol=1e-13)
+
+
+def test_slopes_without_flux_are_those_of_a_linear_system() -> None:
+    inside = np.maximum(PROBE, AXIS)
+    grid = np.stack(np.meshgrid(inside, inside, indexing="ij"), axis=-1).reshape(-1, 2)
+    process, _ = manufactured(0.4, 0.0)
+    scales = np.array(process.energy_scales)
+    c = process.coefficients(grid * scales)
+    flow = 2.0 * c.drift - c.divergence
+    expected = np.linalg.solve(c.diffusion, flow[..., None])[..., 0] * scales
+    slopes = probed(process).slopes.reshape(2, -1)
+    assert_allclose(slopes, expected.T, rtol=1e-9, atol=1e-12)
+
+
+def test_noise_that_leaves_a_combination_alone_is_refused() -> None:
+    def diffusion(H: np.ndarray) -> np.ndarray:
+        return np.asarray(2.0 * H[:, :, None] * H[:, None])
+
+    process = Process.of_functions(lambda H: 1.0 - H, diffusion, lambda H: 6.0 * H, (1.0, 1.0))
+    with pytest.raises(NotCertified, match="gets no noise"):
+        probed(process)
+
+
+def powers_to(degree: int) -> np.ndarray:
+    return np.array([(i, k - i) for k in range(degree + 1) for i in range(k + 1)])
+
+
+def test_fits_of_rising_degree_are_least_squares_fits() -> None:
+    target = -LOG_P(X[:, None], Y).ravel() + np.sin(3.0 * np.add.outer(X, Y)).ravel()
+    powers = powers_to(4)
+    x, y = (a.ravel() for a in np.broadcast_arrays(X[:, None], Y))
+    columns = x[:, None] ** powers[:, 0] * y[:, None] ** powers[:, 1]
+    fitted = list(fits(columns, target, powers))
+    assert len(fitted) == 4
+    for degree, (c, misfit) in enumerate(fitted, start=1):
+        matrix = columns[:, powers.sum(axis=1) <= degree]
+        best = matrix @ np.linalg.lstsq(matrix, target, rcond=None)[0]
+        values = np.polynomial.polynomial.polyval2d(x, y, c)
+        assert_allclose(values, best, rtol=0.0, atol=1e-9)
+        expected = np.linalg.norm(best - target) / np.linalg.norm(target)
+        assert_allclose(misfit, expected, rtol=1e-9)
+
+
+def test_fits_end_where_the_points_do_not_tell_columns_apart() -> None:
+    x = np.linspace(0.0, 1.0, 8)
+    columns = np.column_stack([np.ones(8), x, x, x**2, x**2, x**2])
+    assert not list(fits(columns, x, powers_to(2)))
+
+
+def test_a_weight_on_a_grid_is_that_at_its_points_and_its_slopes() -> None:
+    w, first, second = WEIGHT.on_grid(X, Y)
+    at, step = np.broadcast_arrays(X[:, None], Y), 1e-5
+    assert_allclose(w, WEIGHT(*at), rtol=1e-13)
+    for axis, slope in enumerate((first, second)):
+        near = [
+            -np.log(WEIGHT(at[0] + k * (axis == 0), at[1] + k * (axis == 1))) for k in (-step, step)
+        ]
+        assert_allclose(slope, (near[1] - near[0]) / (2.0 * step), rtol=1e-6, atol=1e-6)
