@@ -175,10 +175,10 @@ def modal_equation(system: System) -> Equation:
             Steered(
                 Integrable("fem").route,
                 lambda tol: of_plane(solve_plane(process, tol=tol)),
-                "p = w u with a positive weight w near p and one polynomial u; where probability"
-                " circulates much u is one on each of a few elements, and where no weight does"
-                " (levels marked w = 1) plain elements take over. With constant damping the first"
-                " weight is (34) itself, and nothing is left to expand.",
+                "p = w u with a positive weight w near p and u a polynomial of high degree on each"
+                " of few panels; where that does not reach the tolerance (levels marked w = 1)"
+                " plain elements take over. Where no probability flows, as with constant damping,"
+                " w itself is the density, (34).",
             ),
         ),
         coefficients=clock,

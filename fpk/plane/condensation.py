@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,6 @@ from scipy.sparse.linalg import splu
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-DENSE = 200
-"""Most unknowns of a system that is solved as a dense one: below, LAPACK is faster than SuperLU."""
 PIVOT = 0.01
 """Least diagonal pivot relative to its column: lower than 1 keeps the symmetric ordering; the
 residual is measured on every solution."""
@@ -106,26 +104,19 @@ def _solve(outer: Array, edges: Skeleton) -> Array:
     numbers, size = edges.numbers, edges.size
     rows = np.repeat(numbers, numbers.shape[1], axis=1).ravel()
     columns = np.tile(numbers, (1, numbers.shape[1])).ravel()
-    if size <= DENSE:
-        flat = np.bincount(rows * size + columns, outer.ravel(), minlength=size * size)
-        matrix = flat.reshape(size, size)
-    else:
-        matrix = coo_array((outer.ravel(), (rows, columns)), shape=(size, size)).tocsc()
+    matrix = coo_array((outer.ravel(), (rows, columns)), shape=(size, size)).tocsr()
     vertex = int(edges.vertices[0])
     for _ in range(2):
         rest = np.delete(np.arange(size), vertex)
         x = np.ones(size)
-        if size <= DENSE:
-            x[rest] = np.linalg.solve(matrix[np.ix_(rest, rest)], -matrix[rest, vertex])
-        else:
-            x[rest] = _sparse_solve(matrix[rest], rest, vertex)
+        x[rest] = _sparse_solve(matrix[rest], rest, vertex)
         vertex = int(edges.vertices[np.argmax(np.abs(x[edges.vertices]))])
         if np.abs(x[vertex]) * DWARFED <= 1.0:
             break
     return x
 
 
-def _sparse_solve(matrix: Array, rest: Integers, vertex: int) -> Array:
+def _sparse_solve(matrix: Any, rest: Integers, vertex: int) -> Array:
     right = -matrix[:, [vertex]].toarray()[:, 0]
     try:
         factors = splu(

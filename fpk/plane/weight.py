@@ -184,7 +184,8 @@ def fitted_weight(
 def _values(coefficients: Array, x: Array, y: Array) -> Array:
     if x.ndim == 2 and x.shape[1] == 1 and y.ndim == 1:
         return np.asarray(polygrid2d(x[:, 0], y, coefficients))
-    return np.asarray(polyval2d(*np.broadcast_arrays(x, y), coefficients))
+    first, second = np.broadcast_arrays(x, y)
+    return np.asarray(polyval2d(first, second, coefficients))
 
 
 @lru_cache
