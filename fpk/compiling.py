@@ -16,6 +16,9 @@ which would undo exact differences."""
 SUMS = FLAGS | {"reassoc"}
 """The same where nothing depends on the order of a sum: elimination is backward stable in any."""
 
+NO_FOLDER = "no locator available"
+"""What numba says where neither the folder of the source nor that of the user can be written."""
+
 _njit: Any = numba.njit
 
 
@@ -28,10 +31,12 @@ def kept(flags: set[str] = FLAGS) -> Callable[[Function], Function]:
     def decorated(function: Function) -> Function:
         options = {"fastmath": flags, "error_model": "numpy", "nogil": True}
         try:
-            found: Function = _njit(cache=True, **options)(function)
-        except RuntimeError:
-            found = _njit(**options)(function)
-        return found
+            cached: Function = _njit(cache=True, **options)(function)
+        except RuntimeError as error:
+            if NO_FOLDER not in str(error):
+                raise
+            return _njit(**options)(function)
+        return cached
 
     return decorated
 

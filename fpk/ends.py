@@ -126,8 +126,8 @@ def require_confined(process: Process) -> None:
     share = np.where(m == k + 1, turning[k] / (turning[k] - turning[m]), 0.5)
     leaving = np.flatnonzero(growth[k] + share * (growth[m] - growth[k]) > 0.0)
     if leaving.size:
-        H1, H2 = H[k[leaving[0]]]
+        at = k[leaving[0]]
         raise NotCertified(
-            "the density does not fall off: nothing brings the energies back from "
-            f"H1 = {H1:.3g}, H2 = {H2:.3g}"
+            f"the density does not fall off along H{1 if v[at, 0] > 0.0 else 2}: nothing brings "
+            f"the energies back from H1 = {H[at, 0]:.3g}, H2 = {H[at, 1]:.3g}"
         )

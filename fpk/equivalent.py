@@ -72,8 +72,7 @@ def _mean_power(system: System, term: DampingTerm) -> float:
     v[term.column] += 1
     q = term.powers("q", n)
     half = 0.5 * (sum(q) + int(v.sum()))
-    compliance: Array = np.asarray(np.linalg.inv(system.stiffness_matrix), dtype=float)
     velocities = gaussian_moment(np.diag(1.0 / system.mass), tuple(v))
-    displacements = gaussian_moment(compliance, q)
+    displacements = gaussian_moment(system.compliance, q)
     energies = exp(lgamma(n + half + term.energy) - lgamma(n + half))
     return term.coefficient * velocities * displacements * energies

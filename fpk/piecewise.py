@@ -60,7 +60,7 @@ class Piecewise:
 
     def derivative(self) -> "Piecewise":
         """Return f', panel by panel."""
-        slopes = legendre.legder(self.coefficients, axis=1)
+        slopes = np.asarray(legendre.legder(self.coefficients, axis=1), float)
         slopes /= _per_panel(0.5 * np.diff(self.nodes), slopes)
         return replace(self, coefficients=slopes, error=None)
 
@@ -71,7 +71,7 @@ class Piecewise:
             top = float(self.log_scale.max())
             scaled = scaled * _per_panel(np.exp(self.log_scale - top), scaled)
             log_scale = np.full(self.log_scale.size, top)
-        within = legendre.legint(scaled, axis=1, lbnd=-1)
+        within = np.asarray(legendre.legint(scaled, axis=1, lbnd=-1), float)
         within *= _per_panel(0.5 * np.diff(self.nodes), within)
         within[1:, 0] += np.cumsum(within.sum(axis=1), axis=0)[:-1]
         return replace(self, coefficients=within, log_scale=log_scale, error=None)
@@ -201,7 +201,7 @@ def _legendre_at(nodes: Array, x: Array, degree: int) -> tuple[Integers, Array]:
     """Panels of the points x, and all P_j there (points, degree + 1); beyond, those of the end."""
     k = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, nodes.size - 2)
     t = (2.0 * x - nodes[k] - nodes[k + 1]) / (nodes[k + 1] - nodes[k])
-    return k, legendre.legvander(np.clip(t, -1.0, 1.0), degree)
+    return k, np.asarray(legendre.legvander(np.clip(t, -1.0, 1.0), degree), float)
 
 
 def _last_two(lengths: Array, coefficients: Array) -> Array:

@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 from skfem import ElementLineP1, ElementLineP2, ElementLinePp
 
@@ -37,6 +38,14 @@ def gauss_rule(degree: int) -> tuple[Array, Array]:
     """Return the Gauss points and weights on [0, 1] that go with elements of ``degree``."""
     x, w = gauss_legendre(degree + 2)
     return 0.5 * (1.0 + x), 0.5 * w
+
+
+@lru_cache
+def in_legendre(degree: int) -> Array:
+    """Return the shape functions (degree + 1, degree + 1) as Legendre series on their interval."""
+    t, w = gauss_rule(degree)
+    series = shapes_at_gauss(degree, degree)[0] @ (w[:, None] * legvander(2.0 * t - 1.0, degree))
+    return np.asarray(series * (2.0 * np.arange(degree + 1) + 1.0))
 
 
 @lru_cache

@@ -15,7 +15,7 @@ from fpk.certificate import NEGATIVE, Certificate, Measured, certify
 from fpk.errors import NotCertified
 from fpk.line.assembly import SolvedElements, merged, solve_elements
 from fpk.line.chain import Assembled, Checks, assembled, checks
-from fpk.line.elements import Form, shape_functions
+from fpk.line.elements import Form, in_legendre
 from fpk.line.mesh import (
     DEEP_LAYERS,
     GRADED_LAYERS,
@@ -26,6 +26,7 @@ from fpk.line.mesh import (
     with_layers,
 )
 from fpk.line.rules import ENRICHMENT
+from fpk.piecewise import Piecewise
 from fpk.probe import Probe, probed
 from fpk.process import Process, log_density_slope_error
 from fpk.quadrature import panel_rule
@@ -51,8 +52,7 @@ cancel in it: some hundred roundings, stricter than what a certificate asks of a
 class StationarySolution:
     """Finite element density p(H) with its error estimate and certificate.
 
-    ``nodes`` (elements + 1,); ``coefficients_u`` (elements, degree + 1) of u, with p = u or p = T u
-    by ``form``, to be multiplied by exp(``log_scale``) (elements,); the enriched twin of both is
+    ``answer`` is u, with p = u or p = T u by ``form``, and ``enriched`` that of a higher degree,
     there for the pointwise error. ``measured`` is what ``certificate`` was made of, to the
     tolerance asked for: densities made of the solution are certified from it.
     """
@@ -60,11 +60,8 @@ class StationarySolution:
     process: Process
     form: Form
     degree: int
-    nodes: Array
-    coefficients_u: Array
-    log_scale: Array
-    enriched_u: Array
-    enriched_log_scale: Array
+    answer: Piecewise
+    enriched: Piecewise
     coefficient_error: float
     measured: Measured
     certificate: Certificate
@@ -73,6 +70,11 @@ class StationarySolution:
     def l1_error(self) -> float:
         """Estimate of ∫|p_h − p| on (0, ∞)."""
         return self.measured.l1_error
+
+    @property
+    def nodes(self) -> Array:
+        """Ends of the elements, (elements + 1,)."""
+        return self.answer.nodes
 
     @property
     def panels(self) -> Array:
@@ -86,7 +88,7 @@ class StationarySolution:
 
     def phase_space_density(self, energy: Array) -> Array:
         """p_h/T (up to the constant left out of ln T) at energies of any shape; 0 outside."""
-        return self._of_answer(energy, self._log_factor(energy, of_p=False))
+        return self.answer(energy, log_factor=self._log_factor(energy, of_p=False))
 
     def phase_space_error(self, energy: Array) -> Array:
         """Estimate of |p_h − p|/T at energies of any shape."""
@@ -94,20 +96,16 @@ class StationarySolution:
 
     def density(self, energy: Array) -> Array:
         """p_h at energies of any shape; 0 outside the mesh."""
-        return self._of_answer(energy, self._log_factor(energy, of_p=True))
+        return self.answer(energy, log_factor=self._log_factor(energy, of_p=True))
 
     def pointwise_error(self, energy: Array) -> Array:
         """Estimate of |p_h − p| at energies of any shape."""
         return self._error(energy, self._log_factor(energy, of_p=True))
 
-    def _of_answer(self, energy: Array, log_factor: Array) -> Array:
-        return self._expand(self.coefficients_u, self.log_scale, self.degree, energy, log_factor)
-
     def _error(self, energy: Array, log_factor: Array) -> Array:
         """Error of u: distance to the enriched solution and what shifts all of p alike."""
-        u = self._of_answer(energy, log_factor)
-        degree = self.degree + ENRICHMENT
-        better = self._expand(self.enriched_u, self.enriched_log_scale, degree, energy, log_factor)
+        u = self.answer(energy, log_factor=log_factor)
+        better = self.enriched(energy, log_factor=log_factor)
         floor = self.coefficient_error + self.measured.tail_mass + ROUND_OFF * self.nodes.size
         return np.asarray(SAFETY * np.abs(u - better) + floor * np.abs(u))
 
@@ -119,20 +117,6 @@ class StationarySolution:
         safe = np.clip(energy, np.finfo(float).tiny, self.nodes[-1])
         log_states = self.process.coefficients(safe.ravel()).log_density_of_states
         return np.asarray((log_states if of_p else -log_states).reshape(energy.shape))
-
-    def _expand(
-        self, u: Array, log_scale: Array, degree: int, energy: Array, log_factor: Array
-    ) -> Array:
-        x = np.asarray(energy, dtype=float).ravel()
-        if not x.size:
-            return np.zeros(np.shape(energy))
-        k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.nodes.size - 2)
-        t = (x - self.nodes[k]) / (self.nodes[k + 1] - self.nodes[k])
-        phi, _ = shape_functions(degree, np.clip(t, 0.0, 1.0))
-        # One factor: of many masses p/T overflows where T underflows.
-        value = np.einsum("jx,xj->x", phi, u[k]) * np.exp(log_scale[k] + log_factor.ravel())
-        inside = (x >= self.nodes[0]) & (x <= self.nodes[-1])
-        return np.where(inside, value, 0.0).reshape(np.shape(energy))
 
 
 def solve_stationary(
@@ -230,11 +214,10 @@ def _certified(
         process=process,
         form=form,
         degree=degree,
-        nodes=nodes,
-        coefficients_u=whole.u,
-        log_scale=whole.log_scale,
-        enriched_u=whole.twin,
-        enriched_log_scale=whole.twin_log_scale,
+        answer=Piecewise(nodes, whole.u @ in_legendre(degree), whole.log_scale),
+        enriched=Piecewise(
+            nodes, whole.twin @ in_legendre(degree + ENRICHMENT), whole.twin_log_scale
+        ),
         coefficient_error=coefficient_error + accumulated,
         measured=measured,
         certificate=certify(measured, tol=tol),
