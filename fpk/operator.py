@@ -47,9 +47,10 @@ class Operator:
     """``M ∂u/∂t = A u``: the FPK operator on elements of one ``degree`` between ``nodes``.
 
     ``nodes`` are one array for each energy. p = T u in the flux form, of one energy, for which the
-    process gives dissipation and density of states; p = u in the drift-diffusion form. Zero flux is natural at all ends; ``absorbing`` names energies (counted from 0) at whose
-    last node u = 0 instead: first passage. The backward operator is the transpose of A. ``points``
-    is the degree that the quadrature is exact for.
+    process gives dissipation and density of states; p = u in the drift-diffusion form. Zero flux is
+    natural at all ends; ``absorbing`` names energies (counted from 0) at whose last node u = 0
+    instead: first passage. The backward operator is the transpose of A. ``points`` is the degree
+    that the quadrature is exact for.
     """
 
     process: Process

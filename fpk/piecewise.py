@@ -56,7 +56,7 @@ class Piecewise:
         inside = (flat >= self.nodes[0]) & (flat <= self.nodes[-1])
         if not inside.all():
             value = np.where(inside.reshape(-1, *tail), value, self.outside)
-        return value.reshape((*at.shape, *value.shape[1:]))
+        return np.asarray(value.reshape((*at.shape, *value.shape[1:])))
 
     def derivative(self) -> "Piecewise":
         """Return f', panel by panel."""
