@@ -3,11 +3,11 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import RegularGridInterpolator
 from scipy.linalg import lstsq
 
 from fpk.certificate import Certificate, Measured, certify
@@ -247,9 +247,9 @@ class SampledDensity:
         where = np.stack([x.ravel() for x in arrays], axis=-1)
         # Half a bin at each end is extrapolated from the two last centres.
         table = np.moveaxis(np.concatenate([values[None], batches]), 0, -1)
-        found = RegularGridInterpolator(centres, table, bounds_error=False, fill_value=None)(where)
-        value = found[:, 0].reshape(inside.shape)
-        error = _standard_error(found[:, 1:].T).reshape(inside.shape)
+        interpolated = _linear(centres, table, where)
+        value = interpolated[:, 0].reshape(inside.shape)
+        error = _standard_error(interpolated[:, 1:].T).reshape(inside.shape)
         error = np.maximum(np.where(inside, error, 0.0), self.one_sample)
         return np.where(inside, value, 0.0), error
 
@@ -322,14 +322,31 @@ def _smoothed(values: Array) -> Array:
     window = 11
     if values.shape[-1] < 4 * window:
         return values
-    # The value at the middle of a fit to a unit at each bin (Savitzky and Golay).
-    powers = np.arange(window // 2, -(window // 2) - 1.0, -1.0) ** np.arange(3.0)[:, None]
+    half = window // 2
+    # Weights of least norm that leave 1 as it is and x, x² at zero (Savitzky-Golay).
+    powers = np.arange(half, -half - 1.0, -1.0) ** np.arange(3)[:, None]
     kernel = lstsq(powers, np.array([1.0, 0.0, 0.0]))[0]
     result = values.copy()
-    half = window // 2
     shifted = np.lib.stride_tricks.sliding_window_view(values, window, axis=-1)
     result[..., half:-half] = shifted @ kernel
     return result
+
+
+def _linear(nodes: tuple[Array, ...], table: Array, points: Array) -> Array:
+    """Values (points, n) between ``nodes`` of every axis, linear in each; ``table`` (*nodes, n)."""
+    cells, shares = [], []
+    for x, axis in zip(points.T, nodes, strict=True):
+        cell = np.clip(np.searchsorted(axis, x, side="right") - 1, 0, axis.size - 2)
+        cells.append(cell)
+        shares.append((x - axis[cell]) / (axis[cell + 1] - axis[cell]))
+    total = np.zeros((points.shape[0], table.shape[-1]))
+    for corner in product((0, 1), repeat=len(nodes)):
+        weight = np.ones(points.shape[0])
+        for upper, share in zip(corner, shares, strict=True):
+            weight = weight * (share if upper else 1.0 - share)
+        place = tuple(cell + upper for cell, upper in zip(cells, corner, strict=True))
+        total += weight[:, None] * table[place]
+    return total
 
 
 def _joined(values: Array, axis: int, bins: int) -> Array:

@@ -119,7 +119,7 @@ def linear_covariance(system: System) -> LinearCovariance:
     relative += np.max(variance_error / size**2)
     # Displacement and velocity of one mode are not correlated, which leaves no terms to compare
     # with: those of the rotation are.
-    turn = np.sqrt(omega * np.diag(covariance)[:n])
+    turn = np.sqrt(omega * np.abs(np.diag(covariance)[:n]))
     terms[:n, :n] += np.outer(turn, turn)
     return LinearCovariance(
         shapes=T,

@@ -14,7 +14,7 @@ from math import inf, nan, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 Array = NDArray[np.float64]
 
@@ -158,7 +158,7 @@ def drifts(means: Array) -> Array:
 
 def drift_limit(batches: int, comparisons: int) -> float:
     """Return the |z| that the largest of some Student's t passes with ``FALSE_ALARMS`` at most."""
-    return float(student.isf(0.5 * FALSE_ALARMS / max(1, comparisons), batches - 1))
+    return -float(stdtrit(batches - 1, 0.5 * FALSE_ALARMS / max(1, comparisons)))
 
 
 def variance_error(samples: Array) -> Array:

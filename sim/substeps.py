@@ -32,8 +32,7 @@ from math import isfinite, log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
-from scipy.stats import binom
+from scipy.special import comb, ndtr
 
 from fpk.system import System
 from sim.arrays import SubstepArrays
@@ -137,7 +136,9 @@ def cost(system: System, dt: float, small: int) -> float:
     """Return the cost of a unit of time in that of uniform steps ``dt``, by ``near_share``."""
     count = np.arange(LANES + 1)
     groups = np.ceil(count / NARROW) * NARROW / LANES
-    mean = float(np.sum(binom.pmf(count, LANES, near_share(system, small * dt)) * groups))
+    near = near_share(system, small * dt)
+    chance = comb(LANES, count) * near**count * (1.0 - near) ** (LANES - count)  # binomial
+    mean = float(np.sum(chance * groups))
     return LONG_COST / small + SMALL_COST * mean
 
 
