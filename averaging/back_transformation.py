@@ -23,6 +23,11 @@ POINTS = (10, 14)
 answer is that of the finer one, the distance between the two its error."""
 
 
+TIED = 0.2
+"""Width of a displacement given another one, relative to its own, below which the joint density is
+a ridge that panels of one thermal displacement do not resolve."""
+
+
 def back_transformed(source: EnergyDensity, observable: Observable, *, tol: float) -> Density:
     """Return the density of ``observable`` that belongs to the phase-space density u(H).
 
@@ -82,6 +87,7 @@ def back_transformed(source: EnergyDensity, observable: Observable, *, tol: floa
         measured=source.measured,
         tol=tol,
         added_error=added,
+        frame=_ridge(system, q, source.temperature, end) if len(q) == 2 else None,
         provenance=source.provenance,
     )
 
@@ -184,6 +190,26 @@ def displacement_panels(system: System, mass: int, *, temperature: float, end: f
             nodes += [touch + steps, [touch], touch - steps]
     joined = np.concatenate(nodes)
     return _spaced(joined[(joined >= -low) & (joined <= high)])
+
+
+def _ridge(
+    system: System, q: tuple[int, ...], temperature: float, end: float
+) -> tuple[Array, tuple[Array, ...]] | None:
+    """Return a frame for two displacements that are tied: one, and what parts the other from it.
+
+    The one has stops where only one has: none of them then lies across the panels. None where
+    panels of both, one thermal displacement wide, resolve their joint density.
+    """
+    swapped = q[0] not in system.contact_masses
+    first, second = conditionals(system, q[::-1] if swapped else q)
+    width = float(np.sqrt(temperature / second.precision))
+    if width > TIED * np.sqrt(temperature * system.compliance[second.mass, second.mass]):
+        return None
+    reach = float(np.sqrt(2.0 * end / second.precision))
+    parted = np.linspace(-reach, reach, ceil(2.0 * reach / width) + 1)
+    along = displacement_panels(system, first.mass, temperature=temperature, end=end)
+    frame = np.array([[1.0, 0.0], [second.weights[0], 1.0]])
+    return frame[::-1] if swapped else frame, (along, parted)
 
 
 def _momentum_panels(mass: float, end: float, temperature: float) -> Array:

@@ -48,19 +48,27 @@ class HiddenIntegral:
         """Return the integral for energies (N,) of the observed, at ``given`` (observed, N)."""
         if not self.laws:
             return f(energy)
-        if not len(given):
-            # One grid serves all: only the energy of the observed momenta differs.
-            _, hidden, weights = self._rule(np.zeros(1), np.zeros((0, 1)), points)
-            distinct, which = np.unique(energy, return_inverse=True)
-            return np.array([f(E + hidden) @ weights for E in distinct])[which]
+        columns, group = _distinct(given)
+        members = _members(group)
+        lowest = np.array([energy[part].min() for part in members])
+        total = np.zeros(energy.size)
         # About 30 panels are not empty, of the panels of each hidden mass.
         rows = max(1, CHUNK // (30 * points) ** len(self.laws))
-        total = np.zeros(energy.size)
-        for at in range(0, energy.size, rows):
-            part = slice(at, at + rows)
-            row, inner, weights = self._rule(energy[part], given[:, part], points)
-            count = energy[part].size
-            total[part] = np.bincount(row, weights * f(inner), minlength=count)
+        for at in range(0, len(members), rows):
+            chunk = slice(at, at + rows)
+            row, inner, weights = self._rule(lowest[chunk], columns[:, chunk], points)
+            if columns.shape[1] == energy.size:
+                count = lowest[chunk].size
+                sums = np.bincount(row, weights * f(inner), minlength=count)
+                total[np.concatenate(members[chunk])] = sums
+                continue
+            # Points with the same displacements and other momenta share a grid.
+            first = np.searchsorted(row, np.arange(lowest[chunk].size + 1))
+            for k, part in enumerate(members[chunk]):
+                own = slice(first[k], first[k + 1])
+                levels, which = np.unique(energy[part], return_inverse=True)
+                above = inner[own] - lowest[at + k]
+                total[part] = np.array([f(E + above) @ weights[own] for E in levels])[which]
         return total
 
     def _rule(
@@ -109,6 +117,20 @@ class HiddenIntegral:
             parts.append(np.clip(layers, low, high))
         parts.append(np.clip(following.layers(shift, float(np.max(most))), low, high))
         return np.sort(np.hstack(parts), axis=1)
+
+
+def _distinct(given: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Return the distinct columns of ``given`` and of which one each point is."""
+    if not len(given):
+        return np.zeros((0, 1)), np.zeros(given.shape[1], dtype=np.intp)
+    columns, group = np.unique(given, axis=1, return_inverse=True)
+    return columns, group.ravel()
+
+
+def _members(group: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    """Return the points of each group, in the order of the groups."""
+    order = np.argsort(group, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
 
 
 @dataclass(frozen=True, eq=False)
