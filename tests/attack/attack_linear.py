@@ -65,6 +65,24 @@ def sum_density(scales, shape, x):
     return p, REFERENCE * np.abs(p) + 1e-30
 
 
+def exponential_sum_density(means, x):
+    """Density at x (points,) of Σ exponential variables, by partial fractions with 150 digits.
+
+    Means that are equal are taken 1e-30 apart, a relative error of that size.
+    """
+    with mp.workdps(150):
+        theta = [mp.mpf(t) * (1 + k * mp.mpf(10) ** -30) for k, t in enumerate(means)]
+        n, values = len(theta), []
+        shares = [a ** (n - 2) / mp.fprod(a - b for b in theta if b is not a) for a in theta]
+        for point in x:
+            terms = (
+                s * mp.exp(-mp.mpf(float(point)) / a) for s, a in zip(shares, theta, strict=True)
+            )
+            values.append(float(mp.fsum(terms)) if point > 0.0 else 0.0)
+    p = np.array(values)
+    return p, REFERENCE * np.abs(p)
+
+
 class LinearReference:
     """Gaussian stationary density of the linear chain: A C + C Aᵀ + b = 0 solved with 40 digits."""
 
@@ -160,7 +178,7 @@ class ModalReference:
     def of_energy(self, energy):
         if self.chain.terms:
             return self.by_energy and self.by_energy.of_energy(energy)
-        return sum_density(self.modes[2], 1, energy)
+        return exponential_sum_density(self.modes[2], energy)
 
     def of_modal_energy(self, i, energy):
         if not self.chain.terms:
