@@ -41,7 +41,7 @@ def converge(
 
     routes = chosen_routes(route, of)
     with progress_bar() as progress:
-        found = study_convergence(
+        study = study_convergence(
             loaded,
             routes,
             seconds=seconds or SECONDS,
@@ -49,10 +49,10 @@ def converge(
             threads=threads,
             progress=progress,
         )
-    written = [] if out is None else write_convergence(found, out)
+    written = [] if out is None else write_convergence(study, out)
     end_study(
-        found,
-        lambda: terminal_text(f"Convergence: {loaded.title}", study_tables(found)),
+        study,
+        lambda: terminal_text(f"Convergence: {loaded.title}", study_tables(study)),
         written,
         as_json=as_json,
     )

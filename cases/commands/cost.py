@@ -32,17 +32,17 @@ def cost(
     from cases.studies.tables import terminal_text
 
     with progress_bar() as progress:
-        found = study_cost(
+        study = study_cost(
             loaded,
             simulate=simulate,
             seed=FIRST_SEED if seed is None else seed,
             progress=progress,
         )
-    written = [] if out is None else write_cost(found, out)
+    written = [] if out is None else write_cost(study, out)
     title = f"What accuracy costs: {loaded.title}"
     end_study(
-        found,
-        lambda: f"{terminal_text(title, cost_tables(found))}\n{MEANING}",
+        study,
+        lambda: f"{terminal_text(title, cost_tables(study))}\n{MEANING}",
         written,
         as_json=as_json,
     )

@@ -57,16 +57,16 @@ def regime(
     given: dict[str, Any] = {k: v for k, v in settings.items() if v is not None}
     simulation = MonteCarlo(**{"relaxations": MAP_RELAXATIONS, **given})
     with progress_bar() as progress:
-        found = build_map(
+        result = build_map(
             loaded, axes, simulation=simulation, folder=checkpoint or out, progress=progress
         )
-    if found.note is not None:
-        typer.echo(f"fpk: note: {found.note}", err=True)
-    written = [] if out is None else write_map(found, out)
+    if result.note is not None:
+        typer.echo(f"fpk: note: {result.note}", err=True)
+    written = [] if out is None else write_map(result, out)
     if as_json:
-        print_json(found.record())
+        print_json(result.record())
     else:
-        typer.echo(map_markdown(found) if out is None else map_summary(found))
+        typer.echo(map_markdown(result) if out is None else map_summary(result))
         for path in written:
             typer.echo(f"wrote {path}")
-    end_with(found.problems)
+    end_with(result.problems)

@@ -27,7 +27,7 @@ TWO_ENERGIES = (
     " Laplacian in the plane does, and theory there is h² |ln h|: observed orders near 2 only as"
     " 1/|ln h|, which no affordable mesh ends (Eriksson and Thomée, Math. Comp. 42, 1984, 345).",
 )
-"""Why two of the orders of (17) are not, and need not be, those of the column of theory."""
+"""Why two of the orders of (17) differ, and may differ, from the column of theory."""
 DEGREE_WORDS = (
     "Nats: -ln of the ratio of neighbouring errors. Where they do not fall with the degree the"
     " error falls exponentially; a dash stands at the floor. The contact energies are nodes of the"

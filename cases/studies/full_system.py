@@ -1,8 +1,7 @@
 """The full system's own density: by a route that solves (6), or by a long simulation."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from math import sqrt
+from math import inf, sqrt
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -10,7 +9,8 @@ from scipy.interpolate import PchipInterpolator
 import cases.comparison.routes  # noqa: F401  (registers every route)
 from cases.comparison.compare import chance_l1
 from cases.studies.runs import coarse
-from fpk.density import Array, Density, SampledDensity
+from fpk.certificate import Measured
+from fpk.density import Array, Density, SampledDensity, certified_density
 from fpk.errors import NotCertified
 from fpk.method import Method
 from fpk.observable import Observable
@@ -28,15 +28,11 @@ SEED_STEP = 7919
 
 @dataclass(frozen=True, eq=False)
 class FullReference:
-    """Probabilities of the bins of p(q_i) of the full system, by their edges.
-
-    ``error`` is the L1 error of what they rest on; ``sampled`` whether that is a simulation.
-    """
+    """p(q_i) of the full system; ``words`` name its source, ``error`` is its L1 error."""
 
     words: str
-    shares: Callable[[Array], Array]
+    density: Density
     error: float
-    sampled: bool = False
 
 
 def deterministic(system: System, observable: Observable, solves: Solves) -> list[Method]:
@@ -68,7 +64,7 @@ def full_reference(
     """
     if answer := full_density(system, observable):
         route, density = answer
-        return FullReference(route, shares_of(density), density.l1_error)
+        return FullReference(route, density, density.l1_error)
     method = MonteCarlo(
         paths=PATHS, relaxations=relaxations, seed=seed + SEED_STEP, step_factor=sqrt(0.5)
     )
@@ -79,24 +75,15 @@ def full_reference(
     edges = sampled.edges[0]
     below = np.concatenate([[0.0], np.cumsum(sampled.values * np.diff(edges))])
     # Between the edges of 1024 bins the distribution function is smooth to far below the noise.
-    distribution = PchipInterpolator(edges, below)
+    slope = PchipInterpolator(edges, below).derivative()
 
-    def shares(of: Array) -> Array:
-        return np.diff(distribution(np.clip(of, edges[0], edges[-1])))
+    def pdf(q: Array) -> Array:
+        return np.where((q >= edges[0]) & (q <= edges[-1]), slope(q), 0.0)
 
-    return FullReference("long simulation", shares, chance_l1(coarse(sampled))[0], sampled=True)
-
-
-def sampled_distance(sampled: SampledDensity, shares: Array) -> float:
-    """Return Σ |share − true share| over the bins, all outside of them being one more bin."""
-    difference = sampled.values * np.diff(sampled.edges[0]) - shares
-    return float(np.sum(np.abs(difference)) + abs(np.sum(difference)))
-
-
-def shares_of(density: Density) -> Callable[[Array], Array]:
-    """Return the probability of bins by their edges."""
-
-    def shares(edges: Array) -> Array:
-        return np.asarray(density.cell_averages(edges) * np.diff(edges))
-
-    return shares
+    error = chance_l1(coarse(sampled))[0]
+    tail = sampled.certificate.tail_mass
+    measured = Measured(error, 0.0, 0.0, sampled.certificate.residual, tail)
+    density = certified_density(
+        observable, (edges,), pdf, lambda q: sampled.at(q)[1], measured=measured, tol=inf
+    )
+    return FullReference("long simulation", density, error)

@@ -9,14 +9,14 @@ import numpy as np
 from cases.comparison.averaged import AveragedSimulation
 from cases.comparison.compare import chance_l1
 from cases.studies.equations import Equation
-from cases.studies.full_system import PATHS, FullReference, sampled_distance, shares_of
+from cases.studies.full_system import PATHS, FullReference
 from cases.studies.law import ERRORS, Law
 from cases.studies.levels import Level
 from cases.studies.prices import NotTimed, Priced
 from cases.studies.runs import Run, coarse, largest_stable, run
 from cases.studies.timing import Timing, peak_memory, timed_first
 from fpk.certificate import Measured
-from fpk.density import Array, SampledDensity, certified_density
+from fpk.density import Array, SampledDensity, certified_density, l1_distance
 from fpk.method import Progress, silent
 from fpk.observable import Observable, observable_name
 from fpk.system import System
@@ -89,8 +89,7 @@ def _measured(
     """Run ``method``; return the run, its density and the distance to the reference."""
     measured = run(system, method, [observable])
     assert measured.density is not None
-    shares = reference.shares(measured.density.edges[0])
-    return measured, measured.density, sampled_distance(measured.density, shares)
+    return measured, measured.density, l1_distance(measured.density, reference.density)
 
 
 def _law(
@@ -189,7 +188,7 @@ def averaged_route(
         (answer,) = result.densities
         assert isinstance(answer, SampledDensity)
         sampled = coarse(answer)
-        true = sampled_distance(sampled, shares_of(density)(sampled.edges[0]))
+        true = l1_distance(sampled, density)
         mean, quantile = chance_l1(sampled)
         allowed = quantile + reference.l1_error
         settings = f"{level.paths} paths, step {level.step:g}"

@@ -33,9 +33,9 @@ def energy_density(
     """Return one density of the averaged energy by ``solver``."""
     method = NonIntegrable(solver=solver, tol=tol)  # type: ignore[arg-type]  # checked there
     wanted: Observable = parse_observable(observable, system.n)
-    found = method.solve(system, [wanted]).densities[0]
-    assert isinstance(found, Density)
-    return found
+    answer = method.solve(system, [wanted]).densities[0]
+    assert isinstance(answer, Density)
+    return answer
 
 
 def solver_checks(system: System, tol: float) -> tuple[list[Check], Density, Density]:
@@ -44,18 +44,18 @@ def solver_checks(system: System, tol: float) -> tuple[list[Check], Density, Den
         energy_density(system, solver, tol=tol) for solver in ("closed-form", "fem", "quadrature")
     )
     checks = []
-    for name, found in (("finite elements", elements), ("quadrature", quadrature)):
-        c = found.certificate
+    for name, answer in (("finite elements", elements), ("quadrature", quadrature)):
+        c = answer.certificate
         checks += [
             Check(f"{name} certified", c.certified, "; ".join(c.failures) or "yes"),
             Check(
                 f"{name}: mass one",
-                c.mass_defect <= MASS + 1e-3 * found.l1_error,  # a thousandth of what is stated
+                c.mass_defect <= MASS + 1e-3 * answer.l1_error,  # a thousandth of what is stated
                 f"defect {c.mass_defect:.1e}",
             ),
             Check(f"{name}: not negative", c.minimum >= LEAST, f"minimum {c.minimum:.1e}"),
         ]
-        error, allowed = l1_distance(found, closed), found.l1_error + closed.l1_error
+        error, allowed = l1_distance(answer, closed), answer.l1_error + closed.l1_error
         checks.append(
             Check(
                 f"{name}: true error within the stated one",
@@ -104,11 +104,11 @@ def units_check(system: System, elements: Density) -> Check:
 
 def mirror_check(system: System, observable: str) -> Check:
     """p(q) of the mirrored system at −q, beside p(q)."""
-    found, other = (
+    answer, other = (
         energy_density(s, "closed-form", observable) for s in (system, mirrored(system))
     )
-    q = np.linspace(found.panels[0][0], found.panels[0][-1], 2001)
-    worst = float(np.max(np.abs(found.pdf(q) - other.pdf(-q))) / np.max(found.pdf(q)))
+    q = np.linspace(answer.panels[0][0], answer.panels[0][-1], 2001)
+    worst = float(np.max(np.abs(answer.pdf(q) - other.pdf(-q))) / np.max(answer.pdf(q)))
     return Check("mirror image to round-off", worst <= 1e-13, f"{worst:.1e} of the maximum")
 
 

@@ -35,7 +35,7 @@ def _without(system: System, *, damping: float) -> System:
 
 
 def _energies(system: System, ensemble: Ensemble) -> Array:
-    """H of all trajectories half a kick on: states are kept just before one."""
+    """H of all trajectories half a kick on: states are stored just before one."""
     q, p = ensemble.phase_points()
     p = p.copy()
     for stop in system.stops:
@@ -54,7 +54,7 @@ def no_noise() -> HardCase:
         ensemble.advance(round(1.0 / dt))
         energies.append(_energies(system, ensemble))
     levels = np.array(energies)
-    # Between two looks at it the energy of a step may stand above its mean by (ω dt)²/8 or so.
+    # Between two samples the energy of a step may stand above its mean by (ω dt)²/8 or so.
     allowed = 0.1 * levels[:-1] + 1e-12 * levels[0].max()
     rise = float(np.max((levels[1:] - levels[:-1]) - allowed))
     reason = MonteCarlo().refusal(system, parse_observable("q2", system.n)) or "taken"

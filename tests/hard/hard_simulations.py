@@ -36,18 +36,20 @@ def against_exact(system: System, method: MonteCarlo) -> tuple[list[Check], Samp
     q2 = [parse_observable("q2", system.n)]
     exact, sampled = Exact().solve(system, q2), method.solve(system, q2)
     (comparison,) = compared([exact, sampled], averaging_is_exact=True)
-    truth, found = exact.densities[0], sampled.densities[0]
-    assert isinstance(truth, Density) and isinstance(found, SampledDensity)
+    truth, histogram = exact.densities[0], sampled.densities[0]
+    assert isinstance(truth, Density) and isinstance(histogram, SampledDensity)
     band = comparison.band or 0.0
     checks = [
-        Check("certified", found.certificate.certified, "; ".join(found.certificate.failures)),
+        Check(
+            "certified", histogram.certificate.certified, "; ".join(histogram.certificate.failures)
+        ),
         Check(
             "p(q2) is the exact one", comparison.holds, f"L1 {comparison.L1:.2g}, band {band:.2g}"
         ),
     ]
     if not system.contacts:
-        return checks, found
-    share, expected = beyond_clearance(system, found), beyond_clearance(system, truth)
+        return checks, histogram
+    share, expected = beyond_clearance(system, histogram), beyond_clearance(system, truth)
     # What lies beyond the stops is a part of what lies anywhere: the same band holds for it.
     return [
         *checks,
@@ -56,7 +58,7 @@ def against_exact(system: System, method: MonteCarlo) -> tuple[list[Check], Samp
             abs(share - expected) <= band,
             f"{share:.5f}, exact {expected:.5f}",
         ),
-    ], found
+    ], histogram
 
 
 def beyond_clearance(system: System, density: Density | SampledDensity) -> float:
@@ -74,7 +76,7 @@ def beyond_clearance(system: System, density: Density | SampledDensity) -> float
 def stiff(stiffness: float) -> HardCase:
     """A stiff stop, simulated with the step that the program chooses."""
     system = with_stops(stiffness)
-    checks, found = against_exact(system, SHORT)
+    checks, histogram = against_exact(system, SHORT)
     lost, state = plain_euler(system, dt=EULER_STEP, time=EULER_TIME, paths=EULER_PATHS)
     outside = float(np.mean(np.abs(state[:, 1]) > system.contacts[0].clearance))
     return HardCase(
@@ -83,7 +85,7 @@ def stiff(stiffness: float) -> HardCase:
         plain=f"Euler-Maruyama, dt = {EULER_STEP}: {lost:.1%} of the paths lost,"
         f" {outside:.1%} of the others in contact",
         ours=checks[1].measured + "; in contact " + checks[2].measured,
-        certificate="certified" if found.certificate.certified else checks[0].measured,
+        certificate="certified" if histogram.certificate.certified else checks[0].measured,
         checks=tuple(checks),
     )
 
@@ -91,13 +93,13 @@ def stiff(stiffness: float) -> HardCase:
 def seeded(seed: int) -> HardCase:
     """A seed at the end of its range, or 0."""
     system = with_stops(10.0)
-    checks, found = against_exact(system, replace(SHORT, seed=seed))
+    checks, histogram = against_exact(system, replace(SHORT, seed=seed))
     return HardCase(
         name=f"seed {seed}",
         hard="a counter-based generator must not repeat itself where the seed mixes in no bits",
         plain="not run",
         ours=checks[1].measured,
-        certificate="certified" if found.certificate.certified else checks[0].measured,
+        certificate="certified" if histogram.certificate.certified else checks[0].measured,
         checks=tuple(checks),
     )
 
@@ -105,16 +107,16 @@ def seeded(seed: int) -> HardCase:
 def two_humps() -> HardCase:
     """Two humps of the energy with rare passages: right, or said not to be."""
     scene = load_scene("bistable")
-    (_, exact), found = against_exact(scene.system, SHORT)
-    words = "; ".join(found.certificate.failures)
-    told = exact.holds or bool(words)
+    (_, exact), histogram = against_exact(scene.system, SHORT)
+    words = "; ".join(histogram.certificate.failures)
+    honest = exact.holds or bool(words)
     return HardCase(
         name="simulation, bistable",
         hard="passages between the humps are rarer than any decay time of the chain",
         plain="not run",
         ours=exact.measured,
         certificate=words or "certified",
-        checks=(Check("the exact p(q2), or not certified", told, exact.measured),),
+        checks=(Check("the exact p(q2), or not certified", honest, exact.measured),),
     )
 
 
@@ -186,15 +188,15 @@ def many_trajectories() -> HardCase:
 def never_visited() -> HardCase:
     """A density asked for where no sample ever came."""
     system = with_stops(10.0)
-    found = SHORT.solve(system, [parse_observable("q2", system.n)]).densities[0]
-    assert isinstance(found, SampledDensity)
-    density, error = found.at(np.array([50.0]))
+    histogram = SHORT.solve(system, [parse_observable("q2", system.n)]).densities[0]
+    assert isinstance(histogram, SampledDensity)
+    density, error = histogram.at(np.array([50.0]))
     return HardCase(
         name="never visited",
         hard="a point where no sample came: its error is not 0",
         plain="0, with the error 0",
         ours=f"{density[0]:.0f} ± {error[0]:.1e}",
-        certificate="; ".join(found.certificate.failures) or "certified",
+        certificate="; ".join(histogram.certificate.failures) or "certified",
         checks=(Check("an error is stated", bool(error[0] > 0.0), f"{error[0]:.1e}"),),
     )
 

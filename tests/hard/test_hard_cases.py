@@ -74,10 +74,10 @@ def test_a_wrong_density_is_noticed(monkeypatch):
     right = hard_battery.energy_density
 
     def wrong(system, solver, observable="H", **settings):
-        found = right(system, solver, observable, **settings)
+        answer = right(system, solver, observable, **settings)
         if solver != "fem":
-            return found
-        return replace(found, pdf=lambda H: 1.001 * found.pdf(H))
+            return answer
+        return replace(answer, pdf=lambda H: 1.001 * answer.pdf(H))
 
     monkeypatch.setattr(hard_battery, "energy_density", wrong)
     checks, _, _ = hard_battery.solver_checks(system, hard_battery.TOL)
