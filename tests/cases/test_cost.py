@@ -40,12 +40,24 @@ def test_the_sign_of_28_as_printed_is_caught_by_every_route_and_not_timed():
     bad = priced(equation, candidates(equation))
     assert all(isinstance(n, NotTimed) for n in bad)
     assert {n.route for n in bad} == {c.name for c in candidates(equation)}
-    given = [n for n in bad if n.distance == n.distance]
-    assert given, "elements on a given mesh have an answer, and it is wrong"
-    for n in given:  # L1 of the two densities, which have little in common, is nearly 2
-        assert n.distance > 1.0 and not n.distance <= n.allowed < np.inf
-    for n in bad:
-        assert n.reason
+    # Damping that feeds the energy has no stationary density: every route refuses the process.
+    assert all("drift points outwards" in n.reason for n in bad)
+
+
+def test_a_wrong_damping_is_caught_by_every_route_by_its_distance():
+    def stronger(process):
+        def coefficients(energy):
+            c = process.coefficients(energy)
+            return c._replace(dissipation=1.1 * c.dissipation, drift=c.drift + 0.1 * c.dissipation)
+
+        return replace(process, coefficients=coefficients)
+
+    equation = energy_equation(load_scene("fig6b").system, changed=stronger)
+    bad = priced(equation, candidates(equation))
+    assert len(bad) == len(candidates(equation))
+    for n in bad:  # exp(-1.1 α H) beside exp(-α H): L1 is some percent
+        assert isinstance(n, NotTimed) and n.wrong
+        assert n.distance > 0.01 and not n.distance <= n.allowed < np.inf
 
 
 def test_a_slightly_wrong_answer_is_named_with_what_it_disagrees_by():
