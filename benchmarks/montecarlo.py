@@ -27,7 +27,7 @@ from fpk.contact import Contact
 from fpk.observable import parse_observable
 from fpk.system import System
 from sim.ensemble import Ensemble
-from sim.histogram import ranged
+from sim.histogram import covering
 from sim.plan import step_arrays
 from sim.scheme import SCHEMES
 from sim.statistics import moment_products
@@ -50,9 +50,10 @@ def measured(
     """Return one row of the table."""
     dt = 0.01 if scheme == "euler_maruyama" else min(0.2, chosen_step(system))
     ensemble = Ensemble(system, SCHEMES[scheme], dt, PATHS, 1, threads)
-    reach = np.array([[-3.0, -3.0], [3.0, 3.0]])
     observables = [parse_observable(name, 2) for name in names]
-    histograms = ranged(system, observables, reach, reach, mirror=True)
+    # Far beyond what is reached: kT is 1/4.
+    reached = [(-3.0, 9.0 if c.kind == "H" else 3.0) for o in observables for c in o]
+    histograms = covering(observables, np.array(reached), mirror=True)
     ensemble.watch(histograms, moment_products(2) if moments else ())
     ensemble.advance(20)
     times = []

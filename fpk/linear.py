@@ -27,7 +27,7 @@ def drift_matrix(system: System) -> Array:
     A = np.zeros((2 * n, 2 * n))
     A[:n, n:] = np.diag(1.0 / system.mass)
     A[n:, :n] = -system.stiffness_matrix
-    A[n:, n:] = -system.damping / system.mass
+    A[n:, n:] = -system.damping * (1.0 / system.mass)
     return A
 
 

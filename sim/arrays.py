@@ -8,6 +8,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+LANES = 128
+"""Trajectories that run side by side in one block; a constant of compilation."""
+
+MAX_TRAJECTORIES = 1 << 24
+"""Trajectories that a seed has words for: each owns 2**40 of the 2**64 words of the sequence."""
+
 
 class Rows(NamedTuple):
     """First row of each group in the workspace of a block; the state (q, p) begins at row 0.
@@ -61,7 +67,7 @@ class SubstepArrays(NamedTuple):
 class StepArrays(NamedTuple):
     """Numbers of one step; ``matrix`` is (propagator, factor) with columns padded.
 
-    With ``substeps`` it is one of the small steps, and ``words`` are those of the long one.
+    With ``substeps`` it is one of the small steps, and ``words`` counts the words of the long one.
     """
 
     matrix: Array  # (2n, columns)

@@ -97,7 +97,7 @@ def _defect(system: System, identity: Identity) -> str:
 def _diagnosed(
     ensemble: Any, record: Record, steps: Steps, *, lost: bool
 ) -> tuple[tuple[Effective, ...], Diagnosis | None]:
-    """Effective samples of every quantity, those of squares first, and what follows from them."""
+    """Effective samples of every quantity, squares first, and what follows from them."""
     interval = ensemble.dt * steps.stride
     effective = () if lost else record.effective(ensemble, interval)
     if not effective:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from fpk.errors import NotCertified, Unavailable
 from fpk.system import System
+from sim.arrays import LANES
 from sim.ensemble import (
     Ensemble,
     Integers,
@@ -33,7 +34,6 @@ from sim.ensemble import (
     means_of_batches,
 )
 from sim.histogram import Histogram, starts
-from sim.random import LANES
 from sim.scheme import Scheme
 from sim.sources import program_checksum
 
@@ -120,8 +120,8 @@ def after(share: Ensemble, method: str, *arguments: Any, **named: Any) -> Ensemb
     return share
 
 
-class Told(NamedTuple):
-    """What a share says between two chunks: small beside its states."""
+class ShareState(NamedTuple):
+    """Losses, sums and counts of a share between two chunks: small beside its trajectories."""
 
     lost: int
     sums: Array  # (blocks, products)
@@ -129,9 +129,9 @@ class Told(NamedTuple):
     counts: Integers
 
 
-def told_by(share: Ensemble) -> Told:
-    """Return what a share says between two chunks."""
-    return Told(share.lost(), share.block_sums(), share.batch, share.counts)
+def state_of(share: Ensemble) -> ShareState:
+    """Return losses, sums and counts of a share."""
+    return ShareState(share.lost(), share.block_sums(), share.batch, share.counts)
 
 
 @dataclass(eq=False)
@@ -163,7 +163,7 @@ class ClusterEnsemble:
         self.live = np.minimum(LANES, self.paths - LANES * np.arange(blocks))
         self._job, self._round, self.phase = uuid4().hex, 0, 0
         self._width = 0
-        self._known: Sequence[Told] | None = None
+        self._known: Sequence[ShareState] | None = None
         whole = (self.system, self.scheme, self.dt, self.paths, self.seed, 1)
         parts = pairwise(self.bounds.tolist())
         self._shares = self._submitted(Ensemble, [(*whole, part) for part in parts])
@@ -198,11 +198,11 @@ class ClusterEnsemble:
 
     def lost(self) -> int:
         """Return how many trajectories have left the finite range."""
-        return sum(part.lost for part in self._told())
+        return sum(part.lost for part in self._states())
 
     def batch_means(self) -> Array:
         """Return (batches, products) means over the samples of each batch, in fixed order."""
-        sums = np.concatenate([part.sums for part in self._told()])
+        sums = np.concatenate([part.sums for part in self._states()])
         return means_of_batches(sums, self.edges, self.live, self.samples)
 
     @property
@@ -223,7 +223,7 @@ class ClusterEnsemble:
     def counted(self, first: int, end: int) -> Integers:
         """Return the counts of the bins from ``first`` to before ``end``, of each batch."""
         total = np.zeros((self.edges.size - 1, end - first), dtype=np.int64)
-        for part in self._told():
+        for part in self._states():
             rows = slice(part.batch, part.batch + part.counts.shape[0])
             total[rows] += part.counts[:, first:end]
         return total
@@ -256,10 +256,10 @@ class ClusterEnsemble:
         ):
             self._step(calls)
 
-    def _told(self) -> Sequence[Told]:
-        """What the shares say of themselves, asked once after each step: a round trip is dear."""
+    def _states(self) -> Sequence[ShareState]:
+        """Losses, sums and counts of the shares, asked for once a step: a round trip is slow."""
         if self._known is None:
-            self._known = self._answers(told_by)
+            self._known = self._answers(state_of)
         return self._known
 
     def _next(self, method: str, *arguments: Any, **named: Any) -> None:

@@ -25,7 +25,7 @@ LEAST_BURN_IN = 5.0
 """Autocorrelation times τ that a burn-in must have: e^−5 of a start is 0.7 % of its distance."""
 
 FALSE_ALARMS = 1e-6
-"""How often a drift is found where there is none, of all quantities of a run together."""
+"""Probability that any quantity of a run without drift is reported to drift."""
 
 LEAST_CHUNKS = 4
 """Chunks below which there are no halves to compare: R-hat then is not a number."""
@@ -62,7 +62,7 @@ class Diagnosis:
     failures: tuple[str, ...]
 
     def settings(self) -> dict[str, str | float | int]:
-        """Return what is told beside the other settings of a run."""
+        """Return the same for readers, by the names that tables and JSON have."""
         passed = "holds" if self.drift <= self.drift_limit else "drifts"
         return {
             "autocorrelation_time": self.autocorrelation_time,
@@ -182,7 +182,7 @@ def diagnosis(
 ) -> Diagnosis:
     """Return what can be said of ``paths`` trajectories of ``time`` after ``burn_in`` (a time).
 
-    ``means`` (quantities, batches, chunks) are those of the ``names`` in chunks of equal length.
+    ``means`` (quantities, batches, chunks) belong to the ``names``, in chunks of equal length.
     """
     worst = min(effective, key=lambda e: e.samples)
     tau = max(e.autocorrelation_time for e in effective)
@@ -192,7 +192,7 @@ def diagnosis(
     limit = drift_limit(batches, z.size)
     words = []
     if chunks < 2:
-        words.append("it ended in its first chunk, where no drift is seen; sample for longer")
+        words.append("it ended in its first chunk, where no drift shows; sample for longer")
     if worst.samples < LEAST_TIMES:
         words.append(
             f"the {paths} trajectories are {worst.samples:.3g} autocorrelation times of"

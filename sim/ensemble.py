@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from fpk.effects import effects_of
 from fpk.system import System
-from sim.arrays import StepArrays, WatchArrays
+from sim.arrays import LANES, StepArrays, WatchArrays
 from sim.flow import factored
 from sim.histogram import Histogram, modes_of, starts, watch_arrays
 from sim.kernel import KernelKey, compiled_kernel
 from sim.parts.linear import ONE_LOOP
 from sim.parts.observed import FOLDED
 from sim.plan import step_arrays
-from sim.random import LANES, START, mixed_seed, normals
+from sim.random import START, mixed_seed, normals
 from sim.scheme import Scheme
 from sim.step_size import temperature
 
@@ -90,13 +90,13 @@ def start_displacements(system: System, kT: float, z: Array) -> Array:
 
 @dataclass(eq=False)
 class Ensemble:
-    """States of ``paths`` trajectories, kept in blocks of lanes; a block is never divided.
+    """States of ``paths`` trajectories, in blocks of lanes; a block is never divided.
 
     A batch of blocks is one task of one thread, all counts are integers, and sums grow in the order
     of samples: the result is bitwise the same for any number of threads and any division of the
     steps into calls of ``advance``. Lanes beyond ``paths`` run but are not counted.
-    Of the first ``APART`` blocks ``sums`` are those of each trajectory; of the others ``folded``
-    are those of every ``FOLDED``-th of a block.
+    The first ``APART`` blocks have ``sums`` for each trajectory; in the others, ``folded``, every
+    ``FOLDED``-th trajectory of a block shares one.
 
     With ``part`` it is a share of the ensemble: the blocks from the first number to before the
     second, the same trajectories as in the whole. Counts of shares add up, rows of ``counts``
@@ -142,17 +142,17 @@ class Ensemble:
         Whole pieces: matrix products may round by the shape they come in.
         """
         n, kT = self.system.n, temperature(self.system)
-        # A trajectory owns 2**40 words: those of the piece's first one lie so far on.
+        # A trajectory owns 2**40 words; so many lie before those of the piece's first one.
         words = START + ((first * LANES) << 40)
-        found = np.zeros((PIECE, 2 * n, LANES))
+        states = np.zeros((PIECE, 2 * n, LANES))
         L = factored(np.diag((kT if np.isfinite(kT) else 0.0) * self.system.mass))
         p = L @ normals(self.seed, PIECE * LANES, words, n)[: L.shape[1]]
-        found[:, n:] = p.reshape(n, -1, LANES).transpose(1, 0, 2)
+        states[:, n:] = p.reshape(n, -1, LANES).transpose(1, 0, 2)
         if self.system.damping_terms:
             z = normals(self.seed, PIECE * LANES, words + n, n)
             q = start_displacements(self.system, kT, z)
-            found[:, :n] = q.reshape(n, -1, LANES).transpose(1, 0, 2)
-        return found
+            states[:, :n] = q.reshape(n, -1, LANES).transpose(1, 0, 2)
+        return states
 
     @property
     def _kernel(self) -> Any:
@@ -272,7 +272,7 @@ def batch_sizes(edges: Integers, paths: int) -> Integers:
 def batch_range(edges: Integers, first: int, end: int) -> tuple[int, int]:
     """Return the first batch that has some of the blocks ``first`` to before ``end``, and beyond.
 
-    ``edges`` are those of ``batch_edges``; the first and the last batch may reach farther.
+    ``edges`` come from ``batch_edges``; the first and the last batch may reach farther.
     """
     low = int(np.searchsorted(edges, first, side="right")) - 1
     return low, int(np.searchsorted(edges, end, side="left"))

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -28,23 +29,6 @@ class LinearMap:
     def normals(self) -> int:
         """The number of normals a step draws: the rank of its covariance."""
         return int(self.factor.shape[1])
-
-
-def linear_drift(system: System) -> Array:
-    """Return the drift matrix A of ``x = (q, p)`` without contact, Eq. (6)."""
-    n = system.n
-    velocity = np.diag(1.0 / system.mass)
-    return np.block(
-        [[np.zeros((n, n)), velocity], [-system.stiffness_matrix, -system.damping @ velocity]]
-    )
-
-
-def linear_diffusion(system: System) -> Array:
-    """Return the diffusion matrix b = σσᵀ of ``x = (q, p)``: 2 f D fᵀ in the momenta."""
-    n = system.n
-    diffusion = np.zeros((2 * n, 2 * n))
-    diffusion[n:, n:] = 2.0 * system.noise_matrix
-    return diffusion
 
 
 def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, Array]:
@@ -102,5 +86,5 @@ def lower_trapezoidal(factor: Array) -> Array:
 
 def exact_flow(system: System, dt: float) -> LinearMap:
     """Return the flow over ``dt`` of the system without its contacts, exact for any ``dt``."""
-    propagator, covariance = flow_covariance(linear_drift(system), linear_diffusion(system), dt)
+    propagator, covariance = flow_covariance(drift_matrix(system), diffusion_matrix(system), dt)
     return LinearMap(propagator, factored(covariance))

@@ -66,20 +66,13 @@ def extremes(system: System, observables: Sequence[Observable], q: Array, p: Arr
     """
     # One layout: sums over the masses may round by it.
     q, p = np.ascontiguousarray(q), np.ascontiguousarray(p)
-    found = []
+    ranges = []
     for coordinate in (c for observable in observables for c in observable):
         with np.errstate(over="ignore", invalid="ignore"):
             x = pilot_coordinate(system, coordinate, q, p)
         x = x[np.isfinite(x)]
-        found.append((x.min(initial=np.inf), x.max(initial=-np.inf)))
-    return np.array(found).reshape(-1, 2)
-
-
-def ranged(
-    system: System, observables: Sequence[Observable], q: Array, p: Array, *, mirror: bool
-) -> tuple[Histogram, ...]:
-    """Return histograms that cover the states ``q``, ``p`` with a margin."""
-    return covering(observables, extremes(system, observables, q, p), mirror=mirror)
+        ranges.append((x.min(initial=np.inf), x.max(initial=-np.inf)))
+    return np.array(ranges).reshape(-1, 2)
 
 
 def covering(
@@ -166,7 +159,7 @@ def starts(histograms: Sequence[Histogram]) -> Integers:
 
 
 def mirrored(histogram: Histogram, counts: Integers) -> Integers:
-    """Return ``counts`` (batches, bins + 1) plus those of the state mirrored, (−q, −p).
+    """Return ``counts`` (batches, bins + 1) plus the counts of the mirrored states, (−q, −p).
 
     Of a system with mirror symmetry both are samples of the same stationary state. Energies do not
     change sign; the edges of all else lie symmetrically about zero. The total doubles, and so does

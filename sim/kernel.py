@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fpk.compiled_laws import compiled_laws
 from fpk.compiling import kept
-from sim.arrays import StepArrays, WatchArrays
+from sim.arrays import LANES, StepArrays, WatchArrays
 from sim.lanes import aligned_rows, row
 from sim.parts.observed import count_all
 from sim.parts.stages import (
@@ -24,7 +24,7 @@ from sim.parts.stages import (
     terms_before,
 )
 from sim.parts.substeps import AT_ONCE, NARROW, gather, near_lanes, places, scatter, small_steps
-from sim.random import GOLDEN, LANES, fill_normals
+from sim.random import GOLDEN, fill_normals
 from sim.sources import kernel_checksum
 
 Array = NDArray[np.float64]

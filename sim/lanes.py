@@ -1,8 +1,8 @@
 """Loops over lanes that every step is made of; rows of a block lie one after the other.
 
-A loop is over ``width`` lanes, a constant at each call: a whole block unless told otherwise.
+A loop is over ``width`` lanes, a constant at each call: by default a whole block.
 Each loop works on views of neighbouring rows, one group that is read and one that is written: an
-index into a view is seen not to be negative, and two groups need one overlap check, so that the
+index into a view cannot be negative, and two groups need one overlap check, so that the
 compiler turns the loop into vector instructions whatever the number of masses. All are inlined
 into the kernel.
 """
@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from fpk.compiling import FLAGS
-from sim.random import LANES
+from sim.arrays import LANES
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -16,7 +16,7 @@ from fpk.method import Method, Plan, Progress, Result
 from fpk.observable import Observable
 from fpk.route import ROUTES, Route, register
 from fpk.system import System
-from sim.random import LANES, MAX_TRAJECTORIES
+from sim.arrays import LANES, MAX_TRAJECTORIES
 from sim.relaxation import relaxation_time, undamped_mode
 from sim.scheme import SCHEMES
 

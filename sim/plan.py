@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 def step_arrays(system: System, scheme: Scheme, dt: float) -> StepArrays:
     """Return the numbers of one step of ``dt``; a stop equal on both sides counts as one.
 
-    Of a long step they are those of its small ones, and ``substeps``.
+    Of a long step they belong to its small ones; ``substeps`` has the long one.
     """
     n, small, H = system.n, scheme.small, dt
     dt = H / small

@@ -27,20 +27,15 @@ from numba import njit
 from numpy.typing import NDArray
 
 from fpk.compiling import FLAGS, kept
+from sim.arrays import LANES
 
 Array = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Words = NDArray[np.uint64]
 Halves = NDArray[np.uint32]
 
-LANES = 128
-"""Trajectories that run side by side in one block; a constant of compilation."""
-
 START = 1 << 39
 """First counter, within a trajectory's words, of those that draw its initial state."""
-
-MAX_TRAJECTORIES = 1 << 24
-"""Trajectories that a seed has words for."""
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import LANES
 from sim.diagnostics import Effective, effective_of_paths, effective_of_shares, variance_error
 from sim.ensemble import batch_sizes
 from sim.histogram import Histogram, starts
-from sim.random import LANES
 from sim.statistics import Product
 
 Array = NDArray[np.float64]
@@ -29,8 +29,7 @@ class Record:
     """Cumulative means of every batch at the ends of chunks of ``chunk_samples`` samples.
 
     Quantities are the squares of q and v among the ``products`` of ``masses`` (n,) and the shares
-    of samples below ``cuts``, the octiles of every coordinate observed, found at the end of the
-    first chunk.
+    of samples below ``cuts``, the octiles of every coordinate in the first chunk.
     """
 
     histograms: Sequence[Histogram]
@@ -55,15 +54,15 @@ class Record:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the quantities, in the order of the columns of ``ends``."""
-        found = [name for name, _, _ in self.squares]
+        names = [name for name, _, _ in self.squares]
         for (label, _), cuts in zip(self._axes(), self.cuts, strict=True):
-            found += [f"the distribution of {label}"] * cuts.size
-        return tuple(found)
+            names += [f"the distribution of {label}"] * cuts.size
+        return tuple(names)
 
     def snapshot(self, before: Array, after: Array, live: Integers) -> None:
         """Note the variance of one sample: the difference of two ``sums`` of an ensemble.
 
-        They are those of the trajectories that have sums of their own.
+        They cover the trajectories that have sums of their own.
         """
         samples = self._of_paths(after - before, live)
         self.variances.append(samples.var(axis=1, ddof=1))
@@ -103,10 +102,10 @@ class Record:
         if not self.ends:
             return ()
         time = ensemble.samples * interval
-        found: list[Effective] = []
+        effective: list[Effective] = []
         if self.variances:
             means = self.path_means(ensemble)
-            found += effective_of_paths(
+            effective += effective_of_paths(
                 [name for name, _, _ in self.squares],
                 means,
                 np.mean(self.variances, axis=0),
@@ -121,8 +120,10 @@ class Record:
             column += cuts.size
             if cuts.size:
                 name = f"the distribution of {label}"
-                found.append(effective_of_shares(name, part, ensemble.paths * recorded * interval))
-        return tuple(found)
+                effective.append(
+                    effective_of_shares(name, part, ensemble.paths * recorded * interval)
+                )
+        return tuple(effective)
 
     def path_means(self, ensemble: Any) -> Array:
         """Return the means (squares, paths) of the squares over each trajectory that has its own.
@@ -162,17 +163,17 @@ class Record:
         return np.asarray(rows[:, np.arange(LANES) < live[: sums.shape[0], None]])
 
     def _axes(self) -> list[tuple[str, bool]]:
-        """Label of every coordinate observed, and whether its octiles are those of |x|."""
-        found = []
+        """Label of every coordinate observed, and whether the octiles of |x| are meant."""
+        axes = []
         for histogram in self.histograms:
             for c in histogram.observable:
                 folded = self.mirror and c.kind != "H"
-                found.append((f"|{c}|" if folded else str(c), folded))
-        return found
+                axes.append((f"|{c}|" if folded else str(c), folded))
+        return axes
 
     def _marginals(self, ensemble: Any) -> list[Integers]:
         """Counts (batches, bins) of every coordinate, of |x| from the middle where folded."""
-        first, found = starts(self.histograms), []
+        first, marginals = starts(self.histograms), []
         folded = iter(self._axes())
         for m, histogram in enumerate(self.histograms):
             shape = [e.size - 1 for e in histogram.edges]
@@ -182,8 +183,8 @@ class Record:
                 marginal = counts.sum(axis=others) if others else counts
                 if next(folded)[1]:
                     marginal = marginal[:, bins // 2 :] + marginal[:, : bins // 2][:, ::-1]
-                found.append(marginal)
-        return found
+                marginals.append(marginal)
+        return marginals
 
 
 def octiles(counts: Integers) -> Integers:

@@ -38,9 +38,9 @@ def relaxation_time(system: System) -> float:
     omega = float(natural_modes(system)[1][0])
     start = np.full(system.n, temperature)
     noise = _modal_noise(system)
-    found: Any = _root(lambda theta: noise - modal_powers(system, theta), start, method="hybr")
-    if found.success and np.all(found.x > 0):
-        rates = np.linalg.eigvals(_jacobian(system, found.x)).real
+    balance: Any = _root(lambda theta: noise - modal_powers(system, theta), start, method="hybr")
+    if balance.success and np.all(balance.x > 0):
+        rates = np.linalg.eigvals(_jacobian(system, balance.x)).real
         if np.all(rates > 0):
             times += [_amplitude_time(float(rate), omega) for rate in rates]
     finite = [time for time in times if isfinite(time)]

@@ -1,6 +1,6 @@
 """What a simulation says of itself, as records; tables and JSON show them as ``settings``."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from math import nan
 from typing import Literal
 
@@ -8,6 +8,13 @@ from fpk.observable import Observable, observable_name
 from sim.diagnostics import Diagnosis
 
 Settings = dict[str, str | float | int]
+
+SHOWN_AS = {
+    "temperature": "kT",
+    "nanoseconds": "ns_per_particle_step",
+    "division": "small_steps",
+}
+"""Names of ``Steps`` in tables and JSON, where they differ from those of the fields."""
 
 
 @dataclass(frozen=True)
@@ -123,30 +130,14 @@ class Report:
 
     def settings(self) -> Settings:
         """Return everything for readers, by the names that tables and JSON have."""
-        s = self.steps
-        settings: Settings = {
-            "scheme": s.scheme,
-            "dt": s.dt,
-            "paths": s.paths,
-            "steps": s.steps,
-            "time": s.time,
-            "burn_in": s.burn_in,
-            "stride": s.stride,
-            "batches": s.batches,
-            "seed": s.seed,
-            "threads": s.threads,
-            "kT": s.temperature,
-            "long_step": s.long_step,
-            "ns_per_particle_step": s.nanoseconds,
-        }
+        steps = asdict(self.steps)
+        del steps["small"]  # ``division`` has it in words
+        settings: Settings = {SHOWN_AS.get(k, k): v for k, v in steps.items() if v != ""}
         if self.interrupted:
             settings["partial"] = self.interrupted
         if self.diagnosis is not None:
             settings |= self.diagnosis.settings()
         settings |= {f"sampling error of {e.name}": e.sampling for e in self.errors}
-        settings |= {"small_steps": s.division, "relaxation_time": s.relaxation_time}
-        if s.limited_by:
-            settings["limited_by"] = s.limited_by
         for m in self.moments:
             settings |= {f"E {m.name}": m.mean, f"standard error of E {m.name}": m.error}
         settings["step bias"] = "not measured" if self.half_step is None else self.half_step.words

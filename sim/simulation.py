@@ -119,8 +119,7 @@ def simulate(
     the sampling, and what there is by then is the result, not certified. ``failures`` say what is
     known beforehand to stand against a certificate.
 
-    Where the system has the mirror symmetry, densities are those of the samples and of their
-    mirror images.
+    Where the system has the mirror symmetry, mirror images of samples count as samples.
     """
     begin = perf_counter()
     ensemble = make(setup.system, setup.scheme, setup.dt, setup.paths, setup.seed, threads)

@@ -34,12 +34,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import comb, ndtr
 
+from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.system import System
-from sim.arrays import SubstepArrays
-from sim.flow import exact_flow, flow_covariance, linear_diffusion, linear_drift, lower_trapezoidal
+from sim.arrays import LANES, SubstepArrays
+from sim.flow import exact_flow, flow_covariance, lower_trapezoidal
 from sim.parts.linear import COLUMNS
 from sim.parts.substeps import NARROW
-from sim.random import LANES
 from sim.scheme import Scheme
 from sim.step_size import sampling_interval, temperature
 
@@ -50,7 +50,7 @@ LARGEST_NORMAL = sqrt(2.0 * 32.0 * log(2.0)) * (1.0 + 3e-6)
 """Radius of a pair of normals at most: its uniform number is 2**-32 or more; and its rounding."""
 
 TIMES = 64
-"""Intervals of a long step on which its curvature is looked at."""
+"""Intervals of a long step at whose ends the curvature of its path is evaluated."""
 
 SMALL_STEPS = (4, 8, 12, 16, 24, 32, 48, 64, 96, 128)
 """Small steps in a long one; few choices, so that round-off does not decide between them."""
@@ -87,8 +87,8 @@ def bends(system: System, H: float, masses: Integers) -> Array:
     The largest is that on a grid of times, and half an interval times the largest slope on it: what
     is left out is of second order in an interval.
     """
-    drift, step = linear_drift(system), H / TIMES
-    across = flow_covariance(drift, linear_diffusion(system), step)[0]
+    drift, step = drift_matrix(system), H / TIMES
+    across = flow_covariance(drift, diffusion_matrix(system), step)[0]
     value = drift[system.n + masses] / system.mass[masses, None]
     largest, slope = np.zeros_like(value), np.zeros_like(value)
     for _ in range(TIMES + 1):

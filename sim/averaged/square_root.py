@@ -43,7 +43,7 @@ def square_root_form(process: Process) -> SquareRootForm:
     """Return energies H_i with b_ii = β_i H_i and b_ij = 0 in the form of exact steps.
 
     d_i is the drift on the axis H_i = 0, the other energies as they are; β_i may depend on the
-    other energies and, then frozen over a step, on H_i. What is a constant is found by probing.
+    other energies and, then frozen over a step, on H_i. Constants are recognised by probing.
 
     Raises ``NotApplicable`` where noises are correlated (b_ij ≠ 0).
     """

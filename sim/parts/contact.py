@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from fpk.compiled_laws import of_law
 from fpk.compiling import FLAGS
-from sim.arrays import StepArrays
+from sim.arrays import LANES, StepArrays
 from sim.lanes import fill, row
-from sim.random import LANES
 
 Array = NDArray[np.float64]
 W = LANES

@@ -13,9 +13,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from fpk.compiling import FLAGS
-from sim.arrays import Rows, StepArrays, TermArrays
+from sim.arrays import LANES, Rows, StepArrays, TermArrays
 from sim.lanes import add, add_product, copy, fill, multiply, row
-from sim.random import LANES
 
 Array = NDArray[np.float64]
 W = LANES

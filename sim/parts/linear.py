@@ -13,10 +13,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from fpk.compiling import FLAGS
-from sim.arrays import StepArrays
+from sim.arrays import LANES, StepArrays
 from sim.lanes import copy, row
 from sim.parts.contact import modified_force, only_stop
-from sim.random import LANES, Singles
+from sim.random import Singles
 
 Array = NDArray[np.float64]
 W = LANES

@@ -5,9 +5,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from fpk.compiling import FLAGS
-from sim.arrays import StepArrays, WatchArrays
+from sim.arrays import LANES, StepArrays, WatchArrays
 from sim.lanes import add, add_product, bin_of, copy, count, fill, grow, join_bins, kick, row
-from sim.random import LANES
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

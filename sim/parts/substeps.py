@@ -3,7 +3,7 @@
 A block makes one long step: the lanes that may touch a stop within it are chosen from the state at
 its start (``sim.substeps``) and gathered, ``NARROW`` to a group; all lanes are mapped over the long
 step; then those that were gathered make the small steps from where they were and overwrite what the
-map gave. Their normals are those of the trajectory, the long step and the small one, wherever a
+map gave. Their normals belong to the trajectory, the long step and the small one, wherever a
 lane comes to lie in its group: the word's lower half is the radius, the upper the angle.
 """
 
@@ -14,11 +14,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from fpk.compiling import FLAGS
-from sim.arrays import StepArrays, SubstepArrays
+from sim.arrays import LANES, StepArrays, SubstepArrays
 from sim.lanes import fill, kick, row
 from sim.parts.contact import contact_forces
 from sim.parts.linear import COLUMNS, map_any, map_one_mass, map_two_masses
-from sim.random import GOLDEN, LANE, LANES, Halves, Singles, Words, box_muller, mixed_word
+from sim.random import GOLDEN, LANE, Halves, Singles, Words, box_muller, mixed_word
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

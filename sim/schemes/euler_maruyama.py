@@ -6,15 +6,16 @@ Maruyama, Rend. Circ. Mat. Palermo 4, 1955, 48. It feeds energy to undamped vibr
 
 import numpy as np
 
+from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.system import System
-from sim.flow import LinearMap, factored, linear_diffusion, linear_drift
+from sim.flow import LinearMap, factored
 from sim.scheme import Scheme, register
 
 
 def euler_step(system: System, dt: float) -> LinearMap:
     """Return ``x' = (1 + A h) x + σ √h z`` of the system without its contacts."""
     return LinearMap(
-        np.eye(2 * system.n) + dt * linear_drift(system), factored(dt * linear_diffusion(system))
+        np.eye(2 * system.n) + dt * drift_matrix(system), factored(dt * diffusion_matrix(system))
     )
 
 

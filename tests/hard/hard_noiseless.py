@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from fpk.observable import parse_observable
 from fpk.system import System
+from sim.arrays import LANES
 from sim.ensemble import Ensemble
 from sim.montecarlo import MonteCarlo
-from sim.random import LANES
 from sim.scheme import SCHEMES
 from sim.step_size import chosen_step
 

@@ -17,9 +17,9 @@ from fpk.density import Density, SampledDensity
 from fpk.errors import InvalidInput
 from fpk.observable import parse_observable
 from fpk.system import System
+from sim.arrays import MAX_TRAJECTORIES
 from sim.ensemble import Ensemble
 from sim.montecarlo import MonteCarlo
-from sim.random import MAX_TRAJECTORIES
 from sim.scheme import SCHEMES
 from sim.step_size import chosen_step
 

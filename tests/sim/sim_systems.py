@@ -5,6 +5,7 @@ from typing import Any
 
 from fpk.contact import Contact
 from fpk.system import System
+from sim.histogram import Histogram, covering, extremes
 from sim.montecarlo import MonteCarlo
 from sim.report import Report
 
@@ -59,3 +60,10 @@ def report_of(method: MonteCarlo, system: System, observables: Sequence[Any] = (
     report = method.solve(system, observables).report
     assert isinstance(report, Report)
     return report
+
+
+def ranged(
+    system: System, observables: Sequence[Any], q: Any, p: Any, *, mirror: bool
+) -> tuple[Histogram, ...]:
+    """Histograms that cover the states ``q``, ``p`` (samples, n) with a margin."""
+    return covering(observables, extremes(system, observables, q, p), mirror=mirror)

@@ -19,10 +19,10 @@ from sim_systems import fig6
 import sim.checkpoint
 from fpk.errors import Unavailable
 from fpk.observable import parse_observable
+from sim.arrays import LANES
 from sim.checkpoint import Autosave, Checkpoint, checkpoint_of, interruptible
 from sim.ensemble import Ensemble
 from sim.montecarlo import MonteCarlo
-from sim.random import LANES
 from sim.report import Report
 from sim.scheme import SCHEMES
 

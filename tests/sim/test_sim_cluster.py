@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sim_systems import fig6
+from sim_systems import fig6, ranged
 
 import sim.schemes  # noqa: F401
 from fpk.errors import NotCertified, Unavailable
 from fpk.observable import parse_observable
+from sim.arrays import LANES
 from sim.cluster import ClusterEnsemble, after, connected, gathered, package
 from sim.ensemble import Ensemble
-from sim.histogram import Histogram, ranged
-from sim.random import LANES
+from sim.histogram import Histogram
 from sim.scheme import SCHEMES
 from sim.statistics import moment_products
 

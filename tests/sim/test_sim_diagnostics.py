@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from arviz_stats.base import array_stats
 from scipy.integrate import quad
-from sim_systems import exact, fig6
+from sim_systems import exact, fig6, ranged
 
 from fpk.observable import parse_observable
+from sim.arrays import LANES
 from sim.diagnostics import (
     diagnosis,
     drift_limit,
@@ -20,9 +21,8 @@ from sim.diagnostics import (
     variance_error,
 )
 from sim.ensemble import Ensemble
-from sim.histogram import mirrored, ranged, sampled_density
+from sim.histogram import mirrored, sampled_density
 from sim.montecarlo import MonteCarlo
-from sim.random import LANES
 from sim.record import Record, octiles
 from sim.scheme import SCHEMES
 from sim.statistics import joined_bins, moment_products, sampling_error

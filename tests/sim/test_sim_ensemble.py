@@ -9,16 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sim_systems import fig6, linear, mixed
+from sim_systems import fig6, linear, mixed, ranged
 
 import sim.schemes  # noqa: F401
 from fpk.compiling import ROOT
 from fpk.observable import parse_observable
+from sim.arrays import LANES
 from sim.ensemble import Ensemble, kernel_key
-from sim.histogram import ranged
 from sim.kernel import KernelKey
 from sim.plan import step_arrays
-from sim.random import LANES
 from sim.scheme import SCHEMES
 from sim.sources import KERNEL, kernel_checksum, module_files, program_checksum
 from sim.statistics import moment_products

@@ -5,8 +5,9 @@ import pytest
 from scipy.linalg import solve_continuous_lyapunov
 from sim_systems import linear, mixed
 
+from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.system import System
-from sim.flow import exact_flow, factored, flow_covariance, linear_diffusion, linear_drift
+from sim.flow import exact_flow, factored, flow_covariance
 
 
 @pytest.mark.parametrize("dt", [0.01, 1.0, 10.0])
@@ -21,7 +22,7 @@ def test_covariance_after_any_number_of_steps_is_that_of_one_long_step(
             covariance = (
                 flow.propagator @ covariance @ flow.propagator.T + flow.factor @ flow.factor.T
             )
-        A, b = linear_drift(system), linear_diffusion(system)
+        A, b = drift_matrix(system), diffusion_matrix(system)
         _, expected = flow_covariance(A, b, steps * dt)
         np.testing.assert_allclose(
             covariance, expected, rtol=0, atol=1e-12 * np.abs(expected).max()
@@ -42,7 +43,7 @@ def test_noise_on_one_mass_of_five_and_no_noise(dt: float) -> None:
     D[0] = 0.3
     for intensity in (D, np.zeros(5)):
         system = System([1.0] * 5, [1.0] * 5, [0.1] * 5, intensity)
-        _, covariance = flow_covariance(linear_drift(system), linear_diffusion(system), dt)
+        _, covariance = flow_covariance(drift_matrix(system), diffusion_matrix(system), dt)
         L = factored(covariance)
         assert np.all(np.isfinite(L))
         np.testing.assert_allclose(L @ L.T, covariance, rtol=0, atol=1e-13 * covariance.max())

@@ -5,10 +5,9 @@ import pytest
 from scipy.linalg import solve_continuous_lyapunov
 from sim_systems import fig6, linear, mixed
 
-from fpk.linear import stationary_covariance
+from fpk.linear import diffusion_matrix, drift_matrix, stationary_covariance
 from fpk.modes import natural_modes
 from fpk.observable import parse_observable
-from sim.flow import linear_diffusion, linear_drift
 from sim.montecarlo import MonteCarlo
 
 
@@ -30,7 +29,7 @@ def test_modal_energies_of_a_linear_system_against_its_gaussian() -> None:
         system, [parse_observable(name, 3) for name in ("H1", "H3", "H1,H2", "H")]
     )
     shapes, omega = natural_modes(system)
-    cov = solve_continuous_lyapunov(linear_drift(system), -linear_diffusion(system))
+    cov = solve_continuous_lyapunov(drift_matrix(system), -diffusion_matrix(system))
     np.testing.assert_allclose(cov, stationary_covariance(system), rtol=1e-10, atol=1e-14)
     for density, m in zip(result.densities, (0, 2), strict=False):
         a, b = system.mass * shapes[:, m] * omega[m], shapes[:, m]

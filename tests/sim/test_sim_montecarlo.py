@@ -14,10 +14,10 @@ from sim_systems import exact, fig6, linear, mixed
 from fpk.contact import Contact
 from fpk.density import SampledDensity
 from fpk.errors import InvalidInput, NotApplicable
+from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.method import Result
 from fpk.observable import parse_observable
 from fpk.system import System
-from sim.flow import linear_diffusion, linear_drift
 from sim.histogram import watch_arrays
 from sim.kernel import WatchArrays
 from sim.montecarlo import MonteCarlo
@@ -126,7 +126,7 @@ def test_other_systems_keep_their_identities(system: System) -> None:
 @pytest.mark.parametrize("dt", [0.01, 1.0, 10.0])
 def test_without_contact_any_step_gives_the_gaussian(dt: float) -> None:
     system = linear(2)
-    covariance = solve_continuous_lyapunov(linear_drift(system), -linear_diffusion(system))
+    covariance = solve_continuous_lyapunov(drift_matrix(system), -diffusion_matrix(system))
     time = 20.0 if dt < 0.1 else 20.0 * max(1.0, dt) * 5
     s = small(dt=dt, time=time, burn_in=6.0).solve(system, Q2).settings
     value, error = float(s["E q2²"]), float(s["standard error of E q2²"])

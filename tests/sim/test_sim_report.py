@@ -13,11 +13,11 @@ from sim_systems import exact, fig6, linear, mixed, report_of
 
 from fpk.damping import DampingTerm
 from fpk.density import SampledDensity, moment
+from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.observable import parse_observable
 from fpk.system import System
 from sim.assessment import moments_of
 from sim.ensemble import Ensemble
-from sim.flow import linear_diffusion, linear_drift
 from sim.montecarlo import MonteCarlo
 from sim.record import Record
 from sim.relaxation import relaxation_time
@@ -133,7 +133,7 @@ def test_identities_hold(system: System) -> None:
 
 def test_gaussian_means() -> None:
     system = linear()
-    covariance = solve_continuous_lyapunov(linear_drift(system), -linear_diffusion(system))
+    covariance = solve_continuous_lyapunov(drift_matrix(system), -diffusion_matrix(system))
     variances = np.diag(covariance) / np.array([1.0, 1.0, *system.mass**2])
     report = report_of(MonteCarlo(paths=4096, time=300.0, seed=4711), system)
     for m, truth in zip(report.moments, variances, strict=True):

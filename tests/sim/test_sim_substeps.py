@@ -13,14 +13,16 @@ from test_sim_schemes import contact
 import sim.schemes  # noqa: F401
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
+from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.observable import parse_observable
 from fpk.system import System
+from sim.arrays import LANES
 from sim.ensemble import Ensemble, kernel_key
-from sim.flow import exact_flow, flow_covariance, linear_diffusion, linear_drift, lower_trapezoidal
+from sim.flow import exact_flow, flow_covariance, lower_trapezoidal
 from sim.histogram import Histogram
 from sim.montecarlo import MonteCarlo
 from sim.plan import step_arrays
-from sim.random import LANES, normals
+from sim.random import normals
 from sim.scheme import SCHEMES, Scheme
 from sim.statistics import Moments, moment_products
 from sim.step_size import chosen_step, sampling_interval
@@ -179,8 +181,8 @@ def test_crossings_within_a_long_step_by_rice(make, share: float) -> None:
     system = make()
     H, drift, diffusion = (
         share * sampling_interval(system),
-        linear_drift(system),
-        linear_diffusion(system),
+        drift_matrix(system),
+        diffusion_matrix(system),
     )
     for i in system.contact_masses:
         a = noise_reach(system, H, np.array([i]))[0]
