@@ -51,17 +51,22 @@ def probed(process: Process) -> Probe:
     Raises ``NotCertified`` where the density does not fall off, or b is singular off the axes.
     """
     flow, b, shape = _coefficients(process, PROBE, PROBE)
-    determinant = b[:, 0, 0] * b[:, 1, 1] - b[:, 0, 1] ** 2
-    if not np.all(determinant > 0.0):
-        raise NotCertified("some combination of the two energies gets no noise")
-    scales = process.energy_scales
-    first = (b[:, 1, 1] * flow[:, 0] - b[:, 0, 1] * flow[:, 1]) * (scales[0] / determinant)
-    second = (b[:, 0, 0] * flow[:, 1] - b[:, 0, 1] * flow[:, 0]) * (scales[1] / determinant)
-    first, second = first.reshape(shape), second.reshape(shape)
+    slopes = divided_by_diffusion(flow, b) * process.energy_scales
+    first, second = slopes.T.reshape(2, *shape)
     along = _integral(first), _integral(second.T).T
     paths = along[0][:, :1] + along[1] + along[1][:1] + along[0]
     probe = Probe(0.5 * paths, np.stack([first, second]))
     return probe if probe.falls else _closed(process)
+
+
+def divided_by_diffusion(flow: Array, b: Array) -> Array:
+    """Return b⁻¹ ``flow`` (points, 2); raises ``NotCertified`` where b is singular."""
+    determinant = b[:, 0, 0] * b[:, 1, 1] - b[:, 0, 1] ** 2
+    if not np.all(determinant > 0.0):
+        raise NotCertified("some combination of the two energies gets no noise")
+    first = b[:, 1, 1] * flow[:, 0] - b[:, 0, 1] * flow[:, 1]
+    second = b[:, 0, 0] * flow[:, 1] - b[:, 0, 1] * flow[:, 0]
+    return np.stack([first, second], axis=1) / determinant[:, None]
 
 
 def _closed(process: Process) -> Probe:

@@ -45,6 +45,7 @@ REACH = 30.0
 RAYS = np.concatenate([UNIT, np.geomspace(1.04, REACH, 48)])
 """Coordinates of the grid on which Φ is checked, in units of the fitted box."""
 OUTSIDE = np.maximum(RAYS[:, None], RAYS) > 1.0
+TINY = float(np.finfo(float).tiny)
 FLOOR = float(np.exp(-44.0))
 """Added to w, so that no element matrix is singular: 8e-20, and u ≥ −1e5 there keeps
 p ≥ −1e-14 of its maximum."""
@@ -77,7 +78,8 @@ class Weight:
         """w and the slopes of −ln w along H1 and H2 on the grid (H1.size, H2.size)."""
         x, y = H1 / self.scales[0], H2 / self.scales[1]
         w = np.exp(-polygrid2d(x, y, self.coefficients))
-        share = w / (w + self.floor)
+        # Where w underflows without a floor its slope is that of nothing.
+        share = w / np.maximum(w + self.floor, TINY)
         first, second = (
             polygrid2d(x, y, polyder(self.coefficients, axis=axis)) * share / self.scales[axis]
             for axis in (0, 1)
