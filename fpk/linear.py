@@ -117,10 +117,11 @@ def linear_covariance(system: System) -> LinearCovariance:
     size = np.sqrt(np.maximum(variance, variance_error))
     relative = sum(np.linalg.norm(e / np.outer(size, size), 2) for e in errors)
     relative += np.max(variance_error / size**2)
-    # Displacement and velocity of one mode are not correlated, which leaves no terms to compare
-    # with: those of the rotation are.
-    turn = np.sqrt(omega * np.abs(np.diag(covariance)[:n]))
-    terms[:n, :n] += np.outer(turn, turn)
+    # What is not correlated leaves no terms to compare with: those of both on their own are, in
+    # displacements those of the rotation.
+    terms[range(n), range(n)] += omega * np.abs(np.diag(covariance)[:n])
+    alone = np.sqrt(np.diag(terms))
+    terms = np.maximum(terms, np.outer(alone, alone))
     return LinearCovariance(
         shapes=T,
         omega=omega,
@@ -129,7 +130,7 @@ def linear_covariance(system: System) -> LinearCovariance:
         variance=variance,
         variance_error=variance_error,
         relative_error=float(relative),
-        residual=float(np.max(np.abs(left) / terms)),
+        residual=float(np.max(np.abs(left) / np.where(terms > 0.0, terms, 1.0))),
     )
 
 
