@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.process import modes_process
 from averaging.quadrature import solve_by_quadrature
+from averaging.zero_flux import flux_residual
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
 from fpk.line.mesh import initial_nodes
-from fpk.line.stationary import StationarySolution, solve_stationary
+from fpk.line.stationary import solve_stationary
 from fpk.observable import Coordinate
-from fpk.plane.stationary import PlaneSolution, solve_plane
+from fpk.plane.stationary import solve_plane
 from fpk.probe import probed
-from fpk.process import Process, log_density_slope
+from fpk.process import Process
 from fpk.quadrature import panel_rule
 
 Array = NDArray[np.float64]
@@ -82,19 +83,11 @@ def solved_group(
 
 
 def _by_elements(process: Process, tol: float) -> Solved:
-    solution: PlaneSolution | StationarySolution
-    panels: tuple[Array, ...]
-    if process.dimension == 2:
-        solution = solve_plane(process, tol=tol)
-        panels = solution.nodes
-    else:
-        solution = solve_stationary(process, tol=tol)
-        panels = (solution.nodes,)
-    c = solution.certificate
-    measured = Measured(
-        solution.l1_error, c.mass_defect, c.minimum, c.residual, c.tail_mass, c.net_flux, c.failures
-    )
-    return panels, solution.density, solution.pointwise_error, measured
+    if process.dimension == 1:
+        line = solve_stationary(process, tol=tol)
+        return (line.nodes,), line.density, line.pointwise_error, line.measured
+    plane = solve_plane(process, tol=tol)
+    return plane.nodes, plane.density, plane.pointwise_error, plane.measured
 
 
 def _by_quadrature(process: Process, tol: float) -> Solved:
@@ -103,8 +96,13 @@ def _by_quadrature(process: Process, tol: float) -> Solved:
     def pdf(energy: Array) -> Array:
         return np.asarray(np.exp(solution.log_density(np.asarray(energy, dtype=float))))
 
-    error = solution.l1_error
-    return (solution.nodes,), pdf, lambda energy: error * pdf(energy), solution.measured
+    def error(energy: Array) -> Array:
+        # ln p is formed with ln H and ln b, which cancel.
+        logarithm = np.abs(np.log(np.maximum(energy, np.finfo(float).tiny)))
+        relative = solution.l1_error + solution.log_error(energy) + 4.0 * EPS * logarithm
+        return np.asarray(relative * pdf(energy))
+
+    return (solution.nodes,), pdf, error, solution.measured
 
 
 def _closed_form(modes: ModalAnalysis, mode: int, process: Process) -> Solved:
@@ -139,7 +137,7 @@ def _closed_form(modes: ModalAnalysis, mode: int, process: Process) -> Solved:
         return np.where(inside, np.exp(fall(np.clip(x, 0.0, nodes[-1])) - log_norm), 0.0)
 
     tail = probe.tail_bound(float(nodes[-1]), float(pdf(nodes[-1:])[0]))
-    residual = flux_residual(process, lambda x: fall(x) - log_norm, nodes)
+    residual = flux_residual(process, nodes, lambda x: fall(x) - log_norm)
     measured = Measured(relative + 2.0 * tail, np.nan, np.inf, residual, tail)
     return (
         (nodes,),
@@ -147,23 +145,6 @@ def _closed_form(modes: ModalAnalysis, mode: int, process: Process) -> Solved:
         lambda x: (relative + tail + 2.0 * EPS * sizes(x)) * pdf(x),
         measured,
     )
-
-
-def flux_residual(process: Process, log_density: Callable[[Array], Array], nodes: Array) -> float:
-    """Return how far ln p of one energy is from zero flux, (ln p)' = (2s − b')/b.
-
-    The largest difference over a panel between the rise of ln p and the integral of the slope that
-    the coefficients demand, relative to the terms that cancel in both. The first panel, where 2s/b
-    and b'/b grow like 1/H, is entered at its middle.
-    """
-    ends = np.append(0.5 * (nodes[0] + nodes[1]), nodes[1:])
-    x, w = panel_rule(ends, POINTS)
-    c = process.coefficients(x)
-    demanded = np.sum(w * log_density_slope(c), axis=1)
-    parts = np.sum(w * (np.abs(2.0 * c.drift) + np.abs(c.divergence)) / c.diffusion, axis=1)
-    at = log_density(ends)
-    parts += np.abs(at[1:]) + np.abs(at[:-1])
-    return float(np.max(np.abs(np.diff(at) - demanded) / parts))
 
 
 def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:

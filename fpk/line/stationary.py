@@ -7,6 +7,7 @@ natural. The equation is solved from its coefficients alone, never from the know
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,11 +104,25 @@ class StationarySolution:
         return self._error(energy, self._log_factor(energy, of_p=True))
 
     def _error(self, energy: Array, log_factor: Array) -> Array:
-        """Error of u: distance to the enriched solution and what shifts all of p alike."""
+        """Error of u: distance to the enriched solution and what shifts all of p alike.
+
+        The distance changes sign within an element, and the error need not vanish where it does:
+        it is not taken below its root mean square over the element, relative to u.
+        """
         u = self.answer(energy, log_factor=log_factor)
-        better = self.enriched(energy, log_factor=log_factor)
+        k = np.searchsorted(self.nodes, energy, side="right") - 1
+        least = self._relative_distance[np.clip(k, 0, self.nodes.size - 2)] * np.abs(u)
+        distance = np.maximum(np.abs(u - self.enriched(energy, log_factor=log_factor)), least)
         floor = self.coefficient_error + self.measured.tail_mass + ROUND_OFF * self.nodes.size
-        return np.asarray(SAFETY * np.abs(u - better) + floor * np.abs(u))
+        return np.asarray(SAFETY * distance + floor * np.abs(u))
+
+    @cached_property
+    def _relative_distance(self) -> Array:
+        """Root mean square of u − enriched over that of u, element by element (elements,)."""
+        x, _ = panel_rule(self.nodes, ACCUMULATION_POINTS)
+        u = self.answer(x)
+        size, distance = (np.sum(v**2, axis=1) for v in (u, u - self.enriched(x)))
+        return np.asarray(np.sqrt(distance / np.where(size > 0.0, size, 1.0)))
 
     def _log_factor(self, energy: Array, *, of_p: bool) -> Array:
         """ln of what makes p, or else p/T, of u."""
