@@ -7,7 +7,6 @@ natural. The equation is solved from its coefficients alone, never from the know
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,23 +105,22 @@ class StationarySolution:
     def _error(self, energy: Array, log_factor: Array) -> Array:
         """Error of u: distance to the enriched solution and what shifts all of p alike.
 
-        The distance changes sign within an element, and the error need not vanish where it does:
-        it is not taken below its root mean square over the element, relative to u.
+        The distance has about as many zeros in an element as its degree, and the error need not
+        vanish there: the largest distance within half the way to the next one is taken.
         """
-        u = self.answer(energy, log_factor=log_factor)
-        k = np.searchsorted(self.nodes, energy, side="right") - 1
-        least = self._relative_distance[np.clip(k, 0, self.nodes.size - 2)] * np.abs(u)
-        distance = np.maximum(np.abs(u - self.enriched(energy, log_factor=log_factor)), least)
+        x = np.asarray(energy, dtype=float)
+        u = self.answer(x, log_factor=log_factor)
+        k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.nodes.size - 2)
+        left, right = self.nodes[k], self.nodes[k + 1]
+        half = 0.5 * (right - left) / (self.degree + ENRICHMENT)
+        around = [x, np.clip(x - half, left, right), np.clip(x + half, left, right)]
+        distance = np.max([np.abs(self._distance(y, log_factor)) for y in around], axis=0)
         floor = self.coefficient_error + self.measured.tail_mass + ROUND_OFF * self.nodes.size
         return np.asarray(SAFETY * distance + floor * np.abs(u))
 
-    @cached_property
-    def _relative_distance(self) -> Array:
-        """Root mean square of u − enriched over that of u, element by element (elements,)."""
-        x, _ = panel_rule(self.nodes, ACCUMULATION_POINTS)
-        u = self.answer(x)
-        size, distance = (np.sum(v**2, axis=1) for v in (u, u - self.enriched(x)))
-        return np.asarray(np.sqrt(distance / np.where(size > 0.0, size, 1.0)))
+    def _distance(self, energy: Array, log_factor: Array) -> Array:
+        u = self.answer(energy, log_factor=log_factor)
+        return np.asarray(u - self.enriched(energy, log_factor=log_factor))
 
     def _log_factor(self, energy: Array, *, of_p: bool) -> Array:
         """ln of what makes p, or else p/T, of u."""
