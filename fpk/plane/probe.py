@@ -81,7 +81,10 @@ def _closed(process: Process) -> Probe:
         log_p = _integral(slope[:, None])[:, 0]
         fallen = np.flatnonzero(np.maximum.accumulate(log_p) - log_p > 0.5 * EXTENT)
         if not fallen.size:
-            raise NotCertified(f"the density does not fall off along H{axis + 1}")
+            raise NotCertified(
+                f"no approximation of the density to start from falls off along H{axis + 1}: "
+                "the probability circulates too strongly"
+            )
         # Farther out the closure is no approximation: continued with the mean slope up to there.
         end = fallen[0]
         top = int(np.argmax(log_p[:end]))
