@@ -15,9 +15,9 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 MOST_CANDIDATES = 500
-"""Resonances that are looked at, those of least detuning."""
+"""Most resonances that are examined, those of least detuning."""
 FAR = 50.0
-"""Detuning, in units of the fastest rate of a mode, from which a resonance is not looked at: its
+"""Detuning, in units of the fastest rate of a mode, from which a resonance is ignored: its
 swing would be below 0.1 even where what oscillates is twice as large as what averages."""
 
 
@@ -54,7 +54,7 @@ def internal_refusal(system: System, modes: ModalAnalysis) -> str | None:
         f"internal resonance: |Σ l ω| = {detuning:.4g} for l = ({', '.join(map(str, integers))}) "
         "is not large against the flow of energy that the damping terms excite there; averaging "
         f"would neglect a swing of {worst:.2g} of the energy of mode {m + 1}, at most "
-        f"{MOST_CORRELATED:g} is let pass"
+        f"{MOST_CORRELATED:g} is allowed"
     )
 
 
@@ -108,16 +108,15 @@ def _candidates(system: System, modes: ModalAnalysis) -> list[tuple[Integers, fl
     frequency = halves @ modes.natural_frequency
     ranked = np.argsort(frequency, kind="stable")
     halves, frequency = halves[ranked], frequency[ranked]
-    found: set[tuple[int, ...]] = set()
+    vectors: set[tuple[int, ...]] = set()
     for step in range(1, frequency.size):
         close = np.flatnonzero(frequency[step:] - frequency[:-step] < limit)
-        if not close.size or len(found) > 10 * MOST_CANDIDATES:
+        if not close.size or len(vectors) > 10 * MOST_CANDIDATES:
             break
         for integers in halves[close + step] - halves[close]:
             size = int(np.abs(integers).sum())
             if size in orders and size != 2:
                 leading = integers[np.flatnonzero(integers)[0]]
-                found.add(tuple(int(k) for k in integers * np.sign(leading)))
-    vectors = [np.array(integers) for integers in found]
-    pairs = [(vector, abs(float(vector @ modes.natural_frequency))) for vector in vectors]
+                vectors.add(tuple(int(k) for k in integers * np.sign(leading)))
+    pairs = [(np.array(v), abs(float(np.dot(v, modes.natural_frequency)))) for v in vectors]
     return sorted(pairs, key=lambda pair: pair[1])[:MOST_CANDIDATES]

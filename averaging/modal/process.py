@@ -26,7 +26,7 @@ def modal_process(system: System) -> Process:
 
     Raises ``NotApplicable`` where a mode is not damped, or no noise reaches it.
     """
-    modes = modal_analysis(system)
+    modes = system.fact(modal_analysis)
     return modes_process(modes, range(modes.n))
 
 

@@ -11,7 +11,7 @@ from averaging.modal.analysis import ModalAnalysis
 Array = NDArray[np.float64]
 
 ORDER = 4
-"""Σ|l_i| up to which resonances are looked for. Averages of v_i v_j hold the frequencies
+"""Σ|l_i| up to which resonances are searched. Averages of v_i v_j hold the frequencies
 ω_i ± ω_j, order 2; damping that is quadratic in the state multiplies them to order 4."""
 MOST_CORRELATED = 0.1
 """Largest correlation of two modes that averaging may neglect: p(q_i, p_j) is then off by up to
@@ -134,5 +134,5 @@ def resonance_refusal(modes: ModalAnalysis) -> str | None:
     return (
         f"internal resonance: |ω{i} − ω{j}| = {pair.detuning:.4g} is not large against the "
         f"half-bandwidths' sum {pair.bandwidth:.4g}; averaging would neglect a correlation of "
-        f"{pair.correlation:.2g} between these modes, at most {MOST_CORRELATED:g} is let pass"
+        f"{pair.correlation:.2g} between these modes, at most {MOST_CORRELATED:g} is allowed"
     )

@@ -15,7 +15,9 @@ Array = NDArray[np.float64]
 NEGLIGIBLE = 1e-12
 """A coefficient below this share of the terms that cancel in it is their round-off, so zero."""
 MOST_COEFFICIENTS = 1_000_000
+"""Coefficients of all averages together, 16 MB with their sizes; more are refused."""
 MOST_STEPS = 4000
+"""Steps of the iteration to the balance; it converges linearly, in some hundred as a rule."""
 BALANCED = 1e-14
 """Imbalance of a mode, relative to all flows in and out, at which the iteration is at rest."""
 FURTHEST = 1e8
@@ -126,7 +128,7 @@ def balanced_energies(damping: StateDamping, noise: Array, guess: float) -> Arra
     """Return the θ (n,) at which independent exponential energies balance: E γ_m H_m = noise_m.
 
     ``noise`` is d_m/M*_m. The rates are followed downhill in ln θ from ten times ``guess``, so that
-    of several balances a high one is found. A scale for meshes and bandwidths, where damping does
+    of several balances a high one is reached. A scale for meshes and bandwidths, where damping does
     depend on the state: no answer rests on it.
 
     Raises ``NotApplicable`` for a mode whose energy grows for ever.
