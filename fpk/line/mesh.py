@@ -86,8 +86,8 @@ def _miss(degree: int) -> tuple[float, float]:
     """ln of (p+1)! 2^(2p+1), and of the n where an element's error is ``UNDER`` of e^(−n)."""
     p = degree + 1
     log_unit = math.lgamma(p + 1) + (2 * p - 1) * math.log(2.0)
-    found = brentq(lambda n: p * math.log(n) - log_unit + n - math.log(UNDER), 1e-3, 1e3)
-    return log_unit, math.log(found)
+    steepest = brentq(lambda n: p * math.log(n) - log_unit + n - math.log(UNDER), 1e-3, 1e3)
+    return log_unit, math.log(steepest)
 
 
 def with_layers(nodes: Array, nonsmooth: tuple[float, ...], *, count: int = GRADED_LAYERS) -> Array:

@@ -22,21 +22,21 @@ at zero. So it goes where T spans hundreds of decades in one element (n = 50 mas
 
 
 class Solved(NamedTuple):
-    """Null vectors of elements and their enriched twins; every array is indexed by element first.
+    """Null vectors of elements, and of the same in the enriched degree; elements run first.
 
-    ``u`` (elements, degree + 1), ``twin`` (elements, degree + 3) are coefficients of the shape
+    ``u`` (elements, degree + 1), ``enriched`` (elements, degree + 3) are coefficients of the shape
     functions for the mass 1, ``log_factor`` ln of what p = factor·T·u has to be multiplied by,
-    ``values`` and ``twin_values`` (elements, points) p at the answer's points for integrals, whose
-    ``weights`` are. ``residual`` is relative to the terms that cancel in it; ``net_flux`` is the
-    mean of J and ``one_way`` that of its parts, each way, and of what diffusion would drive if u
-    fell to nothing over the element.
+    ``values`` and ``enriched_values`` (elements, points) p at the answer's points for integrals,
+    ``weights`` those of the points. ``residual`` is relative to the terms that cancel in it;
+    ``net_flux`` is the mean of J and ``one_way`` that of its parts, each way, and of what diffusion
+    would drive if u fell to nothing over the element.
     """
 
     u: Array
-    twin: Array
+    enriched: Array
     log_factor: Array
     values: Array
-    twin_values: Array
+    enriched_values: Array
     weights: Array
     residual: Array
     net_flux: Array
@@ -205,9 +205,9 @@ def solved_elements(
     ``row`` says which row of ``log_states``, ln T at the points of ``contact``, belongs to an
     element that begins where contact does; it is −1 for the others.
     """
-    count, (p, m), m2 = lengths.size, rule.phi.shape, rule.twin_phi.shape[1]
+    count, (p, m), m2 = lengths.size, rule.phi.shape, rule.enriched_phi.shape[1]
     most = contact.phi.shape[0]
-    found = Solved(
+    out = Solved(
         np.empty((count, m)), np.empty((count, m2)), np.empty(count),
         np.empty((count, most)), np.empty((count, most)), np.empty((count, most)),
         np.empty(count), np.empty(count), np.empty(count),
@@ -223,33 +223,33 @@ def solved_elements(
             for g in range(contact.share.size):
                 T[g] = np.exp(log_states[row[e], g] - top)
         weight, points = (contact.weight, most) if begins else (rule.weight, p)
-        twin_weight = contact.weight[most:] if begins else rule.twin_weight
-        twin_T = T[most:] if begins else T
+        enriched_weight = contact.weight[most:] if begins else rule.enriched_weight
+        enriched_T = T[most:] if begins else T
         phi = contact.phi if begins else rule.phi
-        twin_phi = contact.twin_phi if begins else rule.twin_phi
-        seen = contact.seen if begins else rule.twin_phi
+        enriched_phi = contact.enriched_phi if begins else rule.enriched_phi
+        compared = contact.compared if begins else rule.enriched_phi
         for g in range(points):
             mass[g] = h * weight[g] * T[g]
         residual, net, parts = _null_vector(
-            alpha, beta, mass[:points], rule.phi, rule.dphi, phi, own_work, found.u[e]
+            alpha, beta, mass[:points], rule.phi, rule.dphi, phi, own_work, out.u[e]
         )
-        found.residual[e], found.net_flux[e], found.one_way[e] = residual, net / h, parts / h
-        for g in range(twin_weight.size):
-            mass[g] = h * twin_weight[g] * twin_T[g]
+        out.residual[e], out.net_flux[e], out.one_way[e] = residual, net / h, parts / h
+        for g in range(enriched_weight.size):
+            mass[g] = h * enriched_weight[g] * enriched_T[g]
         _null_vector(
-            alpha, beta, mass[: twin_weight.size], rule.twin_phi, rule.twin_dphi, twin_phi, work,
-            found.twin[e],
+            alpha, beta, mass[: enriched_weight.size], rule.enriched_phi, rule.enriched_dphi,
+            enriched_phi, work, out.enriched[e],
         )  # fmt: skip
-        found.log_factor[e] = top
+        out.log_factor[e] = top
         for k in range(most):
             # Where there are fewer points the last one fills up, without weight.
             g = min(k, points - 1)
             value, other = 0.0, 0.0
             for j in range(m):
-                value += phi[g, j] * found.u[e, j]
+                value += phi[g, j] * out.u[e, j]
             for j in range(m2):
-                other += seen[g, j] * found.twin[e, j]
-            found.weights[e, k] = h * weight[g] if k < points else 0.0
-            found.values[e, k] = value * T[g]
-            found.twin_values[e, k] = other * T[g]
-    return found
+                other += compared[g, j] * out.enriched[e, j]
+            out.weights[e, k] = h * weight[g] if k < points else 0.0
+            out.values[e, k] = value * T[g]
+            out.enriched_values[e, k] = other * T[g]
+    return out

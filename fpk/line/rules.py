@@ -20,37 +20,37 @@ class Rule(NamedTuple):
     """Points of an element, of [0, 1], and what shape functions are there.
 
     At the Gauss points ``share`` (points,) with their ``weight`` the flux is tested, for the answer
-    and for its twin; ``phi``, ``dphi`` (points, degree + 1) are shape functions and slopes of the
-    answer, ``twin_phi``, ``twin_dphi`` of the twin. The mass of the twin is integrated with
-    ``twin_weight``, an interpolation at all points but one: how far the two masses differ shows
-    what T lacks of being a polynomial, and exceeds the error of the Gauss rule by far.
+    and for the enriched solution; ``phi``, ``dphi`` (points, degree + 1) are shape functions and
+    slopes of the answer, ``enriched_phi``, ``enriched_dphi`` of the enriched solution, whose mass
+    is integrated with ``enriched_weight``, an interpolation at all points but one: how far the two
+    masses differ shows what T lacks of being a polynomial, and exceeds the error of the Gauss rule.
     """
 
     share: Array
     weight: Array
-    twin_weight: Array
+    enriched_weight: Array
     phi: Array
     dphi: Array
-    twin_phi: Array
-    twin_dphi: Array
+    enriched_phi: Array
+    enriched_dphi: Array
 
 
 class ContactRule(NamedTuple):
-    """Points for the mass of an element that begins where contact does, those of the twin last.
+    """Points for the mass of an element that begins where contact does, enriched ones last.
 
     Gauss points in (H − H_c)^⅓: in √(H − H_c) T is smooth, but stiff contact leaves a layer just
     above H_c, which asks for more points there. Without clearance, or with very little beside a
     stiff stop, T has other roots and both rules converge algebraically: twice as many points keep
     less than half of the error for any power of H − H_c from ½ on. ``phi`` are the shape functions
-    of the answer at its own points, ``twin_phi`` of the twin at its own, ``seen`` of the twin at
-    the answer's.
+    of the answer at its own points, ``enriched_phi`` of the enriched solution at its own,
+    ``compared`` of the enriched solution at the answer's.
     """
 
     share: Array
     weight: Array
     phi: Array
-    twin_phi: Array
-    seen: Array
+    enriched_phi: Array
+    compared: Array
 
 
 @lru_cache
@@ -70,8 +70,8 @@ def element_rule(degree: int) -> Rule:
 def contact_rule(degree: int) -> ContactRule:
     """Return the points for masses of elements of ``degree`` that begin where contact does."""
     own = gauss_rule(degree + MORE_POINTS)
-    twin = gauss_rule(2 * (degree + MORE_POINTS))
-    t, w = (np.concatenate(part) for part in zip(own, twin, strict=True))
+    enriched = gauss_rule(2 * (degree + MORE_POINTS))
+    t, w = (np.concatenate(part) for part in zip(own, enriched, strict=True))
     share, count = t**3, own[0].size
     return ContactRule(
         share,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fpk.certificate import NEGATIVE, Certificate, Measured, certify
 from fpk.errors import NotCertified
 from fpk.line.assembly import SolvedElements, merged, solve_elements
-from fpk.line.chain import Assembled, Checks, assembled, checks
+from fpk.line.chain import Assembled, assembled
 from fpk.line.elements import Form, in_legendre
 from fpk.line.mesh import (
     DEEP_LAYERS,
@@ -156,12 +156,11 @@ def solve_stationary(
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree, form)
     special = np.array([0.0, *process.nonsmooth])
     for _ in range(MOST_ROUNDS):
-        whole = Assembled(*assembled(elements.solved))
-        found = Checks(*checks(elements.solved, whole, elements.coefficient_error))
+        whole = assembled(elements)
+        negative = whole.p.min(axis=1) < NEGATIVE * whole.p.max()
         # Half of the tolerance is left to the tail, the coefficients and round-off.
-        if SAFETY * found.distance <= 0.5 * tol and found.least >= NEGATIVE * found.most:
+        if SAFETY * whole.distance <= 0.5 * tol and not negative.any():
             break
-        negative = whole.p.min(axis=1) < NEGATIVE * found.most
         marked = negative | (whole.indicator > 0.1 * tol / whole.indicator.size)
         left, right = elements.left[marked], elements.right[marked]
         cut = split_points(left, right, special)
@@ -175,7 +174,7 @@ def solve_stationary(
             process, np.concatenate([left, cut]), np.concatenate([cut, right]), degree, form
         )
         elements = merged(elements, new, ~marked)
-    return _certified(process, probe, elements, whole, found, degree, form, tol)
+    return _certified(process, probe, elements, whole, degree, form, tol)
 
 
 def solve_on_mesh(
@@ -183,9 +182,7 @@ def solve_on_mesh(
 ) -> StationarySolution:
     """Return the finite element solution on a given mesh, for convergence studies."""
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree, form)
-    whole = Assembled(*assembled(elements.solved))
-    found = Checks(*checks(elements.solved, whole, elements.coefficient_error))
-    return _certified(process, probed(process), elements, whole, found, degree, form, np.inf)
+    return _certified(process, probed(process), elements, assembled(elements), degree, form, np.inf)
 
 
 def _certified(
@@ -193,7 +190,6 @@ def _certified(
     probe: Probe,
     elements: SolvedElements,
     whole: Assembled,
-    found: Checks,
     degree: int,
     form: Form,
     tol: float,
@@ -207,29 +203,29 @@ def _certified(
     # Errors of s and b shift d ln p/dH by as much. Their effect on ln p is bounded by the error
     # times the fall of ln p over the bulk of the mass, about one per energy scale; the worst
     # point of each element counts by its share of the mass.
-    coefficient_error = 2.0 * found.coefficient_error
+    coefficient_error = 2.0 * whole.coefficient_error
     moved, accumulated = 0.0, 0.0
     if process.state_damping:
         moved, accumulated = _accumulated_error(process, nodes, np.abs(whole.share))
-    estimate = SAFETY * found.distance + 2.0 * tail + coefficient_error + moved
+    estimate = SAFETY * whole.distance + 2.0 * tail + coefficient_error + moved
     estimate += ROUND_OFF * (nodes.size - 1 + degree**2)
     measured = Measured(
         l1_error=estimate,
-        mass_defect=abs(found.mass - 1.0),
-        minimum=found.least / found.most,
-        residual=found.residual,
+        mass_defect=abs(whole.mass - 1.0),
+        minimum=float(whole.p.min() / whole.p.max()),
+        residual=whole.residual,
         tail_mass=tail,
-        net_flux=found.net_flux,
+        net_flux=whole.net_flux,
     )
-    if not found.residual < RESIDUAL:
-        measured = measured.with_failures(f"the algebraic residual is {found.residual:.2g}")
+    if not whole.residual < RESIDUAL:
+        measured = measured.with_failures(f"the algebraic residual is {whole.residual:.2g}")
     return StationarySolution(
         process=process,
         form=form,
         degree=degree,
         answer=Piecewise(nodes, whole.u @ in_legendre(degree), whole.log_scale),
         enriched=Piecewise(
-            nodes, whole.twin @ in_legendre(degree + ENRICHMENT), whole.twin_log_scale
+            nodes, whole.enriched @ in_legendre(degree + ENRICHMENT), whole.enriched_log_scale
         ),
         coefficient_error=coefficient_error + accumulated,
         measured=measured,
