@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.errors import NotCertified
-from fpk.process import Coefficients, Process, log_density_slope, log_density_slope_error
+from fpk.process import Coefficients, Process, log_density_slope_error
 
 Array = NDArray[np.float64]
 
@@ -88,14 +88,17 @@ def _upper(process: Process, axis: int, name: str) -> BoundaryClass:
     )
 
 
-def require_falling(energy: Array, c: Coefficients) -> None:
+def require_falling(energy: Array, c: Coefficients, slope: Array) -> None:
     """Raise ``NotCertified`` where p H of one energy rises at the last, highest ``energy``.
 
-    ``c`` are the coefficients there. The slope d ln(p H)/d ln H = 1 + H (2s − b')/b has to be
-    negative there beyond its error: p has no finite integral else, whatever a mesh that ends
-    earlier makes of it. A rise in between shows in the mass beyond the mesh (``fpk.probe``).
+    ``c`` are the coefficients there and ``slope`` d ln p/dH = (2s − b')/b. The rate
+    d ln(p H)/d ln H = 1 + H slope has to be negative at the last energy beyond its error: p has no
+    finite integral else, whatever a mesh that ends earlier makes of it. A rise in between shows in
+    the mass beyond the mesh (``fpk.probe``).
     """
-    rate = 1.0 + energy * log_density_slope(c)
+    if energy[-1] * slope[-1] < -1.0:
+        return
+    rate = 1.0 + energy * slope
     error = energy * np.nan_to_num(log_density_slope_error(c))
     inwards = np.flatnonzero(~(rate > error))
     first = int(inwards[-1]) + 1 if inwards.size else 0

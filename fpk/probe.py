@@ -64,17 +64,17 @@ class Probe:
         Between two energies of the probe p falls at the lesser of the rates at both of them, and
         beyond the last one at the rate there.
         """
-        beyond = self.energy > end
-        energy = np.append(end, self.energy[beyond])
-        rate = -np.append(np.interp(end, self.energy, self.slope), self.slope[beyond])
+        first = int(np.searchsorted(self.energy, end, side="right"))
+        energy, rate = self.energy[first - 1 :].copy(), -self.slope[first - 1 :]
+        rate[0], energy[0] = -np.interp(end, self.energy, self.slope), end
         least = np.minimum(rate[1:], rate[:-1])
-        fall = least * np.diff(energy)
-        if not rate[-1] > 0.0 or np.any(least == 0.0):
+        if not rate[-1] > 0.0 or not least.all():
             return math.inf
+        fall = least * (energy[1:] - energy[:-1])
         with np.errstate(over="ignore"):
-            density = density_at_end * np.exp(-np.append(0.0, np.cumsum(fall)))
-            pieces = density[:-1] * -np.expm1(-fall) / least
-        return float(pieces.sum() + density[-1] / rate[-1])
+            left = np.exp(-np.cumsum(fall))
+            pieces = (np.append(1.0, left[:-1]) - left) / least
+        return density_at_end * float(pieces.sum() + left[-1] / rate[-1])
 
     def e_fold(self, end: float) -> float:
         """Return the mean energy over which p/T changes by the factor e, below ``end``."""
@@ -94,9 +94,12 @@ def probed(process: Process) -> Probe:
     with np.errstate(over="ignore", invalid="ignore"):
         c = process.coefficients(energy)
         slope, roughness = _slopes(c)
-        finite = (FAR_OUT[0] >= GRID) | np.isfinite(slope * energy)
-        energy, slope, roughness = energy[finite], slope[finite], roughness[finite]
-        require_falling(energy, Coefficients(*(np.broadcast_to(a, GRID.shape)[finite] for a in c)))
+        finite = np.isfinite(slope * energy)
+        if not finite.all():
+            finite |= FAR_OUT[0] >= GRID
+            c = Coefficients(*(np.broadcast_to(a, GRID.shape)[finite] for a in c))
+            energy, slope, roughness = energy[finite], slope[finite], roughness[finite]
+        require_falling(energy, c, slope)
     probe = _probe(energy, slope, roughness)
     return _closer(process, probe) if process.state_damping else probe
 

@@ -1,4 +1,4 @@
-"""Elements of one energy with all that was found on them, and how a mesh of them grows."""
+"""Elements of one energy and their solutions, and how a mesh of them grows."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple

@@ -54,16 +54,16 @@ def initial_nodes(
 
 def _placed(energy: Array, rate: Array, ends: Array) -> Array:
     """Nodes among them ``ends``, as many between two as ∫rate asks for, in equal shares of it."""
-    grid = np.linspace(0.0, ends[-1], 65)
+    grid = ends[-1] / 64.0 * np.arange(65.0)
     on_grid = np.interp(grid, energy, rate)
-    total = np.append(0.0, np.cumsum(0.5 * (on_grid[1:] + on_grid[:-1]) * grid[1]))
+    total = np.append(0.0, (0.5 * grid[1] * (on_grid[1:] + on_grid[:-1])).cumsum())
     amount = np.interp(ends, grid, total)
-    pieces = np.maximum(np.ceil(np.diff(amount)), 1.0).astype(int)
-    nodes = [
-        np.append(start, np.interp(np.linspace(first, last, count + 1)[1:-1], total, grid))
-        for start, first, last, count in zip(ends, amount, amount[1:], pieces, strict=False)
-    ]
-    return np.concatenate([*nodes, ends[-1:]])
+    pieces = np.maximum(np.ceil(amount[1:] - amount[:-1]), 1.0)
+    # The number of a node, counted by pieces, is linear in the amount between two ends.
+    number = np.append(0.0, pieces.cumsum())
+    nodes = np.interp(np.interp(np.arange(number[-1] + 1.0), number, amount), total, grid)
+    nodes[number.astype(int)] = ends
+    return nodes
 
 
 def nats_for(probe: Probe, degree: int, tol: float) -> Array:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fpk.certificate import NEGATIVE, Certificate, Measured, certify
 from fpk.errors import NotCertified
 from fpk.line.assembly import SolvedElements, merged, solve_elements
-from fpk.line.chain import Assembled, assembled
+from fpk.line.chain import Assembled, Checks, assembled, checks
 from fpk.line.elements import Form, in_legendre
 from fpk.line.mesh import (
     DEEP_LAYERS,
@@ -156,11 +156,12 @@ def solve_stationary(
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree, form)
     special = np.array([0.0, *process.nonsmooth])
     for _ in range(MOST_ROUNDS):
-        whole = assembled(elements)
-        negative = whole.p.min(axis=1) < NEGATIVE * whole.p.max()
+        whole = Assembled(*assembled(elements.solved))
+        sums = Checks(*checks(elements.solved, whole, elements.coefficient_error))
         # Half of the tolerance is left to the tail, the coefficients and round-off.
-        if SAFETY * whole.distance <= 0.5 * tol and not negative.any():
+        if SAFETY * sums.distance <= 0.5 * tol and sums.least >= NEGATIVE * sums.most:
             break
+        negative = whole.p.min(axis=1) < NEGATIVE * sums.most
         marked = negative | (whole.indicator > 0.1 * tol / whole.indicator.size)
         left, right = elements.left[marked], elements.right[marked]
         cut = split_points(left, right, special)
@@ -174,7 +175,7 @@ def solve_stationary(
             process, np.concatenate([left, cut]), np.concatenate([cut, right]), degree, form
         )
         elements = merged(elements, new, ~marked)
-    return _certified(process, probe, elements, whole, degree, form, tol)
+    return _certified(process, probe, elements, whole, sums, degree, form, tol)
 
 
 def solve_on_mesh(
@@ -182,7 +183,9 @@ def solve_on_mesh(
 ) -> StationarySolution:
     """Return the finite element solution on a given mesh, for convergence studies."""
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree, form)
-    return _certified(process, probed(process), elements, assembled(elements), degree, form, np.inf)
+    whole = Assembled(*assembled(elements.solved))
+    sums = Checks(*checks(elements.solved, whole, elements.coefficient_error))
+    return _certified(process, probed(process), elements, whole, sums, degree, form, np.inf)
 
 
 def _certified(
@@ -190,6 +193,7 @@ def _certified(
     probe: Probe,
     elements: SolvedElements,
     whole: Assembled,
+    sums: Checks,
     degree: int,
     form: Form,
     tol: float,
@@ -203,22 +207,22 @@ def _certified(
     # Errors of s and b shift d ln p/dH by as much. Their effect on ln p is bounded by the error
     # times the fall of ln p over the bulk of the mass, about one per energy scale; the worst
     # point of each element counts by its share of the mass.
-    coefficient_error = 2.0 * whole.coefficient_error
+    coefficient_error = 2.0 * sums.coefficient_error
     moved, accumulated = 0.0, 0.0
     if process.state_damping:
         moved, accumulated = _accumulated_error(process, nodes, np.abs(whole.share))
-    estimate = SAFETY * whole.distance + 2.0 * tail + coefficient_error + moved
+    estimate = SAFETY * sums.distance + 2.0 * tail + coefficient_error + moved
     estimate += ROUND_OFF * (nodes.size - 1 + degree**2)
     measured = Measured(
         l1_error=estimate,
-        mass_defect=abs(whole.mass - 1.0),
-        minimum=float(whole.p.min() / whole.p.max()),
-        residual=whole.residual,
+        mass_defect=abs(sums.mass - 1.0),
+        minimum=sums.least / sums.most,
+        residual=sums.residual,
         tail_mass=tail,
-        net_flux=whole.net_flux,
+        net_flux=sums.net_flux,
     )
-    if not whole.residual < RESIDUAL:
-        measured = measured.with_failures(f"the algebraic residual is {whole.residual:.2g}")
+    if not sums.residual < RESIDUAL:
+        measured = measured.with_failures(f"the algebraic residual is {sums.residual:.2g}")
     return StationarySolution(
         process=process,
         form=form,
