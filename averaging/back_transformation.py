@@ -18,9 +18,9 @@ from fpk.system import System
 
 Array = NDArray[np.float64]
 
-POINTS = (10, 14)
-"""Gauss points per panel over a contact mass that is not observed, and of the finer rule: the
-answer is that of the finer one, the distance between the two its error."""
+POINTS = {0: (1, 1), 1: (10, 14), 2: (8, 10)}
+"""Gauss points per panel over 0, 1 or 2 contact masses that are not observed, and of a finer rule:
+the answer is that of the finer one, the distance between the two its error."""
 
 
 TIED = 0.2
@@ -64,7 +64,7 @@ def back_transformed(source: EnergyDensity, observable: Observable, *, tol: floa
         if source.table_error is not None:
             error = error + marginal(source.table_error, *split)
         if hidden:
-            coarse = marginal(source.weyl, *split, points=POINTS[0])
+            coarse = marginal(source.weyl, *split, points=POINTS[len(hidden)][0])
             error = error + np.abs(marginal(source.weyl, *split) - coarse)
         return error
 
@@ -138,6 +138,7 @@ class _Marginal:
         self.laws = conditionals(system, [*q, *hidden])
         end, T = float(source.nodes[-1]), source.temperature
         self.hidden = HiddenIntegral(self.laws[len(q) :], T, end)
+        self.points = POINTS[len(hidden)][1]
         self.order = system.n - 0.5 * (len(p) + len(self.laws))
         # det K of the masses integrated out exactly is det K over det K_red, a product each.
         log_det_free = np.sum(np.log(system.stiffness)) - sum(
@@ -149,9 +150,9 @@ class _Marginal:
         )
 
     def __call__(
-        self, weyl: Weyl, q: list[Array], p: list[Array], *, points: int = POINTS[1]
+        self, weyl: Weyl, q: list[Array], p: list[Array], *, points: int | None = None
     ) -> Array:
-        """The density at displacements and momenta of one common shape."""
+        """The density at displacements and momenta of one common shape, by the finer rule."""
         shape = (q or p)[0].shape
         Q = np.array([part.ravel() for part in q]).reshape(len(q), (q or p)[0].size)
         energy = np.zeros(Q.shape[1])
@@ -159,7 +160,7 @@ class _Marginal:
             energy = energy + law.energy(Q[k], law.weights @ Q[:k])
         for momentum, i in zip(p, self.p, strict=True):
             energy = energy + momentum.ravel() ** 2 / (2.0 * self.system.mass[i])
-        result = self.hidden(lambda E: weyl(self.order, E), energy, Q, points=points)
+        result = self.hidden(lambda E: weyl(self.order, E), energy, Q, points=points or self.points)
         return np.asarray(np.exp(self.log_factor) * result).reshape(shape)
 
 

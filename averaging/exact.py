@@ -160,7 +160,7 @@ def _log_configuration_integral(system: System, h: float) -> tuple[float, float]
     hidden = HiddenIntegral(laws, 1.0 / h, DEPTH / h)
     coarse, fine = (
         float(hidden(lambda V: np.exp(-h * V), np.zeros(1), np.zeros((0, 1)), points=points)[0])
-        for points in POINTS
+        for points in POINTS[len(laws)]
     )
     return constant + float(np.log(fine)), abs(coarse / fine - 1.0) + ROUND_OFF
 
