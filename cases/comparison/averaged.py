@@ -36,6 +36,7 @@ class AveragedSimulation(Method):
     of it for ``time`` (None: 20 of it), with steps of ``step`` times the fastest, or from sample
     to sample where steps are exact. Two wells with rare passages relax more slowly than that.
     ``paths`` in all; ``threads`` None: all that there are, the answer does not depend on it.
+    ``tol``: the expected L1 error by chance above which an answer is not certified.
     """
 
     theory: Theory
@@ -44,6 +45,7 @@ class AveragedSimulation(Method):
     step: float = 0.1
     seed: int = 1
     threads: int | None = None
+    tol: float | None = None
 
     def __post_init__(self) -> None:
         """Check every field."""
@@ -55,7 +57,7 @@ class AveragedSimulation(Method):
             raise InvalidInput("seed", self.seed, "use an integer from 0 to 2**64 - 1")
         if self.threads is not None and self.threads < 1:
             raise InvalidInput("threads", self.threads, "use 1 or more")
-        for key in ("time", "step"):
+        for key in ("time", "step", "tol"):
             value = getattr(self, key)
             if value is not None and not (isfinite(value) and value > 0):
                 raise InvalidInput(key, value, "must be a finite number > 0")
@@ -99,6 +101,7 @@ class AveragedSimulation(Method):
             paths=self.paths,
             seed=self.seed,
             threads=self.threads or usable_cores(),
+            tol=inf if self.tol is None else self.tol,
         )
         densities = simulate_energies(form, observables, sampling, progress=progress)
         settings: dict[str, str | float | int] = {

@@ -35,7 +35,8 @@ class EnergySampling:
     """How averaged equations are simulated: steps of length ``dt``, or exact ones for infinity.
 
     ``paths`` in all are sampled every ``interval`` for ``time`` after ``burn_in``. Streams belong
-    to batches of paths: the answer does not depend on ``threads``.
+    to batches of paths: the answer does not depend on ``threads``. A density whose expected L1
+    error by chance exceeds ``tol`` is not certified.
     """
 
     dt: float
@@ -45,6 +46,7 @@ class EnergySampling:
     paths: int = 16384
     seed: int = 1
     threads: int = 1
+    tol: float = inf
 
     def __post_init__(self) -> None:
         """Refuse what cannot be simulated."""
@@ -183,4 +185,4 @@ def _density(
         tail_mass=outside,
         failures=failures,
     )
-    return replace(density, certificate=certify(measured, tol=inf, sampled=True))
+    return replace(density, certificate=certify(measured, tol=sampling.tol, sampled=True))

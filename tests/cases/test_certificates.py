@@ -1,0 +1,75 @@
+"""Certificates and densities are made in one place, and every route can say "not certified"."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from cases.comparison.routes import listed_routes, method_for
+from fpk.contact import Contact
+from fpk.observable import parse_observable
+from fpk.route import ROUTES
+from fpk.system import System
+
+ROOT = Path(__file__).parents[2]
+ONE_MAKER = {"Certificate": "fpk/certificate.py", "Density": "fpk/density.py"}
+
+STOPS = tuple(Contact(mass, "both", 10.0, 0.5) for mass in (1, 2))
+STIFF = System([1, 1], [1, 1e6], [0.1, 0.1], [0.05, 0.05], contacts=STOPS)
+LINEAR = System([1, 1], [1, 1e6], [0.1, 0.1], [0.05, 0.05])
+ONE_MASS = System([1.0], [1.0], [0.2], [0.1])
+
+ENERGY_SAMPLE = {"paths": 256, "time": 0.5, "tol": 1e-4}
+FAILING = {
+    # Springs in a ratio of 1e6 leave 1e-12 of round-off: more than the tolerance allows.
+    ("exact", "closed-form"): (STIFF, "H", {"tol": 1e-12}),
+    ("nonintegrable", "closed-form"): (STIFF, "H", {"tol": 1e-12}),
+    ("nonintegrable", "quadrature"): (STIFF, "H", {"tol": 1e-12}),
+    ("nonintegrable", "fem"): (STIFF, "H", {"tol": 1e-12}),
+    ("linear", "closed-form"): (LINEAR, "H", {"tol": 1e-12}),
+    ("integrable", "closed-form"): (LINEAR, "H1", {"tol": 1e-12}),
+    ("integrable", "quadrature"): (LINEAR, "H1", {"tol": 1e-12}),
+    ("integrable", "fem"): (LINEAR, "H1", {"tol": 1e-12}),
+    # A sample that is too small for the tolerance.
+    ("nonintegrable", "simulation"): (ONE_MASS, "H", ENERGY_SAMPLE),
+    ("integrable", "simulation"): (ONE_MASS, "H1", ENERGY_SAMPLE),
+    ("montecarlo", "simulation"): (
+        ONE_MASS,
+        "q1",
+        {"paths": 4096, "relaxations": 1.0, "tol": 1e-5, "longest": 0.01},
+    ),
+}
+
+
+def made_in(name):
+    """The files of the product in which a record of that name is made."""
+    files = [
+        p for room in ("fpk", "averaging", "sim", "cases") for p in (ROOT / room).rglob("*.py")
+    ]
+    assert len(files) > 100
+    calls = {p: ast.walk(ast.parse(p.read_text(encoding="utf-8"))) for p in files}
+    return {
+        p.relative_to(ROOT).as_posix()
+        for p, nodes in calls.items()
+        for node in nodes
+        if isinstance(node, ast.Call)
+        and (getattr(node.func, "id", None) or getattr(node.func, "attr", None)) == name
+    }
+
+
+@pytest.mark.parametrize("name", ONE_MAKER)
+def test_it_is_made_in_one_place(name):
+    assert made_in(name) == {ONE_MAKER[name]}
+
+
+def test_every_route_is_made_to_fail():
+    assert {(r.method, r.solver) for r in listed_routes()} == set(FAILING) == set(ROUTES)
+
+
+@pytest.mark.parametrize("key", FAILING, ids="/".join)
+def test_a_route_that_misses_the_tolerance_says_so(key):
+    system, observable, settings = FAILING[key]
+    method = method_for(*key, **settings)
+    (density,) = method.solve(system, [parse_observable(observable, system.n)]).densities
+    assert not density.certificate.certified
+    assert any("exceeds the tolerance" in words for words in density.certificate.failures)
