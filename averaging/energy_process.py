@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from averaging.shell.moments import TermPower, term_power
 from averaging.shell.ratios import EnergyShell, energy_shell, shell_ratios
-from fpk.compiling import kept
+from fpk.compiling import cached_njit
 from fpk.equivalent import dissipated_power, equivalent_temperature
 from fpk.errors import NotApplicable
 from fpk.process import Coefficients, Process
@@ -101,7 +101,7 @@ def _coefficients(
     return Coefficients(*_averaged(ratios, energy, n, balance.damping, balance.noise, scale))
 
 
-@kept()
+@cached_njit()
 def _averaged(
     ratios: Array, energy: Array, n: int, damping: float, noise: float, scale: float
 ) -> Array:

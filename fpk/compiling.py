@@ -22,8 +22,8 @@ NO_FOLDER = "no locator available"
 _njit: Any = numba.njit
 
 
-def kept(flags: set[str] = FLAGS) -> Callable[[Function], Function]:
-    """Return the decorator of a compiled function that a disk cache keeps.
+def cached_njit(flags: set[str] = FLAGS) -> Callable[[Function], Function]:
+    """Return the decorator of a compiled function with a disk cache.
 
     Where no folder can be written there is no cache: it is compiled again in every process.
     """

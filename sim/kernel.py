@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.compiled_laws import compiled_laws
-from fpk.compiling import kept
+from fpk.compiling import cached_njit
 from sim.arrays import LANES, StepArrays, WatchArrays
 from sim.lanes import aligned_rows, row
 from sim.parts.observed import count_all
@@ -73,7 +73,7 @@ def compiled_kernel(key: KernelKey) -> Any:
     needed = contact and (energy or energy_damping)
     potential: Any = compiled_laws(key.laws, "energy") if needed else None
 
-    @kept()
+    @cached_njit()
     def advance(
         x: Array, sums: Array, folded: Array, live: Integers, first: int, counter: np.uint64,
         steps: int, phase: int, stride: int, offset: np.uint64, step: StepArrays,

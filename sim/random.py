@@ -26,7 +26,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from fpk.compiling import FLAGS, kept
+from fpk.compiling import FLAGS, cached_njit
 from sim.arrays import LANES
 
 Array = NDArray[np.float64]
@@ -139,7 +139,7 @@ def fill_normals(
     box_muller(rows, words.view(np.uint32))
 
 
-@kept()
+@cached_njit()
 def _fill_blocks(out: Singles, words: Words, counter: np.uint64, offset: np.uint64) -> None:
     for block in range(out.shape[0]):
         for pair in range(out.shape[1] // (2 * LANES)):

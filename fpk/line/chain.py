@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from fpk.compiling import SUMS, kept
+from fpk.compiling import SUMS, cached_njit
 from fpk.line.null_vectors import Solved
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ def _chained(u: Array, log_factor: Array, sign: Array, log_scale: Array, log_mas
         log_mass[e] -= total
 
 
-@kept(SUMS)
+@cached_njit(SUMS)
 def assembled(s: Solved) -> Assembled:
     """Scale the elements, ascending, to a global solution."""
     count, points = s.values.shape
@@ -114,7 +114,7 @@ def assembled(s: Solved) -> Assembled:
     return out
 
 
-@kept(SUMS)
+@cached_njit(SUMS)
 def checks(s: Solved, a: Assembled, relative_error: Array) -> Checks:
     """Sum up the elements, each with the largest relative error of its coefficients."""
     distance, mass, residual, net, one_way, error = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

@@ -14,7 +14,6 @@ from typing import Literal
 import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
-from skfem import ElementLineP1, ElementLineP2, ElementLinePp
 
 from fpk.quadrature import gauss_legendre
 
@@ -25,13 +24,15 @@ Form = Literal["flux", "drift-diffusion"]
 def shape_functions(degree: int, t: Array) -> tuple[Array, Array]:
     """Return the hierarchical shape functions and derivatives (degree + 1, points) at t in [0, 1].
 
-    The first two belong to the left and right vertex, the others vanish there.
+    The first two belong to the left and right vertex, the others vanish there: integrals of
+    Legendre polynomials, (P_j − P_(j−2))/√(4j − 2), of the scale of scikit-fem's.
     """
-    # A fresh element each time: ElementLinePp keeps values for a given number of points only.
-    special = {1: ElementLineP1, 2: ElementLineP2}
-    element = special[degree]() if degree in special else ElementLinePp(degree)
-    values, slopes = zip(*(element.lbasis(t[None, :], i) for i in range(degree + 1)), strict=True)
-    return np.array(values), np.array([slope.reshape(-1) for slope in slopes])
+    P = legvander(2.0 * t - 1.0, degree).T
+    j = np.arange(2.0, degree + 1.0)[:, None]
+    scale, one = 1.0 / np.sqrt(4.0 * j - 2.0), np.ones_like(t)
+    values = np.concatenate([[1.0 - t, t], (P[2:] - P[:-2]) * scale])
+    slopes = np.concatenate([[-one, one], (4.0 * j - 2.0) * scale * P[1:-1]])
+    return values, slopes
 
 
 def gauss_rule(degree: int) -> tuple[Array, Array]:

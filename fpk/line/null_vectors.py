@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from fpk.compiling import SUMS, kept
+from fpk.compiling import SUMS, cached_njit
 from fpk.line.rules import ContactRule, Rule
 from fpk.process import Coefficients
 
@@ -195,7 +195,7 @@ def _flux_terms(
     return top
 
 
-@kept(SUMS)
+@cached_njit(SUMS)
 def solved_elements(
     c: Coefficients, lengths: Array, row: Integers, log_states: Array, rule: Rule,
     contact: ContactRule, flux: bool,

@@ -20,7 +20,7 @@ from averaging.shell.one_mass.rays import Rays, inner, turning_points
 from averaging.shell.reduced import ReducedPotential
 from averaging.shell.sums import ROOT_ROUND_OFF, ROUND_OFF, TARGET
 from fpk.compiled_laws import compiled_laws, law_files
-from fpk.compiling import ROOT, checksum, kept
+from fpk.compiling import ROOT, cached_njit, checksum
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ def compiled_ratios(names: tuple[str, ...], single: bool) -> Any:
     g: Any = compiled_laws(names, "force")
     bend: Any = compiled_laws(names, "slope" if single else "force")
 
-    @kept()
+    @cached_njit()
     def ratios(energy: Array, rays: Rays, n: int, rules: Rules, found: Array) -> int:
         """Fill the rows of ``found``, (5, energies); return the checksum of the sources."""
         free_states, free_volume = _cosines(2 * n - 2), _cosines(2 * n)
