@@ -67,9 +67,11 @@ def solved_group(
 
     def pointwise(*energies: Array) -> Array:
         # Beyond the last energy, where p is 0, the error is what was dropped: less than at the end.
+        stated = np.abs(error(*energies)) + of_modes(*energies)
         within = [np.minimum(H, x[-1]) for H, x in zip(energies, panels, strict=True)]
-        dropped = np.abs(pdf(*within) - pdf(*energies))
-        return np.asarray(np.abs(error(*energies)) + of_modes(*energies) + dropped)
+        if all(np.array_equal(H, x) for H, x in zip(energies, within, strict=True)):
+            return np.asarray(stated)
+        return np.asarray(stated + np.abs(pdf(*within) - pdf(*energies)))
 
     return certified_density(
         tuple(Coordinate("H", m) for m in group),
