@@ -188,7 +188,7 @@ def displacement_panels(system: System, mass: int, *, temperature: float, end: f
         width = np.sqrt(temperature / other.precision) / share
         if width < thermal:
             steps = width * 2.0 ** np.arange(-1.0, ceil(np.log2(2.0 * (high + low) / width)))
-            nodes += [touch + steps, [touch], touch - steps]
+            nodes += [touch + steps, np.array([touch]), touch - steps]
     joined = np.concatenate(nodes)
     return _spaced(joined[(joined >= -low) & (joined <= high)])
 

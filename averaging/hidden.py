@@ -3,10 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil, log2
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize.elementwise import find_root
+from scipy.optimize import elementwise
 
 from averaging.conditional import Conditional, overlap_at, side_sign
 from fpk.contact import Contact
@@ -14,6 +15,9 @@ from fpk.quadrature import gauss_legendre
 
 Array = NDArray[np.float64]
 Function = Callable[[Array], Array]
+
+find_root: Any = elementwise.find_root
+"""Its stubs know of no function with more arguments than one."""
 
 WIDTHS_PER_PANEL = 1.8
 """Longest panel in units of √(T/a), T the temperature: ten Gauss points integrate exp(−½x²) over it
@@ -201,7 +205,7 @@ class _Following:
             args=(most, bottom, mean, shift, level),
             tolerances=EDGE,
         ).x
-        return np.abs(share * most)
+        return np.asarray(np.abs(share * most))
 
     def layers(self, shift: Array, reach: float) -> Array:
         """Where the next mass begins to touch: layers from a part of the width of its law on."""
