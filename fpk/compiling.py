@@ -35,7 +35,7 @@ def cached_njit(flags: set[str] = FLAGS) -> Callable[[Function], Function]:
         except RuntimeError as error:
             if NO_FOLDER not in str(error):
                 raise
-            return _njit(**options)(function)
+            cached = _njit(**options)(function)
         return cached
 
     return decorated

@@ -143,7 +143,7 @@ def certified_density(
     grids = [_quadrature(nodes, len(panels)) for nodes in axes]
     mesh = np.meshgrid(*(x for x, _ in grids), indexing="ij", sparse=True)
     if frame is not None:
-        mesh = list(np.einsum("ij,j...->i...", jacobian, np.array(np.broadcast_arrays(*mesh))))
+        mesh = tuple(np.einsum("ij,j...->i...", jacobian, np.array(np.broadcast_arrays(*mesh))))
         grids[0] = (grids[0][0], grids[0][1] * abs(float(np.linalg.det(jacobian))))
     values = np.asarray(pdf(*mesh))
     largest = float(values.max(initial=0.0))

@@ -61,7 +61,7 @@ def _placed(energy: Array, rate: Array, ends: Array) -> Array:
     pieces = np.maximum(np.ceil(amount[1:] - amount[:-1]), 1.0)
     # The number of a node, counted by pieces, is linear in the amount between two ends.
     number = np.append(0.0, pieces.cumsum())
-    nodes = np.interp(np.interp(np.arange(number[-1] + 1.0), number, amount), total, grid)
+    nodes: Array = np.interp(np.interp(np.arange(number[-1] + 1.0), number, amount), total, grid)
     nodes[number.astype(int)] = ends
     return nodes
 
