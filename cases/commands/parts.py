@@ -67,16 +67,16 @@ def begin_study(scene: str, out: Path | None) -> "Scene":
 
 
 def end_study(
-    found: Any, text: Callable[[], str], written: Sequence[Path], *, as_json: bool
+    study: Any, text: Callable[[], str], written: Sequence[Path], *, as_json: bool
 ) -> None:
     """Print a study as its JSON object or as ``text`` with the files written; say its problems."""
     if as_json:
-        print_json(found.record())
+        print_json(study.record())
     else:
         typer.echo(text())
         for path in written:
             typer.echo(f"wrote {path}")
-    end_with(found.problems)
+    end_with(study.problems)
 
 
 def end_with(problems: Any) -> None:

@@ -158,14 +158,14 @@ def _observables(table: SceneTable, system: System, label: str) -> tuple[Observa
         touching = system.contact_masses or (system.n - 1,)
         names = [*(f"q{i + 1}" for i in touching[:15]), "H"]
         return tuple(parse_observable(name, system.n) for name in names)
-    found: list[Observable] = []
+    observables: list[Observable] = []
     for i, name in enumerate(table.observe.densities):
         key = f"observe.densities[{i + 1}]"
         try:
             observable = parse_observable(name, system.n)
         except InvalidInput as error:
             raise refused(label, key, name, error.remedy) from None
-        if observable in found:
+        if observable in observables:
             raise refused(label, key, name, "is asked for twice; leave one out")
-        found.append(observable)
-    return tuple(found)
+        observables.append(observable)
+    return tuple(observables)
