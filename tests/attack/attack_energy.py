@@ -290,8 +290,12 @@ class EnergyReference:
         order, count = 0.5 * self.quadratic, len(self.chain.touching)
         if count == 2:
             return self.states_of_two(energy, order)
-        singular = count == 1 and order < 1.0
-        value = self.period(energy) if singular else self.shell(energy, order)
+        if count == 1 and order < 1.0:
+            value = self.period(energy)
+            # Beside the energy of contact the period grows like a root: round-off of H counts.
+            moved = [self.period(energy * (1.0 + s * 4e-16)) - value for s in (-1.0, 1.0)]
+            return value, REFERENCE * value + np.max(np.abs(moved), axis=0)
+        value = self.shell(energy, order)
         return value, REFERENCE * value
 
     def period(self, energy):
