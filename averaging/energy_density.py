@@ -66,7 +66,7 @@ class EnergyDensity:
         return np.asarray(log_t.reshape(np.shape(energy)))
 
     def states_error(self, energy: Array) -> Array:
-        """Error of p(H) by that of T at energies > 0 of any shape: of a closed form only."""
+        """Error of p(H) by that of T at energies > 0 of any shape."""
         flat = np.maximum(energy, np.finfo(float).tiny).ravel()
         error = shell_ratios(self.shell, flat).error.reshape(np.shape(energy))
         return np.asarray(error * self.energy_pdf(energy))

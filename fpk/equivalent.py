@@ -73,6 +73,9 @@ def _mean_power(system: System, term: DampingTerm) -> float:
     q = term.powers("q", n)
     half = 0.5 * (sum(q) + int(v.sum()))
     velocities = gaussian_moment(np.diag(1.0 / system.mass), tuple(v))
-    displacements = gaussian_moment(system.compliance, q)
+    # Not ``system.compliance``: it differs in the last bit, and so would the states from which a
+    # simulation with damping terms starts, which stay bitwise the same from version to version.
+    compliance: Array = np.asarray(np.linalg.inv(system.stiffness_matrix), dtype=float)
+    displacements = gaussian_moment(compliance, q)
     energies = exp(lgamma(n + half + term.energy) - lgamma(n + half))
     return term.coefficient * velocities * displacements * energies

@@ -1,15 +1,18 @@
 """Quadrature over the directions of whitened coordinates: two on a line, a circle, a sphere."""
 
 from math import pi
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize.elementwise import find_root
+from scipy.optimize import elementwise
 
 from averaging.shell.reduced import ReducedPotential
 from fpk.quadrature import gauss_legendre
 
 Array = NDArray[np.float64]
+
+_find_root: Any = elementwise.find_root  # its published types know no further arguments
 
 
 def line_rule(potential: ReducedPotential) -> tuple[tuple[float, ...], float]:
@@ -79,13 +82,13 @@ def _line_crossings(
     def points(t: Array) -> Array:
         return np.asarray(foot + t[:, None] * along)
 
-    lowest = find_root(lambda t: potential.slope(points(t), along), (-bound, bound)).x
+    lowest = _find_root(lambda t: potential.slope(points(t), along), (-bound, bound)).x
     inside = potential(points(lowest)) < energy
     angles = []
     for end in (bound, -bound):
         angle = np.zeros(energy.size)
         if inside.any():
-            t = find_root(
+            t = _find_root(
                 lambda t, energy: potential(points(t)) - energy,
                 (lowest[inside], end[inside]),
                 args=(energy[inside],),

@@ -18,7 +18,7 @@ Written by `tests/hard/page.py`; the same cases are tests.
 Plain methods were run, not guessed: for densities of the energy P2 elements on 1000 equal cells \
 up to 20 energy scales, for motions Euler-Maruyama in NumPy. L1 is the distance to the closed \
 form. Every scene is held to, by finite elements and by quadrature: certified, mass one to 1e-12 \
-and a hundredth of the stated error, minimum above -1e-14 of the maximum, true error within the \
+and the stated error, minimum above -1e-14 of the maximum, true error within the \
 stated one (and 1e-12). With one contact mass at the most also: the error at least halved by every \
 bisection down to round-off and what is stated, the same in other units to 1e-10 and what is \
 stated. Where a displacement is observed: the mirror image to 1e-13.
