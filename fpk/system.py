@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,25 +18,6 @@ Fact = TypeVar("Fact")
 SEMIDEFINITE_SLACK = 1e-12
 """An eigenvalue above minus this share of the largest one counts as not negative (round-off of
 an input written with twelve digits or more)."""
-
-
-class SystemArrays(NamedTuple):
-    """The plain arrays that compiled code gets of a system; stops are one-sided contacts."""
-
-    mass: Array  # (n,)
-    stiffness_matrix: Array  # (n, n), the K of Eq. (13)
-    damping: Array  # (n, n)
-    noise_matrix: Array  # (n, n), f D fᵀ
-    stop_mass: NDArray[np.int64]  # (stops,), counted from 0
-    stop_sign: Array  # (stops,), +1 right, −1 left
-    stop_clearance: Array  # (stops,)
-    stop_stiffness: Array  # (stops,)
-    stop_exponent: Array  # (stops,)
-    term_entry: NDArray[np.int64]  # (terms, 2), i and j of c_ij, counted from 0
-    term_coefficient: Array  # (terms,)
-    term_q: NDArray[np.int64]  # (terms, n), powers of the displacements
-    term_v: NDArray[np.int64]  # (terms, n), powers of the velocities
-    term_energy: NDArray[np.int64]  # (terms,), powers of H
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,26 +148,6 @@ class System:
     def __getstate__(self) -> dict[str, Any]:
         """Return the state to pickle, without the facts: they are computed again."""
         return {**self.__dict__, "_facts": {}}
-
-    def arrays(self) -> SystemArrays:
-        """Return the arrays for compiled code: the only bridge into it."""
-        stops, terms = self.stops, self.damping_terms
-        return SystemArrays(
-            mass=self.mass,
-            stiffness_matrix=self.stiffness_matrix,
-            damping=self.damping,
-            noise_matrix=self.noise_matrix,
-            stop_mass=np.array([stop.index for stop in stops], dtype=np.int64),
-            stop_sign=np.array([1.0 if stop.side == "right" else -1.0 for stop in stops]),
-            stop_clearance=np.array([stop.clearance for stop in stops], dtype=float),
-            stop_stiffness=np.array([stop.stiffness for stop in stops], dtype=float),
-            stop_exponent=np.array([stop.power for stop in stops], dtype=float),
-            term_entry=np.array([(t.row, t.column) for t in terms], dtype=np.int64).reshape(-1, 2),
-            term_coefficient=np.array([t.coefficient for t in terms], dtype=float),
-            term_q=np.array([t.powers("q", self.n) for t in terms], np.int64).reshape(-1, self.n),
-            term_v=np.array([t.powers("v", self.n) for t in terms], np.int64).reshape(-1, self.n),
-            term_energy=np.array([t.energy for t in terms], dtype=np.int64),
-        )
 
     def contact_energy(self, mass: int, q: ArrayLike) -> Array:
         """Contact energy U_i(q) of one mass (counted from 0), Eq. (5)."""

@@ -101,27 +101,15 @@ def test_contact_energy_is_continuous_at_the_clearance(law, exponent, clearance)
     assert one.contact_energy(0, clearance + 1.0) == 0.0
 
 
-def test_arrays_split_a_contact_of_both_sides():
+def test_a_contact_of_both_sides_is_two_stops():
     one = system(
         contacts=(Contact(2, "both", 7.0, 0.5), Contact(1, "left", 3.0, 0.1, "power", 2.0))
     )
-    arrays = one.arrays()
-    stops = {
-        tuple(row)
-        for row in zip(
-            arrays.stop_mass,
-            arrays.stop_sign,
-            arrays.stop_clearance,
-            arrays.stop_stiffness,
-            arrays.stop_exponent,
-            strict=True,
-        )
-    }
-    assert stops == {(1, 1.0, 0.5, 7.0, 1.5), (1, -1.0, 0.5, 7.0, 1.5), (0, -1.0, 0.1, 3.0, 2.0)}
-    assert arrays.stop_mass.dtype == np.int64
+    stops = {(s.index, s.side, s.clearance, s.stiffness, s.power) for s in one.stops}
+    expected = {(1, "right", 0.5, 7.0, 1.5), (1, "left", 0.5, 7.0, 1.5), (0, "left", 0.1, 3.0, 2.0)}
+    assert stops == expected
     assert one.contact_masses == (0, 1)
-    empty = system().arrays()
-    assert all(part.shape[0] == 0 for part in empty[4:])
+    assert system().stops == ()
 
 
 @pytest.mark.parametrize(
