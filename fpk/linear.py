@@ -115,6 +115,7 @@ def linear_covariance(system: System) -> LinearCovariance:
     variance_error = sum(np.abs(np.diag(e)) for e in errors) + rounding * variance[-1]
     variance_error += 2.0 * rounding * omega[-1] / omega[0] * variance
     size = np.sqrt(np.maximum(variance, variance_error))
+    size[size == 0.0] = 1.0  # at rest: no noise moves it, and nothing has an error
     relative = sum(np.linalg.norm(e / np.outer(size, size), 2) for e in errors)
     relative += np.max(variance_error / size**2)
     # What is not correlated leaves no terms to compare with: those of both on their own are, in

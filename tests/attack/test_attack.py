@@ -7,7 +7,7 @@ from attack_run import OF_METHOD, Attack
 
 from fpk.route import ROUTES
 
-FAST = (3, 4, 8, 11, 16, 22, 24, 44)
+FAST = (4, 8, 11, 16, 22, 24, 44)
 """Seeds of the default tier; ``attack_run.py`` runs any."""
 LEAST_CERTIFIED = 0.6
 

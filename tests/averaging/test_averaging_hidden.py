@@ -142,6 +142,7 @@ def test_the_overlap_at_an_energy():
             assert stop.energy(overlap_at(stop, energy)) == pytest.approx(energy, rel=1e-9)
 
 
+@pytest.mark.slow  # minutes: a joint density over a hidden mass, its norm by cubature
 def test_closed_forms_are_judged_by_the_tolerance():
     # Three contact masses: the shells are integrated by cubature to 1e-6.
     system = System(

@@ -33,16 +33,19 @@ def shifted(density, shift, tol):
 
 @dataclass(frozen=True)
 class Wrong(Exact):
-    """The exact solution of another system, its error stated as if it were right."""
+    """The exact solution of another system, its error stated as if it were right.
 
-    tol: float = 1e-6
+    ``judged_by`` is the tolerance of the shifted answer.
+    """
+
+    judged_by: float = 1e-6
 
     def prepare(self, system):
         plan = super().prepare(system)
 
         def solve(observables, progress):
             result = plan.solve(observables, progress)
-            densities = tuple(shifted(d, 0.1, self.tol) for d in result.densities)
+            densities = tuple(shifted(d, 0.1, self.judged_by) for d in result.densities)
             return replace(result, densities=densities)
 
         return Plan(plan.refusal, solve)
@@ -61,7 +64,7 @@ def right():
 
 
 def test_an_answer_that_is_not_certified_is_the_one_in_doubt(scene, right):
-    outcome = run_scene(scene, [Wrong(tol=1e-16), *right])
+    outcome = run_scene(scene, [Wrong(judged_by=1e-16), *right])
     differing = [p for p in outcome.problems if "differ" in p]
     assert len(differing) == 2
     assert all("exact is not certified" in p and "no finding against" in p for p in differing)
