@@ -9,7 +9,7 @@ from typing import Any
 import numba
 from numba.extending import overload
 
-from fpk.compiling import FLAGS, ROOT
+from fpk.compiling import FLAGS, ROOT, cached_where_possible
 from fpk.contact_law import LAWS
 
 Compiled = Any
@@ -24,10 +24,9 @@ def _vectorize(signatures: list[str]) -> Callable[[Any], Compiled]:
     """Return ``numba.vectorize`` with the disk cache, without it where a law has no file."""
 
     def compiled(function: Any) -> Compiled:
-        try:
-            return _numba_vectorize(signatures, cache=True)(function)
-        except RuntimeError:
-            return _numba_vectorize(signatures)(function)
+        return cached_where_possible(
+            lambda **cache: _numba_vectorize(signatures, **cache)(function)
+        )
 
     return compiled
 

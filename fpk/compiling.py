@@ -22,20 +22,27 @@ NO_FOLDER = "no locator available"
 _njit: Any = numba.njit
 
 
-def cached_njit(flags: set[str] = FLAGS) -> Callable[[Function], Function]:
-    """Return the decorator of a compiled function with a disk cache.
+def cached_where_possible(compiled: Callable[..., Any]) -> Any:
+    """Return ``compiled(cache=True)``, or ``compiled()`` where no cache folder can be written.
 
-    Where no folder can be written there is no cache: it is compiled again in every process.
+    It is then compiled again in every process. Any other error of numba is raised.
     """
+    try:
+        return compiled(cache=True)
+    except RuntimeError as error:
+        if NO_FOLDER not in str(error):
+            raise
+        return compiled()
+
+
+def cached_njit(flags: set[str] = FLAGS) -> Callable[[Function], Function]:
+    """Return the decorator of a compiled function with a disk cache where one can be written."""
 
     def decorated(function: Function) -> Function:
         options = {"fastmath": flags, "error_model": "numpy", "nogil": True}
-        try:
-            cached: Function = _njit(cache=True, **options)(function)
-        except RuntimeError as error:
-            if NO_FOLDER not in str(error):
-                raise
-            cached = _njit(**options)(function)
+        cached: Function = cached_where_possible(
+            lambda **cache: _njit(**cache, **options)(function)
+        )
         return cached
 
     return decorated
