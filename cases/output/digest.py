@@ -47,14 +47,14 @@ def curves_of(digest: Record) -> list[Record]:
 
 def refusals_of(curve: Record) -> list[Record]:
     """Return the refusals of one curve, those with the same reason joined in one entry."""
-    joined: dict[tuple[str, bool], tuple[dict[str, list[str]], dict[str, None]]] = {}
+    joined: dict[tuple[str, bool], tuple[dict[str, dict[str, None]], dict[str, None]]] = {}
     for r in curve["methods"]:
         if not r["applies"]:
             reason = r["reason"]
             for name in r["observables"]:
                 reason = reason.removeprefix(f"{name}: ")
             solvers, names = joined.setdefault((reason, r["failed"]), ({}, {}))
-            solvers.setdefault(r["method"], []).append(r["solver"])
+            solvers.setdefault(r["method"], {})[r["solver"]] = None
             names.update(dict.fromkeys(r["observables"]))
     return [
         {

@@ -36,6 +36,7 @@ def test_one_reason_is_given_once():
         Refusal(
             ROUTES["nonintegrable", "quadrature"], ("H1", "H2"), "H1: knows the total energy only"
         ),
+        Refusal(FEM, ("H2",), "H2: knows the total energy only"),
         Refusal(LINEAR, ("q2",), "has contacts"),
         Refusal(LINEAR, ("q1",), "has contacts", failed=True),
     ]
