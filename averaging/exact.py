@@ -11,7 +11,7 @@ from scipy.integrate import cubature
 from averaging.back_transformation import POINTS, back_transformed
 from averaging.conditional import conditionals
 from averaging.energy_density import EnergyDensity, gibbs
-from averaging.energy_process import energy_process
+from averaging.energy_process import energy_balance, energy_process
 from averaging.hidden import DEPTH, HiddenIntegral
 from averaging.nonintegrable import energy_only_refusal
 from averaging.polynomial_rate import density_of_rate
@@ -107,6 +107,7 @@ class Exact(Method):
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where (8) does not hold."""
         h = compatibility(system)
+        energy_balance(system)
         settings: dict[str, str | float | int] = {"equation": "(7), (22)", "h": float(h[0])}
         for power, coefficient in enumerate(h[1:], start=1):
             settings[f"h, H^{power}"] = float(coefficient)

@@ -65,7 +65,7 @@ def assessed(
                 ensemble.counted(first[m], first[m + 1]),
                 taken=ensemble.paths * ensemble.samples,
                 mirror=record.mirror,
-                residual=max((abs(identity.z) for identity in judged), default=0.0),
+                residual=max((abs(identity.z) for identity in judged), default=nan),
                 tol=tol if tol is not None and m == 0 else inf,
                 failures=words,
             )

@@ -21,8 +21,9 @@ convergence is geometric down to round-off, the finer of the two is better than 
 ROUND_OFF = 2e-15
 """Relative error of a sum of some dozens of positive terms."""
 ROOT_ROUND_OFF = 4e-13
-"""The same for one mass, whose integrand is 1/√v: at the Gauss point next to the turning point,
-where v ~ 1/points² cancels terms of order one, its relative error is ε points²."""
+"""Relative error of a sum of a system of one mass, whose integrand is 1/√v, v = 1 − V/H: at the
+Gauss point next to the turning point, where v ~ 1/points² cancels terms of order one, the relative
+error is ε points²."""
 RADIAL_POINTS = 20
 """Gauss points along a ray are enough at this number for any contact stiffness; over the angle,
 where stiff contact leaves boundary layers, more are taken."""
@@ -118,7 +119,7 @@ def _over_sphere(
         integrand,
         np.zeros(angles),
         upper,
-        rule="gk21" if angles < 4 else "genz-malik",
+        rule="gk21",
         rtol=CUBATURE_TOLERANCE,
         max_subdivisions=2000,
     )
