@@ -21,10 +21,11 @@ class Measured:
     any tail; ``minimum`` the smallest value of p divided by its largest; ``residual`` how far p is
     from solving its equation, relative to the terms that cancel (for sampling: the largest |z| of
     the moment identities, NaN where none is evaluated); ``tail_mass`` a bound (for sampling: the
-    share) of the mass outside the support; ``net_flux`` the largest probability flux through an element relative to its one-way
-    parts, None where none is computed. ``absolute_error`` is a bound of the error of p anywhere, in
-    units of its largest value, where one is part of the stated error (0 where none is): to that
-    the sign of p is known. ``failures``: what else was found wrong, in words.
+    share) of the mass outside the support; ``net_flux`` the largest probability flux through an
+    element relative to its one-way parts, None where none is computed. ``absolute_error`` is a
+    bound of the error of p anywhere, in units of its largest value, where one is part of the stated
+    error (0 where none is): to that the sign of p is known. ``failures``: what else was found
+    wrong, in words.
     """
 
     l1_error: float

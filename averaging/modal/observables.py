@@ -11,13 +11,20 @@ from averaging.gaussian import gaussian_density
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
 from averaging.modal.groups import POINTS, Group, Solver, joined, solved_group
+from averaging.modal.process import modes_process
 from averaging.modal.total import total_energy
+from averaging.zero_flux import flux_residual
 from fpk.density import Density, certified_density
 from fpk.observable import Observable
 from fpk.quadrature import panel_rule
 
 Array = NDArray[np.float64]
 Provenance = Mapping[str, str | float | int]
+
+
+RESIDUAL_PANELS = np.linspace(0.0, 40.0, 21)
+"""Ends of panels, in units of the mean energy, on which the flux of a modal density is measured:
+e^−40 of the mass lies beyond, and a panel of two means is integrated to round-off."""
 
 
 def modal_densities(
@@ -127,7 +134,15 @@ def _product(observable: Observable, factors: Sequence[Density], tol: float) -> 
 def _of_gaussian(modes: ModalAnalysis, observable: Observable, tol: float) -> Density:
     """(34) and what it makes of q and p: Gaussian modes with the modal temperatures θ_i."""
     theta, relative = modes.temperature, modes.relative_error
-    residual = float(np.max(np.abs(modes.damping * theta / modes.noise - 1.0)))
+    # Each mode's exponential against the drift and diffusion of its own energy process, (19).
+    residual = max(
+        flux_residual(
+            modes_process(modes, (m,)),
+            theta[m] * RESIDUAL_PANELS,
+            lambda H, m=m: -H / theta[m] - np.log(theta[m]),
+        )
+        for m in range(modes.n)
+    )
     if observable[0].kind == "H":
         errors = relative * theta
         return gamma_sum_density(theta, 1.0, errors, observable, residual=residual, tol=tol)

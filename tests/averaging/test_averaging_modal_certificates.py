@@ -8,7 +8,7 @@ from modal_terms import modal_van_der_pol, solved
 
 from averaging.gaussian import Linear
 from averaging.integrable import Integrable
-from averaging.modal.analysis import modal_analysis
+from averaging.modal.analysis import ModalAnalysis, modal_analysis
 from averaging.modal.process import modes_process
 from averaging.zero_flux import flux_residual
 from fpk.errors import InvalidInput
@@ -211,3 +211,16 @@ def test_random_modal_densities_keep_to_their_error(seed):
                 p, stated = density.at(np.array([x]))
                 assert abs(p[0] - float(exact)) <= stated[0] + 2.3e-16 * p[0], name
             assert density.certificate.certified == (density.l1_error <= method.tol)
+
+
+@pytest.mark.parametrize("name", ["q1", "p2", "H"])
+def test_the_residual_sees_wrong_modal_temperatures(name, monkeypatch):
+    system = System([1.0, 2.0], [1.0, 3.0], [0.08, 0.04], [0.01, 0.02])
+    observable = parse_observable(name, 2)
+    (right,) = Integrable().solve(system, [observable]).densities
+    assert right.certificate.certified
+    temperature = ModalAnalysis.temperature
+    wrong = property(lambda modes: temperature.__get__(modes) * (1.0 + 1e-9))
+    monkeypatch.setattr(ModalAnalysis, "temperature", wrong)
+    (density,) = Integrable().solve(system, [observable]).densities
+    assert any("residual of the equation" in words for words in density.certificate.failures)
