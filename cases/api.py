@@ -6,11 +6,11 @@ from typing import Any
 
 from averaging.exact import compatibility
 from cases.comparison.compare import Comparison, compared
-from cases.comparison.routes import all_methods, listed_routes, method_for, solved
+from cases.comparison.routes import all_methods, listed_routes, method_for
 from cases.scene.scene import Scene, load_scene
 from fpk.density import AnyDensity
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.method import Method, Result, traceable
+from fpk.method import Method, Result, solved
 from fpk.observable import observable_name, parse_observable
 from fpk.route import solvers_of
 from fpk.system import System
@@ -105,13 +105,13 @@ def solve(
             if not given:
                 refusals[label] = plan.refusal(wanted[0]) or "no observable was asked for"
                 continue
-            result = solved(plan, given)
+            result = solved(plan, system, given)
         except NotApplicable as reason:
             if methods is not None:
                 raise NotApplicable(f"{label}: {reason}") from None
             refusals[label] = str(reason)
             continue
-        results.append(traceable(result, system))
+        results.append(result)
     return Answers(system, tuple(results), refusals)
 
 

@@ -122,13 +122,11 @@ class Method(ABC):
         progress: Progress = silent,
     ) -> Result:
         """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses."""
-        start = perf_counter()
         plan = self.prepare(system)
         for observable in observables:
             if reason := plan.refusal(observable):
                 raise NotApplicable(reason)
-        result = replace(plan.solve(observables, progress), seconds=perf_counter() - start)
-        return traceable(result, system)
+        return solved(plan, system, observables, progress=progress)
 
 
 @dataclass(frozen=True)
@@ -144,13 +142,20 @@ class Source:
         return density
 
 
-def traceable(result: Result, system: System) -> Result:
-    """Return ``result`` with densities that know what they follow from and can be pickled."""
+def solved(
+    plan: Plan, system: System, observables: Sequence[Observable], *, progress: Progress = silent
+) -> Result:
+    """Return the result of the plan for ``system`` with the seconds that solving took.
+
+    Its densities know what they follow from and can be pickled.
+    """
+    start = perf_counter()
+    result = plan.solve(observables, progress)
     source = Source(result.method, system)
     densities = tuple(
         replace(d, source=source) if isinstance(d, Density) else d for d in result.densities
     )
-    return replace(result, densities=densities)
+    return replace(result, densities=densities, seconds=perf_counter() - start)
 
 
 def check_solver(solver: str, known: Sequence[str], tol: float) -> None:

@@ -134,15 +134,7 @@ def _product(observable: Observable, factors: Sequence[Density], tol: float) -> 
 def _of_gaussian(modes: ModalAnalysis, observable: Observable, tol: float) -> Density:
     """(34) and what it makes of q and p: Gaussian modes with the modal temperatures θ_i."""
     theta, relative = modes.temperature, modes.relative_error
-    # Each mode's exponential against the drift and diffusion of its own energy process, (19).
-    residual = max(
-        flux_residual(
-            modes_process(modes, (m,)),
-            theta[m] * RESIDUAL_PANELS,
-            lambda H, m=m: -H / theta[m] - np.log(theta[m]),
-        )
-        for m in range(modes.n)
-    )
+    residual = max(_flux_residual(modes, m) for m in range(modes.n))
     if observable[0].kind == "H":
         errors = relative * theta
         return gamma_sum_density(theta, 1.0, errors, observable, residual=residual, tol=tol)
@@ -162,3 +154,13 @@ def modal_factor(modes: ModalAnalysis) -> Array:
     q = modes.mode_shapes * np.sqrt(theta / modes.modal_stiffness)
     p = modes.momentum_shapes * np.sqrt(theta * modes.modal_mass)
     return np.block([[q, nothing], [nothing, p]])
+
+
+def _flux_residual(modes: ModalAnalysis, mode: int) -> float:
+    """How far e^(−H/θ)/θ is from zero flux in the energy process (19) of its own mode."""
+    theta = float(modes.temperature[mode])
+
+    def log_density(energy: Array) -> Array:
+        return np.asarray(-energy / theta - np.log(theta))
+
+    return flux_residual(modes_process(modes, (mode,)), theta * RESIDUAL_PANELS, log_density)

@@ -171,10 +171,11 @@ def density(
         raise BadInput(f'--of "{of}": {error.remedy}') from None
     points = parse_points(at, len(observable))
     from cases.commands.checkpoints import checkpoint_folder
-    from cases.comparison.routes import chosen, solved
+    from cases.comparison.routes import chosen
     from cases.output.records import density_record
     from cases.output.terminal import progress_bar
     from cases.output.text import density_text
+    from fpk.method import solved
 
     check_cluster(cluster)
     try:
@@ -189,7 +190,7 @@ def density(
     given = {"seed": seed, "tol": tol, "observable": of, "dt": dt, "step_pair": step_pair}
     checkpoint_folder(checkpoint, loaded, given)
     with progress_bar() as progress:
-        result = solved(plan, [observable], progress=progress)
+        result = solved(plan, loaded.system, [observable], progress=progress)
     record = density_record(loaded, result, points)
     if as_json:
         print_json(record)

@@ -1,14 +1,12 @@
 """The methods that the command line asks for, made from the registry of routes."""
 
-from collections.abc import Sequence
 from dataclasses import fields, replace
 from importlib import import_module
-from time import perf_counter
 from typing import Any
 
 from cases.scene.errors import BadInput
 from fpk.errors import NotApplicable
-from fpk.method import Method, Plan, Progress, Result, silent
+from fpk.method import Method, Plan
 from fpk.observable import Observable
 from fpk.route import ROUTES, Route, solvers_of
 from fpk.system import System
@@ -79,13 +77,6 @@ def chosen(
         _refuse_unused(method, settings)
         return plan
     raise NotApplicable(refusals[0])
-
-
-def solved(plan: Plan, observables: Sequence[Observable], *, progress: Progress = silent) -> Result:
-    """Return the result of ``plan`` with the seconds that it took."""
-    start = perf_counter()
-    result = plan.solve(observables, progress)
-    return replace(result, seconds=perf_counter() - start)
 
 
 def _routes_of(name: str, solver: str | None) -> list[Route]:

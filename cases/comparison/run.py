@@ -11,14 +11,13 @@ from averaging.modal.process import modal_process
 from cases.comparison.claims import Finding, findings
 from cases.comparison.compare import Comparison, compared, discrepancies
 from cases.comparison.regime import Regime, regime_of
-from cases.comparison.routes import solved
 from cases.scene.scene import Scene
 from cases.scene.vary import Curve
 from fpk.density import AnyDensity
 from fpk.effects import Effects, effects_of
 from fpk.ends import classify
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.method import Method, Progress, Result, silent
+from fpk.method import Method, Progress, Result, silent, solved
 from fpk.observable import Observable, observable_name
 from fpk.route import Route
 from fpk.system import System
@@ -198,7 +197,7 @@ def _answer(
     if not wanted:
         return [], refusals
     try:
-        return [solved(plan, wanted, progress=progress)], refusals
+        return [solved(plan, system, wanted, progress=progress)], refusals
     except (NotApplicable, NotCertified, InvalidInput) as error:
         failed = tuple(observable_name(o) for o in wanted)
         return [], [*refusals, Refusal(route, failed, str(error), failed=True)]
