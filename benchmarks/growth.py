@@ -21,9 +21,9 @@ from report import machine, markdown_table
 from averaging.energy_process import energy_process
 from cases.scene.scene import load_scene
 from cases.studies.answer import errors
-from cases.studies.converge_output import rates
-from cases.studies.equations import energy_equation, modal_equation
-from cases.studies.ladders import degree_ladder
+from cases.studies.energy_equation import energy_equation
+from cases.studies.ladders import degree_ladder, observed_rates
+from cases.studies.modal_equation import modal_equation
 from cases.studies.timing import timed_first, timing
 from fpk.contact import Contact
 from fpk.process import Process
@@ -50,7 +50,7 @@ def one_energy() -> str:
     system, rows = load_scene("fig6b").system, []
     for words, own in (("with contact", system), ("without", replace(system, contacts=()))):
         equation = energy_equation(own)
-        answers = [equation.steered[0].solve(tol) for tol in TOLERANCES]
+        answers = [equation.by_tolerance[0].solver(tol) for tol in TOLERANCES]
         distance = [errors(a, equation.reference)["L1"] for a in answers]
         rows += [
             [
@@ -71,12 +71,12 @@ def in_degree() -> str:
     """Return error by degree on one mesh, with contact and without."""
     system = load_scene("fig6b").system
     ladders = [degree_ladder(energy_equation(s)) for s in (system, replace(system, contacts=()))]
-    nats = [rates(ladder) for ladder in ladders]
+    nats = [observed_rates(ladder) for ladder in ladders]
     rows = []
     for k, (with_contact, without) in enumerate(zip(*(x.levels for x in ladders), strict=True)):
         both = ((with_contact, nats[0][k]), (without, nats[1][k]))
         cells = [cell for level, rate in both for cell in (f"{level.error:.1e}", rate)]
-        rows.append([with_contact.setting, *cells])
+        rows.append([with_contact.settings, *cells])
     words = (
         "\nOne mesh, the contact energy among its nodes; nats: -ln of the ratio of neighbouring"
         " errors, by degree. They do not fall to nothing: the error falls exponentially, log-lin in"

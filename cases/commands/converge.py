@@ -36,8 +36,7 @@ def converge(
     loaded = begin_study(scene, out)
     from cases.output.terminal import progress_bar
     from cases.studies.converge import SECONDS, chosen_routes, study_convergence
-    from cases.studies.converge_output import study_tables, write_convergence
-    from cases.studies.tables import terminal_text
+    from cases.studies.converge_output import convergence_page
 
     routes = chosen_routes(route, of)
     with progress_bar() as progress:
@@ -49,10 +48,4 @@ def converge(
             threads=threads,
             progress=progress,
         )
-    written = [] if out is None else write_convergence(study, out)
-    end_study(
-        study,
-        lambda: terminal_text(f"Convergence: {loaded.title}", study_tables(study)),
-        written,
-        as_json=as_json,
-    )
+    end_study(study, convergence_page(study), out, as_json=as_json)

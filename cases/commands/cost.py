@@ -28,21 +28,9 @@ def cost(
     loaded = begin_study(scene, out)
     from cases.output.terminal import progress_bar
     from cases.studies.cost import study_cost
-    from cases.studies.cost_output import MEANING, cost_tables, write_cost
-    from cases.studies.tables import terminal_text
+    from cases.studies.cost_output import cost_page
 
+    seed = FIRST_SEED if seed is None else seed
     with progress_bar() as progress:
-        study = study_cost(
-            loaded,
-            simulate=simulate,
-            seed=FIRST_SEED if seed is None else seed,
-            progress=progress,
-        )
-    written = [] if out is None else write_cost(study, out)
-    title = f"What accuracy costs: {loaded.title}"
-    end_study(
-        study,
-        lambda: f"{terminal_text(title, cost_tables(study))}\n{MEANING}",
-        written,
-        as_json=as_json,
-    )
+        study = study_cost(loaded, simulate=simulate, seed=seed, progress=progress)
+    end_study(study, cost_page(study), out, as_json=as_json)

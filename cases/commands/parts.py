@@ -2,7 +2,6 @@
 
 import json
 import os
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +10,7 @@ import typer
 if TYPE_CHECKING:
     from cases.comparison.run import Outcome
     from cases.scene.scene import Scene
+    from cases.studies.tables import Page
 
 SceneName = Annotated[
     str, typer.Argument(metavar="SCENE", help="A shipped scene's name or a path.")
@@ -50,7 +50,7 @@ FIRST_SEED = 1
 """Seed of a study where none is given."""
 
 
-def begin_study(scene: str, out: Path | None) -> "Scene":
+def begin_study(scene: str, out: Path | None = None) -> "Scene":
     """Load the scene and make the folder of a study, so that a refusal comes before any work.
 
     Linear algebra takes one thread from here on: small matrices gain nothing from more, and times
@@ -66,16 +66,14 @@ def begin_study(scene: str, out: Path | None) -> "Scene":
     return loaded
 
 
-def end_study(
-    study: Any, text: Callable[[], str], written: Sequence[Path], *, as_json: bool
-) -> None:
-    """Print a study as its JSON object or as ``text`` with the files written; say its problems."""
+def end_study(study: Any, page: "Page", out: Path | None, *, as_json: bool) -> None:
+    """Write a study's page to ``out``, print it or the JSON object, and say the problems."""
+    written = [] if out is None else page.write(out)
     if as_json:
         print_json(study.record())
     else:
-        typer.echo(text())
-        for path in written:
-            typer.echo(f"wrote {path}")
+        text = page.summary if written and page.summary else page.text().rstrip()
+        typer.echo("\n".join([text, *(f"wrote {path}" for path in written)]))
     end_with(study.problems)
 
 

@@ -11,9 +11,9 @@ from cases.commands.parts import (
     SceneName,
     Seed,
     Threads,
+    begin_study,
     check_cluster,
-    end_with,
-    print_json,
+    end_study,
 )
 
 
@@ -37,10 +37,9 @@ def regime(
     as_json: Json = False,
 ) -> None:
     """Map the distance of each theory to the full system over one or two parameters."""
+    loaded = begin_study(scene)
     from cases.output.files import make_folder
-    from cases.scene.scene import load_scene
-
-    loaded = load_scene(scene)
+    from cases.output.terminal import progress_bar
     from cases.studies.regime_map.grid import parse_axes
 
     axes = parse_axes(vary, loaded.system)
@@ -48,9 +47,8 @@ def regime(
         if folder is not None:
             make_folder(folder)
     check_cluster(cluster)
-    from cases.output.terminal import progress_bar
     from cases.studies.regime_map.build import MAP_RELAXATIONS, build_map
-    from cases.studies.regime_map.output import map_markdown, map_summary, write_map
+    from cases.studies.regime_map.output import map_page
     from sim.montecarlo import MonteCarlo
 
     settings = {"seed": seed, "threads": threads, "paths": paths, "time": time, "cluster": cluster}
@@ -62,11 +60,4 @@ def regime(
         )
     if result.note is not None:
         typer.echo(f"fpk: note: {result.note}", err=True)
-    written = [] if out is None else write_map(result, out)
-    if as_json:
-        print_json(result.record())
-    else:
-        typer.echo(map_markdown(result) if out is None else map_summary(result))
-        for path in written:
-            typer.echo(f"wrote {path}")
-    end_with(result.problems)
+    end_study(result, map_page(result), out, as_json=as_json)

@@ -165,11 +165,11 @@ def distance_between(a: AnyDensity, b: AnyDensity) -> tuple[float, float]:
 def _measured(a: AnyDensity, b: AnyDensity) -> tuple[float, float, float]:
     """∫|p_a − p_b|, its expectation were both right, and what it then exceeds in 1e-4."""
     estimates = sum(d.l1_error for d in (a, b) if isinstance(d, Density))
-    sampled = [_joined(d) for d in (a, b) if isinstance(d, SampledDensity)]
+    sampled = [joined(d) for d in (a, b) if isinstance(d, SampledDensity)]
     if not sampled:
         distance = l1_distance(a, b)
         return distance, estimates + ROUND_OFF, estimates + ROUND_OFF
-    a, b = (_joined(d) if isinstance(d, SampledDensity) else d for d in (a, b))
+    a, b = (joined(d) if isinstance(d, SampledDensity) else d for d in (a, b))
     mean, quantile = np.array([chance_l1(d) for d in sampled]).sum(axis=0)
     return l1_distance(a, b), float(mean) + estimates, float(quantile) + estimates
 
@@ -200,8 +200,8 @@ def chance_l1(sampled: SampledDensity) -> tuple[float, float]:
     return mean, mean + z * spread
 
 
-def _joined(sampled: SampledDensity) -> SampledDensity:
-    """Join neighbouring bins until about ``BINS_1D`` (or ``BINS_2D`` an axis) are left."""
+def joined(sampled: SampledDensity) -> SampledDensity:
+    """Return the histogram with neighbouring bins joined: ``BINS_1D`` or ``BINS_2D`` an axis."""
     wanted = BINS_1D if len(sampled.edges) == 1 else BINS_2D
     counts = [e.size - 1 for e in sampled.edges]
     factors = [f for f in range(1, min(counts) // wanted + 1) if not any(c % f for c in counts)]

@@ -1,7 +1,7 @@
 """An answer to one averaged equation, and its distance from another in every norm of a study."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,14 +21,14 @@ class Answer:
     """A density of one or two energies: smooth between ``panels``, zero beyond them.
 
     ``l1_error`` is its own estimate of its L1 error; ``unknowns`` the degrees of freedom solved
-    for; ``made`` says how where a route has several ways.
+    for; ``variant`` says which of several ways a route took, empty where it has one.
     """
 
     panels: tuple[Array, ...]
     density: Callable[..., Array]
     l1_error: float
     unknowns: int
-    made: str = ""
+    variant: str = ""
 
 
 def errors(answer: Answer, reference: Answer) -> dict[str, float]:
@@ -41,23 +41,22 @@ def errors(answer: Answer, reference: Answer) -> dict[str, float]:
         for pair in zip(answer.panels, reference.panels, strict=True)
     ]
     mesh, weights = _grid(panels)
-    own, true = answer.density(*mesh), reference.density(*mesh)
-    difference = own - true
-    return {
-        "L1": _integral(np.abs(difference), weights),
-        "L2": float(np.sqrt(_integral(difference**2, weights))),
-        "max": float(np.max(np.abs(difference))),
-        FUNCTIONALS[0]: abs(_integral(difference * sum(mesh), weights)),
-        FUNCTIONALS[1]: abs(_integral(difference * (own + true), weights)),
-    }
+    p, q = answer.density(*mesh), reference.density(*mesh)
+    values = np.abs(p - q), (p - q) ** 2, (p - q) * sum(mesh), (p - q) * (p + q)
+    L1, square, *moments = (_integral(v, weights) for v in values)
+    norms = dict(zip(NORMS, (L1, square**0.5, float(np.max(values[0]))), strict=True))
+    return norms | dict(zip(FUNCTIONALS, map(abs, moments), strict=True))
+
+
+def sizes(answer: Answer) -> dict[str, float]:
+    """Return the norms and moments of a density itself: its distances from zero."""
+    return errors(replace(answer, density=lambda *H: 0.0 * sum(H)), answer)
 
 
 def functionals(answer: Answer) -> dict[str, float]:
     """Return E H and ∫p² of an answer."""
-    mesh, weights = _grid(answer.panels)
-    p = answer.density(*mesh)
-    values = _integral(p * sum(mesh), weights), _integral(p * p, weights)
-    return dict(zip(FUNCTIONALS, values, strict=True))
+    own = sizes(answer)
+    return {key: own[key] for key in FUNCTIONALS}
 
 
 def _grid(panels: Sequence[Array]) -> tuple[list[Array], list[Array]]:
@@ -68,7 +67,6 @@ def _grid(panels: Sequence[Array]) -> tuple[list[Array], list[Array]]:
 
 
 def _integral(values: Array, weights: list[Array]) -> float:
-    total = values
     for w in reversed(weights):
-        total = total @ w
-    return float(total)
+        values = values @ w
+    return float(values)

@@ -1,17 +1,18 @@
 """The convergence study of a scene: every averaged equation, and the simulation."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from time import perf_counter
 from typing import Any
 
 from cases.output.records import plain
 from cases.scene.errors import BadInput
 from cases.scene.scene import Scene
-from cases.studies.equations import Equation, energy_equation, modal_equation
+from cases.studies.energy_equation import energy_equation
 from cases.studies.ladders import Ladder, degree_ladder, ladders
-from cases.studies.weak import SampleSlope, sample_slope, weak_order
-from cases.studies.weak_fit import WeakOrder
+from cases.studies.levels import Equation
+from cases.studies.modal_equation import modal_equation
+from cases.studies.weak import SampleSlope, WeakOrder, sample_slope, weak_order
 from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Progress, silent
 from fpk.observable import observable_name
@@ -30,52 +31,31 @@ SECONDS = 10.0
 """Processor time that the steps of one scheme may take where the resolution wanted needs more."""
 
 
-@dataclass(frozen=True)
-class Studied:
-    """One equation with the reference its errors are measured against, and its ladders.
-
-    ``by_tolerance`` says how the route that is given a tolerance discretises.
-    """
-
-    theory: str
-    equation: str
-    observable: str
-    dimension: int
-    reference: str
-    reference_error: float
-    by_tolerance: str
-    ladders: tuple[Ladder, ...]
-
-    @property
-    def in_degree(self) -> Ladder:
-        """The ladder in p."""
-        return next(ladder for ladder in self.ladders if ladder.family == "p")
-
-
-@dataclass(frozen=True)
+@dataclass
 class ConvergenceStudy:
     """All that was measured for a scene; ``refusals`` are routes that do not apply, with reason.
 
-    ``without_contact`` is the p-ladder of (24) of the same system with its contacts taken away: it
-    shows whether a kink at the contact energy costs the exponential convergence.
+    ``equations`` holds the ladders of each equation, the p-ladder among them. ``without_contact``
+    is the p-ladder of (24) of the same system with its contacts taken away: it shows whether a kink
+    at the contact energy costs the exponential convergence.
     """
 
     scene: Scene
-    equations: tuple[Studied, ...]
-    without_contact: Ladder | None
-    schemes: tuple[WeakOrder, ...]
-    samples: SampleSlope | None
-    refusals: dict[str, str]
-    seconds: float
+    equations: list[tuple[Equation, tuple[Ladder, ...]]] = field(default_factory=list)
+    without_contact: Ladder | None = None
+    schemes: list[WeakOrder] = field(default_factory=list)
+    samples: SampleSlope | None = None
+    refusals: dict[str, str] = field(default_factory=dict)
+    seconds: float = 0.0
 
     @property
     def problems(self) -> tuple[str, ...]:
         """Every estimate that is below the true error, in words."""
-        pairs = [(s.equation, ladder) for s in self.equations for ladder in s.ladders]
+        pairs = [(e.name, ladder) for e, own in self.equations for ladder in own]
         if self.without_contact is not None:
             pairs.append(("without contact", self.without_contact))
         return tuple(
-            f"{where}, {ladder.name}, {level.setting}: the estimate {level.estimate:.2g} is below"
+            f"{where}, {ladder.name}, {level.settings}: the estimate {level.estimate:.2g} is below"
             f" the true L1 error {level.error:.2g}"
             for where, ladder in pairs
             for level in ladder.levels
@@ -88,21 +68,26 @@ class ConvergenceStudy:
             {
                 "scene": self.scene.name,
                 "equations": [
-                    {**vars(s), "ladders": [ladder.record() for ladder in s.ladders]}
-                    for s in self.equations
+                    {
+                        "theory": e.theory,
+                        "equation": e.name,
+                        "observable": observable_name(e.observable),
+                        "dimension": e.dimension,
+                        "reference": e.reference_words,
+                        "reference_error": e.reference.l1_error,
+                        "by_tolerance": e.by_tolerance[0].words,
+                        "ladders": [ladder.record() for ladder in own],
+                    }
+                    for e, own in self.equations
                 ],
                 "without_contact": self.without_contact and self.without_contact.record(),
-                "schemes": [
-                    {**asdict(s), "orders": s.ratios, "errors": s.errors,
-                     "error_bars": s.error_bars}
-                    for s in self.schemes
-                ],
+                "schemes": [scheme.record() for scheme in self.schemes],
                 "samples": self.samples and asdict(self.samples),
                 "refusals": self.refusals,
                 "seconds": self.seconds,
                 "limits_of_the_index": LIMITS,
             }
-        )  # fmt: skip
+        )
         return record
 
 
@@ -136,43 +121,24 @@ def study_convergence(
     Of several routes those that do not apply are named with the reason; one alone raises
     ``NotApplicable`` or ``NotCertified``.
     """
-    start, system = perf_counter(), scene.system
-    equations: list[Studied] = []
-    schemes: list[WeakOrder] = []
-    without, samples = None, None
-    refusals = {}
+    start, system, study = perf_counter(), scene.system, ConvergenceStudy(scene)
+    given: dict[str, Any] = {"seed": seed, "threads": threads}
     for route in routes:
         try:
             if route == SIMULATION:
-                schemes = [
-                    weak_order(
-                        system, name, seconds=seconds, seed=seed, threads=threads, progress=progress
-                    )
-                    for name in SCHEMES_STUDIED
-                ]
-                samples = sample_slope(system, seed=seed, threads=threads)
+                for scheme in SCHEMES_STUDIED:
+                    study.schemes.append(weak_order(system, scheme, seconds=seconds, **given))
+                    progress(len(study.schemes), len(SCHEMES_STUDIED), f"steps of {scheme}")
+                study.samples = sample_slope(system, **given)
                 continue
             _, make = EQUATIONS[route]
-            equations.append(_studied(make(system), progress))
-            if equations[-1].dimension == 1 and system.contacts:
-                without = degree_ladder(make(replace(system, contacts=())))
+            equation = make(system)
+            study.equations.append((equation, ladders(equation, progress=progress)))
+            if equation.dimension == 1 and system.contacts:
+                study.without_contact = degree_ladder(make(replace(system, contacts=())))
         except (NotApplicable, NotCertified) as reason:
             if len(routes) == 1:  # it was asked for, and there is nothing else to show
                 raise
-            refusals[route] = str(reason)
-    return ConvergenceStudy(
-        scene, tuple(equations), without, tuple(schemes), samples, refusals, perf_counter() - start
-    )
-
-
-def _studied(equation: Equation, progress: Progress) -> Studied:
-    return Studied(
-        theory=equation.theory,
-        equation=equation.name,
-        observable=observable_name(equation.observable),
-        dimension=equation.dimension,
-        reference=equation.reference_words,
-        reference_error=equation.reference.l1_error,
-        by_tolerance=equation.steered[0].words,
-        ladders=ladders(equation, progress=progress),
-    )
+            study.refusals[route] = str(reason)
+    study.seconds = perf_counter() - start
+    return study

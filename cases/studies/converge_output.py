@@ -1,15 +1,17 @@
 """A convergence study as tables, panels of a picture, and rows."""
 
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from cases.studies.converge import ConvergenceStudy, Studied
-from cases.studies.ladders import COLUMNS, Ladder
+from cases.studies.converge import ConvergenceStudy
+from cases.studies.ladders import COLUMNS, Ladder, observed_rates
+from cases.studies.levels import Equation
 from cases.studies.picture import Curve, Panel, study_figure
-from cases.studies.tables import Table, markdown_text, rows_dataset, write_study
-from cases.studies.weak_fit import WeakOrder
+from cases.studies.tables import Page, Table, rows_dataset
+from cases.studies.weak import SampleSlope, WeakOrder
+from fpk.observable import observable_name
 from fpk.orders import LIMITS
 
 GCI_WORDS = (
@@ -38,41 +40,42 @@ LIMITS_OF_AXIS = (1e-16, 10.0)
 """Ends of the axis of L1 errors: round-off of one, and more than the largest distance, 2."""
 
 
+def convergence_page(study: ConvergenceStudy) -> Page:
+    """Return what ``fpk converge`` shows and writes."""
+    return Page(
+        "converge",
+        study.scene,
+        f"Convergence: {study.scene.title}",
+        study_tables(study),
+        lambda: rows_dataset(level=_level_rows(study), step=_step_rows(study)),
+        lambda: study_figure(study_panels(study)),
+    )
+
+
 def study_tables(study: ConvergenceStudy) -> list[Table]:
     """Return errors and orders of every ladder, the functionals, the steps and the samples."""
     tables = []
-    for studied in study.equations:
-        tables += [_errors(studied), _orders(studied), _grid(studied)]
-        if studied.dimension == 1:
-            tables.append(_in_degree(studied, study.without_contact))
+    for equation, ladders in study.equations:
+        tables += _equation_tables(equation, ladders)
+        if equation.dimension == 1:
+            tables.append(_in_degree(equation, _with_and_without(ladders, study.without_contact)))
     if study.schemes:
         tables.append(_steps(study.schemes))
     if study.samples:
-        tables.append(_samples(study))
+        tables.append(_samples(study.samples))
     if study.refusals:
         rows = tuple(study.refusals.items())
         tables.append(Table("Routes that do not apply", ("route", "reason"), rows))
     return tables
 
 
-def _errors(studied: Studied) -> Table:
-    return Table(
-        f"{studied.equation}, p({studied.observable}): errors",
-        ("family", "level", "unknowns", *COLUMNS, "its L1 estimate"),
-        [
-            (ladder.name, v.setting, v.unknowns, *(v.errors[key] for key in COLUMNS), v.estimate)
-            for ladder in studied.ladders
-            for v in ladder.levels
-        ],
-        (
-            f"Against: {studied.reference}, itself within {studied.reference_error:.1e} in L1.",
-            f"{studied.ladders[-1].name}: {studied.by_tolerance}",
-        ),
-    )
-
-
-def _orders(studied: Studied) -> Table:
-    rows = [
+def _equation_tables(equation: Equation, ladders: Sequence[Ladder]) -> list[Table]:
+    errors = [
+        (ladder.name, v.settings, v.unknowns, *(v.errors[key] for key in COLUMNS), v.estimate)
+        for ladder in ladders
+        for v in ladder.levels
+    ]
+    orders = [
         (
             ladder.name,
             key,
@@ -81,19 +84,10 @@ def _orders(studied: Studied) -> Table:
             None if v.theory is None else f"{v.theory:g}",
             v.kind,
         )
-        for ladder in studied.ladders
+        for ladder in ladders
         for key, v in ladder.verdicts.items()
     ]
-    return Table(
-        f"{studied.equation}: observed orders",
-        ("family", "error", "consecutive levels", "last three", "theory", "verdict"),
-        rows,
-        (ORDER_WORDS, *(TWO_ENERGIES if studied.dimension == 2 else ())),
-    )
-
-
-def _grid(studied: Studied) -> Table:
-    rows = [
+    index = [
         (
             ladder.name,
             key,
@@ -105,44 +99,63 @@ def _grid(studied: Studied) -> Table:
             ladder.levels[-1].errors[key],
             g.kind,
         )
-        for ladder in studied.ladders
+        for ladder in ladders
         for key, g in ladder.grid.items()
     ]
-    head = ("family", "functional", "Richardson", "observed", "used", "factor", "GCI", "true error")
-    title = f"{studied.equation}: Richardson and grid convergence index (GCI)"
-    return Table(title, (*head, "verdict"), rows, (GCI_WORDS,))
+    name, reference = equation.name, equation.reference
+    return [
+        Table(
+            f"{name}, p({observable_name(equation.observable)}): errors",
+            ("family", "level", "unknowns", *COLUMNS, "its L1 estimate"),
+            errors,
+            (
+                f"Against: {equation.reference_words}, itself within {reference.l1_error:.1e} in"
+                " L1.",
+                f"{ladders[-1].name}: {equation.by_tolerance[0].words}",
+            ),
+        ),
+        Table(
+            f"{name}: observed orders",
+            ("family", "error", "consecutive levels", "last three", "theory", "verdict"),
+            orders,
+            (ORDER_WORDS, *(TWO_ENERGIES if equation.dimension == 2 else ())),
+        ),
+        Table(
+            f"{name}: Richardson and grid convergence index (GCI)",
+            ("family", "functional", "Richardson", "observed", "used", "factor", "GCI",
+             "true error", "verdict"),
+            index,
+            (GCI_WORDS,),
+        ),
+    ]  # fmt: skip
 
 
-def _with_and_without(studied: Studied, without: Ladder | None) -> list[tuple[str, Ladder]]:
+def _with_and_without(ladders: Sequence[Ladder], without: Ladder | None) -> dict[str, Ladder]:
     """The ladder in p of the system as it is, and of that without contacts where it has any."""
-    own = [("with contact" if without else "no contact", studied.in_degree)]
-    return own + ([("contacts taken away", without)] if without else [])
+    own = next(ladder for ladder in ladders if ladder.first.family == "p")
+    if without is None:
+        return {"no contact": own}
+    return {"with contact": own, "contacts taken away": without}
 
 
-def _in_degree(studied: Studied, without: Ladder | None) -> Table:
+def _in_degree(equation: Equation, ladders: dict[str, Ladder]) -> Table:
     """Errors by degree on a fixed mesh, with contact and without: nats of error a degree."""
     rows = [
-        (words, level.setting, level.unknowns, level.error, rate)
-        for words, ladder in _with_and_without(studied, without)
-        for level, rate in zip(ladder.levels, rates(ladder), strict=True)
+        (words, level.settings, level.unknowns, level.error, rate)
+        for words, ladder in ladders.items()
+        for level, rate in zip(ladder.levels, observed_rates(ladder), strict=True)
     ]
     head = ("system", "degree", "unknowns", "L1", "nats a degree")
-    return Table(f"{studied.equation}: exponential convergence in p", head, rows, (DEGREE_WORDS,))
+    return Table(f"{equation.name}: exponential convergence in p", head, rows, (DEGREE_WORDS,))
 
 
-def rates(ladder: Ladder) -> list[str]:
-    """Return the nats of error that a degree took off, by level; a dash where none is known."""
-    orders = [f"{o:.2f}" for o in ladder.verdicts["L1"].orders]
-    return ["–", *orders, *["–"] * (len(ladder.levels) - 1 - len(orders))]
-
-
-def _steps(schemes: tuple[WeakOrder, ...]) -> Table:
+def _steps(schemes: Sequence[WeakOrder]) -> Table:
     rows = [
         (s.scheme, f"{v.dt:.4g}", f"{v.value:.6f}", v.error, error, bar, v.sampled)
         for s in schemes
         for v, error, bar in zip(s.levels, s.errors, s.error_bars, strict=True)
     ]
-    head = ("scheme", "dt", schemes[0].observable, "one s.e.", "|error|", "its s.e.")
+    head = ("scheme", "dt", schemes[0].observable, "one s.e.", "step error", "its s.e.")
     remarks = tuple(_order_words(s) for s in schemes)
     return Table("Simulation: weak order in the step", (*head, "paths x time"), rows, remarks)
 
@@ -152,7 +165,7 @@ def _order_words(s: WeakOrder) -> str:
         return f"{s.scheme}: no step is stable and cheap enough to study."
     low, high = s.order_error
     base = "closed form" if s.known else "intercept of the regression"
-    ratios = ", ".join(f"{o:.2f} ± {e:.2f}" for o, e in s.ratios) or "none resolved"
+    ratios = ", ".join(f"{o:.2f} ± {e:.2f}" for o, e in s.orders) or "none resolved"
     order = (
         f"no weak order: the best fit is at the end of those tried, {low:.2f} to {high:.2f}"
         if s.beyond
@@ -170,9 +183,7 @@ def _order_words(s: WeakOrder) -> str:
     return words + (short if s.short > 1.05 else ".")
 
 
-def _samples(study: ConvergenceStudy) -> Table:
-    slope = study.samples
-    assert slope is not None
+def _samples(slope: SampleSlope) -> Table:
     words = f"slope {slope.slope:.3f} ± {slope.slope_error:.3f}, theory -0.5"
     return Table(
         f"Simulation: standard error of {slope.observable} in samples",
@@ -187,94 +198,85 @@ def study_panels(study: ConvergenceStudy) -> list[Panel]:
 
     Dashed lines have the slope of theory, below the finest levels.
     """
-    panels = [_ladder_panel(s) for s in study.equations]
-    panels += [_degree_panel(s, study.without_contact) for s in study.equations if s.dimension == 1]
+    panels = [_ladder_panel(*own) for own in study.equations]
+    panels += [
+        _degree_panel(equation, _with_and_without(ladders, study.without_contact))
+        for equation, ladders in study.equations
+        if equation.dimension == 1
+    ]
     return [*panels, _step_panel(study.schemes)] if study.schemes else panels
 
 
-def _ladder_panel(studied: Studied) -> Panel:
+def _ladder_panel(equation: Equation, ladders: Sequence[Ladder]) -> Panel:
     curves = []
-    for ladder in studied.ladders:
+    for ladder in ladders:
         N = np.array([level.unknowns for level in ladder.levels], dtype=float)
         e = np.array([level.error for level in ladder.levels])
         label, dashed = ladder.name, None
         if ladder.degree:
             label = f"{ladder.name}: order {ladder.verdicts['L1'].order:.2f}"
-            power = (ladder.degree + 1.0) / ladder.dimension
+            power = (ladder.degree + 1.0) / equation.dimension
             dashed = N[-3:], 0.5 * e[-1] * (N[-3:] / N[-1]) ** -power
         curves.append(Curve(ladder.name, N, e, label, dashed=dashed))
-    return _error_panel(studied, "dashed: order of theory", "unknowns $N$", curves)
+    return _error_panel(equation, "dashed: order of theory", "unknowns $N$", curves)
 
 
-def _degree_panel(studied: Studied, without: Ladder | None) -> Panel:
+def _degree_panel(equation: Equation, ladders: dict[str, Ladder]) -> Panel:
     """Log-lin: exponential convergence is a straight line."""
     curves = []
-    for words, ladder in _with_and_without(studied, without):
+    for words, ladder in ladders.items():
         label = f"{words}: $e^{{-{ladder.verdicts['L1'].order:.1f} p}}$"
         p, e = [-np.log(v.size) for v in ladder.levels], [v.error for v in ladder.levels]
         curves.append(Curve(words, p, e, label))
     x = "degree $p$ on a fixed mesh"
-    return _error_panel(studied, "exponential in $p$", x, curves, logarithmic=False)
+    return _error_panel(equation, "exponential in $p$", x, curves, logarithmic=False)
 
 
-def _error_panel(studied: Studied, words: str, x: str, curves: list[Curve], **how: Any) -> Panel:
+def _error_panel(equation: Equation, words: str, x: str, curves: list[Curve], **how: Any) -> Panel:
     return Panel(
-        f"{studied.equation}; {words}",
+        f"{equation.name}; {words}",
         x,
-        f"$L_1$ error of p({studied.observable})",
+        f"$L_1$ error of p({observable_name(equation.observable)})",
         curves,
-        floor=studied.reference_error + 1e-15,
+        floor=equation.reference.l1_error + 1e-15,
         limits=LIMITS_OF_AXIS,
         **how,
     )
 
 
-def _step_panel(schemes: tuple[WeakOrder, ...]) -> Panel:
+def _step_panel(schemes: Sequence[WeakOrder]) -> Panel:
     curves = []
     for s in schemes:
         label, dashed = f"{s.scheme}: no usable step", None
-        if s.levels:
+        dt = [level.dt for level in s.levels]
+        if dt:
             low, high = s.order_error
             order = f"order {s.order:.1f} ± {0.5 * (high - low):.1f}"
             words = s.verdict if s.beyond or s.verdict == "not resolved" else order
             label = f"{s.scheme}: {words} (theory {s.theory})"
-            fit = np.geomspace(s.levels[0].dt, s.levels[-1].dt, 30)
-            dashed = fit, abs(s.slope) * fit**s.theory
-        dt = [level.dt for level in s.levels]
-        curves.append(Curve(s.scheme, dt, s.errors, label, s.error_bars, False, dashed,
-                            joined=False))  # fmt: skip
-    of = schemes[0].observable
+            steps = np.geomspace(dt[0], dt[-1], 30)
+            dashed = steps, abs(s.slope) * steps**s.theory
+        curves.append(
+            Curve(s.scheme, dt, s.errors, label, s.error_bars, dashed=dashed, joined=False)
+        )
     title = "full system (6), simulation; lines: theory"
-    return Panel(title, "step $dt$, in the scene's unit of time", f"step error of {of}", curves)
-
-
-def write_convergence(study: ConvergenceStudy, folder: Path) -> list[Path]:
-    """Write ``converge.md``, ``converge.nc`` and ``converge.svg``; return their paths."""
-    title = f"Convergence: {study.scene.title}"
-    return write_study(
-        "converge",
-        folder,
-        study.scene,
-        title=title,
-        page=markdown_text(title, study_tables(study)),
-        data=rows_dataset(level=_level_rows(study), step=_step_rows(study)),
-        figure=study_figure(study_panels(study)),
-    )
+    y = f"step error of {schemes[0].observable}"
+    return Panel(title, "step $dt$, in the scene's unit of time", y, curves)
 
 
 def _level_rows(study: ConvergenceStudy) -> list[dict[str, Any]]:
     return [
         {
-            "equation": studied.equation,
+            "equation": equation.name,
             "family": ladder.name,
-            "level_name": level.setting,
+            "level_name": level.settings,
             "unknowns": level.unknowns,
             **{f"error_{key.replace(' ', '_').replace('²', '2')}": e
                for key, e in level.errors.items()},
             "estimate_L1": level.estimate,
         }
-        for studied in study.equations
-        for ladder in studied.ladders
+        for equation, ladders in study.equations
+        for ladder in ladders
         for level in ladder.levels
     ]  # fmt: skip
 

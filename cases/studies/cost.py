@@ -11,21 +11,15 @@ import numpy as np
 from cases.comparison.compare import BINS_1D
 from cases.output.records import plain
 from cases.scene.scene import Scene
-from cases.studies.equations import Equation, energy_equation, modal_equation, unchanged
+from cases.studies.energy_equation import energy_equation, unchanged
 from cases.studies.full_system import (
     REFERENCE_RELAXATIONS,
-    FullReference,
+    Reference,
     deterministic,
     full_reference,
 )
-from cases.studies.law import Law
-from cases.studies.levels import (
-    ByTolerance,
-    Discretisation,
-    Level,
-    elements,
-    refined_levels,
-)
+from cases.studies.levels import Discretisation, Equation, refined_levels
+from cases.studies.modal_equation import modal_equation
 from cases.studies.prices import (
     Cheapest,
     Crossover,
@@ -33,15 +27,15 @@ from cases.studies.prices import (
     Priced,
     crossovers,
     price_list,
+    priced,
     promised_list,
 )
-from cases.studies.runs import observed_mass
-from cases.studies.sampled import FULL, averaged_route, full_routes
+from cases.studies.sampling import FULL, Law, averaged_route, full_routes
 from cases.studies.timing import timed_first, timing
 from fpk.density import Density
-from fpk.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Progress, silent
-from fpk.observable import observable_name, parse_observable
+from fpk.observable import observable_name
 from fpk.process import Process
 from fpk.system import System
 
@@ -120,14 +114,12 @@ class CostStudy:
 
     def record(self) -> dict[str, Any]:
         """Return the study as plain data."""
+        lists = ("not_timed", "laws", "models", "crossings")
         record: dict[str, Any] = plain(
             {
                 "scene": self.scene.name,
                 "routes": [r.record() for r in self.routes],
-                **{
-                    key: [asdict(item) for item in getattr(self, key)]
-                    for key in ("not_timed", "laws", "models", "crossings")
-                },
+                **{key: [asdict(item) for item in getattr(self, key)] for key in lists},
                 "floors": self.floors,
                 "full_reference": self.full_reference,
                 "prices": [c.record() for c in self.prices],
@@ -154,112 +146,79 @@ def study_cost(
     """
     start, system = perf_counter(), scene.system
     study = CostStudy(scene)
-    makers = {
-        "averaged equation (24)": partial(energy_equation, system, changed=changed),
-        "averaged equation (17)": partial(modal_equation, system),
+
+    def averaged(make: Callable[[System], Equation]) -> None:
+        equation = make(system)
+        study.floors[equation.name] = equation.reference.l1_error
+        study.add(equation_routes(equation, candidates(equation), progress=progress))
+        if simulate and equation.dimension == 1:
+            study.add([averaged_route(system, equation, seed=seed)])
+
+    def full() -> None:
+        reference = full_reference(system, seed=seed, relaxations=relaxations)
+        study.full_reference, study.floors[FULL] = reference.words, reference.density.l1_error
+        results, study.laws = full_routes(system, reference, seed=seed, progress=progress)
+        study.add(results)
+        study.models += _models(system, reference)
+
+    parts: dict[str, Callable[[], None]] = {
+        "averaged equation (24)": partial(averaged, partial(energy_equation, changed=changed)),
+        "averaged equation (17)": partial(averaged, modal_equation),
+        FULL: full,
     }
-    for name, make in makers.items():
+    for name, part in parts.items():
+        if name == FULL and not simulate:
+            continue
         try:
-            equation = make()
-            study.floors[name] = equation.reference.l1_error
-            study.add(priced(equation, candidates(equation), progress=progress))
-            if simulate and equation.dimension == 1:
-                study.add([averaged_route(system, equation, seed=seed, progress=progress)])
+            part()
         except (NotApplicable, NotCertified) as reason:
             study.not_timed.append(NotTimed("all", name, reason=str(reason)))
-    if simulate:
-        try:
-            _full(study, system, seed, relaxations, progress)
-        except (NotApplicable, NotCertified) as reason:
-            study.not_timed.append(NotTimed("all", FULL, reason=str(reason)))
     study.seconds = perf_counter() - start
     return study
 
 
-def _full(
-    study: CostStudy, system: System, seed: int, relaxations: float, progress: Progress
-) -> None:
-    observable = parse_observable(f"q{observed_mass(system) + 1}", system.n)
-    reference = full_reference(system, observable, seed=seed, relaxations=relaxations)
-    study.full_reference, study.floors[FULL] = reference.words, reference.error
-    results, laws = full_routes(system, observable, reference, seed=seed, progress=progress)
-    study.add(results)
-    study.laws += laws
-    study.models += _models(system, reference)
-
-
 def candidates(equation: Equation) -> tuple[Discretisation, ...]:
     """Return the coarsest of every route: elements in h, and the routes by tolerance."""
-    by_tol = [ByTolerance(steered, STRIDE, STRIDE) for steered in equation.steered]
-    return *(elements(equation, degree) for degree in DEGREES), *by_tol
+    by_tol = [replace(r, digits=STRIDE, stride=STRIDE) for r in equation.by_tolerance]
+    return *(equation.elements(degree) for degree in DEGREES), *by_tol
 
 
-def priced(
+def equation_routes(
     equation: Equation, offered: Sequence[Discretisation], *, progress: Progress = silent
 ) -> list[Priced | NotTimed]:
-    """Check every answer of every route against the reference; time those routes that agree.
-
-    An answer agrees if its L1 distance is within its own estimate and that of the reference. A
-    route with one answer that does not, or with none at all, is named and not timed.
-    """
+    """Check every answer of every route against the reference; time those routes that agree."""
     results = []
+    of = observable_name(equation.observable)
     for k, first in enumerate(offered):
         progress(k, len(offered), f"cost of {equation.name}")
-        results.append(_priced(equation, first))
+        count = TOLERANCES if first.family == "tol" else MESHES[equation.dimension]
+        result = priced(
+            Priced(first.name, equation.name, f"numerical: L1 of p({of}), {equation.name}", ()),
+            refined_levels(first, equation.reference, count),
+            warm_up=first.solve,
+            reference=equation.reference_words,
+            longest=LONGEST,
+            clock=equation.coefficients,
+        )
+        results.append(result)
     progress(len(offered), len(offered), f"cost of {equation.name}")
     return results
 
 
-def _priced(equation: Equation, first: Discretisation) -> Priced | NotTimed:
-    count = TOLERANCES if isinstance(first, ByTolerance) else MESHES[equation.dimension]
-    checked: list[tuple[Discretisation, Level]] = []
-    words = ""
-    try:
-        _, compiling = timed_first(first.solve)  # the levels themselves are timed warm
-        for discretisation, level in refined_levels(first, equation.reference, count):
-            if not np.isfinite(level.estimate):
-                words = "states no finite error of its own: its density does not fall off"
-            elif not level.honest:
-                words = f"differs from the {equation.reference_words} by more than both state"
-            if words:
-                what = level.setting, level.error, level.estimate, words
-                return NotTimed(first.name, equation.name, *what)
-            checked.append((discretisation, level))
-            if level.seconds > LONGEST:
-                break
-    except (NotCertified, NotApplicable, InvalidInput, np.linalg.LinAlgError) as error:
-        return NotTimed(first.name, equation.name, reason=str(error))
-    points = [
-        replace(level, timing=timing(d.solve, level.seconds, equation.coefficients))
-        for d, level in checked
-    ]
-    coldest = replace(points[0].timing, first=max(0.0, compiling - points[0].seconds))
-    points[0] = replace(points[0], timing=coldest)
-    of = observable_name(equation.observable)
-    return Priced(
-        first.name, equation.name, f"numerical: L1 of p({of}), {equation.name}", tuple(points)
-    )
-
-
-def _models(system: System, reference: FullReference) -> list[Model]:
+def _models(system: System, reference: Reference) -> list[Model]:
     """Averaging error of each theory in p(q_i), and the time of its fastest route."""
-    observable = parse_observable(f"q{observed_mass(system) + 1}", system.n)
     models: dict[str, Model] = {}
+    observable = reference.density.observable
     for method in deterministic(system, observable, "averaged"):
         work = partial(method.solve, system, [observable])
         result, first = timed_first(work)
         (density,) = result.densities
         assert isinstance(density, Density)
-        model = Model(
-            method.route.method,
-            observable_name(observable),
-            _binned_distance(density, reference.density),
-            reference.error + density.l1_error,
-            timing(work, first).seconds,
-        )
-        known = models.setdefault(model.theory, model)
-        if model.seconds < known.seconds:
-            models[model.theory] = model
+        theory, seconds = method.route.method, timing(work, first).seconds
+        error = reference.density.l1_error + density.l1_error
+        distance = _binned_distance(density, reference.density)
+        model = Model(theory, density.name, distance, error, seconds)
+        models[theory] = min(model, models.get(theory, model), key=lambda m: m.seconds)
     return list(models.values())
 
 

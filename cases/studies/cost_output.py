@@ -1,22 +1,15 @@
 """A work-precision study as tables, panels of a picture, and rows."""
 
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from cases.studies.cost import CostStudy
 from cases.studies.levels import Level
 from cases.studies.picture import Curve, Panel, study_figure
-from cases.studies.prices import Priced
-from cases.studies.sampled import FULL
-from cases.studies.tables import (
-    Bytes,
-    Seconds,
-    Table,
-    markdown_text,
-    rows_dataset,
-    write_study,
-)
+from cases.studies.prices import Priced, by_equation
+from cases.studies.sampling import FULL
+from cases.studies.tables import Bytes, Page, Seconds, Table, rows_dataset
 
 MEANING = (
     "Times are processor times on one thread: the wall time of a core that does nothing else, after"
@@ -34,27 +27,42 @@ DRAWN, LONGEST = 1e-4, 3600.0
 """Error and seconds to which the law of sampling is drawn: an hour."""
 
 
+def cost_page(study: CostStudy) -> Page:
+    """Return what ``fpk cost`` shows and writes."""
+    return Page(
+        "cost",
+        study.scene,
+        f"What accuracy costs: {study.scene.title}",
+        cost_tables(study),
+        lambda: rows_dataset(point=_rows(study)).assign_attrs(meaning=MEANING),
+        lambda: study_figure(cost_panels(study), width=5.2),
+        MEANING,
+    )
+
+
 def cost_tables(study: CostStudy) -> list[Table]:
     """Return the price list of every equation, crossovers, averaging errors, all measurements."""
-    equations = list(dict.fromkeys(r.equation for r in study.routes))
-    tables = [_prices(study, name) for name in equations]
+    equations = list(by_equation(study.routes))
+    tables = [_prices(study, name) for name, _ in equations]
     tables += [_promises(study)] if study.promises else []
-    tables.append(_crossings(study, equations))
+    tables.append(_crossings(study))
     tables += [_models(study)] if study.models else []
     tables += [_not_timed(study)] if study.not_timed else []
     tables += [_laws(study)] if study.laws else []
-    return tables + [_measured(study, name) for name in equations]
+    return tables + [_measured(name, routes) for name, routes in equations]
 
 
 def _prices(study: CostStudy, equation: str) -> Table:
-    rows = []
+    rows: list[tuple[Any, ...]] = []
     for c in study.prices:
-        if c.equation == equation and c.point is None:
+        if c.equation != equation:
+            continue
+        if c.point is None:
             rows.append((c.digits, "reached by none here", None, None, None))
-        elif c.equation == equation and c.point is not None:
-            time = ("≈ " if c.point.modelled else "") + str(Seconds(c.point.seconds))
-            memory = Bytes(c.point.timing.memory)
-            rows.append((c.digits, c.route, c.point.setting, time, memory))  # type: ignore[arg-type]
+            continue
+        time = ("≈ " if c.point.modelled else "") + str(Seconds(c.point.seconds))
+        memory = Bytes(c.point.timing.memory)
+        rows.append((c.digits, c.route, c.point.settings, time, memory))
     remarks = ("≈: by the law of sampling, not run.",) if equation == FULL else ()
     head = ("digits", "route", "settings", "time", "memory")
     return Table(f"{equation}: to get so many digits (L1)", head, rows, remarks)
@@ -63,7 +71,7 @@ def _prices(study: CostStudy, equation: str) -> Table:
 def _promises(study: CostStudy) -> Table:
     """The same question for a scene that was not measured: tolerances keep what they promise."""
     rows = [
-        (c.equation, c.digits, c.route, p.setting, Seconds(p.seconds), Bytes(p.timing.memory))
+        (c.equation, c.digits, c.route, p.settings, Seconds(p.seconds), Bytes(p.timing.memory))
         for c in study.promises
         if (p := c.point) is not None
     ]
@@ -71,10 +79,12 @@ def _promises(study: CostStudy) -> Table:
     return Table("Settings that hold for other scenes", head, rows, (PROMISE,))
 
 
-def _crossings(study: CostStudy, equations: list[str]) -> Table:
+def _crossings(study: CostStudy) -> Table:
     rows = [(c.equation, f"{c.error:.1e}", c.above, c.below) for c in study.crossings]
-    for equation in set(equations) - {c.equation for c in study.crossings}:
-        rows.append((equation, "–", "one route is cheapest at every error measured", ""))
+    crossed = {row[0] for row in rows}
+    for equation, _ in by_equation(study.routes):
+        if equation not in crossed:
+            rows.append((equation, "–", "one route is cheapest at every error measured", ""))
     head = ("equation", "below the error", "from", "to")
     return Table("Where another route becomes the cheapest", head, rows, _pays(study))
 
@@ -110,7 +120,7 @@ def _pays(study: CostStudy) -> tuple[str, ...]:
 
 def _fastest(routes: list[Priced], error: float) -> float:
     """Return the least time for ``error``, infinite where no route reached it."""
-    return float(np.nanmin([np.inf, *(r.seconds_for(error) for r in routes)]))
+    return float(np.nanmin([np.inf, *(float(r.seconds_for(np.array(error))) for r in routes)]))
 
 
 def _models(study: CostStudy) -> Table:
@@ -148,26 +158,25 @@ def _laws(study: CostStudy) -> Table:
     return Table(f"{FULL}: law of sampling", head, rows, (words,))
 
 
-def _measured(study: CostStudy, equation: str) -> Table:
-    own = [r for r in study.routes if r.equation == equation]
+def _measured(equation: str, routes: list[Priced]) -> Table:
     rows = [
         (
             route.route,
-            p.setting,
+            p.settings,
             p.error,
             p.stated,
             p.unknowns or None,
             *(Seconds(x) for x in (t.seconds, t.spread, t.first, t.coefficients)),
             Bytes(t.memory),
         )
-        for route in own
+        for route in routes
         for p in route.points
         if not p.modelled
         for t in [p.timing]
     ]
     first = ("route", "settings", "L1 error", "stated", "unknowns", "median", "spread")
     head = (*first, "first call more", "coefficients", "memory")
-    axes = tuple(dict.fromkeys(r.axis for r in own))
+    axes = tuple(dict.fromkeys(r.axis for r in routes))
     return Table(f"{equation}: measurements", head, rows, axes)
 
 
@@ -178,19 +187,20 @@ def cost_panels(study: CostStudy) -> list[Panel]:
     error, which no solver lowers.
     """
     panels = []
-    for equation in dict.fromkeys(r.equation for r in study.routes):
+    marks = [(m.distance, f"averaging error of the {m.theory} theory") for m in study.models]
+    for equation, routes in by_equation(study.routes):
         curves = [
             Curve(
                 route.route,
                 [p.seconds for p in points],
                 [p.error for p in points],
                 open=points[0].modelled,
-                end=points[-1].setting.rpartition(", ")[2],
+                end=points[-1].settings.rpartition(", ")[2],
             )
-            for route in study.routes
-            if route.equation == equation and (points := _drawn(route))
+            for route in routes
+            if (points := _drawn(route))
         ]
-        marks = [(m.distance, f"averaging error of the {m.theory} theory") for m in study.models]
+        full = equation == FULL
         panels.append(
             Panel(
                 equation,
@@ -198,8 +208,8 @@ def cost_panels(study: CostStudy) -> list[Panel]:
                 "$L_1$ error",
                 curves,
                 floor=max(study.floors.get(equation, 0.0), 2e-15),
-                marks=marks if equation == FULL else (),
-                limits=(0.5 * DRAWN, 1.0) if equation == FULL else (2e-16, 2.0),
+                marks=marks if full else (),
+                limits=(0.5 * DRAWN, 1.0) if full else (2e-16, 2.0),
             )
         )
     return panels
@@ -214,30 +224,17 @@ def _drawn(route: Priced) -> list[Level]:
     ]
 
 
-def write_cost(study: CostStudy, folder: Path) -> list[Path]:
-    """Write ``cost.md``, ``cost.nc`` and ``cost.svg``; return their paths."""
-    title = f"What accuracy costs: {study.scene.title}"
+def _rows(study: CostStudy) -> list[dict[str, Any]]:
     times = ("seconds", "spread", "first", "coefficients", "memory")
-    rows = [
+    return [
         {
             "route": r.route,
             "equation": r.equation,
             "axis": r.axis,
-            "settings": p.setting,
+            "settings": p.settings,
             **{key: float(getattr(p, key)) for key in ("error", "stated", "unknowns", "modelled")},
             **{key: getattr(p.timing, key) for key in times},
         }
         for r in study.routes
         for p in r.points
     ]
-    data = rows_dataset(point=rows)
-    data.attrs["meaning"] = MEANING
-    return write_study(
-        "cost",
-        folder,
-        study.scene,
-        title=title,
-        page=f"{markdown_text(title, cost_tables(study))}\n{MEANING}\n",
-        data=data,
-        figure=study_figure(cost_panels(study), width=5.2),
-    )

@@ -1,38 +1,114 @@
-"""The full system's own density: by a route that solves (6), or by a long simulation."""
+"""The full system (6): its simulation as the studies read it, and its density by another route."""
 
-from dataclasses import dataclass
-from math import inf, sqrt
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import inf, isfinite, nan, sqrt
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 import cases.comparison.routes  # noqa: F401  (registers every route)
-from cases.comparison.compare import chance_l1
-from cases.studies.runs import coarse
+from cases.comparison.compare import chance_l1, joined
+from cases.studies.timing import timed_first
 from fpk.certificate import Measured
 from fpk.density import Array, Density, SampledDensity, certified_density
-from fpk.errors import NotCertified
+from fpk.errors import InvalidInput, NotCertified
 from fpk.method import Method
-from fpk.observable import Observable
+from fpk.observable import Observable, parse_observable
 from fpk.route import ROUTES, Solves
 from fpk.system import System
-from sim.montecarlo import MonteCarlo
+from sim.montecarlo import LEAST_PATHS, MonteCarlo
+from sim.report import Report, Steps
 
+LARGEST = 4.0
+"""Largest step tried, in units of the chosen one: beyond it no scheme is stable in contact."""
+SMALL = 0.25
+"""Step, in units of the chosen one, below which a slow trial ends the search."""
+TRIAL = 0.4
+"""Relaxation times of a trial, after one of burn-in: an unstable step is lost within one."""
 REFERENCE_RELAXATIONS = 200.0
 """Sampled relaxation times of the simulation that is the reference where no other route solves (6):
 three times the longest run that is compared with it."""
 PATHS = 8192
+"""Trajectories of that simulation and of those that are priced."""
 SEED_STEP = 7919
-"""What is added to the seed for the reference, which must be independent of what it judges."""
+"""Added to the seed for the reference, which must be independent of what it judges."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One simulation: its ``steps``, E q_i² ``value`` with one standard ``error``, and a density.
+
+    ``value`` is not a number where trajectories were lost; ``density`` is that of the first
+    observable in about 128 bins, None without one; ``seconds`` of processor time.
+    """
+
+    steps: Steps
+    value: float
+    error: float
+    seconds: float
+    density: SampledDensity | None
+
+    @property
+    def sampled(self) -> float:
+        """The sampled time of all paths."""
+        return self.steps.paths * self.steps.time
 
 
 @dataclass(frozen=True, eq=False)
-class FullReference:
-    """p(q_i) of the full system; ``words`` name its source, ``error`` is its L1 error."""
+class Reference:
+    """What simulations are held against: a density, its L1 error with it; ``words`` name it."""
 
     words: str
     density: Density
-    error: float
+
+
+def observed_mass(system: System) -> int:
+    """Return the index of the mass that is studied: the first that touches, else the last."""
+    return system.contact_masses[0] if system.contact_masses else system.n - 1
+
+
+def observed_displacement(system: System) -> Observable:
+    """Return the displacement of that mass."""
+    return parse_observable(f"q{observed_mass(system) + 1}", system.n)
+
+
+def run(system: System, method: MonteCarlo, observables: Sequence[Observable] = ()) -> Run:
+    """Run ``method``; E q² is that of ``observed_mass``."""
+    result, seconds = timed_first(lambda: method.solve(system, observables))
+    report = result.report
+    assert isinstance(report, Report)
+    density = next((joined(d) for d in result.densities if isinstance(d, SampledDensity)), None)
+    if not report.moments:  # nothing is known of the means where trajectories were lost
+        return Run(report.steps, nan, nan, seconds, density)
+    moment = report.moments[observed_mass(system)]
+    return Run(report.steps, moment.mean, moment.error, seconds, density)
+
+
+def largest_stable(
+    system: System, method: MonteCarlo, *, smallest: float, patience: float
+) -> float | None:
+    """Return the largest step, in units of the chosen one, that loses no trajectory.
+
+    None where there is none above ``smallest``, or a trial of a small step takes more than
+    ``patience`` seconds.
+    """
+    trial = replace(method, paths=LEAST_PATHS, relaxations=TRIAL, burn_in=1.0)
+    factor = LARGEST
+    while factor > smallest:
+        try:
+            tried = run(system, replace(trial, step_factor=factor))
+        except InvalidInput as refusal:
+            if refusal.key != "dt":
+                raise
+            factor /= sqrt(2.0)  # at or above the stability limit, which the method itself refuses
+            continue
+        if isfinite(tried.value):
+            return factor
+        if factor < SMALL and tried.seconds > patience:
+            return None
+        factor /= sqrt(2.0) if factor > 2.0 * SMALL else 2.0
+    return None
 
 
 def deterministic(system: System, observable: Observable, solves: Solves) -> list[Method]:
@@ -42,29 +118,25 @@ def deterministic(system: System, observable: Observable, solves: Solves) -> lis
     return [m for m in methods if m.refusal(system, observable) is None]
 
 
-def full_density(system: System, observable: Observable) -> tuple[str, Density] | None:
-    """Return the first certified density of the full system that is not sampled, and its route."""
+def full_density(system: System, observable: Observable) -> Reference | None:
+    """Return the first certified density of the full system that is not sampled."""
     for method in deterministic(system, observable, "full"):
         (density,) = method.solve(system, [observable]).densities
         if isinstance(density, Density) and density.certificate.certified:
-            return method.route.label, density
+            return Reference(method.route.label, density)
     return None
 
 
 def full_reference(
-    system: System,
-    observable: Observable,
-    *,
-    seed: int,
-    relaxations: float = REFERENCE_RELAXATIONS,
-) -> FullReference:
+    system: System, *, seed: int, relaxations: float = REFERENCE_RELAXATIONS
+) -> Reference:
     """Return the full system's p(q_i); where none solves (6), a long simulation at 0.7 of the step.
 
     Raises ``NotCertified`` where that simulation has no density.
     """
-    if answer := full_density(system, observable):
-        route, density = answer
-        return FullReference(route, density, density.l1_error)
+    observable = observed_displacement(system)
+    if known := full_density(system, observable):
+        return known
     method = MonteCarlo(
         paths=PATHS, relaxations=relaxations, seed=seed + SEED_STEP, step_factor=sqrt(0.5)
     )
@@ -80,10 +152,9 @@ def full_reference(
     def pdf(q: Array) -> Array:
         return np.where((q >= edges[0]) & (q <= edges[-1]), slope(q), 0.0)
 
-    error = chance_l1(coarse(sampled))[0]
-    tail = sampled.certificate.tail_mass
-    measured = Measured(error, 0.0, 0.0, sampled.certificate.residual, tail)
+    own = sampled.certificate
+    measured = Measured(chance_l1(joined(sampled))[0], 0.0, 0.0, own.residual, own.tail_mass)
     density = certified_density(
         observable, (edges,), pdf, lambda q: sampled.at(q)[1], measured=measured, tol=inf
     )
-    return FullReference("long simulation", density, error)
+    return Reference("long simulation", density)

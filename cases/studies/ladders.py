@@ -1,30 +1,17 @@
 """Families of levels of one averaged equation, and what their errors show: in h, p and by tol."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import reduce
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from cases.studies.answer import FUNCTIONALS, NORMS, Answer, errors
-from cases.studies.equations import Equation
-from cases.studies.levels import (
-    P_DEGREES,
-    ByTolerance,
-    Discretisation,
-    Elements,
-    Level,
-    degrees,
-    elements,
-    refined_levels,
-    theoretical_order,
-)
+from cases.studies.answer import FUNCTIONALS, NORMS, errors, sizes
+from cases.studies.levels import P_DEGREES, Discretisation, Equation, Level, refined_levels
 from fpk.density import Array
 from fpk.method import Progress, silent
 from fpk.orders import Convergence, GridConvergence, convergence, grid_convergence
-
-Family = Literal["h", "p", "tol"]
 
 H_DEGREES = {1: (1, 2, 4), 2: (1, 2, 3)}
 """Degrees in h, by the number of energies. Of two, degree 4 has two orders within 0.15 of 5 only at
@@ -37,39 +24,51 @@ ROUND_OFF = 1e-15
 """Relative floor of any answer: a few rounding errors of its largest values."""
 COLUMNS = (*NORMS, *FUNCTIONALS)
 """Errors of a level in the order in which tables show them."""
+LEVEL_KEYS = ("size", "unknowns", "errors", "estimate", "functionals")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Ladder:
-    """Levels from coarse to fine of one family, and what their errors show by norm.
+    """Levels from coarse to fine that start with ``first``, and what their errors show by norm.
 
     ``degree`` is that of the elements in h, None else; ``verdicts`` by norm and moment, ``grid`` by
     moment.
     """
 
-    name: str
-    equation: str
-    dimension: int
-    family: Family
+    equation: Equation
+    first: Discretisation
     degree: int | None
     levels: tuple[Level, ...]
     verdicts: dict[str, Convergence]
     grid: dict[str, GridConvergence]
 
+    @property
+    def name(self) -> str:
+        """The family in tables and legends."""
+        return f"h, p = {self.degree}" if self.degree else self.first.name
+
     def record(self) -> dict[str, Any]:
         """Return the ladder as plain data."""
-        return {**asdict(self), "levels": [level.convergence_record() for level in self.levels]}
+        return {
+            "name": self.name,
+            "equation": self.equation.name,
+            "dimension": self.equation.dimension,
+            "family": self.first.family,
+            "degree": self.degree,
+            "levels": [{"label": v.settings, **v.record(LEVEL_KEYS)} for v in self.levels],
+            "verdicts": {key: asdict(v) for key, v in self.verdicts.items()},
+            "grid": {key: asdict(g) for key, g in self.grid.items()},
+        }
 
 
 def ladders(equation: Equation, *, progress: Progress = silent) -> tuple[Ladder, ...]:
     """Return the h-ladders, a p-ladder, and one by tolerance of the route by elements."""
-    steered = ByTolerance(equation.steered[0])
+    n = equation.dimension
     plans: list[tuple[Discretisation, int]] = [
-        *((elements(equation, p), H_LEVELS[equation.dimension])
-          for p in H_DEGREES[equation.dimension]),
-        (degrees(equation), len(P_DEGREES)),
-        (steered, DIGITS),
-    ]  # fmt: skip
+        *((equation.elements(degree), H_LEVELS[n]) for degree in H_DEGREES[n]),
+        (equation.degrees(), len(P_DEGREES)),
+        (equation.by_tolerance[0], DIGITS),
+    ]
     results = []
     for k, (first, count) in enumerate(plans):
         progress(k, len(plans), f"convergence of {equation.name}")
@@ -80,57 +79,42 @@ def ladders(equation: Equation, *, progress: Progress = silent) -> tuple[Ladder,
 
 def degree_ladder(equation: Equation) -> Ladder:
     """Return the p-ladder alone."""
-    return _ladder(equation, degrees(equation), len(P_DEGREES))
+    return _ladder(equation, equation.degrees(), len(P_DEGREES))
 
 
 def _ladder(equation: Equation, first: Discretisation, count: int) -> Ladder:
     levels = [level for _, level in refined_levels(first, equation.reference, count)]
-    family: Family = first.sweep if isinstance(first, Elements) else "tol"
-    degree = first.degree if isinstance(first, Elements) and first.sweep == "h" else None
-    floor = floors(equation, given_mesh=family != "tol")
-    if family == "tol":  # two tolerances with the same answer are one level
+    floor = floors(equation, given_mesh=first.family != "tol")
+    if first.family == "tol":  # two tolerances with the same answer are one level
         most = np.maximum.accumulate([0, *(level.unknowns for level in levels)])
         levels = [level for level, n in zip(levels, most, strict=False) if level.unknowns > n]
-    return Ladder(
-        name=f"h, p = {degree}" if degree else first.name,
-        equation=equation.name,
-        dimension=equation.dimension,
-        family=family,
-        degree=degree,
-        levels=tuple(levels),
-        verdicts=_verdicts(levels, degree, floor),
-        grid=_grid(levels, degree, floor) if degree else {},
-    )
-
-
-def _verdicts(
-    levels: Sequence[Level], degree: int | None, floor: dict[str, float]
-) -> dict[str, Convergence]:
-    sizes = [level.size for level in levels]
-    return {
+    degree = first.degree if first.family == "h" else None
+    h = [level.size for level in levels]
+    verdicts = {
         key: convergence(
-            sizes,
+            h,
             [level.errors[key] for level in levels],
             theory=theoretical_order(key, degree) if degree else None,
             floor=floor[key],
         )
         for key in COLUMNS
     }
-
-
-def _grid(
-    levels: Sequence[Level], degree: int, floor: dict[str, float]
-) -> dict[str, GridConvergence]:
-    sizes = [level.size for level in levels]
-    return {
+    grid = {
         key: grid_convergence(
-            sizes,
+            h,
             [level.functionals[key] for level in levels],
             theory=theoretical_order(key, degree),
             floor=floor[key],
         )
         for key in FUNCTIONALS
+        if degree
     }
+    return Ladder(equation, first, degree, tuple(levels), verdicts, grid)
+
+
+def theoretical_order(key: str, degree: int) -> float:
+    """Return p + 1 of the norms, 2 p of the moments (Galerkin duality), smoothness allowing it."""
+    return float(degree + 1 if key in NORMS else 2 * degree)
 
 
 def floors(equation: Equation, *, given_mesh: bool) -> dict[str, float]:
@@ -139,20 +123,23 @@ def floors(equation: Equation, *, given_mesh: bool) -> dict[str, float]:
     On a ``given_mesh`` also twice what its end cuts off: the mass is missing there, and appears
     again in the norm of what is left.
     """
-    reference = equation.reference
-    nothing = Answer(reference.panels, lambda *H: 0.0 * sum(H), 0.0, 0)
-    relative = reference.l1_error + ROUND_OFF
-    floor = {norm: relative * size for norm, size in errors(nothing, reference).items()}
+    p = equation.reference
+    floor = {key: (p.l1_error + ROUND_OFF) * size for key, size in sizes(p).items()}
     if not given_mesh:
         return floor
     ends = [x[-1] for x in equation.coarsest(1)]
 
     def inside(*H: Array) -> Array:
         within = [x <= end for x, end in zip(H, ends, strict=True)]
-        return np.where(reduce(np.logical_and, within), reference.density(*H), 0.0)
+        return np.where(reduce(np.logical_and, within), p.density(*H), 0.0)
 
-    panels = tuple(
-        np.unique(np.append(x, end)) for x, end in zip(reference.panels, ends, strict=True)
-    )
-    cut = errors(Answer(panels, inside, 0.0, 0), reference)
-    return {norm: value + 2.0 * cut[norm] for norm, value in floor.items()}
+    panels = tuple(np.unique(np.append(x, end)) for x, end in zip(p.panels, ends, strict=True))
+    cut = errors(replace(p, panels=panels, density=inside), p)
+    return {key: value + 2.0 * cut[key] for key, value in floor.items()}
+
+
+def observed_rates(ladder: Ladder) -> list[str]:
+    """Return the nats of error that a degree took off, by level; a dash where none is known."""
+    orders: Sequence[float] = ladder.verdicts["L1"].orders
+    known = ["–", *(f"{o:.2f}" for o in orders)]
+    return known + ["–"] * (len(ladder.levels) - len(known))

@@ -1,20 +1,21 @@
-"""Levels of refinement: discretisations that refine themselves, and one record of a level.
+"""Levels of refinement of one averaged equation: discretisations that refine themselves.
 
 A study is a loop: ``refined_levels`` solves, measures the error against the reference, and goes on
 with ``refined()``. Convergence and cost differ in what they do with the levels only.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from math import exp, inf, nan, sqrt
 from typing import Any, Literal, Self
 
 import numpy as np
 
-from cases.studies.answer import FUNCTIONALS, NORMS, Answer, errors, functionals
-from cases.studies.equations import Equation, Steered
-from cases.studies.timing import Timing, timed_first
+from cases.studies.answer import Answer, errors, functionals
+from cases.studies.timing import Clock, Timing, timed_first
 from fpk.density import Array
+from fpk.observable import Observable
+from fpk.route import Route
 
 P_DEGREES = (1, 2, 3, 4, 6, 8, 10, 12)
 """Degrees of a sweep in p on one mesh."""
@@ -24,21 +25,23 @@ P_DEGREES = (1, 2, 3, 4, 6, 8, 10, 12)
 class Level:
     """One level of refinement or one setting of a route.
 
-    ``setting`` in words; ``errors`` by norm and moment, of a simulation L1 alone; ``stated`` is the
-    answer's own estimate of its L1 error and ``reference_error`` that of the reference; ``size`` as
-    in ``observed_orders``. ``promised`` is the tolerance of a route that is given one: it holds for
+    ``settings`` in words; ``errors`` by norm and moment, of a simulation the expected L1 alone;
+    ``stated`` is the answer's own estimate of its L1 error. ``distance`` is the L1 distance to the
+    reference and ``estimate`` the largest that both errors allow; ``size`` as in
+    ``observed_orders``. ``promised`` is the tolerance of a route that is given one: it holds for
     every scene, where a number of elements is right for this one. ``modelled`` marks a setting
     priced by the law of sampling, not run.
     """
 
-    setting: str
+    settings: str
     errors: dict[str, float]
     stated: float
     timing: Timing
+    distance: float = nan
+    estimate: float = nan
     unknowns: int = 0
     size: float = nan
     functionals: dict[str, float] = field(default_factory=dict)
-    reference_error: float = 0.0
     promised: float = inf
     modelled: bool = False
 
@@ -53,101 +56,82 @@ class Level:
         return self.timing.seconds
 
     @property
-    def estimate(self) -> float:
-        """What the L1 distance to the reference may be: both estimates."""
-        return self.stated + self.reference_error
-
-    @property
     def honest(self) -> bool:
-        """Whether the true L1 error is within the estimate."""
-        return self.error <= self.estimate
+        """Whether the distance to the reference is allowed."""
+        return self.distance <= self.estimate
 
-    def convergence_record(self) -> dict[str, Any]:
-        """Return the level as ``fpk converge --json`` has it."""
-        return {
-            "label": self.setting,
-            **{k: getattr(self, k) for k in ("size", "unknowns", "errors", "estimate")},
-            "functionals": self.functionals,
-        }
-
-    def cost_record(self) -> dict[str, Any]:
-        """Return the level as ``fpk cost --json`` has it."""
-        keys = ("error", "stated", "unknowns", "modelled", "promised")
-        values = {key: getattr(self, key) for key in keys}
-        return {"settings": self.setting, **values, "timing": vars(self.timing)}
+    def record(self, keys: Sequence[str]) -> dict[str, Any]:
+        """Return the fields and properties named as plain data."""
+        return {key: getattr(self, key) for key in keys}
 
 
 @dataclass(frozen=True, eq=False)
 class Elements:
-    """Elements of one degree on a given mesh: swept in "h" by bisection, in "p" by ``P_DEGREES``.
+    """Elements of one degree on a mesh: refined in "h" by bisection, in "p" by ``P_DEGREES``.
 
     Sizes are h = 2^−k, or exp(−p): the order then is the nats of error that one degree takes off.
     """
 
-    equation: Equation
-    degree: int
+    on_mesh: Callable[[tuple[Array, ...], int], Answer]
     nodes: tuple[Array, ...]
-    sweep: Literal["h", "p"] = "h"
+    degree: int
+    family: Literal["h", "p"] = "h"
     level: int = 0
     promised: float = inf
 
     @property
     def name(self) -> str:
         """The family in tables and legends."""
-        return f"elements of degree {self.degree}" if self.sweep == "h" else "p on a fixed mesh"
+        return f"elements of degree {self.degree}" if self.family == "h" else "p on a fixed mesh"
 
-    def setting(self, answer: Answer) -> str:
+    def settings(self, answer: Answer) -> str:
         """The level in words."""
         counts = " x ".join(str(x.size - 1) for x in self.nodes)
-        return f"{counts} elements" if self.sweep == "h" else f"p = {self.degree}"
+        return f"{counts} elements" if self.family == "h" else f"p = {self.degree}"
 
     def size(self, answer: Answer) -> float:
         """Relative size h of the elements, or exp(−p)."""
-        return 2.0**-self.level if self.sweep == "h" else exp(-self.degree)
+        return 2.0**-self.level if self.family == "h" else exp(-self.degree)
 
     def solve(self) -> Answer:
         """Return the solution on this mesh."""
-        return self.equation.on_mesh(self.nodes, self.degree)
+        return self.on_mesh(self.nodes, self.degree)
 
     def refined(self) -> Self:
         """Return every element halved, or the next degree."""
         level = self.level + 1
-        if self.sweep == "p":
+        if self.family == "p":
             return replace(self, degree=P_DEGREES[level], level=level)
-        return replace(self, nodes=bisected(self.nodes), level=level)
-
-
-def elements(equation: Equation, degree: int) -> Elements:
-    """Return the coarsest elements of one degree, to be swept in h."""
-    return Elements(equation, degree, equation.coarsest(degree))
-
-
-def degrees(equation: Equation) -> Elements:
-    """Return degree 1 on a fixed mesh with the contact energies among its nodes, swept in p."""
-    return Elements(equation, P_DEGREES[0], bisected(equation.coarsest(4)), "p")
+        return replace(self, nodes=tuple(map(bisected, self.nodes)), level=level)
 
 
 @dataclass(frozen=True, eq=False)
 class ByTolerance:
-    """A route that is given tol = 10^−``digits``; refined by ``stride`` digits."""
+    """A route that is given tol = 10^−``digits``, refined by ``stride`` digits.
 
-    steered: Steered
+    ``words`` say how it discretises.
+    """
+
+    route: Route
+    solver: Callable[[float], Answer]
+    words: str
     digits: int = 1
     stride: int = 1
+    family: Literal["tol"] = "tol"
 
     @property
     def name(self) -> str:
         """The family in tables and legends."""
-        return self.steered.route.label
+        return self.route.label
 
     @property
     def promised(self) -> float:
         """The tolerance asked for."""
         return 10.0**-self.digits
 
-    def setting(self, answer: Answer) -> str:
+    def settings(self, answer: Answer) -> str:
         """The level in words."""
-        return f"tol = {self.promised:.0e}" + (f", {answer.made}" if answer.made else "")
+        return f"tol = {self.promised:.0e}" + (f", {answer.variant}" if answer.variant else "")
 
     def size(self, answer: Answer) -> float:
         """exp(−√N): the order then is the nats of error that a unit of √unknowns takes off."""
@@ -155,7 +139,7 @@ class ByTolerance:
 
     def solve(self) -> Answer:
         """Return the answer to this tolerance."""
-        return self.steered.solve(self.promised)
+        return self.solver(self.promised)
 
     def refined(self) -> Self:
         """Return the next tolerance."""
@@ -163,40 +147,69 @@ class ByTolerance:
 
 
 Discretisation = Elements | ByTolerance
-"""What a study loops over: it solves, and returns itself one level finer."""
+Work = Callable[[], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Equation:
+    """One averaged equation: how it is solved on a mesh, to a tolerance, and its reference.
+
+    ``coarsest`` gives the nodes of each axis of the first mesh by degree; ``by_tolerance`` are the
+    routes that are given a tolerance, elements first; ``coefficients`` is the clock of the
+    process's coefficients within every solution.
+    """
+
+    theory: str
+    name: str
+    observable: Observable
+    reference: Answer
+    reference_words: str
+    coarsest: Callable[[int], tuple[Array, ...]]
+    on_mesh: Callable[[tuple[Array, ...], int], Answer]
+    by_tolerance: tuple[ByTolerance, ...]
+    coefficients: Clock
+
+    @property
+    def dimension(self) -> int:
+        """Number of energies."""
+        return len(self.observable)
+
+    def elements(self, degree: int) -> Elements:
+        """Return the coarsest elements of one degree, to be refined in h."""
+        return Elements(self.on_mesh, self.coarsest(degree), degree)
+
+    def degrees(self) -> Elements:
+        """Return degree 1 on a fixed mesh with the contact energies among its nodes."""
+        return Elements(self.on_mesh, tuple(map(bisected, self.coarsest(4))), P_DEGREES[0], "p")
 
 
 def refined_levels(
     first: Discretisation, reference: Answer, count: int
-) -> Iterator[tuple[Discretisation, Level]]:
-    """Yield ``count`` levels from coarse to fine, each with its discretisation.
+) -> Iterator[tuple[Work, Level]]:
+    """Yield ``count`` levels from coarse to fine, each with what solves it again.
 
     Raises what the solvers raise.
     """
-    discretisation: Discretisation = first
+    discretisation = first
     for k in range(count):
         discretisation = discretisation.refined() if k else first
         answer, seconds = timed_first(discretisation.solve)
+        distances = errors(answer, reference)
         level = Level(
-            setting=discretisation.setting(answer),
-            errors=errors(answer, reference),
+            settings=discretisation.settings(answer),
+            errors=distances,
             stated=answer.l1_error,
             timing=Timing(seconds),
+            distance=distances["L1"],
+            estimate=answer.l1_error + reference.l1_error,
             unknowns=answer.unknowns,
             size=discretisation.size(answer),
             functionals=functionals(answer),
-            reference_error=reference.l1_error,
             promised=discretisation.promised,
         )
-        yield discretisation, level
+        yield discretisation.solve, level
 
 
-def bisected(nodes: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Return the nodes of every axis with the middles between them."""
-    return tuple(np.sort(np.concatenate([x, 0.5 * (x[1:] + x[:-1])])) for x in nodes)
-
-
-def theoretical_order(key: str, degree: int) -> float:
-    """Return p + 1 of the norms, 2 p of the moments (Galerkin duality), smoothness allowing it."""
-    assert key in (*NORMS, *FUNCTIONALS)
-    return float(degree + 1 if key in NORMS else 2 * degree)
+def bisected(nodes: Array) -> Array:
+    """Return the nodes with the middles between them."""
+    return np.sort(np.concatenate([nodes, 0.5 * (nodes[1:] + nodes[:-1])]))

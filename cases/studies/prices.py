@@ -1,13 +1,18 @@
 """Prices: for every route error against time, and from them the cheapest setting for an error."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import inf, nan
+from math import inf, isfinite, nan
 from typing import Any
 
 import numpy as np
 
-from cases.studies.levels import Level
+from cases.studies.levels import Level, Work
+from cases.studies.timing import Clock, timed_first, timing
+from fpk.density import Array
+from fpk.errors import InvalidInput, NotApplicable, NotCertified
+
+POINT_KEYS = ("settings", "error", "stated", "unknowns", "modelled", "promised")
 
 
 @dataclass(frozen=True)
@@ -23,22 +28,18 @@ class Priced:
     points: tuple[Level, ...]
     sampled: bool = False
 
-    def frontier(self) -> list[Level]:
-        """Return the points that no other of the route beats in both error and time."""
-        best: list[Level] = []
-        for point in sorted(self.points, key=lambda p: (p.seconds, p.error)):
-            if not best or point.error < best[-1].error:
-                best.append(point)
-        return best
+    def seconds_for(self, error: Array) -> Array:
+        """Return the times for errors of any shape, log-log between points that none beats in both.
 
-    def seconds_for(self, error: float) -> float:
-        """Return the time for ``error`` by log-log interpolation; NaN where it was not reached."""
-        front = self.frontier()
-        e = np.log([max(p.error, 1e-300) for p in front])[::-1]
-        t = np.log([p.seconds for p in front])[::-1]
-        if not front or np.log(error) < e[0]:
-            return nan
-        return float(np.exp(np.interp(np.log(error), e, t)))
+        Not a number where an error was not reached.
+        """
+        front: list[Level] = []
+        for point in sorted(self.points, key=lambda p: (p.seconds, p.error)):
+            if not front or point.error < front[-1].error:
+                front.append(point)
+        e = np.log([max(p.error, 1e-300) for p in reversed(front)])
+        t = np.log([p.seconds for p in reversed(front)])
+        return np.exp(np.interp(np.log(error), e, t, left=nan))
 
     def cheapest(self, error: float) -> Level | None:
         """Return the cheapest measured or modelled point with at most this error."""
@@ -47,7 +48,7 @@ class Priced:
 
     def record(self) -> dict[str, Any]:
         """Return the route as plain data."""
-        return {**vars(self), "points": [p.cost_record() for p in self.points]}
+        return {**vars(self), "points": [_point(p) for p in self.points]}
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,42 @@ class NotTimed:
         return self.distance == self.distance and not self.baseline
 
 
+def priced(
+    empty: Priced,
+    levels: Iterable[tuple[Work, Level]],
+    *,
+    warm_up: Work,
+    reference: str,
+    longest: float,
+    clock: Clock | None = None,
+) -> Priced | NotTimed:
+    """Check every level of a route against the ``reference``; time them where all of them agree.
+
+    ``empty`` names the route. After a level of more than ``longest`` seconds no finer one is asked
+    for. A route with one answer that disagrees, or with none at all, is named and not timed.
+    """
+    names, checked = (empty.route, empty.equation), []
+    try:
+        _, compiling = timed_first(warm_up)  # the levels themselves are timed warm
+        for work, level in levels:
+            words = ""
+            if not isfinite(level.stated):
+                words = "states no finite error of its own: its density does not fall off"
+            elif not level.honest:
+                words = f"differs from the {reference} by more than both errors explain"
+            if words:
+                return NotTimed(*names, level.settings, level.distance, level.estimate, words)
+            checked.append((work, level))
+            if level.seconds > longest:
+                break
+    except (NotCertified, NotApplicable, InvalidInput, np.linalg.LinAlgError) as error:
+        return NotTimed(*names, reason=str(error))
+    points = [replace(p, timing=timing(work, p.seconds, clock)) for work, p in checked]
+    first = max(0.0, compiling - points[0].seconds)
+    points[0] = replace(points[0], timing=replace(points[0].timing, first=first))
+    return replace(empty, points=tuple(points))
+
+
 @dataclass(frozen=True)
 class Cheapest:
     """For an error 10^−digits the cheapest route and its point, None where none reaches it."""
@@ -82,14 +119,13 @@ class Cheapest:
 
     def record(self) -> dict[str, Any]:
         """Return the price as plain data."""
-        return {**vars(self), "point": None if self.point is None else self.point.cost_record()}
+        return {**vars(self), "point": self.point and _point(self.point)}
 
 
 def price_list(routes: Sequence[Priced], digits: Sequence[int]) -> tuple[Cheapest, ...]:
     """Return the cheapest route of each equation for errors 10^−digits."""
     prices = []
-    for equation in dict.fromkeys(r.equation for r in routes):
-        own = [r for r in routes if r.equation == equation]
+    for equation, own in by_equation(routes):
         for d in digits:
             offers = [(r.route, p) for r in own if (p := r.cheapest(10.0**-d)) is not None]
             route, point = min(offers, key=lambda o: o[1].seconds, default=("", None))
@@ -124,14 +160,22 @@ class Crossover:
 def crossovers(routes: Sequence[Priced]) -> tuple[Crossover, ...]:
     """Return where the cheapest route of each equation changes, from large errors to small."""
     crossings = []
-    for equation in dict.fromkeys(r.equation for r in routes):
-        own = [r for r in routes if r.equation == equation]
-        errors = np.geomspace(0.3, 1e-13, 1001)
-        times = np.array([[r.seconds_for(float(e)) for e in errors] for r in own])
-        known = np.isfinite(times).any(axis=0)
-        winners = np.where(known, np.nanargmin(np.where(known, times, 1.0), axis=0), -1)
-        for k in range(1, errors.size):
-            a, b = int(winners[k - 1]), int(winners[k])
-            if a != b and min(a, b) >= 0:
+    errors = np.geomspace(0.3, 1e-13, 1001)
+    for equation, own in by_equation(routes):
+        times = np.nan_to_num([r.seconds_for(errors) for r in own], nan=inf)
+        winner = np.where(np.isfinite(times).any(axis=0), times.argmin(axis=0), -1)
+        for k in np.flatnonzero(np.diff(winner)) + 1:
+            a, b = winner[k - 1], winner[k]
+            if min(a, b) >= 0:
                 crossings.append(Crossover(equation, float(errors[k]), own[a].route, own[b].route))
     return tuple(crossings)
+
+
+def by_equation(routes: Sequence[Priced]) -> Iterator[tuple[str, list[Priced]]]:
+    """Yield every equation with its routes."""
+    for equation in dict.fromkeys(r.equation for r in routes):
+        yield equation, [r for r in routes if r.equation == equation]
+
+
+def _point(level: Level) -> dict[str, Any]:
+    return {**level.record(POINT_KEYS), "timing": vars(level.timing)}

@@ -1,17 +1,13 @@
-"""Output of a study: tables for a terminal and a page, rows as netCDF, all files in one writer."""
+"""Output of a study: tables as Markdown, rows as netCDF, a picture; all files in one writer."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.table import Table as RichTable
 
 from cases.output.fields import write_dataset
 from cases.output.files import write_text
@@ -31,13 +27,19 @@ class Table:
     rows: Sequence[Sequence[Any]]
     remarks: tuple[str, ...] = ()
 
-    def text(self) -> list[list[str]]:
-        """Return the rows in words; what the first column repeats is left out."""
+    def markdown(self) -> list[str]:
+        """Return title, rows in aligned columns, and remarks; repeats of a first cell are empty."""
         rows = [[cell(value) for value in row] for row in self.rows]
         firsts = [row[0] for row in rows]
         for row, first, before in zip(rows[1:], firsts[1:], firsts, strict=False):
             row[0] = "" if first == before else first
-        return rows
+        widths = [max(3, *map(len, column)) for column in zip(self.head, *rows, strict=True)]
+        rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
+        lines = [f"## {self.title}", ""] if self.title else []
+        for first, *others in (self.head, rule, *rows):
+            cells = [first.ljust(widths[0]), *map(str.rjust, others, widths[1:])]
+            lines.append(f"| {' | '.join(cells)} |")
+        return [*lines, "", *(line for remark in self.remarks for line in (remark, ""))]
 
 
 class Seconds(float):
@@ -67,32 +69,46 @@ def cell(value: Any) -> str:
     return f"{value:.2e}" if type(value) is float or isinstance(value, np.floating) else str(value)
 
 
-def terminal_text(title: str, tables: Sequence[Table]) -> str:
-    """Return the tables drawn by rich, wide enough for their words."""
-    stream = StringIO()
-    console = Console(file=stream, width=130, highlight=False, emoji=False, markup=False)
-    console.print(title)
-    for table in tables:
-        drawn = RichTable(title=table.title, box=SIMPLE_HEAD, title_justify="left", pad_edge=False)
-        for k, name in enumerate(table.head):
-            drawn.add_column(name, justify="left" if k == 0 else "right", overflow="fold")
-        for row in table.text():
-            drawn.add_row(*row)
-        console.print(drawn)
-        for remark in table.remarks:
-            console.print(remark)
-    return stream.getvalue().rstrip()
+@dataclass(frozen=True)
+class Page:
+    """What a study shows: its title, tables and closing words, rows for netCDF, and a picture.
 
+    ``summary`` is all that is printed once the page is written, empty for the page itself; ``csv``
+    returns lines of comma-separated values where a study has them.
+    """
 
-def markdown_text(title: str, tables: Sequence[Table]) -> str:
-    """Return the tables as a Markdown page."""
-    parts = [f"# {title}", ""]
-    for table in tables:
-        parts += [f"## {table.title}", ""] if table.title else []
-        parts += ["| " + " | ".join(table.head) + " |", "|---|" + "---:|" * (len(table.head) - 1)]
-        parts += ["| " + " | ".join(row) + " |" for row in table.text()]
-        parts += ["", *(line for remark in table.remarks for line in (remark, ""))]
-    return "\n".join(parts).rstrip() + "\n"
+    name: str
+    scene: Scene
+    title: str
+    tables: Sequence[Table]
+    data: Callable[[], xr.Dataset]
+    figure: Callable[[], Figure]
+    closing: str = ""
+    summary: str = ""
+    csv: Callable[[], str] | None = None
+
+    def text(self) -> str:
+        """Return the page as Markdown, which a terminal shows as it is."""
+        lines = [f"# {self.title}", "", *(line for t in self.tables for line in t.markdown())]
+        return "\n".join([*lines, self.closing]).rstrip() + "\n"
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write files of the study's name, md, nc, svg and where there are lines csv."""
+        endings = ("md", "nc", "svg", "csv")[: 3 if self.csv is None else 4]
+        paths = [folder / f"{self.name}.{ending}" for ending in endings]
+        data = self.data()
+        data.attrs |= {
+            "title": self.title,
+            "scene": self.scene.name,
+            "scene_file": self.scene.text,
+            "program": f"vibro-fpk {program_version()}",
+        }
+        write_text(paths[0], self.text())
+        write_dataset(data, paths[1])
+        write_text(paths[2], svg_text(self.figure(), salt=self.name))
+        if self.csv is not None:
+            write_text(paths[3], self.csv())
+        return paths
 
 
 def rows_dataset(**rows: Sequence[Mapping[str, Any]]) -> xr.Dataset:
@@ -104,27 +120,3 @@ def rows_dataset(**rows: Sequence[Mapping[str, Any]]) -> xr.Dataset:
             kind = float if isinstance(column[0], bool) else None
             data[key] = (dimension, np.array(column, dtype=kind))
     return data
-
-
-def write_study(
-    name: str,
-    folder: Path,
-    scene: Scene,
-    *,
-    title: str,
-    page: str,
-    data: xr.Dataset,
-    figure: Figure,
-) -> list[Path]:
-    """Write ``name`` with the endings md, nc and svg; return their paths."""
-    paths = [folder / f"{name}.{ending}" for ending in ("md", "nc", "svg")]
-    data.attrs |= {
-        "title": title,
-        "scene": scene.name,
-        "scene_file": scene.text,
-        "program": f"vibro-fpk {program_version()}",
-    }
-    write_text(paths[0], page)
-    write_dataset(data, paths[1])
-    write_text(paths[2], svg_text(figure, salt=name))
-    return paths

@@ -4,28 +4,27 @@ On one thread it is the wall time of a machine that does nothing else; unlike wa
 compared where other work runs beside.
 """
 
-import gc
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import nan
 from statistics import median, quantiles
 from time import process_time
+from timeit import repeat
 from typing import Any
 
 MIN_REPEATS, MAX_REPEATS = 3, 21
 ENOUGH = 0.1
-"""Seconds of repeats that are enough, once there are ``MIN_REPEATS``."""
+"""Seconds of repeats after which no more than ``MIN_REPEATS`` are made."""
 LONG = 1.0
 """Seconds of a first run above which it is the only one: compile time and spread stay unknown."""
 
 
+@dataclass
 class Clock:
     """Seconds of processor time spent in the functions given to it."""
 
-    def __init__(self) -> None:
-        """Start from zero."""
-        self.seconds = 0.0
+    seconds: float = 0.0
 
     def timed(self, function: Callable[[Any], Any]) -> Callable[[Any], Any]:
         """Return ``function``, its time added to the clock at each call."""
@@ -55,7 +54,7 @@ class Timing:
 
 
 def timed_first(work: Callable[[], Any]) -> tuple[Any, float]:
-    """Return the value of the first call and its seconds of processor time."""
+    """Return the value of one call and its seconds of processor time."""
     start = process_time()
     value = work()
     return value, process_time() - start
@@ -65,28 +64,18 @@ def timing(work: Callable[[], Any], first: float, clock: Clock | None = None) ->
     """Time ``work``, which was called once before and took ``first`` seconds then."""
     if first > LONG:
         return Timing(first)
-    times: list[float] = []
-    before = clock.seconds if clock else 0.0
-    while len(times) < MAX_REPEATS and (len(times) < MIN_REPEATS or sum(times) <= ENOUGH):
-        times.append(timed_first(work)[1])
-    inside = (clock.seconds - before) / len(times) if clock else 0.0
+    clock = clock or Clock()
+    before = clock.seconds
+    times = repeat(work, repeat=MIN_REPEATS, number=1, timer=process_time)
+    more = min(int(ENOUGH / max(median(times), 1e-9)), MAX_REPEATS) - MIN_REPEATS
+    times += repeat(work, repeat=max(more, 0), number=1, timer=process_time)
+    inside = (clock.seconds - before) / len(times)
     middle, quarter = median(times), quantiles(times, n=4, method="inclusive")
-    return Timing(
-        seconds=middle,
-        spread=0.5 * (quarter[2] - quarter[0]),
-        repeats=len(times),
-        first=max(0.0, first - middle),
-        coefficients=inside,
-        memory=peak_memory(work),
-    )
-
-
-def peak_memory(work: Callable[[], Any]) -> float:
-    """Return the largest memory that Python and NumPy hold at once during ``work``, in bytes."""
-    gc.collect()
     tracemalloc.start()
     try:
         work()
-        return float(tracemalloc.get_traced_memory()[1])
+        memory = float(tracemalloc.get_traced_memory()[1])
     finally:
         tracemalloc.stop()
+    spread = 0.5 * (quarter[2] - quarter[0])
+    return Timing(middle, spread, len(times), max(0.0, first - middle), inside, memory)

@@ -1,17 +1,22 @@
 """Simulation: the weak order in the step with error bars, and the slope −1/2 in samples."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from math import ceil, isfinite, sqrt
+from dataclasses import asdict, dataclass, replace
+from math import ceil, isfinite, nan, sqrt
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from cases.studies.full_system import full_density
-from cases.studies.runs import largest_stable, observed_mass, run
-from cases.studies.weak_fit import StepLevel, WeakOrder, fit, judged, unstable, wanted_error
-from fpk.density import moment
-from fpk.method import Progress, silent
-from fpk.observable import parse_observable
+from cases.studies.full_system import (
+    full_density,
+    largest_stable,
+    observed_displacement,
+    observed_mass,
+    run,
+)
+from fpk.density import Array, moment
+from fpk.orders import observed_orders, order_errors
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
 from sim.scheme import SCHEMES
@@ -28,6 +33,216 @@ SMALLEST, SMALL_STEP = 2.0**-10, 0.25
 """Smallest step that a scheme is tried with, and one that counts as small, in chosen ones."""
 SHARE_OF_A_TRIAL = 0.2
 """Share of the time that a trial of one step may take; a scheme that needs longer is left."""
+MIN_ORDER_SIGNAL = 2.0
+"""Standard errors an error must exceed for an order to be given from it."""
+ORDER_ERROR = 0.25
+"""One standard error of the order that a study asks for."""
+UNRESOLVED = 0.5
+"""Error of the order above which it is not judged: neighbouring orders are not distinguished."""
+ORDERS = np.linspace(0.25, 10.0, 391)
+"""Orders that are fitted."""
+KNOWN = 1e-6
+"""Standard error of a limit that is known, in the smallest of the levels: as good as none."""
+
+Verdict = Literal["as theory", "pre-asymptotic", "not resolved", "unstable"]
+
+
+@dataclass(frozen=True)
+class StepLevel:
+    """E q² at one step with its standard error, and the sampled time it took (paths x time)."""
+
+    dt: float
+    value: float
+    error: float
+    sampled: float
+    seconds: float
+
+
+class Line(NamedTuple):
+    """Weighted fits of value = limit + slope dtʳ by order, standard errors of both, and χ²."""
+
+    limit: Array
+    slope: Array
+    limit_error: Array
+    slope_error: Array
+    chi2: Array
+
+
+@dataclass(frozen=True)
+class WeakOrder:
+    """How E q_i² of one scheme depends on the step, from all steps in one regression.
+
+    ``limit`` ± ``limit_error`` is the value at dt → 0: of the closed form where there is one
+    (``known``), else the intercept of ``limit + slope dtʳ`` with r that of theory. ``order`` is the
+    r of the best fit, and ``order_error`` are the orders below and above it where χ² has risen by
+    one; ``chi2`` is that of the fit of theory with ``freedom`` degrees.
+    """
+
+    scheme: str
+    observable: str
+    theory: int
+    levels: tuple[StepLevel, ...] = ()
+    limit: float = nan
+    limit_error: float = nan
+    known: bool = False
+    slope: float = nan
+    slope_error: float = nan
+    order: float = nan
+    order_error: tuple[float, float] = (nan, nan)
+    chi2: float = nan
+    freedom: int = 0
+    verdict: Verdict = "unstable"
+
+    @property
+    def beyond(self) -> bool:
+        """Whether the best fit is at an end of the orders tried: no order is known."""
+        low, high = self.order_error
+        return bool(low <= ORDERS[0] or high >= ORDERS[-1])
+
+    @property
+    def short(self) -> float:
+        """Factor by which the standard errors are too large for ``ORDER_ERROR``, at least 1."""
+        low, high = self.order_error
+        return max(1.0, 0.5 * (high - low) / ORDER_ERROR)
+
+    @property
+    def wanted(self) -> float:
+        """Standard error of the levels from which the order follows to ``ORDER_ERROR``."""
+        return max((level.error for level in self.levels), default=nan) / self.short
+
+    @property
+    def errors(self) -> list[float]:
+        """|E q²(dt) − limit| of each level."""
+        return [abs(level.value - self.limit) for level in self.levels]
+
+    @property
+    def error_bars(self) -> list[float]:
+        """One standard error of each of ``errors``."""
+        return [float(np.hypot(level.error, self.limit_error)) for level in self.levels]
+
+    @property
+    def orders(self) -> list[tuple[float, float]]:
+        """Order and its standard error from consecutive levels; of resolved ones only."""
+        e, bars = self.errors, self.error_bars
+        steps = [level.dt for level in self.levels]
+        pairs = zip(observed_orders(steps, e), order_errors(steps, e, bars), strict=True)
+        resolved = [a > MIN_ORDER_SIGNAL * b for a, b in zip(e, bars, strict=True)]
+        both = zip(pairs, resolved, resolved[1:], strict=False)
+        return [(float(o), float(s)) for (o, s), a, b in both if a and b]
+
+    def record(self) -> dict[str, Any]:
+        """Return the fields and properties as plain data."""
+        keys = ("wanted", "short", "orders", "errors", "error_bars")
+        return {**asdict(self), **{key: getattr(self, key) for key in keys}}
+
+
+def known_square(system: System) -> float | None:
+    """Return E q_i² of the full system where a route that is not sampled gives it."""
+    answer = full_density(system, observed_displacement(system))
+    return None if answer is None else moment(answer.density, 2)
+
+
+def weak_order(
+    system: System,
+    scheme: str,
+    *,
+    seconds: float,
+    seed: int = 1,
+    paths: int = 8192,
+    threads: int | None = None,
+) -> WeakOrder:
+    """Return the weak order of ``scheme``, spending about ``seconds`` on its five steps.
+
+    The sample is derived: the fit of a pilot says by which factor its standard errors are too large
+    for the order to be known to ``ORDER_ERROR``. The sample grows as the square of that, or until
+    ``seconds`` of processor time are spent.
+    """
+    mass, theory = observed_mass(system), SCHEMES[scheme].weak_order
+    unusable = WeakOrder(scheme, f"E q{mass + 1}²", theory)
+    method = MonteCarlo(paths=paths, scheme=scheme, seed=seed, threads=threads)
+    patience = SHARE_OF_A_TRIAL * seconds
+    first = largest_stable(system, method, smallest=SMALLEST, patience=patience)
+    if first is None:
+        return unusable
+    count = LEVELS
+    if first < SMALL_STEP:  # only a large bias asks for such steps: it needs few paths to be seen
+        method, count = replace(method, paths=LEAST_PATHS), FEW_LEVELS
+    factors = [first / RATIO**k for k in range(count)]
+    levels = _levels(system, method, factors, PILOT)
+    truth = known_square(system)
+    if all(isfinite(level.value) for level in levels):
+        # Burn-in costs once; where it takes all the time the pilot is all that there is.
+        cost = sum(level.seconds for level in levels) / (PILOT + method.burn_in)
+        affordable = (seconds / cost - method.burn_in) / PILOT
+        growth = min(judged(unusable, levels, truth).short ** 2, affordable)
+        if growth > 1.0:
+            levels = _levels(system, method, factors, PILOT * growth)
+    if not all(isfinite(level.value) for level in levels):
+        return unusable
+    return judged(unusable, levels, truth)
+
+
+def _levels(
+    system: System, method: MonteCarlo, factors: Sequence[float], relaxations: float
+) -> list[StepLevel]:
+    # Different seeds: steps of different lengths are independent, as the regression takes them.
+    own = replace(method, relaxations=relaxations, seed=method.seed + 1000 * ceil(relaxations))
+    runs = [
+        run(system, replace(own, step_factor=factor, seed=own.seed + k))
+        for k, factor in enumerate(factors)
+    ]
+    return [StepLevel(r.steps.dt, r.value, r.error, r.sampled, r.seconds) for r in runs]
+
+
+def fit(levels: Sequence[StepLevel], orders: ArrayLike, truth: float | None) -> Line:
+    """Return the weighted fits of value = limit + slope dtʳ, arrays in the shape of the orders r.
+
+    A known limit ``truth`` is a value at dt = 0 that has nearly no error.
+    """
+    dt, value, error = np.array([(level.dt, level.value, level.error) for level in levels]).T
+    if truth is not None:
+        dt, value = np.append(dt, 0.0), np.append(value, truth)
+        error = np.append(error, KNOWN * error.min())
+    share = error**-2.0 / np.sum(error**-2.0)
+    x = dt ** np.asarray(orders, dtype=float)[..., None]
+    x_mean, mean = x @ share, value @ share
+    x, y = x - x_mean[..., None], value - mean
+    slope = (x * y) @ share / (x * x @ share)
+    chi2 = np.sum(((y - slope[..., None] * x) / error) ** 2, axis=-1)
+    slope_error = np.sum((x / error) ** 2, axis=-1) ** -0.5
+    limit_error = np.hypot(np.sum(error**-2.0) ** -0.5, x_mean * slope_error)
+    return Line(mean - slope * x_mean, slope, limit_error, slope_error, chi2)
+
+
+def judged(scheme: WeakOrder, levels: Sequence[StepLevel], truth: float | None) -> WeakOrder:
+    """Return ``scheme`` with what the levels show.
+
+    "as theory" only where two standard errors of the profile (χ² + 4) exclude other orders; where
+    they leave nearly every order, or no slope is resolved, the order is "not resolved".
+    """
+    line = {key: float(x) for key, x in fit(levels, scheme.theory, truth)._asdict().items()}
+    profile = fit(levels, ORDERS, truth).chi2
+    best = int(profile.argmin())
+    order, inside = float(ORDERS[best]), ORDERS[profile <= profile[best] + 1.0]
+    low, high = float(inside[0]), float(inside[-1])
+    verdict: Verdict = "as theory"
+    if line["chi2"] > profile[best] + 4.0:
+        verdict = "pre-asymptotic"
+    elif (
+        abs(line["slope"]) < 3.0 * line["slope_error"]
+        or max(order - low, high - order) > UNRESOLVED
+    ):
+        verdict = "not resolved"
+    return replace(
+        scheme,
+        **line,
+        levels=tuple(levels),
+        known=truth is not None,
+        order=order,
+        order_error=(low, high),
+        freedom=len(levels) - (1 if truth is not None else 2),
+        verdict=verdict,
+    )
 
 
 @dataclass(frozen=True)
@@ -41,87 +256,6 @@ class SampleSlope:
     slope_error: float
 
 
-def known_square(system: System) -> float | None:
-    """Return E q_i² of the full system where a route that is not sampled gives it."""
-    name = f"q{observed_mass(system) + 1}"
-    answer = full_density(system, parse_observable(name, system.n))
-    return None if answer is None else moment(answer[1], 2)
-
-
-def weak_order(
-    system: System,
-    scheme: str,
-    *,
-    seconds: float,
-    seed: int = 1,
-    paths: int = 8192,
-    threads: int | None = None,
-    progress: Progress = silent,
-) -> WeakOrder:
-    """Return the weak order of ``scheme``, spending about ``seconds`` on its five steps.
-
-    N is derived: a pilot gives bias and standard errors, from them follows what error every level
-    may have for the order to be known to ``ORDER_ERROR``, and the sample grows as the square of the
-    ratio, or until ``seconds`` of processor time are spent, by which ``short`` then falls short.
-    """
-    mass, theory = observed_mass(system), SCHEMES[scheme].weak_order
-    truth = known_square(system)
-    method = MonteCarlo(paths=paths, scheme=scheme, seed=seed, threads=threads)
-    patience = SHARE_OF_A_TRIAL * seconds
-    first = largest_stable(system, method, smallest=SMALLEST, patience=patience)
-    if first is None:
-        return unstable(scheme, mass, theory)
-    count = LEVELS
-    if first < SMALL_STEP:  # only a large bias asks for such steps: it needs few paths to be seen
-        method, count = replace(method, paths=LEAST_PATHS), FEW_LEVELS
-    factors = [first / RATIO**k for k in range(count)]
-    pilot = _levels(system, method, factors, [PILOT] * count)
-    progress(1, 2, f"steps of {scheme}")
-    if not all(isfinite(level.value) for level in pilot):
-        return unstable(scheme, mass, theory)
-    _, slope, _, slope_error = fit(pilot, theory, truth)
-    # A bias that the pilot does not resolve counts as what it may be: two of its standard errors.
-    bias = max(abs(slope), 2.0 * slope_error) * pilot[0].dt ** theory
-    wanted = wanted_error(pilot, theory, bias, known=truth is not None)
-    grown = [max(1.0, (level.error / wanted) ** 2) for level in pilot]
-    share = _affordable(pilot, grown, seconds)
-    times = [PILOT * max(1.0, g * share) for g in grown]
-    # Where burn-in alone takes all the time the pilot is all that there is.
-    levels = _levels(system, method, factors, times) if max(times) > PILOT else pilot
-    progress(2, 2, f"steps of {scheme}")
-    if not all(isfinite(level.value) for level in levels):
-        return unstable(scheme, mass, theory)
-    short = max(sqrt(PILOT * g / time) for g, time in zip(grown, times, strict=True))
-    return judged(scheme, mass, theory, levels, truth, wanted, short)
-
-
-def _affordable(pilot: Sequence[StepLevel], grown: Sequence[float], seconds: float) -> float:
-    """Return the share of the samples ``grown`` that takes ``seconds``: burn-in costs once."""
-    total = PILOT + MonteCarlo.burn_in
-    once = sum(level.seconds for level in pilot) * MonteCarlo.burn_in / total
-    rest = sum(g * level.seconds for g, level in zip(grown, pilot, strict=True)) * PILOT / total
-    return min(1.0, max(0.0, seconds - once) / rest)
-
-
-def _levels(
-    system: System, method: MonteCarlo, factors: Sequence[float], times: Sequence[float]
-) -> list[StepLevel]:
-    # Different seeds: steps of different lengths are independent, as the regression takes them.
-    runs = [
-        run(
-            system,
-            replace(
-                method,
-                step_factor=factor,
-                relaxations=time,
-                seed=method.seed + 1000 * ceil(time) + k,
-            ),
-        )
-        for k, (factor, time) in enumerate(zip(factors, times, strict=True))
-    ]
-    return [StepLevel(r.steps.dt, r.value, r.error, r.sampled, r.seconds) for r in runs]
-
-
 def sample_slope(
     system: System, *, seed: int = 1, paths: int = 8192, threads: int | None = None
 ) -> SampleSlope:
@@ -130,19 +264,12 @@ def sample_slope(
     Each error comes from single paths and is good to 1/√(2·63) of itself at least, as errors from
     64 batches would be: the bar of the slope.
     """
-    level = MonteCarlo(paths=paths, seed=seed, threads=threads, relaxations=1.0)
-    runs = []
-    for k in range(SAMPLE_LEVELS):
-        level = level.refined() if k else level
-        runs.append(run(system, level))
-    x = np.log([r.sampled for r in runs])
-    y = np.log([r.error for r in runs])
-    x = x - x.mean()
-    spread = 1.0 / sqrt(2.0 * 63.0)
-    return SampleSlope(
-        f"E q{observed_mass(system) + 1}²",
-        tuple(r.sampled for r in runs),
-        tuple(r.error for r in runs),
-        float(x @ y / (x @ x)),
-        spread / sqrt(float(x @ x)),
-    )
+    levels = [MonteCarlo(paths=paths, seed=seed, threads=threads, relaxations=1.0)]
+    while len(levels) < SAMPLE_LEVELS:
+        levels.append(levels[-1].refined())
+    runs = [run(system, level) for level in levels]
+    sampled, errors = tuple(r.sampled for r in runs), tuple(r.error for r in runs)
+    weights = np.full(len(runs), sqrt(2.0 * 63.0))
+    line, covariance = np.polyfit(np.log(sampled), np.log(errors), 1, w=weights, cov="unscaled")
+    of = f"E q{observed_mass(system) + 1}²"
+    return SampleSlope(of, sampled, errors, float(line[0]), sqrt(covariance[0, 0]))

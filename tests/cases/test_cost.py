@@ -11,14 +11,13 @@ from averaging.energy_process import energy_process
 from averaging.nonintegrable import NonIntegrable
 from cases.scene.scene import load_scene
 from cases.studies.answer import Answer, errors
-from cases.studies.cost import CostStudy, candidates, priced, study_cost
-from cases.studies.cost_output import cost_tables, write_cost
-from cases.studies.equations import Steered, energy_equation
+from cases.studies.cost import CostStudy, candidates, equation_routes, study_cost
+from cases.studies.cost_output import cost_page, cost_tables
+from cases.studies.energy_equation import energy_equation
 from cases.studies.full_system import full_reference
-from cases.studies.law import Law
 from cases.studies.levels import ByTolerance, Level
 from cases.studies.prices import NotTimed, Priced, crossovers, price_list, promised_list
-from cases.studies.sampled import FULL, full_routes
+from cases.studies.sampling import FULL, Law, full_routes
 from cases.studies.tables import Seconds
 from cases.studies.timing import Timing
 from fpk.density import Density, l1_distance
@@ -37,7 +36,7 @@ def sign_of_28(process):
 
 def test_the_sign_of_28_as_printed_is_caught_by_every_route_and_not_timed():
     equation = energy_equation(load_scene("fig6b").system, changed=sign_of_28)
-    bad = priced(equation, candidates(equation))
+    bad = equation_routes(equation, candidates(equation))
     assert all(isinstance(n, NotTimed) for n in bad)
     assert {n.route for n in bad} == {c.name for c in candidates(equation)}
     # Damping that feeds the energy has no stationary density: every route refuses the process.
@@ -53,7 +52,7 @@ def test_a_wrong_damping_is_caught_by_every_route_by_its_distance():
         return replace(process, coefficients=coefficients)
 
     equation = energy_equation(load_scene("fig6b").system, changed=stronger)
-    bad = priced(equation, candidates(equation))
+    bad = equation_routes(equation, candidates(equation))
     assert len(bad) == len(candidates(equation))
     for n in bad:  # exp(-1.1 α H) beside exp(-α H): L1 is some percent
         assert isinstance(n, NotTimed) and n.wrong
@@ -62,12 +61,12 @@ def test_a_wrong_damping_is_caught_by_every_route_by_its_distance():
 
 def test_a_slightly_wrong_answer_is_named_with_what_it_disagrees_by():
     equation = energy_equation(load_scene("fig6b").system)
-    right = equation.steered[0].solve(1e-8)
+    right = equation.by_tolerance[0].solver(1e-8)
     # Mass moved by 1e-6 while 1e-8 is stated: a factor 1 + 1e-6 moves L1 by 1e-6.
     wrong = Answer(right.panels, lambda H: (1 + 1e-6) * right.density(H), 1e-8, right.unknowns)
-    route = replace(equation.steered[0].route, method="wrong")
-    offered = [candidates(equation)[-1], ByTolerance(Steered(route, lambda tol: wrong, ""), 8)]
-    good, caught = priced(equation, offered)
+    route = replace(equation.by_tolerance[0].route, method="wrong")
+    offered = [candidates(equation)[-1], ByTolerance(route, lambda tol: wrong, "", 8)]
+    good, caught = equation_routes(equation, offered)
     assert caught.route == "wrong" and not caught.baseline
     assert abs(caught.distance - 1e-6) < 2e-8 and caught.allowed < 2e-8
     assert isinstance(good, Priced) and good.route == "nonintegrable/quadrature"
@@ -78,12 +77,9 @@ def test_a_slightly_wrong_answer_is_named_with_what_it_disagrees_by():
 @pytest.mark.slow
 def test_a_simulation_of_another_system_is_not_timed():
     system = load_scene("fig6b").system
-    observable = parse_observable("q2", 2)
     stops = tuple(replace(s, clearance=0.8 * s.clearance) for s in system.contacts)
-    reference = full_reference(
-        replace(system, contacts=stops), observable, seed=5, relaxations=60.0
-    )
-    results, _ = full_routes(system, observable, reference, seed=6)
+    reference = full_reference(replace(system, contacts=stops), seed=5, relaxations=60.0)
+    results, _ = full_routes(system, reference, seed=6)
     caught = {n.route for n in results if isinstance(n, NotTimed) and n.distance > n.allowed}
     assert "exact_flow" in caught or "montecarlo" in caught
     assert "montecarlo" not in {r.route for r in results if isinstance(r, Priced)}
@@ -145,7 +141,7 @@ GOOD = route("good", [(1e-2, 3e-2), (1e-6, 4e-2), (1e-10, 5e-2)])
 def test_prices_take_the_cheapest_point_that_is_good_enough():
     prices = {c.digits: c for c in price_list([CHEAP, GOOD], range(1, 12))}
     assert prices[1].route == "cheap" and prices[2].route == "cheap"
-    assert prices[3].route == "good" and prices[3].point.setting == "1e-06"
+    assert prices[3].route == "good" and prices[3].point.settings == "1e-06"
     assert prices[10].point.seconds == 5e-2
     assert prices[11].point is None
 
@@ -177,7 +173,7 @@ def table_of_fig6b():
     equation = energy_equation(load_scene("fig6b").system)
     steered = [c for c in candidates(equation) if isinstance(c, ByTolerance)]
     assert {c.name for c in steered} == {"nonintegrable/fem", "nonintegrable/quadrature"}
-    good = priced(equation, steered)
+    good = equation_routes(equation, steered)
     assert all(isinstance(r, Priced) for r in good)
     return promised_list(good, range(1, 11))
 
@@ -188,12 +184,12 @@ def table_of_fig6b():
 def test_settings_of_one_scene_keep_their_digits_on_three_others(table_of_fig6b, scene):
     equation = energy_equation(load_scene(scene).system)
     assert equation.reference_words == "closed form (29)" and len(table_of_fig6b) == 10
-    steered = {s.route.label: s for s in equation.steered}
+    routes = {r.name: r for r in equation.by_tolerance}
     settings = {(c.route, c.point.promised): [] for c in table_of_fig6b}
     for c in table_of_fig6b:
         settings[c.route, c.point.promised].append(c.digits)
     for (name, tol), digits in settings.items():
-        answer = steered[name].solve(tol)
+        answer = routes[name].solver(tol)
         true = errors(answer, equation.reference)["L1"]
         assert true <= 10.0 ** -max(digits)
         assert true <= answer.l1_error + equation.reference.l1_error
@@ -203,7 +199,7 @@ def test_a_tolerance_is_priced_by_its_promise_not_by_what_it_happened_to_reach()
     lucky = Level("1e-02", {"L1": 1e-9}, 1e-8, timed(1.0), promised=1e-2)
     mesh = Level("24", {"L1": 1e-9}, 1e-8, timed(0.1))
     found = promised_list([Priced("hp", "e", "axis", (lucky, mesh))], [1, 2, 3])
-    assert [c.point.setting if c.point else None for c in found] == ["1e-02", "1e-02", None]
+    assert [c.point.settings if c.point else None for c in found] == ["1e-02", "1e-02", None]
 
 
 @pytest.mark.slow
@@ -247,7 +243,7 @@ def test_the_whole_study_agrees_with_itself(tmp_path):
     found = study_cost(load_scene("fig6b"))
     assert not found.problems
     assert {r.equation for r in found.routes} >= {FULL, "averaged equation (24)"}
-    assert len(write_cost(found, tmp_path)) == 3
+    assert len(cost_page(found).write(tmp_path)) == 3
 
 
 def test_times_are_told_in_units_that_suit_them():

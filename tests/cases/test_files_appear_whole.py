@@ -22,7 +22,7 @@ from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
 from cases.studies.regime_map.build import RegimeMap
 from cases.studies.regime_map.grid import Axis
-from cases.studies.regime_map.output import write_map
+from cases.studies.regime_map.output import map_page
 from cases.studies.regime_map.points import MapPoint
 
 resource = pytest.importorskip("resource", reason="limits of a process are Unix's")
@@ -71,7 +71,7 @@ WRITERS = {
     ".csv": lambda folder, outcome: write_csv(outcome, folder / "a.csv"),
     ".vtu": lambda folder, outcome: write_vtu(outcome, folder / "a.vtu"),
     ".pvd": lambda folder, outcome: write_pvd(outcome, folder / "a.pvd"),
-    "map": lambda folder, found: write_map(found, folder),
+    "map": lambda folder, result: map_page(result).write(folder),
 }
 
 

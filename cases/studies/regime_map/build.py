@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -11,9 +12,9 @@ import numpy as np
 
 from cases.output.records import plain, program_version
 from cases.scene.scene import Scene
-from cases.studies.regime_map.grid import Axis, grid_points, system_at
+from cases.studies.regime_map.grid import Axis, system_at
 from cases.studies.regime_map.points import MapPoint, map_point
-from cases.studies.regime_map.store import MapIdentity, PointStore
+from cases.studies.regime_map.store import PointStore
 from fpk.density import Array
 from fpk.method import Progress, silent
 from fpk.observable import Observable, observable_name
@@ -41,18 +42,22 @@ class RegimeMap:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Every failure at a point, in words."""
-        return tuple(f"{self.place(p)}: {words}" for p in self.points for words in p.problems)
-
-    def place(self, point: MapPoint) -> str:
-        """Return where a point lies, such as ``B = 10, δ = 0.5``."""
-        pairs = zip(self.axes, point.values, strict=True)
-        return ", ".join(f"{axis.symbol} = {value:g}" for axis, value in pairs)
+        """Every failure at a point, in words that begin with its place: ``B = 10, δ = 0.5``."""
+        return tuple(
+            ", ".join(f"{a.symbol} = {v:g}" for a, v in zip(self.axes, p.values, strict=True))
+            + f": {words}"
+            for p in self.points
+            for words in p.problems
+        )
 
     def table(self, value: Callable[[MapPoint], Any]) -> Array:
         """Return one value of every point in the shape of the grid; NaN for None."""
         values = np.array([np.nan if (v := value(p)) is None else v for p in self.points])
         return values.reshape([axis.values.size for axis in self.axes])
+
+    def of_theory(self, key: str, theory: str) -> Array:
+        """Return ``L1`` or ``error`` of one theory in the shape of the grid."""
+        return self.table(lambda p: getattr(p, key).get(theory))
 
     def record(self) -> dict[str, Any]:
         """Return the record of ``fpk regime``."""
@@ -85,33 +90,32 @@ def build_map(
     start = perf_counter()
     observable = first_displacement(scene)
     method = simulation or MonteCarlo(relaxations=MAP_RELAXATIONS)
-    identity = MapIdentity(
-        scene=scene.text,
-        observable=observable_name(observable),
-        keys=tuple(axis.key for axis in axes),
-        paths=method.paths,
-        time=method.time,
-        relaxations=method.relaxations,
-        seed=method.seed,
-        version=program_version(),
-    )
+    # Where and by how many threads a simulation is run changes nothing.
+    settings = {key: getattr(method, key) for key in ("paths", "time", "relaxations", "seed")}
+    identity = {
+        "scene": scene.text,
+        "observable": observable_name(observable),
+        "keys": [axis.key for axis in axes],
+        **settings,
+        "version": program_version(),
+    }
     store = PointStore(folder, identity)
-    wanted = list(grid_points(axes))
-    missing = [values for values in wanted if values not in store.points]
+    wanted = list(product(*(axis.values.tolist() for axis in axes)))
     todo = [
         partial(map_point, system_at(scene.system, axes, values), observable, values)
-        for values in missing
+        for values in wanted
+        if values not in store.points
     ]
-    progress(0, len(missing), "points of the map")
+    progress(0, len(todo), "points of the map")
     for done, point in enumerate(_finished(todo, method), start=1):
         store.add(point)
-        progress(done, len(missing), "points of the map")
+        progress(done, len(todo), "points of the map")
     return RegimeMap(
         scene=scene,
         observable=observable,
         axes=tuple(axes),
         points=tuple(store.points[values] for values in wanted),
-        reused=len(wanted) - len(missing),
+        reused=len(wanted) - len(todo),
         seconds=perf_counter() - start,
         note=store.note,
     )
@@ -130,7 +134,5 @@ def _finished(todo: Sequence[Callable[..., MapPoint]], method: MonteCarlo) -> It
 def first_displacement(scene: Scene) -> Observable:
     """Return the first single displacement observed, else that of the first contact mass."""
     single = [o for o in scene.observables if len(o) == 1 and o[0].kind == "q"]
-    if single:
-        return single[0]
-    pairs = [c for o in scene.observables for c in o if c.kind == "q"]
-    return (pairs[0],) if pairs else scene.observables[0]
+    pairs = [(c,) for o in scene.observables for c in o if c.kind == "q"]
+    return [*single, *pairs, scene.observables[0]][0]

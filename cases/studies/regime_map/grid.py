@@ -1,9 +1,8 @@
 """Grids of parameters on the command line: ``contact.stiffness=0.01:1000:log25``."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 from math import nan
 
 import numpy as np
@@ -19,7 +18,6 @@ KEYS = {"contact.stiffness": "contact stiffness $B$", "contact.clearance": "clea
 
 MAX_POINTS = 2000
 """Points of a map; each is a simulation of about a second."""
-
 
 LARGEST = 1e100
 """Largest size of an end of a grid: its square is still a number."""
@@ -68,11 +66,6 @@ def parse_axes(texts: Sequence[str], system: System) -> tuple[Axis, ...]:
             except InvalidInput as error:
                 raise _wrong(text, f"{value:g} {error.remedy}") from None
     return axes
-
-
-def grid_points(axes: Sequence[Axis]) -> Iterator[tuple[float, ...]]:
-    """Yield every combination of the axes' values, the last axis fastest."""
-    return product(*([float(v) for v in axis.values] for axis in axes))
 
 
 def system_at(system: System, axes: Sequence[Axis], point: Sequence[float]) -> System:

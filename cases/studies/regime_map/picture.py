@@ -32,9 +32,8 @@ def regime_figure(result: RegimeMap) -> Figure:
     (axis,) = result.axes
     curves = []
     for theory in THEORIES:
-        L1 = _of(result, "L1", theory)
+        L1, bar = (result.of_theory(key, theory) for key in ("L1", "error"))
         if not np.all(np.isnan(L1)):
-            bar = _of(result, "error", theory)
             curves.append(Curve(theory, axis.values, L1, bar=bar, banded=True))
     words = _distance_words(result)
     panel = Panel(result.scene.title, axis.words, words, curves, logarithmic=axis.logarithmic)
@@ -46,7 +45,7 @@ def _fields(result: RegimeMap) -> Figure:
     panels = figure.subplots(1, 3, sharex=True, sharey=True)
     x, y = result.axes
     edges = _edges(x), _edges(y)
-    fields = np.array([_of(result, "L1", theory) for theory in THEORIES])
+    fields = np.array([result.of_theory("L1", theory) for theory in THEORIES])
     low, high = np.nanmin(fields, initial=0.1), np.nanmax(fields, initial=SMALLEST)
     norm = LogNorm(max(low, SMALLEST), max(high, 2.0 * max(low, SMALLEST)))
     for axes, theory, field in zip(panels, THEORIES, fields, strict=False):
@@ -88,10 +87,6 @@ def _rule(axes: Axes, result: RegimeMap) -> None:
             x.values, y.values, ratio.T, levels=[CLEARANCE_RULE], colors=[INK],
             linestyles=[DASHES], linewidths=1.2,
         )  # fmt: skip
-
-
-def _of(result: RegimeMap, key: str, theory: str) -> Array:
-    return result.table(lambda p: getattr(p, key).get(theory))
 
 
 def _distance_words(result: RegimeMap) -> str:

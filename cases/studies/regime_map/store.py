@@ -1,7 +1,7 @@
 """Finished points of a map on disk, one JSON line each: an interrupted map goes on from there."""
 
 import json
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, fields, replace
 from os.path import lexists
 from pathlib import Path
 from typing import Any
@@ -13,97 +13,77 @@ from cases.scene.reading import read_text
 from cases.studies.regime_map.points import MapPoint
 
 NAME = "points.jsonl"
-
+"""Name of the file in a map's folder."""
 FORMAT = 3
-"""Version of the lines: each ends with its own hash, the first holds a ``MapIdentity``."""
-
+"""Version of the lines: each ends with its own hash, the first holds the identity of the map."""
 MAX_BYTES = 64 << 20
 """Some hundred times the points that a map may have."""
-
-
-@dataclass(frozen=True)
-class MapIdentity:
-    """Everything that a point's numbers depend on beside its own values.
-
-    ``scene`` is the text of its file, ``keys`` are the parameters that are varied; ``paths``,
-    ``time``, ``relaxations`` and ``seed`` are those of the simulation. Where and by how many
-    threads it is run changes nothing.
-    """
-
-    scene: str
-    observable: str
-    keys: tuple[str, ...]
-    paths: int
-    time: float | None
-    relaxations: float
-    seed: int
-    version: str
 
 
 class PointStore:
     """The points of one map in ``folder``, or in memory only where there is no folder.
 
-    Points of another identity are refused, not mixed in, and so is a file of which any line is not
-    what was written. The one exception is a last line without its end, which is what a killed run
-    leaves: it is dropped, and ``note`` says so.
+    ``identity`` is everything that a point's numbers depend on beside its own values. Points of
+    another identity are refused, not mixed in, and so is a file of which any line is not what was
+    written. The one exception is a last line without its end, which is what a killed run leaves: it
+    is dropped, and ``note`` says so.
     """
 
-    def __init__(self, folder: Path | None, identity: MapIdentity) -> None:
+    def __init__(self, folder: Path | None, identity: dict[str, Any]) -> None:
         """Read what is there; raise ``BadInput`` for a file of another map or a damaged one."""
         self._path = None if folder is None else folder / NAME
-        record = plain(asdict(identity))
+        record = plain(identity)
         self._head = {"map": hash_of({**record, "format": FORMAT}), "identity": record}
         self.points: dict[tuple[float, ...], MapPoint] = {}
         self.note: str | None = None
-        if self._path is not None:
-            whole = lexists(self._path) and self._read(self._path)
-            if not whole:
-                lines = [_line(self._head), *(_line(asdict(p)) for p in self.points.values())]
-                write_text(self._path, "".join(lines))
+        if self._path is not None and not (lexists(self._path) and self._read(self._path)):
+            lines = [_line(self._head), *(_line(asdict(p)) for p in self.points.values())]
+            write_text(self._path, "".join(lines))
 
     def add(self, point: MapPoint) -> None:
         """Store a finished point, on disk before anything else is done."""
         self.points[point.values] = point
-        if self._path is not None:
-            try:
-                with self._path.open("a", encoding="utf-8", newline="\n") as stream:
-                    stream.write(_line(asdict(point)))
-            except OSError as error:
-                words = error.strerror or error
-                raise BadInput(
-                    f"{self._path}: cannot be written: {words}; make room, then start again: the"
-                    " points before this one are kept"
-                ) from None
+        if self._path is None:
+            return
+        try:
+            with self._path.open("a", encoding="utf-8", newline="\n") as stream:
+                stream.write(_line(asdict(point)))
+        except OSError as error:
+            raise BadInput(
+                f"{self._path}: cannot be written: {error.strerror or error}; make room, then start"
+                " again: the points before this one are kept"
+            ) from None
 
     def _read(self, path: Path) -> bool:
         """Read the file's points; return whether it is whole, down to the end of its last line."""
         text = read_text(path, str(path), most=MAX_BYTES, what="the file of a map's points")
-        *lines, rest = text.split("\n")
+        head, *lines = text.split("\n")
         if not text:  # as a full disk leaves it, nothing can be wrong with it
             return False
-        if not lines or _record(lines[0]).get("map") != self._head["map"]:
+        if not lines or _record(head).get("map") != self._head["map"]:
             raise BadInput(
                 f"{path}: holds points of another map (other scene, observable, settings or"
                 " version); give another --out or remove the file"
             )
-        for number, line in enumerate(lines[1:], start=2):
-            point = _point(_record(line))
-            if point is None:
-                raise _damaged(path, number, "is not what was written")
-            known = self.points.setdefault(point.values, point)
-            if replace(known, seconds=point.seconds) != point:  # two runs at once write it twice
-                raise _damaged(path, number, "has other numbers than an earlier line of its point")
-        if rest:
+        for number, line in enumerate(lines[:-1], start=2):
+            record, words = _record(line), ""
+            if record.keys() != {field.name for field in fields(MapPoint)}:
+                words = "is not what was written"
+            else:
+                tuples = {key: tuple(record[key]) for key in ("values", "problems")}
+                point = MapPoint(**{**record, **tuples})
+                known = self.points.setdefault(point.values, point)
+                if replace(known, seconds=point.seconds) != point:  # two runs at once write twice
+                    words = "has other numbers than an earlier line of its point"
+            if words:
+                raise BadInput(
+                    f"{path}: line {number} {words}: the file is damaged; remove that line, its"
+                    " point is then computed again"
+                )
+        if lines[-1]:
             count = len(self.points)
             self.note = f"{path}: the last line was cut off and is dropped; {count} points are kept"
-        return not rest
-
-
-def _damaged(path: Path, number: int, words: str) -> BadInput:
-    return BadInput(
-        f"{path}: line {number} {words}: the file is damaged; remove that line, its point is then"
-        " computed again"
-    )
+        return not lines[-1]
 
 
 def _line(record: dict[str, Any]) -> str:
@@ -120,10 +100,3 @@ def _record(line: str) -> dict[str, Any]:
         return record if stated == hash_of(record) else {}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return {}
-
-
-def _point(record: dict[str, Any]) -> MapPoint | None:
-    """Return the point of one line's record, or None where it holds something else."""
-    if record.keys() != {field.name for field in fields(MapPoint)}:
-        return None
-    return MapPoint(**{**record, **{key: tuple(record[key]) for key in ("values", "problems")}})
