@@ -100,15 +100,19 @@ class WeakOrder:
         return bool(low <= ORDERS[0] or high >= ORDERS[-1])
 
     @property
-    def short(self) -> float:
-        """Factor by which the standard errors are too large for ``ORDER_ERROR``, at least 1."""
-        low, high = self.order_error
-        return max(1.0, 0.5 * (high - low) / ORDER_ERROR)
-
-    @property
     def wanted(self) -> float:
         """Standard error of the levels from which the order follows to ``ORDER_ERROR``."""
-        return max((level.error for level in self.levels), default=nan) / self.short
+        low, high = self.order_error
+        return self._largest_error * ORDER_ERROR / (0.5 * (high - low))
+
+    @property
+    def short(self) -> float:
+        """Factor by which the standard errors are larger than ``wanted``, at least 1."""
+        return max(self._largest_error / self.wanted, 1.0)
+
+    @property
+    def _largest_error(self) -> float:
+        return max((level.error for level in self.levels), default=nan)
 
     @property
     def errors(self) -> list[float]:
@@ -220,7 +224,9 @@ def judged(scheme: WeakOrder, levels: Sequence[StepLevel], truth: float | None) 
     "as theory" only where two standard errors of the profile (χ² + 4) exclude other orders; where
     they leave nearly every order, or no slope is resolved, the order is "not resolved".
     """
-    line = {key: float(x) for key, x in fit(levels, scheme.theory, truth)._asdict().items()}
+    line: dict[str, Any] = {
+        key: float(x) for key, x in fit(levels, scheme.theory, truth)._asdict().items()
+    }
     profile = fit(levels, ORDERS, truth).chi2
     best = int(profile.argmin())
     order, inside = float(ORDERS[best]), ORDERS[profile <= profile[best] + 1.0]

@@ -251,8 +251,8 @@ def test_weak_order_on_an_exact_scene_derives_its_sample():
     assert found.verdict in ("as theory", "not resolved", "pre-asymptotic")
     low, high = found.order_error
     assert low <= found.order <= high
-    # Wanted is the error of the levels over the factor by which it is too large.
-    assert 0.0 < found.wanted <= max(level.error for level in found.levels) and found.short >= 1.0
+    largest = max(level.error for level in found.levels)
+    assert found.short == pytest.approx(max(1.0, largest / found.wanted))
     assert len(found.levels) == 5
     if found.verdict != "not resolved":
         assert low - 1.0 <= 2.0 <= high + 1.0
