@@ -4,52 +4,222 @@ Zero flux makes the one-dimensional stationary problem local. The Galerkin equat
 ``∫ J(u) v' dH = 0`` for all continuous piecewise polynomials v of degree p say that the flux J is
 orthogonal, element by element, to all polynomials of degree p − 1: the derivatives v' are just
 those. So static condensation is exact, every element has a one-dimensional null space of its
-own, and the solution of the global system is these, scaled to match at the vertices. The scales
-are kept as logarithms, so no density is too steep.
+own, and the solution of the global system is these, scaled to match at the vertices. As there is
+nothing else to match, the basis is that of Legendre polynomials.
 """
 
+from collections.abc import Sequence
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
+from numpy.polynomial.legendre import legder, legvander
 from numpy.typing import NDArray
 
+from fpk.process import Coefficients, Process
 from fpk.quadrature import gauss_legendre
 
 Array = NDArray[np.float64]
 Form = Literal["flux", "drift-diffusion"]
 
+ENRICHMENT = 2
+"""Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
+CONTACT_POINTS = 8
+"""Points by which integrals over an element that begins where contact does exceed the degree."""
+AT_ONCE = 10_000
+"""Elements whose coefficients are evaluated at once: a hundred quadrature points for each of ten
+energies of each are 80 MB."""
 
-def shape_functions(degree: int, t: Array) -> tuple[Array, Array]:
-    """Return the hierarchical shape functions and derivatives (degree + 1, points) at t in [0, 1].
 
-    The first two belong to the left and right vertex, the others vanish there: integrals of
-    Legendre polynomials, (P_j − P_(j−2))/√(4j − 2), of the scale of scikit-fem's.
+NO_WEIGHT = 1e-200
+"""Added to the diagonal of matrices of rows of the size one, where it is below the round-off of any
+entry but zero: where T spans hundreds of decades in one element some directions of u have no weight
+in any equation, and their pivot would be zero. They are left at zero."""
+TINY = float(np.finfo(float).tiny)
+
+
+class Rule(NamedTuple):
+    """Points of an element in [0, 1], and the Legendre polynomials P_j there.
+
+    At the Gauss points ``share`` with ``weight`` the flux is tested, for the answer and for the
+    enriched solution; ``P`` and ``slope`` (points, degree + 3) are values and derivatives. The mass
+    of the enriched solution is the sum with ``enriched_weight``, an interpolation at all points but
+    one: how far the two masses differ shows what T lacks of being a polynomial, and exceeds the
+    error of the Gauss rule.
+
+    In elements that begin where contact does both masses have points of their own, at
+    ``contact_share`` with ``contact_weight`` and values ``contact_P``: those of the answer first,
+    then those of the enriched solution. They are Gauss points in (H − H_c)^⅓: in √(H − H_c) T is
+    smooth, but stiff contact leaves a layer just above H_c. Without clearance, or with very little
+    beside a stiff stop, T has other roots and both rules converge algebraically: twice as many
+    points keep less than half of the error for any power of H − H_c from ½ on. ``padding`` are the
+    numbers of Gauss points, the last one repeated up to as many as the answer has above contact,
+    with ``padded_weight`` their weights, zero where repeated.
     """
-    P = legvander(2.0 * t - 1.0, degree).T
-    j = np.arange(2.0, degree + 1.0)[:, None]
-    scale, one = 1.0 / np.sqrt(4.0 * j - 2.0), np.ones_like(t)
-    values = np.concatenate([[1.0 - t, t], (P[2:] - P[:-2]) * scale])
-    slopes = np.concatenate([[-one, one], (4.0 * j - 2.0) * scale * P[1:-1]])
-    return values, slopes
+
+    share: Array
+    weight: Array
+    enriched_weight: Array
+    P: Array
+    slope: Array
+    padding: NDArray[np.intp]
+    padded_weight: Array
+    contact_share: Array
+    contact_weight: Array
+    contact_P: Array
 
 
-def gauss_rule(degree: int) -> tuple[Array, Array]:
-    """Return the Gauss points and weights on [0, 1] that go with elements of ``degree``."""
-    x, w = gauss_legendre(degree + 2)
+@lru_cache
+def element_rule(degree: int) -> Rule:
+    """Return the points of elements of ``degree``."""
+    share, weight = _gauss(degree + ENRICHMENT + 2)
+    count, highest = degree + 2 + CONTACT_POINTS, degree + ENRICHMENT
+    t, w = (np.concatenate(x) for x in zip(_gauss(count), _gauss(2 * count - 2), strict=True))
+    P = np.ascontiguousarray(legvander(2.0 * share - 1.0, highest))
+    return Rule(
+        share=share,
+        weight=weight,
+        enriched_weight=_without_one(share),
+        P=P,
+        slope=2.0 * P[:, :-1] @ legder(np.eye(highest + 1)),
+        padding=np.minimum(np.arange(count), share.size - 1),
+        padded_weight=np.append(weight, np.zeros(count - share.size)),
+        contact_share=t**3,
+        contact_weight=3.0 * t**2 * w,
+        contact_P=legvander(2.0 * t**3 - 1.0, highest),
+    )
+
+
+def _gauss(points: int) -> tuple[Array, Array]:
+    """Gauss points and weights on [0, 1]."""
+    x, w = gauss_legendre(points)
     return 0.5 * (1.0 + x), 0.5 * w
 
 
-@lru_cache
-def in_legendre(degree: int) -> Array:
-    """Return the shape functions (degree + 1, degree + 1) as Legendre series on their interval."""
-    t, w = gauss_rule(degree)
-    series = shapes_at_gauss(degree, degree)[0] @ (w[:, None] * legvander(2.0 * t - 1.0, degree))
-    return np.asarray(series * (2.0 * np.arange(degree + 1) + 1.0))
+def _without_one(share: Array) -> Array:
+    """Weights at the points, 0 at the middle one, exact for as many degrees as are left."""
+    used = np.arange(share.size) != share.size // 2
+    weight = np.zeros(share.size)
+    moments = np.eye(share.size - 1)[0]
+    weight[used] = np.linalg.solve(legvander(2.0 * share[used] - 1.0, share.size - 2).T, moments)
+    return weight
 
 
-@lru_cache
-def shapes_at_gauss(degree: int, rule: int) -> tuple[Array, Array]:
-    """Return the shape functions of ``degree`` and slopes at the Gauss points of ``rule``."""
-    return shape_functions(degree, gauss_rule(rule)[0])
+class Elements(NamedTuple):
+    """Solutions of single elements, each of mass 1; every array (elements, …).
+
+    ``u`` (elements, degree + 1) and ``enriched`` (elements, degree + 3) are Legendre series of
+    p e^(−log_factor), in the flux form of p e^(−log_factor)/T; ``values`` and ``enriched_values``
+    (elements, points) are p at the same points, ``weights`` those of the points. ``residual`` is
+    relative to the terms that cancel in it; ``net_flux`` is the mean of J and ``one_way`` that of
+    its parts, each way. ``coefficient_error`` is the largest relative error of the coefficients,
+    ``at_end`` p at the right end.
+    """
+
+    left: Array
+    right: Array
+    coefficient_error: Array
+    u: Array
+    enriched: Array
+    log_factor: Array
+    values: Array
+    enriched_values: Array
+    weights: Array
+    residual: Array
+    net_flux: Array
+    one_way: Array
+    at_end: Array
+
+
+def solve_elements(
+    process: Process, left: Array, right: Array, degree: int, form: Form
+) -> Elements:
+    """Solve the elements between ``left`` and ``right`` in ``degree`` and in the enriched one.
+
+    In the flux form u = p/T, the phase-space density, and J = T (F u − ½ b u') with F the part of
+    the drift due to damping; the noise part of the drift, ½ (bT)'/T, has cancelled, so that no
+    derivative of b is needed, and u is smooth where T is not. In the drift-diffusion form u = p,
+    T = 1 and F = s − ½ b'. The exact solution has J = 0 at every point, so that any points serve
+    the Galerkin equations. Integrals of p are another matter: above an energy where contact begins
+    T has half-integer powers, and the element that begins there has points of its own for them.
+    """
+    if left.size > AT_ONCE:
+        parts = np.array_split(np.arange(left.size), -(-left.size // AT_ONCE))
+        return joined([solve_elements(process, left[k], right[k], degree, form) for k in parts])
+    rule, h = element_rule(degree), (right - left)[:, None]
+    above = np.array([k for k, H in enumerate(left.tolist()) if H in process.nonsmooth], np.intp)
+    energy = left[:, None] + h * rule.share
+    inner = left[above, None] + h[above] * rule.contact_share
+    flat = process.coefficients(np.concatenate([energy.ravel(), inner.ravel(), right]))
+    c = Coefficients(*(a[: energy.size].reshape(energy.shape) for a in flat))
+    error = c.relative_error.max(axis=1)
+    if form == "flux":
+        log_T = flat.log_density_of_states
+        log_factor = np.maximum(c.log_density_of_states.max(axis=1), log_T[-left.size :])
+        T = np.exp(c.log_density_of_states - log_factor[:, None])
+        T_end = np.exp(log_T[-left.size :] - log_factor)
+        inner_T = log_T[energy.size : -left.size].reshape(inner.shape) - log_factor[above, None]
+        inner_T = np.exp(inner_T)
+        F = c.dissipation
+    else:
+        log_factor, T_end = np.zeros(left.size), np.ones(left.size)
+        T, inner_T = np.ones(energy.shape), np.ones(inner.shape)
+        F = c.drift - 0.5 * c.divergence
+        error += c.slope_error.max(axis=1)
+    # J h = alpha u + beta du/dt at the Gauss points, t from 0 to 1 over the element.
+    alpha, beta = h * rule.weight * T * F, -0.5 * rule.weight * T * c.diffusion
+    A = rule.P[:, :-1].T @ (alpha[:, :, None] * rule.P + beta[:, :, None] * rule.slope)
+    A /= np.maximum(np.abs(A).max(axis=2, keepdims=True), TINY)
+    u, enriched = _null_vectors(A, degree), _null_vectors(A, degree + ENRICHMENT)
+    terms = A[:, :degree] * u[:, None]
+    value, change = u @ rule.P.T, u @ rule.slope.T
+    net = np.sum(alpha * value + beta * change, axis=1)
+    # In a short element both parts of J are small beside the terms that make up u'.
+    parts = np.abs(alpha * value) + np.abs(beta) * (np.abs(change) + np.abs(value))
+    p, better = T * value, T * (enriched @ rule.P.T)
+    enriched_mass = h[:, 0] * (better @ rule.enriched_weight)
+    p, better = p[:, rule.padding], better[:, rule.padding]
+    weights = h * rule.padded_weight
+    if above.size:
+        own = rule.padding.size
+        both = inner_T * (np.stack([u[above], enriched[above]]) @ rule.contact_P.T)
+        p[above], better[above] = both[:, :, :own]
+        weights[above] = h[above] * rule.contact_weight[:own]
+        enriched_mass[above] = h[above, 0] * (both[1, :, own:] @ rule.contact_weight[own:])
+        inner_error = flat.relative_error[energy.size : -left.size].reshape(inner.shape)
+        error[above] = np.maximum(error[above], inner_error.max(axis=1))
+    mass = np.sum(weights * p, axis=1)
+    return Elements(
+        left=left,
+        right=right,
+        coefficient_error=error,
+        u=u[:, : degree + 1] / mass[:, None],
+        enriched=enriched / enriched_mass[:, None],
+        log_factor=log_factor,
+        values=p / mass[:, None],
+        enriched_values=better / enriched_mass[:, None],
+        weights=weights,
+        residual=np.abs(terms.sum(axis=2)).max(axis=1) / np.abs(terms).sum(axis=2).max(axis=1),
+        net_flux=np.abs(net / mass) / h[:, 0],
+        one_way=np.abs(parts.sum(axis=1) / mass) / h[:, 0],
+        at_end=T_end * u.sum(axis=1) / mass,
+    )
+
+
+def _null_vectors(A: Array, degree: int) -> Array:
+    """Return u (elements, columns of A), u_0 = 1, of ``degree`` that A maps to zero below it.
+
+    A (elements, m, m + 1) has rows of the size one, one a test function of rising degree. u_0 is
+    the mean of u over the element, which is not zero as u does not change sign.
+    """
+    u = np.zeros((len(A), A.shape[2]))
+    u[:, 0] = 1.0
+    B = A[:, :degree, 1 : degree + 1] + NO_WEIGHT * np.eye(degree)
+    u[:, 1 : degree + 1] = np.linalg.solve(B, -A[:, :degree, :1])[:, :, 0]
+    return u
+
+
+def joined(parts: Sequence[Elements]) -> Elements:
+    """Return all elements in one record, ascending."""
+    order = np.argsort(np.concatenate([part.left for part in parts]))
+    return Elements(*(np.concatenate(x)[order] for x in zip(*parts, strict=True)))

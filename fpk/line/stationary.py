@@ -5,7 +5,7 @@ No boundary condition is imposed at H = 0 (an entrance boundary) nor at the far 
 natural. The equation is solved from its coefficients alone, never from the known solution.
 """
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from fpk.certificate import NEGATIVE, Certificate, Measured, certify
 from fpk.errors import NotCertified
-from fpk.line.assembly import SolvedElements, merged, solve_elements
-from fpk.line.chain import Assembled, Checks, assembled, checks
-from fpk.line.elements import Form, in_legendre
+from fpk.line.elements import ENRICHMENT, TINY, Elements, Form, joined, solve_elements
 from fpk.line.mesh import (
     DEEP_LAYERS,
     GRADED_LAYERS,
@@ -25,7 +23,6 @@ from fpk.line.mesh import (
     split_points,
     with_layers,
 )
-from fpk.line.rules import ENRICHMENT
 from fpk.piecewise import Piecewise
 from fpk.probe import Probe, probed
 from fpk.process import Process, log_density_slope_error
@@ -86,50 +83,57 @@ class StationarySolution:
         """Degrees of freedom of the global finite element space."""
         return self.degree * (self.nodes.size - 1) + 1
 
-    def phase_space_density(self, energy: Array) -> Array:
-        """p_h/T (up to the constant left out of ln T) at energies of any shape; 0 outside."""
-        return self.answer(energy, log_factor=self._log_factor(energy, of_p=False))
-
-    def phase_space_error(self, energy: Array) -> Array:
-        """Estimate of |p_h − p|/T at energies of any shape."""
-        return self._error(energy, self._log_factor(energy, of_p=False))
-
     def density(self, energy: Array) -> Array:
         """p_h at energies of any shape; 0 outside the mesh."""
-        return self.answer(energy, log_factor=self._log_factor(energy, of_p=True))
+        return self._value(energy, of_p=True)
+
+    def phase_space_density(self, energy: Array) -> Array:
+        """p_h/T (up to the constant left out of ln T) at energies of any shape; 0 outside."""
+        return self._value(energy, of_p=False)
 
     def pointwise_error(self, energy: Array) -> Array:
         """Estimate of |p_h − p| at energies of any shape."""
-        return self._error(energy, self._log_factor(energy, of_p=True))
+        return self._error(energy, of_p=True)
 
-    def _error(self, energy: Array, log_factor: Array) -> Array:
+    def phase_space_error(self, energy: Array) -> Array:
+        """Estimate of |p_h − p|/T at energies of any shape."""
+        return self._error(energy, of_p=False)
+
+    def _value(self, energy: Array, *, of_p: bool) -> Array:
+        log_factor = _log_factor(self.process, self.form, energy, of_p=of_p, last=self.nodes[-1])
+        return self.answer(energy, log_factor=log_factor)
+
+    def _error(self, energy: Array, *, of_p: bool) -> Array:
         """Error of u: distance to the enriched solution and what shifts all of p alike.
 
         The distance has about as many zeros in an element as its degree, and the error need not
         vanish there: the largest distance within half the way to the next one is taken.
         """
         x = np.asarray(energy, dtype=float)
-        u = self.answer(x, log_factor=log_factor)
+        factor = _log_factor(self.process, self.form, x, of_p=of_p, last=self.nodes[-1])
         k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.nodes.size - 2)
         left, right = self.nodes[k], self.nodes[k + 1]
         half = 0.5 * (right - left) / (self.degree + ENRICHMENT)
-        around = [x, np.clip(x - half, left, right), np.clip(x + half, left, right)]
-        distance = np.max([np.abs(self._distance(y, log_factor)) for y in around], axis=0)
+        around = (x, np.clip(x - half, left, right), np.clip(x + half, left, right))
+        distance = np.max(
+            [
+                np.abs(self.answer(y, log_factor=factor) - self.enriched(y, log_factor=factor))
+                for y in around
+            ],
+            axis=0,
+        )
         floor = self.coefficient_error + self.measured.tail_mass + ROUND_OFF * self.nodes.size
-        return np.asarray(SAFETY * distance + floor * np.abs(u))
+        return np.asarray(SAFETY * distance + floor * np.abs(self.answer(x, log_factor=factor)))
 
-    def _distance(self, energy: Array, log_factor: Array) -> Array:
-        u = self.answer(energy, log_factor=log_factor)
-        return np.asarray(u - self.enriched(energy, log_factor=log_factor))
 
-    def _log_factor(self, energy: Array, *, of_p: bool) -> Array:
-        """ln of what makes p, or else p/T, of u."""
-        energy = np.asarray(energy, dtype=float)
-        if of_p == (self.form == "drift-diffusion"):
-            return np.zeros(energy.shape)
-        safe = np.clip(energy, np.finfo(float).tiny, self.nodes[-1])
-        log_states = self.process.coefficients(safe.ravel()).log_density_of_states
-        return np.asarray((log_states if of_p else -log_states).reshape(energy.shape))
+def _log_factor(process: Process, form: Form, energy: Array, *, of_p: bool, last: float) -> Array:
+    """ln of the factor that turns u into p (``of_p``) or into p/T; of ``last`` beyond it."""
+    energy = np.asarray(energy, dtype=float)
+    if of_p == (form == "drift-diffusion"):
+        return np.zeros(energy.shape)
+    within = np.clip(energy, TINY, last)
+    log_states = process.coefficients(within.ravel()).log_density_of_states
+    return np.asarray((log_states if of_p else -log_states).reshape(energy.shape))
 
 
 def solve_stationary(
@@ -156,26 +160,17 @@ def solve_stationary(
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree, form)
     special = np.array([0.0, *process.nonsmooth])
     for _ in range(MOST_ROUNDS):
-        whole = Assembled(*assembled(elements.solved))
-        sums = Checks(*checks(elements.solved, whole, elements.coefficient_error))
-        # Half of the tolerance is left to the tail, the coefficients and round-off.
-        if SAFETY * sums.distance <= 0.5 * tol and sums.least >= NEGATIVE * sums.most:
+        solution, marked = _assembled(process, probe, elements, degree, form, tol)
+        if not marked.any() or marked.size > MOST_ELEMENTS:
             break
-        negative = whole.p.min(axis=1) < NEGATIVE * sums.most
-        marked = negative | (whole.indicator > 0.1 * tol / whole.indicator.size)
         left, right = elements.left[marked], elements.right[marked]
         cut = split_points(left, right, special)
-        if (
-            not marked.any()
-            or marked.size > MOST_ELEMENTS
-            or np.any((cut <= left) | (cut >= right))
-        ):
+        if np.any((cut <= left) | (cut >= right)):
             break
-        new = solve_elements(
-            process, np.concatenate([left, cut]), np.concatenate([cut, right]), degree, form
-        )
-        elements = merged(elements, new, ~marked)
-    return _certified(process, probe, elements, whole, sums, degree, form, tol)
+        halves = np.concatenate([left, cut]), np.concatenate([cut, right])
+        new = solve_elements(process, *halves, degree, form)
+        elements = joined([Elements(*(x[~marked] for x in elements)), new])
+    return solution
 
 
 def solve_on_mesh(
@@ -183,58 +178,89 @@ def solve_on_mesh(
 ) -> StationarySolution:
     """Return the finite element solution on a given mesh, for convergence studies."""
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree, form)
-    whole = Assembled(*assembled(elements.solved))
-    sums = Checks(*checks(elements.solved, whole, elements.coefficient_error))
-    return _certified(process, probed(process), elements, whole, sums, degree, form, np.inf)
+    return _assembled(process, probed(process), elements, degree, form, np.inf)[0]
 
 
-def _certified(
-    process: Process,
-    probe: Probe,
-    elements: SolvedElements,
-    whole: Assembled,
-    sums: Checks,
-    degree: int,
-    form: Form,
-    tol: float,
-) -> StationarySolution:
-    """Bound the tail, estimate the error and check what must hold of the assembled solution."""
-    nodes = np.append(elements.left, elements.right[-1])
-    end_value = abs(float(whole.u[-1, 1])) * math.exp(whole.log_scale[-1])
-    if form == "flux":
-        end_value *= math.exp(elements.log_states[-1])
-    tail = probe.tail_bound(float(nodes[-1]), end_value)
+def _assembled(
+    process: Process, probe: Probe, e: Elements, degree: int, form: Form, tol: float
+) -> tuple[StationarySolution, NDArray[np.bool_]]:
+    """Return the elements scaled to one density, judged, and which of them to cut in two."""
+    nodes = np.append(e.left, e.right[-1])
+    sign, log_scale, log_mass, share = _chained([e.u, e.enriched], e.log_factor)
+    p, better = share[0, :, None] * e.values, share[1, :, None] * e.enriched_values
+    difference = np.abs(p - better)
+    distance = float(np.sum(e.weights * difference))
+    size = np.abs(share[0])
+    least, most = float(p.min()), float(p.max())
+    net, one_way = (float(np.max(size * x)) for x in (e.net_flux, e.one_way))
+    residual, mass = float(e.residual.max()), float(np.sum(e.weights * p))
+    tail = probe.tail_bound(float(nodes[-1]), abs(float(share[0, -1] * e.at_end[-1])))
     # Errors of s and b shift d ln p/dH by as much. Their effect on ln p is bounded by the error
     # times the fall of ln p over the bulk of the mass, about one per energy scale; the worst
     # point of each element counts by its share of the mass.
-    coefficient_error = 2.0 * sums.coefficient_error
+    coefficient_error = 2.0 * float(size @ e.coefficient_error)
     moved, accumulated = 0.0, 0.0
     if process.state_damping:
-        moved, accumulated = _accumulated_error(process, nodes, np.abs(whole.share))
-    estimate = SAFETY * sums.distance + 2.0 * tail + coefficient_error + moved
-    estimate += ROUND_OFF * (nodes.size - 1 + degree**2)
+        moved, accumulated = _accumulated_error(process, nodes, size)
+    estimate = SAFETY * distance + 2.0 * tail + coefficient_error + moved
+    estimate += ROUND_OFF * (size.size + degree**2)
     measured = Measured(
         l1_error=estimate,
-        mass_defect=abs(sums.mass - 1.0),
-        minimum=sums.least / sums.most,
-        residual=sums.residual,
+        mass_defect=abs(mass - 1.0),
+        minimum=least / most,
+        residual=residual,
         tail_mass=tail,
-        net_flux=sums.net_flux,
+        net_flux=net / one_way,
     )
-    if not sums.residual < RESIDUAL:
-        measured = measured.with_failures(f"the algebraic residual is {sums.residual:.2g}")
-    return StationarySolution(
+    if not residual < RESIDUAL:
+        measured = measured.with_failures(f"the algebraic residual is {residual:.2g}")
+    solution = StationarySolution(
         process=process,
         form=form,
         degree=degree,
-        answer=Piecewise(nodes, whole.u @ in_legendre(degree), whole.log_scale),
-        enriched=Piecewise(
-            nodes, whole.enriched @ in_legendre(degree + ENRICHMENT), whole.enriched_log_scale
-        ),
+        answer=Piecewise(nodes, sign[0, :, None] * e.u, log_scale[0]),
+        enriched=Piecewise(nodes, sign[1, :, None] * e.enriched, log_scale[1]),
         coefficient_error=coefficient_error + accumulated,
         measured=measured,
         certificate=certify(measured, tol=tol),
     )
+    # Half of the tolerance is left to the tail, the coefficients and round-off.
+    if SAFETY * distance <= 0.5 * tol and least >= NEGATIVE * most:
+        return solution, np.zeros(size.size, dtype=bool)
+    # What of the distance is an element's own making: that in shape, and a wrong step between two
+    # neighbours, which moves the smaller of the masses on its sides.
+    own = size * np.sum(e.weights * np.abs(e.values - e.enriched_values), axis=1)
+    below = np.cumsum(size)[:-1]
+    step = np.abs(np.diff(log_mass[0] - log_mass[1]))
+    step *= np.minimum(below, np.maximum(1.0 - below, 0.0))
+    own += np.append(step, 0.0) + np.append(0.0, step)
+    return solution, (p.min(axis=1) < NEGATIVE * most) | (own > 0.1 * tol / own.size)
+
+
+def _chained(series: Sequence[Array], log_factor: Array) -> tuple[Array, Array, Array, Array]:
+    """Return signs and logarithms of the scales by which elements make a density of mass 1.
+
+    ``series`` are the Legendre series of elements of mass 1, up to exp(``log_factor``), of several
+    solutions; returned are arrays (solutions, elements), the logarithm and the signed value of each
+    element's mass among them. The scales that match the elements at the nodes are added up as
+    logarithms, so that no density is too steep; where mass is most it is positive.
+    """
+    left, right = np.empty((2, len(series), log_factor.size))
+    for k, u in enumerate(series):
+        left[k], right[k] = u @ (-1.0) ** np.arange(u.shape[1]), u.sum(axis=1)
+    log_scale, sign = np.zeros(left.shape), np.ones(left.shape)
+    leaving, entering = right[:, :-1], left[:, 1:]
+    ratio = np.maximum(np.abs(leaving), TINY) / np.maximum(np.abs(entering), TINY)
+    np.log(ratio).cumsum(axis=1, out=log_scale[:, 1:])
+    np.where((leaving < 0.0) == (entering < 0.0), 1.0, -1.0).cumprod(axis=1, out=sign[:, 1:])
+    log_mass = log_scale + log_factor
+    top, every = log_mass.argmax(axis=1), range(len(series))
+    sign *= sign[every, top][:, None]
+    highest = log_mass[every, top][:, None]
+    share = sign * np.exp(log_mass - highest)
+    total = share.sum(axis=1, keepdims=True)
+    highest += np.log(total)
+    return sign, log_scale - highest, log_mass - highest, share / total
 
 
 def _accumulated_error(process: Process, nodes: Array, share: Array) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fpk.certificate import Measured, certify
 from fpk.errors import NotCertified
-from fpk.line.elements import gauss_rule
+from fpk.plane.elements import gauss_rule
 from fpk.piecewise import PiecewiseTensor
 from fpk.plane.elements import gauss_energies
 from fpk.plane.mesh import Nodes

@@ -9,15 +9,42 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
-from fpk.line.elements import gauss_rule, shapes_at_gauss
 from fpk.plane.condensation import local_order
 from fpk.plane.mesh import Nodes
 from fpk.plane.weight import Weight
 from fpk.process import Process
+from fpk.quadrature import gauss_legendre
 
 Array = NDArray[np.float64]
+
+
+def shape_functions(degree: int, t: Array) -> tuple[Array, Array]:
+    """Return the hierarchical shape functions and derivatives (degree + 1, points) at t in [0, 1].
+
+    The first two belong to the left and right vertex, the others vanish there: integrals of
+    Legendre polynomials, (P_j − P_(j−2))/√(4j − 2), of the scale of scikit-fem's.
+    """
+    P = legvander(2.0 * t - 1.0, degree).T
+    j = np.arange(2.0, degree + 1.0)[:, None]
+    scale, one = 1.0 / np.sqrt(4.0 * j - 2.0), np.ones_like(t)
+    values = np.concatenate([[1.0 - t, t], (P[2:] - P[:-2]) * scale])
+    slopes = np.concatenate([[-one, one], (4.0 * j - 2.0) * scale * P[1:-1]])
+    return values, slopes
+
+
+def gauss_rule(degree: int) -> tuple[Array, Array]:
+    """Return the Gauss points and weights on [0, 1] that go with elements of ``degree``."""
+    x, w = gauss_legendre(degree + 2)
+    return 0.5 * (1.0 + x), 0.5 * w
+
+
+@lru_cache
+def shapes_at_gauss(degree: int, rule: int) -> tuple[Array, Array]:
+    """Return the shape functions of ``degree`` and slopes at the Gauss points of ``rule``."""
+    return shape_functions(degree, gauss_rule(rule)[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.errors import NotCertified
-from fpk.line.elements import gauss_rule, shapes_at_gauss
+from fpk.plane.elements import gauss_rule, shapes_at_gauss
 from fpk.plane.condensation import local_order, null_vector
 from fpk.plane.elements import by_element, coefficients_at, element_matrices, gauss_energies
 from fpk.plane.mesh import Nodes

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
-from fpk.line.elements import gauss_rule, shapes_at_gauss
+from fpk.plane.elements import gauss_rule, shapes_at_gauss
 from fpk.piecewise import PiecewiseTensor
 from fpk.plane.elements import by_element, gauss_energies
 from fpk.plane.mesh import Nodes

@@ -9,8 +9,8 @@ from skfem import Basis, BilinearForm, ElementLineP1, ElementLineP2, ElementLine
 from skfem.helpers import dot, grad
 
 from averaging.energy_process import energy_process
-from fpk.line.elements import shape_functions
-from fpk.line.rules import element_rule
+from fpk.plane.elements import shape_functions
+from fpk.line.elements import element_rule
 from fpk.line.stationary import solve_on_mesh
 
 FORMS = ["flux", "drift-diffusion"]
@@ -22,8 +22,8 @@ def globally_assembled(process, nodes, degree, form):
     Returns the energies (elements, points) of its quadrature and the density there.
     """
     element = {1: ElementLineP1, 2: ElementLineP2}.get(degree, lambda: ElementLinePp(degree))()
-    x, w, *_ = element_rule(degree)
-    basis = Basis(MeshLine(nodes), element, quadrature=(x[None, :], w))
+    rule = element_rule(degree)
+    basis = Basis(MeshLine(nodes), element, quadrature=(rule.share[None, :], rule.weight))
     energy = np.asarray(basis.global_coordinates())[0]
     c = process.coefficients(energy.ravel())
     c = type(c)(*(part.reshape(energy.shape) for part in c))
@@ -39,7 +39,7 @@ def globally_assembled(process, nodes, degree, form):
         return drift * u * grad(v)[0] - 0.5 * diffusion * dot(grad(u), grad(v))
 
     A = csr_matrix(flux_against_slope.assemble(basis))
-    peak = np.abs(energy - process.energy_scale).argmin() // x.size
+    peak = np.abs(energy - process.energy_scale).argmin() // rule.share.size
     pinned = basis.nodal_dofs[0, peak]
     others = np.setdiff1d(np.arange(basis.N), pinned)
     u = np.ones(basis.N)
