@@ -71,9 +71,10 @@ class Probe:
         if not rate[-1] > 0.0 or not least.all():
             return math.inf
         fall = least * (energy[1:] - energy[:-1])
+        left = np.ones(energy.size)
         with np.errstate(over="ignore"):
-            left = np.exp(-np.cumsum(fall))
-            pieces = (np.append(1.0, left[:-1]) - left) / least
+            np.exp(-fall.cumsum(), out=left[1:])
+            pieces = (left[:-1] - left[1:]) / least
         return density_at_end * float(pieces.sum() + left[-1] / rate[-1])
 
     def e_fold(self, end: float) -> float:
@@ -111,8 +112,10 @@ def _slopes(c: Coefficients) -> tuple[Array, Array]:
 def _probe(energy: Array, slope: Array, roughness: Array) -> Probe:
     # In the variable ln H, where the slope varies slowly: d ln(p H)/d ln H = 1 + H d ln p/dH.
     rate = 1.0 + energy * slope
-    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(np.log(energy))
-    return Probe(energy, slope, roughness, np.append(0.0, np.cumsum(steps)))
+    log_energy, log_mass = np.log(energy), np.zeros(energy.size)
+    steps = 0.5 * (rate[1:] + rate[:-1]) * (log_energy[1:] - log_energy[:-1])
+    steps.cumsum(out=log_mass[1:])
+    return Probe(energy, slope, roughness, log_mass)
 
 
 def _closer(process: Process, probe: Probe) -> Probe:

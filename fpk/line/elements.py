@@ -173,7 +173,7 @@ def solve_elements(
     u, enriched = _null_vectors(A, degree), _null_vectors(A, degree + ENRICHMENT)
     terms = A[:, :degree] * u[:, None]
     value, change = u @ rule.P.T, u @ rule.slope.T
-    net = np.sum(alpha * value + beta * change, axis=1)
+    net = (alpha * value + beta * change).sum(axis=1)
     # In a short element both parts of J are small beside the terms that make up u'.
     parts = np.abs(alpha * value) + np.abs(beta) * (np.abs(change) + np.abs(value))
     p, better = T * value, T * (enriched @ rule.P.T)
@@ -188,7 +188,7 @@ def solve_elements(
         enriched_mass[above] = h[above, 0] * (both[1, :, own:] @ rule.contact_weight[own:])
         inner_error = flat.relative_error[energy.size : -left.size].reshape(inner.shape)
         error[above] = np.maximum(error[above], inner_error.max(axis=1))
-    mass = np.sum(weights * p, axis=1)
+    mass = (weights * p).sum(axis=1)
     return Elements(
         left=left,
         right=right,

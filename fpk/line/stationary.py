@@ -5,6 +5,7 @@ No boundary condition is imposed at H = 0 (an entrance boundary) nor at the far 
 natural. The equation is solved from its coefficients alone, never from the known solution.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -147,7 +148,8 @@ def solve_stationary(
     # In the flux form u is smooth where T is not, as long as 2 F/b does not depend on H.
     smooth = form == "flux" and not process.state_damping
     if degree is None:
-        degree = int(np.clip(round(-np.log10(tol)) + (4 if smooth else 0), 3, 16 if smooth else 12))
+        digits = round(-math.log10(tol))
+        degree = min(max(digits + 4, 3), 16) if smooth else min(max(digits, 3), 12)
     probe = probed(process)
     if not np.all(np.isfinite(probe.log_mass)):
         raise NotCertified(
@@ -189,11 +191,10 @@ def _assembled(
     sign, log_scale, log_mass, share = _chained([e.u, e.enriched], e.log_factor)
     p, better = share[0, :, None] * e.values, share[1, :, None] * e.enriched_values
     difference = np.abs(p - better)
-    distance = float(np.sum(e.weights * difference))
+    distance = float((e.weights * difference).sum())
     size = np.abs(share[0])
-    least, most = float(p.min()), float(p.max())
-    net, one_way = (float(np.max(size * x)) for x in (e.net_flux, e.one_way))
-    residual, mass = float(e.residual.max()), float(np.sum(e.weights * p))
+    least, most, residual = float(p.min()), float(p.max()), float(e.residual.max())
+    net_flux = float((size * e.net_flux).max() / (size * e.one_way).max())
     tail = probe.tail_bound(float(nodes[-1]), abs(float(share[0, -1] * e.at_end[-1])))
     # Errors of s and b shift d ln p/dH by as much. Their effect on ln p is bounded by the error
     # times the fall of ln p over the bulk of the mass, about one per energy scale; the worst
@@ -206,11 +207,11 @@ def _assembled(
     estimate += ROUND_OFF * (size.size + degree**2)
     measured = Measured(
         l1_error=estimate,
-        mass_defect=abs(mass - 1.0),
+        mass_defect=abs(float((e.weights * p).sum()) - 1.0),
         minimum=least / most,
         residual=residual,
         tail_mass=tail,
-        net_flux=net / one_way,
+        net_flux=net_flux,
     )
     if not residual < RESIDUAL:
         measured = measured.with_failures(f"the algebraic residual is {residual:.2g}")
