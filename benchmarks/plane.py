@@ -131,11 +131,11 @@ def measured_cases():
     return cases | {STATE_DAMPED: (modes_process(modes, (0, 1)), None)}
 
 
-def expanded(answer) -> str:
+def expanded(solution) -> str:
     """Return what is a polynomial: nothing where p = C w, else u or p on each of the panels."""
-    if answer.weight is None:
+    if solution.weight is None:
         return "p"
-    return "u" if answer.degree else "–"
+    return "u" if solution.degree else "–"
 
 
 def main() -> None:
@@ -165,8 +165,8 @@ def main() -> None:
                 [
                     name,
                     f"{tol:.0e}",
-                    expanded(solution.answer),
-                    str(solution.answer.degree),
+                    expanded(solution),
+                    str(solution.degree),
                     str(solution.unknowns),
                     f"{1e3 * median:.1f}",
                     f"{median / product[tol]:.1f}" if tol in product else "–",

@@ -175,22 +175,6 @@ class PiecewiseTensor:
         matrix = self.coefficients.transpose(0, 2, 1, 3).reshape(rows[0].shape[1], -1)
         return np.asarray(rows[0] @ matrix @ rows[1].T)
 
-    def derivative(self, axis: int) -> "PiecewiseTensor":
-        """Return ∂f/∂x (``axis`` 0) or ∂f/∂y (1), panel by panel."""
-        slopes = legendre.legder(self.coefficients, axis=2 + axis)
-        half = 0.5 * np.diff(self.nodes[axis]).reshape(-1, *(1,) * (3 - axis))
-        return replace(self, coefficients=slopes / half)
-
-    def marginal(self, axis: int) -> Piecewise:
-        """Return ∫f over all others than coordinate ``axis``, as a function of that one."""
-        first = self.coefficients[:, :, :, 0] if axis == 0 else self.coefficients[:, :, 0]
-        lengths = np.diff(self.nodes[1 - axis])
-        return Piecewise(self.nodes[axis], np.tensordot(first, lengths, (1 - axis, 0)))
-
-    def integral(self) -> float:
-        """Return ∫∫f."""
-        return float(self.marginal(0).integral())
-
     def _legendre(self, axis: int, x: Array) -> tuple[Integers, Array]:
         nodes, degree = self.nodes[axis], self.coefficients.shape[2 + axis] - 1
         k, P = _legendre_at(nodes, x, degree)

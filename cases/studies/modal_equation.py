@@ -148,5 +148,5 @@ def graded(end: float, count: int, degree: int) -> Array:
 
 
 def _answer(s: PlaneSolution) -> Answer:
-    variant = "w = 1" if s.answer.weight is None else ""
+    variant = "w = 1" if s.weight is None else ""
     return Answer(s.nodes, s.density, s.l1_error, s.unknowns, variant)

@@ -31,10 +31,6 @@ AT_ONCE = 10_000
 energies of each are 80 MB."""
 
 
-NO_WEIGHT = 1e-200
-"""Added to the diagonal of matrices of rows of the size one, where it is below the round-off of any
-entry but zero: where T spans hundreds of decades in one element some directions of u have no weight
-in any equation, and their pivot would be zero. They are left at zero."""
 TINY = float(np.finfo(float).tiny)
 
 
@@ -209,13 +205,19 @@ def solve_elements(
 def _null_vectors(A: Array, degree: int) -> Array:
     """Return u (elements, columns of A), u_0 = 1, of ``degree`` that A maps to zero below it.
 
-    A (elements, m, m + 1) has rows of the size one, one a test function of rising degree. u_0 is
-    the mean of u over the element, which is not zero as u does not change sign.
+    A (elements, m, m + 1) has rows of the size one, each of a test function, of rising degree. u_0
+    is the mean of u over the element, which is not zero as u does not change sign. Where T spans
+    hundreds of decades in one element some directions of u have no weight in any equation, and
+    elimination comes upon a zero: the least u is taken.
     """
     u = np.zeros((len(A), A.shape[2]))
     u[:, 0] = 1.0
-    B = A[:, :degree, 1 : degree + 1] + NO_WEIGHT * np.eye(degree)
-    u[:, 1 : degree + 1] = np.linalg.solve(B, -A[:, :degree, :1])[:, :, 0]
+    B, right = A[:, :degree, 1 : degree + 1], -A[:, :degree, :1]
+    try:
+        rest = np.linalg.solve(B, right)
+    except np.linalg.LinAlgError:
+        rest = np.linalg.pinv(B) @ right
+    u[:, 1 : degree + 1] = rest[:, :, 0]
     return u
 
 

@@ -7,15 +7,10 @@ from numpy.typing import NDArray
 
 from fpk.certificate import Measured, certify
 from fpk.errors import NotCertified
-from fpk.plane.elements import gauss_rule
 from fpk.piecewise import PiecewiseTensor
-from fpk.plane.elements import gauss_energies
-from fpk.plane.mesh import Nodes
-from fpk.plane.on_mesh import gauss_weights, tails
 from fpk.plane.probe import divided_by_diffusion
-from fpk.plane.solution import PlaneSolution
+from fpk.plane.solution import ROUND_OFF, PlaneSolution, gauss_grid, tails
 from fpk.plane.weight import Weight
-from fpk.plane.weighted import WeightedPolynomial
 from fpk.process import Process
 
 Array = NDArray[np.float64]
@@ -24,9 +19,8 @@ RISE = 36.0
 """Least rise of −ln w up to the far edges: e^−36 = 2e-16."""
 BEYOND = 1e-3
 """Fraction of the tolerance that w falls to at the far edges."""
-RULE = 20
-"""Degree whose Gauss rule, of 22 points, integrates w over a panel of ``PANEL_RISE``: e^(−32 t) to
-4e-14."""
+POINTS = 22
+"""Gauss points that integrate w over a panel of ``PANEL_RISE``: e^(−32 t) to 4e-14."""
 PANEL_RISE = 32.0
 QUARTERS = 4
 """Parts of each panel in the answer: over a rise of 8 twelve Gauss points give e^(−8 t) to 3e-16,
@@ -50,12 +44,10 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
         return None
     if max(x.size for x in nodes) > MAX_PANELS + 1:
         return None
-    H1, H2 = (H.ravel() for H in gauss_energies(nodes, RULE))
-    w, *slopes = weight.on_grid(H1, H2)
-    steps = [_line_weights(x) for x in nodes]
-    area = np.multiply.outer(*steps)
-    share = w * area / np.sum(w * area)
-    points = np.stack(np.broadcast_arrays(H1[:, None], H2), axis=-1)
+    (x, y), (v, area) = gauss_grid(nodes, POINTS)
+    w, *slopes = weight.on_grid(x, y)
+    mass = float(v @ w @ area)
+    points = np.stack(np.broadcast_arrays(x[:, None], y), axis=-1)
     c = process.coefficients(points.reshape(-1, 2))
     slope = np.stack(slopes, axis=-1).reshape(-1, 2)
     flow = 2.0 * c.drift - c.divergence
@@ -63,36 +55,27 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
     missed = np.abs(divided_by_diffusion(flux, c.diffusion)).reshape(points.shape)
     missed[w < np.exp(-RISE) * w.max()] = 0.0
     # Twice, as p is normalised: a factor in one place is a factor everywhere else.
-    wrong = 2.0 * sum(float(missed[..., k].max(axis=1 - k) @ steps[k]) for k in (0, 1))
+    wrong = 2.0 * float(missed[..., 0].max(axis=1) @ v + missed[..., 1].max(axis=0) @ area)
     if not wrong <= 0.5 * tol:
         return None
-    p = _constant(nodes, weight, 1.0 / float(np.sum(w * area)))
-    quarters = tuple(
+    first, second = (
         np.interp(np.arange(QUARTERS * (x.size - 1) + 1), QUARTERS * np.arange(x.size), x)
         for x in nodes
     )
-    answer = _constant((quarters[0], quarters[1]), weight, 1.0 / float(np.sum(w * area)))
-    tail = float(tails(p, RULE).sum())
-    mass = float(np.sum(gauss_weights(nodes, RULE - 2) * p.at_gauss(RULE - 2)))
+    counts = (first.size - 1, second.size - 1)
+    u = PiecewiseTensor((first, second), np.full((*counts, 1, 1), 1.0 / mass))
+    tail = float(tails(w / mass, (x, y), (v, area), POINTS).sum())
+    (x, y), (v, area) = gauss_grid(nodes, POINTS - 2)
+    p = weight(x[:, None], y) / mass
+    mass_defect = abs(float(v @ p @ area) - 1.0)
+    rounding = ROUND_OFF * float(v @ (p * weight.terms(x[:, None], y)) @ area)
     terms = np.abs(flow) * w.reshape(-1, 1)
-    rounding = float(np.sum(share * answer.rounding(H1[:, None], H2)))
     measured = Measured(
-        l1_error=wrong + 2.0 * tail + abs(mass - 1.0) + rounding,
-        mass_defect=abs(mass - 1.0),
+        l1_error=wrong + 2.0 * tail + mass_defect + rounding,
+        mass_defect=mass_defect,
         minimum=float(w.min() / w.max()),
         residual=float(np.max(np.abs(flux) * w.reshape(-1, 1)) / terms.max()),
         tail_mass=tail,
     )
-    relative = wrong + tail + abs(mass - 1.0)
-    return PlaneSolution(process, answer, answer, relative, measured, certify(measured, tol=tol))
-
-
-def _line_weights(nodes: Array) -> Array:
-    """Quadrature weights along one axis that go with degree ``RULE``."""
-    return np.asarray(np.multiply.outer(np.diff(nodes), gauss_rule(RULE)[1]).ravel())
-
-
-def _constant(nodes: Nodes, weight: Weight, factor: float) -> WeightedPolynomial:
-    """p = factor · w on the panels between ``nodes``."""
-    panels = (nodes[0].size - 1, nodes[1].size - 1)
-    return WeightedPolynomial(PiecewiseTensor(nodes, np.full((*panels, 1, 1), factor)), weight)
+    relative, certificate = wrong + tail + mass_defect, certify(measured, tol=tol)
+    return PlaneSolution(process, u, u, weight, relative, measured, certificate)

@@ -1,8 +1,7 @@
 """Static condensation of tensor elements, and the null vector of the condensed system."""
 
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,23 +60,16 @@ def _axis_numbers(elements: int, degree: int) -> Integers:
     return np.hstack([vertex, bubbles])
 
 
-@dataclass(frozen=True, eq=False)
-class NullVector:
-    """Coefficients (elements, (degree+1)²) of the stationary density with mass 1.
-
-    ``residual`` is the largest entry of the global system relative to the terms that cancel in it.
-    """
-
-    coefficients: Array
-    residual: float
-
-
-def null_vector(matrices: Array, masses: Array, counts: tuple[int, int], degree: int) -> NullVector:
-    """Return the null vector of the assembled element ``matrices``, scaled by ``masses``.
+def null_vector(
+    matrices: Array, masses: Array, counts: tuple[int, int], degree: int
+) -> tuple[Array, float]:
+    """Return the null vector of the assembled element ``matrices``, of mass 1, and its residual.
 
     ``masses`` (elements, m) are the integrals of the shape functions; these and the matrices come
-    in ``local_order``, coefficients are returned in that of their products. The unknowns inside
-    every element are eliminated first. Raises ``LinAlgError`` where the rest is singular.
+    in ``local_order``, coefficients (elements, m) are returned in that of their products. The
+    residual is the largest of the global system relative to the terms that cancel in it. The
+    unknowns inside every element are eliminated first. Raises ``LinAlgError`` where the rest is
+    singular.
     """
     order, n = local_order(degree)
     outer, mass = matrices[:, :n, :n], masses[:, :n]
@@ -92,7 +84,10 @@ def null_vector(matrices: Array, masses: Array, counts: tuple[int, int], degree:
     coefficients = np.empty(masses.shape)
     coefficients[:, order[:n]] = local
     coefficients[:, order[n:]] = (fold @ local[:, :, None])[:, :, 0]
-    return NullVector(coefficients, _residual(outer, local[:, :, None], edges))
+    numbers, column = edges.numbers.ravel(), local[:, :, None]
+    total = np.bincount(numbers, (outer @ column).ravel())
+    terms = np.bincount(numbers, (np.abs(outer) @ np.abs(column)).ravel())
+    return coefficients, float(np.max(np.abs(total)) / np.max(terms))
 
 
 def _solve(outer: Array, edges: Skeleton) -> Array:
@@ -109,29 +104,17 @@ def _solve(outer: Array, edges: Skeleton) -> Array:
     for _ in range(2):
         rest = np.delete(np.arange(size), vertex)
         x = np.ones(size)
-        x[rest] = _sparse_solve(matrix[rest], rest, vertex)
+        try:
+            factors = splu(
+                matrix[rest][:, rest].tocsc(),
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=PIVOT,
+                options={"SymmetricMode": True},
+            )
+        except RuntimeError as error:  # what SuperLU raises for a singular matrix
+            raise np.linalg.LinAlgError(str(error)) from None
+        x[rest] = factors.solve(-matrix[rest][:, [vertex]].toarray()[:, 0])
         vertex = int(edges.vertices[np.argmax(np.abs(x[edges.vertices]))])
         if np.abs(x[vertex]) * DWARFED <= 1.0:
             break
     return x
-
-
-def _sparse_solve(matrix: Any, rest: Integers, vertex: int) -> Array:
-    right = -matrix[:, [vertex]].toarray()[:, 0]
-    try:
-        factors = splu(
-            matrix[:, rest].tocsc(),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=PIVOT,
-            options={"SymmetricMode": True},
-        )
-    except RuntimeError as error:  # what SuperLU raises for a singular matrix
-        raise np.linalg.LinAlgError(str(error)) from None
-    return np.asarray(factors.solve(right))
-
-
-def _residual(outer: Array, local: Array, edges: Skeleton) -> float:
-    numbers, size = edges.numbers.ravel(), edges.size
-    total = np.bincount(numbers, (outer @ local).ravel(), minlength=size)
-    terms = np.bincount(numbers, (np.abs(outer) @ np.abs(local)).ravel(), minlength=size)
-    return float(np.max(np.abs(total)) / np.max(terms))

@@ -5,7 +5,6 @@ The weak form of (19) with zero flux at infinity is ``∫ J · ∇v = 0`` for al
 elements; every sum over two-dimensional quadrature points is done one direction at a time.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -13,7 +12,6 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from fpk.plane.condensation import local_order
-from fpk.plane.mesh import Nodes
 from fpk.plane.weight import Weight
 from fpk.process import Process
 from fpk.quadrature import gauss_legendre
@@ -35,88 +33,52 @@ def shape_functions(degree: int, t: Array) -> tuple[Array, Array]:
     return values, slopes
 
 
-def gauss_rule(degree: int) -> tuple[Array, Array]:
-    """Return the Gauss points and weights on [0, 1] that go with elements of ``degree``."""
-    x, w = gauss_legendre(degree + 2)
-    return 0.5 * (1.0 + x), 0.5 * w
+def by_element(values: Array, counts: tuple[int, int]) -> Array:
+    """Return values (…, points along H1, along H2) element by element (…, elements, q, q).
 
-
-@lru_cache
-def shapes_at_gauss(degree: int, rule: int) -> tuple[Array, Array]:
-    """Return the shape functions of ``degree`` and slopes at the Gauss points of ``rule``."""
-    return shape_functions(degree, gauss_rule(rule)[0])
-
-
-@dataclass(frozen=True, eq=False)
-class PlaneCoefficients:
-    """``J_i = a_i u − ½ b_ij ∂_j u`` at the Gauss points of all elements.
-
-    Each (elements, points, points), the points along H1 first.
+    The elements, ``counts`` along each axis, run along H2 fastest.
     """
-
-    a1: Array
-    a2: Array
-    b11: Array
-    b12: Array
-    b22: Array
+    *more, first, second = values.shape
+    blocks = values.reshape(*more, counts[0], first // counts[0], counts[1], second // counts[1])
+    blocks = np.moveaxis(blocks, -3, -2)
+    return np.ascontiguousarray(blocks).reshape(*more, -1, *blocks.shape[-2:])
 
 
-def gauss_energies(nodes: Nodes, rule: int) -> tuple[Array, Array]:
-    """Return the Gauss energies of the elements along each axis, (elements, points) each."""
-    t, _ = gauss_rule(rule)
-    first, second = (x[:-1, None] + np.diff(x)[:, None] * t for x in nodes)
-    return first, second
-
-
-def by_element(values: Array, first: int, second: int) -> Array:
-    """Return values on the grid of the Gauss energies of (first, second) elements by element.
-
-    (points of all elements along H1, along H2) becomes (elements, points, points), the elements
-    running along H2 fastest.
-    """
-    blocks = values.reshape(first, len(values) // first, second, -1).transpose(0, 2, 1, 3)
-    return np.asarray(blocks.reshape(first * second, *blocks.shape[2:]))
-
-
-def coefficients_at(
-    process: Process, nodes: Nodes, rule: int, weight: Weight | None
-) -> tuple[PlaneCoefficients, Array]:
-    """Return the coefficients of the equation for u, and w, at the Gauss points of ``rule``.
+def coefficients_on_grid(
+    process: Process, H1: Array, H2: Array, weight: Weight | None
+) -> tuple[Array, Array]:
+    """Return a_1, a_2, b_11, b_12, b_22 (5, H1.size, H2.size) of ``J_i = a_i u − ½ b_ij ∂_j u``.
 
     With p = w u, w = exp(−Φ), the flux is ``J_i = w (s_i − ½ ∂_j b_ij + ½ b_ij ∂_j Φ) u
-    − ½ w b_ij ∂_j u``; w = 1 without a ``weight``.
+    − ½ w b_ij ∂_j u``; w = 1 without a ``weight``. Returned, too, is w.
     """
-    energies = gauss_energies(nodes, rule)
-    counts = len(energies[0]), len(energies[1])
-    H1, H2 = (H.ravel() for H in energies)
     shape = H1.size, H2.size
     points = np.empty((*shape, 2))
     points[..., 0], points[..., 1] = H1[:, None], H2
     c = process.coefficients(points.reshape(-1, 2))
-    drift = (c.drift - 0.5 * c.divergence).reshape(*shape, 2)
+    out = np.empty((5, *shape))
+    out[:2] = (c.drift - 0.5 * c.divergence).T.reshape(2, *shape)
     b = c.diffusion.reshape(*shape, 2, 2)
-    a1, a2, b11, b12, b22 = drift[..., 0], drift[..., 1], b[..., 0, 0], b[..., 0, 1], b[..., 1, 1]
-    w = np.ones(shape)
-    if weight is not None:
-        w, first, second = weight.on_grid(H1, H2)
-        a1 = w * (a1 + 0.5 * (b11 * first + b12 * second))
-        a2 = w * (a2 + 0.5 * (b12 * first + b22 * second))
-        b11, b12, b22 = w * b11, w * b12, w * b22
-    at_gauss = (by_element(x, *counts) for x in (a1, a2, b11, b12, b22))
-    return PlaneCoefficients(*at_gauss), by_element(w, *counts)
+    out[2], out[3], out[4] = b[..., 0, 0], b[..., 0, 1], b[..., 1, 1]
+    if weight is None:
+        return out, np.ones(shape)
+    w, first, second = weight.on_grid(H1, H2)
+    out[0] += 0.5 * (out[2] * first + out[3] * second)
+    out[1] += 0.5 * (out[3] * first + out[4] * second)
+    return w * out, w
 
 
 @lru_cache
-def _products(degree: int, rule: int) -> tuple[Array, Array, Array, Array]:
+def _products(degree: int, points: int) -> tuple[Array, Array, Array, Array]:
     """Weighted products of test and trial functions at Gauss points, (points, (degree+1)²) each.
 
     Order: value·value, slope·value, value·slope, slope·slope (test first), on the unit interval.
     """
-    _, w = gauss_rule(rule)
-    phi, dphi = shapes_at_gauss(degree, rule)
+    t, w = gauss_legendre(points)
+    phi, dphi = shape_functions(degree, 0.5 * (1.0 + t))
     pairs = [(phi, phi), (dphi, phi), (phi, dphi), (dphi, dphi)]
     vv, sv, vs, ss = (
-        np.einsum("q,iq,jq->qij", w, test, trial).reshape(w.size, -1) for test, trial in pairs
+        np.einsum("q,iq,jq->qij", 0.5 * w, test, trial).reshape(points, -1) for test, trial in pairs
     )
     return vv, sv, vs, ss
 
@@ -132,23 +94,25 @@ def _places(degree: int) -> NDArray[np.int64]:
     return np.asarray((i[:, None] * k + i) * k * k + m[:, None] * k + m).ravel()
 
 
-def element_matrices(c: PlaneCoefficients, sizes: Array, degree: int, rule: int) -> Array:
+def element_matrices(coefficients: Array, sizes: Array, degree: int) -> Array:
     """Return the element matrices (elements, m, m), m = (degree+1)², test functions first.
 
-    ``sizes`` (elements, 2) are the lengths along H1 and H2, ``rule`` the one of ``c``. The local
-    number of φ_i ψ_k is i(degree+1)+k; they come in ``local_order``.
+    ``coefficients`` (5, elements, q, q) are those of ``coefficients_on_grid`` at Gauss points,
+    ``sizes`` (elements, 2) the lengths along H1 and H2. The local number of φ_i ψ_k is
+    i(degree+1)+k; they come in ``local_order``.
     """
-    vv, sv, vs, ss = _products(degree, rule)
+    a1, a2, b11, b12, b22 = coefficients
+    vv, sv, vs, ss = _products(degree, a1.shape[-1])
     h1, h2 = sizes[:, 0, None, None], sizes[:, 1, None, None]
     # Along H2 first: for every Gauss point of H1 a small matrix over (k, l).
-    slope_slope = (-0.5 * h2 / h1 * c.b11) @ vv
-    slope_value = (h2 * c.a1) @ vv
-    value_value = (h1 * c.a2) @ sv + (-0.5 * h1 / h2 * c.b22) @ ss
+    slope_slope = (-0.5 * h2 / h1 * b11) @ vv
+    slope_value = (h2 * a1) @ vv
+    value_value = (h1 * a2) @ sv + (-0.5 * h1 / h2 * b22) @ ss
     outer, inner = [ss, sv, vv], [slope_slope, slope_value, value_value]
-    if np.any(c.b12):
-        inner[1] += (-0.5 * c.b12) @ vs
+    if np.any(b12):
+        inner[1] += (-0.5 * b12) @ vs
         outer.append(vs)
-        inner.append((-0.5 * c.b12) @ sv)
+        inner.append((-0.5 * b12) @ sv)
     factors, places = np.concatenate(outer).T, _places(degree)
     m = (degree + 1) ** 2
     matrices = np.empty((len(sizes), m, m))

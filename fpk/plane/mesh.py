@@ -6,7 +6,6 @@ from numpy.typing import NDArray
 from fpk.plane.probe import PROBE, Probe
 
 Array = NDArray[np.float64]
-Nodes = tuple[Array, Array]
 
 LATTICE = 512
 """Equal parts of an axis on whose ends nodes are placed at first."""
@@ -46,7 +45,7 @@ def axis_nodes(probe: Probe, axis: int, *, tail: float, tol: float, degree: int)
         too_long = np.flatnonzero(error > allowed)
         at += max(int(too_long[0]), 1) if too_long.size else LATTICE - at
         cuts.append(at)
-    return np.asarray(_evened(np.array(cuts, float)) * lattice[1])
+    return lattice[cuts]
 
 
 def _log_derivative(slope: Array, bend: Array, k: int) -> Array:
@@ -60,17 +59,6 @@ def _log_derivative(slope: Array, bend: Array, k: int) -> Array:
     radius = 2.0 * k / (g + np.sqrt(np.maximum(g * g - 4.0 * k * c, 0.0)))
     far = g * radius - 0.5 * c * radius**2 - k * np.log(radius)
     return np.asarray(np.where(top, near, far))
-
-
-def _evened(cuts: Array) -> Array:
-    """The cuts, moved so that the last interval, the remainder, is as long as the others."""
-    if cuts.size == 2:
-        return cuts
-    longest = cuts[-2] + (cuts[-2] - cuts[-3])
-    units = cuts.size - 2 + min(1.0, (cuts[-1] - cuts[-2]) / (longest - cuts[-2]))
-    places = np.linspace(0.0, units, cuts.size)
-    inner = np.interp(places[:-1], np.arange(cuts.size), [*cuts[:-1], max(longest, cuts[-1])])
-    return np.append(inner, cuts[-1])
 
 
 def bisected(nodes: Array, marked: NDArray[np.bool_]) -> Array:

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from fpk.certificate import NEGATIVE
 from fpk.errors import NotCertified
-from fpk.plane.mesh import Nodes, axis_nodes, bisected, lengthened
-from fpk.plane.on_mesh import ENRICHMENT, solve_plane_on_mesh, tails
+from fpk.plane.elements import by_element
+from fpk.plane.mesh import axis_nodes, bisected, lengthened
+from fpk.plane.on_mesh import ENRICHMENT, solve_plane_on_mesh
 from fpk.plane.probe import Probe
-from fpk.plane.solution import PlaneSolution
-from fpk.plane.weighted import WeightedPolynomial
+from fpk.plane.solution import Nodes, PlaneSolution, gauss_grid, tails
 from fpk.process import Process
 
+Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 DEGREE_PER_DIGIT = 1.6
@@ -69,15 +70,17 @@ def solve_by_elements(
 
 def _refined(solution: PlaneSolution, tol: float, *, fixed: bool) -> tuple[Nodes, int]:
     """The next mesh and degree."""
-    nodes, degree = solution.nodes, solution.answer.degree
-    mass = tails(solution.answer, degree)
+    nodes, degree = solution.nodes, solution.degree
+    energies, weights = gauss_grid(nodes, degree + 2)
+    p = solution.density(energies[0][:, None], energies[1])
+    mass = tails(p, energies, weights, degree + 2)
     beyond = mass > 0.1 * tol
     near = solution.l1_error - 2.0 * float(mass.sum()) <= NEARLY * tol
     if near and not fixed and not np.any(beyond) and degree + 2 <= MAX_DEGREE:
         return nodes, degree + 2
     first, second = nodes
     if not near or not np.any(beyond):
-        marked = _too_coarse(solution.answer)
+        marked = _too_coarse(solution, p)
         first, second = bisected(first, marked[0]), bisected(second, marked[1])
     first = lengthened(first) if beyond[0] else first
     second = lengthened(second) if beyond[1] else second
@@ -89,12 +92,14 @@ def _affordable(nodes: Nodes, degree: int) -> bool:
     return bool(elements * (degree + ENRICHMENT + 1) ** 4 <= MAX_ENTRIES)
 
 
-def _too_coarse(p: WeightedPolynomial) -> tuple[Flags, Flags]:
-    """Intervals whose highest modes hold too much, at least the worst one, or where p < 0."""
-    area = np.multiply.outer(*(np.diff(x) for x in p.nodes))
-    size = np.abs(p.u.coefficients) * area[:, :, None, None]
+def _too_coarse(solution: PlaneSolution, p: Array) -> tuple[Flags, Flags]:
+    """Intervals whose highest modes hold too much, at least the worst one, or where ``p`` < 0.
+
+    p is on the grid of the Gauss points.
+    """
+    area = np.multiply.outer(*(np.diff(x) for x in solution.nodes))
+    size = np.abs(solution.u.coefficients) * area[:, :, None, None]
     first, second = size[:, :, -2:].sum(axis=(1, 2, 3)), size[..., -2:].sum(axis=(0, 2, 3))
     limit = 0.1 * max(first.max(), second.max())
-    values = p.at_gauss(p.degree)
-    negative = (values.min(axis=(1, 2)) < NEGATIVE * values.max()).reshape(area.shape)
+    negative = by_element(p < NEGATIVE * p.max(), area.shape).any(axis=(1, 2)).reshape(area.shape)
     return (first > limit) | negative.any(axis=1), (second > limit) | negative.any(axis=0)

@@ -1,33 +1,39 @@
-"""A stationary density of two energies, with the estimate of its error and its certificate."""
+"""A stationary density of two energies p = w u, with the estimate of its error."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.certificate import Certificate, Measured, certify
-from fpk.plane.mesh import Nodes
-from fpk.plane.weighted import WeightedPolynomial
+from fpk.certificate import Certificate, Measured
+from fpk.piecewise import PiecewiseTensor
+from fpk.plane.weight import Weight
 from fpk.process import Process
+from fpk.quadrature import panel_rule
 
 Array = NDArray[np.float64]
+Nodes = tuple[Array, Array]
 
 SAFETY = 2.0
 """Factor on the distance to the enriched solution: at an algebraic singularity that one keeps part
 of the error."""
+ROUND_OFF = 4e-16
+"""Relative round-off of a sum of shape functions, per square of their degree."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneSolution:
-    """Density p(H1, H2), what was measured on it, and its certificate.
+    """Density p(H1, H2) = w u, what was measured on it, and its certificate.
 
-    ``enriched`` is the solution of a higher degree that the error estimate compares with;
-    ``relative_error`` of p comes from what lies outside the mesh and from the integral of p.
+    u is a continuous piecewise polynomial, w = 1 without a ``weight``. ``enriched`` is the u of a
+    higher degree that the error estimate compares with; ``relative_error`` of p comes from what
+    lies outside the mesh and from the integral of p.
     """
 
     process: Process
-    answer: WeightedPolynomial
-    enriched: WeightedPolynomial
+    u: PiecewiseTensor
+    enriched: PiecewiseTensor
+    weight: Weight | None
     relative_error: float
     measured: Measured
     certificate: Certificate
@@ -40,63 +46,62 @@ class PlaneSolution:
     @property
     def nodes(self) -> Nodes:
         """Energies along H1 and H2 between which p_h is smooth; the last is its end."""
-        return self.answer.nodes
+        return self.u.nodes
+
+    @property
+    def degree(self) -> int:
+        """Degree of u along each axis."""
+        return int(self.u.coefficients.shape[-1]) - 1
 
     @property
     def unknowns(self) -> int:
-        """Number of unknowns solved for."""
-        return self.answer.unknowns
+        """Degrees of freedom of the global finite element space."""
+        first, second = ((x.size - 1) * self.degree + 1 for x in self.nodes)
+        return first * second
 
     def density(self, H1: Array, H2: Array) -> Array:
         """p_h at energies that broadcast together; 0 outside the nodes."""
-        return self.answer(H1, H2)
+        return weighted(self.u, self.weight, H1, H2)
+
+    def enriched_density(self, H1: Array, H2: Array) -> Array:
+        """p of the enriched solution at energies that broadcast together; 0 outside its nodes."""
+        return weighted(self.enriched, self.weight, H1, H2)
 
     def pointwise_error(self, H1: Array, H2: Array) -> Array:
         """Estimate of |p_h − p| at energies that broadcast together."""
         x, y = np.asarray(H1, float), np.asarray(H2, float)
-        p = self.answer(x, y)
-        relative = self.relative_error + self.answer.rounding(x, y)
-        return np.asarray(SAFETY * np.abs(p - self.enriched(x, y)) + relative * np.abs(p))
+        p = self.density(x, y)
+        relative = self.relative_error + ROUND_OFF * self.degree**2
+        if self.weight is not None:
+            relative = relative + ROUND_OFF * self.weight.terms(x, y)
+        return np.asarray(SAFETY * np.abs(p - self.enriched_density(x, y)) + relative * np.abs(p))
 
 
-def mass_beyond(H: Array, along: Array) -> float:
-    """Mass beyond the last of the energies ``H`` of the last panel, from the marginal ``along``.
+def weighted(u: PiecewiseTensor, weight: Weight | None, H1: Array, H2: Array) -> Array:
+    """Return w u at energies that broadcast together."""
+    values = u(H1, H2)
+    return values if weight is None else values * weight(np.asarray(H1), np.asarray(H2))
 
-    The marginal is continued at half its logarithmic slope over that panel, as the slope may drop
-    with the energy. Infinite where the marginal does not fall over the panel.
+
+def gauss_grid(nodes: Nodes, points: int) -> tuple[Nodes, Nodes]:
+    """Return the energies along each axis at the Gauss points of all panels, and their weights."""
+    (x, v), (y, w) = (panel_rule(n, points) for n in nodes)
+    return (x.ravel(), y.ravel()), (v.ravel(), w.ravel())
+
+
+def tails(p: Array, energies: Nodes, weights: Nodes, points: int) -> Array:
+    """Return estimates of the mass beyond each far edge (2,) from p on a grid of Gauss points.
+
+    ``points`` of each axis belong to the last panel. There the marginal is continued at half its
+    logarithmic slope, as the slope may drop with the energy; the mass is infinite where it does not
+    fall.
     """
-    low, high = float(along[0]), float(along[-1])
-    if not high < low:
-        return np.inf
-    return high * float(H[-1] - H[0]) / (0.5 * np.log(low / high)) if high > 0.0 else 0.0
-
-
-def assessed(
-    process: Process,
-    answer: WeightedPolynomial,
-    enriched: WeightedPolynomial,
-    values: tuple[Array, Array, Array],
-    *,
-    tol: float,
-    tail: float,
-    rounding: float,
-    residual: float,
-) -> PlaneSolution:
-    """Return ``answer`` with the estimate of its L1 error and its certificate.
-
-    ``values``: p, the enriched p and quadrature weights at the same points; ``tail`` the mass
-    beyond the mesh, which is missing there and too much elsewhere, as p has mass 1; ``rounding``
-    the L1 norm of the round-off of p, ``residual`` that of the algebraic equations.
-    """
-    p, better, weights = values
-    distance = float(np.sum(weights * np.abs(p - better)))
-    mass_defect = abs(float(np.sum(weights * p)) - 1.0)
-    relative = tail + mass_defect
-    measured = Measured(
-        l1_error=SAFETY * distance + tail + relative + rounding,
-        mass_defect=mass_defect,
-        minimum=float(p.min() / p.max()),
-        residual=residual,
-        tail_mass=tail,
-    )
-    return PlaneSolution(process, answer, enriched, relative, measured, certify(measured, tol=tol))
+    beyond = np.zeros(2)
+    for axis, marginal in enumerate((p @ weights[1], weights[0] @ p)):
+        H, along = energies[axis][-points:], np.abs(marginal[-points:])
+        low, high = float(along[0]), float(along[-1])
+        if not high < low:
+            beyond[axis] = np.inf
+        elif high > 0.0:
+            beyond[axis] = high * float(H[-1] - H[0]) / (0.5 * np.log(low / high))
+    return beyond

@@ -119,7 +119,7 @@ def weight_of(solution: PlaneSolution) -> Weight | None:
     # First on the whole mesh, to see how far p is known; then on the box in which it is.
     for _ in range(2):
         x, y = (np.linspace(0.0, end, SAMPLES) for end in ends)
-        p, better = (f(x[:, None], y) for f in (solution.answer, solution.enriched))
+        p, better = (f(x[:, None], y) for f in (solution.density, solution.enriched_density))
         known = (p > 0.0) & (better > 0.0) & (np.abs(p - better) < KNOWN * better)
         known &= better > np.exp(-rise) * better.max()
         if not known.any():

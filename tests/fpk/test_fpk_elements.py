@@ -9,9 +9,9 @@ from skfem import Basis, BilinearForm, ElementLineP1, ElementLineP2, ElementLine
 from skfem.helpers import dot, grad
 
 from averaging.energy_process import energy_process
-from fpk.plane.elements import shape_functions
 from fpk.line.elements import element_rule
 from fpk.line.stationary import solve_on_mesh
+from fpk.plane.elements import shape_functions
 
 FORMS = ["flux", "drift-diffusion"]
 

@@ -87,14 +87,3 @@ def test_a_tensor_at_points_and_on_a_grid():
     np.testing.assert_allclose(f(X[:, None], y[:50]), grid, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(f(X, y[:50, None]), grid.T, rtol=1e-9, atol=1e-9)
     assert np.array_equal(f([-1.0, 1.0, 7.0], [1.0, 9.0, 1.0]), np.zeros(3))
-
-
-def test_slopes_marginals_and_the_integral_of_a_tensor():
-    f, y = tensor(), X[::-1]
-    slopes = np.cos(X) * np.exp(y), np.sin(X) * np.exp(y)
-    for axis in (0, 1):
-        np.testing.assert_allclose(f.derivative(axis)(X, y), slopes[axis], rtol=1e-7, atol=1e-6)
-    parts = 1.0 - np.cos(6.0), np.expm1(6.0)
-    np.testing.assert_allclose(f.marginal(0)(X), np.sin(X) * parts[1], atol=1e-10)
-    np.testing.assert_allclose(f.marginal(1)(X), np.exp(X) * parts[0], atol=1e-10)
-    assert f.integral() == pytest.approx(parts[0] * parts[1], rel=1e-13)

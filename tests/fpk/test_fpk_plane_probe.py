@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from test_fpk_plane import manufactured
 
 from fpk.errors import NotCertified
-from fpk.plane.elements import by_element, coefficients_at, gauss_energies
+from fpk.plane.elements import by_element, coefficients_on_grid
 from fpk.plane.probe import AXIS, PROBE, probed
 from fpk.plane.weight import Weight, fits
 from fpk.process import Process
@@ -17,22 +17,24 @@ WEIGHT = Weight(np.array([[0.0, 1.2, 0.1], [0.8, 0.2, 0.0], [0.05, 0.0, 0.0]]), 
 
 
 def test_coefficients_at_gauss_points_are_those_of_their_formulas() -> None:
-    nodes = np.array([0.0, 0.7, 2.0]), np.array([0.0, 1.0, 1.5, 3.0])
-    c, w = coefficients_at(PROCESS, nodes, 3, WEIGHT)
-    first, second = gauss_energies(nodes, 3)
-    x, y = np.meshgrid(first, second, indexing="ij")
-    H = np.stack([x, y], axis=-1).reshape(-1, 2)
+    c, w = coefficients_on_grid(PROCESS, X, Y, WEIGHT)
+    H = np.stack(np.meshgrid(X, Y, indexing="ij"), axis=-1).reshape(-1, 2)
     at = PROCESS.coefficients(H)
-    value, *slopes = WEIGHT.on_grid(first.ravel(), second.ravel())
+    value, *slopes = WEIGHT.on_grid(X, Y)
     slope = np.stack(slopes, axis=-1).reshape(-1, 2)
     a = at.drift - 0.5 * at.divergence + 0.5 * np.einsum("nij,nj->ni", at.diffusion, slope)
     b = at.diffusion
     expected = (a[:, 0], a[:, 1], b[:, 0, 0], b[:, 0, 1], b[:, 1, 1])
-    for got, values in zip((c.a1, c.a2, c.b11, c.b12, c.b22), expected, strict=True):
-        values = values.reshape(value.shape) * value
-        assert_allclose(got, by_element(values, 2, 3), rtol=1e-12, atol=1e-15)
-    # Elements run along H2 fastest, the points of one along H1 first.
-    assert_allclose(w[1, 2, 4], WEIGHT(first[0, 2], second[1, 4]), rtol=1e-13)
+    for got, values in zip(c, expected, strict=True):
+        assert_allclose(got, values.reshape(value.shape) * value, rtol=1e-12, atol=1e-15)
+    assert_allclose(w[2, 4], WEIGHT(X[2], Y[4]), rtol=1e-13)
+
+
+def test_elements_run_along_the_second_energy_fastest() -> None:
+    grid = np.arange(2.0 * 3 * 3 * 4).reshape(6, 12)
+    blocks = by_element(grid, (2, 3))
+    assert blocks.shape == (6, 3, 4)
+    assert np.array_equal(blocks[4], grid[3:6, 4:8])
 
 
 def test_slopes_without_flux_are_those_of_a_linear_system() -> None:

@@ -21,11 +21,11 @@ from test_fpk_plane import (
 )
 
 from fpk.errors import NotCertified
-from fpk.plane import on_mesh, plain, spectral, stationary
+from fpk.plane import plain, spectral, stationary
 from fpk.plane.balance import detailed_balance
+from fpk.plane.on_mesh import solve_plane_on_mesh
 from fpk.plane.plain import solve_by_elements
 from fpk.plane.probe import probed
-from fpk.plane.solution import assessed
 from fpk.plane.spectral import solve_with_weight
 from fpk.plane.stationary import PlaneSolution, solve_plane
 from fpk.plane.weight import Weight, fitted_weight, flux_free_weight
@@ -78,7 +78,7 @@ def test_strong_circulation_takes_a_weight_on_a_few_elements(tol: float) -> None
     process = one_sided(*STRONG)
     found = solve_plane(process, tol=tol)
     assert_strictly_certified(found)
-    assert found.answer.weight is not None
+    assert found.weight is not None
     # Without a weight the elements take p to 1e-7 where they need not be positive.
     plain = solve_by_elements(process, probed(process), tol=1e-7, degree=None, strict=False)
     assert plain.l1_error <= 1e-7
@@ -110,7 +110,7 @@ def test_weighted_elements_converge_in_the_elements_with_their_order() -> None:
     errors, counts = [], (8, 12, 18, 27)
     for count in counts:
         nodes = (np.linspace(0.0, 5.0, count + 1), np.linspace(0.0, 4.0, count + 1))
-        solution = on_mesh.solve_plane_on_mesh(process, nodes, 3, weight=weight)
+        solution = solve_plane_on_mesh(process, nodes, 3, weight=weight)
         errors.append(l1_error(solution, log_p, beyond=1.0))
     orders = np.log(np.array(errors[:-1]) / errors[1:]) / np.log(np.divide(counts[1:], counts[:-1]))
     assert_allclose(orders, 4.0, atol=0.15)
@@ -122,7 +122,7 @@ def test_values_on_a_grid_are_those_at_its_points() -> None:
     assert weight is not None
     nodes = np.array([0.0, 0.4, 1.5, 5.0]), np.array([0.0, 1.0, 4.0])
     for w in (None, weight):
-        p = on_mesh.solve_plane_on_mesh(process, nodes, 6, weight=w).answer
+        p = solve_plane_on_mesh(process, nodes, 6, weight=w).density
         x, y = np.linspace(-0.5, 5.5, 25), np.linspace(-0.5, 4.5, 17)
         at_points = p(*(a.ravel() for a in np.meshgrid(x, y, indexing="ij"))).reshape(25, 17)
         for grid in (p(x[:, None], y), p(x[:, None], y[None]), p(x, y[:, None]).T):
@@ -138,7 +138,7 @@ def test_any_weight_gives_the_same_density(tilt: float) -> None:
     nodes = tuple(end * np.linspace(0.0, 1.0, 5) ** 2 for end in weight.ends(36.0))
     errors = []
     for degree in (4, 8, 12, 16):
-        solution = on_mesh.solve_plane_on_mesh(process, (nodes[0], nodes[1]), degree, weight=weight)
+        solution = solve_plane_on_mesh(process, (nodes[0], nodes[1]), degree, weight=weight)
         x, y = (np.linspace(0.0, H[-1], 400) for H in solution.nodes)
         p, p_h = np.exp(log_p(x[:, None], y)), solution.density(x[:, None], y)
         errors.append(np.abs(p_h - p_h.sum() / p.sum() * p).max())
@@ -278,10 +278,11 @@ def test_a_looser_tolerance_takes_no_more_attempts_and_no_more_work(
     attempts: list[PlaneSolution] = []
 
     def noted(*args: Any, **kwargs: Any) -> PlaneSolution:
-        attempts.append(assessed(*args, **kwargs))
+        attempts.append(solve_plane_on_mesh(*args, **kwargs))
         return attempts[-1]
 
-    monkeypatch.setattr(on_mesh, "assessed", noted)
+    for module in (plain, spectral):
+        monkeypatch.setattr(module, "solve_plane_on_mesh", noted)
     counts, work = [], []
     for tol in (1e-4, 1e-6, 1e-8, 1e-10):
         attempts.clear()
@@ -301,7 +302,7 @@ def test_without_any_weight_the_elements_obey_the_same_rule(
     monkeypatch.setattr(stationary, "weight_of", lambda _: None)
     process, log_p = COUPLED["Gibbs of H1 + H2"]
     solution = solve_plane(process, tol=1e-6)
-    assert solution.answer.weight is None
+    assert solution.weight is None
     assert_strictly_certified(solution)
     assert l1_error(solution, log_p) <= solution.l1_error <= 1e-6
 
