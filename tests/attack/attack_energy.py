@@ -203,7 +203,10 @@ class Graded:
         k = np.clip(np.searchsorted(self.nodes, flat, side="right") - 1, 0, self.nodes.size - 2)
         left, right = self.nodes[k], self.nodes[k + 1]
         t = np.clip((2.0 * flat - left - right) / (right - left), -1.0, 1.0)
-        value = self.below[k] + chebyshev.chebval(t, self.integral[:, k], tensor=False)
+        value = self.below[k]
+        for at in range(0, flat.size, 100_000):  # each point has coefficients of its own
+            part = slice(at, at + 100_000)
+            value[part] += chebyshev.chebval(t[part], self.integral[:, k[part]], tensor=False)
         # Beyond the end, which lies far out, the function is continued by its last value.
         value += self.slope * np.maximum(flat - self.nodes[-1], 0.0)
         return value.reshape(np.shape(x))
