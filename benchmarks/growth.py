@@ -50,7 +50,7 @@ def one_energy() -> str:
     system, rows = load_scene("fig6b").system, []
     for words, own in (("with contact", system), ("without", replace(system, contacts=()))):
         equation = energy_equation(own)
-        answers = [equation.by_tolerance[0].solver(tol) for tol in TOLERANCES]
+        answers = [equation.by_tolerance[0].solve(tol) for tol in TOLERANCES]
         distance = [errors(a, equation.reference)["L1"] for a in answers]
         rows += [
             [

@@ -81,7 +81,7 @@ class ConvergenceStudy:
                     for e, own in self.equations
                 ],
                 "without_contact": self.without_contact and self.without_contact.record(),
-                "schemes": [scheme.record() for scheme in self.schemes],
+                "schemes": [asdict(scheme) for scheme in self.schemes],
                 "samples": self.samples and asdict(self.samples),
                 "refusals": self.refusals,
                 "seconds": self.seconds,

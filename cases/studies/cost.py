@@ -1,7 +1,7 @@
 """The work-precision study of a scene: what each digit costs, by every route."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from time import perf_counter
 from typing import Any
@@ -114,16 +114,13 @@ class CostStudy:
 
     def record(self) -> dict[str, Any]:
         """Return the study as plain data."""
-        lists = ("not_timed", "laws", "models", "crossings")
+        lists = ("routes", "not_timed", "laws", "models", "crossings", "prices", "promises")
         record: dict[str, Any] = plain(
             {
                 "scene": self.scene.name,
-                "routes": [r.record() for r in self.routes],
                 **{key: [asdict(item) for item in getattr(self, key)] for key in lists},
                 "floors": self.floors,
                 "full_reference": self.full_reference,
-                "prices": [c.record() for c in self.prices],
-                "promises": [c.record() for c in self.promises],
                 "seconds": self.seconds,
                 "problems": self.problems,
             }
@@ -179,7 +176,7 @@ def study_cost(
 
 def candidates(equation: Equation) -> tuple[Discretisation, ...]:
     """Return the coarsest of every route: elements in h, and the routes by tolerance."""
-    by_tol = [replace(r, digits=STRIDE, stride=STRIDE) for r in equation.by_tolerance]
+    by_tol = [route.at(STRIDE, STRIDE) for route in equation.by_tolerance]
     return *(equation.elements(degree) for degree in DEGREES), *by_tol
 
 

@@ -10,9 +10,8 @@ from averaging.nonintegrable import NonIntegrable
 from averaging.polynomial_rate import averaged_density
 from averaging.quadrature import solve_by_quadrature
 from cases.studies.answer import Answer
-from cases.studies.levels import ByTolerance, Equation
+from cases.studies.levels import ByTolerance, Equation, Nodes
 from cases.studies.timing import Clock
-from fpk.density import Array
 from fpk.errors import NotApplicable
 from fpk.line.stationary import StationarySolution, solve_on_mesh, solve_stationary
 from fpk.observable import parse_observable
@@ -49,7 +48,7 @@ def energy_equation(
     # The mesh must reach as far as the true density does: it comes from the right process.
     end = probed(right).extent(BEYOND)
 
-    def coarsest(degree: int) -> tuple[Array, ...]:
+    def coarsest(degree: int) -> Nodes:
         inside = [H for H in right.nonsmooth if end > H]
         nodes = np.linspace(0.0, end, COARSEST.get(degree, 8) + 1)
         return (np.unique(np.concatenate([nodes, inside])),)

@@ -24,7 +24,6 @@ ROUND_OFF = 1e-15
 """Relative floor of any answer: a few rounding errors of its largest values."""
 COLUMNS = (*NORMS, *FUNCTIONALS)
 """Errors of a level in the order in which tables show them."""
-LEVEL_KEYS = ("size", "unknowns", "errors", "estimate", "functionals")
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +54,7 @@ class Ladder:
             "dimension": self.equation.dimension,
             "family": self.first.family,
             "degree": self.degree,
-            "levels": [{"label": v.settings, **v.record(LEVEL_KEYS)} for v in self.levels],
+            "levels": [{"label": v.settings, **asdict(v)} for v in self.levels],
             "verdicts": {key: asdict(v) for key, v in self.verdicts.items()},
             "grid": {key: asdict(g) for key, g in self.grid.items()},
         }
@@ -67,7 +66,7 @@ def ladders(equation: Equation, *, progress: Progress = silent) -> tuple[Ladder,
     plans: list[tuple[Discretisation, int]] = [
         *((equation.elements(degree), H_LEVELS[n]) for degree in H_DEGREES[n]),
         (equation.degrees(), len(P_DEGREES)),
-        (equation.by_tolerance[0], DIGITS),
+        (equation.by_tolerance[0].at(1), DIGITS),
     ]
     results = []
     for k, (first, count) in enumerate(plans):

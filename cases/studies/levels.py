@@ -4,10 +4,11 @@ A study is a loop: ``refined_levels`` solves, measures the error against the ref
 with ``refined()``. Convergence and cost differ in what they do with the levels only.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
 from math import exp, inf, nan, sqrt
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 
@@ -17,6 +18,10 @@ from fpk.density import Array
 from fpk.observable import Observable
 from fpk.route import Route
 
+Nodes = tuple[Array, ...]
+OnMesh = Callable[[Nodes, int], Answer]
+Work = Callable[[], Any]
+
 P_DEGREES = (1, 2, 3, 4, 6, 8, 10, 12)
 """Degrees of a sweep in p on one mesh."""
 
@@ -25,30 +30,26 @@ P_DEGREES = (1, 2, 3, 4, 6, 8, 10, 12)
 class Level:
     """One level of refinement or one setting of a route.
 
-    ``settings`` in words; ``errors`` by norm and moment, of a simulation the expected L1 alone;
-    ``stated`` is the answer's own estimate of its L1 error. ``distance`` is the L1 distance to the
-    reference and ``estimate`` the largest that both errors allow; ``size`` as in
-    ``observed_orders``. ``promised`` is the tolerance of a route that is given one: it holds for
-    every scene, where a number of elements is right for this one. ``modelled`` marks a setting
-    priced by the law of sampling, not run.
+    ``settings`` in words; ``error`` is the L1 error, of a simulation the expected one, and
+    ``errors`` those by norm and moment; ``stated`` is the answer's own estimate of its L1 error.
+    ``distance`` is the L1 distance to the reference and ``estimate`` the largest that both errors
+    allow; ``size`` as in ``observed_orders``. ``promised`` is the tolerance of a route that is
+    given one: it holds for every scene, where a number of elements is right for this one.
+    ``modelled`` marks a setting priced by the law of sampling, not run.
     """
 
     settings: str
-    errors: dict[str, float]
+    error: float
     stated: float
     timing: Timing
     distance: float = nan
     estimate: float = nan
     unknowns: int = 0
     size: float = nan
+    errors: dict[str, float] = field(default_factory=dict)
     functionals: dict[str, float] = field(default_factory=dict)
     promised: float = inf
     modelled: bool = False
-
-    @property
-    def error(self) -> float:
-        """The L1 error."""
-        return self.errors["L1"]
 
     @property
     def seconds(self) -> float:
@@ -60,94 +61,74 @@ class Level:
         """Whether the distance to the reference is allowed."""
         return self.distance <= self.estimate
 
-    def record(self, keys: Sequence[str]) -> dict[str, Any]:
-        """Return the fields and properties named as plain data."""
-        return {key: getattr(self, key) for key in keys}
-
 
 @dataclass(frozen=True, eq=False)
-class Elements:
-    """Elements of one degree on a mesh: refined in "h" by bisection, in "p" by ``P_DEGREES``.
+class Discretisation:
+    """What a study loops over: it solves, and gives itself one level finer.
 
-    Sizes are h = 2^−k, or exp(−p): the order then is the nats of error that one degree takes off.
+    ``name`` is that of the family in tables and legends, ``settings`` the level in words; in the
+    family "h" elements of ``degree`` are halved, in "p" the degree grows, in "tol" the tolerance
+    ``promised`` falls. ``size(answer)`` is h, or that of which a logarithm counts: exp(−p), whose
+    order is the nats of error that a degree takes off, and exp(−√N), that of a unit of √unknowns.
     """
 
-    on_mesh: Callable[[tuple[Array, ...], int], Answer]
-    nodes: tuple[Array, ...]
-    degree: int
-    family: Literal["h", "p"] = "h"
-    level: int = 0
+    name: str
+    family: Literal["h", "p", "tol"]
+    settings: str
+    solve: Callable[[], Answer]
+    refined: Callable[[], "Discretisation"]
+    size: Callable[[Answer], float]
+    degree: int | None = None
     promised: float = inf
 
-    @property
-    def name(self) -> str:
-        """The family in tables and legends."""
-        return f"elements of degree {self.degree}" if self.family == "h" else "p on a fixed mesh"
 
-    def settings(self, answer: Answer) -> str:
-        """The level in words."""
-        counts = " x ".join(str(x.size - 1) for x in self.nodes)
-        return f"{counts} elements" if self.family == "h" else f"p = {self.degree}"
+def elements(on_mesh: OnMesh, nodes: Nodes, degree: int, level: int = 0) -> Discretisation:
+    """Return elements of one degree, refined by bisection from the mesh of level 0 on."""
+    return Discretisation(
+        f"elements of degree {degree}",
+        "h",
+        " x ".join(str(x.size - 1) for x in nodes) + " elements",
+        solve=partial(on_mesh, nodes, degree),
+        refined=lambda: elements(on_mesh, bisected(nodes), degree, level + 1),
+        size=lambda answer: 2.0**-level,
+        degree=degree,
+    )
 
-    def size(self, answer: Answer) -> float:
-        """Relative size h of the elements, or exp(−p)."""
-        return 2.0**-self.level if self.family == "h" else exp(-self.degree)
 
-    def solve(self) -> Answer:
-        """Return the solution on this mesh."""
-        return self.on_mesh(self.nodes, self.degree)
-
-    def refined(self) -> Self:
-        """Return every element halved, or the next degree."""
-        level = self.level + 1
-        if self.family == "p":
-            return replace(self, degree=P_DEGREES[level], level=level)
-        return replace(self, nodes=tuple(map(bisected, self.nodes)), level=level)
+def degrees(on_mesh: OnMesh, nodes: Nodes, level: int = 0) -> Discretisation:
+    """Return elements on a fixed mesh, refined from degree to degree of ``P_DEGREES``."""
+    degree = P_DEGREES[level]
+    return Discretisation(
+        "p on a fixed mesh",
+        "p",
+        f"p = {degree}",
+        solve=partial(on_mesh, nodes, degree),
+        refined=lambda: degrees(on_mesh, nodes, level + 1),
+        size=lambda answer: exp(-degree),
+        degree=degree,
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class ByTolerance:
-    """A route that is given tol = 10^−``digits``, refined by ``stride`` digits.
-
-    ``words`` say how it discretises.
-    """
+    """A route whose ``solve`` is given a tolerance; ``words`` say how it discretises."""
 
     route: Route
-    solver: Callable[[float], Answer]
+    solve: Callable[[float], Answer]
     words: str
-    digits: int = 1
-    stride: int = 1
-    family: Literal["tol"] = "tol"
 
-    @property
-    def name(self) -> str:
-        """The family in tables and legends."""
-        return self.route.label
-
-    @property
-    def promised(self) -> float:
-        """The tolerance asked for."""
-        return 10.0**-self.digits
-
-    def settings(self, answer: Answer) -> str:
-        """The level in words."""
-        return f"tol = {self.promised:.0e}" + (f", {answer.variant}" if answer.variant else "")
-
-    def size(self, answer: Answer) -> float:
-        """exp(−√N): the order then is the nats of error that a unit of √unknowns takes off."""
-        return exp(-sqrt(answer.unknowns))
-
-    def solve(self) -> Answer:
-        """Return the answer to this tolerance."""
-        return self.solver(self.promised)
-
-    def refined(self) -> Self:
-        """Return the next tolerance."""
-        return replace(self, digits=self.digits + self.stride)
-
-
-Discretisation = Elements | ByTolerance
-Work = Callable[[], Any]
+    def at(self, digits: int, stride: int = 1) -> Discretisation:
+        """Return the route at 10^−``digits``, refined by ``stride`` digits."""
+        tol = 10.0**-digits
+        return Discretisation(
+            self.route.label,
+            "tol",
+            f"tol = {tol:.0e}",
+            solve=partial(self.solve, tol),
+            refined=lambda: self.at(digits + stride, stride),
+            size=lambda answer: exp(-sqrt(answer.unknowns)),
+            promised=tol,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,8 +145,8 @@ class Equation:
     observable: Observable
     reference: Answer
     reference_words: str
-    coarsest: Callable[[int], tuple[Array, ...]]
-    on_mesh: Callable[[tuple[Array, ...], int], Answer]
+    coarsest: Callable[[int], Nodes]
+    on_mesh: OnMesh
     by_tolerance: tuple[ByTolerance, ...]
     coefficients: Clock
 
@@ -174,13 +155,13 @@ class Equation:
         """Number of energies."""
         return len(self.observable)
 
-    def elements(self, degree: int) -> Elements:
-        """Return the coarsest elements of one degree, to be refined in h."""
-        return Elements(self.on_mesh, self.coarsest(degree), degree)
+    def elements(self, degree: int) -> Discretisation:
+        """Return the coarsest elements of one degree, refined in h."""
+        return elements(self.on_mesh, self.coarsest(degree), degree)
 
-    def degrees(self) -> Elements:
+    def degrees(self) -> Discretisation:
         """Return degree 1 on a fixed mesh with the contact energies among its nodes."""
-        return Elements(self.on_mesh, tuple(map(bisected, self.coarsest(4))), P_DEGREES[0], "p")
+        return degrees(self.on_mesh, bisected(self.coarsest(4)))
 
 
 def refined_levels(
@@ -196,20 +177,21 @@ def refined_levels(
         answer, seconds = timed_first(discretisation.solve)
         distances = errors(answer, reference)
         level = Level(
-            settings=discretisation.settings(answer),
-            errors=distances,
+            settings=", ".join(filter(None, (discretisation.settings, answer.variant))),
+            error=distances["L1"],
             stated=answer.l1_error,
             timing=Timing(seconds),
             distance=distances["L1"],
             estimate=answer.l1_error + reference.l1_error,
             unknowns=answer.unknowns,
             size=discretisation.size(answer),
+            errors=distances,
             functionals=functionals(answer),
             promised=discretisation.promised,
         )
         yield discretisation.solve, level
 
 
-def bisected(nodes: Array) -> Array:
-    """Return the nodes with the middles between them."""
-    return np.sort(np.concatenate([nodes, 0.5 * (nodes[1:] + nodes[:-1])]))
+def bisected(nodes: Nodes) -> Nodes:
+    """Return the nodes of every axis with the middles between them."""
+    return tuple(np.sort(np.concatenate([x, 0.5 * (x[1:] + x[:-1])])) for x in nodes)

@@ -11,7 +11,7 @@ from averaging.modal.observables import modal_densities
 from averaging.modal.process import modes_process
 from averaging.modal.resonance import resonance_refusal
 from cases.studies.answer import Answer
-from cases.studies.levels import ByTolerance, Equation
+from cases.studies.levels import ByTolerance, Equation, Nodes
 from cases.studies.timing import Clock
 from fpk.density import Array
 from fpk.errors import NotApplicable, NotCertified
@@ -60,11 +60,11 @@ def modal_equation(system: System) -> Equation:
     reference, words = _reference(modes, plain, observable)
     ends = _mesh_ends(modes, plain)
 
-    def coarsest(degree: int) -> tuple[Array, ...]:
+    def coarsest(degree: int) -> Nodes:
         axes = zip(ends, plain.energy_scales, strict=True)
         return tuple(graded(end, COARSEST.get(degree, 1), degree) * scale for end, scale in axes)
 
-    def on_mesh(nodes: tuple[Array, ...], degree: int) -> Answer:
+    def on_mesh(nodes: Nodes, degree: int) -> Answer:
         return _answer(solve_plane_on_mesh(process, (nodes[0], nodes[1]), degree))
 
     fem = ByTolerance(

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isfinite, nan
-from typing import Any
 
 import numpy as np
 
@@ -11,8 +10,6 @@ from cases.studies.levels import Level, Work
 from cases.studies.timing import Clock, timed_first, timing
 from fpk.density import Array
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
-
-POINT_KEYS = ("settings", "error", "stated", "unknowns", "modelled", "promised")
 
 
 @dataclass(frozen=True)
@@ -45,10 +42,6 @@ class Priced:
         """Return the cheapest measured or modelled point with at most this error."""
         enough = [p for p in self.points if p.error <= error]
         return min(enough, key=lambda p: p.seconds, default=None)
-
-    def record(self) -> dict[str, Any]:
-        """Return the route as plain data."""
-        return {**vars(self), "points": [_point(p) for p in self.points]}
 
 
 @dataclass(frozen=True)
@@ -117,10 +110,6 @@ class Cheapest:
     route: str
     point: Level | None
 
-    def record(self) -> dict[str, Any]:
-        """Return the price as plain data."""
-        return {**vars(self), "point": self.point and _point(self.point)}
-
 
 def price_list(routes: Sequence[Priced], digits: Sequence[int]) -> tuple[Cheapest, ...]:
     """Return the cheapest route of each equation for errors 10^−digits."""
@@ -140,9 +129,9 @@ def promised_list(routes: Sequence[Priced], digits: Sequence[int]) -> tuple[Chea
     """
     by_tol = []
     for route in routes:
-        steered = [p for p in route.points if p.promised < inf]
-        if steered:
-            points = tuple(replace(p, errors={**p.errors, "L1": p.promised}) for p in steered)
+        own = [p for p in route.points if p.promised < inf]
+        if own:
+            points = tuple(replace(p, error=p.promised) for p in own)
             by_tol.append(replace(route, points=points))
     return price_list(by_tol, digits)
 
@@ -175,7 +164,3 @@ def by_equation(routes: Sequence[Priced]) -> Iterator[tuple[str, list[Priced]]]:
     """Yield every equation with its routes."""
     for equation in dict.fromkeys(r.equation for r in routes):
         yield equation, [r for r in routes if r.equation == equation]
-
-
-def _point(level: Level) -> dict[str, Any]:
-    return {**level.record(POINT_KEYS), "timing": vars(level.timing)}

@@ -83,7 +83,7 @@ class Law:
         paths = max(float(LEAST_PATHS), min(sampled / self.relaxation, MAX_PATHS))
         timing = Timing(self.seconds(sampled, dt), 0.0, 0, 0.0, 0.0, paths * BYTES_A_PATH)
         settings = f"{paths:.2g} paths, time {max(sampled / paths, dt):.2g}, dt {dt:.2g}"
-        return Level(settings, {"L1": error}, error, timing, modelled=True)
+        return Level(settings, error, error, timing, modelled=True)
 
 
 def full_routes(
@@ -220,8 +220,8 @@ def _priced(
             # Twice the reference's error: its mean is what chance makes of it, not the worst case.
             estimate = quantile + bias + 2.0 * density.l1_error
             distance, expected = l1_distance(joined(sampled), density), mean + bias
-            errors, timing = {"L1": expected}, Timing(seconds)
-            yield work, Level(settings, errors, expected, timing, distance, estimate)
+            timing = Timing(seconds)
+            yield work, Level(settings, expected, expected, timing, distance, estimate)
 
     warm_up = partial(method.solve, system, [reference.density.observable])
     return priced(empty, levels(), warm_up=warm_up, reference=reference.words, longest=LONG)

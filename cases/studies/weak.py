@@ -1,7 +1,7 @@
 """Simulation: the weak order in the step with error bars, and the slope −1/2 in samples."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from math import ceil, isfinite, nan, sqrt
 from typing import Any, Literal, NamedTuple
 
@@ -75,7 +75,11 @@ class WeakOrder:
     ``limit`` ± ``limit_error`` is the value at dt → 0: of the closed form where there is one
     (``known``), else the intercept of ``limit + slope dtʳ`` with r that of theory. ``order`` is the
     r of the best fit, and ``order_error`` are the orders below and above it where χ² has risen by
-    one; ``chi2`` is that of the fit of theory with ``freedom`` degrees.
+    one; ``chi2`` is that of the fit of theory with ``freedom`` degrees. ``errors`` with one
+    standard error, ``error_bars``, are |E q²(dt) − limit| of each level, and ``orders`` follow from
+    consecutive ones that are resolved, each with its standard error. ``wanted`` is the standard
+    error of the levels from which the order follows to ``ORDER_ERROR``, and ``short`` the factor by
+    which theirs is larger, at least 1.
     """
 
     scheme: str
@@ -91,6 +95,11 @@ class WeakOrder:
     order_error: tuple[float, float] = (nan, nan)
     chi2: float = nan
     freedom: int = 0
+    errors: tuple[float, ...] = ()
+    error_bars: tuple[float, ...] = ()
+    orders: tuple[tuple[float, float], ...] = ()
+    wanted: float = nan
+    short: float = nan
     verdict: Verdict = "unstable"
 
     @property
@@ -98,46 +107,6 @@ class WeakOrder:
         """Whether the best fit is at an end of the orders tried: no order is known."""
         low, high = self.order_error
         return bool(low <= ORDERS[0] or high >= ORDERS[-1])
-
-    @property
-    def wanted(self) -> float:
-        """Standard error of the levels from which the order follows to ``ORDER_ERROR``."""
-        low, high = self.order_error
-        return self._largest_error * ORDER_ERROR / (0.5 * (high - low))
-
-    @property
-    def short(self) -> float:
-        """Factor by which the standard errors are larger than ``wanted``, at least 1."""
-        return max(self._largest_error / self.wanted, 1.0)
-
-    @property
-    def _largest_error(self) -> float:
-        return max((level.error for level in self.levels), default=nan)
-
-    @property
-    def errors(self) -> list[float]:
-        """|E q²(dt) − limit| of each level."""
-        return [abs(level.value - self.limit) for level in self.levels]
-
-    @property
-    def error_bars(self) -> list[float]:
-        """One standard error of each of ``errors``."""
-        return [float(np.hypot(level.error, self.limit_error)) for level in self.levels]
-
-    @property
-    def orders(self) -> list[tuple[float, float]]:
-        """Order and its standard error from consecutive levels; of resolved ones only."""
-        e, bars = self.errors, self.error_bars
-        steps = [level.dt for level in self.levels]
-        pairs = zip(observed_orders(steps, e), order_errors(steps, e, bars), strict=True)
-        resolved = [a > MIN_ORDER_SIGNAL * b for a, b in zip(e, bars, strict=True)]
-        both = zip(pairs, resolved, resolved[1:], strict=False)
-        return [(float(o), float(s)) for (o, s), a, b in both if a and b]
-
-    def record(self) -> dict[str, Any]:
-        """Return the fields and properties as plain data."""
-        keys = ("wanted", "short", "orders", "errors", "error_bars")
-        return {**asdict(self), **{key: getattr(self, key) for key in keys}}
 
 
 def known_square(system: System) -> float | None:
@@ -239,6 +208,13 @@ def judged(scheme: WeakOrder, levels: Sequence[StepLevel], truth: float | None) 
         or max(order - low, high - order) > UNRESOLVED
     ):
         verdict = "not resolved"
+    dt, value, error = np.array([(level.dt, level.value, level.error) for level in levels]).T
+    errors, bars = np.abs(value - line["limit"]), np.hypot(error, line["limit_error"])
+    ratios = zip(observed_orders(dt, errors), order_errors(dt, errors, bars), strict=True)
+    resolved = errors > MIN_ORDER_SIGNAL * bars
+    # Orders are told apart as finely as those that are tried.
+    width = 0.5 * max(high - low, ORDERS[1] - ORDERS[0])
+    wanted = float(error.max()) * ORDER_ERROR / width
     return replace(
         scheme,
         **line,
@@ -247,6 +223,15 @@ def judged(scheme: WeakOrder, levels: Sequence[StepLevel], truth: float | None) 
         order=order,
         order_error=(low, high),
         freedom=len(levels) - (1 if truth is not None else 2),
+        errors=tuple(errors.tolist()),
+        error_bars=tuple(bars.tolist()),
+        orders=tuple(
+            (float(o), float(s))
+            for (o, s), good in zip(ratios, resolved[1:] & resolved[:-1], strict=True)
+            if good
+        ),
+        wanted=wanted,
+        short=max(float(error.max()) / wanted, 1.0),
         verdict=verdict,
     )
 
