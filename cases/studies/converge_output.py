@@ -1,16 +1,18 @@
 """A convergence study as tables, panels of a picture, and rows."""
 
 from collections.abc import Sequence
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
 
+from cases.studies.answer import FUNCTIONALS, NORMS
 from cases.studies.converge import ConvergenceStudy
-from cases.studies.ladders import COLUMNS, Ladder, observed_rates
+from cases.studies.ladders import Ladder, observed_rates
 from cases.studies.levels import Equation
 from cases.studies.picture import Curve, Panel, study_figure
 from cases.studies.tables import Page, Table, rows_dataset
-from cases.studies.weak import SampleSlope, WeakOrder
+from cases.studies.weak import ORDERS, WeakOrder
 from fpk.observable import observable_name
 from fpk.orders import LIMITS
 
@@ -36,6 +38,13 @@ DEGREE_WORDS = (
     " mesh, but above them the coefficients have half-integer powers of H - H_c: with contact a"
     " slower rate can take over at high degree, which hp elements, graded there, do without."
 )
+STEP_WORDS = (
+    "Weak order: that of the best fit to all steps, from and to one standard error;"
+    f" {ORDERS[0]:g} or {ORDERS[-1]:g} there: none is known. Unstable: no step is stable and cheap"
+    " enough. Chi² with the order of theory. Limit: the closed form where there is one, else the"
+    " intercept of the regression; where a fit fails (pre-asymptotic) the step errors rest on that."
+    " Short: by how much the standard errors are larger than wanted, in the time given."
+)
 LIMITS_OF_AXIS = (1e-16, 10.0)
 """Ends of the axis of L1 errors: round-off of one, and more than the largest distance, 2."""
 
@@ -60,74 +69,54 @@ def study_tables(study: ConvergenceStudy) -> list[Table]:
         if equation.dimension == 1:
             tables.append(_in_degree(equation, _with_and_without(ladders, study.without_contact)))
     if study.schemes:
-        tables.append(_steps(study.schemes))
-    if study.samples:
-        tables.append(_samples(study.samples))
+        tables += _steps(study.schemes)
+    if s := study.samples:
+        title = f"Simulation: standard error of {s.observable} in samples"
+        words = f"slope {s.slope:.3f} ± {s.slope_error:.3f}, theory -0.5"
+        rows = list(zip(s.sampled, s.errors, strict=True))
+        tables.append(Table(title, "paths x time | one s.e.", rows, (words,)))
     if study.refusals:
-        rows = tuple(study.refusals.items())
-        tables.append(Table("Routes that do not apply", ("route", "reason"), rows))
+        refusals = list(study.refusals.items())
+        tables.append(Table("Routes that do not apply", "route | reason", refusals))
     return tables
 
 
 def _equation_tables(equation: Equation, ladders: Sequence[Ladder]) -> list[Table]:
+    name, floor = equation.name, equation.reference.l1_error
     errors = [
-        (ladder.name, v.settings, v.unknowns, *(v.errors[key] for key in COLUMNS), v.estimate)
+        (ladder.name, v.settings, v.unknowns, *v.errors.values(), v.estimate)
         for ladder in ladders
         for v in ladder.levels
     ]
-    orders = [
-        (
-            ladder.name,
-            key,
-            " ".join(f"{o:.2f}" for o in v.orders),
-            f"{v.order:.2f} ± {v.spread:.2f}" if v.order == v.order else None,
-            None if v.theory is None else f"{v.theory:g}",
-            v.kind,
-        )
-        for ladder in ladders
-        for key, v in ladder.verdicts.items()
-    ]
+    orders = [(x.name, key, *astuple(v)) for x in ladders for key, v in x.verdicts.items()]
     index = [
-        (
-            ladder.name,
-            key,
-            f"{g.value:.10g}",
-            f"{g.observed:.2f}" if g.observed == g.observed else None,
-            f"{g.used:.2f}",
-            f"{g.safety:g}",
-            g.index,
-            ladder.levels[-1].errors[key],
-            g.kind,
-        )
-        for ladder in ladders
-        for key, g in ladder.grid.items()
+        (x.name, key, x.levels[-1].errors[key], f"{g.value:.10g}", *astuple(g)[1:])
+        for x in ladders
+        for key, g in x.grid.items()
     ]
-    name, reference = equation.name, equation.reference
+    norms = " | ".join((*NORMS, *FUNCTIONALS))
+    against = f"Against: {equation.reference_words}, itself within {floor:.1e} in L1."
     return [
         Table(
             f"{name}, p({observable_name(equation.observable)}): errors",
-            ("family", "level", "unknowns", *COLUMNS, "its L1 estimate"),
+            f"family | level | unknowns | {norms} | its L1 estimate",
             errors,
-            (
-                f"Against: {equation.reference_words}, itself within {reference.l1_error:.1e} in"
-                " L1.",
-                f"{ladders[-1].name}: {equation.by_tolerance[0].words}",
-            ),
+            (against, f"{ladders[-1].name}: {equation.by_tolerance[0].words}"),
         ),
         Table(
             f"{name}: observed orders",
-            ("family", "error", "consecutive levels", "last three", "theory", "verdict"),
+            "family | error | consecutive levels | last three | ± | theory | verdict",
             orders,
             (ORDER_WORDS, *(TWO_ENERGIES if equation.dimension == 2 else ())),
         ),
         Table(
             f"{name}: Richardson and grid convergence index (GCI)",
-            ("family", "functional", "Richardson", "observed", "used", "factor", "GCI",
-             "true error", "verdict"),
+            "family | functional | true error | Richardson | observed | used | factor | GCI"
+            " | verdict",
             index,
             (GCI_WORDS,),
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _with_and_without(ladders: Sequence[Ladder], without: Ladder | None) -> dict[str, Ladder]:
@@ -145,52 +134,37 @@ def _in_degree(equation: Equation, ladders: dict[str, Ladder]) -> Table:
         for words, ladder in ladders.items()
         for level, rate in zip(ladder.levels, observed_rates(ladder), strict=True)
     ]
-    head = ("system", "degree", "unknowns", "L1", "nats a degree")
+    head = "system | degree | unknowns | L1 | nats a degree"
     return Table(f"{equation.name}: exponential convergence in p", head, rows, (DEGREE_WORDS,))
 
 
-def _steps(schemes: Sequence[WeakOrder]) -> Table:
-    rows = [
-        (s.scheme, f"{v.dt:.4g}", f"{v.value:.6f}", v.error, error, bar, v.sampled)
+def _steps(schemes: Sequence[WeakOrder]) -> list[Table]:
+    levels = [
+        (s.scheme, v.dt, f"{v.value:.6f}", v.error, error, bar, v.sampled)
         for s in schemes
         for v, error, bar in zip(s.levels, s.errors, s.error_bars, strict=True)
     ]
-    head = ("scheme", "dt", schemes[0].observable, "one s.e.", "step error", "its s.e.")
-    remarks = tuple(_order_words(s) for s in schemes)
-    return Table("Simulation: weak order in the step", (*head, "paths x time"), rows, remarks)
-
-
-def _order_words(s: WeakOrder) -> str:
-    if s.verdict == "unstable":
-        return f"{s.scheme}: no step is stable and cheap enough to study."
-    low, high = s.order_error
-    base = "closed form" if s.known else "intercept of the regression"
-    ratios = ", ".join(f"{o:.2f} ± {e:.2f}" for o, e in s.orders) or "none resolved"
-    order = (
-        f"no weak order: the best fit is at the end of those tried, {low:.2f} to {high:.2f}"
-        if s.beyond
-        else f"weak order {s.order:.2f} ({low:.2f} to {high:.2f}, one s.e.)"
-    )
-    words = (
-        f"{s.scheme}: {order}, theory"
-        f" {s.theory}: {s.verdict}; consecutive ratios: {ratios}; chi² {s.chi2:.1f} of {s.freedom}"
-        f" with the order of theory; limit {s.limit:.6f} ± {s.limit_error:.1e} ({base}); standard"
-        f" error wanted {s.wanted:.1e}"
-    )
-    if s.verdict == "pre-asymptotic" and not s.known:
-        words += "; the errors above are from that intercept, which rests on a fit that fails"
-    short = f", short of it by a factor {s.short:.1f} in the time given."
-    return words + (short if s.short > 1.05 else ".")
-
-
-def _samples(slope: SampleSlope) -> Table:
-    words = f"slope {slope.slope:.3f} ± {slope.slope_error:.3f}, theory -0.5"
-    return Table(
-        f"Simulation: standard error of {slope.observable} in samples",
-        ("paths x time", "one s.e."),
-        [(f"{n:.2e}", e) for n, e in zip(slope.sampled, slope.errors, strict=True)],
-        (words,),
-    )
+    orders = []
+    for s in schemes:
+        ratios = tuple(f"{o:.2f} ± {e:.2f}" for o, e in s.orders)
+        limit = f"{s.limit:.6f} ± {s.limit_error:.1e}" if s.levels else None
+        order = (s.scheme, s.theory, s.order, s.order_error, s.verdict, ratios)
+        orders.append((*order, s.chi2, s.freedom, limit, s.wanted, s.short))
+    head = "scheme | theory | weak order | from, to | verdict | consecutive ratios | chi² | freedom"
+    of = schemes[0].observable
+    return [
+        Table(
+            "Simulation: errors of the step",
+            f"scheme | dt | {of} | one s.e. | step error | its s.e. | paths x time",
+            levels,
+        ),
+        Table(
+            "Simulation: weak order in the step",
+            f"{head} | limit | s.e. wanted | short by a factor",
+            orders,
+            (STEP_WORDS,),
+        ),
+    ]
 
 
 def study_panels(study: ConvergenceStudy) -> list[Panel]:
@@ -223,45 +197,41 @@ def _ladder_panel(equation: Equation, ladders: Sequence[Ladder]) -> Panel:
 
 def _degree_panel(equation: Equation, ladders: dict[str, Ladder]) -> Panel:
     """Log-lin: exponential convergence is a straight line."""
-    curves = []
-    for words, ladder in ladders.items():
-        label = f"{words}: $e^{{-{ladder.verdicts['L1'].order:.1f} p}}$"
-        p, e = [-np.log(v.size) for v in ladder.levels], [v.error for v in ladder.levels]
-        curves.append(Curve(words, p, e, label))
+    curves = [
+        Curve(
+            words,
+            [-np.log(v.size) for v in ladder.levels],
+            [v.error for v in ladder.levels],
+            f"{words}: $e^{{-{ladder.verdicts['L1'].order:.1f} p}}$",
+        )
+        for words, ladder in ladders.items()
+    ]
     x = "degree $p$ on a fixed mesh"
     return _error_panel(equation, "exponential in $p$", x, curves, logarithmic=False)
 
 
-def _error_panel(equation: Equation, words: str, x: str, curves: list[Curve], **how: Any) -> Panel:
-    return Panel(
-        f"{equation.name}; {words}",
-        x,
-        f"$L_1$ error of p({observable_name(equation.observable)})",
-        curves,
-        floor=equation.reference.l1_error + 1e-15,
-        limits=LIMITS_OF_AXIS,
-        **how,
-    )
+def _error_panel(
+    equation: Equation, words: str, x: str, curves: list[Curve], *, logarithmic: bool = True
+) -> Panel:
+    y = f"$L_1$ error of p({observable_name(equation.observable)})"
+    floor, title = equation.reference.l1_error + 1e-15, f"{equation.name}; {words}"
+    return Panel(title, x, y, curves, floor, logarithmic=logarithmic, limits=LIMITS_OF_AXIS)
 
 
 def _step_panel(schemes: Sequence[WeakOrder]) -> Panel:
     curves = []
     for s in schemes:
-        label, dashed = f"{s.scheme}: no usable step", None
-        dt = [level.dt for level in s.levels]
-        if dt:
-            low, high = s.order_error
-            order = f"order {s.order:.1f} ± {0.5 * (high - low):.1f}"
-            words = s.verdict if s.beyond or s.verdict == "not resolved" else order
-            label = f"{s.scheme}: {words} (theory {s.theory})"
-            steps = np.geomspace(dt[0], dt[-1], 30)
-            dashed = steps, abs(s.slope) * steps**s.theory
-        curves.append(
-            Curve(s.scheme, dt, s.errors, label, s.error_bars, dashed=dashed, joined=False)
-        )
-    title = "full system (6), simulation; lines: theory"
+        dt, line = np.array([level.dt for level in s.levels]), None
+        words = f"{s.verdict} (theory {s.theory})"
+        if s.verdict in ("as theory", "pre-asymptotic") and not s.beyond:
+            words = f"order {s.order:.1f} ± {np.ptp(s.order_error) / 2:.1f} (theory {s.theory})"
+        if dt.size:
+            line = dt, abs(s.slope) * dt**s.theory
+        label = f"{s.scheme}: {words}"
+        curves.append(Curve(s.scheme, dt, s.errors, label, s.error_bars, dashed=line, style="none"))
     y = f"step error of {schemes[0].observable}"
-    return Panel(title, "step $dt$, in the scene's unit of time", y, curves)
+    x = "step $dt$, in the scene's unit of time"
+    return Panel("full system (6), simulation; lines: theory", x, y, curves)
 
 
 def _level_rows(study: ConvergenceStudy) -> list[dict[str, Any]]:

@@ -11,9 +11,8 @@ import numpy as np
 from cases.comparison.compare import BINS_1D
 from cases.output.records import plain
 from cases.scene.scene import Scene
-from cases.studies.energy_equation import energy_equation, unchanged
+from cases.studies.energy_equation import energy_equation
 from cases.studies.full_system import (
-    REFERENCE_RELAXATIONS,
     Reference,
     deterministic,
     full_reference,
@@ -36,7 +35,6 @@ from fpk.density import Density
 from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Progress, silent
 from fpk.observable import observable_name
-from fpk.process import Process
 from fpk.system import System
 
 DIGITS = tuple(range(1, 11))
@@ -131,16 +129,11 @@ class CostStudy:
 def study_cost(
     scene: Scene,
     *,
-    changed: Callable[[Process], Process] = unchanged,
     simulate: bool = True,
     seed: int = 1,
-    relaxations: float = REFERENCE_RELAXATIONS,
     progress: Progress = silent,
 ) -> CostStudy:
-    """Check and time every route of ``scene``.
-
-    ``changed`` puts a wrong process in the place of that of (24): the study must notice.
-    """
+    """Check and time every route of ``scene``, the sampling routes where ``simulate``."""
     start, system = perf_counter(), scene.system
     study = CostStudy(scene)
 
@@ -152,20 +145,18 @@ def study_cost(
             study.add([averaged_route(system, equation, seed=seed)])
 
     def full() -> None:
-        reference = full_reference(system, seed=seed, relaxations=relaxations)
+        reference = full_reference(system, seed=seed)
         study.full_reference, study.floors[FULL] = reference.words, reference.density.l1_error
         results, study.laws = full_routes(system, reference, seed=seed, progress=progress)
         study.add(results)
         study.models += _models(system, reference)
 
     parts: dict[str, Callable[[], None]] = {
-        "averaged equation (24)": partial(averaged, partial(energy_equation, changed=changed)),
+        "averaged equation (24)": partial(averaged, energy_equation),
         "averaged equation (17)": partial(averaged, modal_equation),
-        FULL: full,
+        **({FULL: full} if simulate else {}),
     }
     for name, part in parts.items():
-        if name == FULL and not simulate:
-            continue
         try:
             part()
         except (NotApplicable, NotCertified) as reason:

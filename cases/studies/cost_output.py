@@ -1,5 +1,6 @@
 """A work-precision study as tables, panels of a picture, and rows."""
 
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
@@ -7,9 +8,9 @@ import numpy as np
 from cases.studies.cost import CostStudy
 from cases.studies.levels import Level
 from cases.studies.picture import Curve, Panel, study_figure
-from cases.studies.prices import Priced, by_equation
+from cases.studies.prices import Cheapest, Priced, by_equation
 from cases.studies.sampling import FULL
-from cases.studies.tables import Bytes, Page, Seconds, Table, rows_dataset
+from cases.studies.tables import Page, Table, duration, megabytes, rows_dataset
 
 MEANING = (
     "Times are processor times on one thread: the wall time of a core that does nothing else, after"
@@ -53,39 +54,33 @@ def cost_tables(study: CostStudy) -> list[Table]:
 
 
 def _prices(study: CostStudy, equation: str) -> Table:
-    rows: list[tuple[Any, ...]] = []
-    for c in study.prices:
-        if c.equation != equation:
-            continue
-        if c.point is None:
-            rows.append((c.digits, "reached by none here", None, None, None))
-            continue
-        time = ("≈ " if c.point.modelled else "") + str(Seconds(c.point.seconds))
-        memory = Bytes(c.point.timing.memory)
-        rows.append((c.digits, c.route, c.point.settings, time, memory))
+    rows = [_price(c) for c in study.prices if c.equation == equation]
     remarks = ("≈: by the law of sampling, not run.",) if equation == FULL else ()
-    head = ("digits", "route", "settings", "time", "memory")
+    head = "digits | route | settings | time | memory"
     return Table(f"{equation}: to get so many digits (L1)", head, rows, remarks)
+
+
+def _price(c: Cheapest) -> tuple[Any, ...]:
+    if (p := c.point) is None:
+        return c.digits, "reached by none here", None, None, None
+    time = ("≈ " if p.modelled else "") + duration(p.seconds)
+    return c.digits, c.route, p.settings, time, megabytes(p.timing.memory)
 
 
 def _promises(study: CostStudy) -> Table:
     """The same question for a scene that was not measured: tolerances keep what they promise."""
-    rows = [
-        (c.equation, c.digits, c.route, p.settings, Seconds(p.seconds), Bytes(p.timing.memory))
-        for c in study.promises
-        if (p := c.point) is not None
-    ]
-    head = ("equation", "digits", "route", "settings", "time here", "memory")
+    rows = [(c.equation, *_price(c)) for c in study.promises if c.point is not None]
+    head = "equation | digits | route | settings | time here | memory"
     return Table("Settings that hold for other scenes", head, rows, (PROMISE,))
 
 
 def _crossings(study: CostStudy) -> Table:
-    rows = [(c.equation, f"{c.error:.1e}", c.above, c.below) for c in study.crossings]
+    rows: list[tuple[Any, ...]] = [astuple(c) for c in study.crossings]
     crossed = {row[0] for row in rows}
     for equation, _ in by_equation(study.routes):
         if equation not in crossed:
             rows.append((equation, "–", "one route is cheapest at every error measured", ""))
-    head = ("equation", "below the error", "from", "to")
+    head = "equation | below the error | from | to"
     return Table("Where another route becomes the cheapest", head, rows, _pays(study))
 
 
@@ -124,60 +119,45 @@ def _fastest(routes: list[Priced], error: float) -> float:
 
 
 def _models(study: CostStudy) -> Table:
-    rows = [
-        (m.theory, f"p({m.observable})", m.distance, f"{m.error:.0e}", Seconds(m.seconds))
-        for m in study.models
-    ]
-    head = ("theory", "of", "averaging error", "known to", "time")
+    rows = [(*astuple(m)[:-1], duration(m.seconds)) for m in study.models]
+    head = "theory | of | averaging error | known to | time"
     words = f"Averaging error: L1 to the full system ({study.full_reference}); no solver lowers it."
     return Table("What the theories are worth for the full system", head, rows, (words,))
 
 
 def _not_timed(study: CostStudy) -> Table:
-    rows = [
-        (n.route, n.equation, n.settings, n.distance, n.allowed, n.reason) for n in study.not_timed
-    ]
-    head = ("route", "equation", "settings", "L1 distance", "stated", "why it is not timed")
-    return Table("Routes that are not timed", head, rows)
+    head = "route | equation | settings | L1 distance | stated | why it is not timed"
+    return Table("Routes that are not timed", head, [astuple(n)[:-1] for n in study.not_timed])
 
 
 def _laws(study: CostStudy) -> Table:
     rows = [
-        (
-            law.scheme,
-            f"{law.noise:.3g}",
-            ("" if law.bias_resolved else "< ") + f"{law.bias:.3g}",
-            law.order,
-            f"{law.largest:.3g}",
-            f"{1e9 * law.step:.3g}",
-        )
+        (law.scheme, law.noise, law.bias, law.bias_resolved, law.order, law.largest, 1e9 * law.step)
         for law in study.laws
     ]
-    head = ("scheme", "A", "B", "r (theory)", "largest dt", "ns a particle step")
-    words = "L1 = A/√(paths x time) + B dt^r; (dt, N) is the cheapest path under it, one thread."
+    head = "scheme | A | B | B resolved | r (theory) | largest dt | ns a particle step"
+    words = (
+        "L1 = A/√(paths x time) + B dt^r, B an upper bound where it is not resolved; (dt, N) is the"
+        " cheapest path under it, one thread."
+    )
     return Table(f"{FULL}: law of sampling", head, rows, (words,))
 
 
 def _measured(equation: str, routes: list[Priced]) -> Table:
     rows = [
         (
-            route.route,
-            p.settings,
-            p.error,
-            p.stated,
-            p.unknowns or None,
-            *(Seconds(x) for x in (t.seconds, t.spread, t.first, t.coefficients)),
-            Bytes(t.memory),
+            *(route.route, p.settings, p.error, p.stated, p.unknowns or None),
+            *map(duration, (t.seconds, t.spread, t.first, t.coefficients)),
+            megabytes(t.memory),
         )
         for route in routes
         for p in route.points
         if not p.modelled
         for t in [p.timing]
     ]
-    first = ("route", "settings", "L1 error", "stated", "unknowns", "median", "spread")
-    head = (*first, "first call more", "coefficients", "memory")
+    head = "route | settings | L1 error | stated | unknowns | median | spread | first call more"
     axes = tuple(dict.fromkeys(r.axis for r in routes))
-    return Table(f"{equation}: measurements", head, rows, axes)
+    return Table(f"{equation}: measurements", f"{head} | coefficients | memory", rows, axes)
 
 
 def cost_panels(study: CostStudy) -> list[Panel]:
@@ -194,7 +174,7 @@ def cost_panels(study: CostStudy) -> list[Panel]:
                 route.route,
                 [p.seconds for p in points],
                 [p.error for p in points],
-                open=points[0].modelled,
+                style=":" if points[0].modelled else "-",
                 end=points[-1].settings.rpartition(", ")[2],
             )
             for route in routes

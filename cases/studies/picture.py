@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib as mpl
 import numpy as np
@@ -29,8 +29,8 @@ class Curve:
     """Errors ``y`` over ``x``; a name has the same colour and marker in all panels.
 
     ``bar`` is how far chance may have moved each, drawn as a band where ``banded``; ``dashed`` are
-    the two coordinates of a line of theory. ``open``: computed by a law, not measured. ``joined``:
-    neighbouring points are joined. ``end`` are words at the last point.
+    the two coordinates of a line of theory. ``style``: "-" or "none" for points that are joined or
+    not, ":" for points computed by a law, not measured. ``end`` are words at the last point.
     """
 
     name: str
@@ -40,8 +40,7 @@ class Curve:
     bar: Sequence[float] | Array | None = None
     banded: bool = False
     dashed: tuple[Array, Array] | None = None
-    open: bool = False
-    joined: bool = True
+    style: Literal["-", ":", "none"] = "-"
     end: str = ""
 
 
@@ -100,10 +99,9 @@ def _draw(axes: Axes, panel: Panel, names: Sequence[str]) -> None:
 
 def _draw_curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:
     x, y = np.asarray(curve.x, dtype=float), np.maximum(np.asarray(curve.y, float), ROUND_OFF)
-    line: Any = "none" if not curve.joined else ":" if curve.open else "-"
     axes.plot(
-        x, y, color=colour, marker=marker, markersize=3.6, lw=1.2, ls=line,
-        mfc="none" if curve.open else colour, label=curve.label or curve.name,
+        x, y, color=colour, marker=marker, markersize=3.6, lw=1.2, ls=curve.style,
+        mfc="none" if curve.style == ":" else colour, label=curve.label or curve.name,
     )  # fmt: skip
     if curve.bar is not None:
         bar = np.asarray(curve.bar, dtype=float)

@@ -20,10 +20,13 @@ UNITS = ((3.156e7, "a"), (86400.0, "d"), (3600.0, "h"), (60.0, "min"), (1.0, "s"
 
 @dataclass(frozen=True)
 class Table:
-    """A table with a title and, below it, remarks; ``cell`` says how values are written."""
+    """A table with a title and, below it, remarks; ``cell`` says how values are written.
+
+    ``head`` names the columns, separated by " | ".
+    """
 
     title: str
-    head: tuple[str, ...]
+    head: str
     rows: Sequence[Sequence[Any]]
     remarks: tuple[str, ...] = ()
 
@@ -33,40 +36,39 @@ class Table:
         firsts = [row[0] for row in rows]
         for row, first, before in zip(rows[1:], firsts[1:], firsts, strict=False):
             row[0] = "" if first == before else first
-        widths = [max(3, *map(len, column)) for column in zip(self.head, *rows, strict=True)]
+        head = self.head.split(" | ")
+        widths = [max(3, *map(len, column)) for column in zip(head, *rows, strict=True)]
         rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
         lines = [f"## {self.title}", ""] if self.title else []
-        for first, *others in (self.head, rule, *rows):
+        for first, *others in (head, rule, *rows):
             cells = [first.ljust(widths[0]), *map(str.rjust, others, widths[1:])]
             lines.append(f"| {' | '.join(cells)} |")
         return [*lines, "", *(line for remark in self.remarks for line in (remark, ""))]
 
 
-class Seconds(float):
-    """A time, written with a unit that suits it."""
-
-    def __str__(self) -> str:
-        """Return the time with its unit."""
-        for size, unit in UNITS:
-            if self >= size:
-                value = self / size
-                return f"{value:.3g} {unit}" if value < 1e4 else f"{value:.1e} {unit}"
-        return "–" if self != self else f"{self * 1e3:.2g} ms"
+def duration(seconds: float) -> str:
+    """Return a time with a unit that suits it."""
+    size, unit = next((u for u in UNITS if seconds >= u[0]), (1e-3, "ms"))
+    value = seconds / size
+    return (
+        "–" if value != value else f"{value:.3g} {unit}" if value < 1e4 else f"{value:.1e} {unit}"
+    )
 
 
-class Bytes(float):
-    """A memory, written in MB."""
-
-    def __str__(self) -> str:
-        """Return the memory in MB."""
-        return "–" if self != self else f"{self / 1e6:.2g} MB"
+def megabytes(size: float) -> str:
+    """Return a memory in MB."""
+    return "–" if size != size else f"{size / 1e6:.2g} MB"
 
 
 def cell(value: Any) -> str:
-    """Return a value of a table in words: 2 decimals of a plain number, a dash for none."""
+    """Return a value of a table in words: three digits of a plain number, a dash for none."""
+    if isinstance(value, tuple):
+        value = " ".join(map(cell, value))
     if value is None or value == "" or value != value:
         return "–"
-    return f"{value:.2e}" if type(value) is float or isinstance(value, np.floating) else str(value)
+    if not isinstance(value, float):
+        return str(value)
+    return f"{value:.3g}" if 0.01 <= abs(value) < 1000 or not value else f"{value:.2e}"
 
 
 @dataclass(frozen=True)

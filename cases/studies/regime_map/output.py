@@ -17,7 +17,8 @@ from fpk.observable import observable_name
 
 def map_page(result: RegimeMap) -> Page:
     """Return what ``fpk regime`` shows and writes: every point, and how often each is nearer."""
-    head = (*(a.symbol for a in result.axes), *(f"L1 {t}" for t in THEORIES), "nearer", "δ / rms")
+    symbols = [a.symbol for a in result.axes]
+    head = " | ".join([*symbols, *(f"L1 {t}" for t in THEORIES), "nearer", "δ / rms"])
     rows = [
         (
             *(f"{v:.4g}" for v in p.values),
