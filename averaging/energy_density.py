@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from averaging.energy_process import energy_balance
-from averaging.shell.ratios import EnergyShell, energy_shell, log_linear_states, shell_ratios
+from averaging.energy_process import damping_and_noise
+from averaging.shell.ratios import log_linear_states, shell_ratios
 from averaging.zero_flux import flux_residual
 from fpk.certificate import Measured
 from fpk.line.mesh import DEEP_LAYERS, initial_nodes, with_layers
@@ -42,7 +42,6 @@ class EnergyDensity:
     """
 
     system: System
-    shell: EnergyShell
     nodes: Array
     temperature: float
     u: Callable[[Array], Array]
@@ -62,13 +61,13 @@ class EnergyDensity:
     def log_states(self, energy: Array) -> Array:
         """ln T(H) at energies > 0 of any shape, T the density of states of ``shell_ratios``."""
         flat = np.maximum(energy, np.finfo(float).tiny).ravel()
-        log_t = log_linear_states(self.system, flat) + np.log(shell_ratios(self.shell, flat).states)
+        log_t = log_linear_states(self.system, flat) + np.log(shell_ratios(self.system, flat).states)
         return np.asarray(log_t.reshape(np.shape(energy)))
 
     def states_error(self, energy: Array) -> Array:
         """Error of p(H) by that of T at energies > 0 of any shape."""
         flat = np.maximum(energy, np.finfo(float).tiny).ravel()
-        error = shell_ratios(self.shell, flat).error.reshape(np.shape(energy))
+        error = shell_ratios(self.system, flat).error.reshape(np.shape(energy))
         return np.asarray(error * self.energy_pdf(energy))
 
     def energy_pdf(self, energy: Array) -> Array:
@@ -108,7 +107,6 @@ def gibbs(
 
     return EnergyDensity(
         system=system,
-        shell=energy_shell(system),
         nodes=nodes,
         temperature=1.0 / alpha,
         u=u,
@@ -142,10 +140,8 @@ def closed_form_measured(
 
 def log_density_of(system: System, log_u: Callable[[Array], Array]) -> Callable[[Array], Array]:
     """Return ln p(H) = ln T + ln u as a function of energies > 0, (energies,)."""
-    shell = energy_shell(system)
-
     def log_density(energy: Array) -> Array:
-        states = np.log(shell_ratios(shell, energy).states)
+        states = np.log(shell_ratios(system, energy).states)
         return np.asarray(log_linear_states(system, energy) + states + log_u(energy))
 
     return log_density
@@ -158,17 +154,16 @@ def log_energy_norm(
 
     ``decay`` is αH for the C of (29).
     """
-    shell = energy_shell(system)
     probe = probed(process)
     nodes = initial_nodes(probe, probe.extent(TAIL), process.nonsmooth)
-    if shell.potential.count == 1:  # of more, an energy costs milliseconds and more
+    if len(system.contact_masses) == 1:  # of more, an energy costs milliseconds and more
         nodes = with_layers(nodes, process.nonsmooth, count=DEEP_LAYERS)
     nodes = _graded_to_zero(nodes)
 
     def integral(points: int) -> tuple[float, float]:
         x, w = panel_rule(nodes, points)
         energy = x.ravel()
-        ratios = shell_ratios(shell, energy)
+        ratios = shell_ratios(system, energy)
         exponent = log_linear_states(system, energy) - decay(energy)
         top = float(exponent.max())
         terms = w.ravel() * ratios.states * np.exp(exponent - top)
@@ -184,7 +179,8 @@ def averaged_closed_form(system: System, process: Process) -> EnergyDensity:
 
     The printed (29) holds for two unit masses.
     """
-    alpha = energy_balance(system).inverse_temperature
+    damping, noise = damping_and_noise(system)
+    alpha = damping / noise
     log_norm, error = log_energy_norm(system, process, lambda energy: alpha * energy)
     return gibbs(system, process, alpha, log_norm, error=error, provenance={"equation": "(29)"})
 

@@ -11,11 +11,11 @@ from scipy.integrate import cubature
 from averaging.back_transformation import POINTS, back_transformed
 from averaging.conditional import conditionals
 from averaging.energy_density import EnergyDensity, gibbs
-from averaging.energy_process import energy_balance, energy_process
+from averaging.energy_process import energy_process
 from averaging.hidden import DEPTH, HiddenIntegral
 from averaging.nonintegrable import energy_only_refusal
 from averaging.polynomial_rate import density_of_rate
-from averaging.shell.reduced import reduced_potential
+from averaging.shell.energy_shell import energy_shell
 from fpk.errors import NotApplicable
 from fpk.method import Method, Plan, Progress, Result, check_solver
 from fpk.observable import Observable
@@ -107,7 +107,7 @@ class Exact(Method):
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where (8) does not hold."""
         h = compatibility(system)
-        energy_balance(system)
+        energy_process(system)
         settings: dict[str, str | float | int] = {"equation": "(7), (22)", "h": float(h[0])}
         for power, coefficient in enumerate(h[1:], start=1):
             settings[f"h, H^{power}"] = float(coefficient)
@@ -168,11 +168,11 @@ def _log_configuration_integral(system: System, h: float) -> tuple[float, float]
 
 def _whitened_cubature(system: System, h: float) -> tuple[float, float]:
     """Return ∫exp(−h V_red) dy and its error, where V_red >= ½|y|²: one scale in all directions."""
-    potential = reduced_potential(system)
-    reach = np.full(potential.count, np.sqrt(2.0 * DEPTH / h))
+    shell = energy_shell(system)
+    reach = np.full(shell.count, np.sqrt(2.0 * DEPTH / h))
 
     def weight(y: Array) -> Array:
-        return np.asarray(np.exp(-h * potential(y)))
+        return np.asarray(np.exp(-h * shell.potential(y)))
 
     # A rule of few points in a wide box can miss where the weight is: it has 15 along each axis.
     result = cubature(weight, -reach, reach, rtol=CUBATURE_TOLERANCE, rule="gk15")

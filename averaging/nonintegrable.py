@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from averaging.back_transformation import back_transformed
 from averaging.energy_density import EnergyDensity
-from averaging.energy_process import energy_balance, energy_process
+from averaging.energy_process import energy_process
 from averaging.polynomial_rate import averaged_density, averaged_rate
 from averaging.quadrature import QuadratureSolution, solve_by_quadrature
 from averaging.shell.ratios import log_linear_states
@@ -53,7 +53,7 @@ class NonIntegrable(Method):
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
-        energy_balance(system)
+        energy_process(system)
         if self.solver == "closed-form":
             averaged_rate(system)
 

@@ -13,7 +13,7 @@ from averaging.energy_density import (
     log_density_of,
     log_energy_norm,
 )
-from averaging.energy_process import energy_balance
+from averaging.energy_process import damping_and_noise
 from averaging.tabulated import tabulated
 from averaging.zero_flux import flux_residual
 from fpk.errors import NotApplicable
@@ -37,13 +37,13 @@ def averaged_rate(system: System) -> Array:
             "damping that depends on q or v leaves (11) without a closed form; "
             "the solvers fem and quadrature evaluate it"
         )
-    balance = energy_balance(system)
+    damping, noise = damping_and_noise(system)
     rate = np.zeros(1 + max((term.energy for term in terms), default=0))
-    rate[0] = balance.damping
+    rate[0] = damping
     for term in terms:
         if term.row == term.column:
             rate[term.energy] += term.coefficient / system.mass[term.row]
-    return rate / balance.noise
+    return rate / noise
 
 
 def averaged_density(system: System, process: Process) -> EnergyDensity:

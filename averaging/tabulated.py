@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from averaging.energy_density import EnergyDensity, Provenance
-from averaging.shell.ratios import energy_shell
 from averaging.weyl import POINTS, WeylTable, continued, weyl_table
 from fpk.certificate import Measured
 from fpk.probe import probed
@@ -75,7 +74,6 @@ def tabulated(
         temperature = min(temperature, probed(process).e_fold(float(nodes[-1])))
     return EnergyDensity(
         system=system,
-        shell=energy_shell(system),
         nodes=nodes,
         temperature=temperature,
         u=u,

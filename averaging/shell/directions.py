@@ -1,4 +1,4 @@
-"""Quadrature over the directions of whitened coordinates: two on a line, a circle, a sphere."""
+"""Quadrature over the directions of whitened coordinates: on a circle and on a sphere."""
 
 from math import pi
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import elementwise
 
-from averaging.shell.reduced import ReducedPotential
+from averaging.shell.energy_shell import EnergyShell
 from fpk.quadrature import gauss_legendre
 
 Array = NDArray[np.float64]
@@ -15,13 +15,8 @@ Array = NDArray[np.float64]
 _find_root: Any = elementwise.find_root  # its published types know no further arguments
 
 
-def line_rule(potential: ReducedPotential) -> tuple[tuple[float, ...], float]:
-    """One contact mass: the directions ±1, or one of them counted twice where V is even."""
-    return ((1.0,), 2.0) if potential.mirror else ((1.0, -1.0), 1.0)
-
-
 def circle_rule(
-    potential: ReducedPotential, energy: Array, nodes: int
+    shell: EnergyShell, energy: Array, nodes: int
 ) -> tuple[NDArray[np.intp], Array, Array]:
     """Two contact masses: Gauss panels over the angle, cut where a stop joins or leaves the shell.
 
@@ -29,8 +24,8 @@ def circle_rule(
     The substitution sin² towards both ends of a panel turns the half-integer powers that Hertz
     contact leaves there into smooth functions.
     """
-    period = pi if potential.mirror else 2.0 * pi
-    cuts = np.sort(_cut_angles(potential, energy) % period, axis=1)
+    period = pi if shell.mirror else 2.0 * pi
+    cuts = np.sort(_cut_angles(shell, energy) % period, axis=1)
     cuts = np.concatenate([cuts, cuts[:, :1] + period], axis=1)
     t, w = gauss_legendre(nodes)
     psi = 0.25 * pi * (1.0 + t)
@@ -54,23 +49,19 @@ def hyperspherical(angles: Array) -> tuple[Array, Array]:
     return directions, np.prod(sine**powers, axis=1)
 
 
-def _cut_angles(potential: ReducedPotential, energy: Array) -> Array:
+def _cut_angles(shell: EnergyShell, energy: Array) -> Array:
     """Angles (energies, cuts) at which the rays change their panels; 0 where a cut is absent."""
-    fixed = [0.0, 0.5 * pi]
-    rows, clearance = potential.rows, potential.clearance
-    moving = []
-    for i in range(clearance.size):
-        moving.extend(_line_crossings(potential, rows[i], clearance[i], energy))
-        for j in range(i):
-            determinant = np.linalg.det(rows[[i, j]])
-            if abs(determinant) > 1e-12 * np.linalg.norm(rows[i]) * np.linalg.norm(rows[j]):
-                corner = np.linalg.solve(rows[[i, j]], clearance[[i, j]])
-                fixed.append(float(np.arctan2(corner[1], corner[0])))
-    return np.stack([np.full(energy.size, angle) for angle in fixed] + moving, axis=1)
+    fixed = [0.0, 0.5 * pi, *np.arctan2(shell.corners[:, 1], shell.corners[:, 0])]
+    crossings = [
+        angle
+        for row, clearance in zip(shell.stops.rows, shell.stops.clearance, strict=True)
+        for angle in _line_crossings(shell, row, clearance, energy)
+    ]
+    return np.stack([np.full(energy.size, angle) for angle in fixed] + crossings, axis=1)
 
 
 def _line_crossings(
-    potential: ReducedPotential, row: Array, clearance: float, energy: Array
+    shell: EnergyShell, row: Array, clearance: float, energy: Array
 ) -> list[Array]:
     """Angles of the two points with V = H on the line where a stop is just touched."""
     size = np.linalg.norm(row)
@@ -82,14 +73,14 @@ def _line_crossings(
     def points(t: Array) -> Array:
         return np.asarray(foot + t[:, None] * along)
 
-    lowest = _find_root(lambda t: potential.slope(points(t), along), (-bound, bound)).x
-    inside = potential(points(lowest)) < energy
+    lowest = _find_root(lambda t: shell.slope(points(t), along), (-bound, bound)).x
+    inside = shell.potential(points(lowest)) < energy
     angles = []
     for end in (bound, -bound):
         angle = np.zeros(energy.size)
         if inside.any():
             t = _find_root(
-                lambda t, energy: potential(points(t)) - energy,
+                lambda t, energy: shell.potential(points(t)) - energy,
                 (lowest[inside], end[inside]),
                 args=(energy[inside],),
             ).x

@@ -8,16 +8,15 @@ from math import lgamma
 import numpy as np
 from numpy.typing import NDArray
 
+from averaging.shell.energy_shell import EnergyShell, energy_shell
 from averaging.shell.monomials import PowerPolynomial, power_polynomials
-from averaging.shell.radial import shell_ray_moments
-from averaging.shell.ratios import COARSE, energy_shell
-from averaging.shell.reduced import ReducedPotential
-from averaging.shell.sums import TARGET, refined_sums
-from averaging.shell.table import Resolution, ShellTable
+from averaging.shell.sums import TARGET, shell_integrals
+from averaging.shell.table import COARSE, Resolution, ShellTable
 from fpk.equivalent import dissipated_power
 from fpk.system import System
 
 Array = NDArray[np.float64]
+Averages = Callable[[Array], tuple[Array, Array]]
 
 TARGETS = (8e-13, 3e-14)
 """Disagreement of two levels, for n = 1 and more, that ends the refinement for one contact mass:
@@ -40,7 +39,7 @@ class TermPower:
     free: Array
     size: Array
     begins: float
-    integrals: Callable[[Array], tuple[Array, Array]]
+    integrals: Averages
 
     def __call__(self, energy: Array) -> tuple[Array, Array]:
         """The power and its error at energies > 0 of shape (energies,), in energy/time."""
@@ -59,16 +58,15 @@ def term_power(system: System) -> TermPower:
 
     Momenta and displacements without contact are averaged in closed form; what is left are
     integrals of polynomials over the contact masses, along rays and over directions, refined until
-    two rules agree. V and the polynomial look the same at −y where ``ReducedPotential.mirror``
-    holds, as terms of odd degree end it.
+    two rules agree. V and the polynomial look the same at −y where ``EnergyShell.mirror`` holds, as
+    terms of odd degree end it.
     """
     return system.fact(_term_power)
 
 
 def _term_power(system: System) -> TermPower:
     shell = energy_shell(system)
-    potential = shell.potential
-    polynomials = power_polynomials(system, potential)
+    polynomials = power_polynomials(shell)
     n = system.n
     gibbs = dissipated_power(system)
     free = np.zeros(len(polynomials))
@@ -78,39 +76,42 @@ def _term_power(system: System) -> TermPower:
         if polynomial.degree % 2 == 0 and s < gibbs.size:
             free[k] = gibbs[s] * np.exp(lgamma(n) - lgamma(n + s))
     size = np.array([polynomial.free_size(n) for polynomial in polynomials])
-    direct = partial(_averages, potential, polynomials)
-    integrals: Callable[[Array], tuple[Array, Array]] = direct
-    if potential.count > 1 and polynomials:
-        resolution = Resolution() if potential.count == 2 else COARSE
-        integrals = _tabulated(direct, size, shell.contact_energies, resolution)
+    integrals = partial(_averages, shell, polynomials)
+    if shell.count > 1 and polynomials:
+        integrals = _tabulated(integrals, size, shell)
     begins = min(shell.contact_energies, default=np.inf)
     degrees = np.array([float(polynomial.degree) for polynomial in polynomials])
     return TermPower(degrees, free, size, begins, integrals)
 
 
 def _averages(
-    potential: ReducedPotential, polynomials: Sequence[PowerPolynomial], energy: Array
+    shell: EnergyShell, polynomials: Sequence[PowerPolynomial], energy: Array
 ) -> tuple[Array, Array]:
     """g_d and their errors (energies, degrees), by quadrature."""
-    orders = sorted({(0, 0)}.union(*(polynomial.orders for polynomial in polynomials)))
-    column = {order: k for k, order in enumerate(orders)}
+    orders = sorted(set().union(*(polynomial.orders for polynomial in polynomials)))
+    column = {order: 3 + k for k, order in enumerate(orders)}
 
-    def rays(energy: Array, directions: Array, *, rules: Sequence[int]) -> Array:
-        moments = shell_ray_moments(potential, energy, directions, orders, rules=rules)
-        parts = [moments[..., column[0, 0]]]
+    def combine(directions: Array, integrals: Array) -> Array:
+        parts = [integrals[..., 0]]
         for polynomial in polynomials:
-            radial = moments[..., [column[o] for o in polynomial.orders]] * polynomial.coefficient
+            radial = integrals[..., [column[o] for o in polynomial.orders]] * polynomial.coefficient
             power = np.sum(radial * _monomials(directions, polynomial.alpha), axis=-1)
             most = np.sum(np.abs(radial) * _majorants(directions, polynomial.alpha), axis=-1)
             # Positive, so that no error is relative to nothing.
             parts += [power + 2.0 * most, most]
         return np.stack(parts, axis=-1)
 
-    target = TARGETS[min(potential.n, 2) - 1] if potential.count == 1 else TARGET
-    sums, error = refined_sums(potential, energy, rays, np.abs, target=target)
+    sums, errors = shell_integrals(
+        shell,
+        energy,
+        np.abs,
+        orders=np.array(orders, dtype=np.int64),
+        combine=combine,
+        target=TARGETS[min(shell.system.n, 2) - 1] if shell.count == 1 else TARGET,
+    )
     states, shifted, most = sums[:, :1], sums[:, 1::2], sums[:, 2::2]
     # The errors of shifted (at most 3 of most), of 2 most and of states (g is at most most).
-    return (shifted - 2.0 * most) / states, 6.0 * error[:, None] * most / states
+    return (shifted - 2.0 * most) / states, 6.0 * errors.max(axis=1)[:, None] * most / states
 
 
 def _monomials(directions: Array, alpha: NDArray[np.int64]) -> Array:
@@ -125,19 +126,15 @@ def _majorants(directions: Array, alpha: NDArray[np.int64]) -> Array:
     return np.asarray(np.prod(directions[:, None, :] ** (alpha - odd) * square**odd, axis=2))
 
 
-def _tabulated(
-    direct: Callable[[Array], tuple[Array, Array]],
-    size: Array,
-    breaks: tuple[float, ...],
-    resolution: Resolution,
-) -> Callable[[Array], tuple[Array, Array]]:
+def _tabulated(direct: Averages, size: Array, shell: EnergyShell) -> Averages:
     """Piecewise polynomials of g_d/size, for two or more contact masses."""
 
     def evaluate(energy: Array) -> Array:
         g, error = direct(energy)
         return np.column_stack([g / size, np.max(error / size, axis=1)])
 
-    table = ShellTable(evaluate, breaks, resolution)
+    resolution = Resolution() if shell.count == 2 else COARSE
+    table = ShellTable(evaluate, shell.contact_energies, resolution)
 
     def integrals(energy: Array) -> tuple[Array, Array]:
         values = table(energy)

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from averaging.conditional import bridge_covariance, conditional
-from averaging.shell.reduced import ReducedPotential
+from averaging.shell.energy_shell import EnergyShell
 from fpk.damping import DampingTerm
 from fpk.moments import gaussian_moment
-from fpk.system import System
 
 Array = NDArray[np.float64]
 Powers = tuple[int, ...]
@@ -51,16 +50,16 @@ class PowerPolynomial:
         return total
 
 
-def power_polynomials(system: System, potential: ReducedPotential) -> tuple[PowerPolynomial, ...]:
-    """Return the averages of all damping terms of ``system``, one polynomial per degree.
+def power_polynomials(shell: EnergyShell) -> tuple[PowerPolynomial, ...]:
+    """Return the averages of all damping terms of a system, one polynomial per degree.
 
     The other displacements are linear in those of the contact masses plus ξ, V = V_red + ½ ξᵀKξ.
     Given y, the N = 2n − c numbers (√m v, K^½ ξ) are uniform on the sphere ½|x|² = H − V_red: a
     moment of degree 2r is (H − V_red)^r Γ(N/2)/Γ(N/2 + r) times that of Gaussian ones.
     """
     found: dict[int, dict[tuple[Powers, int], float]] = defaultdict(lambda: defaultdict(float))
-    for term in system.damping_terms:
-        for key, value in _averaged(system, potential, term).items():
+    for term in shell.system.damping_terms:
+        for key, value in _averaged(shell, term).items():
             found[term.degree][key] += value
     result = []
     for degree, parts in sorted(found.items()):
@@ -69,7 +68,7 @@ def power_polynomials(system: System, potential: ReducedPotential) -> tuple[Powe
             result.append(
                 PowerPolynomial(
                     degree,
-                    np.array([alpha for alpha, _ in kept]).reshape(len(kept), potential.count),
+                    np.array([alpha for alpha, _ in kept]).reshape(len(kept), shell.count),
                     np.array([r for _, r in kept]),
                     np.array(list(kept.values())),
                 )
@@ -77,24 +76,22 @@ def power_polynomials(system: System, potential: ReducedPotential) -> tuple[Powe
     return tuple(result)
 
 
-def _averaged(
-    system: System, potential: ReducedPotential, term: DampingTerm
-) -> dict[tuple[Powers, int], float]:
+def _averaged(shell: EnergyShell, term: DampingTerm) -> dict[tuple[Powers, int], float]:
     """Coefficients of y^alpha (H − V_red)^r in the average of one term; (alpha, r) are the keys."""
-    n, c = system.n, potential.count
+    system, n, c = shell.system, shell.system.n, shell.count
     v = list(term.powers("v", n))
     v[term.row] += 1
     v[term.column] += 1
     velocities = gaussian_moment(np.diag(1.0 / system.mass), tuple(v))
     if velocities == 0.0:
         return {}
-    kept = list(potential.masses)
+    kept = list(shell.masses)
     free = [i for i in range(n) if i not in kept]
     covariance = bridge_covariance(system, free, kept)
     follow = np.zeros((n, c))
-    follow[kept] = potential.L
+    follow[kept] = shell.L
     for i in free:
-        follow[i] = conditional(system, i, kept).weights @ potential.L
+        follow[i] = conditional(system, i, kept).weights @ shell.L
     polynomial: Polynomial = {(0,) * (c + len(free)): 1.0}
     for mass, power in enumerate(term.powers("q", n)):
         one = {_unit(k, c + len(free)): float(x) for k, x in enumerate(follow[mass]) if x != 0.0}

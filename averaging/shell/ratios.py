@@ -5,43 +5,26 @@ ratios between 0 and 1 that depend on H only; they are all that quadrature is ne
 well scaled for any number of masses, and they are exactly 1 below the energy where contact begins.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
 from math import pi
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from averaging.shell.contact_energies import contact_energies
-from averaging.shell.one_mass.ratios import OneMassShell
-from averaging.shell.radial import shell_ray_integrals
-from averaging.shell.reduced import ReducedPotential, reduced_potential
-from averaging.shell.sums import refined_sums
-from averaging.shell.table import Resolution, ShellTable
+from averaging.shell.energy_shell import EnergyShell, energy_shell
+from averaging.shell.sums import shell_integrals
+from averaging.shell.table import COARSE, Resolution, ShellTable
 from fpk.system import System
 
 Array = NDArray[np.float64]
 
-COARSE = Resolution(points=8, layers=1, target=1e-5, deepest=2)
-"""Resolution of the table then: what lies below the tolerance is not worth its minutes."""
+ROUNDED = 0.5 * float(np.finfo(float).eps)
+"""For n = 1 the part beyond a stop is ~ √(H − V), V at the stop: a rounding of H is relative to T
+ε √(H/(H − V)), of either sign, half of it to be expected."""
 
 
-@dataclass(frozen=True, eq=False)
-class EnergyShell:
-    """Shells of constant energy of one system: its reduced potential and contact energies.
-
-    ``ratios`` gives the rows of ``ShellRatios``, (5, energies).
-    """
-
-    potential: ReducedPotential
-    contact_energies: tuple[float, ...]
-    ratios: Callable[[Array], Array]
-
-
-@dataclass(frozen=True, eq=False)
-class ShellRatios:
+class ShellRatios(NamedTuple):
     """Ratios of the energy shell at some energies; each array has the energies' shape.
 
     ``states`` = T(H)/T_lin(H) with T the density of states ∫δ(H − H(q,p)) dq dp (twice the T of
@@ -57,28 +40,6 @@ class ShellRatios:
     slope_error: Array
 
 
-def energy_shell(system: System) -> EnergyShell:
-    """Return the shells of ``system``, held by the system: they remember what they integrated.
-
-    One contact mass is cheap and evaluated afresh; more are kept as piecewise polynomials.
-    """
-    return system.fact(_energy_shell)
-
-
-def _energy_shell(system: System) -> EnergyShell:
-    potential = reduced_potential(system)
-    energies = contact_energies(potential)
-    if not potential.count:
-        return EnergyShell(potential, energies, partial(_untouched, potential))
-    if potential.count == 1:
-        return EnergyShell(potential, energies, OneMassShell(potential))
-    resolution = Resolution()
-    if potential.count > 2:
-        energies, resolution = contact_energies(potential, at_once=1), COARSE
-    table = ShellTable(partial(integrated_ratios, potential), energies, resolution)
-    return EnergyShell(potential, energies, partial(_beyond_contact, potential, energies[0], table))
-
-
 def log_linear_states(system: System, energy: Array) -> Array:
     """Return ln T_lin(H) of the chain without contacts, (2π)^n √(Π m / det K) H^(n−1)/Γ(n)."""
     n = system.n
@@ -87,42 +48,54 @@ def log_linear_states(system: System, energy: Array) -> Array:
     return np.asarray(prefactor - gammaln(n) + (n - 1) * np.log(energy))
 
 
-def shell_ratios(shell: EnergyShell, energy: Array) -> ShellRatios:
-    """Return the ratios at energies > 0, Eqs. (10), (25), (28) for any n and any contacts.
+def shell_ratios(system: System, energy: Array) -> ShellRatios:
+    """Return the ratios at energies > 0 (energies,), Eqs. (10), (25), (28) for any contacts.
 
-    The (2n−1)-fold integrals of (10) are reduced to the contact masses: momenta and the other
-    displacements are integrated out exactly, which leaves ∫(H − V_red)^(n − c/2 − 1) dq_c.
+    The (2n−1)-fold integrals of (10) are reduced to the c contact masses: momenta and the other
+    displacements are integrated out exactly, which leaves ∫(H − V_red)^(n − c/2 − 1) dq_c. For one
+    contact mass they are integrated afresh, for more they are interpolated.
     """
-    return ShellRatios(*shell.ratios(energy))
-
-
-def _untouched(potential: ReducedPotential, energy: Array) -> Array:
-    """The ratios where nothing is touched: exact."""
-    found = np.ones((5, energy.size))
-    found[2], found[3:] = potential.n - 1.0, 0.0
-    return found
-
-
-def _beyond_contact(
-    potential: ReducedPotential, first: float, table: ShellTable, energy: Array
-) -> Array:
-    """The ratios, from ``table`` where the energy exceeds the first contact energy."""
-    found = _untouched(potential, energy)
-    touching = np.flatnonzero(energy > first)
+    shell = energy_shell(system)
+    rows = np.ones((5, energy.size))
+    rows[2], rows[3:] = system.n - 1.0, 0.0
+    touching = np.flatnonzero(energy > min(shell.contact_energies, default=np.inf))
     if touching.size:
-        found[:4, touching] = table(energy[touching]).T
-        found[4] = found[3]
-    return found
+        above = energy[touching]
+        if shell.count == 1:
+            rows[:, touching] = _integrated(shell, above)
+        else:
+            values = system.fact(_table)(above)
+            rows[:3, touching] = values[:, :3].T
+            rows[3:, touching] = values[:, 3]
+    return ShellRatios(*rows)
 
 
-def integrated_ratios(potential: ReducedPotential, energy: Array) -> Array:
-    """Return columns states, volume, log_slope and their relative error, by quadrature.
+def _table(system: System) -> ShellTable:
+    shell = energy_shell(system)
 
-    For energies above the first contact energy and any number of contact masses.
-    """
-    n, c = potential.n, potential.count
-    sums, error = refined_sums(potential, energy, partial(shell_ray_integrals, potential), np.abs)
+    def evaluate(energy: Array) -> Array:
+        rows = _integrated(shell, energy)
+        return np.column_stack([*rows[:3], rows[4]])
+
+    resolution = Resolution() if shell.count == 2 else COARSE
+    return ShellTable(evaluate, shell.contact_energies, resolution)
+
+
+def _integrated(shell: EnergyShell, energy: Array) -> Array:
+    """The rows of ``ShellRatios`` above the first contact energy, by quadrature."""
+    n, c = shell.system.n, shell.count
+    sums, errors = shell_integrals(shell, energy, _sizes)
     a = n - 0.5 * c - 1.0
     flat = (2.0 * pi) ** (0.5 * c) * float(np.exp(gammaln(a + 1.0) - gammaln(n)))
+    error = np.maximum(errors[:, 0], errors[:, 1])
+    if n == 1:
+        rises = energy[:, None] - shell.potential(shell.stops.clearance[:, None] / shell.stops.rows)
+        least = np.where(rises > 0.0, rises, np.inf).min(axis=1)
+        error = error + ROUNDED * np.sqrt(energy / least)
     states, volume = sums[:, 0] / flat, sums[:, 1] / (flat * (a + 1.0) / n)
-    return np.column_stack([states, volume, sums[:, 2] / sums[:, 0], error])
+    return np.stack([states, volume, sums[:, 2] / sums[:, 0], error, errors[:, 2] + error])
+
+
+def _sizes(sums: Array) -> Array:
+    """What the errors of T, Φ and T' are relative to; T' is taken to be of the order of T."""
+    return np.column_stack([sums[:, :2], np.maximum(np.abs(sums[:, 2]), sums[:, 0])])

@@ -1,22 +1,22 @@
-"""Sums of ray integrals over all directions, refined until two rules agree."""
+"""Integrals over the energy shell: those along rays, summed over all directions and refined."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from math import pi
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cubature
 
-from averaging.shell.directions import circle_rule, hyperspherical, line_rule
-from averaging.shell.reduced import ReducedPotential
+from averaging.shell.directions import circle_rule, hyperspherical
+from averaging.shell.energy_shell import EnergyShell
+from averaging.shell.rays import RULES, gauss_rules, ray_integrals
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
-REFINEMENTS = (12, 16, 24, 48, 96, 192)
-"""Gauss points per panel; an energy moves on to the next while two levels disagree."""
+NO_ORDERS: Integers = np.empty((0, 2), dtype=np.int64)
 TARGET = 3e-12
-"""Relative disagreement of two levels that ends the refinement and is reported as the error; as the
+"""Relative disagreement of two rules that ends the refinement and is reported as the error; as the
 convergence is geometric down to round-off, the finer of the two is better than that."""
 ROUND_OFF = 2e-15
 """Relative error of a sum of some dozens of positive terms."""
@@ -24,98 +24,118 @@ ROOT_ROUND_OFF = 4e-13
 """Relative error of a sum of a system of one mass, whose integrand is 1/√v, v = 1 − V/H: at the
 Gauss point next to the turning point, where v ~ 1/points² cancels terms of order one, the relative
 error is ε points²."""
-RADIAL_POINTS = 20
-"""Gauss points along a ray are enough at this number for any contact stiffness; over the angle,
-where stiff contact leaves boundary layers, more are taken."""
+MANY = 5
+"""Masses from which the first rule along a line would be refused, as v^a is narrow."""
+RADIAL_RULE = 2
+"""Its 24 points along a ray are enough for any contact stiffness; over the angle of a circle, where
+stiff contact leaves boundary layers, more are taken."""
 CUBATURE_TOLERANCE = 1e-6
-"""Relative tolerance over the directions of three or more contact masses, half a second an energy;
-the cubature's own estimate, which the true error stays below by two orders of magnitude."""
+"""Relative tolerance over the directions of three or more contact masses; the cubature's own
+estimate, which the true error stays below by two orders of magnitude."""
+
+Combine = Callable[[Array, Array], Array]
+"""Quantities (..., rays, quantities) from directions (rays, c) and integrals (..., rays, ·)."""
 
 
-class RayIntegrals(Protocol):
-    """Integrals along rays: of some energies (rays,) and directions (rays, c), by several rules."""
-
-    def __call__(self, energy: Array, directions: Array, *, rules: Sequence[int]) -> Array:
-        """Shape (rules, rays, quantities)."""
-        ...
-
-
-def refined_sums(
-    potential: ReducedPotential,
+def shell_integrals(
+    shell: EnergyShell,
     energy: Array,
-    rays: RayIntegrals,
     size: Callable[[Array], Array],
     *,
+    orders: Integers = NO_ORDERS,
+    combine: Combine | None = None,
     target: float = TARGET,
 ) -> tuple[Array, Array]:
-    """Return the integrals over the shell (energies, quantities) and their error (energies,).
+    """Return integrals over the shells (energies, quantities) and their errors, of that shape.
 
-    ``size`` takes sums (energies, quantities) and returns what their errors are relative to; the
-    error is that of the worst quantity.
+    The quantities are the integrals along rays of ``ray_integrals``, with ``orders``, or what
+    ``combine`` makes of them, summed over all directions. ``size`` takes sums and returns what
+    their errors are relative to. The rules are refined until all errors are below ``target``.
     """
-    if potential.count > 2:
-        return _over_sphere(potential, energy, rays, size)
-    coarse, sums = _over_rays(potential, energy, rays, REFINEMENTS[:2])
-    floor = ROUND_OFF if potential.n > 1 else ROOT_ROUND_OFF
-    error = _disagreement(coarse, sums, size) + floor
-    for points in REFINEMENTS[2:]:
-        open_ = np.flatnonzero(error > target)
-        if not open_.size:
+    if shell.count > 2:
+        return _over_sphere(shell, energy, size, orders, combine)
+
+    def sums(energy: Array, rule: int, rules: int) -> Array:
+        if shell.count == 2:
+            return _over_circle(shell, energy, rule, rules, orders, combine)
+        ends = np.array([[1.0]] if shell.mirror else [[1.0], [-1.0]])
+        directions = np.repeat(ends, energy.size, axis=0)
+        parts = _along(shell, np.tile(energy, len(ends)), directions, rule, rules, orders, combine)
+        parts = parts.reshape(rules, len(ends), energy.size, parts.shape[-1])
+        return np.asarray((2.0 / len(ends)) * parts.sum(axis=1))
+
+    first = 1 if shell.count == 1 and shell.system.n >= MANY else 0
+    floor = ROUND_OFF if shell.system.n > 1 else ROOT_ROUND_OFF
+    coarse, fine = sums(energy, first, 2)
+    error = np.abs(coarse - fine) / size(fine) + floor
+    for rule in range(first + 2, len(RULES)):
+        # A sum that is no number is refined, too.
+        i = np.flatnonzero(~(error.max(axis=1) <= target))
+        if not i.size:
             break
-        finer = _over_rays(potential, energy[open_], rays, (points,))[0]
-        error[open_] = _disagreement(sums[open_], finer, size) + floor
-        sums[open_] = finer
-    return sums, error
+        finer = sums(energy[i], rule, 1)[0]
+        error[i] = np.abs(fine[i] - finer) / size(finer) + floor
+        fine[i] = finer
+    return fine, np.where(np.isnan(error), np.inf, error)
 
 
-def _disagreement(coarse: Array, fine: Array, size: Callable[[Array], Array]) -> Array:
-    relative: Array = np.max(np.abs(coarse - fine) / size(fine), axis=1)
-    return relative
-
-
-def _over_rays(
-    potential: ReducedPotential, energy: Array, rays: RayIntegrals, rules: Sequence[int]
+def _along(
+    shell: EnergyShell,
+    energy: Array,
+    directions: Array,
+    rule: int,
+    rules: int,
+    orders: Integers,
+    combine: Combine | None,
 ) -> Array:
-    """Sums over one or two directions of contact, (rules, energies, quantities)."""
-    if potential.count == 1:
-        ends, weight = line_rule(potential)
-        parts = (rays(energy, np.full((energy.size, 1), end), rules=rules) for end in ends)
-        return weight * sum(parts, start=np.zeros(()))
-    return np.stack([_over_circle(potential, energy, rays, points) for points in rules])
+    """The quantities of each ray by ``rules`` rules from ``rule`` on, (rules, rays, quantities)."""
+    n = shell.system.n
+    names = tuple(sorted({stop.law for stop in shell.system.stops}))
+    add_rays = ray_integrals(names, 2 * n - shell.count - 2 <= 0)
+    result = np.zeros((rules, energy.size, 3 + len(orders)))
+    add_rays(energy, directions, shell.stops, n, orders, gauss_rules(), rule, result)
+    return result if combine is None else combine(directions, result)
 
 
 def _over_circle(
-    potential: ReducedPotential, energy: Array, rays: RayIntegrals, points: int
+    shell: EnergyShell,
+    energy: Array,
+    rule: int,
+    rules: int,
+    orders: Integers,
+    combine: Combine | None,
 ) -> Array:
-    which, directions, weights = circle_rule(potential, energy, points)
-    found = rays(energy[which], directions, rules=(min(points, RADIAL_POINTS),))[0]
-    parts = [np.bincount(which, weights * part, minlength=energy.size) for part in found.T]
-    return np.stack(parts, axis=1)
+    result = []
+    for k in range(rule, rule + rules):
+        which, directions, weights = circle_rule(shell, energy, RULES[k])
+        radial = min(k, RADIAL_RULE)
+        parts = _along(shell, energy[which], directions, radial, 1, orders, combine)[0]
+        columns = [np.bincount(which, weights * part, minlength=energy.size) for part in parts.T]
+        result.append(np.stack(columns, axis=1))
+    return np.stack(result)
 
 
 def _over_sphere(
-    potential: ReducedPotential,
+    shell: EnergyShell,
     energy: Array,
-    rays: RayIntegrals,
     size: Callable[[Array], Array],
+    orders: Integers,
+    combine: Combine | None,
 ) -> tuple[Array, Array]:
     """Three or more contact masses: adaptive cubature over the directions."""
-    angles = potential.count - 1
+    angles = shell.count - 1
+    factor = 2.0 if shell.mirror else 1.0
     upper = np.full(angles, pi)
-    upper[-1] = pi if potential.mirror else 2.0 * pi
-    factor = 2.0 if potential.mirror else 1.0
+    upper[-1] = 2.0 * pi / factor
 
     def integrand(points: Array) -> Array:
         directions, jacobian = hyperspherical(points)
-        shape = (points.shape[0], energy.size)
-        found = rays(
-            np.broadcast_to(energy, shape).ravel(),
-            np.repeat(directions, energy.size, axis=0),
-            rules=REFINEMENTS[:1],
-        )[0]
-        return np.asarray(jacobian[:, None, None] * found.reshape(*shape, found.shape[-1]))
+        energies = np.tile(energy, points.shape[0])
+        rays = np.repeat(directions, energy.size, axis=0)
+        parts = _along(shell, energies, rays, 0, 1, orders, combine)[0]
+        return np.asarray(jacobian[:, None, None] * parts.reshape(-1, energy.size, parts.shape[-1]))
 
-    found = cubature(
+    result = cubature(
         integrand,
         np.zeros(angles),
         upper,
@@ -123,5 +143,5 @@ def _over_sphere(
         rtol=CUBATURE_TOLERANCE,
         max_subdivisions=2000,
     )
-    error = np.max(np.abs(found.error) / size(found.estimate), axis=1) + ROUND_OFF
-    return factor * found.estimate, error
+    error = np.abs(result.error) / size(result.estimate) + ROUND_OFF
+    return factor * result.estimate, error

@@ -1,28 +1,30 @@
-"""Piecewise polynomials of the shell ratios, for systems whose shells are dear to integrate.
+"""Piecewise polynomials of shell integrals, for systems whose shells are dear to integrate.
 
 With two or more contact masses one energy costs milliseconds to seconds, and a solver asks for
-thousands. Between contact energies the ratios are smooth: a panel of Chebyshev points is built
-when a solver first asks for as many energies in it, and split until its coefficients have decayed.
+thousands. Between contact energies the integrals are smooth: a panel is fitted when a solver first
+asks for as many energies in it as a fit needs.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
+from fpk.piecewise import Piecewise, fit
+from fpk.quadrature import panel_rule
+
 Array = NDArray[np.float64]
-Evaluate = Callable[[Array], Array]
 
 GRADING = 0.2
 """Panels shrink towards each contact energy from above, where (H − H_c)³ or rougher terms begin."""
 DOUBLINGS = 60
+"""Panels above the highest contact energy, each twice as long as the one below it."""
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """Chebyshev points a panel, panels towards a contact energy, and when a panel is split.
+    """Gauss points a panel, panels towards a contact energy, and when a panel is split.
 
     A panel is split, at most ``deepest`` times, while its last coefficients exceed ``target``.
     """
@@ -33,24 +35,12 @@ class Resolution:
     deepest: int = 8
 
 
-@dataclass(frozen=True, eq=False)
-class Panel:
-    """Chebyshev coefficients (points, quantities) on [left, right] and a bound of their error."""
-
-    left: float
-    right: float
-    coefficients: Array
-    error: float
-
-    def __call__(self, energy: Array) -> Array:
-        """Values (energies, quantities + 1); the last column is the error."""
-        t = (2.0 * energy - self.left - self.right) / (self.right - self.left)
-        values = chebyshev.chebvander(t, self.coefficients.shape[0] - 1) @ self.coefficients
-        return np.column_stack([values, np.full(energy.size, self.error)])
+COARSE = Resolution(points=8, layers=1, target=1e-5, deepest=2)
+"""For more than two contact masses: below the tolerance of their cubature nothing is resolved."""
 
 
 class ShellTable:
-    """Function of the energy that remembers panels of ``evaluate``, built on demand.
+    """Function of the energy by panels that are fitted on demand.
 
     ``evaluate`` returns (energies, quantities + 1), relative quantities of order one and their
     error; ``breaks`` are the energies, ascending, where it loses smoothness, the first one being
@@ -58,9 +48,12 @@ class ShellTable:
     """
 
     def __init__(
-        self, evaluate: Evaluate, breaks: tuple[float, ...], resolution: Resolution
+        self,
+        evaluate: Callable[[Array], Array],
+        breaks: tuple[float, ...],
+        resolution: Resolution,
     ) -> None:
-        """Lay out the panels; none is built yet."""
+        """Lay out the panels; none is fitted yet."""
         self.evaluate, self.resolution = evaluate, resolution
         nodes = [np.array(breaks)]
         ends = [*breaks[1:], 2.0 * breaks[-1] if breaks[-1] > 0 else 1.0]
@@ -68,53 +61,49 @@ class ShellTable:
             nodes.append(low + (high - low) * GRADING ** np.arange(1.0, resolution.layers + 1.0))
         nodes.append(ends[-1] * 2.0 ** np.arange(DOUBLINGS))
         self.edges = np.unique(np.concatenate(nodes))
-        self.panels: dict[int, list[Panel]] = {}
+        self.panels: dict[int, Piecewise] = {}
         self.single: dict[float, Array] = {}
 
     def __call__(self, energy: Array) -> Array:
-        """Values at energies (energies,), from panels where these are worth their building."""
+        """Values and errors, as ``evaluate`` returns them, at energies (energies,)."""
         index = np.searchsorted(self.edges, energy, side="right") - 1
-        direct = np.zeros(energy.size, dtype=bool)
-        result: Array = np.empty((0, 0))
-        for k in np.unique(index):
-            rows = np.flatnonzero(index == k)
-            if int(k) not in self.panels and rows.size < self.resolution.points:
-                direct[rows] = True
-                continue
-            if int(k) not in self.panels:
-                self.panels[int(k)] = self._built(self.edges[k], self.edges[k + 1], 0)
-            result = _sized(result, energy.size, self.panels[int(k)][0])
-            for panel in self.panels[int(k)]:
-                inside = rows[(energy[rows] >= panel.left) & (energy[rows] <= panel.right)]
-                result[inside] = panel(energy[inside])
-        if direct.any():
-            values = self._single_values(energy[direct])
-            if not result.size:
-                result = np.empty((energy.size, values.shape[1]))
-            result[direct] = values
+        parts = []
+        for k in np.unique(index).tolist():
+            here = np.flatnonzero(index == k)
+            if k not in self.panels and here.size >= self.resolution.points:
+                self.panels[k] = self._fitted(self.edges[k : k + 2])
+            parts.append((here, (self.panels.get(k) or self._each)(energy[here])))
+        result = np.empty((energy.size, parts[0][1].shape[1]))
+        for here, values in parts:
+            result[here] = values
         return result
 
-    def _single_values(self, energy: Array) -> Array:
-        """Values at single energies; solvers begin by looking at the same ones."""
+    def _each(self, energy: Array) -> Array:
+        """Values at single energies, remembered: solvers begin by asking for the same ones."""
         new = np.array([H for H in energy if float(H) not in self.single])
         if new.size:
             self.single |= zip(map(float, new), self.evaluate(new), strict=True)
         return np.array([self.single[float(H)] for H in energy])
 
-    def _built(self, left: float, right: float, depth: int) -> list[Panel]:
+    def _fitted(self, ends: Array) -> Piecewise:
+        """The fit between two edges, with a constant bound of the error on each of its panels."""
         points = self.resolution.points
-        t = np.cos(np.pi * (np.arange(points) + 0.5) / points)
-        values = self.evaluate(0.5 * (left + right) + 0.5 * (right - left) * t)
-        vander = chebyshev.chebvander(t, points - 1)
-        coefficients = vander.T @ values[:, :-1] * (2.0 / points)
-        coefficients[0] *= 0.5
-        decay = float(np.max(np.abs(coefficients[-2:])))
-        if decay > self.resolution.target and depth < self.resolution.deepest:
-            cut = left + GRADING * (right - left)
-            return [*self._built(left, cut, depth + 1), *self._built(cut, right, depth + 1)]
-        error = 2.0 * decay + float(values[:, -1].max())
-        return [Panel(left, right, coefficients, error)]
 
+        def decay(lengths: Array, coefficients: Array) -> Array:
+            return np.asarray(np.max(np.abs(coefficients[:, -2:, :-1]), axis=(1, 2)))
 
-def _sized(result: Array, rows: int, panel: Panel) -> Array:
-    return result if result.size else np.empty((rows, panel.coefficients.shape[1] + 1))
+        values = fit(
+            self.evaluate,
+            ends,
+            self.resolution.target,
+            degree=points - 1,
+            cut=lambda left, right: left + GRADING * (right - left),
+            estimate=decay,
+            rounds=self.resolution.deepest,
+        )
+        assert values.error is not None
+        # The fit goes through what was evaluated at the Gauss points.
+        largest = values(panel_rule(values.nodes, points)[0])[..., -1].max(axis=1)
+        values.coefficients[:, :, -1] = 0.0
+        values.coefficients[:, 0, -1] = 2.0 * values.error + largest
+        return values

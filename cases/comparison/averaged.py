@@ -6,7 +6,7 @@ from functools import partial
 from math import inf, isfinite
 from typing import Literal, Self, get_args
 
-from averaging.energy_process import energy_balance, energy_process
+from averaging.energy_process import energy_process
 from averaging.modal.analysis import modal_analysis
 from averaging.modal.internal import internal_refusal
 from averaging.modal.process import modal_process
@@ -70,7 +70,7 @@ class AveragedSimulation(Method):
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
         if self.theory == "nonintegrable":
-            energy_balance(system)
+            energy_process(system)
         else:
             modes = modal_analysis(system)
             if reason := resonance_refusal(modes) or internal_refusal(system, modes):

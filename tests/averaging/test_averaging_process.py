@@ -7,7 +7,7 @@ from scipy.integrate import dblquad, quad
 from scipy.optimize import brentq
 
 from averaging.energy_density import averaged_closed_form
-from averaging.energy_process import energy_balance, energy_process
+from averaging.energy_process import damping_and_noise, energy_process
 from averaging.quadrature import solve_by_quadrature
 from averaging.shell.ratios import energy_shell, log_linear_states, shell_ratios
 from fpk.contact import Contact

@@ -7,7 +7,8 @@ from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import betainc
 
-from averaging.shell.ratios import energy_shell, log_linear_states, shell_ratios
+from averaging.shell.energy_shell import energy_shell
+from averaging.shell.ratios import log_linear_states, shell_ratios
 from fpk.contact import Contact
 from fpk.system import System
 
@@ -17,7 +18,7 @@ REFERENCE = 1e-14
 
 
 def ratios(system, energy):
-    return shell_ratios(energy_shell(system), np.atleast_1d(np.asarray(energy, dtype=float)))
+    return shell_ratios(system, np.atleast_1d(np.asarray(energy, dtype=float)))
 
 
 def one_mass(n, side, stiffness, law, clearance=0.5):

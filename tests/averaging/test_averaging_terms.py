@@ -6,9 +6,9 @@ import pytest
 from averaging_systems import chain
 
 from averaging.energy_process import energy_process
+from averaging.shell.energy_shell import energy_shell
 from averaging.shell.moments import term_power
 from averaging.shell.monomials import power_polynomials
-from averaging.shell.ratios import energy_shell
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.process import log_density_slope
@@ -129,7 +129,7 @@ def test_below_contact_the_polynomial_of_the_energy_is_that_of_the_shell():
     for n, terms in ((1, ONE), (2, TWO), (3, THREE)):
         free = scene(n, terms)
         far = scene(n, terms, (Contact(n, "right", 20.0, 100.0),))
-        power, polynomials = term_power(far), power_polynomials(far, energy_shell(far).potential)
+        power, polynomials = term_power(far), power_polynomials(energy_shell(far))
         energy = np.array([0.1, 1.0, 7.0])
         np.testing.assert_allclose(power(energy)[0], term_power(free)(energy)[0], rtol=1e-13)
         g, error = power.integrals(energy)

@@ -1,0 +1,125 @@
+"""Shells of constant energy in the coordinates of the masses that can touch something."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from averaging.conditional import conditionals, side_sign
+from averaging.shell.rays import Stops
+from fpk.effects import looks_the_same_mirrored
+from fpk.system import System
+
+Array = NDArray[np.float64]
+
+SAME = 1e-11
+"""Relative distance below which two energies are one: mirror images differ by roundings, minima
+by what their search leaves; a mesh between them would have no room."""
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyShell:
+    """Shells of constant energy of one system, over the c masses that have a contact.
+
+    A mass without contact enters V quadratically, so integrating it out of the phase space is
+    exact and leaves V_red = ½ q_cᵀ K_red q_c + Σ U_i(q_i) with ``K_red`` the Schur complement of
+    the stiffness matrix. With q_c = L y and L Lᵀ = K_red⁻¹ the springs become ½|y|². ``masses`` are
+    those with contact, from 0; ``L`` has shape (c, c); ``stops`` are the one-sided contacts in
+    these whitened coordinates; ``mirror`` says whether V(−q) = V(q).
+    """
+
+    system: System
+    masses: tuple[int, ...]
+    L: Array
+    stops: Stops
+    mirror: bool
+
+    def potential(self, y: Array) -> Array:
+        """V_red at whitened coordinates of shape (..., c)."""
+        value: Array = 0.5 * np.sum(y * y, axis=-1)
+        for stop, row in zip(self.system.stops, self.stops.rows, strict=True):
+            value = value + stop.energy(np.maximum(y @ row - stop.clearance, 0.0))
+        return value
+
+    def slope(self, y: Array, direction: Array) -> Array:
+        """Derivative of V_red along ``direction`` (c,) at whitened coordinates (..., c)."""
+        slope: Array = y @ direction
+        for stop, row in zip(self.system.stops, self.stops.rows, strict=True):
+            overlap = np.maximum(y @ row - stop.clearance, 0.0)
+            slope = slope + (row @ direction) * stop.force(overlap)
+        return slope
+
+    @property
+    def count(self) -> int:
+        """Number of masses with contact, c."""
+        return len(self.masses)
+
+    @cached_property
+    def corners(self) -> Array:
+        """Points where two stops are just touched, (points, 2), of two contact masses."""
+        rows, clearance, stops = self.stops.rows, self.stops.clearance, self.system.stops
+        pairs = [
+            list(pair)
+            for pair in combinations(range(clearance.size), 2)
+            if self.count == 2 and stops[pair[0]].mass != stops[pair[1]].mass
+        ]
+        return np.array([np.linalg.solve(rows[p], clearance[p]) for p in pairs]).reshape(-1, 2)
+
+    @cached_property
+    def contact_energies(self) -> tuple[float, ...]:
+        """The energies, ascending, at which T(H) loses smoothness.
+
+        They are the minima of V_red where one stop is just touched, H_c = ½ k_eff δ² with no other
+        in the way, and for two contact masses also where two are: each more adds half a derivative.
+        """
+        energies = [self._lowest(row, d) for row, d in zip(*self.stops[:2], strict=True)]
+        if self.count == 2:
+            energies += self.potential(self.corners).tolist()
+        distinct: list[float] = []
+        for H in sorted(energies):
+            if not distinct or H - distinct[-1] > SAME * H:
+                distinct.append(H)
+        return tuple(distinct)
+
+    def _lowest(self, row: Array, clearance: float) -> float:
+        """The minimum of V_red over the plane ``row @ y = clearance``."""
+        foot = clearance * row / (row @ row)
+        lowest = float(self.potential(foot))
+        if self.count == 1 or lowest <= 0.5 * float(foot @ foot) * (1.0 + SAME):
+            return lowest
+        free = np.linalg.svd(row[None])[2][1:].T
+
+        def energy(t: Array) -> float:
+            return float(self.potential(foot + free @ t))
+
+        return float(minimize(energy, np.zeros(free.shape[1]), tol=1e-12).fun)
+
+
+def energy_shell(system: System) -> EnergyShell:
+    """Return the shells of ``system``, held by it."""
+    return system.fact(_energy_shell)
+
+
+def _energy_shell(system: System) -> EnergyShell:
+    """Lay out the coordinates: whitened extensions of the chain of contact masses.
+
+    Integrating masses out of a chain leaves a chain: each mass that stays hangs on the one before
+    it by the springs between them in series. In the extensions of these springs, times the root of
+    their stiffness, ½ qᵀ K_red q is ½|y|², and nothing cancels at any ratio of the springs.
+    """
+    masses, stops = system.contact_masses, system.stops
+    stiffness = [law.precision for law in conditionals(system, masses)]
+    L: Array = np.tril(np.ones((len(masses), len(masses)))) / np.sqrt(stiffness)
+    rows = [side_sign(stop) * L[masses.index(stop.index)] for stop in stops]
+    laws = sorted({stop.law for stop in stops})
+    compiled = Stops(
+        rows=np.array(rows).reshape(len(stops), len(masses)),
+        clearance=np.array([stop.clearance for stop in stops], dtype=float),
+        stiffness=np.array([stop.stiffness for stop in stops], dtype=float),
+        exponent=np.array([stop.power for stop in stops], dtype=float),
+        law=np.array([laws.index(stop.law) for stop in stops], dtype=np.int64),
+    )
+    return EnergyShell(system, masses, L, compiled, looks_the_same_mirrored(system))

@@ -1,1 +1,0 @@
-"""Energy shells of a system with one contact mass, compiled."""

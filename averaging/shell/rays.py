@@ -1,0 +1,426 @@
+"""Integrals over the energy shell along rays from rest, compiled: (10), (25), (28) for any n.
+
+Along a ray y = r e of whitened coordinates V rises strictly, so the shell is 0 <= r <= R. Up to the
+first stop the integrals are those of powers of sine and cosine. From each stop on, x = X sin²φ with
+X the distance to the turning point that the engaged stops alone would leave removes the root there
+and the half-integer powers of Hertz contact, and stays smooth when the next stop comes before.
+"""
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from fpk.compiled_laws import compiled_laws, law_files, of_law
+from fpk.compiling import FLAGS, cached_njit, checksum
+from fpk.quadrature import gauss_legendre
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+RULES = (14, 18, 24, 48, 96, 192)
+"""Gauss points per panel of a ray, in the order in which an integral is refined. The first two are
+evaluated at once: 32 points fill four vectors, as fewer would."""
+NEAR = 0.01
+"""Difference of overlap, relative to the overlap, below which that of the contact energy is taken
+from the force, as it would cancel: beyond a second stop, and where the integrand is 1/√v."""
+NEWTON_STEPS = 100
+DIED_OUT = 1e-18
+"""Share of its value at the stop below which v^a is left out: of many masses it is narrow."""
+LEAST_LEFT = 0.005
+"""Share of v that is left by then for the cut to be worth a second root: from n = 10 on."""
+
+inner: Any = njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+
+
+class Stops(NamedTuple):
+    """One-sided stops of a system: the overlap at y is ``rows @ y − clearance``."""
+
+    rows: Array  # (stops, c)
+    clearance: Array  # (stops,)
+    stiffness: Array  # (stops,)
+    exponent: Array  # (stops,)
+    law: Integers  # (stops,), of the laws in order of their names
+
+
+class Ray(NamedTuple):
+    """The stops that one ray reaches, by distance, in arrays long enough for all stops."""
+
+    at: Array  # distance r at which each is touched
+    reach: Array  # overlap gained per length r
+    stiffness: Array
+    exponent: Array
+    law: Integers
+
+
+class Rules(NamedTuple):
+    """Gauss points of ``RULES`` one after another, rule k being ``first[k]:first[k + 1]``."""
+
+    first: Integers  # (rules + 1,)
+    share: Array  # of [0, 1], and
+    weight: Array  # their weights
+    sine2: Array  # sin²φ at φ = π/2 · share
+    cosine2: Array  # cos²φ
+    slope: Array  # 2 sin φ cos φ dφ
+
+
+class Work(NamedTuple):
+    """Numbers at the points of one panel, (points,) each."""
+
+    x: Array  # distance from the stop
+    left: Array  # distance to the turning point
+    v: Array  # 1 − V/H
+    dx: Array
+    states: Array  # v^a r^(c−1) dx
+    change: Array  # its derivative by ln H
+    square: Array
+
+
+@lru_cache
+def gauss_rules() -> Rules:
+    """Return the points of all rules."""
+    t, w = (np.concatenate(part) for part in zip(*map(gauss_legendre, RULES), strict=True))
+    phi = 0.25 * np.pi * (1.0 + t)
+    return Rules(
+        first=np.cumsum([0, *RULES]),
+        share=0.5 * (1.0 + t),
+        weight=0.5 * w,
+        sine2=np.sin(phi) ** 2,
+        cosine2=np.cos(phi) ** 2,
+        slope=0.25 * np.pi * np.sin(2.0 * phi) * w,
+    )
+
+
+@lru_cache
+def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
+    """Return the compiled integrals for the laws ``names``.
+
+    ``singular`` says that a = n − c/2 − 1 is not positive; the laws' slopes are needed then.
+    """
+    sources = checksum(law_files(names))
+    U: Any = compiled_laws(names, "energy")
+    g: Any = compiled_laws(names, "force")
+    bend: Any = compiled_laws(names, "slope" if singular else "force")
+
+    @cached_njit()
+    def add_rays(
+        energy: Array, directions: Array, stops: Stops, n: int, orders: Integers, rules: Rules,
+        rule: int, out: Array,
+    ) -> int:  # fmt: skip
+        """Add the integrals along rays to ``out``, (rules, rays, 3 + orders), from ``rule`` on.
+
+        ``energy`` (rays,) and unit vectors ``directions`` (rays, c). With v = 1 − V/H and lengths
+        in units of √H the integrals are those of v^a r^(c−1) (1, v, w), which belong to T, the
+        phase volume and H T', then of v^(a+j) r^(c−1+k) for the rows (k, j) of ``orders``. For
+        a > 0, w = a/v is the derivative under the integral; otherwise that diverges, and
+        w = a + 1 + V ((c−1)/(r V_r) − V_rr/V_r²) comes from differentiating with V as the
+        variable. Returns the checksum of the sources.
+        """
+        c = stops.rows.shape[1]
+        a = n - 0.5 * c - 1.0
+        share = DIED_OUT ** (1.0 / a) if a > 1.0 else 0.0
+        share = share if share > LEAST_LEFT else 0.0
+        total = stops.clearance.size
+        ray = Ray(
+            np.empty(total), np.empty(total), np.empty(total), np.empty(total), stops.law.copy()
+        )
+        first, last = rules.first[rule], rules.first[rule + out.shape[0]]
+        w = np.empty((7, last - first))
+        work = Work(w[0], w[1], w[2], w[3], w[4], w[5], w[6])
+        for i in range(energy.size):
+            H = energy[i]
+            count = _along(np.sqrt(2.0 * H), directions[i], stops, ray)
+            end = ray.at[0] if count > 0 else np.inf
+            _free_part(H, end, n, c, singular, orders, rules, out[:, i])
+            for k in range(count):
+                length = ray.at[k + 1] - ray.at[k] if k + 1 < count else np.inf
+                height = H - _level(ray, k, U)
+                if height <= 0.0:
+                    break
+                if length <= 0.0:
+                    continue
+                X = _turning_point(height, ray, k, U, g)
+                # X − end of the panel: 0 where it ends at the turning point.
+                top = 0.0
+                if length < X:
+                    top = X - length
+                    if top < 1e-5 * X:
+                        # It cancels: what is left of H over the slope half-way, whose relative
+                        # error is of the order of its square.
+                        left = H - _level(ray, k + 1, U)
+                        top = left / _slope(0.5 * (length + X), ray, k, g)
+                died = False
+                if share > 0.0:
+                    gone = _turning_point(height * (1.0 - share), ray, k, U, g)
+                    if gone < X - top:
+                        top, died = X - gone, True
+                _points(ray.at[k], X, top, rules, first, work)
+                _heights(H, X, ray, k, work, U, g, singular)
+                if singular:
+                    _lowest_degree(H, ray, k, c, a, work, U, g, bend)
+                else:
+                    _degrees(H, ray.at[k], n, c, work)
+                for m in range(out.shape[0]):
+                    begin, stop = rules.first[rule + m] - first, rules.first[rule + m + 1] - first
+                    _add(begin, stop, ray.at[k], H, orders, work, out[m, i])
+                if died:
+                    break
+        return sources
+
+    return add_rays
+
+
+@inner
+def _along(span: float, direction: Array, stops: Stops, ray: Ray) -> int:
+    """Write the stops that the ray touches within ``span`` to ``ray``; return their number."""
+    count = 0
+    for s in range(stops.clearance.size):
+        reach = 0.0
+        for j in range(direction.size):
+            reach += stops.rows[s, j] * direction[j]
+        if reach <= 0.0 or stops.clearance[s] >= reach * span:
+            continue
+        at, k = stops.clearance[s] / reach, count
+        while k > 0 and ray.at[k - 1] > at:
+            ray.at[k], ray.reach[k] = ray.at[k - 1], ray.reach[k - 1]
+            ray.stiffness[k], ray.exponent[k] = ray.stiffness[k - 1], ray.exponent[k - 1]
+            ray.law[k] = ray.law[k - 1]
+            k -= 1
+        ray.at[k], ray.reach[k], ray.stiffness[k] = at, reach, stops.stiffness[s]
+        ray.exponent[k], ray.law[k] = stops.exponent[s], stops.law[s]
+        count += 1
+    return count
+
+
+@inner
+def _free_part(
+    H: float, end: float, n: int, c: int, singular: bool, orders: Integers, rules: Rules, out: Array
+) -> None:
+    """Add the integrals up to the first stop, where V = ½ r²; r = √(2H) sin θ."""
+    sine = min(end / np.sqrt(2.0 * H), 1.0)
+    cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
+    a, q = n - 0.5 * c - 1.0, 2 * n - c - 1
+    unit = 2.0 ** (0.5 * c)
+    below, states, volume = _sines(c - 1, q, sine, cosine, rules)
+    change = (a + 0.5 * c) * states if singular else a * below
+    for m in range(out.shape[0]):
+        out[m, 0] += unit * states
+        out[m, 1] += unit * volume
+        out[m, 2] += unit * change
+    for o in range(orders.shape[0]):
+        k, j = orders[o, 0], orders[o, 1]
+        _, value, _ = _sines(c - 1 + k, q + 2 * j, sine, cosine, rules)
+        for m in range(out.shape[0]):
+            out[m, 3 + o] += unit * 2.0 ** (0.5 * k) * value
+
+
+@inner
+def _sines(p: int, q: int, sine: float, cosine: float, rules: Rules) -> tuple[float, float, float]:
+    """∫sin^p cos^m from 0 on for m = q − 2 (0 where that is negative), q and q + 2.
+
+    From that of m − 2 it is (sin^(p+1) cos^(m−1) + (m − 1) ∫sin^p cos^(m−2))/(p + m): sums of
+    positive terms.
+    """
+    below, states, angle = 0.0, 0.0, np.arctan2(sine, cosine)
+    power = sine ** (p + 1)
+    if q % 2:
+        m, integral = 1, power / (p + 1)
+        power *= cosine * cosine
+    else:
+        m, integral = 0, angle
+        if p > 0:
+            # A recursion down to p = 0 would cancel near 0; 24 points are exact to round-off.
+            integral = 0.0
+            for j in range(rules.first[2], rules.first[3]):
+                integral += angle * rules.weight[j] * np.sin(angle * rules.share[j]) ** p
+        power *= cosine
+    while m < q + 2:
+        m += 2
+        below, states = states, integral
+        integral = (power + (m - 1) * integral) / (p + m)
+        power *= cosine * cosine
+    return below, states, integral
+
+
+@inner
+def _level(ray: Ray, k: int, U: Any) -> float:
+    """V where stop k of the ray is just touched."""
+    V: float = 0.5 * ray.at[k] * ray.at[k]
+    for s in range(k):
+        overlap = ray.reach[s] * (ray.at[k] - ray.at[s])
+        if overlap > 0.0:
+            V += ray.stiffness[s] * of_law(U, ray.law[s], overlap, ray.exponent[s])
+    return V
+
+
+@inner
+def _slope(x: float, ray: Ray, k: int, g: Any) -> float:
+    """dV/dr at the distance x beyond stop k."""
+    slope: float = ray.at[k] + x
+    for s in range(k + 1):
+        overlap = ray.reach[s] * (ray.at[k] - ray.at[s] + x)
+        force = ray.stiffness[s] * of_law(g, ray.law[s], overlap, ray.exponent[s])
+        slope += ray.reach[s] * force
+    return slope
+
+
+@inner
+def _mean_force(middle: float, width: float, law: int, e: float, g: Any) -> float:
+    """Mean of the force over a width of ``NEAR`` of the overlap: three Gauss points are exact."""
+    shift = 0.5 * np.sqrt(0.6) * width
+    ends = of_law(g, law, middle - shift, e) + of_law(g, law, middle + shift, e)
+    mean: float = (5.0 * ends + 8.0 * of_law(g, law, middle, e)) / 18.0
+    return mean
+
+
+@inner
+def _turning_point(height: float, ray: Ray, k: int, U: Any, g: Any) -> float:
+    """The x > 0 where V, from stop k on, has risen by ``height``; NaN where the iteration fails.
+
+    Newton's method in logarithms: the rise is a sum of positive powers of x, its logarithm convex
+    in log x, and the iteration comes down on the root from that of the springs alone.
+    """
+    start = ray.at[k]
+    x: float = 2.0 * height / (start + np.sqrt(start * start + 2.0 * height))
+    for _ in range(NEWTON_STEPS):
+        rise, steepness = x * (start + 0.5 * x), start + x
+        for s in range(k + 1):
+            begun, gained = ray.reach[s] * (start - ray.at[s]), ray.reach[s] * x
+            B, e, law = ray.stiffness[s], ray.exponent[s], ray.law[s]
+            if gained < NEAR * begun:
+                rise += B * gained * _mean_force(begun + 0.5 * gained, gained, law, e, g)
+            else:
+                rise += B * (of_law(U, law, begun + gained, e) - of_law(U, law, begun, e))
+            steepness += ray.reach[s] * B * of_law(g, law, begun + gained, e)
+        # Where the rise is x^m, x (height/rise)^(1/m) is the root: near it by a Padé approximant.
+        ratio, m = height / rise, x * steepness / rise
+        if ratio > 0.5:
+            factor = ((m - 1.0) + (m + 1.0) * ratio) / ((m + 1.0) + (m - 1.0) * ratio)
+        elif np.isfinite(m) and ratio > 0.0:
+            factor = ratio ** (1.0 / m)
+        else:  # so far beyond that a high power of x overflows
+            factor = 0.125
+        x *= factor
+        # Quadratic convergence: the next step would be of the order of the square of this.
+        if abs(factor - 1.0) < 1e-8:
+            return x
+    return np.nan
+
+
+@inner
+def _points(start: float, X: float, top: float, rules: Rules, i: int, work: Work) -> None:
+    """Write x, dx and v = (X − x)(start + ½ (X + x)), the fall of the springs, at points from i."""
+    x, left, v, dx = work.x, work.left, work.v, work.dx
+    if top == 0.0:
+        for j in range(x.size):
+            x[j] = X * rules.sine2[i + j]
+            left[j] = X * rules.cosine2[i + j]
+            dx[j] = X * rules.slope[i + j]
+    else:
+        end = np.arctan2(np.sqrt(X - top), np.sqrt(top))
+        for j in range(x.size):
+            sine, cosine = np.sin(end * rules.share[i + j]), np.cos(end * rules.share[i + j])
+            x[j] = X * sine * sine
+            left[j] = X * cosine * cosine
+            dx[j] = 2.0 * X * end * sine * cosine * rules.weight[i + j]
+    for j in range(x.size):
+        v[j] = left[j] * (start + 0.5 * (X + x[j]))
+
+
+@inner
+def _heights(H: float, X: float, ray: Ray, k: int, work: Work, U: Any, g: Any, exact: bool) -> None:
+    """Add to v the fall of the stops from X to x and divide it by H: it is 1 − V/H then.
+
+    ``exact`` asks for differences that do not cancel near X, of a stop touched just now, too.
+    """
+    x, v = work.x, work.v
+    for s in range(k + 1):
+        reach, begun = ray.reach[s], ray.reach[s] * (ray.at[k] - ray.at[s])
+        B, e, law = ray.stiffness[s], ray.exponent[s], ray.law[s]
+        last = of_law(U, law, begun + reach * X, e)
+        if exact or begun > 0.0:
+            for j in range(x.size):
+                now, left = begun + reach * x[j], reach * work.left[j]
+                if left > NEAR * now:
+                    v[j] += B * (last - of_law(U, law, now, e))
+                else:
+                    v[j] += B * left * _mean_force(now + 0.5 * left, left, law, e, g)
+        else:
+            for j in range(x.size):
+                v[j] += B * (last - of_law(U, law, begun + reach * x[j], e))
+    for j in range(x.size):
+        v[j] *= 1.0 / H
+
+
+@inner
+def _degrees(H: float, start: float, n: int, c: int, work: Work) -> None:
+    """Write v^a r^(c−1) dx and a v^(a−1) r^(c−1) dx for a >= ½, a multiple of ½."""
+    v, states, change, square = work.v, work.states, work.change, work.square
+    a, twice = n - 0.5 * c - 1.0, 2 * n - c - 4
+    for j in range(v.size):
+        change[j] = a * work.dx[j]
+        square[j] = v[j]
+    if twice % 2:
+        for j in range(v.size):
+            change[j] /= np.sqrt(v[j])
+    left = (twice + 1) // 2
+    while left > 0:
+        for j in range(v.size):
+            if left & 1:
+                change[j] *= square[j]
+            square[j] *= square[j]
+        left >>= 1
+    for _ in range(c - 1):
+        for j in range(v.size):
+            change[j] *= (start + work.x[j]) / np.sqrt(H)
+    for j in range(v.size):
+        states[j] = change[j] * v[j] / a
+
+
+@inner
+def _lowest_degree(
+    H: float, ray: Ray, k: int, c: int, a: float, work: Work, U: Any, g: Any, bend: Any
+) -> None:
+    """Write v^a r^(c−1) dx and w times that for a = −½ (c = 1) and a = 0 (c = 2)."""
+    for j in range(work.x.size):
+        r = ray.at[k] + work.x[j]
+        # Not H (1 − v), which cancels near rest.
+        V, steepness, curvature = 0.5 * r * r, r, 1.0
+        for s in range(k + 1):
+            overlap, L = ray.reach[s] * (r - ray.at[s]), ray.reach[s]
+            B, e, law = ray.stiffness[s], ray.exponent[s], ray.law[s]
+            V += B * of_law(U, law, overlap, e)
+            steepness += L * B * of_law(g, law, overlap, e)
+            curvature += L * L * B * of_law(bend, law, overlap, e)
+        work.states[j] = work.dx[j]
+        if a < 0.0:
+            work.states[j] /= np.sqrt(work.v[j])
+        if c == 2:
+            work.states[j] *= r / np.sqrt(H)
+        bent = (c - 1) / (r * steepness) - curvature / (steepness * steepness)
+        work.change[j] = work.states[j] * (a + 1.0 + V * bent)
+
+
+@inner
+def _add(
+    first: int, last: int, start: float, H: float, orders: Integers, work: Work, out: Array
+) -> None:
+    """Add the sums over the points ``first`` to ``last`` of the integrands."""
+    states, volume, change = 0.0, 0.0, 0.0
+    for j in range(first, last):
+        states += work.states[j]
+        volume += work.states[j] * work.v[j]
+        change += work.change[j]
+    scale = 1.0 / np.sqrt(H)
+    out[0] += scale * states
+    out[1] += scale * volume
+    out[2] += scale * change
+    for o in range(orders.shape[0]):
+        value = 0.0
+        for j in range(first, last):
+            r = (start + work.x[j]) * scale
+            value += work.states[j] * r ** orders[o, 0] * work.v[j] ** orders[o, 1]
+        out[3 + o] += scale * value
