@@ -61,7 +61,9 @@ class EnergyDensity:
     def log_states(self, energy: Array) -> Array:
         """ln T(H) at energies > 0 of any shape, T the density of states of ``shell_ratios``."""
         flat = np.maximum(energy, np.finfo(float).tiny).ravel()
-        log_t = log_linear_states(self.system, flat) + np.log(shell_ratios(self.system, flat).states)
+        log_t = log_linear_states(self.system, flat) + np.log(
+            shell_ratios(self.system, flat).states
+        )
         return np.asarray(log_t.reshape(np.shape(energy)))
 
     def states_error(self, energy: Array) -> Array:
@@ -140,6 +142,7 @@ def closed_form_measured(
 
 def log_density_of(system: System, log_u: Callable[[Array], Array]) -> Callable[[Array], Array]:
     """Return ln p(H) = ln T + ln u as a function of energies > 0, (energies,)."""
+
     def log_density(energy: Array) -> Array:
         states = np.log(shell_ratios(system, energy).states)
         return np.asarray(log_linear_states(system, energy) + states + log_u(energy))

@@ -60,9 +60,7 @@ def _cut_angles(shell: EnergyShell, energy: Array) -> Array:
     return np.stack([np.full(energy.size, angle) for angle in fixed] + crossings, axis=1)
 
 
-def _line_crossings(
-    shell: EnergyShell, row: Array, clearance: float, energy: Array
-) -> list[Array]:
+def _line_crossings(shell: EnergyShell, row: Array, clearance: float, energy: Array) -> list[Array]:
     """Angles of the two points with V = H on the line where a stop is just touched."""
     size = np.linalg.norm(row)
     foot = clearance * row / size**2

@@ -1,5 +1,6 @@
 """Shells of constant energy in the coordinates of the masses that can touch something."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from averaging.conditional import conditionals, side_sign
-from averaging.shell.rays import Stops
+from averaging.shell.rays import Stops, ray_integrals
 from fpk.effects import looks_the_same_mirrored
 from fpk.system import System
 
@@ -56,6 +57,12 @@ class EnergyShell:
     def count(self) -> int:
         """Number of masses with contact, c."""
         return len(self.masses)
+
+    @cached_property
+    def add_rays(self) -> Callable[..., int]:
+        """The compiled integrals along rays for the contact laws of the system."""
+        names = tuple(sorted({stop.law for stop in self.system.stops}))
+        return ray_integrals(names, 2 * self.system.n - self.count - 2 <= 0)
 
     @cached_property
     def corners(self) -> Array:

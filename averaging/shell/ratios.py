@@ -5,12 +5,11 @@ ratios between 0 and 1 that depend on H only; they are all that quadrature is ne
 well scaled for any number of masses, and they are exactly 1 below the energy where contact begins.
 """
 
-from math import pi
+from math import exp, lgamma, pi
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln
 
 from averaging.shell.energy_shell import EnergyShell, energy_shell
 from averaging.shell.sums import shell_integrals
@@ -45,7 +44,7 @@ def log_linear_states(system: System, energy: Array) -> Array:
     n = system.n
     # det K of a chain that is fixed at one end is the product of its springs.
     prefactor = n * np.log(2.0 * pi) + 0.5 * np.sum(np.log(system.mass / system.stiffness))
-    return np.asarray(prefactor - gammaln(n) + (n - 1) * np.log(energy))
+    return np.asarray(prefactor - lgamma(n) + (n - 1) * np.log(energy))
 
 
 def shell_ratios(system: System, energy: Array) -> ShellRatios:
@@ -56,8 +55,8 @@ def shell_ratios(system: System, energy: Array) -> ShellRatios:
     contact mass they are integrated afresh, for more they are interpolated.
     """
     shell = energy_shell(system)
-    rows = np.ones((5, energy.size))
-    rows[2], rows[3:] = system.n - 1.0, 0.0
+    rows = np.zeros((5, energy.size))
+    rows[:2], rows[2] = 1.0, system.n - 1.0
     touching = np.flatnonzero(energy > min(shell.contact_energies, default=np.inf))
     if touching.size:
         above = energy[touching]
@@ -86,16 +85,18 @@ def _integrated(shell: EnergyShell, energy: Array) -> Array:
     n, c = shell.system.n, shell.count
     sums, errors = shell_integrals(shell, energy, _sizes)
     a = n - 0.5 * c - 1.0
-    flat = (2.0 * pi) ** (0.5 * c) * float(np.exp(gammaln(a + 1.0) - gammaln(n)))
+    flat = (2.0 * pi) ** (0.5 * c) * exp(lgamma(a + 1.0) - lgamma(n))
     error = np.maximum(errors[:, 0], errors[:, 1])
     if n == 1:
         rises = energy[:, None] - shell.potential(shell.stops.clearance[:, None] / shell.stops.rows)
         least = np.where(rises > 0.0, rises, np.inf).min(axis=1)
         error = error + ROUNDED * np.sqrt(energy / least)
     states, volume = sums[:, 0] / flat, sums[:, 1] / (flat * (a + 1.0) / n)
-    return np.stack([states, volume, sums[:, 2] / sums[:, 0], error, errors[:, 2] + error])
+    return np.array([states, volume, sums[:, 2] / sums[:, 0], error, errors[:, 2] + error])
 
 
 def _sizes(sums: Array) -> Array:
     """What the errors of T, Φ and T' are relative to; T' is taken to be of the order of T."""
-    return np.column_stack([sums[:, :2], np.maximum(np.abs(sums[:, 2]), sums[:, 0])])
+    sizes = np.abs(sums)
+    np.maximum(sizes[:, 2], sizes[:, 0], out=sizes[:, 2])
+    return sizes

@@ -203,7 +203,7 @@ def _free_part(
     sine = min(end / np.sqrt(2.0 * H), 1.0)
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
     a, q = n - 0.5 * c - 1.0, 2 * n - c - 1
-    unit = 2.0 ** (0.5 * c)
+    unit = np.sqrt(2.0) ** c
     below, states, volume = _sines(c - 1, q, sine, cosine, rules)
     change = (a + 0.5 * c) * states if singular else a * below
     for m in range(out.shape[0]):
@@ -214,7 +214,7 @@ def _free_part(
         k, j = orders[o, 0], orders[o, 1]
         _, value, _ = _sines(c - 1 + k, q + 2 * j, sine, cosine, rules)
         for m in range(out.shape[0]):
-            out[m, 3 + o] += unit * 2.0 ** (0.5 * k) * value
+            out[m, 3 + o] += unit * np.sqrt(2.0) ** k * value
 
 
 @inner

@@ -9,7 +9,7 @@ from scipy.integrate import cubature
 
 from averaging.shell.directions import circle_rule, hyperspherical
 from averaging.shell.energy_shell import EnergyShell
-from averaging.shell.rays import RULES, gauss_rules, ray_integrals
+from averaging.shell.rays import RULES, gauss_rules
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -58,11 +58,12 @@ def shell_integrals(
     def sums(energy: Array, rule: int, rules: int) -> Array:
         if shell.count == 2:
             return _over_circle(shell, energy, rule, rules, orders, combine)
-        ends = np.array([[1.0]] if shell.mirror else [[1.0], [-1.0]])
-        directions = np.repeat(ends, energy.size, axis=0)
-        parts = _along(shell, np.tile(energy, len(ends)), directions, rule, rules, orders, combine)
-        parts = parts.reshape(rules, len(ends), energy.size, parts.shape[-1])
-        return np.asarray((2.0 / len(ends)) * parts.sum(axis=1))
+        right = np.ones((energy.size, 1))
+        total = _along(shell, energy, right, rule, rules, orders, combine)
+        other = (
+            total if shell.mirror else _along(shell, energy, -right, rule, rules, orders, combine)
+        )
+        return total + other
 
     first = 1 if shell.count == 1 and shell.system.n >= MANY else 0
     floor = ROUND_OFF if shell.system.n > 1 else ROOT_ROUND_OFF
@@ -89,11 +90,9 @@ def _along(
     combine: Combine | None,
 ) -> Array:
     """The quantities of each ray by ``rules`` rules from ``rule`` on, (rules, rays, quantities)."""
-    n = shell.system.n
-    names = tuple(sorted({stop.law for stop in shell.system.stops}))
-    add_rays = ray_integrals(names, 2 * n - shell.count - 2 <= 0)
     result = np.zeros((rules, energy.size, 3 + len(orders)))
-    add_rays(energy, directions, shell.stops, n, orders, gauss_rules(), rule, result)
+    rules_at = gauss_rules()
+    shell.add_rays(energy, directions, shell.stops, shell.system.n, orders, rules_at, rule, result)
     return result if combine is None else combine(directions, result)
 
 

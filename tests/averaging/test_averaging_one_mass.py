@@ -1,13 +1,15 @@
-"""The compiled integrals of one contact mass against their NumPy twin over rays."""
+"""The compiled integrals along rays against plain NumPy on many points."""
 
 import numpy as np
 import pytest
 from averaging_systems import chain
+from scipy.optimize import brentq
+from scipy.special import beta
 
-from averaging.shell.one_mass.ratios import OneMassShell
-from averaging.shell.ratios import energy_shell, integrated_ratios
-from averaging.shell.reduced import reduced_potential
+from averaging.shell.energy_shell import energy_shell
+from averaging.shell.ratios import shell_ratios
 from fpk.contact import Contact
+from fpk.quadrature import gauss_legendre
 
 STOPS = {
     "both": (Contact(1, "both", 10.0, 0.5),),
@@ -32,38 +34,64 @@ SLOW = ("three laws",)
     "stops",
     [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in STOPS],
 )
-def test_equal_to_the_twin(n, stops):
-    potential = reduced_potential(chain(n, STOPS[stops]))
-    shell = energy_shell(chain(n, STOPS[stops]))
-    first = shell.contact_energies[0]
-    energies = np.concatenate([first + np.logspace(-4.0, 4.0, 25), [first + 1e-9]])
-    found, expected = OneMassShell(potential)(energies), integrated_ratios(potential, energies).T
-    # Two rules of either have agreed to 3e-12 or to what each reports; for many masses the compiled
-    # one leaves out 1e-18 of an integrand that the other resolves. H T'/T ~ √(H − H_c) just beyond
-    # contact makes of a rounding of H ε/√(1 − H_c/H).
-    rounding = np.finfo(float).eps / np.sqrt(1.0 - first / energies)
-    allowed = found[[3, 3, 4]] + expected[3] + 1e-13 + 4.0 * rounding
-    sizes = np.abs(expected[:3])
-    sizes[2] = np.maximum(sizes[2], 1.0)  # it passes through zero for n = 1
-    assert np.all(np.abs(found[:3] - expected[:3]) <= allowed * sizes)
-    assert np.median(found[3]) < 1e-12
+def test_equal_to_plain_quadrature(n, stops):
+    system = chain(n, STOPS[stops])
+    first = energy_shell(system).contact_energies[0]
+    energies = first + np.logspace(-2.0, 4.0, 13)
+    ratios = shell_ratios(system, energies)
+    states, volume, slope = np.transpose([plain_ratios(system, H) for H in energies])
+    # H − V of the plain sums cancels at the turning point: ε points² of T for n = 1.
+    plain = 1e-9 if n == 1 else 1e-11
+    assert np.all(np.abs(ratios.states / states - 1.0) <= ratios.error + plain)
+    assert np.all(np.abs(ratios.volume / volume - 1.0) <= ratios.error + plain)
+    if n > 1:
+        change = np.abs(ratios.log_slope / slope - 1.0)
+        assert np.all(change <= ratios.slope_error + (1e-8 if n == 2 else plain))
+    assert np.median(ratios.error) < 1e-12
+
+
+def plain_ratios(system, H, points=240):
+    """T/T_lin, Φ/Φ_lin and H T'/T of one contact mass, q = end ± length sin²φ between its stops."""
+    n, mass = system.n, system.contact_masses[0]
+    k, a = 1.0 / system.compliance[mass, mass], system.n - 1.5
+    t, w = gauss_legendre(points)
+    phi = 0.25 * np.pi * (1.0 + t)
+    total = np.zeros(3)
+    for side in ("right", "left"):
+        here = [stop for stop in system.stops if stop.side == side]
+
+        def potential(r, here=here):
+            overlaps = ((s, np.maximum(r - s.clearance, 0.0)) for s in here)
+            return 0.5 * k * r * r + sum(s.energy(x) for s, x in overlaps)
+
+        R = brentq(lambda r: potential(r) / H - 1.0, 0.0, 1.1 * np.sqrt(2.0 * H / k), xtol=1e-300)
+        cuts = sorted({0.0, R, *(s.clearance for s in here if s.clearance < R)})
+        for low, high in zip(cuts[:-1], cuts[1:], strict=True):
+            # sin² at both ends: half-integer powers at a stop, the root at the turning point.
+            r = low + (high - low) * np.sin(phi) ** 2
+            dr = (high - low) * np.sin(2.0 * phi) * 0.25 * np.pi * w
+            v = 1.0 - potential(r) / H
+            total += [dr @ v**a, dr @ v ** (a + 1.0), a * dr @ v ** (a - 1.0) if n > 1 else 0.0]
+    unit = np.sqrt(2.0 * H / k)
+    flat = unit * beta(0.5, a + 1.0), unit * beta(0.5, a + 2.0)
+    return total[0] / flat[0], total[1] / flat[1], total[2] / total[0]
 
 
 def test_a_high_power_overflows_nothing():
     # At the root that the springs alone would have, x^101 is beyond double precision.
-    potential = reduced_potential(chain(2, (Contact(2, "both", 1.0, 0.5, "power", 100.0),)))
-    rigid = reduced_potential(chain(2, (Contact(2, "both", 1e12, 0.5),)))
-    found, stiff = OneMassShell(potential)(np.array([1e6])), OneMassShell(rigid)(np.array([1e6]))
+    steep = chain(2, (Contact(2, "both", 1.0, 0.5, "power", 100.0),))
+    rigid = chain(2, (Contact(2, "both", 1e12, 0.5),))
+    found, stiff = (shell_ratios(system, np.array([1e6])) for system in (steep, rigid))
     assert np.all(np.isfinite(found))
     # The mass turns where its overlap is (101 H)^(1/101) = 1.2, a stiff one at the stop, 0.5.
-    assert 2.0 < found[0, 0] / stiff[0, 0] < 4.0
+    assert 2.0 < found.states[0] / stiff.states[0] < 4.0
 
 
 def test_just_beyond_a_second_stop_nothing_cancels():
     # The rise beyond the second stop is 1e-9 of what the first one holds by then.
-    potential = reduced_potential(chain(2, STOPS["two on a side"]))
-    second = energy_shell(chain(2, STOPS["two on a side"])).contact_energies[1]
-    above = OneMassShell(potential)(second * (1.0 + np.logspace(-10.0, -6.0, 9)))
+    system = chain(2, STOPS["two on a side"])
+    second = energy_shell(system).contact_energies[1]
+    above = shell_ratios(system, second * (1.0 + np.logspace(-10.0, -6.0, 9)))
     # H T'/T is continuous there and changes by less than its slope of order ten.
     assert np.all(above[3] < 1e-11)
     assert np.ptp(above[2]) < 1e-4
@@ -72,6 +100,7 @@ def test_just_beyond_a_second_stop_nothing_cancels():
 
 def test_stops_of_another_stiffness_are_told_apart():
     energies = np.array([1.0, 10.0])
-    one = OneMassShell(reduced_potential(chain(2, (Contact(2, "both", 10.0, 0.5),))))(energies)
-    other = OneMassShell(reduced_potential(chain(2, (Contact(2, "both", 10.1, 0.5),))))(energies)
-    assert np.all(np.abs(one[0] / other[0] - 1.0) > 1e-4)
+    one, other = (
+        shell_ratios(chain(2, (Contact(2, "both", B, 0.5),)), energies) for B in (10.0, 10.1)
+    )
+    assert np.all(np.abs(one.states / other.states - 1.0) > 1e-4)
