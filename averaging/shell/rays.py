@@ -150,7 +150,7 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
                     if top < 1e-5 * X:
                         # It cancels: what is left of H over the slope half-way, whose relative
                         # error is of the order of its square.
-                        left = H - _level(ray, k + 1, U)
+                        left = max(H - _level(ray, k + 1, U), 0.0)
                         top = left / _slope(0.5 * (length + X), ray, k, g)
                 died = False
                 if share > 0.0:

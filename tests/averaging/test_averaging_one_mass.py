@@ -1,5 +1,7 @@
 """The compiled integrals along rays against plain NumPy on many points."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from averaging_systems import chain
@@ -66,7 +68,7 @@ def plain_ratios(system, H, points=240):
 
         R = brentq(lambda r: potential(r) / H - 1.0, 0.0, 1.1 * np.sqrt(2.0 * H / k), xtol=1e-300)
         cuts = sorted({0.0, R, *(s.clearance for s in here if s.clearance < R)})
-        for low, high in zip(cuts[:-1], cuts[1:], strict=True):
+        for low, high in pairwise(cuts):
             # sin² at both ends: half-integer powers at a stop, the root at the turning point.
             r = low + (high - low) * np.sin(phi) ** 2
             dr = (high - low) * np.sin(2.0 * phi) * 0.25 * np.pi * w
