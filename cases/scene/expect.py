@@ -1,14 +1,11 @@
-"""What a source claims of its figure in words, read from ``[expect]`` and checked."""
+"""What a source claims of its figure in words, from ``[expect]``."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import inf
-from typing import Literal, get_args
+from typing import Any, Literal
 
 from cases.scene.errors import BadInput, refused
-from cases.scene.schema import ExpectTable, RangeTable
-from cases.scene.vary import Curve
-from fpk.errors import InvalidInput
-from fpk.observable import Observable, observable_name, parse_observable
+from fpk.observable import Observable, observable_name
 
 Theory = Literal["nonintegrable", "integrable"]
 Direction = Literal["larger", "smaller"]
@@ -50,71 +47,28 @@ class Expect:
 
 
 def expect_of(
-    table: ExpectTable | None,
-    observables: tuple[Observable, ...],
-    curves: tuple[Curve, ...],
+    table: Mapping[str, Any] | None,
+    observables: Sequence[Observable],
     label: str,
+    *,
+    curves: int,
 ) -> Expect | None:
-    """Return the checked claims; raise ``BadInput`` for one that the scene cannot test."""
+    """Return the claims of the table; raise ``BadInput`` for one that the scene cannot test.
+
+    ``curves`` is the number of curves in the scene.
+    """
     if table is None:
         return None
-    of = _observable(table.of, observables, label)
-    ranges = {
-        key: _range(part, f"expect.{key}", label)
-        for key in ("non_gaussian", "almost_gaussian")
-        if (part := getattr(table, key)) is not None
-    }
-    direction = table.nonintegrable_better_with
-    if direction is not None and direction not in get_args(Direction):
-        remedy = 'use "larger" or "smaller"'
-        raise refused(label, "expect.nonintegrable_better_with", direction, remedy)
-    for key in [*ranges, *(["nonintegrable_better_with"] if direction else [])]:
-        if len(curves) < 2:
+    by_name = {observable_name(o): o for o in observables}
+    given = table.get("of", next(iter(by_name)))
+    name = ",".join(part.strip() for part in given.split(","))
+    if name not in by_name:
+        remedy = f"is not observed here; use {', '.join(by_name)}"
+        raise refused(label, "expect.of", given, remedy)
+    ranges = [key for key in ("non_gaussian", "almost_gaussian") if key in table]
+    for key in [*ranges, "nonintegrable_better_with"]:
+        if key in table and curves < 2:
             raise BadInput(f"{label}: expect.{key}: is about the curves of [vary]; add it")
-    if ranges and len(of) > 1:
-        raise BadInput(f"{label}: expect.{next(iter(ranges))}: is for one coordinate, not a pair")
-    better = _theories(table.better, "expect.better", label)
-    rule = table.clearance_rule
-    if rule is not None and rule <= 0:
-        raise refused(label, "expect.clearance_rule", rule, "must be > 0")
-    return Expect(
-        of=of,
-        nonintegrable_better_with=direction,  # type: ignore[arg-type]  # checked above
-        better=(better[0], better[1]) if better else None,
-        acceptable=_theories(table.acceptable, "expect.acceptable", label),
-        clearance_rule=rule,
-        **ranges,
-    )
-
-
-def _observable(name: str | None, observables: tuple[Observable, ...], label: str) -> Observable:
-    names = [observable_name(o) for o in observables]
-    if name is None:
-        return observables[0]
-    try:
-        wanted = parse_observable(name, 10**4)
-    except InvalidInput:
-        wanted = ()
-    if wanted not in observables:
-        raise refused(label, "expect.of", name, f"is not observed here; use {', '.join(names)}")
-    return wanted
-
-
-def _range(table: RangeTable, key: str, label: str) -> Range:
-    given = {end: value for end, value in table.model_dump().items() if value is not None}
-    if len(given) != 1:
-        raise BadInput(f"{label}: {key}: must have exactly one of above, below, at_least, at_most")
-    ((end, value),) = given.items()
-    low, high = (value, inf) if end in ("above", "at_least") else (-inf, value)
-    words = {"above": ">", "below": "<", "at_least": "≥", "at_most": "≤"}[end]
-    return Range(low, high, closed=end.startswith("at"), words=f"{words} {value:g}")
-
-
-def _theories(names: list[str] | None, key: str, label: str) -> tuple[Theory, ...]:
-    for i, name in enumerate(names or ()):
-        if name not in get_args(Theory):
-            remedy = f"use {' or '.join(get_args(Theory))}"
-            raise refused(label, f"{key}[{i + 1}]", name, remedy)
-    if names and len(set(names)) != len(names):
-        raise refused(label, key, names, "names the same theory twice")
-    return tuple(names or ())  # type: ignore[arg-type]  # checked above
+    if ranges and len(by_name[name]) > 1:
+        raise BadInput(f"{label}: expect.{ranges[0]}: is for one coordinate, not a pair")
+    return Expect(**{**table, "of": by_name[name]})

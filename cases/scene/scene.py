@@ -8,7 +8,7 @@ from typing import Any
 from cases.scene.errors import BadInput, refused, shortened, toml_value
 from cases.scene.expect import Expect, expect_of
 from cases.scene.reading import read_toml
-from cases.scene.schema import ContactTable, DampingTermTable, SceneTable, validated
+from cases.scene.schema import refused_value, validated
 from cases.scene.vary import Curve, curves_of
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
@@ -75,92 +75,72 @@ def _exists(path: Path) -> bool:
 
 def _scene(path: Path, label: str) -> Scene:
     data, text = read_toml(path, label)
-    table = validated(data, label)
-    system = _system(table, label)
-    observables = _observables(table, system, label)
-    curves = curves_of(system, table.vary, label)
+    tables = validated(data, label)
+    system = _system(tables, label)
+    observables = _observables(tables.get("observe"), system, label)
+    curves = curves_of(system, tables.get("vary"), label)
     return Scene(
         name=path.stem,
-        title=table.title or path.stem,
-        source=table.source,
+        title=tables.get("title") or path.stem,
+        source=tables.get("source", ""),
         text=text,
         system=system,
         observables=observables,
         curves=curves,
-        expect=expect_of(table.expect, observables, curves, label),
+        expect=expect_of(tables.get("expect"), observables, label, curves=len(curves)),
     )
 
 
-def _system(table: SceneTable, label: str) -> System:
-    contacts = tuple(_contact(c, i, label) for i, c in enumerate(table.contact))
-    terms = tuple(
-        _damping_term(t, i, label, n=len(table.system.mass))
-        for i, t in enumerate(table.damping_term)
-    )
-    s: Any = table.system  # System takes lists and matrices and checks them
+def _system(tables: dict[str, Any], label: str) -> System:
+    contacts: list[Contact] = tables.get("contact", [])
+    n = len(tables["system"]["mass"])
+    terms = [
+        _damping_term(table, f"damping_term[{k}]", label, n=n)
+        for k, table in enumerate(tables.get("damping_term", ()), start=1)
+    ]
     try:
-        system = System(
-            s.mass, s.stiffness, s.damping, s.noise_intensity, s.noise_gain, damping_terms=terms
-        )
+        system = System(**tables["system"], damping_terms=tuple(terms))
     except InvalidInput as error:
-        raise refused(label, f"system.{error.key}", error.value, error.remedy) from None
-    for i, contact in enumerate(contacts):
-        if contact.mass > system.n:
-            raise refused(
-                label,
-                f"contact[{i + 1}].mass",
-                contact.mass,
-                f"is not a mass; use 1 to {system.n}",
-            )
-    return replace(system, contacts=contacts)
+        raise refused_value(label, "system", error) from None
+    for k, contact in enumerate(contacts, start=1):
+        if contact.mass > n:
+            raise refused(label, f"contact[{k}].mass", contact.mass, _not_a_mass(n))
+    return replace(system, contacts=tuple(contacts))
 
 
-def _contact(table: ContactTable, index: int, label: str) -> Contact:
-    try:
-        return Contact(
-            mass=table.mass,
-            side=table.side,  # type: ignore[arg-type]  # Contact checks it
-            stiffness=table.stiffness,
-            clearance=table.clearance,
-            law=table.law,
-            exponent=table.exponent,
-        )
-    except InvalidInput as error:
-        key = f"contact[{index + 1}].{error.key}"
-        if error.value is None:
-            raise BadInput(f"{label}: {key} is missing: {error.remedy}") from None
-        raise refused(label, key, error.value, error.remedy) from None
-
-
-def _damping_term(table: DampingTermTable, index: int, label: str, *, n: int) -> DampingTerm:
-    place = f"damping_term[{index + 1}]"
+def _damping_term(table: dict[str, Any], place: str, label: str, *, n: int) -> DampingTerm:
     for key in ("i", "j"):
-        if (mass := getattr(table, key)) > n:
-            raise refused(label, f"{place}.{key}", mass, f"is not a mass; use 1 to {n}")
-    powers = {key: _powers(getattr(table, key), f"{place}.{key}", label, n) for key in ("q", "v")}
-    try:
-        return DampingTerm(table.i, table.j, table.coefficient, **powers, energy=table.energy)
-    except InvalidInput as error:
-        key = place if error.key == "damping_term" else f"{place}.{error.key}"
-        raise refused(label, key, error.value, error.remedy) from None
-
-
-def _powers(table: dict[str, int], place: str, label: str, n: int) -> tuple[tuple[int, int], ...]:
+        if table[key] > n:
+            raise refused(label, f"{place}.{key}", table[key], _not_a_mass(n))
     masses = {str(mass): mass for mass in range(1, n + 1)}
-    for name, power in table.items():
-        if name not in masses:
-            raise refused(label, f"{place}.{name}", power, f"is not a mass; use 1 to {n}")
-    return tuple((masses[name], power) for name, power in table.items())
+    powers = {}
+    for key in ("q", "v"):
+        given = table.get(key, {})
+        for name, power in given.items():
+            if name not in masses:
+                raise refused(label, f"{place}.{key}.{name}", power, _not_a_mass(n))
+        powers[key] = tuple((masses[name], power) for name, power in given.items())
+    try:
+        return DampingTerm(**{**table, **powers})
+    except InvalidInput as error:
+        where = "" if error.key == "damping_term" else f".{error.key}"
+        raise refused(label, f"{place}{where}", error.value, error.remedy) from None
 
 
-def _observables(table: SceneTable, system: System, label: str) -> tuple[Observable, ...]:
-    if table.observe is None:
+def _not_a_mass(n: int) -> str:
+    return f"is not a mass; use 1 to {n}"
+
+
+def _observables(
+    table: dict[str, Any] | None, system: System, label: str
+) -> tuple[Observable, ...]:
+    if table is None:
         touching = system.contact_masses or (system.n - 1,)
         names = [*(f"q{i + 1}" for i in touching[:15]), "H"]
         return tuple(parse_observable(name, system.n) for name in names)
     observables: list[Observable] = []
-    for i, name in enumerate(table.observe.densities):
-        key = f"observe.densities[{i + 1}]"
+    for k, name in enumerate(table["densities"], start=1):
+        key = f"observe.densities[{k}]"
         try:
             observable = parse_observable(name, system.n)
         except InvalidInput as error:

@@ -1,22 +1,22 @@
-"""The scene format as pydantic models, and its errors in one line of the user's own words."""
+"""The scene format as data for pydantic-core, and its errors in one line of the user's own words.
 
-from collections.abc import Mapping, Sequence
+The core alone is used: to import pydantic itself takes longer than many an answer.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
-from typing import Annotated, Any
+from math import inf
+from typing import Any
 from unicodedata import category
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Discriminator,
-    Field,
-    Tag,
-    ValidationError,
-)
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic_core import ErrorDetails, PydanticCustomError, SchemaValidator, ValidationError
 
 from cases.scene.errors import BadInput, refused
+from cases.scene.expect import Range
+from fpk.contact import Contact
+from fpk.errors import InvalidInput
+
+Schema = dict[str, Any]
 
 MAX_MASSES = 500
 """Matrices are full: a chain longer than this is not what they are for."""
@@ -26,6 +26,26 @@ MAX_TERMS = 200
 
 LARGEST, SMALLEST = 1e100, 1e-100
 """Beyond these a product of three inputs leaves the range of double precision."""
+
+
+def _then(schema: Schema, function: Callable[[Any], Any]) -> Schema:
+    """The schema followed by a check or conversion in Python."""
+    after = {"type": "no-info", "function": function}
+    return {"type": "function-after", "schema": schema, "function": after}
+
+
+def _list(items: Schema, *, least: int = 1, most: int = MAX_MASSES) -> Schema:
+    lengths = {"min_length": least, "max_length": most}
+    return {"type": "list", "strict": True, "items_schema": items, **lengths}
+
+
+def _table(required: Mapping[str, Schema], optional: Mapping[str, Schema]) -> Schema:
+    """A table that refuses keys it does not know; what is left out is not in it."""
+    fields = {
+        key: {"type": "typed-dict-field", "schema": schema, "required": key in required}
+        for key, schema in {**required, **optional}.items()
+    }
+    return {"type": "typed-dict", "fields": fields, "extra_behavior": "forbid"}
 
 
 def _in_range(value: float) -> float:
@@ -43,138 +63,100 @@ def _legible(text: str) -> str:
     return text
 
 
+def _range(ends: dict[str, float]) -> Range:
+    if len(ends) != 1:
+        one = "must have exactly one of above, below, at_least, at_most"
+        raise PydanticCustomError("range", one)  # type: ignore[arg-type]  # no literal, but a text
+    ((end, value),) = ends.items()
+    low, high = (value, inf) if end in ("above", "at_least") else (-inf, value)
+    sign = {"above": ">", "below": "<", "at_least": "≥", "at_most": "≤"}[end]
+    return Range(low, high, closed=end.startswith("at"), words=f"{sign} {value:g}")
+
+
+def _distinct(names: list[str]) -> tuple[str, ...]:
+    if len(set(names)) != len(names):
+        raise PydanticCustomError("twice", "names the same theory twice")
+    return tuple(names)
+
+
 def _list_or_matrix(value: Any) -> str:
     nested = isinstance(value, list) and value and isinstance(value[0], list)
     return "<matrix>" if nested else "<list>"
 
 
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False), AfterValidator(_in_range)]
-Numbers = Annotated[list[Number], Field(min_length=1, max_length=MAX_MASSES)]
-Matrix = Annotated[list[Numbers], Field(min_length=1, max_length=MAX_MASSES)]
-NumbersOrMatrix = Annotated[
-    Annotated[Numbers, Tag("<list>")] | Annotated[Matrix, Tag("<matrix>")],
-    Discriminator(_list_or_matrix),
-]
-Powers = Annotated[dict[str, int], Field(max_length=MAX_MASSES)]
-Text = Annotated[str, Field(strict=True, max_length=1000), AfterValidator(_legible)]
-
-
-class Table(BaseModel):
-    """A table that refuses keys it does not know."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-
-class SystemTable(Table):
-    """``[system]``: the chain of Eq. (1)."""
-
-    mass: Numbers
-    stiffness: Numbers
-    damping: NumbersOrMatrix
-    noise_intensity: NumbersOrMatrix
-    noise_gain: Matrix | None = None
-
-
-class ContactTable(Table):
-    """``[[contact]]``: one stop or a pair of stops, Eq. (2)."""
-
-    mass: Annotated[int, Field(ge=1)]
-    side: Text
-    stiffness: Number
-    clearance: Number
-    law: Text = "hertz"
-    exponent: Number | None = None
-
-
-class DampingTermTable(Table):
-    """``[[damping_term]]``: what the entry c_ij of the damping gains with the state."""
-
-    i: Annotated[int, Field(ge=1)]
-    j: Annotated[int, Field(ge=1)]
-    coefficient: Number
-    q: Powers = {}
-    v: Powers = {}
-    energy: int = 0
-
-
-class ObserveTable(Table):
-    """``[observe]``: what is looked at."""
-
-    densities: Annotated[list[Text], Field(min_length=1, max_length=16)]
-
-
-Values = Annotated[list[Number], Field(min_length=1, max_length=12)]
-Lists = Annotated[list[NumbersOrMatrix], Field(min_length=1, max_length=12)]
-
-
-class VaryContactTable(Table):
-    """``contact.…`` in ``[vary]``: values that every contact takes in turn."""
-
-    stiffness: Values | None = None
-    clearance: Values | None = None
-
-
-class VarySystemTable(Table):
-    """``system.…`` in ``[vary]``: values of the system's own key, one after the other."""
-
-    noise_intensity: Lists | None = None
-    damping: Lists | None = None
-
-
-class VaryTable(Table):
-    """``[vary]``: the further curves of a figure; exactly one key takes several values."""
-
-    contact: VaryContactTable | None = None
-    system: VarySystemTable | None = None
-
-
-class RangeTable(Table):
-    """Values of the varied key for which a claim is made; exactly one end is given."""
-
-    above: Number | None = None
-    below: Number | None = None
-    at_least: Number | None = None
-    at_most: Number | None = None
-
-
-class ExpectTable(Table):
-    """``[expect]``: what the source claims of the figure, as checks on numbers."""
-
-    of: Text | None = None
-    non_gaussian: RangeTable | None = None
-    almost_gaussian: RangeTable | None = None
-    nonintegrable_better_with: Text | None = None
-    better: Annotated[list[Text], Field(min_length=2, max_length=2)] | None = None
-    acceptable: Annotated[list[Text], Field(min_length=1, max_length=2)] | None = None
-    clearance_rule: Number | None = None
-
-
-class SceneTable(Table):
-    """The whole file."""
-
-    title: Text = ""
-    source: Text = ""
-    system: SystemTable
-    contact: Annotated[list[ContactTable], Field(max_length=MAX_MASSES)] = []
-    damping_term: Annotated[list[DampingTermTable], Field(max_length=MAX_TERMS)] = []
-    observe: ObserveTable | None = None
-    vary: VaryTable | None = None
-    expect: ExpectTable | None = None
-
-
-TABLES: Mapping[tuple[str, ...], type[Table]] = {
-    (): SceneTable,
-    ("system",): SystemTable,
-    ("contact",): ContactTable,
-    ("damping_term",): DampingTermTable,
-    ("observe",): ObserveTable,
-    ("vary",): VaryTable,
-    ("vary", "contact"): VaryContactTable,
-    ("vary", "system"): VarySystemTable,
-    ("expect",): ExpectTable,
-    ("expect", "non_gaussian"): RangeTable,
-    ("expect", "almost_gaussian"): RangeTable,
+WHOLE = {"type": "int", "strict": True}
+MASS = {"type": "int", "strict": True, "ge": 1}
+FINITE = {"type": "float", "strict": True, "allow_inf_nan": False}
+NUMBER = _then(FINITE, _in_range)
+TEXT = _then({"type": "str", "strict": True, "max_length": 1000}, _legible)
+NUMBERS = _list(NUMBER)
+MATRIX = _list(NUMBERS)
+NUMBERS_OR_MATRIX = {
+    "type": "tagged-union",
+    "choices": {"<list>": NUMBERS, "<matrix>": MATRIX},
+    "discriminator": _list_or_matrix,
 }
+POWERS = {
+    "type": "dict",
+    "keys_schema": {"type": "str"},
+    "values_schema": WHOLE,
+    "max_length": MAX_MASSES,
+}
+VALUES = _list(NUMBER, most=12)
+MATRICES = _list(NUMBERS_OR_MATRIX, most=12)
+RANGE = _then(_table({}, dict.fromkeys(("above", "below", "at_least", "at_most"), NUMBER)), _range)
+THEORY = {"type": "literal", "expected": ["nonintegrable", "integrable"]}
+
+SYSTEM = _table(
+    {
+        "mass": NUMBERS,
+        "stiffness": NUMBERS,
+        "damping": NUMBERS_OR_MATRIX,
+        "noise_intensity": NUMBERS_OR_MATRIX,
+    },
+    {"noise_gain": MATRIX},
+)
+CONTACT = _table(
+    {"mass": MASS, "side": TEXT, "stiffness": NUMBER, "clearance": NUMBER},
+    {"law": TEXT, "exponent": NUMBER},
+)
+DAMPING_TERM = _table(
+    {"i": MASS, "j": MASS, "coefficient": NUMBER}, {"q": POWERS, "v": POWERS, "energy": WHOLE}
+)
+VARY = _table(
+    {},
+    {
+        "contact": _table({}, {"stiffness": VALUES, "clearance": VALUES}),
+        "system": _table({}, {"noise_intensity": MATRICES, "damping": MATRICES}),
+    },
+)
+EXPECT = _table(
+    {},
+    {
+        "of": TEXT,
+        "non_gaussian": RANGE,
+        "almost_gaussian": RANGE,
+        "nonintegrable_better_with": {"type": "literal", "expected": ["larger", "smaller"]},
+        "better": _then(_list(THEORY, least=2, most=2), _distinct),
+        "acceptable": _then(_list(THEORY, most=2), _distinct),
+        "clearance_rule": _then({**FINITE, "gt": 0}, _in_range),
+    },
+)
+SCENE = _table(
+    {"system": SYSTEM},
+    {
+        "title": TEXT,
+        "source": TEXT,
+        "contact": _list(_then(CONTACT, lambda keys: Contact(**keys)), least=0),
+        "damping_term": _list(DAMPING_TERM, least=0, most=MAX_TERMS),
+        "observe": _table({"densities": _list(TEXT, most=16)}, {}),
+        "vary": VARY,
+        "expect": EXPECT,
+    },
+)
+"""The whole file."""
+
+_VALIDATOR = SchemaValidator(SCENE)  # type: ignore[arg-type]  # it checks the schema itself
 
 REMEDIES = {
     "float_type": "must be a number",
@@ -183,27 +165,41 @@ REMEDIES = {
     "int_from_float": "must be a whole number, written without a point",
     "string_type": "must be text in quotes",
     "list_type": "must be a list, in square brackets",
-    "model_type": "must be a table",
     "dict_type": "must be a table",
+    "greater_than": "must be > 0",
     "greater_than_equal": "must be 1 or more; masses are counted from 1",
     "string_too_long": "is too long; at most 1000 characters",
+    "too_short": "must have at least {min_length} entries",
+    "too_long": "must have at most {max_length} entries",
+    "literal_error": "use {expected}",
 }
 
 
-def validated(data: dict[str, Any], label: str) -> SceneTable:
+def validated(data: dict[str, Any], label: str) -> dict[str, Any]:
     """Return the checked tables; raise ``BadInput`` with the first thing that is wrong."""
     try:
-        return SceneTable.model_validate(data)
+        tables: dict[str, Any] = _VALIDATOR.validate_python(data)
     except ValidationError as error:
         errors = error.errors(include_url=False)
         # A misspelt key is also a missing one: say the cause, not the consequence.
         errors.sort(key=lambda e: e["type"] != "extra_forbidden")
         raise _refusal(errors[0], label) from None
+    return tables
+
+
+def refused_value(label: str, place: str, error: InvalidInput) -> BadInput:
+    """Return the refusal of what the table at ``place`` was made of."""
+    key = f"{place}.{error.key}" if place else error.key
+    if error.value is None:
+        return BadInput(f"{label}: {key} is missing: {error.remedy}")
+    return refused(label, key, error.value, error.remedy)
 
 
 def _refusal(error: ErrorDetails, label: str) -> BadInput:
     kind, place = error["type"], [p for p in error["loc"] if not str(p).startswith("<")]
-    key = toml_key(place)
+    key, context = toml_key(place), error.get("ctx", {})
+    if isinstance(invalid := context.get("error"), InvalidInput):
+        return refused_value(label, key, invalid)
     if kind == "missing":
         if place == ["system"]:
             return BadInput(
@@ -212,14 +208,10 @@ def _refusal(error: ErrorDetails, label: str) -> BadInput:
         return BadInput(f"{label}: {key} is missing; add it")
     if kind == "extra_forbidden":
         return refused(label, key, error["input"], _known_keys(place))
-    if kind in ("too_short", "too_long"):
-        ctx = error["ctx"]
-        limit = ctx.get("max_length") if kind == "too_long" else ctx.get("min_length")
-        words = "at most" if kind == "too_long" else "at least"
-        return refused(label, key, error["input"], f"must have {words} {limit} entries")
-    if key in ("contact", "damping_term") and kind in ("list_type", "model_type"):
+    if key in ("contact", "damping_term") and kind == "list_type":
         return refused(label, key, error["input"], f"must be written as [[{key}]]")
-    return refused(label, key, error["input"], REMEDIES.get(kind, error["msg"]))
+    remedy = REMEDIES.get(kind, error["msg"]).format(**context).replace("'", '"')
+    return refused(label, key, error["input"], remedy)
 
 
 def toml_key(place: Sequence[int | str]) -> str:
@@ -231,9 +223,12 @@ def toml_key(place: Sequence[int | str]) -> str:
 
 
 def _known_keys(place: Sequence[int | str]) -> str:
-    table = TABLES.get(tuple(p for p in place[:-1] if isinstance(p, str)), SceneTable)
-    known = list(table.model_fields)
-    close = get_close_matches(str(place[-1]), known, n=1, cutoff=0.6)
+    table: Schema = SCENE
+    for part in place[:-1]:
+        table = table["items_schema"] if isinstance(part, int) else table["fields"][part]
+        while "schema" in table:
+            table = table["schema"]
+    close = get_close_matches(str(place[-1]), table["fields"], n=1, cutoff=0.6)
     if close:
         return f'is not a key of a scene; did you mean "{close[0]}"?'
-    return f"is not a key of a scene; here are known: {', '.join(known)}"
+    return f"is not a key of a scene; here are known: {', '.join(table['fields'])}"

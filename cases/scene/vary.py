@@ -1,13 +1,12 @@
 """The curves of a figure: the scene's own system and those in which one key takes other values."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from cases.scene.errors import BadInput, refused
-from cases.scene.schema import VaryTable
 from fpk.errors import InvalidInput
 from fpk.system import System
 
@@ -25,36 +24,39 @@ class Curve:
     value: float | None = None
 
 
-def _contacts(system: System, **changes: Any) -> System:
-    return replace(system, contacts=tuple(replace(c, **changes) for c in system.contacts))
+Varied = tuple[str, Callable[[System, Any], System], Callable[[System], Any]]
 
 
-VARIED: dict[str, tuple[str, Callable[[System, Any], System], Callable[[System], Any]]] = {
-    "contact.stiffness": (
-        "B",
-        lambda system, value: _contacts(system, stiffness=value),
-        lambda system: [c.stiffness for c in system.contacts],
-    ),
-    "contact.clearance": (
-        "δ",
-        lambda system, value: _contacts(system, clearance=value),
-        lambda system: [c.clearance for c in system.contacts],
-    ),
-    "system.noise_intensity": (
-        "D",
-        lambda system, value: replace(system, noise_intensity=value),
-        lambda system: system.noise_intensity,
-    ),
-    "system.damping": (
-        "c",
-        lambda system, value: replace(system, damping=value),
-        lambda system: system.damping,
-    ),
+def _of_contacts(symbol: str, key: str) -> Varied:
+    """A number that every contact takes."""
+
+    def changed(system: System, value: Any) -> System:
+        return replace(system, contacts=tuple(replace(c, **{key: value}) for c in system.contacts))
+
+    return symbol, changed, lambda system: [getattr(c, key) for c in system.contacts]
+
+
+def _of_system(symbol: str, key: str) -> Varied:
+    """A matrix of the system."""
+    return (
+        symbol,
+        lambda system, value: replace(system, **{key: value}),
+        lambda system: getattr(system, key),
+    )
+
+
+VARIED = {
+    "contact.stiffness": _of_contacts("B", "stiffness"),
+    "contact.clearance": _of_contacts("δ", "clearance"),
+    "system.noise_intensity": _of_system("D", "noise_intensity"),
+    "system.damping": _of_system("c", "damping"),
 }
 """What ``[vary]`` may vary: symbol, how a value enters the system, how it is read from one."""
 
 
-def curves_of(system: System, vary: VaryTable | None, label: str) -> tuple[Curve, ...]:
+def curves_of(
+    system: System, vary: Mapping[str, Mapping[str, Any]] | None, label: str
+) -> tuple[Curve, ...]:
     """Return the curves, the system's own first; values equal to its own are not doubled.
 
     Raises ``BadInput`` for a value that the system cannot take.
@@ -62,10 +64,7 @@ def curves_of(system: System, vary: VaryTable | None, label: str) -> tuple[Curve
     if vary is None:
         return (Curve("", system),)
     given = [
-        (f"{table}.{key}", values)
-        for table, part in (("contact", vary.contact), ("system", vary.system))
-        for key, values in (part.model_dump() if part else {}).items()
-        if values is not None
+        (f"{table}.{key}", values) for table, part in vary.items() for key, values in part.items()
     ]
     if len(given) != 1:
         raise BadInput(f"{label}: vary: must have exactly one of {', '.join(VARIED)}")
@@ -97,11 +96,8 @@ def _size(value: Any) -> float:
 def _common_ratio(system: System) -> float | None:
     """The ratio c_i/D_i where both are diagonal and it is the same for all i."""
     c, d = system.damping, system.noise_matrix
-    if (
-        np.any(c != np.diag(np.diag(c)))
-        or np.any(d != np.diag(np.diag(d)))
-        or not np.all(np.diag(d))
-    ):
+    diagonal = all(np.array_equal(m, np.diag(np.diag(m))) for m in (c, d))
+    if not (diagonal and np.all(np.diag(d))):
         return None
     ratios = np.diag(c) / np.diag(d)
     return float(ratios[0]) if np.allclose(ratios, ratios[0], rtol=1e-12) else None
