@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+import scipy  # its parts are loaded at their first use: scipy.integrate takes long to import
 from numpy.typing import NDArray
-from scipy.integrate import cubature
 
 from averaging.back_transformation import POINTS, back_transformed
 from averaging.conditional import conditionals
@@ -175,7 +175,7 @@ def _whitened_cubature(system: System, h: float) -> tuple[float, float]:
         return np.asarray(np.exp(-h * shell.potential(y)))
 
     # A rule of few points in a wide box can miss where the weight is: it has 15 along each axis.
-    result = cubature(weight, -reach, reach, rtol=CUBATURE_TOLERANCE, rule="gk15")
+    result = scipy.integrate.cubature(weight, -reach, reach, rtol=CUBATURE_TOLERANCE, rule="gk15")
     return float(result.estimate), float(result.error)
 
 

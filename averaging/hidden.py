@@ -6,8 +6,8 @@ from math import ceil, log2
 from typing import Any
 
 import numpy as np
+import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 from numpy.typing import NDArray
-from scipy.optimize import elementwise
 
 from averaging.conditional import Conditional, overlap_at, side_sign
 from fpk.contact import Contact
@@ -16,8 +16,6 @@ from fpk.quadrature import gauss_legendre
 Array = NDArray[np.float64]
 Function = Callable[[Array], Array]
 
-find_root: Any = elementwise.find_root
-"""Its stubs know of no function with more arguments than one."""
 
 WIDTHS_PER_PANEL = 1.8
 """Longest panel in units of √(T/a), T the temperature: ten Gauss points integrate exp(−½x²) over it
@@ -184,6 +182,7 @@ class _Following:
         i = np.flatnonzero(np.abs(slope) > small)
         if i.size:
             step = -slope[i] / self.law.precision
+            find_root: Any = scipy.optimize.elementwise.find_root  # typed for one argument
             share = find_root(
                 lambda s, step, mean, shift: (
                     np.sign(step) * self.slope(mean + s * step, mean, shift)
@@ -197,6 +196,7 @@ class _Following:
 
     def reach(self, most: Array, bottom: Array, mean: Array, shift: Array, level: Array) -> Array:
         """Distance from ``bottom`` at which the potential has risen to ``level``, about."""
+        find_root: Any = scipy.optimize.elementwise.find_root  # typed for one argument
         share = find_root(
             lambda s, most, bottom, mean, shift, level: (
                 self.energy(bottom + s * most, mean, shift) - level

@@ -4,8 +4,8 @@ from math import exp, inf, isfinite, lgamma, sqrt
 from typing import Any
 
 import numpy as np
+import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 from numpy.typing import NDArray
-from scipy.optimize import root
 
 from fpk.equivalent import dissipated_power, equivalent_temperature
 from fpk.linear import UNDAMPED, decay_time
@@ -14,7 +14,6 @@ from fpk.moments import gaussian_moment
 from fpk.system import System
 
 Array = NDArray[np.float64]
-_root: Any = root  # the stubs want a function of a fixed shape
 
 
 def relaxation_time(system: System) -> float:
@@ -38,7 +37,8 @@ def relaxation_time(system: System) -> float:
     omega = float(natural_modes(system)[1][0])
     start = np.full(system.n, temperature)
     noise = _modal_noise(system)
-    balance: Any = _root(lambda theta: noise - modal_powers(system, theta), start, method="hybr")
+    root: Any = scipy.optimize.root  # the stubs want a function of a fixed shape
+    balance: Any = root(lambda theta: noise - modal_powers(system, theta), start, method="hybr")
     if balance.success and np.all(balance.x > 0):
         rates = np.linalg.eigvals(_jacobian(system, balance.x)).real
         if np.all(rates > 0):

@@ -3,7 +3,7 @@
 from math import inf, pi, sqrt
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
 from fpk.equivalent import balance_energy, equivalent_temperature
 from fpk.errors import InvalidInput
@@ -74,7 +74,7 @@ def _reached_stiffness(system: System) -> list[tuple[float, float, float]]:
             ) -> float:
                 return 0.5 * k * q * q + float(system.contact_energy(i, d * q)) - level
 
-            q = brentq(excess, 0.0, sqrt(2.0 * level / k_eff) * (1.0 + 1e-9))
+            q = scipy.optimize.brentq(excess, 0.0, sqrt(2.0 * level / k_eff) * (1.0 + 1e-9))
             slope = sum(
                 float(s.slope(q - s.clearance))
                 for s in system.stops

@@ -4,15 +4,13 @@ from math import pi
 from typing import Any
 
 import numpy as np
+import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 from numpy.typing import NDArray
-from scipy.optimize import elementwise
 
 from averaging.shell.energy_shell import EnergyShell
 from fpk.quadrature import gauss_legendre
 
 Array = NDArray[np.float64]
-
-_find_root: Any = elementwise.find_root  # its published types know no further arguments
 
 
 def circle_rule(
@@ -71,13 +69,14 @@ def _line_crossings(shell: EnergyShell, row: Array, clearance: float, energy: Ar
     def points(t: Array) -> Array:
         return np.asarray(foot + t[:, None] * along)
 
-    lowest = _find_root(lambda t: shell.slope(points(t), along), (-bound, bound)).x
+    find_root: Any = scipy.optimize.elementwise.find_root  # typed without further arguments
+    lowest = find_root(lambda t: shell.slope(points(t), along), (-bound, bound)).x
     inside = shell.potential(points(lowest)) < energy
     angles = []
     for end in (bound, -bound):
         angle = np.zeros(energy.size)
         if inside.any():
-            t = _find_root(
+            t = find_root(
                 lambda t, energy: shell.potential(points(t)) - energy,
                 (lowest[inside], end[inside]),
                 args=(energy[inside],),

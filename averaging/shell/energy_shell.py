@@ -6,8 +6,8 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
+import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from averaging.conditional import conditionals, side_sign
 from averaging.shell.rays import Stops, ray_integrals
@@ -102,7 +102,7 @@ class EnergyShell:
         def energy(t: Array) -> float:
             return float(self.potential(foot + free @ t))
 
-        return float(minimize(energy, np.zeros(free.shape[1]), tol=1e-12).fun)
+        return float(scipy.optimize.minimize(energy, np.zeros(free.shape[1]), tol=1e-12).fun)
 
 
 def energy_shell(system: System) -> EnergyShell:

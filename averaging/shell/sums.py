@@ -4,8 +4,8 @@ from collections.abc import Callable
 from math import pi
 
 import numpy as np
+import scipy  # its parts are loaded at their first use: scipy.integrate takes long to import
 from numpy.typing import NDArray
-from scipy.integrate import cubature
 
 from averaging.shell.directions import circle_rule, hyperspherical
 from averaging.shell.energy_shell import EnergyShell
@@ -134,7 +134,7 @@ def _over_sphere(
         parts = _along(shell, energies, rays, 0, 1, orders, combine)[0]
         return np.asarray(jacobian[:, None, None] * parts.reshape(-1, energy.size, parts.shape[-1]))
 
-    result = cubature(
+    result = scipy.integrate.cubature(
         integrand,
         np.zeros(angles),
         upper,

@@ -1,36 +1,42 @@
 """The command ``fpk converge``: how errors fall with the discretisation."""
 
-from typing import Annotated
+from pathlib import Path
 
-import typer
+import click
 
 from cases.commands.parts import (
     FIRST_SEED,
-    Json,
-    SceneName,
-    Seed,
-    StudyFolder,
-    Threads,
+    as_json,
     begin_study,
     end_study,
+    observable_option,
+    scene_name,
+    seed,
+    study_folder,
+    threads,
 )
 
 
+@click.command()
+@scene_name
+@click.option("--route", help="nonintegrable, integrable or montecarlo; all if left out.")
+@observable_option("H or H1,H2: the equation of that density.")
+@study_folder
+@click.option(
+    "--seconds", type=click.FloatRange(0.1), help="Processor time for the steps of each scheme."
+)
+@seed
+@threads
+@as_json
 def converge(
-    scene: SceneName,
-    route: Annotated[
-        str | None, typer.Option(help="nonintegrable, integrable or montecarlo; all if left out.")
-    ] = None,
-    of: Annotated[
-        str | None, typer.Option(metavar="OBS", help="H or H1,H2: the equation of that density.")
-    ] = None,
-    out: StudyFolder = None,
-    seconds: Annotated[
-        float | None, typer.Option(min=0.1, help="Processor time for the steps of each scheme.")
-    ] = None,
-    seed: Seed = None,
-    threads: Threads = None,
-    as_json: Json = False,
+    scene: str,
+    route: str | None,
+    of: str | None,
+    out: Path | None,
+    seconds: float | None,
+    seed: int | None,
+    threads: int | None,
+    as_json: bool,
 ) -> None:
     """Measure orders of convergence: in h, in p, in both, in the step and in samples."""
     loaded = begin_study(scene, out)

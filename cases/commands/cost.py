@@ -1,29 +1,29 @@
 """The command ``fpk cost``: what each digit costs in time, by every route."""
 
-from typing import Annotated
+from pathlib import Path
 
-import typer
+import click
 
 from cases.commands.parts import (
     FIRST_SEED,
-    Json,
-    SceneName,
-    Seed,
-    StudyFolder,
+    as_json,
     begin_study,
     end_study,
+    scene_name,
+    seed,
+    study_folder,
 )
 
 
-def cost(
-    scene: SceneName,
-    out: StudyFolder = None,
-    simulate: Annotated[
-        bool, typer.Option("--simulate/--no-simulate", help="With the sampling routes, or without.")
-    ] = True,
-    seed: Seed = None,
-    as_json: Json = False,
-) -> None:
+@click.command()
+@scene_name
+@study_folder
+@click.option(
+    "--simulate/--no-simulate", default=True, help="With the sampling routes, or without."
+)
+@seed
+@as_json
+def cost(scene: str, out: Path | None, simulate: bool, seed: int | None, as_json: bool) -> None:
     """Time every route whose answer agrees with the reference, and price each digit."""
     loaded = begin_study(scene, out)
     from cases.output.terminal import progress_bar

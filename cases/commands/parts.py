@@ -2,87 +2,126 @@
 
 import json
 import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
+import click
 
 if TYPE_CHECKING:
     from cases.comparison.run import Outcome
     from cases.scene.scene import Scene
     from cases.studies.tables import Page
+    from fpk.observable import Observable
 
-SceneName = Annotated[
-    str, typer.Argument(metavar="SCENE", help="A shipped scene's name or a path.")
-]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
-Tol = Annotated[float | None, typer.Option(help="L1 error wanted; a solver adapts to meet it.")]
-Seed = Annotated[int | None, typer.Option(min=0, max=2**64 - 1, help="Seed of the simulation.")]
-Seconds = Annotated[
-    float | None, typer.Option(help="Seconds of wall time after which the simulation stops.")
-]
-StepPair = Annotated[
-    bool, typer.Option("--step-pair", help="Simulate at half the step, too: measures its bias.")
-]
-Step = Annotated[
-    float | None, typer.Option("--dt", help="Step of the simulation; chosen if left out.")
-]
-AllowUnstable = Annotated[
-    bool, typer.Option("--allow-unstable", help="Take a --dt beyond the limit, uncertified.")
-]
-Threads = Annotated[int | None, typer.Option(min=1, help="Threads of the simulation.")]
+Decorator = Callable[[Any], Any]
 
-Cluster = Annotated[
-    str | None,
-    typer.Option(metavar="ADDRESS", help="Simulate on the Dask cluster there: tcp://HOST:PORT."),
-]
-Checkpoint = Annotated[
-    Path | None,
-    typer.Option(metavar="DIR", help="Keep the simulation's state there and go on from it."),
-]
-StudyFolder = Annotated[
-    Path | None,
-    typer.Option(
-        "--out", help="Folder for the study: tables (.md), numbers (.nc), picture (.svg)."
-    ),
-]
+FOLDER = click.Path(path_type=Path)
+
+scene_name = click.argument("scene", metavar="SCENE")
+as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object alone.")
+tol = click.option("--tol", type=float, help="L1 error wanted; a solver adapts to meet it.")
+seed = click.option("--seed", type=click.IntRange(0, 2**64 - 1), help="Seed of the simulation.")
+threads = click.option("--threads", type=click.IntRange(1), help="Threads of the simulation.")
+cluster = click.option(
+    "--cluster", metavar="ADDRESS", help="Simulate on the Dask cluster there: tcp://HOST:PORT."
+)
+study_folder = click.option(
+    "--out", type=FOLDER, help="Folder for the study: tables (.md), numbers (.nc), picture (.svg)."
+)
 FIRST_SEED = 1
 """Seed of a study where none is given."""
 
 
+def observable_option(help: str, *, required: bool = False) -> Decorator:
+    """Return the option ``--of``."""
+    return click.option("--of", metavar="OBS", required=required, help=help)
+
+
+def simulation_options(command: Any) -> Any:
+    """Add the options of the routes: ``tol`` and all that a simulation takes, by these names."""
+    options = (
+        tol,
+        seed,
+        threads,
+        click.option("--seconds", type=float, help="Wall time after which the simulation stops."),
+        click.option("--step-pair", is_flag=True, help="Simulate at half the step, too."),
+        click.option("--dt", type=float, help="Step of the simulation; chosen if left out."),
+        click.option("--allow-unstable", is_flag=True, help="Take a --dt beyond the limit."),
+        cluster,
+        click.option(
+            "--checkpoint", type=FOLDER, help="Keep the simulation's state there, go on from it."
+        ),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def checked(scene: str, *, tol: float | None = None, out: Path | None = None) -> "Scene":
+    """Load the scene, check the tolerance, make the folder: a refusal comes before any work."""
+    from cases.scene.errors import BadInput
+    from cases.scene.scene import load_scene
+
+    loaded = load_scene(scene)
+    if tol is not None and not 1e-12 <= tol <= 0.1:
+        raise BadInput(f"--tol {tol:g}: must be between 1e-12 and 0.1")
+    if out is not None:
+        from cases.output.files import make_folder
+
+        make_folder(out)
+    return loaded
+
+
+def observable_of(name: str, scene: "Scene") -> "Observable":
+    """Return what ``--of`` names; raise ``BadInput`` where it is no observable of the scene."""
+    from cases.scene.errors import BadInput
+    from fpk.errors import InvalidInput
+    from fpk.observable import parse_observable
+
+    try:
+        return parse_observable(name, scene.system.n)
+    except InvalidInput as error:
+        raise BadInput(f'--of "{name}": {error.remedy}') from None
+
+
 def begin_study(scene: str, out: Path | None = None) -> "Scene":
-    """Load the scene and make the folder of a study, so that a refusal comes before any work.
+    """Load the scene and make the folder of a study.
 
     Linear algebra takes one thread from here on: small matrices gain nothing from more, and times
     of routes can be compared then and do not depend on load.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from cases.output.files import make_folder
-    from cases.scene.scene import load_scene
-
-    loaded = load_scene(scene)
-    if out is not None:
-        make_folder(out)
-    return loaded
+    return checked(scene, out=out)
 
 
 def end_study(study: Any, page: "Page", out: Path | None, *, as_json: bool) -> None:
     """Write a study's page to ``out``, print it or the JSON object, and say the problems."""
     written = [] if out is None else page.write(out)
-    if as_json:
-        print_json(study.record())
+    short = page.summary if written and page.summary else None
+    record = study.record() if as_json else None
+    end(record, lambda: short or page.text().rstrip(), written, problems=study.problems)
+
+
+def end(
+    record: dict[str, Any] | None,
+    text: Callable[[], str],
+    written: Sequence[Path] = (),
+    *,
+    problems: Sequence[str] = (),
+) -> None:
+    """Print the one JSON object of a command, or ``text()`` and the files written where it is None.
+
+    Every problem goes to standard error; with one the status is 1.
+    """
+    if record is not None:
+        click.echo(json.dumps(record, ensure_ascii=False, allow_nan=False))
     else:
-        text = page.summary if written and page.summary else page.text().rstrip()
-        typer.echo("\n".join([text, *(f"wrote {path}" for path in written)]))
-    end_with(study.problems)
-
-
-def end_with(problems: Any) -> None:
-    """Say every problem on standard error; status 1 where there is one."""
+        click.echo("\n".join([text(), *(f"wrote {path}" for path in written)]))
     for problem in problems:
-        typer.echo(f"fpk: {problem}", err=True)
+        click.echo(f"fpk: {problem}", err=True)
     if problems:
-        raise typer.Exit(1)
+        raise click.exceptions.Exit(1)
 
 
 def outcome_of(scene: "Scene", methods: Any) -> "Outcome":
@@ -101,16 +140,3 @@ def check_cluster(address: str | None) -> None:
 
         with connected(address):
             pass
-
-
-def check_tol(tol: float | None) -> None:
-    """Refuse a tolerance that no solver can mean."""
-    from cases.scene.errors import BadInput
-
-    if tol is not None and not 1e-12 <= tol <= 0.1:
-        raise BadInput(f"--tol {tol:g}: must be between 1e-12 and 0.1")
-
-
-def print_json(record: dict[str, Any]) -> None:
-    """Print the one JSON object of a command."""
-    typer.echo(json.dumps(record, ensure_ascii=False, allow_nan=False))

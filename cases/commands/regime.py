@@ -1,40 +1,47 @@
 """The command ``fpk regime``: which theory holds where, over a grid of parameters."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import typer
+import click
 
 from cases.commands.parts import (
-    Cluster,
-    Json,
-    SceneName,
-    Seed,
-    Threads,
+    FOLDER,
+    as_json,
     begin_study,
     check_cluster,
+    cluster,
     end_study,
+    scene_name,
+    seed,
+    threads,
 )
 
 
+@click.command()
+@scene_name
+@click.option(
+    "--vary",
+    multiple=True,
+    required=True,
+    metavar="KEY=LOW:HIGH:COUNT",
+    help="Once or twice; logCOUNT: equal ratios.",
+)
+@click.option("--out", type=FOLDER, help="Folder for picture, table, netCDF; a map goes on there.")
+@seed
+@threads
+@click.option("--paths", type=int, help="Paths of the simulation.")
+@click.option("--time", type=float, help="Sampled time a path.")
+@cluster
+@click.option("--checkpoint", type=FOLDER, help="Folder for finished points, if not --out.")
+@as_json
 def regime(
-    scene: SceneName,
-    vary: Annotated[
-        list[str],
-        typer.Option(metavar="KEY=LOW:HIGH:COUNT", help="Once or twice; logCOUNT: equal ratios."),
-    ],
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for picture, table, netCDF; a map goes on there.")
-    ] = None,
-    seed: Seed = None,
-    threads: Threads = None,
-    paths: Annotated[int | None, typer.Option(help="Paths of the simulation.")] = None,
-    time: Annotated[float | None, typer.Option(help="Sampled time a path.")] = None,
-    cluster: Cluster = None,
-    checkpoint: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for finished points, if not --out.")
-    ] = None,
-    as_json: Json = False,
+    scene: str,
+    vary: tuple[str, ...],
+    out: Path | None,
+    checkpoint: Path | None,
+    as_json: bool,
+    **settings: Any,
 ) -> None:
     """Map the distance of each theory to the full system over one or two parameters."""
     loaded = begin_study(scene)
@@ -46,18 +53,17 @@ def regime(
     for folder in (out, checkpoint):
         if folder is not None:
             make_folder(folder)
-    check_cluster(cluster)
+    check_cluster(settings["cluster"])
     from cases.studies.regime_map.build import MAP_RELAXATIONS, build_map
     from cases.studies.regime_map.output import map_page
     from sim.montecarlo import MonteCarlo
 
-    settings = {"seed": seed, "threads": threads, "paths": paths, "time": time, "cluster": cluster}
-    given: dict[str, Any] = {k: v for k, v in settings.items() if v is not None}
+    given = {key: value for key, value in settings.items() if value is not None}
     simulation = MonteCarlo(**{"relaxations": MAP_RELAXATIONS, **given})
     with progress_bar() as progress:
         result = build_map(
             loaded, axes, simulation=simulation, folder=checkpoint or out, progress=progress
         )
     if result.note is not None:
-        typer.echo(f"fpk: note: {result.note}", err=True)
+        click.echo(f"fpk: note: {result.note}", err=True)
     end_study(result, map_page(result), out, as_json=as_json)

@@ -1,27 +1,23 @@
 """The command ``fpk verify``: the regression gate."""
 
-from typing import Annotated
+from typing import Any
 
-import typer
+import click
 
-from cases.commands.parts import Json, Seed, Threads, end_with, print_json
+from cases.commands.parts import as_json, end, seed, threads
 
 
-def verify(
-    scenes: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[SCENE]...", help="Names or paths; all shipped ones but the hard if left out."
-        ),
-    ] = None,
-    coarse: Annotated[
-        bool, typer.Option("--coarse", help="A quick look: a still shorter simulation.")
-    ] = False,
-    seed: Seed = None,
-    threads: Threads = None,
-    as_json: Json = False,
-) -> None:
-    """Run scenes by every route and judge them: one line each, one final table."""
+@click.command()
+@click.argument("scenes", nargs=-1, metavar="[SCENE]...")
+@click.option("--coarse", is_flag=True, help="A quick look: a still shorter simulation.")
+@seed
+@threads
+@as_json
+def verify(scenes: tuple[str, ...], as_json: bool, **settings: Any) -> None:
+    """Run scenes by every route and judge them: one line each, one final table.
+
+    SCENE: names or paths; all shipped scenes but the hard ones where none is given.
+    """
     from cases.scene.scene import load_scene, shipped_scenes
 
     shipped = [name for name, path in shipped_scenes().items() if path.parent.name != "hard"]
@@ -35,13 +31,11 @@ def verify(
     verified = []
     for scene in loaded:
         with progress_bar() as progress:
-            verified.append(
-                verify_scene(scene, coarse=coarse, seed=seed, threads=threads, progress=progress)
-            )
+            verified.append(verify_scene(scene, progress=progress, **settings))
         if not as_json:
-            typer.echo(verify_line(verified[-1], width))
-    if as_json:
-        print_json(verify_record(verified))
-    else:
-        typer.echo(verify_table(verified))
-    end_with([f"{v.scene}: {problem}" for v in verified for problem in v.problems])
+            click.echo(verify_line(verified[-1], width))
+    end(
+        verify_record(verified) if as_json else None,
+        lambda: verify_table(verified),
+        problems=[f"{v.scene}: {problem}" for v in verified for problem in v.problems],
+    )

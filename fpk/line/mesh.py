@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
+from scipy.special import lambertw
 
 from fpk.probe import Probe
 
@@ -86,7 +86,8 @@ def _miss(degree: int) -> tuple[float, float]:
     """ln of (p+1)! 2^(2p+1), and of the n where an element's error is ``UNDER`` of e^(−n)."""
     p = degree + 1
     log_unit = math.lgamma(p + 1) + (2 * p - 1) * math.log(2.0)
-    steepest = brentq(lambda n: p * math.log(n) - log_unit + n - math.log(UNDER), 1e-3, 1e3)
+    # p ln n + n = log_unit + ln UNDER
+    steepest = p * lambertw(math.exp((log_unit + math.log(UNDER)) / p) / p).real
     return log_unit, math.log(steepest)
 
 
