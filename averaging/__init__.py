@@ -2,12 +2,30 @@
 
 ``NonIntegrable`` averages the total energy, ``Integrable`` the energies of the modes; ``Exact`` and
 ``Linear`` solve the full system where its damping and noise, or the lack of contacts, allow it.
-Importing the package registers their routes.
+Each is loaded, and its routes registered, when it is first used.
 """
 
-from averaging.exact import Exact
-from averaging.gaussian import Linear
-from averaging.integrable import Integrable
-from averaging.nonintegrable import NonIntegrable
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from averaging.exact import Exact
+    from averaging.gaussian import Linear
+    from averaging.integrable import Integrable
+    from averaging.nonintegrable import NonIntegrable
 
 __all__ = ["Exact", "Integrable", "Linear", "NonIntegrable"]
+
+_HOME = {
+    "Exact": "averaging.exact",
+    "Integrable": "averaging.integrable",
+    "Linear": "averaging.gaussian",
+    "NonIntegrable": "averaging.nonintegrable",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a method when it is first used."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'averaging' has no attribute {name!r}")
+    return getattr(import_module(_HOME[name]), name)

@@ -112,9 +112,8 @@ def density(
     observable = observable_of(of, loaded)
     from cases.commands.checkpoints import checkpoint_folder
     from cases.comparison.routes import chosen
-    from cases.output.records import density_record
+    from cases.output.density import density_record, density_text
     from cases.output.terminal import progress_bar
-    from cases.output.text import density_text
     from cases.scene.points import parse_points
     from fpk.method import solved
 

@@ -1,25 +1,24 @@
-"""Monte Carlo of the averaged equations as a method: the process of a theory, sampled."""
+"""Monte Carlo of the averaged equations as a method: the process of a theory, sampled.
+
+Theories and sampling are imported when a system is prepared: most commands register the routes
+here without asking for them.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf, isfinite
-from typing import Literal, Self, get_args
+from typing import TYPE_CHECKING, Literal, Self, get_args
 
-from averaging.energy_process import energy_process
-from averaging.modal.analysis import modal_analysis
-from averaging.modal.internal import internal_refusal
-from averaging.modal.process import modal_process
-from averaging.modal.resonance import resonance_refusal
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import Method, Plan, Progress, Result
 from fpk.observable import Coordinate, Observable, observable_name
 from fpk.route import ROUTES, Route, register
 from fpk.system import System
-from sim.averaged.line import line_form
-from sim.averaged.paths import BATCHES, LEAST_PATHS, EnergySampling, exact, simulate_energies
-from sim.averaged.square_root import SquareRootForm, square_root_form
+
+if TYPE_CHECKING:
+    from sim.averaged.square_root import SquareRootForm
 
 Theory = Literal["integrable", "nonintegrable"]
 
@@ -51,8 +50,6 @@ class AveragedSimulation(Method):
         """Check every field."""
         if self.theory not in get_args(Theory):
             raise InvalidInput("theory", self.theory, f"use one of {sorted(get_args(Theory))}")
-        if self.paths < BATCHES * LEAST_PATHS or self.paths % BATCHES:
-            raise InvalidInput("paths", self.paths, f"use a multiple of {BATCHES}, 256 or more")
         if not 0 <= self.seed < 2**64:
             raise InvalidInput("seed", self.seed, "use an integer from 0 to 2**64 - 1")
         if self.threads is not None and self.threads < 1:
@@ -70,8 +67,14 @@ class AveragedSimulation(Method):
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
         if self.theory == "nonintegrable":
+            from averaging.energy_process import energy_process
+
             energy_process(system)
         else:
+            from averaging.modal.analysis import modal_analysis
+            from averaging.modal.internal import internal_refusal
+            from averaging.modal.resonance import resonance_refusal
+
             modes = modal_analysis(system)
             if reason := resonance_refusal(modes) or internal_refusal(system, modes):
                 raise NotApplicable(reason)
@@ -91,6 +94,8 @@ class AveragedSimulation(Method):
     def _sampled(
         self, system: System, observables: Sequence[Observable], progress: Progress
     ) -> Result:
+        from sim.averaged.paths import EnergySampling, exact, simulate_energies
+
         form = self._form(system)
         slowest, fastest = float(form.times.max()), float(form.times.min())
         sampling = EnergySampling(
@@ -119,9 +124,15 @@ class AveragedSimulation(Method):
         """Return the method with four times the paths and half the step: half of both errors."""
         return replace(self, paths=4 * self.paths, step=0.5 * self.step)
 
-    def _form(self, system: System) -> SquareRootForm:
+    def _form(self, system: System) -> "SquareRootForm":
         if self.theory == "integrable":
+            from averaging.modal.process import modal_process
+            from sim.averaged.square_root import square_root_form
+
             return square_root_form(modal_process(system))
+        from averaging.energy_process import energy_process
+        from sim.averaged.line import line_form
+
         return line_form(energy_process(system))
 
 

@@ -1,5 +1,6 @@
 """The methods that the command line asks for, made from the registry of routes."""
 
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from importlib import import_module
 from typing import Any
@@ -11,23 +12,37 @@ from fpk.observable import Observable
 from fpk.route import ROUTES, Route, solvers_of
 from fpk.system import System
 
-ROUTE_MODULES = (
-    "averaging.exact",
-    "averaging.gaussian",
-    "averaging.nonintegrable",
-    "averaging.integrable",
-    "cases.comparison.averaged",
-    "sim.montecarlo",
-)
-"""The program's own methods; each module registers its routes when it is imported."""
+ROUTE_MODULES = {
+    "exact": ("averaging.exact",),
+    "linear": ("averaging.gaussian",),
+    "nonintegrable": ("averaging.nonintegrable", "cases.comparison.averaged"),
+    "integrable": ("averaging.integrable", "cases.comparison.averaged"),
+    "montecarlo": ("sim.montecarlo",),
+}
+"""The modules of the program's own methods; each registers its routes when it is imported."""
 
-for _module in ROUTE_MODULES:
-    import_module(_module)
+
+def register_routes(method: str | None = None) -> None:
+    """Import the modules of one of the program's methods, those of all where it is none of them."""
+    for name in [method] if method in ROUTE_MODULES else ROUTE_MODULES:
+        for module in ROUTE_MODULES[name]:
+            import_module(module)
 
 
 def listed_routes() -> tuple[Route, ...]:
     """Return all routes: deterministic before sampled, the full system before averaged ones."""
-    return tuple(sorted(ROUTES.values(), key=lambda r: (r.sampled, r.solves != "full")))
+    register_routes()
+    own = list(ROUTE_MODULES)
+    return tuple(
+        sorted(
+            ROUTES.values(),
+            key=lambda r: (
+                r.sampled,
+                r.solves != "full",
+                own.index(r.method) if r.method in own else len(own),
+            ),
+        )
+    )
 
 
 def listed_methods() -> tuple[str, ...]:
@@ -74,12 +89,19 @@ def chosen(
         if reason_why_not := plan.refusal(observable):
             refusals.append(reason_why_not)
             continue
-        _refuse_unused(method, settings)
+        known = {*_settings_of(method), "partial", "tol"}
+        unused = {k for k, v in settings.items() if v not in (None, False)} - known
+        for setting in sorted(unused):
+            raise BadInput(
+                f"--{setting.replace('_', '-')}: not an option of {name} by {method.solver};"
+                " leave it out"
+            )
         return plan
     raise NotApplicable(refusals[0])
 
 
 def _routes_of(name: str, solver: str | None) -> list[Route]:
+    register_routes(name)
     choices = solvers_of(name)
     if not choices:
         raise BadInput(f"--method {name}: use one of {', '.join(listed_methods())}")
@@ -89,18 +111,12 @@ def _routes_of(name: str, solver: str | None) -> list[Route]:
     return [ROUTES[name, s] for s in choices if solver in (None, s)]
 
 
-def _made(route: Route, settings: dict[str, Any]) -> Method:
+def _settings_of(method: Method) -> set[str]:
+    return {f.name for f in fields(method)}  # type: ignore[arg-type]  # methods are dataclasses
+
+
+def _made(route: Route, settings: Mapping[str, Any]) -> Method:
     method = route.make()
-    known = {f.name for f in fields(method)}  # type: ignore[arg-type]  # methods are dataclasses
+    known = _settings_of(method)
     given = {k: v for k, v in settings.items() if v is not None and k in known}
     return replace(method, **given)  # type: ignore[type-var]
-
-
-def _refuse_unused(method: Method, settings: dict[str, Any]) -> None:
-    known = {f.name for f in fields(method)} | {"partial", "tol"}  # type: ignore[arg-type]
-    for name in sorted(k for k, v in settings.items() if v not in (None, False)):
-        if name not in known:
-            option = "--" + name.replace("_", "-")
-            raise BadInput(
-                f"{option}: not an option of {method.name} by {method.solver}; leave it out"
-            )

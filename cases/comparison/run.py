@@ -60,6 +60,11 @@ class CurveOutcome:
     comparisons: tuple[Comparison, ...]
     value: float | None = None
 
+    @property
+    def judged(self) -> int:
+        """How many comparisons are judged."""
+        return sum(c.band is not None for c in self.comparisons)
+
     def densities(self, observable: Observable) -> dict[Route, AnyDensity]:
         """Return the densities of one observable by route."""
         return {

@@ -24,14 +24,13 @@ Record = dict[str, Any]
 def digest_of(outcome: Outcome) -> Record:
     """Return the record of ``fpk run``: the scene's own system, and beside it the other curves."""
     base, *others = outcome.curves
-    comparisons = [c for curve in outcome.curves for c in curve.comparisons]
     record: Record = plain(
         {
             "scene": outcome.scene.name,
             "title": outcome.scene.title,
             **_curve(base),
             "curves": [_curve(c) for c in others],
-            "judged": sum(c.band is not None for c in comparisons),
+            "judged": sum(curve.judged for curve in outcome.curves),
             "problems": outcome.problems,
             "claims": [asdict(f) for f in outcome.findings],
             "seconds": outcome.seconds,

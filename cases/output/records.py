@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from math import isfinite
@@ -11,12 +10,9 @@ from typing import Any
 import numpy as np
 
 from cases.comparison.regime import Regime
-from cases.comparison.verify import VERDICTS, Verified
-from cases.scene.scene import Scene
 from fpk.damping import DampingTerm
-from fpk.density import AnyDensity, Array
+from fpk.density import AnyDensity
 from fpk.effects import Effects
-from fpk.method import Result
 from fpk.system import System
 
 UNITS = "the scene's own consistent units"
@@ -53,41 +49,6 @@ def certificate_record(density: AnyDensity) -> dict[str, Any]:
     """Return the certificate with whether it holds."""
     certificate = density.certificate
     return {**asdict(certificate), "certified": certificate.certified}
-
-
-def density_record(scene: Scene, result: Result, points: tuple[Array, ...]) -> dict[str, Any]:
-    """Return the record of ``fpk density`` at ``points``, one array per axis."""
-    density = result.densities[0]
-    values, errors = density.at(*points)
-    record: dict[str, Any] = plain(
-        {
-            "scene": scene.name,
-            "method": result.method.name,
-            "solver": result.method.solver,
-            "observable": density.name,
-            "points": points[0] if len(points) == 1 else np.stack(points, axis=-1),
-            "density": values,
-            "error": errors,
-            "error_kind": density.error_kind,
-            "certificate": certificate_record(density),
-            "settings": dict(result.settings),
-            "seconds": result.seconds,
-        }
-    )
-    return record
-
-
-def verify_record(verified: Sequence[Verified]) -> dict[str, Any]:
-    """Return the record of ``fpk verify``."""
-    record: dict[str, Any] = plain(
-        {
-            "scenes": [{**asdict(v), "holds": v.holds} for v in verified],
-            "holds": all(v.holds for v in verified),
-            "claims": {word: sum(v.count(word) for v in verified) for word in VERDICTS},
-            "seconds": sum(v.seconds for v in verified),
-        }
-    )
-    return record
 
 
 def effects_record(effects: Effects) -> dict[str, Any]:

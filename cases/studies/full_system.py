@@ -7,15 +7,15 @@ from math import inf, isfinite, nan, sqrt
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-import cases.comparison.routes  # noqa: F401  (registers every route)
 from cases.comparison.compare import chance_l1, joined
+from cases.comparison.routes import listed_routes
 from cases.studies.timing import timed_first
 from fpk.certificate import Measured
 from fpk.density import Array, Density, SampledDensity, certified_density
 from fpk.errors import InvalidInput, NotCertified
 from fpk.method import Method
 from fpk.observable import Observable, parse_observable
-from fpk.route import ROUTES, Solves
+from fpk.route import Solves
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
 from sim.report import Report, Steps
@@ -113,7 +113,7 @@ def largest_stable(
 
 def deterministic(system: System, observable: Observable, solves: Solves) -> list[Method]:
     """Return the methods, not sampled, that give ``observable``, in the order of registration."""
-    routes = [r for r in ROUTES.values() if r.solves == solves and not r.sampled]
+    routes = [r for r in listed_routes() if r.solves == solves and not r.sampled]
     methods = [route.make() for route in routes]
     return [m for m in methods if m.refusal(system, observable) is None]
 

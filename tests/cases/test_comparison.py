@@ -5,13 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-import cases.comparison.routes  # noqa: F401  (registers the routes)
 from cases.comparison.compare import chance_l1, compared, what_is_measured
+from cases.comparison.routes import register_routes
 from fpk.certificate import Certificate
 from fpk.density import Density, SampledDensity, l1_distance
 from fpk.method import Result
 from fpk.observable import parse_observable
 from fpk.route import ROUTES, solvers_of
+
+register_routes()
 
 FINE = Certificate(0.0, 0.0, 0.0, 0.0)
 Q1 = parse_observable("q1", 1)

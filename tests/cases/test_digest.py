@@ -1,10 +1,12 @@
 """Averaging rows once for each pair of theories, refusals with the same reason joined."""
 
-import cases.comparison.routes  # noqa: F401  (registers the routes)
 from cases.comparison.compare import Comparison
+from cases.comparison.routes import register_routes
 from cases.comparison.run import Refusal
 from cases.output.digest import comparison_rows, refusal_record, refusals_of
 from fpk.route import ROUTES
+
+register_routes()
 
 FEM, CLOSED = ROUTES["nonintegrable", "fem"], ROUTES["nonintegrable", "closed-form"]
 MODAL, SAMPLED = ROUTES["integrable", "closed-form"], ROUTES["integrable", "simulation"]

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import pytest
 
-import cases.comparison.verify
+import cases.comparison.routes
 from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
-from cases.comparison.verify import VERDICTS
+from cases.output.verify import VERDICTS
 from cases.scene.scene import shipped_scenes
 
 SCENES = ("fig3c", "fig6c", "sdof")
@@ -40,7 +40,7 @@ def test_the_gate_ends_with_one_table_and_fails_on_a_wrong_system(fpk, monkeypat
     def methods(**_):
         return (Exact(), TenPercentOff())
 
-    monkeypatch.setattr(cases.comparison.verify, "all_methods", methods)
+    monkeypatch.setattr(cases.comparison.routes, "all_methods", methods)
     status, out, err = fpk("verify", "fig3a", "sdof")
     lines = out.splitlines()
     assert status == 1 and "differ by L1" in err and "FAIL" in lines[0]
@@ -49,7 +49,7 @@ def test_the_gate_ends_with_one_table_and_fails_on_a_wrong_system(fpk, monkeypat
 
 
 def test_a_scene_about_which_nothing_is_judged_does_not_pass(fpk, monkeypatch):
-    monkeypatch.setattr(cases.comparison.verify, "all_methods", lambda **_: (NonIntegrable(),))
+    monkeypatch.setattr(cases.comparison.routes, "all_methods", lambda **_: (NonIntegrable(),))
     status, _, err = fpk("verify", "fig6a")
     assert status == 1 and "no comparison was judged" in err
 
