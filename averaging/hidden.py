@@ -6,7 +6,6 @@ from math import ceil, log2
 from typing import Any
 
 import numpy as np
-import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 from numpy.typing import NDArray
 
 from averaging.conditional import Conditional, overlap_at, side_sign
@@ -182,7 +181,7 @@ class _Following:
         i = np.flatnonzero(np.abs(slope) > small)
         if i.size:
             step = -slope[i] / self.law.precision
-            find_root: Any = scipy.optimize.elementwise.find_root  # typed for one argument
+            find_root: Any = _root_finder()
             share = find_root(
                 lambda s, step, mean, shift: (
                     np.sign(step) * self.slope(mean + s * step, mean, shift)
@@ -196,7 +195,7 @@ class _Following:
 
     def reach(self, most: Array, bottom: Array, mean: Array, shift: Array, level: Array) -> Array:
         """Distance from ``bottom`` at which the potential has risen to ``level``, about."""
-        find_root: Any = scipy.optimize.elementwise.find_root  # typed for one argument
+        find_root: Any = _root_finder()
         share = find_root(
             lambda s, most, bottom, mean, shift, level: (
                 self.energy(bottom + s * most, mean, shift) - level
@@ -226,3 +225,10 @@ def overlaps(stop: Contact, temperature: float, end: float) -> Array:
     top = max(end / temperature, DEPTH)
     levels = [*LEVELS, *RISE ** np.arange(1.0, ceil(np.log(top) / np.log(RISE)) + 1.0)]
     return np.array([0.0, *(overlap_at(stop, level * temperature) for level in levels)])
+
+
+def _root_finder() -> Any:
+    """``scipy.optimize.elementwise.find_root``: late, as it takes 0.2 s; typed for one argument."""
+    from scipy.optimize import elementwise  # noqa: PLC0415
+
+    return elementwise.find_root

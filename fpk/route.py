@@ -24,7 +24,8 @@ class Route:
     Eq. (6) itself and "averaged" for a theory's equation; ``sampled`` says that the errors are
     those of sampling. ``colour`` is the curve's (#rrggbb). ``make()`` returns the method with its
     default settings. ``unasked(system)`` says whether ``fpk run`` takes the route by itself.
-    Of one method's routes the one registered first is the default and the one that is drawn.
+    Of one method's routes the one registered first is the default and the one that is drawn; a
+    route that samples comes after those that do not.
     """
 
     method: str
@@ -58,8 +59,9 @@ def register(route: Route) -> Route:
 
 
 def solvers_of(method: str) -> tuple[str, ...]:
-    """Return the solvers of a method, its default first."""
-    return tuple(solver for name, solver in ROUTES if name == method)
+    """Return the solvers of a method, its default first and those that sample last."""
+    own = [route for route in ROUTES.values() if route.method == method]
+    return tuple(route.solver for route in sorted(own, key=lambda route: route.sampled))
 
 
 def methods() -> tuple[str, ...]:

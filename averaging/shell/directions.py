@@ -4,7 +4,6 @@ from math import pi
 from typing import Any
 
 import numpy as np
-import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 from numpy.typing import NDArray
 
 from averaging.shell.energy_shell import EnergyShell
@@ -69,7 +68,9 @@ def _line_crossings(shell: EnergyShell, row: Array, clearance: float, energy: Ar
     def points(t: Array) -> Array:
         return np.asarray(foot + t[:, None] * along)
 
-    find_root: Any = scipy.optimize.elementwise.find_root  # typed without further arguments
+    from scipy.optimize import elementwise  # noqa: PLC0415  (it takes 0.2 s)
+
+    find_root: Any = elementwise.find_root  # typed without further arguments
     lowest = find_root(lambda t: shell.slope(points(t), along), (-bound, bound)).x
     inside = shell.potential(points(lowest)) < energy
     angles = []
