@@ -1,6 +1,6 @@
 """From a density of the energy to densities of displacements and momenta, Eqs. (23), (30)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from itertools import pairwise
 from math import ceil, pi
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from averaging.conditional import conditionals, overlap_at
-from averaging.energy_density import EnergyDensity, Weyl
+from averaging.energy_density import EnergyDensity, Part
 from averaging.hidden import HiddenIntegral, overlaps
 from fpk.contact import Contact
 from fpk.density import Density, certified_density
@@ -21,8 +21,6 @@ Array = NDArray[np.float64]
 POINTS = {0: (1, 1), 1: (10, 14), 2: (8, 10)}
 """Gauss points per panel over 0, 1 or 2 contact masses that are not observed, and of a finer rule:
 the answer is that of the finer one, the distance between the two its error."""
-
-
 TIED = 0.2
 """Width of a displacement given another one, relative to its own, below which the joint density is
 a ridge that panels of one thermal displacement do not resolve."""
@@ -48,28 +46,17 @@ def back_transformed(source: EnergyDensity, observable: Observable, *, tol: floa
         return _energy_density(source, observable, tol)
     system = source.system
     q = tuple(c.index for c in observable if c.kind == "q" and c.index is not None)
-    p = tuple(c.index for c in observable if c.kind == "p" and c.index is not None)
-    hidden = tuple(i for i in system.contact_masses if i not in q)
-    if len(hidden) > 2:
-        raise NotApplicable(f"{name}: {len(hidden)} contact masses would have to be integrated out")
-    marginal = _Marginal(source, q, p, hidden)
-
-    def pdf(*x: Array) -> Array:
-        return marginal(source.weyl, *_split(kinds, x))
+    hidden = len(set(system.contact_masses) - set(q))
+    if hidden > 2:
+        raise NotApplicable(f"{name}: {hidden} contact masses would have to be integrated out")
+    marginal = _marginal(source, observable)
 
     def added(*x: Array) -> Array:
         """Error of integrating out: tables of Weyl integrals, quadrature over hidden masses."""
-        split = _split(kinds, x)
-        error = np.zeros(split[0][0].shape if split[0] else split[1][0].shape)
-        if source.table_error is not None:
-            error = error + marginal(source.table_error, *split)
+        error = marginal(*x, part="table")
         if hidden:
-            coarse = marginal(source.weyl, *split, points=POINTS[len(hidden)][0])
-            error = error + np.abs(marginal(source.weyl, *split) - coarse)
+            error = error + np.abs(marginal(*x) - marginal(*x, points=POINTS[hidden][0]))
         return error
-
-    def pointwise(*x: Array) -> Array:
-        return marginal(source.weyl_error, *_split(kinds, x)) + added(*x)
 
     end = float(source.nodes[-1])
     panels = tuple(
@@ -82,14 +69,55 @@ def back_transformed(source: EnergyDensity, observable: Observable, *, tol: floa
     return certified_density(
         observable,
         panels,
-        pdf,
-        pointwise,
+        marginal,
+        lambda *x: marginal(*x, part="error") + added(*x),
         measured=source.measured,
         tol=tol,
         added_error=added,
         frame=_ridge(system, q, source.temperature, end) if len(q) == 2 else None,
         provenance=source.provenance,
     )
+
+
+def _marginal(source: EnergyDensity, observable: Observable) -> Callable[..., Array]:
+    """Return the integral of u(H) over everything but the observed displacements and momenta.
+
+    It is a function of these, broadcast together, of ``part`` of u and of the number of ``points``
+    of the rule over hidden contact masses. All else is quadratic in H and integrated exactly.
+    """
+    system = source.system
+    q = [c.index for c in observable if c.kind == "q" and c.index is not None]
+    p = [c.index for c in observable if c.kind == "p" and c.index is not None]
+    hidden = [i for i in system.contact_masses if i not in q]
+    laws = conditionals(system, [*q, *hidden])
+    over_hidden = HiddenIntegral(laws[len(q) :], source.temperature, float(source.nodes[-1]))
+    order = system.n - 0.5 * (len(p) + len(laws))
+    # det K of the masses integrated out exactly is det K over det K_red, a product each.
+    log_factor = order * np.log(2.0 * pi) + 0.5 * (
+        np.sum(np.log(np.delete(system.mass, p)))
+        + np.sum(np.log([law.precision for law in laws]))
+        - np.sum(np.log(system.stiffness))
+    )
+
+    def marginal(*x: Array, part: Part = "value", points: int = POINTS[len(hidden)][1]) -> Array:
+        arrays = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in x))
+        flat = {c.kind: [] for c in observable}
+        for c, a in zip(observable, arrays, strict=True):
+            flat[c.kind].append(a.ravel())
+        Q = np.array(flat.get("q", [])).reshape(len(q), arrays[0].size)
+        energy = np.zeros(arrays[0].size)
+        for k, law in enumerate(laws[: len(q)]):
+            energy = energy + law.energy(Q[k], law.weights @ Q[:k])
+        for i, momentum in zip(p, flat.get("p", []), strict=True):
+            energy = energy + momentum**2 / (2.0 * system.mass[i])
+
+        def integral(E: Array) -> Array:
+            return source.weyl(order, E, part)
+
+        result = over_hidden(integral, energy, Q, points=points)
+        return np.asarray(np.exp(log_factor) * result).reshape(arrays[0].shape)
+
+    return marginal
 
 
 def _energy_density(source: EnergyDensity, observable: Observable, tol: float) -> Density:
@@ -99,8 +127,8 @@ def _energy_density(source: EnergyDensity, observable: Observable, tol: float) -
 
     def pointwise(energy: Array) -> Array:
         energy = np.asarray(energy)
-        error = np.exp(source.log_states(energy)) * source.u_error(energy)
-        error = np.where((energy > last) & (source.u(energy) == 0.0), dropped, error)
+        error = np.exp(source.log_states(energy)) * source.weyl(0.0, energy, "error")
+        error = np.where((energy > last) & (source.energy_pdf(energy) == 0.0), dropped, error)
         # T is evaluated at the points themselves: at a contact energy it may be worse than on the
         # mesh, where the solver estimated the error of u.
         error = error + source.states_error(energy)
@@ -116,53 +144,6 @@ def _energy_density(source: EnergyDensity, observable: Observable, tol: float) -
         added_error=source.states_error if source.closed else None,
         provenance=source.provenance,
     )
-
-
-def _split(kinds: Sequence[str], x: tuple[Array, ...]) -> tuple[list[Array], list[Array]]:
-    """Displacements and momenta among the coordinates, in their order, broadcast together."""
-    arrays = np.broadcast_arrays(*(np.asarray(part, dtype=float) for part in x))
-    by_kind: dict[str, list[Array]] = {"q": [], "p": []}
-    for kind, part in zip(kinds, arrays, strict=True):
-        by_kind[kind].append(part)
-    return by_kind["q"], by_kind["p"]
-
-
-class _Marginal:
-    """Integral of u(H) over everything but some displacements and momenta."""
-
-    def __init__(
-        self, source: EnergyDensity, q: tuple[int, ...], p: tuple[int, ...], hidden: tuple[int, ...]
-    ) -> None:
-        """Prepare the quadratic part, which is exact, and the integral over ``hidden`` masses."""
-        system = source.system
-        self.system, self.q, self.p = system, q, p
-        self.laws = conditionals(system, [*q, *hidden])
-        end, T = float(source.nodes[-1]), source.temperature
-        self.hidden = HiddenIntegral(self.laws[len(q) :], T, end)
-        self.points = POINTS[len(hidden)][1]
-        self.order = system.n - 0.5 * (len(p) + len(self.laws))
-        # det K of the masses integrated out exactly is det K over det K_red, a product each.
-        log_det_free = np.sum(np.log(system.stiffness)) - sum(
-            np.log(law.precision) for law in self.laws
-        )
-        others = np.delete(system.mass, list(p))
-        self.log_factor = float(
-            self.order * np.log(2.0 * pi) + 0.5 * np.sum(np.log(others)) - 0.5 * log_det_free
-        )
-
-    def __call__(
-        self, weyl: Weyl, q: list[Array], p: list[Array], *, points: int | None = None
-    ) -> Array:
-        """The density at displacements and momenta of one common shape, by the finer rule."""
-        shape = (q or p)[0].shape
-        Q = np.array([part.ravel() for part in q]).reshape(len(q), (q or p)[0].size)
-        energy = np.zeros(Q.shape[1])
-        for k, law in enumerate(self.laws[: len(q)]):
-            energy = energy + law.energy(Q[k], law.weights @ Q[:k])
-        for momentum, i in zip(p, self.p, strict=True):
-            energy = energy + momentum.ravel() ** 2 / (2.0 * self.system.mass[i])
-        result = self.hidden(lambda E: weyl(self.order, E), energy, Q, points=points or self.points)
-        return np.asarray(np.exp(self.log_factor) * result).reshape(shape)
 
 
 def displacement_panels(system: System, mass: int, *, temperature: float, end: float) -> Array:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,8 @@ from fpk.system import System
 
 Array = NDArray[np.float64]
 Provenance = Mapping[str, str | float | int]
-Weyl = Callable[[float, Array], Array]
-"""An integral ∫_0^∞ u(E + x) x^(ν−1)/Γ(ν) dx as a function of ν and E."""
+Part = Literal["value", "error", "table"]
+"""Of an integral of u: itself, its error by that of u, and its error by being tabulated."""
 
 TAIL = 1e-17
 """Share of the probability beyond the last energy of a closed form."""
@@ -27,29 +28,34 @@ POINTS = (16, 20)
 """Gauss points per panel of the normalisation, and of the finer rule that estimates its error."""
 
 
+class Weyl(Protocol):
+    """Ψ_ν(E) = ∫_0^∞ u(E + x) x^(ν−1)/Γ(ν) dx, a Weyl integral; Ψ_0 is u itself.
+
+    It is what is left of u when 2ν quadratic coordinates are integrated out, a factor
+    (2π)^ν/√det aside.
+    """
+
+    def __call__(self, order: float, energy: Array, part: Part = "value") -> Array:
+        """One part of Ψ for ν = ``order``, a multiple of ½, at energies of any shape."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class EnergyDensity:
     """Phase-space density u(H) of a system and its integrals, with errors, Eqs. (22), (30).
 
-    ``u`` and ``u_error`` take energies. ``weyl(ν, E)`` is ∫_0^∞ u(E + x) x^(ν−1)/Γ(ν) dx, what is
-    left of u when 2ν quadratic coordinates are integrated out (a factor (2π)^ν/√det aside), and
-    ``weyl_error`` its error; ``nodes`` are energies from 0 to the last one kept, between which u is
-    smooth; ``temperature`` an energy over which u falls by about 1/e. ``measured`` is what was
-    measured on p(H); as integrating out cannot increase an L1 distance, its ``l1_error`` holds for
-    all marginals but for ``table_error``, the error of ``weyl`` beside that of u (None where it is
-    a closed form), and their own quadratures. ``closed`` says that u is a closed form: p(H) = T u
-    then has the error of T, too, which is none of the error of u.
+    ``nodes`` are energies from 0 to the last one of a mesh, between which u is smooth;
+    ``temperature`` is an energy over which u falls by about 1/e. ``measured`` is what was measured
+    on p(H); as integrating out cannot increase an L1 distance, its ``l1_error`` holds for all
+    marginals but for the part "table" of ``weyl`` and their own quadratures. ``closed`` says that u
+    is a closed form: p(H) = T u then has the error of T, too, which is none of the error of u.
     """
 
     system: System
     nodes: Array
     temperature: float
-    u: Callable[[Array], Array]
-    u_error: Callable[[Array], Array]
     weyl: Weyl
-    weyl_error: Weyl
     measured: Measured
-    table_error: Weyl | None = None
     closed: bool = False
     provenance: Provenance = field(default_factory=dict)
 
@@ -59,23 +65,20 @@ class EnergyDensity:
         return self.measured.l1_error
 
     def log_states(self, energy: Array) -> Array:
-        """ln T(H) at energies > 0 of any shape, T the density of states of ``shell_ratios``."""
+        """ln T(H) at energies of any shape, T the density of states of ``shell_ratios``."""
         flat = np.maximum(energy, np.finfo(float).tiny).ravel()
-        log_t = log_linear_states(self.system, flat) + np.log(
-            shell_ratios(self.system, flat).states
-        )
-        return np.asarray(log_t.reshape(np.shape(energy)))
-
-    def states_error(self, energy: Array) -> Array:
-        """Error of p(H) by that of T at energies > 0 of any shape."""
-        flat = np.maximum(energy, np.finfo(float).tiny).ravel()
-        error = shell_ratios(self.system, flat).error.reshape(np.shape(energy))
-        return np.asarray(error * self.energy_pdf(energy))
+        return np.asarray(_log_states(self.system, flat).reshape(np.shape(energy)))
 
     def energy_pdf(self, energy: Array) -> Array:
         """p(H) = T(H) u(H); 0 below H = 0."""
-        p = np.exp(self.log_states(energy)) * self.u(energy)
+        p = np.exp(self.log_states(energy)) * self.weyl(0.0, energy)
         return np.where(np.asarray(energy) >= 0.0, p, 0.0)
+
+    def states_error(self, energy: Array) -> Array:
+        """Error of p(H) by that of T at energies of any shape."""
+        flat = np.maximum(energy, np.finfo(float).tiny).ravel()
+        error = shell_ratios(self.system, flat).error.reshape(np.shape(energy))
+        return np.asarray(error * self.energy_pdf(energy))
 
 
 def gibbs(
@@ -94,60 +97,45 @@ def gibbs(
     u solves; that of (24) is measured where none is given.
     """
     alpha = inverse_temperature
-    probe = probed(process)
-    nodes = initial_nodes(probe, probe.extent(TAIL), process.nonsmooth)
-
-    def u(energy: Array) -> Array:
-        return np.asarray(np.exp(log_norm - alpha * energy))
-
     log_density = log_density_of(system, lambda energy: log_norm - alpha * energy)
-    if residual is None:
-        residual = flux_residual(process, nodes, log_density)
+    nodes, measured = closed_form_measured(process, log_density, error=error, residual=residual)
 
-    def weyl(order: float, energy: Array) -> Array:
-        return np.asarray(np.exp(log_norm - order * np.log(alpha) - alpha * energy))
+    def weyl(order: float, energy: Array, part: Part = "value") -> Array:
+        factor = {"value": 1.0, "error": error, "table": 0.0}[part]
+        return np.asarray(factor * np.exp(log_norm - order * np.log(alpha) - alpha * energy))
 
     return EnergyDensity(
-        system=system,
-        nodes=nodes,
-        temperature=1.0 / alpha,
-        u=u,
-        u_error=lambda energy: error * u(energy),
-        weyl=weyl,
-        weyl_error=lambda order, energy: error * weyl(order, energy),
-        measured=closed_form_measured(
-            process, nodes, float(log_density(nodes[-1:])[0]), error=error, residual=residual
-        ),
-        closed=True,
-        provenance=provenance,
+        system, nodes, 1.0 / alpha, weyl, measured, closed=True, provenance=provenance
     )
 
 
 def closed_form_measured(
-    process: Process, nodes: Array, log_last: float, *, error: float, residual: float
-) -> Measured:
-    """Return what is measured on a closed form before its densities: they have mass and minimum.
+    process: Process,
+    log_density: Callable[[Array], Array],
+    *,
+    error: float,
+    residual: float | None = None,
+) -> tuple[Array, Measured]:
+    """Return nodes for a closed form of ln p(H), and what is measured on it before its densities.
 
-    ``log_last`` is ln p at the last of ``nodes``, ``error`` the relative error of the norm.
+    ``error`` is the relative error of the norm. Mass and minimum are those of each density.
     """
-    tail = probed(process).tail_bound(float(nodes[-1]), float(np.exp(log_last)))
-    return Measured(
-        l1_error=error + 2.0 * tail,
-        mass_defect=np.nan,
-        minimum=np.nan,
-        residual=residual,
-        tail_mass=tail,
-    )
+    probe = probed(process)
+    nodes = initial_nodes(probe, probe.extent(TAIL), process.nonsmooth)
+    tail = probe.tail_bound(float(nodes[-1]), float(np.exp(log_density(nodes[-1:])[0])))
+    if residual is None:
+        residual = flux_residual(process, nodes, log_density)
+    return nodes, Measured(error + 2.0 * tail, np.nan, np.nan, residual, tail)
 
 
 def log_density_of(system: System, log_u: Callable[[Array], Array]) -> Callable[[Array], Array]:
     """Return ln p(H) = ln T + ln u as a function of energies > 0, (energies,)."""
+    return lambda energy: _log_states(system, energy) + log_u(energy)
 
-    def log_density(energy: Array) -> Array:
-        states = np.log(shell_ratios(system, energy).states)
-        return np.asarray(log_linear_states(system, energy) + states + log_u(energy))
 
-    return log_density
+def _log_states(system: System, energy: Array) -> Array:
+    """ln T(H) at energies > 0 (energies,)."""
+    return log_linear_states(system, energy) + np.log(shell_ratios(system, energy).states)
 
 
 def log_energy_norm(

@@ -6,7 +6,6 @@ from functools import partial
 from typing import Literal, Self, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from averaging.back_transformation import back_transformed
 from averaging.energy_density import EnergyDensity
@@ -14,17 +13,16 @@ from averaging.energy_process import energy_process
 from averaging.polynomial_rate import averaged_density, averaged_rate
 from averaging.quadrature import QuadratureSolution, solve_by_quadrature
 from averaging.shell.ratios import log_linear_states
-from averaging.tabulated import tabulated
+from averaging.weyl import tabulated
 from fpk.line.elements import Form
 from fpk.line.stationary import StationarySolution, solve_stationary
 from fpk.method import Method, Plan, Progress, Result, check_solver
 from fpk.observable import Observable, observable_name
-from fpk.process import Process
 from fpk.route import ROUTES, Route, register
 from fpk.system import System
 
-Array = NDArray[np.float64]
 Solver = Literal["fem", "quadrature", "closed-form"]
+Settings = dict[str, str | float | int]
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class NonIntegrable(Method):
             averaged_rate(system)
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
-            source, settings = self._energy_density(system, energy_process(system))
+            source, settings = self._energy_density(system)
             densities = tuple(back_transformed(source, o, tol=self.tol) for o in observables)
             return Result(self, densities, settings=settings)
 
@@ -68,29 +66,36 @@ class NonIntegrable(Method):
         """Return the method with a tolerance ten times smaller, down to 1e-12."""
         return replace(self, tol=max(0.1 * self.tol, 1e-12))
 
-    def _energy_density(
-        self, system: System, process: Process
-    ) -> tuple[EnergyDensity, dict[str, str | float | int]]:
+    def _energy_density(self, system: System) -> tuple[EnergyDensity, Settings]:
+        process = energy_process(system)
         if self.solver == "closed-form":
             return averaged_density(system, process), {"equation": "(29)"}
+        solution: StationarySolution | QuadratureSolution
+        settings: Settings = {"equation": "(11)"}
         if self.solver == "quadrature":
-            by_quadrature = solve_by_quadrature(process, tol=self.tol)
-            return _from_quadrature(system, by_quadrature), {
-                "equation": "(11)",
-                "panels": by_quadrature.nodes.size - 1,
-                "last energy": float(by_quadrature.nodes[-1]),
-                "tol": self.tol,
+            solution = solve_by_quadrature(process, tol=self.tol)
+            settings["panels"] = solution.nodes.size - 1
+        else:
+            solution = solve_stationary(process, tol=self.tol, form=self.form)
+            settings = {
+                "equation": "FPK of (24)",
+                "form": self.form,
+                "degree": solution.degree,
+                "elements": solution.nodes.size - 1,
+                "unknowns": solution.unknowns,
             }
-        by_elements = solve_stationary(process, tol=self.tol, form=self.form)
-        return _from_elements(system, by_elements), {
-            "equation": "FPK of (24)",
-            "form": self.form,
-            "degree": by_elements.degree,
-            "elements": by_elements.nodes.size - 1,
-            "unknowns": by_elements.unknowns,
-            "last energy": float(by_elements.nodes[-1]),
-            "tol": self.tol,
-        }
+        settings |= {"last energy": float(solution.nodes[-1]), "tol": self.tol}
+        # The process measures T in units of the chain without contacts at its energy scale.
+        unit = np.exp(-log_linear_states(system, np.array([process.energy_scale]))[0])
+        density = tabulated(
+            system,
+            process,
+            solution.panels,
+            lambda energy: unit * solution.phase_space_density(energy),
+            lambda energy: unit * solution.phase_space_error(energy),
+            measured=solution.measured,
+        )
+        return density, settings
 
 
 def energy_only_refusal(system: System, observable: Observable) -> str | None:
@@ -109,54 +114,6 @@ def energy_only_refusal(system: System, observable: Observable) -> str | None:
             "integrated out numerically, at most 2 are"
         )
     return None
-
-
-def _from_elements(system: System, solution: StationarySolution) -> EnergyDensity:
-    offset = _log_unit(system, solution.process)
-    scale = np.exp(-offset)
-
-    def u(energy: Array) -> Array:
-        return np.asarray(scale * solution.phase_space_density(energy))
-
-    def u_error(energy: Array) -> Array:
-        return np.asarray(scale * solution.phase_space_error(energy))
-
-    return tabulated(
-        system,
-        solution.process,
-        solution.panels,
-        u,
-        u_error,
-        measured=solution.measured,
-    )
-
-
-def _from_quadrature(system: System, solution: QuadratureSolution) -> EnergyDensity:
-    process = solution.process
-    offset = _log_unit(system, process)
-
-    def u(energy: Array) -> Array:
-        flat = np.maximum(np.asarray(energy, dtype=float), np.finfo(float).tiny).ravel()
-        log_t = process.coefficients(flat).log_density_of_states.reshape(np.shape(energy))
-        return np.asarray(np.exp(solution.log_density(energy) - log_t - offset))
-
-    return tabulated(
-        system,
-        process,
-        solution.nodes,
-        u,
-        lambda energy: solution.log_error(energy) * u(energy),
-        measured=solution.measured,
-    )
-
-
-def _log_unit(system: System, process: Process) -> float:
-    """ln of the density of states in full units over that of the process, a constant.
-
-    The process measures T in units of the chain without contacts at its energy scale.
-    """
-    scale = np.array([process.energy_scale])
-    return float(log_linear_states(system, scale)[0])
 
 
 for _solver, _words, _equation in (

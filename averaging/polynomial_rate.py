@@ -14,10 +14,8 @@ from averaging.energy_density import (
     log_energy_norm,
 )
 from averaging.energy_process import damping_and_noise
-from averaging.tabulated import tabulated
-from averaging.zero_flux import flux_residual
+from averaging.weyl import tabulated
 from fpk.errors import NotApplicable
-from fpk.line.mesh import initial_nodes
 from fpk.probe import probed
 from fpk.process import Process
 from fpk.system import System
@@ -67,28 +65,22 @@ def density_of_rate(
 
     log_norm, error = log_energy_norm(system, process, decay)
     probe = probed(process)
-    nodes = initial_nodes(probe, probe.extent(TAIL), process.nonsmooth)
     # The exponent is formed with the round-off of its largest part.
-    sizes = polynomial.polyval(float(nodes[-1]), np.abs(integral))
+    sizes = polynomial.polyval(probe.extent(TAIL), np.abs(integral))
     error += 4.0 * np.finfo(float).eps * float(sizes)
+    log_density = log_density_of(system, lambda energy: log_norm - decay(energy))
+    nodes, measured = closed_form_measured(process, log_density, error=error)
 
     def u(energy: Array) -> Array:
         return np.asarray(np.exp(log_norm - decay(energy)))
 
-    log_density = log_density_of(system, lambda energy: log_norm - decay(energy))
     return tabulated(
         system,
         process,
         nodes,
         u,
         lambda energy: error * u(energy),
-        measured=closed_form_measured(
-            process,
-            nodes,
-            float(log_density(nodes[-1:])[0]),
-            error=error,
-            residual=flux_residual(process, nodes, log_density),
-        ),
+        measured=measured,
         closed=True,
         provenance=provenance,
     )

@@ -47,6 +47,11 @@ class QuadratureSolution:
         return self.smooth.nodes
 
     @property
+    def panels(self) -> Array:
+        """The same: between them quadrature of p is exact."""
+        return self.smooth.nodes
+
+    @property
     def l1_error(self) -> float:
         """Estimate of ∫|p_h − p|."""
         return self.measured.l1_error
@@ -54,6 +59,16 @@ class QuadratureSolution:
     def log_density(self, energy: Array) -> Array:
         """ln p at energies > 0 of any shape, −∞ outside the panels."""
         return _log_density(self.process, self.smooth, np.asarray(energy, dtype=float))
+
+    def phase_space_density(self, energy: Array) -> Array:
+        """p/T (up to the constant left out of ln T) at energies of any shape; 0 outside."""
+        flat = np.maximum(np.asarray(energy, dtype=float), np.finfo(float).tiny).ravel()
+        log_t = self.process.coefficients(flat).log_density_of_states.reshape(np.shape(energy))
+        return np.asarray(np.exp(self.log_density(energy) - log_t))
+
+    def phase_space_error(self, energy: Array) -> Array:
+        """Estimate of the error of p/T at energies of any shape."""
+        return self.log_error(energy) * self.phase_space_density(energy)
 
     def log_error(self, energy: Array) -> Array:
         """Error of ln p at energies of any shape, constant on each panel."""

@@ -1,60 +1,111 @@
-"""Weyl integrals of a phase-space density known on a mesh of energies."""
+"""Densities u(H) that are known between nodes, and their Weyl integrals."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import cache
 from math import gamma
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincc
 
+from averaging.energy_density import EnergyDensity, Part, Provenance
+from fpk.certificate import Measured
 from fpk.piecewise import Piecewise, interpolated
+from fpk.probe import probed
+from fpk.process import Process
 from fpk.quadrature import gauss_legendre, panel_rule
+from fpk.system import System
 
 Array = NDArray[np.float64]
+Function = Callable[[Array], Array]
 
 POINTS = (14, 18)
 """Gauss points per element of a table and of its integrals, and of the finer table: the
 distance between the two is the error of both."""
+MOST_NODES = 100
+"""Nodes up to which a mesh is halved once more: with 14 points an element, error falls by 2^-14."""
 
 
-@dataclass(frozen=True, eq=False)
-class WeylTable:
-    """Ψ_ν(E) = ∫_E^end u(H) (H − E)^(ν−1)/Γ(ν) dH by polynomials of ln Ψ on the elements of a mesh.
+def tabulated(
+    system: System,
+    process: Process,
+    nodes: Array,
+    u: Function,
+    u_error: Function,
+    *,
+    measured: Measured,
+    closed: bool = False,
+    provenance: Provenance | None = None,
+) -> EnergyDensity:
+    """Return the density whose u and error of u are smooth between ``nodes``.
 
-    Ψ falls exponentially, so its logarithm is what is smooth. Zero from the last node on.
+    Weyl integrals are tabulated twice: the finer table is the answer, the distance to the other
+    one its error. Where the damping depends on the state u is no exponential: the finer table then
+    has elements half as long, too, and the error gains all that u was continued by beyond the last
+    node, where it falls ever faster.
     """
+    varying = process.state_damping
+    coarse = halved(nodes) if varying and nodes.size < MOST_NODES else nodes
+    fine = halved(coarse) if varying else nodes
+    tables = {"coarse": (coarse, u, POINTS[0]), "value": (fine, u, POINTS[1])}
+    tables["error"] = (fine, u_error, POINTS[1])
 
-    log_values: Piecewise
+    @cache
+    def table(order: float, name: str) -> Function:
+        grid, function, points = tables[name]
+        if order == 0.0:
+            return function
+        log_values = weyl_table(order, grid, function, points=points)
+        return lambda energy: np.exp(log_values(energy))
 
-    def __call__(self, energy: Array) -> Array:
-        """Ψ_ν at energies of any shape."""
-        x = np.asarray(energy, dtype=float)
-        nodes = self.log_values.nodes
-        value = np.exp(self.log_values(np.clip(x, nodes[0], nodes[-1])))
-        return np.where(x < nodes[-1], value, 0.0)
+    # Short of the last node, beyond which the tables end. u falls from there on, as p does at the
+    # end of every mesh, so that Ψ falls too, at any order, wherever u rises below: its value here
+    # bounds what is dropped at any higher energy.
+    last = nodes[-1] * (1.0 - 1e-9)
+
+    def weyl(order: float, energy: Array, part: Part = "value") -> Array:
+        value = table(order, "value")(energy)
+        if part == "value":
+            return value
+        if part == "error":
+            dropped = table(order, "value")(np.array([last]))[0]
+            lost = (energy >= last) & (value == 0.0)
+            return np.where(lost, dropped, table(order, "error")(energy))
+        error = np.abs(table(order, "coarse")(energy) - value)
+        if varying:
+            error += continued(order, np.minimum(energy, last), fine, u)
+        return np.where(energy < last, error, 0.0)
+
+    temperature = process.energy_scale / process.degrees_of_freedom
+    if varying:
+        # u need not fall from H = 0, and may change much faster than over the scale of the energy.
+        temperature = min(temperature, probed(process).e_fold(float(nodes[-1])))
+    return EnergyDensity(
+        system, nodes, temperature, weyl, measured, closed=closed, provenance=provenance or {}
+    )
 
 
-def weyl_table(
-    order: float, nodes: Array, u: Callable[[Array], Array], *, points: int = POINTS[1]
-) -> WeylTable:
-    """Tabulate Ψ_ν for ν = ``order``, a multiple of ½ >= 0, of a ``u`` smooth between ``nodes``.
+def halved(nodes: Array) -> Array:
+    """Return the nodes of a mesh with elements half as long."""
+    return np.sort(np.concatenate([nodes, 0.5 * (nodes[1:] + nodes[:-1])]))
 
-    Ψ_0 is u itself. Beyond the last node u is continued exponentially at the rate of the last
-    element: Ψ then keeps its relative accuracy up to that node, beyond which it is dropped.
+
+def weyl_table(order: float, nodes: Array, u: Function, *, points: int = POINTS[1]) -> Piecewise:
+    """Return ln Ψ_ν(E), Ψ_ν = ∫_E u(H) (H − E)^(ν−1)/Γ(ν) dH for ν = ``order`` = ½, 1, ...
+
+    Ψ falls exponentially, so its logarithm is what is smooth; it is −∞ beyond the last node. There
+    u, smooth between ``nodes``, is continued exponentially at the rate of the last element: Ψ then
+    keeps its relative accuracy up to that node.
     """
+    element = np.repeat(np.arange(nodes.size - 1), points)
 
     def log_weyl(energy: Array) -> Array:
-        if order == 0:
-            total = u(energy)
-        else:
-            element = np.repeat(np.arange(nodes.size - 1), points)
-            total = continued(order, energy, nodes, u)
-            total += _integrals(order, energy, element, nodes, u, points)
+        total = continued(order, energy, nodes, u)
+        total += _integrals(order, energy, element, nodes, u, points)
         return np.log(np.maximum(total, np.finfo(float).tiny))
 
     coefficients = interpolated(log_weyl, nodes[:-1], nodes[1:], points - 1)
-    return WeylTable(Piecewise(nodes, coefficients))
+    return Piecewise(nodes, coefficients, outside=-np.inf)
 
 
 def _integrals(
@@ -62,7 +113,7 @@ def _integrals(
     energy: Array,
     element: NDArray[np.intp],
     nodes: Array,
-    u: Callable[[Array], Array],
+    u: Function,
     points: int,
 ) -> Array:
     """∫_E^last u(H) (H − E)^(ν−1)/Γ(ν) dH at energies, each in its ``element`` of the mesh."""
@@ -78,7 +129,7 @@ def _integrals(
     return total / gamma(order)
 
 
-def continued(order: float, energy: Array, nodes: Array, u: Callable[[Array], Array]) -> Array:
+def continued(order: float, energy: Array, nodes: Array, u: Function) -> Array:
     """Ψ_ν of what lies beyond the last node, for u falling there as over the last element."""
     before, last = u(nodes[-2:])
     if order == 0 or not before > last > 0.0:
@@ -96,7 +147,7 @@ def _near(
     energy: Array,
     left: float,
     right: float,
-    u: Callable[[Array], Array],
+    u: Function,
     points: int,
 ) -> Array:
     """Integral over one element from E or its left end; H = E + s² takes out the root at E."""

@@ -257,15 +257,15 @@ def test_a_mirrored_system_has_a_mirrored_density(name):
     assert bool(skew < 1e-9) is (name != "right, masses")
 
 
-@pytest.mark.parametrize("order", [0.0, 0.5, 1.0, 1.5, 2.5])
+@pytest.mark.parametrize("order", [0.5, 1.0, 1.5, 2.5])
 def test_weyl_integrals_of_an_exponential(order):
     # ∫_0^∞ e^(−a(E + x)) x^(ν−1) dx/Γ(ν) = a^(−ν) e^(−aE); the table continues u beyond its end.
     a = 4.0
     nodes = np.unique(np.concatenate([np.linspace(0.0, 6.0, 13), [0.0625, 0.07, 0.1]]))
     table = weyl_table(order, nodes, lambda H: np.exp(-a * H))
     energy = np.concatenate([np.linspace(0.0, 5.99, 301), [0.0625]])
-    np.testing.assert_allclose(table(energy), a**-order * np.exp(-a * energy), rtol=1e-12)
-    assert np.all(table(np.array([6.0, 7.0])) == 0.0)
+    np.testing.assert_allclose(np.exp(table(energy)), a**-order * np.exp(-a * energy), rtol=1e-12)
+    assert np.all(np.exp(table(np.array([6.01, 7.0]))) == 0.0)
 
 
 @pytest.mark.parametrize("order", [0.5, 1.0, 1.5, 2.5])
@@ -278,7 +278,7 @@ def test_weyl_integrals_of_a_power(order):
         gamma_function(m + 1.0) / gamma_function(m + 1.0 + order) * (6.0 - energy) ** (m + order)
     )
     # ln Ψ by degree 13 on unit panels, at a distance from the zero of 1.1 at least.
-    np.testing.assert_allclose(table(energy), expected, rtol=1e-9)
+    np.testing.assert_allclose(np.exp(table(energy)), expected, rtol=1e-9)
 
 
 THREE = (*TWO_MASSES, Contact(3, "both", 8.0, 0.4))
