@@ -129,7 +129,7 @@ def exact_energy_density(system: System) -> EnergyDensity:
     rate = compatibility(system)
     process = energy_process(system)
     if rate.size > 1:
-        return density_of_rate(system, process, rate, provenance={"equation": "(7)"})
+        return density_of_rate(system, process, rate)
     h = float(rate[0])
     log_integral, error = _log_configuration_integral(system, h)
     # Momenta give Π √(2π m_i/h), the displacements without contact (2π/h)^½ each over √det K_ff.

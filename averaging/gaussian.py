@@ -1,6 +1,6 @@
 """The Gaussian stationary density of a system without contacts, exact for any damping and noise."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -19,7 +19,6 @@ from fpk.route import ROUTES, Route, register
 from fpk.system import System
 
 Array = NDArray[np.float64]
-Provenance = Mapping[str, str | float | int]
 
 REACH = 8.5
 """Half-width of the support in standard deviations."""
@@ -28,10 +27,8 @@ TAIL = 1.9e-17
 WIDTH = 3.0
 """Largest width of a panel in standard deviations of one coordinate given the other."""
 PANELS = (17, 120)
-"""Least and largest number of panels along an axis. More than the latter would be needed for
-correlations above 0.999; the mass is measured in uncorrelated coordinates then."""
+"""Least and largest number of panels along an axis; correlations above 0.999 would need more."""
 EPS = float(np.finfo(float).eps)
-PROVENANCE: Provenance = {"equation": "Lyapunov"}
 
 
 @dataclass(frozen=True)
@@ -57,8 +54,8 @@ class Linear(Method):
         """Return the plan for ``system``; raise ``NotApplicable`` where it is not Gaussian."""
         if system.contacts:
             raise NotApplicable("the system has contacts, so its density is not Gaussian")
-        modal = system.fact(linear_covariance)
-        if np.max(modal.variance) <= 0.0:
+        modes = system.fact(linear_covariance)
+        if np.max(modes.variance) <= 0.0:
             raise NotApplicable("no noise reaches a mass, so its density is concentrated at rest")
 
         def refusal(observable: Observable) -> str | None:
@@ -71,8 +68,9 @@ class Linear(Method):
             return None
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
-            densities = tuple(self._density(system, modal, o) for o in observables)
-            return Result(self, densities, settings=PROVENANCE)
+            gaussian = _stationary(system, modes)
+            densities = tuple(gaussian.density(o, tol=self.tol) for o in observables)
+            return Result(self, densities, settings={"equation": "Lyapunov"})
 
         return Plan(refusal, solve)
 
@@ -80,86 +78,81 @@ class Linear(Method):
         """Return the method with a tolerance ten times smaller, down to 1e-12."""
         return replace(self, tol=max(0.1 * self.tol, 1e-12))
 
-    def _density(self, system: System, modal: LinearCovariance, observable: Observable) -> Density:
-        if observable[0].kind == "H":
-            # H = ½ |x|² of x = (ω Q, P): a sum of gamma variables of shape ½ with the scales λ_j.
-            return gamma_sum_density(
-                np.maximum(modal.variance, 0.0),
-                0.5,
-                modal.variance_error,
-                observable,
-                residual=modal.residual,
-                tol=self.tol,
-                provenance=PROVENANCE,
-            )
-        root = modal.axes * np.sqrt(np.maximum(modal.variance, 0.0))
-        n = system.n
-        factor = np.vstack(
-            [
-                (modal.shapes / modal.omega) @ root[:n],
-                system.mass[:, None] * modal.shapes @ root[n:],
-            ]
-        )
-        return gaussian_density(
-            factor,
-            observable,
-            relative=modal.relative_error,
-            residual=modal.residual,
-            tol=self.tol,
-            provenance=PROVENANCE,
-        )
+
+def _stationary(system: System, modes: LinearCovariance) -> "Gaussian":
+    root = modes.axes * np.sqrt(np.maximum(modes.variance, 0.0))
+    q, p = modes.shapes / modes.omega, system.mass[:, None] * modes.shapes
+    return Gaussian(
+        factor=np.vstack([q @ root[: system.n], p @ root[system.n :]]),
+        relative_error=modes.relative_error,
+        # H = ½ |x|² of x = (ω Q, P).
+        scales=np.maximum(modes.variance, 0.0),
+        shape=0.5,
+        scale_errors=modes.variance_error,
+        residual=modes.residual,
+    )
 
 
-def gaussian_density(
-    factor: Array,
-    observable: Observable,
-    *,
-    relative: float,
-    residual: float,
-    tol: float,
-    provenance: Provenance | None = None,
-) -> Density:
-    """Return the density of one or two of x = (q, p) = F ξ, ξ independent standard Gaussians.
+@dataclass(frozen=True, eq=False)
+class Gaussian:
+    """Gaussian state (q, p) = F ξ, ξ independent standard normal, whose energy is Σ λ_j G_j.
 
     ``factor`` F (2n, k), so that F Fᵀ is the covariance; nothing of it is lost between strongly
-    correlated coordinates. ``relative`` is the relative error of the covariance as a quadratic
-    form, ``residual`` that of the equation which it solves.
+    correlated coordinates. ``relative_error`` is that of the covariance as a quadratic form.
+    ``scales`` λ_j, known to ``scale_errors``, of independent gamma variables G_j of the ``shape``.
+    ``residual`` is that of the equation which the covariance solves.
     """
-    n = factor.shape[0] // 2
-    rows = factor[[(c.index or 0) + (n if c.kind == "p" else 0) for c in observable]]
-    count = len(observable)
-    scale = np.linalg.norm(rows, axis=1)
-    # x/scale = L y with independent standard y: L of the rows' QR.
-    L = np.asarray(qr((rows / scale[:, None]).T, mode="r")[0][:count].T)
-    # Round-off of the rows counts by the condition of L.
-    relative += 8.0 * EPS * factor.shape[1] * float(np.linalg.cond(L))
-    norm = (2.0 * np.pi) ** (-0.5 * count) / float(np.abs(np.prod(np.diag(L))) * np.prod(scale))
-    pieces = int(np.clip(np.ceil(2.0 * REACH / WIDTH / np.min(np.abs(np.diag(L)))), *PANELS))
-    panels = tuple(np.linspace(-REACH * s, REACH * s, pieces + 1) for s in scale)
 
-    standard = np.linspace(-REACH, REACH, PANELS[0] + 1)
+    factor: Array
+    relative_error: float
+    scales: Array
+    shape: float
+    scale_errors: Array
+    residual: float
 
-    def distance(x: Sequence[Array]) -> Array:
-        z = np.stack(np.broadcast_arrays(*x), axis=0) / scale.reshape(-1, *[1] * np.ndim(sum(x)))
-        y = solve_triangular(L, z.reshape(count, -1), lower=True)
-        return np.asarray(np.sum(y * y, axis=0).reshape(z.shape[1:]))
+    def density(self, observable: Observable, *, tol: float) -> Density:
+        """Return the density of the energy H, or of one or two of (q, p)."""
+        if observable[0].kind == "H":
+            return gamma_sum_density(
+                self.scales,
+                self.shape,
+                self.scale_errors,
+                observable,
+                residual=self.residual,
+                tol=tol,
+            )
+        n, count = self.factor.shape[0] // 2, len(observable)
+        rows = self.factor[[(c.index or 0) + (n if c.kind == "p" else 0) for c in observable]]
+        scale = np.linalg.norm(rows, axis=1)
+        # x/scale = L y with independent standard y: L of the rows' QR.
+        L = np.asarray(qr((rows / scale[:, None]).T, mode="r")[0][:count].T)
+        # Round-off of the rows counts by the condition of L.
+        relative = self.relative_error + 8.0 * EPS * rows.shape[1] * float(np.linalg.cond(L))
+        height = (2.0 * np.pi) ** (-0.5 * count) / abs(float(np.prod(np.diag(L)) * np.prod(scale)))
+        width = WIDTH * float(np.min(np.abs(np.diag(L))))
+        panels = int(np.clip(np.ceil(2.0 * REACH / width), *PANELS))
 
-    def pointwise(*x: Array) -> Array:
-        # d ln p = ½ yᵀ E y − ½ tr E, where E = L⁻¹ dR L⁻ᵀ is at most ``relative`` in norm.
-        square = distance(x)
-        return np.asarray(0.5 * relative * (square + count) * norm * np.exp(-0.5 * square))
+        def half_square(x: Sequence[Array]) -> Array:
+            z = np.stack(np.broadcast_arrays(*x))
+            y = solve_triangular(L, z.reshape(count, -1) / scale[:, None], lower=True)
+            return np.asarray(0.5 * np.sum(y * y, axis=0).reshape(z.shape[1:]))
 
-    tail = TAIL * count
-    return certified_density(
-        observable,
-        panels,
-        lambda *x: norm * np.exp(-0.5 * distance(x)),
-        pointwise,
-        measured=Measured(count * relative + tail, np.nan, np.inf, residual, tail),
-        tol=tol,
-        frame=(scale[:, None] * L, (standard,) * count) if pieces == PANELS[1] else None,
-        provenance=provenance,
-    )
+        def pointwise(*x: Array) -> Array:
+            # d ln p = ½ yᵀ E y − ½ tr E, where E = L⁻¹ dR L⁻ᵀ is at most ``relative`` in norm.
+            exponent = half_square(x)
+            return np.asarray(relative * (exponent + 0.5 * count) * height * np.exp(-exponent))
+
+        tail = TAIL * count
+        return certified_density(
+            observable,
+            tuple(np.linspace(-REACH * s, REACH * s, panels + 1) for s in scale),
+            lambda *x: height * np.exp(-half_square(x)),
+            pointwise,
+            measured=Measured(count * relative + tail, np.nan, np.inf, self.residual, tail),
+            tol=tol,
+            # The mass is measured at x = scale L y, where no correlation makes a ridge.
+            frame=(scale[:, None] * L, (np.linspace(-REACH, REACH, PANELS[0] + 1),) * count),
+        )
 
 
 register(

@@ -9,12 +9,10 @@ import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
 from averaging.modal.groups import Solver, unsolved
-from averaging.modal.internal import internal_refusal, resonance_order
-from averaging.modal.observables import modal_densities, modal_factor
-from averaging.modal.resonance import nearest_resonance, resonance_refusal, strongest_pair
+from averaging.modal.observables import gaussian_modes, modal_densities
+from averaging.modal.resonance import correlations, nearest_resonance, require_no_resonance
 from fpk.clearance import CLEARANCE_RULE
 from fpk.errors import NotApplicable
-from fpk.linear import stationary_covariance
 from fpk.method import Method, Plan, Progress, Result, check_solver
 from fpk.observable import Observable, observable_name
 from fpk.route import ROUTES, Route, register
@@ -52,12 +50,8 @@ class Integrable(Method):
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
         modes = system.fact(modal_analysis)
-        reason = (
-            resonance_refusal(modes)
-            or internal_refusal(system, modes)
-            or unsolved(modes, self.solver)
-        )
-        if reason:
+        require_no_resonance(system, modes)
+        if reason := unsolved(modes, self.solver):
             raise NotApplicable(reason)
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
@@ -65,15 +59,13 @@ class Integrable(Method):
             settings: dict[str, str | float | int] = {
                 "equation": self._equation(modes),
                 "tol": self.tol,
-                "nearest resonance": str(nearest_resonance(modes, order=resonance_order(system))),
+                "nearest resonance": nearest_resonance(system, modes),
             }
-            if pair := strongest_pair(modes):
-                settings["neglected correlation of modes"] = pair.correlation
+            if modes.n > 1:
+                settings["neglected correlation of modes"] = float(correlations(modes).max())
             if neglected:
                 settings["contacts left out"] = neglected
-            densities = modal_densities(
-                modes, observables, self.solver, tol=self.tol, provenance=settings
-            )
+            densities = modal_densities(modes, observables, self.solver, tol=self.tol)
             return Result(self, densities, settings=settings, neglected=neglected)
 
         return Plan(lambda observable: self._unknown(observable, modes), solve)
@@ -88,12 +80,12 @@ class Integrable(Method):
         total = any(c.kind == "H" and c.index is None for c in observable)
         if len(set(kinds) - {"q", "p"}) and (total or set(kinds) != {"H"}) and len(kinds) > 1:
             return f"{name}: of two quantities, both must be modal energies, or q and p"
-        if modes.state is None and self.solver != "closed-form" and (total or kinds[0] != "H"):
+        if modes.constant and self.solver != "closed-form" and (total or kinds[0] != "H"):
             return f"{name}: by {self.solver}, only modal energies H1, H2, … ; use closed-form"
         return None
 
     def _equation(self, modes: ModalAnalysis) -> str:
-        if modes.state is None:
+        if modes.constant:
             return {"closed-form": "(34), (36)", "quadrature": "(11)", "fem": "(19)"}[self.solver]
         return f"{'(19)' if self.solver == 'fem' else '(11)'}, damping of the state averaged"
 
@@ -102,11 +94,8 @@ def _contacts_left_out(system: System, modes: ModalAnalysis) -> str:
     """The contacts in words, with the least clearance in rms of the motion without them."""
     if not system.stops:
         return ""
-    if system.damping_terms:
-        variance = np.sum(modal_factor(modes.linearised)[: system.n] ** 2, axis=1)
-    else:
-        variance = np.diag(stationary_covariance(system))
-    ratio, mass = min((s.clearance / np.sqrt(variance[s.index]), s.mass) for s in system.stops)
+    rms = np.linalg.norm(gaussian_modes(modes).factor[: system.n], axis=1)
+    ratio, mass = min((s.clearance / rms[s.index], s.mass) for s in system.stops)
     holds = "holds" if ratio > CLEARANCE_RULE else "does not hold"
     return (
         f"{len(system.stops)}; the rule clearance > {CLEARANCE_RULE:g} rms {holds}: "
@@ -119,15 +108,5 @@ for _solver, _words, _equation in (
     ("fem", "modal averaging, finite elements", "(19)"),
     ("quadrature", "modal averaging, quadrature", "(11)"),
 ):
-    register(
-        Route(
-            "integrable",
-            _solver,
-            _words,
-            _equation,
-            "averaged",
-            False,
-            "#2a9d6f",
-            make=partial(Integrable, solver=_solver),  # type: ignore[arg-type]
-        )
-    )
+    _make = partial(Integrable, solver=_solver)  # type: ignore[arg-type]
+    register(Route("integrable", _solver, _words, _equation, "averaged", False, "#2a9d6f", _make))

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from averaging.energy_density import (
     TAIL,
     EnergyDensity,
-    Provenance,
     averaged_closed_form,
     closed_form_measured,
     log_density_of,
@@ -48,12 +47,10 @@ def averaged_density(system: System, process: Process) -> EnergyDensity:
     """Return p(H) = C T(H) exp(−∫α dH): (29) for any n and masses and for c(H)."""
     if not system.damping_terms:
         return averaged_closed_form(system, process)
-    return density_of_rate(system, process, averaged_rate(system), provenance={"equation": "(29)"})
+    return density_of_rate(system, process, averaged_rate(system))
 
 
-def density_of_rate(
-    system: System, process: Process, rate: Array, *, provenance: Provenance
-) -> EnergyDensity:
+def density_of_rate(system: System, process: Process, rate: Array) -> EnergyDensity:
     """Return u = C exp(−∫_0^H h dH) with h(H) = Σ rate_e H^e, normalised over the shells.
 
     Weyl integrals of u have no closed form for more than one power: they are tabulated, twice.
@@ -82,5 +79,4 @@ def density_of_rate(
         lambda energy: error * u(energy),
         measured=measured,
         closed=True,
-        provenance=provenance,
     )

@@ -25,6 +25,7 @@ NARROW = 1e-13
 singularity there is part of the stated error."""
 ROUND_OFF = 1e-15
 """Relative error of p that a panel adds by its round-off."""
+EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +76,17 @@ class QuadratureSolution:
         panel = np.searchsorted(self.nodes, np.asarray(energy, dtype=float), side="right") - 1
         return np.asarray(self.relative_error[np.clip(panel, 0, self.nodes.size - 2)])
 
+    def density(self, energy: Array) -> Array:
+        """p at energies of any shape."""
+        return np.asarray(np.exp(self.log_density(energy)))
+
+    def pointwise_error(self, energy: Array) -> Array:
+        """Estimate of the error of p at energies of any shape."""
+        # ln p is formed with ln H and ln b, which cancel.
+        logarithm = np.abs(np.log(np.maximum(energy, np.finfo(float).tiny)))
+        relative = self.l1_error + self.log_error(energy) + 4.0 * EPS * logarithm
+        return np.asarray(relative * self.density(energy))
+
 
 def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> QuadratureSolution:
     """Return p(H) = C/σ² exp(+∫2s/σ² dH), Eq. (11) with its sign corrected.
@@ -102,7 +114,7 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> QuadratureSo
     steps = truncation
     if process.state_damping:
         # The exponent is a running sum over all panels, whose round-off is relative to its size.
-        l1_error += np.finfo(float).eps * float(np.ptp(smooth.coefficients[:, 0]))
+        l1_error += EPS * float(np.ptp(smooth.coefficients[:, 0]))
         steps = truncation + slope_errors
     l1_error += 2.0 * float(steps @ moved)
     # In ln p the errors add up from the median outwards.

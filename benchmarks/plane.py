@@ -21,7 +21,6 @@ import numpy as np
 from report import machine, markdown_table
 
 from averaging.modal.analysis import modal_analysis
-from averaging.modal.process import modal_process, modes_process
 from cases.scene.scene import load_scene
 from fpk.plane.stationary import PlaneSolution, solve_plane
 from fpk.process import Process
@@ -120,7 +119,7 @@ def measured_cases():
     for name in SCENES:
         system = load_scene(name).system
         rates = 1.0 / modal_analysis(system).temperature
-        cases[name] = modal_process(system), closed_form(rates, np.zeros(2), 0.0)
+        cases[name] = modal_analysis(system).process(), closed_form(rates, np.zeros(2), 0.0)
     for name, (gamma, own, cross, noise) in COUPLED.items():
         g, a, d = np.array(gamma), np.array(own), np.array(noise)
         process = coupled_process(gamma, own, cross * d, noise)
@@ -128,7 +127,7 @@ def measured_cases():
     cases["circulating"] = circulating_process()
     cases |= {name: (coupled_process(*v), None) for name, v in ONE_SIDED.items()}
     modes = modal_analysis(load_scene(STATE_DAMPED).system)
-    return cases | {STATE_DAMPED: (modes_process(modes, (0, 1)), None)}
+    return cases | {STATE_DAMPED: (modes.process((0, 1)), None)}
 
 
 def expanded(solution) -> str:

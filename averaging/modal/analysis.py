@@ -1,23 +1,18 @@
-"""Modal analysis of the chain without contacts, Eqs. (12)-(16)."""
+"""Modal analysis of the chain without contacts and its averaged energies, Eqs. (12)-(18), (33)."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from averaging.modal.ends import growth_reason
-from averaging.modal.phase_averages import ModeShapes
-from averaging.modal.state_damping import (
-    NEGLIGIBLE,
-    StateDamping,
-    balanced_energies,
-    state_damping,
-)
+from averaging.modal.damping import NEGLIGIBLE, AveragedDamping, averaged_damping, balanced_energies
+from fpk.ends import require_confined
 from fpk.equivalent import equivalent_temperature
-from fpk.errors import NotApplicable
+from fpk.errors import NotApplicable, NotCertified
 from fpk.modes import natural_modes
+from fpk.probe import probed
+from fpk.process import Coefficients, Process
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -27,37 +22,31 @@ EPS = float(np.finfo(float).eps)
 
 @dataclass(frozen=True, eq=False)
 class ModalAnalysis:
-    """Modes of K T = M T ω², ascending, with damping and noise in modal coordinates.
+    """Modes of K T = M T ω², ascending, of unit modal mass, with damping and noise.
 
-    ``X = T Q`` (14), so that ``P = Tᵀ p`` are the modal momenta. ``mode_shapes`` T (n, n), one mode
-    a column; ``momentum_shapes`` T⁻ᵀ = M T M*⁻¹ (n, n), so that p = T⁻ᵀ P; ``modal_mass`` M* and
-    ``modal_stiffness`` K* (n,); ``modal_damping`` c* = Tᵀ c T and ``modal_noise`` D* = Tᵀ f D fᵀ T
-    (n, n), E[W*_i W*_j'] = 2 D*_ij δ; ``natural_frequency`` (n,) in radians per time.
-    ``relative_error`` estimates the round-off of what is built from them.
-    Where the damping depends on the state, ``modal_damping`` is its constant part, ``state`` has
-    all of it, averaged, and ``balance`` (n,) the energies at which it balances the noise.
+    ``X = T Q`` (14), so that ``P = Tᵀ p = Q̇`` are the modal momenta. ``mode_shapes`` T (n, n), one
+    mode a column, Tᵀ M T = 1; ``momentum_shapes`` T⁻ᵀ = M T (n, n), so that p = T⁻ᵀ P;
+    ``natural_frequency`` ω (n,) in radians per time, K* = ω²; ``modal_noise`` D* = Tᵀ f D fᵀ T
+    (n, n), E[W*_i W*_j'] = 2 D*_ij δ. ``modal_damping`` c* = Tᵀ c T (n, n); where the damping
+    depends on the state it is the constant one of statistical linearisation,
+    c*_mk = E[F_m Q̇_k]/E Q̇_k². ``averaged`` is the damping averaged over the phases;
+    ``constant`` says that it does not depend on the state. ``relative_error`` estimates the
+    relative round-off of damping and noise.
     """
 
     mode_shapes: Array
     momentum_shapes: Array
-    modal_mass: Array
-    modal_stiffness: Array
+    natural_frequency: Array
     modal_damping: Array
     modal_noise: Array
-    natural_frequency: Array
+    averaged: AveragedDamping
+    constant: bool
     relative_error: float
-    state: StateDamping | None = None
-    balance: Array | None = None
 
     @property
     def n(self) -> int:
         """Number of modes."""
-        return self.modal_mass.size
-
-    @property
-    def damping(self) -> Array:
-        """c*_ii of each mode (n,)."""
-        return np.diag(self.modal_damping)
+        return self.natural_frequency.size
 
     @property
     def noise(self) -> Array:
@@ -65,103 +54,104 @@ class ModalAnalysis:
         return np.diag(self.modal_noise)
 
     @property
-    def period(self) -> Array:
-        """T_i = 2π √(M*_i/K*_i), the density of states of one mode; (18) prints √(K/M)."""
-        return np.asarray(2.0 * np.pi * np.sqrt(self.modal_mass / self.modal_stiffness))
+    def half_bandwidth(self) -> Array:
+        """c*_ii/2, the rate at which the amplitude of a mode decays (n,)."""
+        return np.asarray(0.5 * np.diag(self.modal_damping))
 
     @property
-    def half_bandwidth(self) -> Array:
-        """c*_ii/(2 M*_i), the rate at which the amplitude of a mode decays (n,)."""
-        return np.asarray(0.5 * self.damping / self.modal_mass)
-
-    @cached_property
     def temperature(self) -> Array:
-        """θ_i = d_i/c*_ii, the mean energy of each mode (n,); for ``state`` of its order only."""
-        if self.balance is not None:
-            return self.balance
-        return np.asarray(self.noise / self.damping)
+        """θ_i = d_i/c*_ii, the mean energy of each mode (n,); a scale only if not ``constant``."""
+        return np.asarray(self.noise / np.diag(self.modal_damping))
 
-    def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Return the groups of modes, ascending, within which a damping rate depends on another."""
-        return self.state.groups() if self.state else tuple((m,) for m in range(self.n))
+    def process(self, modes: Sequence[int] | None = None) -> Process:
+        """Return dH_i = s_i dt + σ_il dB_l of some modes on which no other acts, or of all of them.
 
-    def rate(self, mode: int) -> Array:
-        """Return γ(H) of a mode on which no other acts, coefficients in ascending powers of H."""
-        if self.state is None:
-            return np.array([self.damping[mode] / self.modal_mass[mode]])
-        return self.state.of_group((mode,)).along(0)
-
-    def rates(self, group: tuple[int, ...]) -> Callable[[Array], Array]:
-        """Return γ_m at energies (points, k) of a group of modes on which no other acts."""
-        if self.state is not None:
-            return self.state.of_group(group).rates
-        constant = (self.damping / self.modal_mass)[list(group)]
-        return lambda energies: constant
-
-    @cached_property
-    def linearised(self) -> "ModalAnalysis":
-        """The modes with the constant damping equivalent to theirs at the balance; or themselves.
-
-        c*_mk = E[F_m Q̇_k]/E[Q̇_k²] with independent Gaussian modes: statistical linearisation.
+        ``s_i = d_i − γ_i(H) H_i``, ``b_ii = 2 d_i H_i``, ``b_ij = 0``, Eqs. (17), (33), with
+        γ_i = c*_ii where the damping is constant. Corrections: (33) prints s_i without noise and
+        mass, b_ii without H_i and with D₂ for D₁ in b₂₂; (18) prints P_i/M_j P_j and a noise term
+        without masses. The density of states is the period, a constant, and H = 0 is the critical
+        case 2 s(0)/b' = 1: an entrance, p(0) finite and positive. Internal resonance is not looked
+        for: see ``averaging.modal.resonance``.
         """
-        if self.state is None or self.balance is None:
-            return self
-        damping = self.state.linearised(self.balance) * self.modal_mass
-        return replace(self, modal_damping=damping, state=None, balance=None)
+        index = list(range(self.n) if modes is None else modes)
+        d, rates = self.noise[index], self.averaged.rates(index)
+        one = len(index) == 1
+
+        def coefficients(energies: Array) -> Coefficients:
+            H = energies.reshape(-1, d.size)
+            b = 2.0 * d * H
+            dissipation = (-rates(H) * H).reshape(energies.shape)
+            zero = np.zeros_like(energies)
+            known = (zero, zero, zero) if one else ()
+            return Coefficients(
+                d + dissipation,
+                b.reshape(energies.shape) if one else b[:, :, None] * np.eye(d.size),
+                2.0 * d + zero,
+                dissipation,
+                *known,
+            )
+
+        return Process(coefficients, tuple(float(theta) for theta in self.temperature[index]))
 
 
 def modal_analysis(system: System) -> ModalAnalysis:
     """Return the modes of ``system`` without its contacts, Eqs. (13)-(16).
 
-    Raises ``NotApplicable`` where a mode is not damped, or no noise reaches it.
+    Raises ``NotApplicable`` where a mode is not damped, or no noise reaches it, or damping that
+    depends on the state lets energies grow for ever.
     """
     T, omega = natural_modes(system)
-    c, D = T.T @ system.damping @ T, T.T @ system.noise_matrix @ T
-    cancelling = [
-        np.einsum("ri,rs,si->i", np.abs(T), np.abs(matrix), np.abs(T))
-        for matrix in (system.damping, system.noise_matrix)
-    ]
-    checks = [("gets no noise, so its energy has no density: b_ii of (17) vanishes", D, 1)]
-    if not system.damping_terms:
-        checks.insert(0, ("is not damped, so its energy grows for ever", c, 0))
-    for words, matrix, k in checks:
-        for i in np.flatnonzero(np.diag(matrix) <= NEGLIGIBLE * cancelling[k]):
-            raise NotApplicable(f"mode {i + 1} (ω = {omega[i]:.4g}) {words}")
-    worst = max(float(np.max(cancelling[k] / np.diag(matrix))) for _, matrix, k in checks)
-    mass = np.einsum("ri,r,ri->i", T, system.mass, T)
+    averaged, constant = averaged_damping(system, T, omega), not system.damping_terms
+    D, size = T.T @ system.noise_matrix @ T, np.abs(T.T) @ np.abs(system.noise_matrix) @ np.abs(T)
+    c, noise = averaged.values[0], np.diag(D)
+    for i in np.flatnonzero(np.diag(c) <= 0.0) if constant else ():
+        raise NotApplicable(f"{_words(i, omega)} is not damped, so its energy grows for ever")
+    for i in np.flatnonzero(noise <= NEGLIGIBLE * np.diag(size)):
+        raise NotApplicable(
+            f"{_words(i, omega)} gets no noise, so its energy has no density: b_ii of (17) vanishes"
+        )
+    theta = noise / np.diag(c) if constant else _balance(system, averaged, noise)
+    damping, damping_size = averaged.mean(theta)
+    # Round-off is relative to what cancels in the damping and in the noise of a mode.
+    cancelling = np.max(np.diag(damping_size) * theta / noise) + np.max(np.diag(size) / noise)
     modes = ModalAnalysis(
         mode_shapes=T,
-        momentum_shapes=system.mass[:, None] * T / mass,
-        modal_mass=mass,
-        modal_stiffness=omega**2 * mass,
-        modal_damping=c,
-        modal_noise=D,
+        momentum_shapes=system.mass[:, None] * T,
         natural_frequency=omega,
-        relative_error=_round_off(omega) * worst,
+        modal_damping=c if constant else damping,
+        modal_noise=D,
+        averaged=averaged,
+        constant=constant,
+        relative_error=_round_off(omega) * float(cancelling),
     )
-    if not system.damping_terms:
-        return modes
-    return _with_state_damping(system, modes, cancelling[0] / modes.modal_mass)
+    if not constant:
+        _require_confined(modes)
+    return modes
 
 
-def _with_state_damping(system: System, modes: ModalAnalysis, sizes: Array) -> ModalAnalysis:
-    """The modes with damping that depends on the state; ``sizes`` (n,) of what cancels in γ_m(0).
-
-    An error of γ_m moves ln p by its share of d_m/(M*_m H_m), the rate that balances it.
-    """
-    shapes = ModeShapes(modes.mode_shapes, modes.modal_mass, modes.modal_stiffness)
-    state = state_damping(system, shapes, modes.modal_damping / modes.modal_mass)
-    noise = modes.noise / modes.modal_mass
+def _balance(system: System, averaged: AveragedDamping, noise: Array) -> Array:
     try:
         guess = equivalent_temperature(system)
     except NotApplicable:
-        guess = float(np.max(noise / sizes))
-    theta = balanced_energies(state, noise, guess)
-    if reason := growth_reason(state):
-        raise NotApplicable(reason)
-    cancelling = float(np.max((sizes + state.size(theta)) * theta / noise))
-    error = modes.relative_error + _round_off(modes.natural_frequency) * cancelling
-    return replace(modes, state=state, balance=theta, relative_error=error)
+        guess = float(np.max(noise / np.diag(averaged.sizes[0])))
+    return balanced_energies(averaged, noise, guess)
+
+
+def _words(mode: int, omega: Array) -> str:
+    return f"mode {mode + 1} (ω = {omega[mode]:.4g})"
+
+
+def _require_confined(modes: ModalAnalysis) -> None:
+    """Raise ``NotApplicable`` where one or two energies grow for ever; more are not judged."""
+    for group in modes.averaged.groups():
+        names = " and ".join(f"H{m + 1}" for m in group)
+        try:
+            if len(group) == 1:
+                probed(modes.process(group))
+            elif len(group) == 2:
+                require_confined(modes.process(group))
+        except NotCertified as reason:
+            raise NotApplicable(f"{names}: {reason}, so the energy grows for ever") from reason
 
 
 def _round_off(omega: Array) -> float:

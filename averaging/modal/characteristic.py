@@ -168,13 +168,12 @@ def _on_grid(group: Density, points: Sequence[int]) -> tuple[list[Array], Array,
 def wave_vectors(modes: ModalAnalysis, observable: Observable) -> tuple[Array, Array]:
     """Return U and W (observed, n) of x = Σ_m √H_m (U_m cos φ_m + W_m sin φ_m)."""
     U, W = np.zeros((len(observable), modes.n)), np.zeros((len(observable), modes.n))
-    to_momenta = modes.momentum_shapes * np.sqrt(2.0 * modes.modal_mass)  # p = T⁻ᵀ M* Q̇
     for k, coordinate in enumerate(observable):
         i = coordinate.index or 0
         if coordinate.kind == "q":
-            U[k] = modes.mode_shapes[i] * np.sqrt(2.0 / modes.modal_stiffness)
+            U[k] = np.sqrt(2.0) * modes.mode_shapes[i] / modes.natural_frequency
         else:
-            W[k] = -to_momenta[i]
+            W[k] = -np.sqrt(2.0) * modes.momentum_shapes[i]  # p = T⁻ᵀ Q̇
     return U, W
 
 

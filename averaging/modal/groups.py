@@ -1,4 +1,4 @@
-"""Densities of the energies of one mode, or of two solved for together, Eqs. (11), (19)."""
+"""Densities of the energies of one mode, or of two that damping couples, Eqs. (11), (19), (34)."""
 
 from collections.abc import Callable, Sequence
 from typing import Literal
@@ -8,7 +8,6 @@ from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from averaging.modal.analysis import ModalAnalysis
-from averaging.modal.process import modes_process
 from averaging.quadrature import solve_by_quadrature
 from averaging.zero_flux import flux_residual
 from fpk.certificate import Measured
@@ -25,6 +24,7 @@ Array = NDArray[np.float64]
 Group = tuple[int, ...]
 Solver = Literal["closed-form", "fem", "quadrature"]
 Solved = tuple[tuple[Array, ...], Callable[..., Array], Callable[..., Array], Measured]
+"""Panels, density, its error at points, and what was measured on it."""
 
 POINTS = 24
 """Gauss points per panel of the integrals of a closed form: over three e-folds they miss 1e-30."""
@@ -35,7 +35,7 @@ EPS = float(np.finfo(float).eps)
 
 def unsolved(modes: ModalAnalysis, solver: Solver) -> str | None:
     """Return why the energies of the modes cannot be solved for, or None where they can."""
-    largest = max(modes.groups(), key=len)
+    largest = max(modes.averaged.groups(), key=len)
     names = " and ".join(f"H{m + 1}" for m in largest)
     if len(largest) > 2:
         return f"the damping couples {names}: more than two energies are not solved for together"
@@ -52,26 +52,18 @@ def solved_group(
     It is solved for to the L1 error ``share`` and judged by the tolerance ``tol``. The relative
     round-off of the modes, that of γ θ/d, counts by 1 + H/θ of each energy.
     """
-    process = modes_process(modes, group)
-    if solver == "fem":
-        panels, pdf, error, measured = _by_elements(process, share)
-    elif solver == "quadrature":
-        panels, pdf, error, measured = _by_quadrature(process, share)
-    else:
-        panels, pdf, error, measured = _closed_form(modes, group[0], process)
-    relative, theta = modes.relative_error, modes.temperature[list(group)]
+    panels, pdf, error, measured = _solved(modes, group, solver, share)
+    theta = modes.temperature[list(group)]
 
     def of_modes(*energies: Array) -> Array:
-        reach = sum(1.0 + np.asarray(H) / scale for H, scale in zip(energies, theta, strict=True))
-        return np.asarray(relative * reach * np.abs(pdf(*energies)))
+        reach = sum(1.0 + H / scale for H, scale in zip(energies, theta, strict=True))
+        return np.asarray(modes.relative_error * reach * np.abs(pdf(*energies)))
 
     def pointwise(*energies: Array) -> Array:
         # Beyond the last energy, where p is 0, the error is what was dropped: less than at the end.
-        stated = np.abs(error(*energies)) + of_modes(*energies)
         within = [np.minimum(H, x[-1]) for H, x in zip(energies, panels, strict=True)]
-        if all(np.array_equal(H, x) for H, x in zip(energies, within, strict=True)):
-            return np.asarray(stated)
-        return np.asarray(stated + np.abs(pdf(*within) - pdf(*energies)))
+        dropped = np.abs(pdf(*within) - pdf(*energies))
+        return np.asarray(np.abs(error(*energies)) + of_modes(*energies) + dropped)
 
     return certified_density(
         tuple(Coordinate("H", m) for m in group),
@@ -84,31 +76,19 @@ def solved_group(
     )
 
 
-def _by_elements(process: Process, tol: float) -> Solved:
-    if process.dimension == 1:
-        line = solve_stationary(process, tol=tol)
-        return (line.nodes,), line.density, line.pointwise_error, line.measured
-    plane = solve_plane(process, tol=tol)
-    return plane.nodes, plane.density, plane.pointwise_error, plane.measured
-
-
-def _by_quadrature(process: Process, tol: float) -> Solved:
-    solution = solve_by_quadrature(process, tol=tol)
-
-    def pdf(energy: Array) -> Array:
-        return np.asarray(np.exp(solution.log_density(np.asarray(energy, dtype=float))))
-
-    def error(energy: Array) -> Array:
-        # ln p is formed with ln H and ln b, which cancel.
-        logarithm = np.abs(np.log(np.maximum(energy, np.finfo(float).tiny)))
-        relative = solution.l1_error + solution.log_error(energy) + 4.0 * EPS * logarithm
-        return np.asarray(relative * pdf(energy))
-
-    return (solution.nodes,), pdf, error, solution.measured
+def _solved(modes: ModalAnalysis, group: Group, solver: Solver, tol: float) -> Solved:
+    process = modes.process(group)
+    if len(group) == 2:
+        plane = solve_plane(process, tol=tol)
+        return plane.nodes, plane.density, plane.pointwise_error, plane.measured
+    if solver == "closed-form":
+        return _closed_form(modes, group[0], process)
+    line = (solve_stationary if solver == "fem" else solve_by_quadrature)(process, tol=tol)
+    return (line.nodes,), line.density, line.pointwise_error, line.measured
 
 
 def _closed_form(modes: ModalAnalysis, mode: int, process: Process) -> Solved:
-    """p(H) = C exp(−∫γ(H) M*/d dH) of a mode whose damping depends on its energy alone.
+    """p(H) = C exp(−∫γ(H)/d dH) of a mode whose damping depends on its energy alone.
 
     b ~ H and a constant period make (11) elementary but for C, which is a Gauss rule over panels;
     its error is the difference from a rule of half as many points, and a bound of the tail. With
@@ -116,37 +96,34 @@ def _closed_form(modes: ModalAnalysis, mode: int, process: Process) -> Solved:
     """
     probe = probed(process)
     nodes = initial_nodes(probe, probe.extent(TAIL), ())
-    exponent = polynomial.polyint(-modes.rate(mode) * modes.modal_mass[mode] / modes.noise[mode])
+    exponent = polynomial.polyint(-modes.averaged.powers(mode) / modes.noise[mode])
 
-    def fall(x: Array) -> Array:
+    def log_p(x: Array) -> Array:
+        """ln p up to a constant."""
         return np.asarray(polynomial.polyval(x, exponent))
 
     def sizes(x: Array) -> Array:
         return np.asarray(polynomial.polyval(np.abs(x), np.abs(exponent)))
 
     (x, w), (y, v) = (panel_rule(nodes, points) for points in (POINTS, POINTS // 2))
-    top = float(fall(x).max())
-    shares = w * np.exp(fall(x) - top)
+    top = float(log_p(x).max())
+    shares = w * np.exp(log_p(x) - top)
     norm = float(np.sum(shares))
-    relative = abs(float(np.sum(v * np.exp(fall(y) - top))) / norm - 1.0)
+    relative = abs(float(np.sum(v * np.exp(log_p(y) - top))) / norm - 1.0)
     # ln p is a sum of terms of the size of the polynomial of their sizes.
     relative += EPS * float(4.0 + nodes.size + 2.0 * np.sum(shares * sizes(x)) / norm)
     log_norm = top + float(np.log(norm))
 
     def pdf(energy: Array) -> Array:
-        x = np.asarray(energy, dtype=float)
-        inside = (x >= 0.0) & (x <= nodes[-1])
-        return np.where(inside, np.exp(fall(np.clip(x, 0.0, nodes[-1])) - log_norm), 0.0)
+        inside = (energy >= 0.0) & (energy <= nodes[-1])
+        return np.where(inside, np.exp(log_p(np.clip(energy, 0.0, nodes[-1])) - log_norm), 0.0)
+
+    def error(energy: Array) -> Array:
+        return np.asarray((relative + tail + 2.0 * EPS * sizes(energy)) * pdf(energy))
 
     tail = probe.tail_bound(float(nodes[-1]), float(pdf(nodes[-1:])[0]))
-    residual = flux_residual(process, nodes, lambda x: fall(x) - log_norm)
-    measured = Measured(relative + 2.0 * tail, np.nan, np.inf, residual, tail)
-    return (
-        (nodes,),
-        pdf,
-        lambda x: (relative + tail + 2.0 * EPS * sizes(x)) * pdf(x),
-        measured,
-    )
+    residual = flux_residual(process, nodes, lambda x: log_p(x) - log_norm)
+    return (nodes,), pdf, error, Measured(relative + 2.0 * tail, np.nan, np.inf, residual, tail)
 
 
 def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:

@@ -1,138 +1,182 @@
 """Internal resonance: what averaging over the phases of the modes neglects, section 5."""
 
-from dataclasses import dataclass
-from itertools import combinations, combinations_with_replacement
+from collections.abc import Container
+from itertools import combinations_with_replacement
+from math import factorial, prod
 
 import numpy as np
 from numpy.typing import NDArray
 
 from averaging.modal.analysis import ModalAnalysis
+from fpk.damping import DampingTerm
+from fpk.errors import NotApplicable
+from fpk.moments import gaussian_moment
+from fpk.system import System
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 ORDER = 4
 """Σ|l_i| up to which resonances are searched. Averages of v_i v_j hold the frequencies
 ω_i ± ω_j, order 2; damping that is quadratic in the state multiplies them to order 4."""
-MOST_CORRELATED = 0.1
-"""Largest correlation of two modes that averaging may neglect: p(q_i, p_j) is then off by up to
-about 2/π of it in L1, p(q_i) by the order of its product with bandwidth/detuning."""
+MAX_NEGLECTED = 0.1
+"""Largest correlation of two modes, and largest relative swing of an energy, that averaging may
+neglect: p(q_i, p_j) is then off by up to about 2/π of it in L1, p(q_i) by the order of its product
+with bandwidth/detuning."""
+MAX_CANDIDATES = 500
+"""Largest number of resonances that are examined, those of least detuning."""
+FAR = 50.0
+"""Detuning, in units of the fastest rate of a mode, from which a resonance is ignored: its
+swing would be below 0.1 even where what oscillates is twice as large as what averages."""
 
 
-@dataclass(frozen=True)
-class Resonance:
-    """Integers l that make ``detuning`` |Σ l_i ω_i| smallest, 0 < Σ|l_i| <= an order asked for.
+def require_no_resonance(system: System, modes: ModalAnalysis) -> None:
+    """Raise ``NotApplicable`` where a resonance forbids to average over the phases of the modes.
 
-    ``bandwidth`` Σ |l_i| c*_ii/(2 M*_i) is the rate at which the phase Σ l_i φ_i is forgotten.
-    With constant damping only 1:1 resonances, l = e_i − e_j, move energy; see ``ModePair``.
+    With constant damping only pairs of modes matter, and only by the correlation that is neglected:
+    a resonance of higher order, or of modes that nothing drives together, does no harm. Damping
+    terms excite resonances of higher order: the part of the energy flow into mode m that goes with
+    the phase Σ l_i φ_i makes H_m swing by twice its amplitude over the detuning, and relative to
+    the energy that must be small.
     """
-
-    integers: tuple[int, ...]
-    detuning: float
-    bandwidth: float
-
-    @property
-    def ratio(self) -> float:
-        """Bandwidth over detuning: what averaging takes for small."""
-        return self.bandwidth / self.detuning if self.detuning > 0 else float("inf")
-
-    def __str__(self) -> str:
-        """Return the relation in words."""
-        integers = ", ".join(map(str, self.integers))
-        return (
-            f"|Σ l ω| = {self.detuning:.4g} for l = ({integers}), against the bandwidth "
-            f"{self.bandwidth:.4g}"
+    correlation = correlations(modes)
+    i, j = np.unravel_index(np.argmax(correlation), correlation.shape)
+    if correlation[i, j] > MAX_NEGLECTED:
+        detuning = abs(float(modes.natural_frequency[i] - modes.natural_frequency[j]))
+        raise NotApplicable(
+            f"internal resonance: |ω{i + 1} − ω{j + 1}| = {detuning:.4g} is not large against the "
+            f"half-bandwidths' sum {modes.half_bandwidth[[i, j]].sum():.4g}; averaging would "
+            f"neglect a correlation of {correlation[i, j]:.2g} between these modes, at most "
+            f"{MAX_NEGLECTED:g} is allowed"
         )
+    for integers, detuning in _excited_resonances(system, modes):
+        swing = 2.0 * flow_amplitudes(system, modes, integers) / modes.temperature
+        m = int(np.argmax(swing))
+        if swing[m] > MAX_NEGLECTED * detuning:
+            relative = swing[m] / detuning if detuning else np.inf
+            raise NotApplicable(
+                f"internal resonance: |Σ l ω| = {detuning:.4g} for l = {_words(integers)} is not "
+                "large against the flow of energy that the damping terms excite there; averaging "
+                f"would neglect a swing of {relative:.2g} of the energy of "
+                f"mode {m + 1}, at most {MAX_NEGLECTED:g} is allowed"
+            )
 
 
-@dataclass(frozen=True)
-class ModePair:
-    """Two modes (counted from 0) and the correlation of theirs that averaging neglects.
+def correlations(modes: ModalAnalysis) -> Array:
+    """Return the largest stationary correlation of each two modes that averaging neglects (n, n).
 
-    ``detuning`` |ω_i − ω_j|; ``bandwidth`` the sum of the half-bandwidths; ``correlation`` the
-    largest stationary correlation coefficient between displacement and velocity of one mode and
-    those of the other, to first order in the coupling.
+    It is that between displacement or velocity of one mode and those of the other. The cross terms
+    of the Lyapunov equation are driven by ``S = 2 D_ij − c_ij θ_j − c_ji θ_i``. With
+    Δ = ω_i² − ω_j², w = c_ii ω_j² + c_jj ω_i² and N = Δ² + (c_ii + c_jj) w they are, to first order
+    in S, ``E Q_i V_j = S Δ/N``, ``E Q_i Q_j = S (c_ii + c_jj)/N``, ``E V_i V_j = S w/N``: of
+    relative order bandwidth/detuning between displacement and velocity and its square otherwise.
+    S vanishes for equal temperatures with D_ij = θ c_ij (symmetric part), where a resonance is
+    therefore harmless; equal temperatures alone do not make it so.
     """
-
-    modes: tuple[int, int]
-    detuning: float
-    bandwidth: float
-    correlation: float
-
-
-def nearest_resonance(modes: ModalAnalysis, *, order: int = ORDER) -> Resonance:
-    """Return the internal resonance of least detuning up to an even order, Σ|l_i| <= 4 by default.
-
-    Every such l is the difference of two vectors of half that order; their frequencies are sorted,
-    and the least difference is one of neighbours, so that many modes cost little.
-    """
-    modes = modes.linearised
-    halves = integer_vectors(modes.n, order // 2)
-    frequency = halves @ modes.natural_frequency
-    ranked = np.argsort(frequency, kind="stable")
-    closest = int(np.argmin(np.diff(frequency[ranked])))
-    integers = halves[ranked[closest + 1]] - halves[ranked[closest]]
-    integers *= np.sign(integers[np.flatnonzero(integers)[0]])
-    return Resonance(
-        integers=tuple(int(i) for i in integers),
-        detuning=abs(float(integers @ modes.natural_frequency)),
-        bandwidth=float(np.abs(integers) @ modes.half_bandwidth),
-    )
+    c, theta, omega = modes.modal_damping, modes.temperature, modes.natural_frequency
+    source = np.abs(2.0 * modes.modal_noise - c * theta - (c * theta).T)
+    gap = np.abs(np.subtract.outer(omega, omega)) * np.add.outer(omega, omega)
+    width = np.add.outer(np.diag(c), np.diag(c))
+    weight = np.outer(np.diag(c), omega**2)
+    weight = weight + weight.T
+    displacements, mixed = np.outer(omega, omega) * width, np.maximum.outer(omega, omega) * gap
+    largest = np.maximum(mixed, np.maximum(displacements, weight)) / (gap**2 + width * weight)
+    return np.asarray(np.triu(source / np.sqrt(np.outer(theta, theta)) * largest, 1))
 
 
-def integer_vectors(n: int, order: int) -> NDArray[np.int64]:
-    """All integer vectors (…, n) with Σ|l_i| <= ``order``, each once."""
-    units = np.concatenate([np.eye(n, dtype=np.int64), -np.eye(n, dtype=np.int64)])
-    units = np.concatenate([units, np.zeros((1, n), dtype=np.int64)])
-    chosen = combinations_with_replacement(range(2 * n + 1), order)
-    return np.unique([units[list(c)].sum(axis=0) for c in chosen], axis=0)
-
-
-def mode_pairs(modes: ModalAnalysis) -> tuple[ModePair, ...]:
-    """Return all pairs of modes with the correlation that averaging neglects.
-
-    In coordinates of unit modal mass the cross terms of the Lyapunov equation are driven by
-    ``S = 2 D_ij − c_ij θ_j − c_ji θ_i``. With Δ = ω_i² − ω_j², w = c_ii ω_j² + c_jj ω_i² and
-    N = Δ² + (c_ii + c_jj) w they are, to first order in S,
-    ``E Q_i V_j = S Δ/N``, ``E Q_i Q_j = S (c_ii + c_jj)/N``, ``E V_i V_j = S w/N``: of relative
-    order bandwidth/detuning between displacement and velocity and its square otherwise. S
-    vanishes for equal temperatures with D_ij = θ c_ij (symmetric part), where a resonance is
-    therefore harmless; equal temperatures alone do not make it so. Damping that depends on the
-    state enters as its statistical linearisation.
-    """
-    modes = modes.linearised
-    scale = np.sqrt(np.outer(modes.modal_mass, modes.modal_mass))
-    c, D = modes.modal_damping / scale, modes.modal_noise / scale
-    w, theta = modes.natural_frequency, modes.temperature
-    pairs = []
-    for i, j in combinations(range(modes.n), 2):
-        source = abs(2.0 * D[i, j] - c[i, j] * theta[j] - c[j, i] * theta[i])
-        gap = float(abs(w[i] - w[j]) * (w[i] + w[j]))
-        width = float(c[i, i] + c[j, j])
-        weight = float(c[i, i] * w[j] ** 2 + c[j, j] * w[i] ** 2)
-        largest = max(max(w[i], w[j]) * gap, w[i] * w[j] * width, weight)
-        correlation = source / np.sqrt(theta[i] * theta[j]) * largest / (gap**2 + width * weight)
-        bandwidth = float(modes.half_bandwidth[i] + modes.half_bandwidth[j])
-        pairs.append(ModePair((i, j), float(abs(w[i] - w[j])), bandwidth, float(correlation)))
-    return tuple(pairs)
-
-
-def strongest_pair(modes: ModalAnalysis) -> ModePair | None:
-    """Return the pair of modes whose neglected correlation is largest; None for one mode."""
-    return max(mode_pairs(modes), key=lambda pair: pair.correlation, default=None)
-
-
-def resonance_refusal(modes: ModalAnalysis) -> str | None:
-    """Return why the modes may not be averaged one by one, or None where they may.
-
-    With constant damping only pairs matter, and only by the correlation that is neglected: a
-    resonance of higher order, or of modes that nothing drives together, does no harm.
-    """
-    pair = strongest_pair(modes)
-    if pair is None or pair.correlation <= MOST_CORRELATED:
-        return None
-    i, j = (k + 1 for k in pair.modes)
+def nearest_resonance(system: System, modes: ModalAnalysis) -> str:
+    """Return, for readers, the integers l of least detuning |Σ l_i ω_i| that averages may hold."""
+    order = resonance_order(system)
+    integers, detuning = resonances(modes.natural_frequency, order, range(1, order + 1))[0]
     return (
-        f"internal resonance: |ω{i} − ω{j}| = {pair.detuning:.4g} is not large against the "
-        f"half-bandwidths' sum {pair.bandwidth:.4g}; averaging would neglect a correlation of "
-        f"{pair.correlation:.2g} between these modes, at most {MOST_CORRELATED:g} is allowed"
+        f"|Σ l ω| = {detuning:.4g} for l = {_words(integers)}, against the bandwidth "
+        f"{np.abs(integers) @ modes.half_bandwidth:.4g}"
     )
+
+
+def _words(integers: Integers) -> str:
+    return f"({', '.join(map(str, integers))})"
+
+
+def resonance_order(system: System) -> int:
+    """Return the even Σ|l_i| up to which the averages of ``system`` hold frequencies Σ l_i ω_i."""
+    return max([ORDER, *(2 * ((_factors(term) + 1) // 2) for term in system.damping_terms)])
+
+
+def _factors(term: DampingTerm) -> int:
+    """Factors q and v of the flow F_m Q̇_m that a term makes; H is constant over the phases."""
+    return term.degree - 2 * term.energy + 2
+
+
+def resonances(
+    omega: Array, order: int, sizes: Container[int], limit: float = 0.0
+) -> list[tuple[Integers, float]]:
+    """Return integers l and detunings |Σ l_i ω_i| <= ``limit``, least first, and the least anyhow.
+
+    Σ|l_i| is one of ``sizes``, at most the even ``order``. Every such l is the difference of two
+    vectors of half that order, whose frequencies are sorted, so that many modes cost little.
+    """
+    n = omega.size
+    units = np.vstack(
+        [np.eye(n, dtype=np.int64), -np.eye(n, dtype=np.int64), np.zeros((1, n), int)]
+    )
+    chosen = combinations_with_replacement(range(2 * n + 1), order // 2)
+    halves = np.unique([units[list(c)].sum(axis=0) for c in chosen], axis=0)
+    frequency = halves @ omega
+    ranked = np.argsort(frequency, kind="stable")
+    halves, frequency = halves[ranked], frequency[ranked]
+    limit = max(limit, float(np.min(np.diff(frequency))))
+    vectors: set[tuple[int, ...]] = set()
+    for step in range(1, frequency.size):
+        close = np.flatnonzero(frequency[step:] - frequency[:-step] <= limit)
+        if not close.size or len(vectors) > 10 * MAX_CANDIDATES:
+            break
+        for integers in halves[close + step] - halves[close]:
+            if int(np.abs(integers).sum()) in sizes:
+                leading = integers[np.flatnonzero(integers)[0]]
+                vectors.add(tuple(int(k) for k in integers * np.sign(leading)))
+    pairs = [(np.array(v), abs(float(np.dot(v, omega)))) for v in vectors]
+    return sorted(pairs, key=lambda pair: pair[1])[:MAX_CANDIDATES]
+
+
+def _excited_resonances(system: System, modes: ModalAnalysis) -> list[tuple[Integers, float]]:
+    """Resonances of Σ|l_i| ≠ 2 that damping terms excite, with detunings that may matter."""
+    terms = system.damping_terms
+    sizes = {size for term in terms for size in range(_factors(term), 0, -2)} - {2}
+    if not sizes or modes.n == 1:
+        return []
+    fastest = float(np.max(np.diag(modes.averaged.mean(modes.temperature)[1])))
+    return resonances(modes.natural_frequency, resonance_order(system), sizes, FAR * fastest)
+
+
+def flow_amplitudes(system: System, modes: ModalAnalysis, integers: Integers) -> Array:
+    """Return the real amplitudes (n,) of the flows F_m Q̇_m that go with e^{i Σ l_k φ_k}.
+
+    The modes are taken Gaussian at their balance, ``Q_k = √(2θ_k)/ω_k Re z_k`` and
+    ``Q̇_k = −√(2θ_k) Im z_k`` with E|z_k|² = 1: the amplitude is the projection
+    E[F_m Q̇_m Π z̄_k^l_k]/√(Π |l_k|!), for l_k < 0 with z. With i Q̇ in the place of Q̇ all
+    second moments are real and Isserlis' theorem holds as it stands; H is taken at its mean.
+    """
+    n, T, root = modes.n, modes.mode_shapes, np.sqrt(modes.temperature)
+    zero = np.zeros((n, n))
+    # Rows: displacements and velocities of the masses, velocities of the modes, the waves z.
+    q, v = T * root / modes.natural_frequency, np.vstack([T, np.eye(n)]) * root
+    with_waves = np.vstack([q, -v * np.sign(integers)]) * np.sqrt(0.5)
+    covariance = np.block([[q @ q.T, zero, zero], [np.vstack([zero, zero]), -v @ v.T]])
+    covariance = np.block([[covariance, with_waves], [with_waves.T, zero]])
+    waves = tuple(int(k) for k in np.abs(integers))
+    flow = np.zeros(n, dtype=complex)
+    for term in system.damping_terms:
+        excess = sum(waves) - _factors(term)
+        if excess > 0 or excess % 2:
+            continue
+        velocities = list(term.powers("v", n))
+        velocities[term.column] += 1
+        level = term.coefficient * float(np.sum(modes.temperature)) ** term.energy
+        # i^(number of velocities) makes a flow real or imaginary, and its sign.
+        turned = (1j) ** -(sum(velocities) + 1)
+        for m in np.flatnonzero(T[term.row]):
+            mode = tuple(int(k == m) for k in range(n))
+            powers = (*term.powers("q", n), *velocities, *mode, *waves)
+            flow[m] += turned * level * T[term.row, m] * gaussian_moment(covariance, powers)
+    return np.asarray(np.abs(flow) / np.sqrt(prod(factorial(k) for k in waves)))

@@ -19,7 +19,6 @@ from vanderpol import Averaged
 from averaging.energy_density import EnergyDensity, averaged_closed_form
 from averaging.energy_process import energy_process
 from averaging.modal.analysis import modal_analysis
-from averaging.modal.process import modal_process
 from fpk.contact import Contact
 from fpk.process import Process
 from fpk.quadrature import gauss_legendre, panel_rule
@@ -111,13 +110,13 @@ class Plane:
     @property
     def process(self) -> Process:
         """The averaged modal energies, from the system on, nothing remembered."""
-        return modal_process(afresh(self.scene))
+        return modal_analysis(afresh(self.scene)).process()
 
     @cached_property
     def rates(self) -> tuple[Array, Array]:
-        """c*_ii/M*_i and d_i/M*_i of (33)."""
+        """c*_ii and d_i of (33), M*_i = 1."""
         modes = modal_analysis(afresh(self.scene))
-        return modes.damping / modes.modal_mass, modes.noise / modes.modal_mass
+        return np.diag(modes.modal_damping), modes.noise
 
     @cached_property
     def temperature(self) -> Array:

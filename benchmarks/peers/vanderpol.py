@@ -15,7 +15,6 @@ from afresh import afresh
 from numpy.typing import NDArray
 
 from averaging.modal.analysis import modal_analysis
-from averaging.modal.process import modal_process
 from fpk.plane.solution import PlaneSolution
 from fpk.plane.stationary import solve_plane
 from fpk.process import Process
@@ -40,7 +39,7 @@ class Averaged:
     @property
     def process(self) -> Process:
         """The averaged modal energies, from the system on, nothing remembered."""
-        return modal_process(afresh(self.scene))
+        return modal_analysis(afresh(self.scene)).process()
 
     @property
     def temperature(self) -> Array:
@@ -51,13 +50,9 @@ class Averaged:
     def rates(self) -> tuple[Array, Array, Array]:
         """d_i (2,), γ_i (2,) and g_ij (2, 2)."""
         modes = modal_analysis(afresh(self.scene))
-        assert modes.state is not None
-        (part,) = modes.state.parts
-        linear = np.zeros((2, 2))
-        for factors, found in zip(part.factors, part.coefficients, strict=True):
-            (other,) = factors
-            linear[:, other] += np.diag(found)
-        return modes.noise / modes.modal_mass, np.diag(modes.state.constant), linear
+        parts = modes.averaged.factors, modes.averaged.values
+        by_factor = {int(f): np.diag(v) for (f,), v in zip(*parts, strict=True)}
+        return modes.noise, by_factor[0], np.stack([by_factor[1], by_factor[2]], axis=1)
 
     def written(self, x, y, sigmoid):
         """Return (s_1, s_2), (b_11, b_22), Σ_j ∂b_ij/∂H_j and no b_12, of arrays or symbols."""

@@ -11,7 +11,7 @@ from math import inf, isfinite
 from typing import TYPE_CHECKING, Literal, Self, get_args
 
 from fpk.cores import usable_cores
-from fpk.errors import InvalidInput, NotApplicable
+from fpk.errors import InvalidInput
 from fpk.method import Method, Plan, Progress, Result
 from fpk.observable import Coordinate, Observable, observable_name
 from fpk.route import ROUTES, Route, register
@@ -72,12 +72,9 @@ class AveragedSimulation(Method):
             energy_process(system)
         else:
             from averaging.modal.analysis import modal_analysis
-            from averaging.modal.internal import internal_refusal
-            from averaging.modal.resonance import resonance_refusal
+            from averaging.modal.resonance import require_no_resonance
 
-            modes = modal_analysis(system)
-            if reason := resonance_refusal(modes) or internal_refusal(system, modes):
-                raise NotApplicable(reason)
+            require_no_resonance(system, system.fact(modal_analysis))
         return Plan(self._unknown, lambda o, progress: self._sampled(system, o, progress))
 
     def _unknown(self, observable: Observable) -> str | None:
@@ -126,10 +123,10 @@ class AveragedSimulation(Method):
 
     def _form(self, system: System) -> "SquareRootForm":
         if self.theory == "integrable":
-            from averaging.modal.process import modal_process
+            from averaging.modal.analysis import modal_analysis
             from sim.averaged.square_root import square_root_form
 
-            return square_root_form(modal_process(system))
+            return square_root_form(system.fact(modal_analysis).process())
         from averaging.energy_process import energy_process
         from sim.averaged.line import line_form
 

@@ -7,7 +7,7 @@ from time import perf_counter
 
 from averaging.energy_process import energy_process
 from averaging.exact import compatibility
-from averaging.modal.process import modal_process
+from averaging.modal.analysis import modal_analysis
 from cases.comparison.claims import Finding, findings
 from cases.comparison.compare import Comparison, compared, discrepancies
 from cases.comparison.regime import Regime, regime_of
@@ -142,7 +142,7 @@ def boundaries_of(system: System) -> tuple[Boundary, ...]:
         ends = classify(energy_process(system))
         boundaries += [Boundary("nonintegrable", e.end, e.kind, e.reason) for e in ends]
     with suppress(NotApplicable):
-        process = modal_process(system)
+        process = system.fact(modal_analysis).process()
         for axis in range(min(process.dimension, MODES_SHOWN)):
             edges = classify(process, axis)
             boundaries += [Boundary("integrable", e.end, e.kind, e.reason) for e in edges]

@@ -56,7 +56,7 @@ def energy_equation(
     def quadrature(tol: float) -> Answer:
         s = solve_by_quadrature(process, tol=tol)
         unknowns = 16 * (s.nodes.size - 1)
-        return Answer((s.nodes,), lambda H: np.exp(s.log_density(H)), s.l1_error, unknowns)
+        return Answer((s.nodes,), s.density, s.l1_error, unknowns)
 
     return Equation(
         theory="nonintegrable",

@@ -6,10 +6,8 @@ import numpy as np
 
 from averaging.integrable import Integrable
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
-from averaging.modal.internal import internal_refusal
 from averaging.modal.observables import modal_densities
-from averaging.modal.process import modes_process
-from averaging.modal.resonance import resonance_refusal
+from averaging.modal.resonance import require_no_resonance
 from cases.studies.answer import Answer
 from cases.studies.levels import ByTolerance, Equation, Nodes
 from cases.studies.timing import Clock
@@ -50,12 +48,11 @@ def modal_equation(system: System) -> Equation:
     modes = modal_analysis(system)
     if modes.n < 2:
         raise NotApplicable("one mass has one modal energy: nothing to solve in two dimensions")
-    if modes.state is not None and modes.n > 2:
+    if not modes.constant and modes.n > 2:
         raise NotApplicable("damping terms couple more than two modal energies")
-    if reason := resonance_refusal(modes) or internal_refusal(system, modes):
-        raise NotApplicable(reason)
+    require_no_resonance(system, modes)
     observable = parse_observable("H1,H2", system.n)
-    plain, clock = modes_process(modes, [0, 1]), Clock()
+    plain, clock = modes.process([0, 1]), Clock()
     process = replace(plain, coefficients=clock.timed(plain.coefficients))
     reference, words = _reference(modes, plain, observable)
     ends = _mesh_ends(modes, plain)
@@ -96,8 +93,8 @@ def _reference(
 
     Raises ``NotCertified`` where the elements have no finite estimate.
     """
-    if modes.state is None:
-        (closed,) = modal_densities(modes, [observable], "closed-form", tol=1e-12, provenance={})
+    if modes.constant:
+        (closed,) = modal_densities(modes, [observable], "closed-form", tol=1e-12)
         return Answer(closed.panels, closed.pdf, closed.l1_error, 0), "closed form (34)"
     solution = _plain_elements(process)
     if not np.isfinite(solution.l1_error):
@@ -126,7 +123,7 @@ def _plain_elements(process: Process) -> PlaneSolution:
 
 def _mesh_ends(modes: ModalAnalysis, process: Process) -> Array:
     """Where given meshes end along both axes, in units of the scales, (2,)."""
-    if modes.state is None:
+    if modes.constant:
         return np.full(2, -np.log(BEYOND))
     probe = probed(process)
     nodes = [axis_nodes(probe, k, tail=BEYOND, tol=BEYOND, degree=4) for k in (0, 1)]

@@ -9,7 +9,6 @@ from modal_terms import modal_van_der_pol, solved
 from averaging.gaussian import Linear
 from averaging.integrable import Integrable
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
-from averaging.modal.process import modes_process
 from averaging.zero_flux import flux_residual
 from fpk.errors import InvalidInput
 from fpk.linear import linear_covariance
@@ -68,7 +67,7 @@ def test_the_stated_error_holds_at_every_point(solver, tol):
 
 def test_residual_of_a_wrong_density_is_not_round_off():
     modes = modal_analysis(fig6())
-    process, theta = modes_process(modes, (0,)), modes.temperature[0]
+    process, theta = modes.process((0,)), modes.temperature[0]
     nodes = theta * np.linspace(0.0, 30.0, 11)
     assert flux_residual(process, nodes, lambda H: -H / theta) < 1e-15
     assert flux_residual(process, nodes, lambda H: -H / (1.001 * theta)) > 1e-4

@@ -6,7 +6,6 @@ from modal_terms import in_masses, modal_van_der_pol, solved, van_der_pol
 
 from averaging.integrable import Integrable
 from averaging.modal.analysis import modal_analysis
-from averaging.modal.process import modal_process
 from averaging.nonintegrable import NonIntegrable
 from fpk.damping import DampingTerm
 from fpk.errors import NotApplicable
@@ -39,7 +38,7 @@ def test_energies_that_the_damping_lets_grow_have_no_density(solver, name):
     with pytest.raises(NotApplicable, match="for ever"):
         solved(Integrable(solver), system, "H1,H2")
     with pytest.raises(NotApplicable, match="for ever"):
-        modal_process(system)
+        modal_analysis(system)
     # So it is: from high enough energies the averaged drift leads up without a bound.
     drift = modal_process_without_judgement(system)
     H = np.array([[1.0, 1.0]]) * 10.0 ** np.arange(7.0, 10.0)[:, None]
@@ -56,12 +55,12 @@ def modal_process_without_judgement(system):
     def drift(energies):
         total = []
         for H in energies:
-            q = np.sqrt(2 * H / modes.modal_stiffness) * np.cos(phases) @ T.T
-            v = -np.sqrt(2 * H / modes.modal_mass) * np.sin(phases) @ T.T
+            q = np.sqrt(2 * H) / modes.natural_frequency * np.cos(phases) @ T.T
+            v = -np.sqrt(2 * H) * np.sin(phases) @ T.T
             c = sum(t.value(q, v, H.sum()) for t in system.damping_terms) + np.zeros(len(q))
             force = np.stack([c * v[:, 0], 0.0 * c], axis=1) + v @ system.damping.T
             flow = np.mean((force @ T) * (v @ np.linalg.inv(T).T), axis=0)
-            total.append(modes.noise / modes.modal_mass - flow)
+            total.append(modes.noise - flow)
         return np.array(total)
 
     return drift
@@ -90,7 +89,7 @@ def competing(matrix):
     base = System([1.0, 1.0], [1.0, 1.3], [0.1, 0.1], [1.0, 1.0])
     inverse = np.linalg.inv(modal_analysis(base).mode_shapes)
     terms = []
-    K = modal_analysis(base).modal_stiffness
+    K = modal_analysis(base).natural_frequency ** 2
     for m in (0, 1):
         for k in (0, 1):
             # ⟨Q_k² Q̇_m²⟩ is H_k H_m/(K_k M_m) for k ≠ m, half of that for k = m.
