@@ -6,7 +6,7 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import block_diag, qr, solve_triangular
 
 from averaging.gamma_sum import gamma_sum_density
 from fpk.certificate import Measured
@@ -80,10 +80,9 @@ class Linear(Method):
 
 
 def _stationary(system: System, modes: LinearCovariance) -> "Gaussian":
-    root = modes.axes * np.sqrt(np.maximum(modes.variance, 0.0))
-    q, p = modes.shapes / modes.omega, system.mass[:, None] * modes.shapes
+    to_state = block_diag(modes.shapes / modes.omega, system.mass[:, None] * modes.shapes)
     return Gaussian(
-        factor=np.vstack([q @ root[: system.n], p @ root[system.n :]]),
+        factor=to_state @ modes.axes * np.sqrt(np.maximum(modes.variance, 0.0)),
         relative_error=modes.relative_error,
         # H = ½ |x|² of x = (ω Q, P).
         scales=np.maximum(modes.variance, 0.0),
@@ -121,8 +120,8 @@ class Gaussian:
                 residual=self.residual,
                 tol=tol,
             )
-        n, count = self.factor.shape[0] // 2, len(observable)
-        rows = self.factor[[(c.index or 0) + (n if c.kind == "p" else 0) for c in observable]]
+        count = len(observable)
+        rows = self.factor[state_rows(observable, self.factor.shape[0] // 2)]
         scale = np.linalg.norm(rows, axis=1)
         # x/scale = L y with independent standard y: L of the rows' QR.
         L = np.asarray(qr((rows / scale[:, None]).T, mode="r")[0][:count].T)
@@ -155,15 +154,10 @@ class Gaussian:
         )
 
 
-register(
-    Route(
-        "linear",
-        "closed-form",
-        "Gaussian, exact without contact",
-        "(6)",
-        "full",
-        False,
-        "#5b8def",
-        make=Linear,
-    )
-)
+def state_rows(observable: Observable, n: int) -> list[int]:
+    """Return where the coordinates of ``observable`` stand in (q, p) of n masses."""
+    return [(c.index or 0) + (n if c.kind == "p" else 0) for c in observable]
+
+
+WORDS = "Gaussian, exact without contact"
+register(Route("linear", "closed-form", WORDS, "(6)", "full", False, "#5b8def", make=Linear))

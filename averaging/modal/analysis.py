@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from averaging.modal.damping import NEGLIGIBLE, AveragedDamping, averaged_damping, balanced_energies
 from fpk.ends import require_confined
@@ -25,7 +26,7 @@ class ModalAnalysis:
     """Modes of K T = M T ω², ascending, of unit modal mass, with damping and noise.
 
     ``X = T Q`` (14), so that ``P = Tᵀ p = Q̇`` are the modal momenta. ``mode_shapes`` T (n, n), one
-    mode a column, Tᵀ M T = 1; ``momentum_shapes`` T⁻ᵀ = M T (n, n), so that p = T⁻ᵀ P;
+    mode a column, Tᵀ M T = 1; ``state_shapes`` S (2n, 2n), so that (q, p) = S (ω Q, P);
     ``natural_frequency`` ω (n,) in radians per time, K* = ω²; ``modal_noise`` D* = Tᵀ f D fᵀ T
     (n, n), E[W*_i W*_j'] = 2 D*_ij δ. ``modal_damping`` c* = Tᵀ c T (n, n); where the damping
     depends on the state it is the constant one of statistical linearisation,
@@ -35,7 +36,7 @@ class ModalAnalysis:
     """
 
     mode_shapes: Array
-    momentum_shapes: Array
+    state_shapes: Array
     natural_frequency: Array
     modal_damping: Array
     modal_noise: Array
@@ -116,7 +117,8 @@ def modal_analysis(system: System) -> ModalAnalysis:
     cancelling = np.max(np.diag(damping_size) * theta / noise) + np.max(np.diag(size) / noise)
     modes = ModalAnalysis(
         mode_shapes=T,
-        momentum_shapes=system.mass[:, None] * T,
+        # p = T⁻ᵀ P, where (35) prints T_11^{-1} for an element of the matrix T⁻¹ = Tᵀ M.
+        state_shapes=block_diag(T / omega, system.mass[:, None] * T),
         natural_frequency=omega,
         modal_damping=c if constant else damping,
         modal_noise=D,

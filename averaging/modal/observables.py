@@ -117,17 +117,14 @@ def _marginal(
 
 
 def gaussian_modes(modes: ModalAnalysis) -> Gaussian:
-    """Return (34) as the Gaussian state that it is, Eqs. (20), (35).
+    """Return (34) as the Gaussian state that it is, of independent ω Q_i and P_i of variance θ_i.
 
-    ``cov q = T diag(θ_i/K*_i) Tᵀ``; as P = Tᵀ p, ``cov p = T⁻ᵀ diag(θ_i M*_i) T⁻¹``, where
-    T⁻¹ = M*⁻¹ Tᵀ M; displacements and momenta are not correlated. Where (35) prints T_11^{-1} it
-    means an element of the matrix T⁻¹, not 1/T_11.
+    With M* = 1: ``cov q = T diag(θ_i/ω_i²) Tᵀ``, ``cov p = M T diag(θ_i) Tᵀ M``, Eqs. (20), (35);
+    displacements and momenta are not correlated.
     """
-    theta, zero = modes.temperature, np.zeros((modes.n, modes.n))
-    q = modes.mode_shapes * np.sqrt(theta) / modes.natural_frequency
-    p = modes.momentum_shapes * np.sqrt(theta)
+    theta = modes.temperature
     return Gaussian(
-        factor=np.block([[q, zero], [zero, p]]),
+        factor=modes.state_shapes * np.sqrt(np.tile(theta, 2)),
         relative_error=modes.relative_error,
         scales=theta,
         shape=1.0,

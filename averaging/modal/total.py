@@ -1,6 +1,6 @@
 """The density of a sum of modal energies, where no closed form gives it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import reduce
 
 import numpy as np
@@ -14,7 +14,7 @@ from fpk.quadrature import panel_rule
 
 Array = NDArray[np.float64]
 
-ALONG = 20
+POINTS = 20
 """Gauss points per panel of the integral along H1 + H2 = H, where p is a product of polynomials."""
 ROUNDS = 12
 """Halvings of a panel of the sum, at the most."""
@@ -30,52 +30,53 @@ def total_energy(observable: Observable, parts: Sequence[Density], *, tol: float
     """
     share = tol / (2 * len(parts))
 
-    def within(part: Density) -> Density:
-        if len(part.panels) == 1:
-            return part
-        return _expanded(observable, part.panels, part.at, [part], share, tol)
+    def of_sum(*two: Density) -> Density:
+        """The density of the sum of two energies, of one group or of two."""
+        return _of_sum(observable, two, share=share, tol=tol)
 
-    def convolved(first: Density, second: Density) -> Density:
-        def at(x: Array, y: Array) -> tuple[Array, Array]:
-            (p, p_error), (r, r_error) = first.at(x), second.at(y)
-            return p * r, p_error * np.abs(r) + np.abs(p) * r_error
-
-        panels = first.panels + second.panels
-        return _expanded(observable, panels, at, [first, second], share, tol)
-
-    return reduce(convolved, map(within, parts))
+    return reduce(of_sum, (part if len(part.panels) == 1 else of_sum(part) for part in parts))
 
 
-def _expanded(
-    observable: Observable,
-    panels: tuple[Array, ...],
-    joint: Callable[[Array, Array], tuple[Array, Array]],
-    parts: Sequence[Density],
-    share: float,
-    tol: float,
+def _of_sum(
+    observable: Observable, parts: Sequence[Density], *, share: float, tol: float
 ) -> Density:
-    """∫joint(x, H − x) dx in Legendre polynomials, p and its error alike."""
+    panels = tuple(x for part in parts for x in part.panels)
     end = panels[0][-1] + panels[1][-1]
     nodes = np.unique(np.concatenate([*panels, np.linspace(0.0, end, 9), [end]]))
     nodes = nodes[np.append(True, np.diff(nodes) > 1e-12 * end)]
 
-    def missing(lengths: Array, coefficients: Array) -> Array:
+    def joint(x: Array, y: Array) -> tuple[Array, Array]:
+        if len(parts) == 1:
+            return parts[0].at(x, y)
+        (p, p_error), (r, r_error) = parts[0].at(x), parts[1].at(y)
+        return p * r, p_error * np.abs(r) + np.abs(p) * r_error
+
+    def along(energy: Array) -> Array:
+        """∫joint(x, H − x) dx over 0 < x < H, cut where x or H − x passes from panel to panel."""
+        H = energy[:, None]
+        ends = np.concatenate([np.minimum(panels[0], H), np.maximum(H - panels[1], 0.0)], axis=1)
+        ends = np.sort(np.clip(ends, 0.0, np.minimum(H, panels[0][-1])), axis=1)
+        t, w = panel_rule(np.array([0.0, 1.0]), POINTS)
+        length = np.diff(ends, axis=1)[:, :, None]
+        x = ends[:, :-1, None] + length * t
+        values = np.stack(joint(x, np.clip(H[:, :, None] - x, 0.0, None)), axis=-1)
+        return np.einsum("hkt,hktc->hc", length * w, values)
+
+    def in_chunks(energy: Array) -> Array:
+        count = 1 + energy.size * POINTS * (panels[0].size + panels[1].size) // CHUNK
+        return np.concatenate([along(part) for part in np.array_split(energy, count)])
+
+    def truncation(lengths: Array, coefficients: Array) -> Array:
         """L1 norm of the last two terms of p on each panel."""
         return np.asarray(lengths * np.sum(np.abs(coefficients[:, -2:, 0]), axis=1))
 
-    both = fit(
-        lambda energy: _along(panels, joint, energy),
-        nodes,
-        0.5 * share / nodes.size,
-        estimate=missing,
-        rounds=ROUNDS,
-    )
+    both = fit(in_chunks, nodes, 0.5 * share / nodes.size, estimate=truncation, rounds=ROUNDS)
     assert both.error is not None
-    local = both.error / np.diff(both.nodes)
+    local = 2.0 * both.error / np.diff(both.nodes)
 
     def pointwise(energy: Array) -> Array:
         k = np.clip(np.searchsorted(both.nodes, energy, side="right") - 1, 0, local.size - 1)
-        return np.asarray(np.abs(both(energy)[..., 1]) + 2.0 * local[k])
+        return np.asarray(np.abs(both(energy)[..., 1]) + local[k])
 
     return certified_density(
         observable,
@@ -85,24 +86,3 @@ def _expanded(
         measured=joined(parts, 2.0 * float(both.error.sum())),
         tol=tol,
     )
-
-
-def _along(
-    panels: tuple[Array, ...],
-    joint: Callable[[Array, Array], tuple[Array, Array]],
-    energy: Array,
-) -> Array:
-    """∫joint(x, H − x) dx over 0 < x < H, cut where x or H − x passes from panel to panel."""
-    total = np.empty((energy.size, 2))
-    t, w = panel_rule(np.array([0.0, 1.0]), ALONG)
-    step = max(CHUNK // (ALONG * (panels[0].size + panels[1].size)), 1)
-    for start in range(0, energy.size, step):
-        H = energy[start : start + step, None]
-        ends = np.concatenate([np.minimum(panels[0], H), np.maximum(H - panels[1], 0.0)], axis=1)
-        ends = np.sort(np.clip(ends, 0.0, np.minimum(H, panels[0][-1])), axis=1)
-        length = np.diff(ends, axis=1)[:, :, None]
-        x = ends[:, :-1, None] + length * t
-        y = np.clip(H[:, :, None] - x, 0.0, None)
-        for k, values in enumerate(joint(x, y)):
-            total[start : start + step, k] = np.sum(values * (length * w), axis=(1, 2))
-    return total
