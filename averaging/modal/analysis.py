@@ -145,7 +145,7 @@ def _words(mode: int, omega: Array) -> str:
 
 def _require_confined(modes: ModalAnalysis) -> None:
     """Raise ``NotApplicable`` where one or two energies grow for ever; more are not judged."""
-    for group in modes.averaged.groups():
+    for group in modes.averaged.groups:
         names = " and ".join(f"H{m + 1}" for m in group)
         try:
             if len(group) == 1:

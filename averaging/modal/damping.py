@@ -3,13 +3,12 @@
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from itertools import product
 from math import comb, factorial, prod
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from fpk.damping import DampingTerm
 from fpk.errors import NotApplicable
@@ -70,17 +69,17 @@ class AveragedDamping:
         value, size = (np.einsum("rmk,rk->mk", x, weights) for x in (self.values, self.sizes))
         return value, size
 
+    @cached_property
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Return the groups of modes, ascending, within which a γ_m depends on another's energy."""
+        """The groups of modes, ascending, within which a γ_m depends on another's energy."""
         n = self.values.shape[1]
-        joined = np.zeros((n, n + 1), dtype=bool)
+        joined = np.eye(n, n + 1, 1)
         row, mode = np.nonzero(np.einsum("rmm->rm", self.values))
         for column in self.factors.T:
-            joined[mode, column[row]] = True
-        _, labels = connected_components(joined[:, 1:], directed=False)
-        return tuple(
-            tuple(map(int, np.flatnonzero(labels == label))) for label in dict.fromkeys(labels)
-        )
+            joined[mode, column[row]] = 1.0
+        # Modes that are reached in any number of steps, either way.
+        reached = np.linalg.matrix_power(joined[:, 1:] + joined[:, 1:].T, n) > 0.0
+        return tuple(dict.fromkeys(tuple(map(int, np.flatnonzero(row))) for row in reached))
 
 
 def _monomials(factors: Integers, energies: Array) -> Array:

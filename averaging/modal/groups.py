@@ -35,7 +35,7 @@ EPS = float(np.finfo(float).eps)
 
 def unsolved(modes: ModalAnalysis, solver: Solver) -> str | None:
     """Return why the energies of the modes cannot be solved for, or None where they can."""
-    largest = max(modes.averaged.groups(), key=len)
+    largest = max(modes.averaged.groups, key=len)
     names = " and ".join(f"H{m + 1}" for m in largest)
     if len(largest) > 2:
         return f"the damping couples {names}: more than two energies are not solved for together"

@@ -59,7 +59,7 @@ def _energies(observable: Observable) -> bool:
 
 def _groups_behind(modes: ModalAnalysis, observable: Observable, solver: Solver) -> list[Group]:
     """The groups of modes whose energies an observable depends on, in its own order."""
-    groups = modes.averaged.groups()
+    groups = modes.averaged.groups
     if not _energies(observable):
         return list(groups)
     index = tuple(c.index or 0 for c in observable)

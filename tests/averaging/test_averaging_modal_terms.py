@@ -95,11 +95,11 @@ def test_balance_is_that_of_the_gibbs_state():
 
 
 def test_modes_that_damping_couples():
-    assert modal_analysis(van_der_pol()).averaged.groups() == ((0, 1),)
+    assert modal_analysis(van_der_pol()).averaged.groups == ((0, 1),)
     one_way = modal_analysis(modal_van_der_pol())
-    assert one_way.averaged.groups() == ((0, 1),)
+    assert one_way.averaged.groups == ((0, 1),)
     alone = modal_analysis(modal_van_der_pol(others=0.0))
-    assert alone.averaged.groups() == ((0,), (1,))
+    assert alone.averaged.groups == ((0,), (1,))
     energies = np.array([[0.1, 0.2], [0.1, 0.4]])
     gamma = alone.averaged.rates([0, 1])(energies)
     np.testing.assert_allclose(gamma[0], gamma[1], rtol=1e-14)
