@@ -105,11 +105,12 @@ def modal_analysis(system: System) -> ModalAnalysis:
     averaged, constant = averaged_damping(system, T, omega), not system.damping_terms
     D, size = T.T @ system.noise_matrix @ T, np.abs(T.T) @ np.abs(system.noise_matrix) @ np.abs(T)
     c, noise = averaged.values[0], np.diag(D)
+    names = [f"mode {i + 1} (ω = {w:.4g})" for i, w in enumerate(omega)]
     for i in np.flatnonzero(np.diag(c) <= 0.0) if constant else ():
-        raise NotApplicable(f"{_words(i, omega)} is not damped, so its energy grows for ever")
+        raise NotApplicable(f"{names[i]} is not damped, so its energy grows for ever")
     for i in np.flatnonzero(noise <= NEGLIGIBLE * np.diag(size)):
         raise NotApplicable(
-            f"{_words(i, omega)} gets no noise, so its energy has no density: b_ii of (17) vanishes"
+            f"{names[i]} gets no noise, so its energy has no density: b_ii of (17) vanishes"
         )
     theta = noise / np.diag(c) if constant else _balance(system, averaged, noise)
     damping, damping_size = averaged.mean(theta)
@@ -137,10 +138,6 @@ def _balance(system: System, averaged: AveragedDamping, noise: Array) -> Array:
     except NotApplicable:
         guess = float(np.max(noise / np.diag(averaged.sizes[0])))
     return balanced_energies(averaged, noise, guess)
-
-
-def _words(mode: int, omega: Array) -> str:
-    return f"mode {mode + 1} (ω = {omega[mode]:.4g})"
 
 
 def _require_confined(modes: ModalAnalysis) -> None:

@@ -47,18 +47,18 @@ class AveragedDamping:
 
     def rates(self, group: Sequence[int]) -> Callable[[Array], Array]:
         """Return γ_m of the modes of ``group``, on which no other acts, of their H (points, k)."""
-        rows = np.isin(self.factors, [0, *(m + 1 for m in group)]).all(axis=1)
+        index = np.array(group)
+        rows = np.isin(self.factors, [0, *(index + 1)]).all(axis=1)
         column = np.zeros(self.values.shape[1] + 1, dtype=np.int64)
-        column[np.array(group) + 1] = np.arange(1, len(group) + 1)
-        factors = column[self.factors[rows]]
-        rate = np.einsum("rmm->rm", self.values)[np.ix_(rows, group)]
+        column[index + 1] = np.arange(1, index.size + 1)
+        factors, rate = column[self.factors[rows]], self.values[rows][:, index, index]
         return lambda energies: _monomials(factors, energies) @ rate
 
     def powers(self, mode: int) -> Array:
         """Return the coefficients of γ of a mode on which no other acts, ascending powers of H."""
         alone = np.isin(self.factors, [0, mode + 1]).all(axis=1)
         degree = np.count_nonzero(self.factors[alone], axis=1)
-        return np.bincount(degree, weights=self.values[alone, mode, mode])
+        return np.asarray(np.bincount(degree, self.values[alone, mode, mode]), dtype=float)
 
     def mean(self, means: Array) -> tuple[Array, Array]:
         """Return E[F_m Q̇_k]/E H_k for independent exponential energies, and the sum of sizes."""
@@ -144,7 +144,7 @@ def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> Polynom
         total: Polynomial = defaultdict(float)  # type: ignore[arg-type]
         for other, count in Counter(rest).items():
             if (first < n) == (other < n):
-                pair = {(m,): count * rms[first, m] * rms[other, m] for m in range(n)}
+                pair: Polynomial = {(m,): count * rms[first, m] * rms[other, m] for m in range(n)}
                 _add_product(total, moment(_without(rest, other)), pair)
         return total
 

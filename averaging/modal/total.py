@@ -60,7 +60,7 @@ def _of_sum(
         length = np.diff(ends, axis=1)[:, :, None]
         x = ends[:, :-1, None] + length * t
         values = np.stack(joint(x, np.clip(H[:, :, None] - x, 0.0, None)), axis=-1)
-        return np.einsum("hkt,hktc->hc", length * w, values)
+        return np.asarray(np.einsum("hkt,hktc->hc", length * w, values))
 
     def in_chunks(energy: Array) -> Array:
         count = 1 + energy.size * POINTS * (panels[0].size + panels[1].size) // CHUNK
