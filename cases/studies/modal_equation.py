@@ -14,7 +14,6 @@ from cases.studies.timing import Clock
 from fpk.density import Array
 from fpk.errors import NotApplicable, NotCertified
 from fpk.observable import Observable, parse_observable
-from fpk.plane.mesh import axis_nodes
 from fpk.plane.probe import probed
 from fpk.plane.stationary import PlaneSolution, solve_plane, solve_plane_on_mesh
 from fpk.process import Process
@@ -125,9 +124,7 @@ def _mesh_ends(modes: ModalAnalysis, process: Process) -> Array:
     """Where given meshes end along both axes, in units of the scales, (2,)."""
     if modes.constant:
         return np.full(2, -np.log(BEYOND))
-    probe = probed(process)
-    nodes = [axis_nodes(probe, k, tail=BEYOND, tol=BEYOND, degree=4) for k in (0, 1)]
-    return np.array([x[-1] for x in nodes])
+    return probed(process).extent(BEYOND)
 
 
 def graded(end: float, count: int, degree: int) -> Array:

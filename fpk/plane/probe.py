@@ -18,6 +18,7 @@ AXIS = 1e-4
 the slopes vary over energies of the order of the scale."""
 EXTENT = 40.0
 """Least fall of ln p within a probe: e^−40 = 4e-18 is below round-off of the mass."""
+TINY = float(np.finfo(float).tiny)
 CLOSURE_POINTS = 8
 """Gauss-Laguerre points of averages over the other energy: exact for coefficients of degree 15."""
 
@@ -39,6 +40,17 @@ class Probe:
         log_mass = self.log_density + log[:, None] + log
         edges = max(log_mass[-1].max(), log_mass[:, -1].max())
         return bool(edges < log_mass.max() - EXTENT)
+
+    def extent(self, tail: float) -> Array:
+        """Return the energies (2,), in units of the scales, with the share ``tail`` beyond each."""
+        width = np.gradient(PROBE)
+        mass = np.exp(self.log_density - self.log_density.max()) * np.multiply.outer(width, width)
+        ends = np.empty(2)
+        for axis in (0, 1):
+            beyond = np.cumsum(mass.sum(axis=1 - axis)[::-1])[::-1]
+            share = np.log(np.maximum(beyond / beyond[0], TINY))
+            ends[axis] = np.interp(-np.log(tail), -share, PROBE)
+        return ends
 
 
 def probed(process: Process) -> Probe:
