@@ -13,9 +13,6 @@ FLAGS = {"contract", "nsz", "arcp", "afn"}
 """Liberties of arithmetic that are taken: none that assumes there is no NaN, and no reassociation,
 which would undo exact differences."""
 
-SUMS = FLAGS | {"reassoc"}
-"""The same where nothing depends on the order of a sum: elimination is backward stable in any."""
-
 NO_FOLDER = "no locator available"
 """What numba says where neither the folder of the source nor that of the user can be written."""
 

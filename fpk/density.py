@@ -1,8 +1,8 @@
 """Probability densities that carry their error, their certificate and where they come from."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, partial, reduce
 from itertools import product
 from typing import Any, Literal
 
@@ -63,8 +63,12 @@ class Density:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore the density; its functions are computed when they are first called."""
-        again = _Again(state["source"], state["observable"])
-        self.__dict__.update(state, pdf=again.pdf, pointwise=again.pointwise)
+        again = cache(partial(state["source"], state["observable"]))
+        functions = {
+            "pdf": lambda *x: again().pdf(*x),
+            "pointwise": lambda *x: again().pointwise(*x),
+        }
+        self.__dict__.update(state, **functions)
 
     def __call__(self, *points: ArrayLike) -> Array:
         """Return the density at ``points``, one number or array per axis."""
@@ -76,11 +80,10 @@ class Density:
 
     def cell_averages(self, *edges: Array) -> Array:
         """Return the mean of the density over each cell of the grid of ``edges``."""
-        axes = len(edges)
-        grids = [
-            _quadrature(_refined_by(e, p), axes) for e, p in zip(edges, self.panels, strict=True)
-        ]
-        values = self.pdf(*np.meshgrid(*(x for x, _ in grids), indexing="ij", sparse=True))
+        mesh, grids = _gauss_grid(
+            [_refined_by(*pair) for pair in zip(edges, self.panels, strict=True)]
+        )
+        values = self.pdf(*mesh)
         for axis, (e, (x, w)) in enumerate(zip(edges, grids, strict=True)):
             cell = np.searchsorted(e, x, side="right") - 1
             starts = np.searchsorted(cell, np.arange(e.size - 1))
@@ -88,27 +91,6 @@ class Density:
             values = np.add.reduceat(values * w.reshape(shape), starts, axis=axis)
             values = values / np.diff(e).reshape(shape)
         return values
-
-
-class _Again:
-    """Functions of a density that was pickled: the density is computed again, once, when needed."""
-
-    def __init__(
-        self, source: Callable[[Observable], "AnyDensity"], observable: Observable
-    ) -> None:
-        self.source, self.observable = source, observable
-
-    @cached_property
-    def density(self) -> Density:
-        density = self.source(self.observable)
-        assert isinstance(density, Density)
-        return density
-
-    def pdf(self, *points: Array) -> Array:
-        return self.density.pdf(*points)
-
-    def pointwise(self, *points: Array) -> Array:
-        return self.density.pointwise(*points)
 
 
 def _short(density: "AnyDensity", error: str) -> str:
@@ -140,8 +122,7 @@ def certified_density(
     so strongly correlated that no affordable panels of x resolve the ridge.
     """
     jacobian, axes = (np.eye(len(panels)), panels) if frame is None else frame
-    grids = [_quadrature(nodes, len(panels)) for nodes in axes]
-    mesh = np.meshgrid(*(x for x, _ in grids), indexing="ij", sparse=True)
+    mesh, grids = _gauss_grid(axes)
     if frame is not None:
         mesh = tuple(np.einsum("ij,j...->i...", jacobian, np.array(np.broadcast_arrays(*mesh))))
         grids[0] = (grids[0][0], grids[0][1] * abs(float(np.linalg.det(jacobian))))
@@ -272,15 +253,8 @@ def l1_distance(a: AnyDensity, b: AnyDensity) -> float:
         shares = bin_differences(first, second) * _cell_areas(first.edges)
         # All that lies outside is one more bin; as both masses are one, its share is minus the sum.
         return float(np.sum(np.abs(shares)) + abs(np.sum(shares)))
-    grids = [
-        _quadrature(np.unique(np.concatenate(pair)), len(a.panels))
-        for pair in zip(a.panels, b.panels, strict=True)
-    ]
-    mesh = np.meshgrid(*(x for x, _ in grids), indexing="ij", sparse=True)
-    total = np.abs(a.pdf(*mesh) - b.pdf(*mesh))
-    for _, w in reversed(grids):
-        total = total @ w
-    return float(total)
+    mesh, grids = _gauss_grid(list(map(np.union1d, a.panels, b.panels)))
+    return _integral(np.abs(a.pdf(*mesh) - b.pdf(*mesh)), grids)
 
 
 def bin_differences(sampled: SampledDensity, other: AnyDensity) -> Array:
@@ -296,15 +270,14 @@ def moment(density: AnyDensity, *powers: int) -> float:
     """Return E[x^a y^b ...] for one non-negative power per axis, over the support."""
     if isinstance(density, SampledDensity):
         # The midpoint of a bin stands for its samples: bias h²/12 times the second derivative.
-        total = density.values * _cell_areas(density.edges)
-        for e, power in zip(reversed(density.edges), reversed(powers), strict=True):
-            total = total @ (0.5 * (e[1:] + e[:-1])) ** power
-        return float(total)
-    grids = [_quadrature(panels, len(powers)) for panels in density.panels]
-    total = density.pdf(*np.meshgrid(*(x for x, _ in grids), indexing="ij", sparse=True))
-    for (x, w), power in zip(reversed(grids), reversed(powers), strict=True):
-        total = total @ (w * x**power)
-    return float(total)
+        values, grids = (
+            density.values,
+            [(0.5 * (e[1:] + e[:-1]), np.diff(e)) for e in density.edges],
+        )
+    else:
+        mesh, grids = _gauss_grid(density.panels)
+        values = density.pdf(*mesh)
+    return _integral(values, [(x, w * x**k) for (x, w), k in zip(grids, powers, strict=True)])
 
 
 def mass(density: AnyDensity) -> float:
@@ -356,10 +329,7 @@ def _joined(values: Array, axis: int, bins: int) -> Array:
 
 
 def _cell_areas(edges: tuple[Array, ...]) -> Array:
-    areas = np.diff(edges[0])
-    for e in edges[1:]:
-        areas = np.multiply.outer(areas, np.diff(e))
-    return areas
+    return np.asarray(reduce(np.multiply.outer, map(np.diff, edges)))
 
 
 def _refined_by(nodes: Array, others: Array) -> Array:
@@ -368,7 +338,8 @@ def _refined_by(nodes: Array, others: Array) -> Array:
     return np.unique(np.concatenate([nodes, others[between]]))
 
 
-def _quadrature(nodes: Array, axes: int) -> tuple[Array, Array]:
-    """Composite Gauss-Legendre points and weights on the panels between ``nodes``."""
-    x, w = panel_rule(nodes, GAUSS_POINTS[axes])
-    return x.ravel(), w.ravel()
+def _gauss_grid(panels: Sequence[Array]) -> tuple[Sequence[Array], list[tuple[Array, Array]]]:
+    """The mesh of the Gauss points of ``panels``, and points and weights along each axis."""
+    rules = [panel_rule(nodes, GAUSS_POINTS[len(panels)]) for nodes in panels]
+    grids = [(x.ravel(), w.ravel()) for x, w in rules]
+    return np.meshgrid(*(x for x, _ in grids), indexing="ij", sparse=True), grids

@@ -1,7 +1,7 @@
 """Functions on an interval, and on a rectangle, by polynomials on panels.
 
-The idea is chebfun's: a function known to round-off is an object that can be evaluated,
-differentiated and integrated (T. A. Driscoll, N. Hale and L. N. Trefethen, Chebfun Guide, 2014).
+The idea is chebfun's: a function known to round-off is an object that can be evaluated and
+integrated (T. A. Driscoll, N. Hale and L. N. Trefethen, Chebfun Guide, 2014).
 Here series are of Legendre polynomials, as Gauss points serve to fit and to integrate them alike.
 """
 
@@ -58,12 +58,6 @@ class Piecewise:
             value = np.where(inside.reshape(-1, *tail), value, self.outside)
         return np.asarray(value.reshape((*at.shape, *value.shape[1:])))
 
-    def derivative(self) -> "Piecewise":
-        """Return f', panel by panel."""
-        slopes = np.asarray(legendre.legder(self.coefficients, axis=1), float)
-        slopes /= _per_panel(0.5 * np.diff(self.nodes), slopes)
-        return replace(self, coefficients=slopes, error=None)
-
     def antiderivative(self) -> "Piecewise":
         """Return ∫f from the first node, continuous."""
         scaled, log_scale = self.coefficients, None
@@ -75,13 +69,6 @@ class Piecewise:
         within *= _per_panel(0.5 * np.diff(self.nodes), within)
         within[1:, 0] += np.cumsum(within.sum(axis=1), axis=0)[:-1]
         return replace(self, coefficients=within, log_scale=log_scale, error=None)
-
-    def integral(self) -> Array:
-        """Return ∫f over all panels, of the shape of one value."""
-        scale = 1.0 if self.log_scale is None else np.exp(self.log_scale)
-        return np.asarray(
-            np.tensordot(scale * np.diff(self.nodes), self.coefficients[:, 0], (0, 0))
-        )
 
 
 def fit(

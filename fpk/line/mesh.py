@@ -1,11 +1,9 @@
 """Meshes of one energy: where they end, and how they follow the coefficients."""
 
 import math
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import lambertw
 
 from fpk.probe import Probe
 
@@ -13,10 +11,10 @@ Array = NDArray[np.float64]
 
 NATS_PER_ELEMENT = 3.0
 """Fall of ln(p/T) over one element: exp(−3 t) is met by degree 10 to 1e-11."""
-EACH = 0.03
-"""Share of the tolerance that a first mesh grants each of its elements, ten or so."""
-UNDER = 1e-3
-"""Largest error of an element relative to the density at its far end."""
+SMOOTH_NATS = 4.0
+"""The same where ln(p/T) is linear: over n nats a polynomial of degree p misses e^(−x) by
+n^(p+1)/((p+1)! 2^(2p+1)) of its largest value (Chebyshev), with the degree of a tolerance (four
+more than its digits) 1e-1 to 1e-2 of the tolerance."""
 SPREAD = 20.0
 """Largest ratio of the ends of an element that begins where contact does."""
 GRADING = 0.15
@@ -32,14 +30,14 @@ def initial_nodes(
     end: float,
     nonsmooth: tuple[float, ...],
     *,
-    nats: Array | float = NATS_PER_ELEMENT,
+    nats: float = NATS_PER_ELEMENT,
     layers: int = GRADED_LAYERS,
 ) -> Array:
     """Return nodes from 0 to ``end``: on the nonsmooth energies, dense where p/T varies fast.
 
-    ``nats`` is the fall of ln(p/T) over one element, at the energies of the probe. Geometric
-    ``layers`` lie above every nonsmooth energy (below it, the density is smooth up to it). Where
-    that is tiny beside its element, T still changes with H/H_c: elements grow from there.
+    ``nats`` is the fall of ln(p/T) over one element. Geometric ``layers`` lie above every nonsmooth
+    energy (below it, the density is smooth up to it). Where that is tiny beside its element, T
+    still changes with H/H_c: elements grow from there.
     """
     ends = np.array([0.0, *(H for H in nonsmooth if 0.0 < H < end), end])
     nodes: Array = _placed(probe.energy, probe.roughness / nats, ends)
@@ -64,31 +62,6 @@ def _placed(energy: Array, rate: Array, ends: Array) -> Array:
     nodes: Array = np.interp(np.interp(np.arange(number[-1] + 1.0), number, amount), total, grid)
     nodes[number.astype(int)] = ends
     return nodes
-
-
-def nats_for(probe: Probe, degree: int, tol: float) -> Array:
-    """Return how far ln(p/T) may fall over one element of ``degree``, at the probe's energies.
-
-    Over n nats the best polynomial misses e^(−x) by n^(p+1)/((p+1)! 2^(2p+1)) of its largest value
-    (Chebyshev), and an element's error counts by its share of the mass, which is that of its start
-    at the most. Each element gets ``EACH`` of ``tol``, but in the tail no more than what keeps the
-    density positive, by far.
-    """
-    log_unit, log_steepest = _miss(degree)
-    depth = probe.log_mass - probe.log_mass.max()
-    depth[: int(np.argmax(depth))] = 0.0
-    log_nats = (log_unit + math.log(EACH * tol) - depth) / (degree + 1)
-    return np.asarray(np.exp(np.minimum(log_nats, log_steepest)))
-
-
-@lru_cache
-def _miss(degree: int) -> tuple[float, float]:
-    """ln of (p+1)! 2^(2p+1), and of the n where an element's error is ``UNDER`` of e^(−n)."""
-    p = degree + 1
-    log_unit = math.lgamma(p + 1) + (2 * p - 1) * math.log(2.0)
-    # p ln n + n = log_unit + ln UNDER
-    steepest = p * lambertw(math.exp((log_unit + math.log(UNDER)) / p) / p).real
-    return log_unit, math.log(steepest)
 
 
 def with_layers(nodes: Array, nonsmooth: tuple[float, ...], *, count: int = GRADED_LAYERS) -> Array:

@@ -19,8 +19,8 @@ from fpk.line.mesh import (
     DEEP_LAYERS,
     GRADED_LAYERS,
     NATS_PER_ELEMENT,
+    SMOOTH_NATS,
     initial_nodes,
-    nats_for,
     split_points,
     with_layers,
 )
@@ -156,7 +156,7 @@ def solve_stationary(
             "the coefficients leave the range of double precision: choose other units"
         )
     end = probe.extent(1e-2 * tol)
-    nats = nats_for(probe, degree, tol) if smooth else NATS_PER_ELEMENT
+    nats = SMOOTH_NATS if smooth else NATS_PER_ELEMENT
     layers = 0 if smooth else DEEP_LAYERS if form == "drift-diffusion" else GRADED_LAYERS
     nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree, form)

@@ -12,7 +12,7 @@ from fpk.errors import NotCertified
 from fpk.plane.elements import by_element
 from fpk.plane.on_mesh import ENRICHMENT, solve_plane_on_mesh
 from fpk.plane.probe import Probe
-from fpk.plane.solution import Nodes, PlaneSolution, gauss_grid, tails
+from fpk.plane.solution import Nodes, PlaneSolution, gauss_grid, graded, tails
 from fpk.process import Process
 
 Array = NDArray[np.float64]
@@ -46,8 +46,7 @@ def solve_by_elements(
     """
     if degree is None:
         degree = int(np.clip(round(-DEGREE_PER_DIGIT * np.log10(tol)), *DEGREES))
-    ends = np.array(process.energy_scales) * probe.extent(TAIL * tol)
-    first, second = (end * np.linspace(0.0, 1.0, FIRST + 1) ** 2 for end in ends)
+    first, second = graded(np.array(process.energy_scales) * probe.extent(TAIL * tol), FIRST)
     solution = None
     for _ in range(MAX_ROUNDS):
         if (first.size - 1) * (second.size - 1) * (degree + ENRICHMENT + 1) ** 4 > MAX_ENTRIES:

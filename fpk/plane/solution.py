@@ -1,5 +1,6 @@
 """A stationary density of two energies p = w u, with the estimate of its error."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,6 +82,16 @@ def weighted(u: PiecewiseTensor, weight: Weight | None, H1: Array, H2: Array) ->
     """Return w u at energies that broadcast together."""
     values = u(H1, H2)
     return values if weight is None else values * weight(np.asarray(H1), np.asarray(H2))
+
+
+def graded(ends: Sequence[float] | Array, panels: int) -> Nodes:
+    """Return nodes from 0 to the ``ends``, equidistant in √H, the amplitude.
+
+    Where one energy is large the other one's damping may be, and p changes within a layer along the
+    axis.
+    """
+    share = np.linspace(0.0, 1.0, panels + 1) ** 2
+    return ends[0] * share, ends[1] * share
 
 
 def gauss_grid(nodes: Nodes, points: int) -> tuple[Nodes, Nodes]:

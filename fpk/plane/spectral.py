@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fpk.certificate import NEGATIVE
 from fpk.errors import NotCertified
 from fpk.plane.on_mesh import solve_plane_on_mesh
-from fpk.plane.solution import PlaneSolution
+from fpk.plane.solution import PlaneSolution, graded
 from fpk.plane.weight import Weight, fitted_weight
 from fpk.process import Process
 
@@ -52,9 +52,7 @@ SAMPLES = 32
 def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterator[PlaneSolution]:
     """Yield solutions on more and more unknowns, each with a better weight.
 
-    The nodes are equidistant in √H, the amplitude: where one energy is large the other one's
-    damping is, and p changes within a layer along the axis. Ends where the weight does not fall
-    off, the error no longer falls, or the panels are too many.
+    Ends where the weight does not fall off, the error no longer falls, or the panels are too many.
     """
     (panels, degree), rise, least = FIRST, -float(np.log(BEYOND * tol)), np.inf
     beyond, stalled = max(rise, LEAST_RISE), 0
@@ -63,8 +61,7 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
             ends, farther = weight.ends(beyond), weight.ends(beyond + LONGER)
         except NotCertified:
             return
-        grading = np.linspace(0.0, 1.0, panels + 1) ** 2
-        nodes = ends[0] * grading, ends[1] * grading
+        nodes = graded(ends, panels)
         first, second = (
             np.append(H[:-1], max(end, MIN_EXTENSION * H[-1]))
             for H, end in zip(nodes, farther, strict=True)

@@ -51,10 +51,6 @@ FLOOR = float(np.exp(-44.0))
 p ≥ −1e-14 of its maximum."""
 
 
-EVEN = 10.0
-"""Rise of Φ spread evenly over the panels on top of its own, for where Φ hardly changes."""
-
-
 @dataclass(frozen=True, eq=False)
 class Weight:
     """w = exp(−Φ) + ``floor`` with Φ = Σ ``coefficients``[i, j] x^i y^j, x, y = H1, H2/``scales``.
@@ -104,24 +100,6 @@ class Weight:
             for axis, scale in enumerate(self.scales)
         )
         return first, second
-
-    def panels(self, rise: float, each: float) -> tuple[Array, Array]:
-        """Return nodes as far as Φ < ``rise``, between which it rises by ``each`` at the most.
-
-        Raises ``NotCertified`` as ``ends``.
-        """
-        grids = [end * UNIT for end in self.ends(rise)]
-        x, y = (H / scale for H, scale in zip(grids, self.scales, strict=True))
-        inside = polygrid2d(x, y, self.coefficients) < rise
-        nodes = []
-        for axis, H in enumerate(grids):
-            slope = polygrid2d(x, y, polyder(self.coefficients, axis=axis)) / self.scales[axis]
-            rate = np.where(inside, np.abs(slope), 0.0).max(axis=1 - axis)
-            rate += EVEN / H[-1]
-            total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * H[1])])
-            places = np.linspace(0.0, total[-1], int(np.ceil(total[-1] / each)) + 1)
-            nodes.append(np.interp(places, total, H))
-        return nodes[0], nodes[1]
 
 
 def flux_free_weight(probe: Probe, scales: tuple[float, ...]) -> Weight | None:

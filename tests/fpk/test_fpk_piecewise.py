@@ -9,13 +9,11 @@ X = np.random.default_rng(20260101).uniform(0.0, 6.0, 400)
 NODES = np.array([0.0, 0.7, 1.5, 4.0, 6.0])
 
 
-def test_a_fit_is_the_function_and_so_are_its_derivative_and_its_integrals():
+def test_a_fit_is_the_function_and_so_is_its_integral():
     f = fit(np.sin, NODES, 1e-13)
     np.testing.assert_allclose(f(X), np.sin(X), atol=1e-14)
-    np.testing.assert_allclose(f.derivative()(X), np.cos(X), atol=1e-11)
     np.testing.assert_allclose(f.antiderivative()(X), 1.0 - np.cos(X), atol=2e-14)
-    assert f.integral() == pytest.approx(1.0 - np.cos(6.0), abs=1e-14)
-    np.testing.assert_allclose(f.antiderivative().derivative()(X), f(X), atol=1e-13)
+    assert f.antiderivative()(6.0) == pytest.approx(1.0 - np.cos(6.0), abs=1e-14)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 5, 12])
@@ -50,7 +48,7 @@ def test_values_may_have_a_shape():
 
     fitted = fit(f, NODES, 1e-12)
     np.testing.assert_allclose(fitted(X.reshape(20, 20)), f(X).reshape(20, 20, 3), atol=1e-12)
-    np.testing.assert_allclose(fitted.integral(), [np.sin(6.0), 72.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(fitted.antiderivative()(6.0), [np.sin(6.0), 72.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(fitted.antiderivative()(X)[:, 1], X**3 / 3.0, atol=1e-11)
 
 
@@ -61,7 +59,7 @@ def test_scales_reach_beyond_double_precision():
     f = Piecewise(nodes, np.repeat(unit, 240, axis=0), log_scale=-200.0 * nodes[:-1])
     np.testing.assert_allclose(f(X, log_factor=200.0 * X), 1.0, rtol=1e-11)
     assert f(3.6) == 0.0 or f(3.6) < 1e-300
-    assert f.integral() == pytest.approx(1.0 / 200.0, rel=1e-12)
+    assert f.antiderivative()(6.0) == pytest.approx(1.0 / 200.0, rel=1e-12)
     np.testing.assert_allclose(f.antiderivative()(X), -np.expm1(-200.0 * X) / 200.0, rtol=1e-10)
 
 
