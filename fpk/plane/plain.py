@@ -33,14 +33,13 @@ MAX_ENTRIES = 2e7
 
 
 def solve_by_elements(
-    process: Process, probe: Probe, *, tol: float, degree: int | None = None, strict: bool = True
+    process: Process, probe: Probe, *, tol: float, degree: int | None = None
 ) -> PlaneSolution:
     """Return the finite element solution to the L1 tolerance ``tol``, adapting the mesh.
 
     ``degree`` follows from ``tol`` unless given, the ends of the first mesh from the ``probe``. The
     mesh is lengthened where mass lies beyond, and intervals are halved where the highest modes are
-    too large or p is negative: until the certificate holds, or just the error estimate if not
-    ``strict``, or the limits are reached.
+    too large or p is negative: until the certificate holds or the limits are reached.
 
     Raises ``NotCertified`` where the first mesh has more than ``MAX_ENTRIES``.
     """
@@ -53,7 +52,7 @@ def solve_by_elements(
             break
         nodes, longer = (first, second), (_lengthened(first), _lengthened(second))
         solution = solve_plane_on_mesh(process, nodes, degree, tol=tol, longer=longer)
-        if solution.certificate.certified or (not strict and solution.l1_error <= tol):
+        if solution.certificate.certified:
             break
         first, second = _refined(solution, tol)
     if solution is None:

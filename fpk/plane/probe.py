@@ -19,8 +19,6 @@ the slopes vary over energies of the order of the scale."""
 EXTENT = 40.0
 """Least fall of ln p within a probe: e^−40 = 4e-18 is below round-off of the mass."""
 TINY = float(np.finfo(float).tiny)
-CLOSURE_POINTS = 8
-"""Gauss-Laguerre points of averages over the other energy: exact for coefficients of degree 15."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,17 +56,22 @@ def probed(process: Process) -> Probe:
 
     ln p is the mean of the integrals along two paths, first one energy, then the other: exact
     under detailed balance, whatever the coupling. Where that does not fall off, the probability
-    circulates strongly; taken instead is the product of approximate marginals (``_closed``).
+    circulates strongly; taken instead is the product of exponentials whose means are the process's
+    scales.
 
-    Raises ``NotCertified`` where the density does not fall off, or b is singular off the axes.
+    Raises ``NotCertified`` where b is singular off the axes.
     """
-    flow, b, shape = _coefficients(process, PROBE, PROBE)
-    slopes = divided_by_diffusion(flow, b) * process.energy_scales
-    first, second = slopes.T.reshape(2, *shape)
+    inside = np.maximum(PROBE, AXIS)
+    points = np.stack(np.broadcast_arrays(inside[:, None], inside), axis=-1).reshape(-1, 2)
+    c = process.coefficients(points * process.energy_scales)
+    slopes = divided_by_diffusion(2.0 * c.drift - c.divergence, c.diffusion)
+    first, second = (slopes * process.energy_scales).T.reshape(2, PROBE.size, PROBE.size)
     along = _integral(first), _integral(second.T).T
     paths = along[0][:, :1] + along[1] + along[1][:1] + along[0]
     probe = Probe(0.5 * paths, np.stack([first, second]))
-    return probe if probe.falls else _closed(process)
+    if probe.falls:
+        return probe
+    return Probe(-PROBE[:, None] - PROBE, np.full_like(probe.slopes, -1.0))
 
 
 def divided_by_diffusion(flow: Array, b: Array) -> Array:
@@ -79,41 +82,6 @@ def divided_by_diffusion(flow: Array, b: Array) -> Array:
     first = b[:, 1, 1] * flow[:, 0] - b[:, 0, 1] * flow[:, 1]
     second = b[:, 0, 0] * flow[:, 1] - b[:, 0, 1] * flow[:, 0]
     return np.stack([first, second], axis=1) / determinant[:, None]
-
-
-def _closed(process: Process) -> Probe:
-    """The product of marginals: drift and diffusion averaged over an exponential other energy."""
-    t, share = np.polynomial.laguerre.laggauss(CLOSURE_POINTS)
-    slopes = []
-    for axis in (0, 1):
-        flow, b, shape = _coefficients(process, *((PROBE, t) if axis == 0 else (t, PROBE)))
-        s, diffusion = flow[:, axis].reshape(shape), b[:, axis, axis].reshape(shape)
-        s, diffusion = (s, diffusion) if axis == 0 else (s.T, diffusion.T)
-        slope = (s @ share) / (diffusion @ share) * process.energy_scales[axis]
-        log_p = _integral(slope[:, None])[:, 0]
-        fallen = np.flatnonzero(np.maximum.accumulate(log_p) - log_p > 0.5 * EXTENT)
-        if not fallen.size:
-            raise NotCertified(
-                f"no approximation of the density to start from falls off along H{axis + 1}: "
-                "the probability circulates too strongly"
-            )
-        # Farther out the closure is no approximation: continued with the mean slope up to there.
-        end = fallen[0]
-        top = int(np.argmax(log_p[:end]))
-        slope[end:] = (log_p[end] - log_p[top]) / (PROBE[end] - PROBE[top])
-        slopes.append(slope)
-    first, second = (_integral(slope[:, None]) for slope in slopes)
-    return Probe(first + second.T, np.stack(np.broadcast_arrays(slopes[0][:, None], slopes[1])))
-
-
-def _coefficients(
-    process: Process, first: Array, second: Array
-) -> tuple[Array, Array, tuple[int, int]]:
-    """2s − ∇·b (points, 2) and b (points, 2, 2) on a grid in units of the scales, and its shape."""
-    grid = np.meshgrid(np.maximum(first, AXIS), np.maximum(second, AXIS), indexing="ij")
-    points = np.stack([x.ravel() for x in grid], axis=1) * process.energy_scales
-    c = process.coefficients(points)
-    return 2.0 * c.drift - c.divergence, c.diffusion, (first.size, second.size)
 
 
 def _integral(slope: Array) -> Array:

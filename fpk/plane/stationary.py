@@ -7,6 +7,8 @@ elements expand p itself. Any w gives the same p, so that neither rests on a gue
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from fpk.ends import require_confined
 from fpk.errors import InvalidInput, NotCertified
 from fpk.plane.balance import detailed_balance
@@ -14,8 +16,8 @@ from fpk.plane.on_mesh import solve_plane_on_mesh
 from fpk.plane.plain import solve_by_elements
 from fpk.plane.probe import Probe, probed
 from fpk.plane.solution import PlaneSolution
-from fpk.plane.spectral import solve_with_weight, weight_of
-from fpk.plane.weight import flux_free_weight
+from fpk.plane.spectral import solve_with_weight
+from fpk.plane.weight import Weight, flux_free_weight
 from fpk.process import Process
 
 __all__ = ["PlaneSolution", "solve_plane", "solve_plane_on_mesh"]
@@ -56,17 +58,13 @@ def solve_plane(
 def _attempts(process: Process, probe: Probe, tol: float) -> Iterator[PlaneSolution]:
     """Solutions, each made after the one before was not certified."""
     weight = flux_free_weight(probe, process.energy_scales)
+    if weight is None:
+        weight = Weight(np.array([[0.0, 1.0], [1.0, 0.0]]), process.energy_scales)
+    balanced = detailed_balance(process, weight, tol=tol)
+    if balanced is not None:
+        yield balanced
     try:
-        if weight is None:
-            rough = max(tol, ROUGH)
-            weight = weight_of(
-                solve_by_elements(process, probe, tol=rough, degree=None, strict=False)
-            )
-        if weight is not None:
-            balanced = detailed_balance(process, weight, tol=tol)
-            if balanced is not None:
-                yield balanced
-            yield from solve_with_weight(process, weight, tol=tol)
-        yield solve_by_elements(process, probe, tol=tol, degree=None)
+        yield from solve_with_weight(process, weight, tol=tol)
+        yield solve_by_elements(process, probe, tol=tol)
     except NotCertified:
         return

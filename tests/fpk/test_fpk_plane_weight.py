@@ -64,7 +64,7 @@ def distance(first: PlaneSolution, second: PlaneSolution) -> float:
 def test_spectral_and_plain_solutions_agree_where_probability_circulates(tol: float) -> None:
     process = one_sided(0.3, 0.05)
     found = solve_plane(process, tol=tol)
-    elements = solve_by_elements(process, probed(process), tol=1e-9, degree=None)
+    elements = solve_by_elements(process, probed(process), tol=1e-9)
     assert_strictly_certified(found)
     assert_strictly_certified(elements)
     assert distance(found, elements) <= found.l1_error + elements.l1_error
@@ -79,8 +79,7 @@ def test_strong_circulation_takes_a_weight_on_a_few_elements(tol: float) -> None
     found = solve_plane(process, tol=tol)
     assert_strictly_certified(found)
     assert found.weight is not None
-    # Without a weight the elements take p to 1e-7 where they need not be positive.
-    plain = solve_by_elements(process, probed(process), tol=1e-7, degree=None, strict=False)
+    plain = solve_by_elements(process, probed(process), tol=1e-7)
     assert plain.l1_error <= 1e-7
     assert distance(found, plain) <= found.l1_error + plain.l1_error
     # A coupling 1e-5 of it away is not taken for it, as far as it can be told.
@@ -266,7 +265,7 @@ def test_the_estimate_holds_what_ending_the_mesh_costs() -> None:
 @pytest.mark.parametrize("tol", [1e-8, 1e-10])
 def test_the_estimate_of_plain_elements_holds_it_too(tol: float) -> None:
     process, log_p = mixture(*THREE[1], common=0.0, swirl=0.067)
-    solution = solve_by_elements(process, probed(process), tol=tol, degree=None)
+    solution = solve_by_elements(process, probed(process), tol=tol)
     assert_strictly_certified(solution)
     assert l1_error(solution, log_p) <= solution.l1_error <= tol
 
@@ -298,8 +297,8 @@ def test_a_looser_tolerance_takes_no_more_attempts_and_no_more_work(
 def test_without_any_weight_the_elements_obey_the_same_rule(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(stationary, "flux_free_weight", lambda *_: None)
-    monkeypatch.setattr(stationary, "weight_of", lambda _: None)
+    monkeypatch.setattr(stationary, "detailed_balance", lambda *_, **__: None)
+    monkeypatch.setattr(stationary, "solve_with_weight", lambda *_, **__: ())
     process, log_p = COUPLED["Gibbs of H1 + H2"]
     solution = solve_plane(process, tol=1e-6)
     assert solution.weight is None
@@ -312,9 +311,23 @@ def test_what_is_not_affordable_is_said_so(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(plain, "MAX_ENTRIES", 0)
     with pytest.raises(NotCertified, match="affordable"):
         solve_plane(process, tol=1e-6, degree=4)
+
+
+def test_a_weight_that_is_not_fitted_serves_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stationary, "flux_free_weight", lambda *_: None)
-    with pytest.raises(NotCertified, match="affordable"):
-        solve_plane(process, tol=1e-6)
+    process, log_p = mixture()
+    solution = solve_plane(process, tol=1e-6)
+    assert_strictly_certified(solution)
+    assert l1_error(solution, log_p) <= solution.l1_error <= 1e-6
+
+
+def test_circulation_without_any_potential_is_solved_from_exponentials() -> None:
+    # The slopes without flux fall off along no path.
+    process, log_p = manufactured(0.4, 1.0)
+    assert np.all(probed(process).slopes == -1.0)
+    solution = solve_plane(process, tol=1e-6)
+    assert_strictly_certified(solution)
+    assert l1_error(solution, log_p) <= solution.l1_error <= 1e-6
 
 
 def test_what_misses_the_rule_is_returned_without_a_certificate(
