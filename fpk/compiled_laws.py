@@ -61,7 +61,9 @@ def of_law(function: Compiled, law: int, overlap: float, exponent: float) -> flo
 
 @overload(of_law, jit_options={"fastmath": FLAGS, "error_model": "numpy", "forceinline": True})
 def _of_law(function, law, overlap, exponent):  # type: ignore[no-untyped-def]
-    """Return the call that the type of ``function`` asks for."""
+    """Return the call that the type of ``function`` asks for; None, for no law, gives 0."""
+    if isinstance(function, numba.types.NoneType):
+        return lambda function, law, overlap, exponent: 0.0
     if getattr(getattr(function, "typing_key", None), "nin", 3) == 2:
         return lambda function, law, overlap, exponent: function(overlap, exponent)
     return lambda function, law, overlap, exponent: function(law, overlap, exponent)

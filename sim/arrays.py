@@ -11,6 +11,9 @@ Integers = NDArray[np.int64]
 LANES = 128
 """Trajectories that run side by side in one block; a constant of compilation."""
 
+COLUMNS = 4
+"""Columns of the linear map that one loop joins; its matrix is padded to a multiple."""
+
 MAX_TRAJECTORIES = 1 << 24
 """Trajectories that a seed has words for: each owns 2**40 of the 2**64 words of the sequence."""
 
@@ -47,18 +50,13 @@ class TermArrays(NamedTuple):
     first: Integers  # (terms + 1,), where the factors of each begin
     factor: Integers  # (factors,), row in a state (q, p); as often as its power
     springs: Array
-    stiffness_matrix: Array  # (n, n)
-    half_inverse_mass: Array  # (n,), 1/(2m): energies of momenta
 
 
 class SubstepArrays(NamedTuple):
-    """Numbers of a long step of ``small`` small ones, see ``sim.substeps``; stops as merged."""
+    """Numbers of a long step of ``small`` small ones, see ``sim.substeps``; stops as in a step."""
 
     small: int
     matrix: Array  # (2n, columns), the map over the long step
-    mass: Integers  # (stops,)
-    sign: Array  # (stops,), +1, −1, or 0 for either side
-    clearance: Array  # (stops,)
     row: Array  # (stops, 2n padded), mean displacement after the long step
     bend: Array  # (stops, 2n padded), b by the sizes of the state
     reach: Array  # (stops,), what the noise can add
@@ -73,10 +71,11 @@ class StepArrays(NamedTuple):
     matrix: Array  # (2n, columns)
     pairs: int
     dt: float
+    stiffness_matrix: Array  # (n, n)
+    half_inverse_mass: Array  # (n,), 1/(2m): energies of momenta
     slot_mass: Integers  # (slots,), the masses that touch something
     slot_shift: Array  # (slots,), w h² / m of the modified kick and of the observed q
     stop_slot: Integers  # (stops,)
-    stop_fresh: NDArray[np.bool_]  # (stops,), first of its slot
     stop_sign: Array  # (stops,), +1, −1, or 0 for the same stop on either side
     stop_clearance: Array
     stop_stiffness: Array
@@ -94,8 +93,6 @@ class WatchArrays(NamedTuple):
     half_springs: Array  # (n, n), the same of the springs
     cross: Array  # (n, slots), w h² c_ik / m_k
     term_shift: float  # w h² of the processor of the damping terms
-    stiffness_matrix: Array  # (n, n)
-    mass: Array  # (n,)
     mode_q: Any  # (modes, n), ω_m T_rm m_r: H_m = ½ (mode_q q)² + ½ (mode_p p)²; or None
     mode_p: Any  # (modes, n), T_rm
     at: Rows

@@ -6,10 +6,9 @@ import json
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, is_dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -18,11 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.errors import Unavailable, reason_of
-from fpk.observable import Observable
-from sim.histogram import Histogram
 from sim.sources import program_checksum
-
-FORMAT = "vibro-fpk checkpoint 2"
 
 INTERVAL = 2.0
 """Seconds between two checkpoints, and the longest that a simulation takes to notice Ctrl-C."""
@@ -51,8 +46,7 @@ class Checkpoint:
         Raises ``Unavailable`` where that is not possible; what was in the file stays.
         """
         content = io.BytesIO()
-        entries: dict[str, Any] = {**arrays, "identity": np.array([FORMAT, self.identity])}
-        np.savez(content, **entries)
+        np.savez(content, **arrays, identity=np.array(self.identity))
         part = self.path.with_suffix(".part")
         try:
             with part.open("wb") as stream:
@@ -61,11 +55,6 @@ class Checkpoint:
                 stream.flush()
                 os.fsync(stream.fileno())
             os.replace(part, self.path)
-            folder = os.open(self.path.parent, os.O_RDONLY)
-            try:
-                os.fsync(folder)  # the new name, too
-            finally:
-                os.close(folder)
         except OSError as error:
             raise Unavailable(f"{self.path}: cannot be written: {reason_of(error)}") from None
 
@@ -75,17 +64,17 @@ class Checkpoint:
         Raises ``Unavailable`` for a file that is damaged or of another simulation.
         """
         try:
-            with self.path.open("rb") as stream:
-                digest, content = stream.read(hashlib.sha256().digest_size), stream.read()
+            whole = self.path.read_bytes()
         except FileNotFoundError:
             return None
         except OSError as error:
             raise Unavailable(f"{self.path}: cannot be read: {reason_of(error)}") from None
-        if hashlib.sha256(content).digest() != digest:
+        size = hashlib.sha256().digest_size
+        if hashlib.sha256(whole[size:]).digest() != whole[:size]:
             raise Unavailable(f"{self.path}: is damaged; remove it to begin anew")
-        with np.load(io.BytesIO(content), allow_pickle=False) as saved:
+        with np.load(io.BytesIO(whole[size:]), allow_pickle=False) as saved:
             arrays = dict(saved)
-        if arrays.pop("identity").tolist() != [FORMAT, self.identity]:
+        if str(arrays.pop("identity")) != self.identity:
             raise Unavailable(
                 f"{self.path}: is of another simulation (other system, settings or"
                 " version); give another folder or remove it"
@@ -97,13 +86,9 @@ def checkpoint_of(folder: Path, settings: Any) -> Checkpoint:
     """Return the checkpoint in ``folder`` of the simulation that has these settings.
 
     ``settings`` is anything made of records, arrays and numbers, of which every digit counts;
-    program and format count, too.
+    the program counts, too.
     """
-    try:
-        program = version("vibro-fpk")
-    except PackageNotFoundError:
-        program = "(not installed)"
-    text = json.dumps([FORMAT, program, program_checksum(), settings], default=_listed)
+    text = json.dumps([program_checksum(), settings], default=_listed)
     identity = hashlib.sha256(text.encode()).hexdigest()
     return Checkpoint(folder / f"montecarlo-{identity[:16]}.checkpoint", identity)
 
@@ -113,23 +98,6 @@ def _listed(value: Any) -> Any:
     if is_dataclass(value):
         return [type(value).__name__, *(getattr(value, f.name) for f in fields(value) if f.init)]
     return value.tolist()
-
-
-def edges_of(histograms: Sequence[Histogram]) -> dict[str, NDArray[Any]]:
-    """Return the edges of histograms as arrays with names."""
-    return {
-        f"edges_{m}_{axis}": edges
-        for m, histogram in enumerate(histograms)
-        for axis, edges in enumerate(histogram.edges)
-    }
-
-
-def histograms_of(saved: Arrays, observables: Sequence[Observable]) -> tuple[Histogram, ...]:
-    """Return the histograms of ``observables`` whose ``edges_of`` were saved."""
-    return tuple(
-        Histogram(o, tuple(saved[f"edges_{m}_{axis}"] for axis in range(len(o))))
-        for m, o in enumerate(observables)
-    )
 
 
 @dataclass(eq=False)

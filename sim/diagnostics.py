@@ -11,6 +11,7 @@ lower bound).
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, nan, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,14 +32,12 @@ LEAST_CHUNKS = 4
 """Chunks below which there are no halves to compare: R-hat then is not a number."""
 
 
-@dataclass(frozen=True)
-class Effective:
-    """Effective number of samples of one quantity, relative error of it, and what τ follows."""
+class Effective(NamedTuple):
+    """Independent samples of equal worth of one quantity, and the relative error of the number."""
 
     name: str
     samples: float
     relative_error: float
-    autocorrelation_time: float
 
 
 @dataclass(frozen=True)
@@ -76,15 +75,9 @@ class Diagnosis:
 
 
 def effective_of_paths(
-    names: Sequence[str],
-    means: Array,
-    variance: Array,
-    relative_error: Array,
-    *,
-    time: float,
-    whole: int | None = None,
-) -> tuple[Effective, ...]:
-    """Return τ and effective samples from ``means`` (quantities, paths) over ``time`` each.
+    means: Array, variance: Array, relative_error: Array, *, whole: int
+) -> tuple[Array, Array]:
+    """Return effective samples and their relative errors from ``means`` (quantities, paths).
 
     There are ``whole`` trajectories, of which these are some, or all. ``variance`` is the σ² of
     single samples and ``relative_error`` one standard error of that over itself. That of
@@ -93,29 +86,22 @@ def effective_of_paths(
     paths = means.shape[1]
     centred = means - means.mean(axis=1, keepdims=True)
     of_means = np.sum(centred**2, axis=1) / (paths - 1)
-    error = np.hypot(variance_error(means), relative_error)
     samples = np.full_like(of_means, inf)
-    count = whole or paths
-    np.divide(count * variance, of_means, out=samples, where=of_means > 0)
-    return tuple(
-        Effective(name, float(n), float(e), count * time / (2.0 * float(n)))
-        for name, n, e in zip(names, samples, error, strict=True)
-    )
+    np.divide(whole * variance, of_means, out=samples, where=of_means > 0)
+    return samples, np.hypot(variance_error(means), relative_error)
 
 
-def effective_of_shares(name: str, shares: Array, total_time: float) -> Effective:
-    """Return τ and effective samples of a distribution function from ``shares`` (batches, levels).
+def effective_of_shares(shares: Array) -> tuple[float, float]:
+    """Return effective samples of a distribution function from ``shares`` (batches, levels).
 
     Each level is a share s of samples, variance s(1 − s); with independent samples the variances
     of the means would sum to Σ s(1 − s)/n, and n is what makes it so. With few levels that vary
-    together the error is that of one variance from the batches, √(2/(batches − 1)).
-    ``total_time`` is the sampled time of all trajectories together.
+    together its relative error is that of one variance from the batches, √(2/(batches − 1)).
     """
-    batches = shares.shape[0]
-    s = shares.mean(axis=0)
+    batches, s = shares.shape[0], shares.mean(axis=0)
     variance = float(np.sum(shares.var(axis=0, ddof=1))) / batches
     samples = float(np.sum(s * (1.0 - s))) / variance if variance > 0 else inf
-    return Effective(name, samples, sqrt(2.0 / (batches - 1)), total_time / (2.0 * samples))
+    return samples, sqrt(2.0 / (batches - 1))
 
 
 def split_r_hat(draws: Array) -> float:
@@ -185,7 +171,7 @@ def diagnosis(
     ``means`` (quantities, batches, chunks) belong to the ``names``, in chunks of equal length.
     """
     worst = min(effective, key=lambda e: e.samples)
-    tau = max(e.autocorrelation_time for e in effective)
+    tau = paths * time / (2.0 * worst.samples)
     quantities, batches, chunks = means.shape
     r_hat = max(split_r_hat(m) for m in means)
     z = np.abs(drifts(means)) if chunks > 1 else np.zeros((quantities, 2))

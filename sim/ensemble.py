@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from copy import copy
 from dataclasses import dataclass, field
-from typing import Any
+from functools import partial
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +27,6 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Product = tuple[str, int, str, int]
 Saved = Mapping[str, NDArray[Any]]
-
-ARRAYS = ("states", "sums", "folded", "counts")
-"""Arrays of an ensemble that change."""
 
 BATCHES = 64
 """Independent batches at most; a batch is made of whole blocks of lanes."""
@@ -88,19 +86,143 @@ def start_displacements(system: System, kT: float, z: Array) -> Array:
     return np.asarray(low * q)
 
 
+def start_states(system: System, seed: int, piece: int) -> Array:
+    """Return the states (PIECE, 2n, LANES) in which the blocks from ``piece`` on start.
+
+    They are q = 0 and momenta of the temperature (covariance kT M). With damping terms the
+    displacements are drawn, too: on a limit cycle the noise alone mixes phases, and slowly.
+    Whole pieces: matrix products may round by the shape they come in.
+    """
+    n, kT = system.n, temperature(system)
+    # A trajectory owns 2**40 words; so many lie before those of the piece's first one.
+    words = START + ((piece * LANES) << 40)
+    L = factored(np.diag((kT if np.isfinite(kT) else 0.0) * system.mass))
+    p = L @ normals(seed, PIECE * LANES, words, n)[: L.shape[1]]
+    q = np.zeros_like(p)
+    if system.damping_terms:
+        q = start_displacements(system, kT, normals(seed, PIECE * LANES, words + n, n))
+    return np.vstack([q, p]).reshape(2 * n, -1, LANES).transpose(1, 0, 2)
+
+
+class Share(NamedTuple):
+    """The blocks from number ``first`` on of an ensemble: all of them that changes."""
+
+    first: int
+    states: Array  # (blocks, 2n, LANES)
+    sums: Array = np.zeros((0, 0, 0))  # (first blocks, products, LANES)
+    folded: Array = np.zeros((0, 0, 0))  # (other blocks, products, FOLDED)
+    counts: Integers = np.zeros((0, 0), dtype=np.int64)  # (batches that it has blocks of, bins)
+
+    @property
+    def end(self) -> int:
+        """The number behind that of the last block."""
+        return self.first + self.states.shape[0]
+
+    def batches(self, edges: Integers) -> tuple[int, int]:
+        """Return the first batch of which it has some blocks, and that behind the last."""
+        first = int(np.searchsorted(edges, self.first, side="right")) - 1
+        return first, int(np.searchsorted(edges, self.end, side="left"))
+
+
+def watching(share: Share, *, edges: Integers, bins: int, products: int) -> Share:
+    """Return the share with counts and sums of zero; ``edges`` are those of the batches."""
+    blocks = share.states.shape[0]
+    apart = min(blocks, max(0, APART - share.first))
+    first, beyond = share.batches(edges)
+    return share._replace(
+        sums=np.zeros((apart, products, LANES)),
+        folded=np.zeros((blocks - apart, products, FOLDED)),
+        counts=np.zeros((beyond - first, bins), dtype=np.int64),
+    )
+
+
+def emptied(share: Share, states: Array, sums: Array, folded: Array) -> Share:
+    """Return the share with other states and sums, and counts of zero."""
+    return Share(share.first, states, sums, folded, np.zeros_like(share.counts))
+
+
+@dataclass(frozen=True, eq=False)
+class Advance:
+    """A call of the kernel: ``steps`` steps of a share, the same for all; see ``Ensemble``."""
+
+    key: KernelKey
+    step: StepArrays
+    watch: WatchArrays
+    edges: Integers
+    paths: int
+    seed: int
+    done: int
+    phase: int
+    steps: int
+    stride: int
+
+    def __call__(self, share: Share) -> Share:
+        """Advance a share in place and return it."""
+        kernel, first = compiled_kernel(self.key), share.first
+        blocks, (apart, products) = share.states.shape[0], share.sums.shape[:2]
+        x = share.states.reshape(blocks, -1)
+        sums = share.sums.reshape(apart, products * LANES)
+        folded = share.folded.reshape(blocks - apart, products * FOLDED)
+        live = lanes_alive(self.paths, first, share.end)
+        low, beyond = share.batches(self.edges)
+        own = np.clip(self.edges[low : beyond + 1], first, share.end) - first
+        for b, counts in enumerate(share.counts):
+            part = slice(own[b], own[b + 1])
+            others = slice(max(0, own[b] - apart), max(0, own[b + 1] - apart))
+            kernel(
+                x[part], sums[part], folded[others], live[part], int(first + own[b]),
+                np.uint64(self.done * self.step.words), self.steps, self.phase, self.stride,
+                mixed_seed(self.seed), self.step, self.watch, counts,
+            )  # fmt: skip
+        return share
+
+
+class Summary(NamedTuple):
+    """What is asked of a share, or of all, between two chunks: small beside its trajectories."""
+
+    lost: int
+    sums: Array  # (blocks, products)
+    counts: Integers
+
+
+def summary(share: Share, *, paths: int) -> Summary:
+    """Return how many trajectories have left the finite range, and the sums over each block."""
+    alive = np.arange(LANES) < lanes_alive(paths, share.first, share.end)[:, None]
+    finite = np.isfinite(share.states).all(axis=1)
+    apart = np.where(alive[: share.sums.shape[0], None, :], share.sums, 0.0).sum(axis=2)
+    sums = np.concatenate([apart, share.folded.sum(axis=2)])
+    return Summary(int(np.sum(~finite & alive)), sums, share.counts)
+
+
+@dataclass(frozen=True)
+class Threads:
+    """Workers of an ensemble: ``threads`` of this process, each at one of the ``shares``."""
+
+    threads: int = 1
+    shares: int = BATCHES
+
+    def map(self, task: Any, *columns: Any) -> list[Any]:
+        """Return what ``task`` makes of every share."""
+        if self.threads == 1:
+            return [task(*row) for row in zip(*columns, strict=True)]
+        with ThreadPoolExecutor(self.threads) as pool:
+            return list(pool.map(task, *columns))
+
+    def values(self, answers: list[Any]) -> list[Any]:
+        """Return the answers of ``map``: they are here."""
+        return answers
+
+
 @dataclass(eq=False)
 class Ensemble:
     """States of ``paths`` trajectories, in blocks of lanes; a block is never divided.
 
-    A batch of blocks is one task of one thread, all counts are integers, and sums grow in the order
-    of samples: the result is bitwise the same for any number of threads and any division of the
-    steps into calls of ``advance``. Lanes beyond ``paths`` run but are not counted.
-    The first ``APART`` blocks have ``sums`` for each trajectory; in the others, ``folded``, every
-    ``FOLDED``-th trajectory of a block shares one.
-
-    With ``part`` it is a share of the ensemble: the blocks from the first number to before the
-    second, the same trajectories as in the whole. Counts of shares add up, rows of ``counts``
-    being batches from ``batch`` on; states and sums are put side by side.
+    Blocks are worked on share by share, by ``workers``: threads of this process, or of a cluster
+    (``sim.cluster``). Streams are keyed by trajectory, all counts are integers, and sums grow in
+    the order of samples and are added in that of blocks: the result is bitwise the same for any
+    workers and any division of the steps into calls of ``advance``. Lanes beyond ``paths`` run but
+    are not counted. The first ``APART`` blocks have ``sums`` for each trajectory; in the others,
+    ``folded``, every ``FOLDED``-th trajectory of a block shares one.
     """
 
     system: System
@@ -108,179 +230,147 @@ class Ensemble:
     dt: float
     paths: int
     seed: int
-    threads: int
-    part: tuple[int, int] | None = None
+    threads: int = 1
+    workers: Any = None  # None: so many threads of this process
     step: StepArrays = field(init=False)
-    states: Array = field(init=False)  # (blocks, 2n, LANES)
-    live: Integers = field(init=False)
-    edges: Integers = field(init=False)  # first block of each batch, and the last block's end
-    batch: int = field(init=False)  # the first batch of these blocks
+    edges: Integers = field(init=False)  # first block of each batch, and the number of blocks
+    bounds: Integers = field(init=False)  # first block of each share, and the number of blocks
+    live: Integers = field(init=False)  # lanes of each block that are trajectories
     done: int = 0
+    samples: int = 0
+    phase: int = 0  # steps since ``watch`` that might have been observed
 
     def __post_init__(self) -> None:
-        """Start from q = 0 and momenta of the temperature (covariance kT M).
-
-        With damping terms the displacements are drawn, too: on a limit cycle the noise alone mixes
-        phases, and slowly.
-        """
-        n, blocks = self.system.n, block_count(self.paths)
-        first, end = self.part or (0, blocks)
+        """Draw the states in which the trajectories start."""
+        self.workers = self.workers or Threads(self.threads)
+        self.threads = self.workers.threads
         self.step = step_arrays(self.system, self.scheme, self.dt)
-        self.states = np.zeros((end - first, 2 * n, LANES))
-        for piece in range(first - first % PIECE, end, PIECE):
-            low, high = max(first, piece), min(end, piece + PIECE)
-            self.states[low - first : high - first] = self._drawn(piece)[low - piece : high - piece]
-        self.live = np.minimum(LANES, self.paths - LANES * np.arange(first, end))
-        edges = batch_edges(self.paths)
-        self.batch, beyond = batch_range(edges, first, end)
-        self.edges = np.clip(edges[self.batch : beyond + 1], first, end)
+        blocks = -(-self.paths // LANES)
+        self.edges = divided(blocks, BATCHES)
+        self.bounds = divided(blocks, self.workers.shares)
+        self.live = lanes_alive(self.paths, 0, blocks)
+        states = np.empty((blocks, 2 * self.system.n, LANES))
+        for piece in range(0, blocks, PIECE):
+            drawn = start_states(self.system, self.seed, piece)
+            states[piece : piece + PIECE] = drawn[: blocks - piece]
+        parts = np.split(states, self.bounds[1:-1])
+        self._shares = self.workers.map(Share, self.bounds[:-1].tolist(), parts)
         self.watch()
-
-    def _drawn(self, first: int) -> Array:
-        """Return the states (PIECE, 2n, LANES) in which the blocks from ``first`` on start.
-
-        Whole pieces: matrix products may round by the shape they come in.
-        """
-        n, kT = self.system.n, temperature(self.system)
-        # A trajectory owns 2**40 words; so many lie before those of the piece's first one.
-        words = START + ((first * LANES) << 40)
-        states = np.zeros((PIECE, 2 * n, LANES))
-        L = factored(np.diag((kT if np.isfinite(kT) else 0.0) * self.system.mass))
-        p = L @ normals(self.seed, PIECE * LANES, words, n)[: L.shape[1]]
-        states[:, n:] = p.reshape(n, -1, LANES).transpose(1, 0, 2)
-        if self.system.damping_terms:
-            z = normals(self.seed, PIECE * LANES, words + n, n)
-            q = start_displacements(self.system, kT, z)
-            states[:, :n] = q.reshape(n, -1, LANES).transpose(1, 0, 2)
-        return states
-
-    @property
-    def _kernel(self) -> Any:
-        return compiled_kernel(self._key)
 
     def watch(self, histograms: Sequence[Histogram] = (), products: Sequence[Product] = ()) -> None:
         """Observe these from now on, all counts and sums starting from zero."""
-        self._watch: WatchArrays = watch_arrays(
-            self.system, self.scheme, self.step, histograms, products
+        asked = (self.system, self.scheme, self.step, histograms, products)
+        self._watch, self._key = watch_arrays(*asked), kernel_key(*asked)
+        bins = int(starts(histograms)[-1])
+        self._restored = np.zeros((self.edges.size - 1, bins), dtype=np.int64)
+        self._now(
+            self.workers.map(
+                partial(watching, edges=self.edges, bins=bins, products=len(products)),
+                self._shares,
+            )
         )
-        self._key = kernel_key(self.system, self.scheme, self.step, histograms, products)
-        self.counts: Integers = np.zeros((self.edges.size - 1, starts(histograms)[-1]), np.int64)
-        own = self.states.shape[0]
-        apart = min(own, max(0, APART - (self.part or (0, 0))[0]))
-        self.sums: Array = np.zeros((apart, len(products), LANES))
-        self.folded: Array = np.zeros((own - apart, len(products), FOLDED))
-        self.samples = 0
-        self.phase = 0
+        self.samples = self.phase = 0
 
     def advance(self, steps: int, *, stride: int = 1) -> None:
         """Advance all trajectories; every ``stride``-th step since ``watch`` is observed, or none.
 
         ``stride`` 0: nothing is observed, and ``watch`` may be called with ranges still unknown.
         """
-        counter = np.uint64(self.done * self.step.words)
-        offset = mixed_seed(self.seed)
-        blocks, kernel = self.states.shape[0], self._kernel
-        x = self.states.reshape(blocks, -1)
-        apart, products = self.sums.shape[:2]
-        sums = self.sums.reshape(apart, products * LANES)
-        folded = self.folded.reshape(blocks - apart, products * FOLDED)
-        own = self.edges - self.edges[0]
-
-        def batch(b: int) -> None:
-            part = slice(own[b], own[b + 1])
-            beyond = slice(max(0, own[b] - apart), max(0, own[b + 1] - apart))
-            kernel(
-                x[part], sums[part], folded[beyond], self.live[part], int(self.edges[b]), counter,
-                steps, self.phase, stride, offset, self.step, self._watch, self.counts[b],
-            )  # fmt: skip
-
-        batches = range(self.edges.size - 1)
-        if self.threads == 1:
-            for b in batches:
-                batch(b)
-        else:
-            with ThreadPoolExecutor(self.threads) as pool:
-                list(pool.map(batch, batches))
+        task = Advance(
+            self._key, self.step, self._watch, self.edges, self.paths, self.seed,
+            self.done, self.phase, steps, stride,
+        )  # fmt: skip
+        self._now(self.workers.map(task, self._shares))
         if stride:
             self.samples += -(-(self.phase + steps) // stride) - -(-self.phase // stride)
             self.phase += steps
         self.done += steps
 
-    def counted(self, first: int, end: int) -> Integers:
-        """Return the counts of the bins from ``first`` to before ``end``, of each batch."""
-        return self.counts[:, first:end]
+    @property
+    def states(self) -> Array:
+        """States (blocks, 2n, LANES) just before the next kick."""
+        return self._joined("states")
 
-    def copied(self) -> "Ensemble":
-        """Return an ensemble that advances apart from this one."""
-        other = copy(self)
-        other.states, other.counts = self.states.copy(), self.counts.copy()
-        other.sums, other.folded = self.sums.copy(), self.folded.copy()
-        return other
+    @property
+    def sums(self) -> Array:
+        """Sums (first blocks, products, LANES) of each trajectory."""
+        return self._joined("sums")
 
-    def saved(self) -> Saved:
-        """Return all that changes: what ``restore`` needs to go on as if never stopped."""
-        clock = np.array([self.done, self.samples, self.phase], dtype=np.int64)
-        return {**{name: getattr(self, name) for name in ARRAYS}, "clock": clock}
+    @property
+    def folded(self) -> Array:
+        """Sums (other blocks, products, FOLDED)."""
+        return self._joined("folded")
 
-    def restore(self, saved: Saved) -> None:
-        """Go on from what ``saved`` returned, after the same calls of ``watch``."""
-        for name in ARRAYS:
-            getattr(self, name)[...] = saved[name]
-        self.done, self.samples, self.phase = (int(number) for number in saved["clock"])
-
-    def phase_points(self, most: int | None = None) -> tuple[Array, Array]:
-        """Return the states (paths, n) of q and p just before the next kick, the first ``most``."""
-        n, live = self.system.n, int(self.live.sum())
-        paths = live if most is None else min(live, most)
-        states = self.states[: block_count(paths)]
-        lanes = states.transpose(1, 0, 2).reshape(2 * n, -1)[:, :paths].T
-        return lanes[:, :n], lanes[:, n:]
+    @property
+    def counts(self) -> Integers:
+        """Counts (batches, bins) of all histograms, one more bin each for outside."""
+        return self._summed().counts
 
     def lost(self) -> int:
         """Return how many trajectories have left the finite range."""
-        finite = np.isfinite(self.states).all(axis=1)
-        return int(np.sum(~finite & (np.arange(LANES) < self.live[:, None])))
+        return self._summed().lost
 
-    def block_sums(self) -> Array:
-        """Return the sums (blocks, products) over the trajectories of each block."""
-        alive = np.arange(LANES) < self.live[: self.sums.shape[0], None]
-        apart = np.where(alive[:, None, :], self.sums, 0.0).sum(axis=2)
-        return np.concatenate([apart, self.folded.sum(axis=2)])
+    def batch_paths(self) -> Integers:
+        """Return the number of trajectories of each batch."""
+        return np.add.reduceat(self.live, self.edges[:-1])
 
     def batch_means(self) -> Array:
         """Return (batches, products) means over the samples of each batch, in fixed order."""
-        return means_of_batches(self.block_sums(), self.edges, self.live, self.samples)
+        sums = np.add.reduceat(self._summed().sums, self.edges[:-1], axis=0)
+        return np.asarray(sums / (self.batch_paths()[:, None] * max(1, self.samples)))
+
+    def phase_points(self, most: int | None = None) -> tuple[Array, Array]:
+        """Return the states (paths, n) of q and p just before the next kick, the first ``most``.
+
+        Only shares that have some of them are asked.
+        """
+        n, paths = self.system.n, self.paths if most is None else min(self.paths, most)
+        shares = int(np.searchsorted(LANES * self.bounds, paths))
+        states = self._joined("states", shares)
+        lanes = states.transpose(1, 0, 2).reshape(2 * n, -1)[:, :paths].T
+        return lanes[:, :n], lanes[:, n:]
+
+    def saved(self) -> Saved:
+        """Return all that changes: what ``restore`` needs to go on as if never stopped."""
+        arrays = {name: getattr(self, name) for name in ("states", "sums", "folded", "counts")}
+        return {**arrays, "clock": np.array([self.done, self.samples, self.phase], dtype=np.int64)}
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from what ``saved`` returned, by any workers, after the same calls of ``watch``."""
+        self.done, self.samples, self.phase = (int(number) for number in saved["clock"])
+        self._restored = np.array(saved["counts"])
+        bounds, apart = self.bounds[1:-1], saved["sums"].shape[0]
+        arrays = [np.split(saved[name], bounds) for name in ("states", "sums")]
+        arrays.append(np.split(saved["folded"], np.maximum(0, bounds - apart)))
+        self._now(self.workers.map(emptied, self._shares, *arrays))
+
+    def _now(self, shares: list[Any]) -> None:
+        self._shares, self._known = shares, None
+
+    def _summed(self) -> Summary:
+        """Losses, sums and counts of all shares, asked for once a step: of a cluster it is slow."""
+        if self._known is None:
+            ask = partial(summary, paths=self.paths)
+            parts = self.workers.values(self.workers.map(ask, self._shares))
+            counts = self._restored.copy()
+            for first, part in zip(self.bounds.tolist(), parts, strict=False):
+                row = int(np.searchsorted(self.edges, first, side="right")) - 1
+                counts[row : row + part.counts.shape[0]] += part.counts
+            sums = np.concatenate([part.sums for part in parts])
+            self._known = Summary(sum(part.lost for part in parts), sums, counts)
+        return self._known
+
+    def _joined(self, name: str, shares: int | None = None) -> Array:
+        answers = self.workers.map(attrgetter(name), self._shares[:shares])
+        return np.concatenate(self.workers.values(answers))
 
 
-def block_count(paths: int) -> int:
-    """Return the number of blocks that hold ``paths`` trajectories."""
-    return -(-paths // LANES)
+def divided(blocks: int, parts: int) -> Integers:
+    """Return the first block of each of so many parts, or fewer, and the number of blocks."""
+    parts = min(parts, blocks)
+    return np.arange(parts + 1, dtype=np.int64) * blocks // parts
 
 
-def batch_edges(paths: int) -> Integers:
-    """Return the first block of each batch, and the number of blocks."""
-    blocks = block_count(paths)
-    batches = min(BATCHES, blocks)
-    return np.arange(batches + 1, dtype=np.int64) * blocks // batches
-
-
-def batch_sizes(edges: Integers, paths: int) -> Integers:
-    """Return the trajectories of each batch, of ``paths`` in all."""
-    return np.minimum(LANES * edges[1:], paths) - LANES * edges[:-1]
-
-
-def batch_range(edges: Integers, first: int, end: int) -> tuple[int, int]:
-    """Return the first batch that has some of the blocks ``first`` to before ``end``, and beyond.
-
-    ``edges`` come from ``batch_edges``; the first and the last batch may reach farther.
-    """
-    low = int(np.searchsorted(edges, first, side="right")) - 1
-    return low, int(np.searchsorted(edges, end, side="left"))
-
-
-def means_of_batches(sums: Array, edges: Integers, live: Integers, samples: int) -> Array:
-    """Return (batches, products) means from ``sums`` (blocks, products), added block by block."""
-    first = edges[:-1] - edges[0]
-    paths = np.add.reduceat(live, first)
-    means: Array = np.add.reduceat(sums, first, axis=0) / (paths[:, None] * max(1, samples))
-    return means
+def lanes_alive(paths: int, first: int, end: int) -> Integers:
+    """Return the lanes of the blocks ``first`` to before ``end`` that are trajectories."""
+    return np.minimum(LANES, paths - LANES * np.arange(first, end))

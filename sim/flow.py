@@ -8,6 +8,7 @@ from scipy.linalg import expm
 
 from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.system import System
+from sim.arrays import COLUMNS
 
 Array = NDArray[np.float64]
 
@@ -29,6 +30,16 @@ class LinearMap:
     def normals(self) -> int:
         """The number of normals a step draws: the rank of its covariance."""
         return int(self.factor.shape[1])
+
+    @property
+    def matrix(self) -> Array:
+        """The map as one matrix for the kernel: (propagator, lower trapezoidal factor), padded."""
+        return padded(np.hstack([self.propagator, lower_trapezoidal(self.factor)]))
+
+
+def padded(rows: Array) -> Array:
+    """Return ``rows`` with columns of zeros up to a multiple of ``COLUMNS``."""
+    return np.pad(rows, ((0, 0), (0, -rows.shape[1] % COLUMNS)))
 
 
 def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, Array]:

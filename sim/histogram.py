@@ -133,8 +133,6 @@ def watch_arrays(
         half_springs=springs * system.stiffness_matrix,
         term_shift=scheme.modified * step.dt**2,
         cross=scheme.modified * step.dt**2 * system.damping[:, step.slot_mass] / mass,
-        stiffness_matrix=system.stiffness_matrix,
-        mass=system.mass,
         mode_q=frequency[list(modes), None] * T * system.mass if modes else None,
         mode_p=np.ascontiguousarray(T) if modes else None,
         at=at,

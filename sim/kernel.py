@@ -10,18 +10,23 @@ from numpy.typing import NDArray
 from fpk.compiled_laws import compiled_laws
 from fpk.compiling import cached_njit
 from sim.arrays import LANES, StepArrays, WatchArrays
-from sim.lanes import aligned_rows, row
-from sim.parts.observed import count_all
-from sim.parts.stages import (
-    add_moments,
-    forces,
-    forces_of_terms,
-    kick_by_contact,
-    kick_by_terms,
-    map_state,
-    observe,
-    terms_after,
-    terms_before,
+from sim.lanes import add, add_matrix, aligned_rows, fill, row
+from sim.parts.contact import add_contact, contact_forces, kick_by_contact
+from sim.parts.damping import (
+    damping_forces,
+    processed_by_terms,
+    spring_energy,
+    term_flow,
+    whole_energy,
+)
+from sim.parts.linear import ONE_LOOP, map_state
+from sim.parts.observed import (
+    add_products,
+    count_all,
+    observed_displacements,
+    observed_energy,
+    observed_modes,
+    observed_momenta,
 )
 from sim.parts.substeps import AT_ONCE, NARROW, gather, near_lanes, places, scatter, small_steps
 from sim.random import GOLDEN, fill_normals
@@ -63,8 +68,10 @@ def compiled_kernel(key: KernelKey) -> Any:
     contact, observed, kick_first = bool(key.laws), key.observed, key.kick_first
     damping, energy_damping = key.damping, key.energy_damping
     momenta, energy, modes, moments = key.momenta, key.energy, key.modes, key.moments
-    masses, pairs, substeps = key.masses, key.pairs, key.substeps
-    kick1, kick2, fused = 0 in key.kicked, 1 in key.kicked, bool(key.kicked)
+    pairs, substeps, fused = key.pairs, key.substeps, bool(key.kicked)
+    loop = key.masses if (key.masses, pairs) in ONE_LOOP else 0
+    small_loop = loop if fused else 0
+    kick1, kick2 = 0 in key.kicked, 1 in key.kicked
     now1, now2 = kick1 and not substeps, kick2 and not substeps  # fused with the map of all lanes
     apart = contact and not (fused or substeps)  # kicks that are a stage of their own
     sources = kernel_checksum(key.laws)
@@ -88,9 +95,10 @@ def compiled_kernel(key: KernelKey) -> Any:
         Returns the checksum of the files that it was compiled from: numba's disk cache reads this
         file alone, and compiles anew where a constant of the kernel has changed.
         """
-        n, at = step.matrix.shape[0] // 2, watch.at
+        n, at, terms = step.matrix.shape[0] // 2, watch.at, step.terms
         matrix = step.substeps.matrix if substeps else step.matrix
         s = aligned_rows(at.total)
+        V, H = row(s, at.work + 1), row(s, at.work + 2)  # of the state, where damping depends on H
         z, words = aligned_rows(pairs).view(np.float32), aligned_rows(1).view(np.uint64)
         index, second = np.zeros(W, np.int64), np.zeros(W, np.int64)
         if substeps:
@@ -104,45 +112,83 @@ def compiled_kernel(key: KernelKey) -> Any:
             s[: 2 * n * W] = x[b]
             for t in range(steps):
                 watched = observed and stride > 0 and (phase + t) % stride == 0
-                if apart or watched or energy_damping:
-                    forces(s, at, step, contact, energy_damping, force, slope, potential)
+
+                # Forces and energies at the state before the kick.
+                if contact and (apart or watched or energy_damping):
+                    contact_forces(s, at.contact, step, force, slope)
+                if energy_damping:
+                    spring_energy(s, V, step)
+                    if contact:
+                        add_contact(s, 0, at.work + 1, step, potential, False)
+
+                # First half of the damping terms, which ends in the middle of the kicks.
                 if damping and kick_first:
-                    terms_before(s, at, step, energy_damping)
+                    for k in range(terms.target.size):
+                        term_flow(s, at.work, step, k)
+
+                # Observation.
                 if watched:
-                    observe(
-                        s, step, watch, contact, momenta, damping, energy_damping, energy,
-                        modes, moments, force, potential,
-                    )  # fmt: skip
+                    observed_displacements(s, step, watch)
+                    if momenta:
+                        observed_momenta(s, step, watch)
+                    if damping and watch.term_shift != 0.0:
+                        if energy_damping:
+                            whole_energy(s, H, V, step)
+                        processed_by_terms(s, H, at, watch.term_shift, step)
+                    if energy:
+                        observed_energy(s, step, watch)
+                        if contact:
+                            add_contact(s, at.q, at.energy, step, potential, False)
+                    if modes:
+                        observed_modes(s, watch.mode_q, watch.mode_p, watch)
                     if moments:
-                        add_moments(s, b, sums, folded, live, watch)
+                        for i in range(n):
+                            fill(row(s, at.force + i), 0.0)
+                        add_matrix(s, at.force, at.q, step.stiffness_matrix, 1.0)
+                        if contact:
+                            add_contact(s, at.q, at.force, step, force, True)
+                        if damping:
+                            damping_forces(s, at.q, row(s, at.energy), at.damping, at.work, step)
+                        add_products(s, b, sums, folded, live, watch)
                     count_all(s, index, second, live[b], watch, counts)
+
+                # Kicks, and the second half of the terms in reverse: a symmetric step.
                 if apart and kick_first:
-                    kick_by_contact(s, at, step, n)
+                    kick_by_contact(s, at.contact, step, n)
                 if damping and kick_first:
-                    terms_after(s, at, step, energy_damping)
-                if damping and not kick_first:
-                    forces_of_terms(s, at, step, energy_damping)
+                    add_matrix(s, n, 0, terms.springs, -1.0)
+                    for k in range(terms.target.size - 1, -1, -1):
+                        term_flow(s, at.work, step, k)
+                if damping and not kick_first:  # of Euler's kind, from before the map
+                    if energy_damping:
+                        whole_energy(s, H, V, step)
+                    damping_forces(s, 0, H, at.damping, at.work, step)
+
+                # The linear map; trajectories near a stop make small steps instead.
                 if substeps:
-                    near = near_lanes(s, row(s, at.q, 2), index, chosen, step.substeps)
+                    near = near_lanes(s, row(s, at.q, 2), index, chosen, step)
                     gather(groups, s, chosen, near, 2 * n, group)
                     places(places_of, chosen, near, pairs)
                 word = counter + np.uint64(t * step.words)
                 for pair in range(pairs):
                     to = z[2 * pair * W : 2 * (pair + 1) * W]
                     fill_normals(to, words, trajectory, word + np.uint64(pair), offset)
-                map_state(s, z, matrix, step, masses, pairs, now1, now2, force, slope)
+                map_state(s, z, matrix, step, loop, (now1, now2), pairs, force, slope)
                 if substeps:
                     word += np.uint64(pairs)
                     place = ((trajectory << np.uint64(40)) + word) * GOLDEN + offset
                     small_steps(
                         groups, group, places_of, near, drawn, halves, place, step,
-                        at.contact, (kick1, kick2), masses, pairs, force, slope,
+                        at.contact, small_loop, (kick1, kick2), pairs, force, slope,
                     )  # fmt: skip
                     scatter(s, groups, chosen, near, 2 * n, group)
+
+                # Kicks of a scheme that kicks after its map.
                 if apart and not kick_first:
-                    kick_by_contact(s, at, step, n)
+                    kick_by_contact(s, at.contact, step, n)
                 if damping and not kick_first:
-                    kick_by_terms(s, at, step, n)
+                    for i in range(n):
+                        add(row(s, n + i), row(s, at.damping + i), -step.dt)
             x[b] = s[: 2 * n * W]
         return sources
 

@@ -64,6 +64,14 @@ def add(target: Array, source: Array, factor: float) -> None:
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+def add_matrix(s: Array, to: int, source: int, matrix: Array, factor: float) -> None:
+    """Add ``factor`` times ``matrix`` times the rows from ``source`` to the rows from ``to``."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            add(row(s, to + i), row(s, source + j), factor * matrix[i, j])
+
+
+@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
 def grow(target: Array, source: Array, factor: float) -> None:
     """Multiply one row by ``1 + factor · source``."""
     for k in range(W):

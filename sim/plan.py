@@ -1,13 +1,13 @@
 """From a system, a scheme and a step to the arrays that the kernel reads."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fpk.effects import effects_of
 from fpk.system import System
 from sim.arrays import StepArrays, TermArrays
-from sim.flow import lower_trapezoidal
-from sim.parts.linear import COLUMNS
 from sim.scheme import Scheme
 from sim.substeps import substep_arrays
 
@@ -24,14 +24,11 @@ def step_arrays(system: System, scheme: Scheme, dt: float) -> StepArrays:
     linear = scheme.linear_map(system, dt)
     springs = dt * system.stiffness_matrix if scheme.springs_kicked else np.zeros((0, 0))
     terms = term_arrays(system, springs) if system.damping_terms else None
-    pairs = (linear.normals + 1) // 2
-    columns = -(-(2 * n + 2 * pairs) // COLUMNS) * COLUMNS
-    matrix = np.zeros((2 * n, columns))
-    matrix[:, : 2 * n] = linear.propagator
     if springs.size and terms is None:
         one, zero = np.eye(n), np.zeros((n, n))
-        matrix[:, : 2 * n] = linear.propagator @ np.block([[one, zero], [-springs, one]])
-    matrix[:, 2 * n : 2 * n + linear.normals] = lower_trapezoidal(linear.factor)
+        kicked = linear.propagator @ np.block([[one, zero], [-springs, one]])
+        linear = replace(linear, propagator=kicked)
+    pairs = (linear.normals + 1) // 2
     laws, slots = effects_of(system).laws, system.contact_masses
     merged: dict[tuple[int, float, float, float, int], list[float]] = {}
     for stop in system.stops:
@@ -44,30 +41,26 @@ def step_arrays(system: System, scheme: Scheme, dt: float) -> StepArrays:
         for key, signs in sorted(merged.items())
         for sign in ([0.0] if sorted(signs) == [-1.0, 1.0] else signs)
     ]
-    columns_of = list(zip(*rows, strict=True)) if rows else [()] * 6
-    slot = np.array(columns_of[0], dtype=np.int64)
-    masses = np.array(slots, dtype=np.int64)
-    signs = np.array(columns_of[5], dtype=float)
-    clearance = np.array(columns_of[1], dtype=float)
-    substeps = None
-    if small > 1:
-        substeps = substep_arrays(system, H, small, masses[slot], signs, clearance)
+    # A contiguous row each: slot, clearance, stiffness, exponent, law, sign.
+    stops = np.ascontiguousarray(np.array(rows, dtype=float).reshape(-1, 6).T)
+    slot, masses = stops[0].astype(np.int64), np.array(slots, dtype=np.int64)
     return StepArrays(
-        matrix=matrix,
+        matrix=linear.matrix,
         pairs=pairs,
         dt=float(dt),
+        stiffness_matrix=system.stiffness_matrix,
+        half_inverse_mass=0.5 / system.mass,
         slot_mass=masses,
         slot_shift=scheme.modified * dt**2 / system.mass[masses],
         stop_slot=slot,
-        stop_fresh=np.append(True, np.diff(slot) != 0)[: slot.size],
-        stop_sign=signs,
-        stop_clearance=clearance,
-        stop_stiffness=np.array(columns_of[2], dtype=float),
-        stop_exponent=np.array(columns_of[3], dtype=float),
-        stop_law=np.array(columns_of[4], dtype=np.int64),
+        stop_sign=stops[5],
+        stop_clearance=stops[1],
+        stop_stiffness=stops[2],
+        stop_exponent=stops[3],
+        stop_law=stops[4].astype(np.int64),
         terms=terms,
         words=pairs * (small + 1) if small > 1 else pairs,
-        substeps=substeps,
+        substeps=substep_arrays(system, H, small, masses[slot]) if small > 1 else None,
     )
 
 
@@ -91,6 +84,4 @@ def term_arrays(system: System, springs: Array) -> TermArrays:
         first=np.cumsum([0, *counts], dtype=np.int64),
         factor=np.array(factors, dtype=np.int64),
         springs=springs,
-        stiffness_matrix=system.stiffness_matrix,
-        half_inverse_mass=0.5 / system.mass,
     )

@@ -91,29 +91,13 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class HalfStep:
-    """The second simulation of a pair, at half the step: whether it could be compared."""
-
-    interrupted: bool
-    lost: int
-
-    @property
-    def words(self) -> str:
-        """The same for readers."""
-        if self.interrupted:
-            return "not measured: interrupted"
-        if self.lost:
-            return f"{self.lost} trajectories left the finite range at dt/2"
-        return "dt against dt/2"
-
-
-@dataclass(frozen=True)
 class Report:
     """Everything a simulation says of itself beside its densities.
 
     ``errors`` are in the order of the densities. ``diagnosis`` is None where there was nothing to
     diagnose: trajectories were ``lost`` (left the finite range), or Ctrl-C ended the sampling, as
-    ``interrupted`` then says. ``half_step`` is None where no pair of steps was asked for.
+    ``interrupted`` then says. ``step_pair`` says
+    whether a second simulation at half the step could be compared.
     """
 
     steps: Steps
@@ -122,7 +106,7 @@ class Report:
     moments: tuple[Moment, ...] = ()
     interrupted: str = ""
     lost: int = 0
-    half_step: HalfStep | None = None
+    step_pair: str = "not measured"
 
     def error_of(self, observable: Observable) -> DensityError:
         """Return the errors of the density of ``observable``, one of those asked for."""
@@ -140,7 +124,7 @@ class Report:
         settings |= {f"sampling error of {e.name}": e.sampling for e in self.errors}
         for m in self.moments:
             settings |= {f"E {m.name}": m.mean, f"standard error of E {m.name}": m.error}
-        settings["step bias"] = "not measured" if self.half_step is None else self.half_step.words
+        settings["step bias"] = self.step_pair
         for e in self.errors:
             if e.step_bias is not None:
                 settings[f"step bias of {e.name}"] = e.step_bias.difference

@@ -10,13 +10,13 @@ from fpk.errors import InvalidInput
 from fpk.method import Progress, Result
 from fpk.observable import Observable
 from fpk.system import System
-from sim.assessment import with_provenance
-from sim.cluster import ensembles
+from sim.cluster import workers_of
 from sim.montecarlo import MonteCarlo
 from sim.relaxation import relaxation_time
-from sim.report import HalfStep, Report, StepBias
+from sim.report import Report, StepBias
+from sim.sampling import Setup
 from sim.scheme import SCHEMES
-from sim.simulation import Setup, Simulation, simulate
+from sim.simulation import Simulation, simulate
 from sim.statistics import l1_difference
 from sim.step_size import check_step, chosen_step
 from sim.substeps import cost, with_long_steps
@@ -30,12 +30,11 @@ def run(
 ) -> Result:
     """Return the densities of ``observables`` with their report, as ``method`` asks for them."""
     unstable = _unstable(method, system)
-    setup, division, wanted = _setup(method, system, observables)
-    with ensembles(method.cluster) as make:
+    setup = _setup(method, system, observables)
+    with workers_of(method.cluster, method.threads or usable_cores()) as workers:
         simulated = partial(
             simulate,
-            make=make,
-            threads=method.threads or usable_cores(),
+            workers=workers,
             folder=method.checkpoint,
             partial=method.partial,
             failures=unstable,
@@ -43,28 +42,23 @@ def run(
         )
         first = simulated(setup)
         report = first.report
-        steps = replace(report.steps, division=division)
-        if setup.time < wanted:
-            steps = replace(steps, limited_by="most_steps")
-        report = replace(report, steps=steps)
         if method.step_pair and not (report.lost or report.interrupted):
-            second = simulated(
-                replace(
-                    setup,
-                    dt=0.5 * setup.dt,
-                    time=steps.time,
-                    seed=(setup.seed + OTHER_SEED) % 2**64,
-                    tol=None,
-                    seconds=inf,
-                    histograms=first.histograms,
-                )
+            half = replace(
+                setup,
+                dt=0.5 * setup.dt,
+                time=report.steps.time,
+                seed=(setup.seed + OTHER_SEED) % 2**64,
+                tol=None,
+                seconds=inf,
+                histograms=first.histograms,
             )
-            report = _with_step_bias(report, first, second)
+            report = _with_step_bias(report, first, simulated(half))
+    settings = report.settings()
     return Result(
         method=method,
-        densities=with_provenance(first.densities, report),
+        densities=tuple(replace(density, provenance=settings) for density in first.densities),
         identities=first.identities,
-        settings=report.settings(),
+        settings=settings,
         partial=bool(report.interrupted),
         report=report,
     )
@@ -86,10 +80,7 @@ def _unstable(method: MonteCarlo, system: System) -> tuple[str, ...]:
     return ()
 
 
-def _setup(
-    method: MonteCarlo, system: System, observables: Sequence[Observable]
-) -> tuple[Setup, str, float]:
-    """Return the setup, why it has so many small steps, and the time that was asked for."""
+def _setup(method: MonteCarlo, system: System, observables: Sequence[Observable]) -> Setup:
     dt = _step(method, system)
     scheme, long, division = with_long_steps(system, SCHEMES[method.scheme], dt)
     time = wanted = method.time or method.relaxations * relaxation_time(system)
@@ -98,22 +89,20 @@ def _setup(
         time = min(wanted, method.most_steps * dt / price)
     tol = method.tol if observables else None
     limit = method.longest if tol is not None else inf
-    return (
-        Setup(
-            system=system,
-            observables=tuple(observables),
-            scheme=scheme,
-            dt=long,
-            paths=method.paths,
-            seed=method.seed,
-            time=time,
-            burn_in=method.burn_in,
-            moments=method.moments,
-            tol=tol,
-            seconds=limit if method.seconds is None else method.seconds,
-        ),
-        division,
-        wanted,
+    return Setup(
+        system=system,
+        observables=tuple(observables),
+        scheme=scheme,
+        dt=long,
+        paths=method.paths,
+        seed=method.seed,
+        time=time,
+        burn_in=method.burn_in,
+        moments=method.moments,
+        tol=tol,
+        seconds=limit if method.seconds is None else method.seconds,
+        division=division,
+        limited_by="most_steps" if time < wanted else "",
     )
 
 
@@ -123,15 +112,15 @@ def _with_step_bias(report: Report, first: Simulation, second: Simulation) -> Re
     Of a run that was interrupted there are none, and of one that lost trajectories no moments.
     """
     half = second.report
-    report = replace(report, half_step=HalfStep(bool(half.interrupted), half.lost))
     if half.interrupted:
-        return report
+        return replace(report, step_pair="not measured: interrupted")
     pairs = zip(report.errors, first.densities, second.densities, strict=True)
-    errors = [replace(e, step_bias=StepBias(*l1_difference(a, b))) for e, a, b in pairs]
-    moments = report.moments
-    if not half.lost:
-        moments = tuple(
-            replace(a, step_bias=StepBias(a.mean - b.mean, hypot(a.error, b.error)))
-            for a, b in zip(report.moments, half.moments, strict=True)
-        )
-    return replace(report, errors=tuple(errors), moments=moments)
+    errors = tuple(replace(e, step_bias=StepBias(*l1_difference(a, b))) for e, a, b in pairs)
+    if half.lost:
+        words = f"{half.lost} trajectories left the finite range at dt/2"
+        return replace(report, errors=errors, step_pair=words)
+    moments = tuple(
+        replace(a, step_bias=StepBias(a.mean - b.mean, hypot(a.error, b.error)))
+        for a, b in zip(report.moments, half.moments, strict=True)
+    )
+    return replace(report, errors=errors, moments=moments, step_pair="dt against dt/2")

@@ -1,17 +1,25 @@
-"""The sampling of a burnt-in ensemble, chunk by chunk, until it is enough."""
+"""One simulation as it is asked for, and its sampling chunk by chunk until it is enough."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil, inf
+from functools import cached_property
+from math import ceil, inf, isinf
 from time import perf_counter
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
+from fpk.effects import effects_of
 from fpk.method import Progress
+from fpk.observable import Observable
+from fpk.system import System
 from sim.checkpoint import Autosave
-from sim.histogram import sampled_density, starts
+from sim.histogram import Histogram, sampled_density, starts
 from sim.record import SNAPSHOTS, Record
-from sim.statistics import sampling_error
+from sim.relaxation import relaxation_time
+from sim.scheme import Scheme
+from sim.statistics import Product, moment_products, sampling_error
+from sim.step_size import sampling_interval
 
 CHUNKS = 20
 """Chunks into which the sampled time is divided; after each progress is reported and trajectories
@@ -28,121 +36,130 @@ CHECK_AT = 0.95
 """Share of the samples wanted, as 1/error² predicts them, at which the error is computed again."""
 
 
-@dataclass(frozen=True)
-class Stop:
-    """When the sampling ends: after ``time``, unless ``tol`` or ``seconds`` are given.
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """Everything that the numbers of one simulation of Eq. (6) depend on; times of the system.
 
-    ``tol`` is the expected L1 error of the first observable, ``seconds`` wall time since ``begin``;
-    with both the first to come ends it.
+    ``dt`` is the step in which the ensemble advances, the long one where ``scheme`` makes small
+    ones. ``burn_in`` counts relaxation times (``sim.relaxation``). Each of ``paths`` trajectories
+    is sampled for ``time``; with ``tol`` until the expected L1 error of the first observable is
+    below it, with ``seconds`` until that wall time has passed, or whichever comes first.
+    ``histograms`` None: bins that cover what a pilot reaches. ``division`` and ``limited_by`` are
+    for the report, see ``sim.report.Steps``.
     """
 
+    system: System
+    observables: Sequence[Observable]
+    scheme: Scheme
+    dt: float
+    paths: int
+    seed: int
     time: float
-    tol: float | None
-    seconds: float
-    begin: float
+    burn_in: float = 10.0
+    moments: bool = True
+    tol: float | None = None
+    seconds: float = inf
+    histograms: tuple[Histogram, ...] | None = None
+    division: str = ""
+    limited_by: Literal["", "most_steps"] = ""
 
     @property
     def open(self) -> bool:
         """Whether the length is not known before."""
         return self.tol is not None or self.seconds < inf
 
-    def chunk_samples(self, interval: float) -> int:
-        """Return the samples of the first chunk, ``interval`` apart."""
-        return max(1, ceil(self.time / (interval * CHUNKS * (FIRST_CHUNK if self.open else 1))))
+    @cached_property
+    def stride(self) -> int:
+        """Steps from one sample to the next: closer ones are nearly equal, and cost time each."""
+        return max(1, round(sampling_interval(self.system) / self.dt))
 
+    @cached_property
+    def burn_in_steps(self) -> int:
+        """Steps before the sampling begins."""
+        return ceil(self.burn_in * relaxation_time(self.system) / self.dt)
 
-@dataclass
-class Loop:
-    """Where the sampling stands: what a checkpoint holds beside the ensemble and the record.
+    @property
+    def mirror(self) -> bool:
+        """Whether mirror images of samples are samples, too."""
+        return effects_of(self.system).mirror
 
-    ``samples`` is the length of a chunk and ``begun`` the phase of the ensemble at its start;
-    ``stepping`` and ``elapsed`` are seconds; ``target`` is the number of samples at which the
-    ``error`` is computed again.
-    """
+    @property
+    def products(self) -> tuple[Product, ...]:
+        """The products whose means are observed."""
+        terms = bool(self.system.damping_terms)
+        return moment_products(self.system.n, terms=terms) if self.moments else ()
 
-    samples: int
-    chunks: int = 0
-    begun: int = 0
-    stepping: float = 0.0
-    error: float = inf
-    target: float = 0.0
-    elapsed: float = 0.0
-
-    def saved(self) -> dict[str, Any]:
-        """Return all of it as arrays."""
-        return {
-            "loop": np.array([self.samples, self.chunks, self.begun]),
-            "measured": np.array([self.stepping, self.error, self.target, self.elapsed]),
-        }
-
-    @staticmethod
-    def restored(saved: Any) -> "Loop":
-        """Return the loop that ``saved`` returned."""
-        return Loop(*map(int, saved["loop"]), *map(float, saved["measured"]))
+    @property
+    def identity(self) -> tuple[Any, ...]:
+        """What a checkpoint must agree with; it may be resumed with another limit of wall time."""
+        asked = (self.burn_in, self.time, self.moments, self.tol, isinf(self.seconds))
+        steps = (self.scheme.name, self.scheme.small, self.dt, self.paths, self.seed)
+        edges = [h.edges for h in self.histograms or ()]
+        return (self.system, list(self.observables), *steps, *asked, edges)
 
 
 def sample(
     ensemble: Any,
     record: Record,
-    stop: Stop,
+    setup: Setup,
     *,
-    stride: int,
+    begin: float,
     autosave: Autosave,
     progress: Progress,
-    loop: Loop | None = None,
-) -> Loop:
-    """Advance ``ensemble`` until ``stop``, a trajectory is lost or ``autosave`` is interrupted.
+) -> None:
+    """Advance until ``setup`` is met, a trajectory is lost or ``autosave`` is interrupted.
 
     ``record`` gets what the diagnosis needs: the sums at the end of every chunk, and single
-    samples of all trajectories at the beginning of some. With a ``loop`` it goes on from there,
-    ``ensemble`` and ``record`` having been restored. A chunk that was interrupted is not recorded.
+    samples of all trajectories at the beginning of some. Where it was restored, as ``ensemble``
+    was, the sampling goes on from there. A chunk that was interrupted is not recorded. ``begin`` is
+    the time of the clock at which the simulation began.
     """
-    loop = loop or Loop(stop.chunk_samples(stride * ensemble.dt))
+    stride, tol = setup.stride, setup.tol
+    chunks = CHUNKS * (FIRST_CHUNK if setup.open else 1)
+    first = max(1, ceil(setup.time / (stride * ensemble.dt * chunks)))
+    record.chunk_samples = record.chunk_samples or first
     while True:
-        start = perf_counter()
-        if ensemble.phase == loop.begun and record.squares and loop.chunks in SNAPSHOTS:
-            before = ensemble.sums.copy()
+        start, length = perf_counter(), record.chunk_samples * stride
+        begun = len(record.ends) * length
+        if ensemble.phase == begun and record.squares and record.chunks in SNAPSHOTS:
+            before = ensemble.sums
             ensemble.advance(stride, stride=stride)
             with np.errstate(over="ignore", invalid="ignore"):  # lost trajectories count below
                 record.snapshot(before, ensemble.sums, ensemble.live)
-        loop.elapsed = start - stop.begin
-        autosave.notes |= {**loop.saved(), **record.saved()}
-        rest = loop.begun + loop.samples * stride - ensemble.phase
-        interrupted = autosave.advance(ensemble, rest, stride=stride)
-        loop.stepping += perf_counter() - start
+        record.elapsed = start - begin
+        autosave.notes |= record.saved()
+        interrupted = autosave.advance(ensemble, begun + length - ensemble.phase, stride=stride)
+        record.stepping += perf_counter() - start
         if interrupted:
-            return loop
-        loop.chunks, loop.begun = loop.chunks + 1, ensemble.phase
+            return
+        record.chunks += 1
         if ensemble.lost():
-            return loop
+            return
         record.chunk_ends(ensemble)
-        loop.elapsed = perf_counter() - stop.begin
-        late = loop.elapsed > stop.seconds
-        if stop.tol is not None and (
-            late or (loop.chunks >= LEAST_CHUNKS and ensemble.samples >= loop.target)
-        ):
-            loop.error = _first_error(ensemble, record)
-            loop.target = CHECK_AT * ensemble.samples * (loop.error / stop.tol) ** 2
-        share = _share_done(ensemble, stop, loop)
+        record.elapsed = perf_counter() - begin
+        late, enough = record.elapsed > setup.seconds, record.chunks >= LEAST_CHUNKS
+        if tol is not None and (late or (enough and ensemble.samples >= record.target)):
+            record.error = first_error(ensemble, record)
+            record.target = CHECK_AT * ensemble.samples * (record.error / tol) ** 2
+        share = share_done(ensemble, record, setup)
         progress(min(CHUNKS, int(CHUNKS * share)), CHUNKS, "simulation")
-        met = stop.tol is not None and loop.error <= stop.tol and loop.chunks >= LEAST_CHUNKS
-        if met or late or (not stop.open and loop.chunks == CHUNKS):
-            return loop
-        if stop.open and len(record.ends) == 2 * CHUNKS:
+        met = tol is not None and record.error <= tol and enough
+        if met or late or (not setup.open and record.chunks == CHUNKS):
+            return
+        if setup.open and len(record.ends) == 2 * CHUNKS:
             record.join_pairs()
-            loop.samples *= 2
 
 
-def _share_done(ensemble: Any, stop: Stop, loop: Loop) -> float:
-    """How much of the sampling is done; beyond 1 where it took longer than predicted."""
-    if not stop.open:
-        return loop.chunks / CHUNKS
-    wanted = loop.target / CHECK_AT if stop.tol is not None else inf
-    return max(ensemble.samples / wanted if wanted else 0.0, loop.elapsed / stop.seconds)
+def share_done(ensemble: Any, record: Record, setup: Setup) -> float:
+    """Return how much of the sampling is done; beyond 1 where it took longer than predicted."""
+    if not setup.open:
+        return record.chunks / CHUNKS
+    wanted = record.target / CHECK_AT if setup.tol is not None else inf
+    return max(ensemble.samples / wanted if wanted else 0.0, record.elapsed / setup.seconds)
 
 
-def _first_error(ensemble: Any, record: Record) -> float:
-    """Expected L1 sampling error of the first observable."""
+def first_error(ensemble: Any, record: Record) -> float:
+    """Return the expected L1 sampling error of the first observable."""
     histogram, taken = record.histograms[0], ensemble.paths * ensemble.samples
-    counts = ensemble.counted(0, int(starts(record.histograms)[1]))
+    counts = ensemble.counts[:, : starts(record.histograms)[1]]
     return sampling_error(sampled_density(histogram, counts, taken=taken, mirror=record.mirror))

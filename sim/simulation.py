@@ -1,10 +1,9 @@
-"""One simulation: burn-in, pilot, sampling in chunks until the sample is large enough."""
+"""One simulation: burn-in, pilot, sampling, and what the sample is worth."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from functools import cached_property
-from math import ceil, inf, isinf
+from math import inf, nan
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -12,21 +11,18 @@ from typing import Any
 import numpy as np
 
 from fpk.density import SampledDensity
-from fpk.effects import effects_of
 from fpk.method import Identity, Progress, silent
-from fpk.observable import Observable
 from fpk.system import System
-from sim.assessment import assessed
-from sim.checkpoint import Autosave, checkpoint_of, edges_of, histograms_of, interruptible
+from sim.checkpoint import Autosave, checkpoint_of, interruptible
+from sim.diagnostics import Diagnosis, diagnosis
 from sim.ensemble import Ensemble
-from sim.histogram import Histogram, covering, extremes
+from sim.histogram import Array, Histogram, covering, extremes, sampled_density, starts
 from sim.record import Record
 from sim.relaxation import relaxation_time
-from sim.report import Report, Steps
-from sim.sampling import CHUNKS, Loop, Stop, sample
-from sim.scheme import Scheme
-from sim.statistics import Product, moment_products
-from sim.step_size import sampling_interval, temperature
+from sim.report import DensityError, Report, Steps
+from sim.sampling import CHUNKS, Setup, sample
+from sim.statistics import Moments, sampling_error
+from sim.step_size import temperature
 
 SNAPSHOTS = 16
 """States of the ensemble from which the pilot takes the ranges of the histograms."""
@@ -37,59 +33,13 @@ PILOT_STEPS = 8
 PILOTS = 65536
 """Trajectories at most that the pilot reads: the extremes of more lie within the margin."""
 
+LARGEST_Z = 5.0
+"""|z| of a moment identity that chance explains: by Student's t 2e-5 each of 32 batches (4096
+paths), 5e-6 of 64 (8192 and more)."""
 
-@dataclass(frozen=True, eq=False)
-class Setup:
-    """Everything that the numbers of one simulation of Eq. (6) depend on; times of the system.
-
-    ``dt`` is the step in which the ensemble advances, the long one where ``scheme`` makes small
-    ones. ``burn_in`` counts relaxation times (``sim.relaxation``). Each of ``paths`` trajectories
-    is sampled for ``time``; with ``tol`` until the expected L1 error of the first observable is
-    below it, with ``seconds`` until that wall time has passed, or whichever comes first.
-    ``histograms`` None: bins that cover what a pilot reaches.
-    """
-
-    system: System
-    observables: Sequence[Observable]
-    scheme: Scheme
-    dt: float
-    paths: int
-    seed: int
-    time: float
-    burn_in: float = 10.0
-    moments: bool = True
-    tol: float | None = None
-    seconds: float = inf
-    histograms: tuple[Histogram, ...] | None = None
-
-    @property
-    def stride(self) -> int:
-        """Steps from one sample to the next: closer ones are nearly equal, and cost time each."""
-        return max(1, round(sampling_interval(self.system) / self.dt))
-
-    @cached_property
-    def burn_in_steps(self) -> int:
-        """Steps before the sampling begins."""
-        return ceil(self.burn_in * relaxation_time(self.system) / self.dt)
-
-    @property
-    def mirror(self) -> bool:
-        """Whether mirror images of samples are samples, too."""
-        return effects_of(self.system).mirror
-
-    @property
-    def products(self) -> tuple[Product, ...]:
-        """The products whose means are observed."""
-        terms = effects_of(self.system).state_damping
-        return moment_products(self.system.n, terms=terms) if self.moments else ()
-
-    @property
-    def identity(self) -> tuple[Any, ...]:
-        """What a checkpoint must agree with; it may be resumed with another limit of wall time."""
-        asked = (self.burn_in, self.time, self.moments, self.tol, isinf(self.seconds))
-        steps = (self.scheme.name, self.scheme.small, self.dt, self.paths, self.seed)
-        edges = [h.edges for h in self.histograms or ()]
-        return (self.system, list(self.observables), *steps, *asked, edges)
+STEP_BIAS = 1e-3
+"""Defect of a moment identity, relative to its right side (a virial: to kT), that the step may
+leave beyond chance; a long run resolves less than this, and ``residual`` then is the |z| of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +55,7 @@ class Simulation:
 def simulate(
     setup: Setup,
     *,
-    make: Callable[..., Any] = Ensemble,
-    threads: int = 1,
+    workers: Any = None,
     folder: Path | None = None,
     partial: bool = False,
     failures: Sequence[str] = (),
@@ -114,7 +63,7 @@ def simulate(
 ) -> Simulation:
     """Sample the stationary state of Eq. (6) as ``setup`` says.
 
-    ``make`` makes the ensemble, here or on a cluster. In ``folder`` the state is saved at
+    ``workers`` do the work (None: one thread here). In ``folder`` the state is saved at
     intervals, and a simulation of the same setup goes on from there. With ``partial`` Ctrl-C ends
     the sampling, and what there is by then is the result, not certified. ``failures`` say what is
     known beforehand to stand against a certificate.
@@ -122,60 +71,115 @@ def simulate(
     Where the system has the mirror symmetry, mirror images of samples count as samples.
     """
     begin = perf_counter()
-    ensemble = make(setup.system, setup.scheme, setup.dt, setup.paths, setup.seed, threads)
+    ensemble = Ensemble(
+        setup.system, setup.scheme, setup.dt, setup.paths, setup.seed, workers=workers
+    )
     autosave = Autosave(None if folder is None else checkpoint_of(folder, setup.identity))
-    saved, loop = autosave.load(), None
-    if "loop" in saved:
-        histograms, loop = histograms_of(saved, setup.observables), Loop.restored(saved)
-        begin -= loop.elapsed
-    else:
-        _burn_in(setup, ensemble, autosave, saved)
-        histograms = setup.histograms or _pilot(setup, ensemble)
+    saved = autosave.load()
+    sampling = "reached" in saved
+    reached = saved["reached"] if sampling else _burnt_in(setup, ensemble, autosave, saved)
+    histograms = setup.histograms or covering(setup.observables, reached, mirror=setup.mirror)
     ensemble.watch(histograms, setup.products)
     record = Record(histograms, setup.products, setup.system.mass, setup.mirror)
-    if loop is not None:
+    if sampling:
         ensemble.restore(saved)
         record.restore(saved)
-    autosave.notes |= edges_of(histograms)
-    stop = Stop(setup.time, setup.tol, setup.seconds, begin)
+        begin -= record.elapsed
+    autosave.notes["reached"] = reached
     with interruptible() if partial else nullcontext() as autosave.stopped:
-        loop = sample(
-            ensemble, record, stop,
-            stride=setup.stride, autosave=autosave, progress=progress, loop=loop,
-        )  # fmt: skip
+        sample(ensemble, record, setup, begin=begin, autosave=autosave, progress=progress)
     autosave.save(ensemble)
     interrupted = ""
     if autosave.interrupted:
-        chunks = f"{loop.chunks} chunks" if stop.open else f"{loop.chunks} of {CHUNKS} chunks"
+        chunks = f"{record.chunks} chunks" if setup.open else f"{record.chunks} of {CHUNKS} chunks"
         interrupted = f"partial: interrupted after {chunks}"
-    steps = _steps(setup, ensemble, loop.stepping)
-    densities, identities, report = assessed(
-        setup.system, ensemble, record, steps,
-        interrupted=interrupted, failures=failures, tol=setup.tol,
-    )  # fmt: skip
-    return Simulation(densities, tuple(histograms), identities, report)
+    return _assessed(setup, ensemble, record, interrupted=interrupted, failures=failures)
 
 
-def _burn_in(setup: Setup, ensemble: Any, autosave: Autosave, saved: Any) -> None:
-    """Advance to the end of the burn-in, from the state in ``saved`` if there is one."""
+def _burnt_in(setup: Setup, ensemble: Any, autosave: Autosave, saved: Any) -> Array:
+    """Advance to the end of the burn-in, from the state in ``saved`` if there is one.
+
+    Returns the extremes (coordinates, 2) of what the trajectories then reach in ``SNAPSHOTS``
+    states, to choose the histograms by where they are not given.
+    """
+    coordinates = sum(map(len, setup.observables))
     # Any ranges: with the kinds of observables as later there is one kernel for all.
-    reached = np.full((sum(map(len, setup.observables)), 2), (-1.0, 1.0))
+    reached = np.full((coordinates, 2), (-1.0, 1.0))
     ensemble.watch(covering(setup.observables, reached, mirror=setup.mirror), setup.products)
     if saved:
         ensemble.restore(saved)
     autosave.advance(ensemble, setup.burn_in_steps - ensemble.done, stride=0)
+    if setup.histograms is None:
+        reached = np.full((coordinates, 2), (inf, -inf))
+        for _ in range(SNAPSHOTS):
+            ensemble.advance(PILOT_STEPS * setup.stride, stride=0)
+            states = ensemble.phase_points(PILOTS)
+            low, high = extremes(setup.system, setup.observables, *states).T
+            reached[:, 0] = np.minimum(reached[:, 0], low)
+            reached[:, 1] = np.maximum(reached[:, 1], high)
+    return reached
 
 
-def _pilot(setup: Setup, ensemble: Any) -> tuple[Histogram, ...]:
-    """Histograms that cover what the trajectories reach in ``SNAPSHOTS`` states."""
-    reached = np.full((sum(map(len, setup.observables)), 2), (inf, -inf))
-    for _ in range(SNAPSHOTS):
-        ensemble.advance(PILOT_STEPS * setup.stride, stride=0)
-        states = ensemble.phase_points(PILOTS)
-        low, high = extremes(setup.system, setup.observables, *states).T
-        reached[:, 0] = np.minimum(reached[:, 0], low)
-        reached[:, 1] = np.maximum(reached[:, 1], high)
-    return covering(setup.observables, reached, mirror=setup.mirror)
+def _assessed(
+    setup: Setup, ensemble: Any, record: Record, *, interrupted: str, failures: Sequence[str]
+) -> Simulation:
+    """Return the certified densities, the moment identities and the report.
+
+    ``failures`` and ``interrupted`` (in words, empty if it was not) stand against a certificate.
+    Where trajectories were lost, or the sampling was interrupted, there is nothing to diagnose.
+    """
+    steps = _steps(setup, ensemble, record.stepping)
+    words, lost = [interrupted] if interrupted else [], ensemble.lost()
+    if lost:
+        words.append(
+            f"{lost} of {ensemble.paths} trajectories left the finite range;"
+            f" use a smaller dt than {steps.dt:g}"
+        )
+    words += failures
+    identities: tuple[Identity, ...] = ()
+    if record.products:
+        identities = Moments(setup.system, ensemble.batch_means()).identities()
+    judged = identities if not lost else ()
+    words += [text for identity in judged if (text := _defect(setup.system, identity))]
+    diagnosed: Diagnosis | None = None
+    effective = [] if lost or interrupted else record.effective(ensemble)
+    if effective:
+        time = ensemble.samples * (ensemble.dt * setup.stride)
+        diagnosed = diagnosis(
+            effective, record.names, record.means(),
+            time=time, paths=ensemble.paths, burn_in=steps.burn_in,
+        )  # fmt: skip
+        words += diagnosed.failures
+    first = starts(record.histograms)
+    densities = tuple(
+        sampled_density(
+            histogram,
+            ensemble.counts[:, first[m] : first[m + 1]],
+            taken=ensemble.paths * ensemble.samples,
+            mirror=record.mirror,
+            residual=max((abs(identity.z) for identity in judged), default=nan),
+            tol=setup.tol if setup.tol is not None and m == 0 else inf,
+            failures=words,
+        )
+        for m, histogram in enumerate(record.histograms)
+    )
+    report = Report(
+        steps=steps,
+        errors=tuple(DensityError(d.observable, sampling_error(d)) for d in densities),
+        diagnosis=diagnosed,
+        moments=record.moments(ensemble, effective) if record.products and not lost else (),
+        interrupted=interrupted,
+        lost=lost,
+    )
+    return Simulation(densities, tuple(record.histograms), identities, report)
+
+
+def _defect(system: System, identity: Identity) -> str:
+    """What is wrong with an identity, empty where chance and a small step bias explain it."""
+    allowed = STEP_BIAS * (identity.expected or temperature(system))
+    if abs(identity.value - identity.expected) > LARGEST_Z * identity.error + allowed:
+        return f"{identity.name} is off by {identity.z:.1f} standard errors; use a smaller dt"
+    return ""
 
 
 def _steps(setup: Setup, ensemble: Any, seconds: float) -> Steps:
@@ -196,4 +200,6 @@ def _steps(setup: Setup, ensemble: Any, seconds: float) -> Steps:
         nanoseconds=1e9 * seconds * ensemble.threads / (setup.paths * steps),
         relaxation_time=relaxation_time(setup.system),
         small=setup.scheme.small,
+        division=setup.division,
+        limited_by=setup.limited_by,
     )

@@ -7,7 +7,7 @@ from pkgutil import iter_modules
 from fpk.compiled_laws import law_files
 from fpk.compiling import ROOT, checksum
 
-PARTS = ("contact", "damping", "linear", "observed", "stages", "substeps")
+PARTS = ("contact", "damping", "linear", "observed", "substeps")
 
 KERNEL = (
     "sim/arrays.py",

@@ -37,8 +37,7 @@ from scipy.special import comb, ndtr
 from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.system import System
 from sim.arrays import LANES, SubstepArrays
-from sim.flow import exact_flow, flow_covariance, lower_trapezoidal
-from sim.parts.linear import COLUMNS
+from sim.flow import exact_flow, flow_covariance, lower_trapezoidal, padded
 from sim.parts.substeps import NARROW
 from sim.scheme import Scheme
 from sim.step_size import sampling_interval, temperature
@@ -58,20 +57,6 @@ SMALL_STEPS = (4, 8, 12, 16, 24, 32, 48, 64, 96, 128)
 LONG_COST, SMALL_COST, WORTH = 2.3, 1.2, 0.8
 """Costs of a long step and of a small one in a group, in those of a step of a whole block (measured
 by ``benchmarks/montecarlo.py``), and the cost below which long steps are made at all."""
-
-
-def padded(rows: Array) -> Array:
-    """Return ``rows`` (stops, 2n) with columns of zeros up to a multiple of ``COLUMNS``."""
-    return np.pad(rows, ((0, 0), (0, -rows.shape[1] % COLUMNS)))
-
-
-def long_matrix(system: System, H: float) -> Array:
-    """Return (propagator, factor) of the linear flow over H, with the columns of a short step."""
-    flow = exact_flow(system, H)
-    matrix = np.hstack([flow.propagator, lower_trapezoidal(flow.factor)])
-    pairs = (flow.normals + 1) // 2
-    columns = -(-(2 * system.n + 2 * pairs) // COLUMNS) * COLUMNS
-    return np.pad(matrix, ((0, 0), (0, columns - matrix.shape[1])))
 
 
 def noise_reach(system: System, H: float, masses: Integers) -> Array:
@@ -97,17 +82,13 @@ def bends(system: System, H: float, masses: Integers) -> Array:
     return np.asarray(H**2 / 8.0 * (largest + 0.5 * step * slope))
 
 
-def substep_arrays(
-    system: System, H: float, small: int, mass: Integers, sign: Array, clearance: Array
-) -> SubstepArrays:
-    """Return the numbers of a long step for stops on ``mass`` (stops,), sign 0 for both sides."""
+def substep_arrays(system: System, H: float, small: int, mass: Integers) -> SubstepArrays:
+    """Return the numbers of a long step for stops on ``mass`` (stops,), masses from 0."""
+    flow = exact_flow(system, H)
     return SubstepArrays(
         small=small,
-        matrix=long_matrix(system, H),
-        mass=mass,
-        sign=sign,
-        clearance=clearance,
-        row=padded(exact_flow(system, H).propagator[mass]),
+        matrix=flow.matrix,
+        row=padded(flow.propagator[mass]),
         bend=padded(bends(system, H, mass)),
         reach=noise_reach(system, H, mass),
     )

@@ -8,14 +8,12 @@ from math import inf, nan
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.certificate import Measured, certify
 from fpk.density import SampledDensity
 from fpk.errors import InvalidInput
 from fpk.method import Progress, silent
 from fpk.observable import Coordinate, Observable
 from sim.averaged.square_root import SquareRootForm, square_root_step
-from sim.histogram import UNJUDGED
-from sim.statistics import sampling_error
+from sim.histogram import Histogram, sampled_density
 
 Array = NDArray[np.float64]
 
@@ -54,11 +52,8 @@ class EnergySampling:
             if not getattr(self, key) > 0:
                 raise InvalidInput(key, getattr(self, key), "must be > 0")
         if self.paths < BATCHES * LEAST_PATHS or self.paths % BATCHES:
-            raise InvalidInput(
-                "paths",
-                self.paths,
-                f"must be a multiple of {BATCHES}, {BATCHES * LEAST_PATHS} or more",
-            )
+            least = BATCHES * LEAST_PATHS
+            raise InvalidInput("paths", self.paths, f"use a multiple of {BATCHES}, {least} or more")
 
     @property
     def inner(self) -> tuple[int, float]:
@@ -83,41 +78,51 @@ def simulate_energies(
 ) -> tuple[SampledDensity, ...]:
     """Return histogram densities of energies H_i, pairs of them and H = Σ H_i, with their errors.
 
-    Ranges are those of a pilot, with a margin; what falls outside is counted as such.
+    Ranges are those of a pilot with a stream of its own, and a margin; what falls outside is
+    counted as such.
     """
-    edges = _edges(form, observables, sampling)
-    counts = [np.zeros((BATCHES, *(e.size - 1 for e in axes))) for axes in edges]
+    pilot = form.energies(_warm(form, sampling, PILOT_PATHS, _stream(sampling.seed, BATCHES)))
+    histograms = [Histogram(o, tuple(_edges(pilot, c, BINS[len(o) - 1]) for c in o))
+                  for o in observables]  # fmt: skip
+    paths = sampling.paths // BATCHES
+    samples = max(1, round(sampling.time / sampling.interval))
+    counts = [np.zeros((BATCHES, h.size + 1), dtype=np.int64) for h in histograms]
     lost = np.zeros(BATCHES, dtype=bool)
 
-    def batch(b: int) -> int:
+    def batch(b: int) -> None:
         stream = _stream(sampling.seed, b)
-        X = _warm(form, sampling, sampling.paths // BATCHES, stream)
-        for _ in range(_samples(sampling)):
+        X = _warm(form, sampling, paths, stream)
+        for _ in range(samples):
             X = _advanced(form, sampling, X, stream)
             H = form.energies(X)
-            for count, observable, axes in zip(counts, observables, edges, strict=True):
-                columns = [_column(H, c) for c in observable]
-                count[b] += np.histogramdd(columns, bins=axes)[0]
+            for count, histogram in zip(counts, histograms, strict=True):
+                columns = [_column(H, c) for c in histogram.observable]
+                inside = np.histogramdd(columns, bins=histogram.edges)[0]
+                count[b, :-1] += inside.ravel().astype(np.int64)
         lost[b] = not np.isfinite(X).all()
-        return b
 
     with ThreadPoolExecutor(sampling.threads) as pool:
         for done, _ in enumerate(pool.map(batch, range(BATCHES)), start=1):
             progress(done, BATCHES, "averaged simulation")
-    each = sampling.paths // BATCHES * _samples(sampling)
-    failures = ("an energy left the finite range",) if lost.any() else ()
-    return tuple(
-        _density(o, axes, count, each, sampling, failures)
-        for o, axes, count in zip(observables, edges, counts, strict=True)
-    )
+    provenance = {"dt": sampling.inner[1], "paths": sampling.paths, "seed": sampling.seed}
+    densities = []
+    for histogram, count in zip(histograms, counts, strict=True):
+        count[:, -1] = paths * samples - count.sum(axis=1)
+        density = sampled_density(
+            histogram,
+            count,
+            taken=sampling.paths * samples,
+            residual=nan,  # no identity of the averaged equations is evaluated
+            tol=sampling.tol,
+            failures=("an energy left the finite range",) if lost.any() else (),
+        )
+        values = density.batch_values.mean(axis=0)
+        densities.append(replace(density, values=values, provenance=provenance))
+    return tuple(densities)
 
 
 def _stream(seed: int, batch: int) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(key=np.array([seed, batch], dtype=np.uint64)))
-
-
-def _samples(sampling: EnergySampling) -> int:
-    return max(1, round(sampling.time / sampling.interval))
 
 
 def _advanced(
@@ -144,45 +149,5 @@ def _column(H: Array, coordinate: Coordinate) -> Array:
     return H[:, coordinate.index]
 
 
-def _edges(
-    form: SquareRootForm, observables: Sequence[Observable], sampling: EnergySampling
-) -> list[tuple[Array, ...]]:
-    """Bins of each observable, from a pilot with a stream of its own."""
-    H = form.energies(_warm(form, sampling, PILOT_PATHS, _stream(sampling.seed, BATCHES)))
-    return [
-        tuple(
-            np.linspace(0.0, MARGIN * float(_column(H, c).max()), BINS[len(o) - 1] + 1) for c in o
-        )
-        for o in observables
-    ]
-
-
-def _density(
-    observable: Observable,
-    edges: tuple[Array, ...],
-    counts: Array,
-    each: int,
-    sampling: EnergySampling,
-    failures: tuple[str, ...],
-) -> SampledDensity:
-    area = float(np.prod([e[1] for e in edges]))
-    batch_values = counts / (each * area)
-    density = SampledDensity(
-        observable,
-        edges,
-        batch_values.mean(axis=0),
-        batch_values,
-        UNJUDGED,
-        {"dt": sampling.inner[1], "paths": sampling.paths, "seed": sampling.seed},
-        one_sample=1.0 / (each * BATCHES * area),
-    )
-    values, outside = density.values, 1.0 - float(counts.sum()) / (each * BATCHES)
-    measured = Measured(
-        l1_error=sampling_error(density),
-        mass_defect=abs(float(values.sum()) * area + outside - 1.0),
-        minimum=float(values.min() / values.max()),
-        residual=nan,  # no identity of the averaged equations is evaluated
-        tail_mass=outside,
-        failures=failures,
-    )
-    return replace(density, certificate=certify(measured, tol=sampling.tol, sampled=True))
+def _edges(H: Array, coordinate: Coordinate, bins: int) -> Array:
+    return np.linspace(0.0, MARGIN * float(_column(H, coordinate).max()), bins + 1)

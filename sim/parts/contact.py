@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fpk.compiled_laws import of_law
 from fpk.compiling import FLAGS
 from sim.arrays import LANES, StepArrays
-from sim.lanes import fill, row
+from sim.lanes import fill, kick, row
 
 Array = NDArray[np.float64]
 W = LANES
@@ -21,39 +21,36 @@ def contact_forces(
     s: Array, g0: int, step: StepArrays, force: Any, slope: Any, width: int = W
 ) -> None:
     """Write g and g' of every slot at the displacements of the state to the rows from ``g0``."""
+    for slot in range(step.slot_mass.size):
+        fill(row(s, g0 + 2 * slot, 1, width), 0.0, width)
+        fill(row(s, g0 + 2 * slot + 1, 1, width), 0.0, width)
     for stop in range(step.stop_slot.size):
         slot, law = step.stop_slot[stop], step.stop_law[stop]
         q = row(s, step.slot_mass[slot], 1, width)
         g = row(s, g0 + 2 * slot, 2, width)
         clearance, sign = step.stop_clearance[stop], step.stop_sign[stop]
         B, e = step.stop_stiffness[stop], step.stop_exponent[stop]
-        if step.stop_fresh[stop]:
-            fill(g, 0.0, width)
-            fill(g[width:], 0.0, width)
-        if sign != 0.0:
-            for k in range(width):
-                o = max(sign * q[k] - clearance, 0.0)
-                g[k] += sign * B * of_law(force, law, o, e)
-                g[width + k] += B * of_law(slope, law, o, e) if o > 0.0 else 0.0
-        else:
-            for k in range(width):
-                o = max(abs(q[k]) - clearance, 0.0)
-                g[k] += np.copysign(B, q[k]) * of_law(force, law, o, e)
-                g[width + k] += B * of_law(slope, law, o, e) if o > 0.0 else 0.0
+        for k in range(width):
+            d = sign if sign != 0.0 else np.copysign(1.0, q[k])
+            o = max(d * q[k] - clearance, 0.0)
+            g[k] += d * B * of_law(force, law, o, e)
+            g[width + k] += B * of_law(slope, law, o, e) if o > 0.0 else 0.0
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def no_law(law: int, overlap: float, exponent: float) -> float:
-    """Stand for a law where there is no contact."""
-    return 0.0
+def kick_by_contact(s: Array, g0: int, step: StepArrays, n: int, width: int = W) -> None:
+    """Take the modified contact forces in the rows from ``g0`` times dt from the momenta."""
+    for slot in range(step.slot_mass.size):
+        p, g = row(s, n + step.slot_mass[slot], 1, width), row(s, g0 + 2 * slot, 2, width)
+        kick(p, g, step.dt, step.slot_shift[slot], width)
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
 def only_stop(step: StepArrays, mass: int) -> Stop:
     """Return the numbers of the only stop of a mass, the last its share of the modified kick."""
-    slot = 1 if step.slot_mass[0] != mass else 0
     for stop in range(step.stop_slot.size):
-        if step.stop_slot[stop] == slot:
+        slot = step.stop_slot[stop]
+        if step.slot_mass[slot] == mass:
             return (
                 step.stop_sign[stop],
                 step.stop_clearance[stop],
@@ -77,26 +74,17 @@ def modified_force(q: float, stop: Stop, force: Any, slope: Any) -> float:
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def add_contact_forces(s: Array, q0: int, f0: int, step: StepArrays, force: Any) -> None:
-    """Add g at the displacements from row ``q0`` to the rows of its masses from ``f0``."""
+def add_contact(s: Array, q0: int, to: int, step: StepArrays, law_part: Any, forces: bool) -> None:
+    """Add g at the displacements from row ``q0`` to the rows of its masses from ``to``.
+
+    If not ``forces`` it is U, by the laws' energy as ``law_part``, and all goes to row ``to``.
+    """
     for stop in range(step.stop_slot.size):
         i, law = step.slot_mass[step.stop_slot[stop]], step.stop_law[stop]
-        q, f = row(s, q0 + i), row(s, f0 + i)
+        q, f = row(s, q0 + i), row(s, to + i if forces else to)
         clearance, sign = step.stop_clearance[stop], step.stop_sign[stop]
         B, e = step.stop_stiffness[stop], step.stop_exponent[stop]
         for k in range(W):
             d = sign if sign != 0.0 else np.copysign(1.0, q[k])
-            f[k] += d * B * of_law(force, law, max(d * q[k] - clearance, 0.0), e)
-
-
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def add_contact_energy(s: Array, q0: int, H0: int, step: StepArrays, potential: Any) -> None:
-    """Add U at the displacements from row ``q0`` to row ``H0``."""
-    for stop in range(step.stop_slot.size):
-        i, law = step.slot_mass[step.stop_slot[stop]], step.stop_law[stop]
-        q, H = row(s, q0 + i), row(s, H0)
-        clearance, sign = step.stop_clearance[stop], step.stop_sign[stop]
-        B, e = step.stop_stiffness[stop], step.stop_exponent[stop]
-        for k in range(W):
-            d = sign if sign != 0.0 else np.copysign(1.0, q[k])
-            H[k] += B * of_law(potential, law, max(d * q[k] - clearance, 0.0), e)
+            size = d * B if forces else B
+            f[k] += size * of_law(law_part, law, max(d * q[k] - clearance, 0.0), e)

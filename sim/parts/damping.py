@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fpk.compiling import FLAGS
 from sim.arrays import LANES, Rows, StepArrays, TermArrays
-from sim.lanes import add, add_product, copy, fill, multiply, row
+from sim.lanes import add, add_matrix, add_product, copy, fill, multiply, row
 
 Array = NDArray[np.float64]
 W = LANES
@@ -55,45 +55,38 @@ def flow(p: Array, rate: Array, N: int, t: float) -> None:
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def spring_energy(s: Array, V: Array, terms: TermArrays) -> None:
+def spring_energy(s: Array, V: Array, step: StepArrays) -> None:
     """Write ½ qᵀ K q of the state; contact is added elsewhere."""
     fill(V, 0.0)
-    K = terms.stiffness_matrix
+    K = step.stiffness_matrix
     for i in range(K.shape[0]):
         for j in range(K.shape[0]):
             add_product(V, row(s, i), row(s, j), 0.5 * K[i, j])
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def whole_energy(s: Array, H: Array, V: Array, terms: TermArrays) -> None:
+def whole_energy(s: Array, H: Array, V: Array, step: StepArrays) -> None:
     """Write H = V + Σ p²/(2m) of the state."""
     copy(H, V)
-    n = terms.half_inverse_mass.size
+    n = step.half_inverse_mass.size
     for i in range(n):
-        add_product(H, row(s, n + i), row(s, n + i), terms.half_inverse_mass[i])
+        add_product(H, row(s, n + i), row(s, n + i), step.half_inverse_mass[i])
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def term_flow(s: Array, work: int, terms: TermArrays, k: int, t: float) -> None:
-    """Advance the state by term k alone over ``t``; its H does not occur."""
-    rate = row(s, work)
-    term_rate(rate, s, 0, terms, k)
-    flow(row(s, terms.target[k]), rate, terms.power[k], t)
-
-
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def term_flow_with_energy(s: Array, work: int, terms: TermArrays, k: int, t: float) -> None:
-    """Advance the state by term k alone over ``t``, with H^e half-way from a predictor.
+def term_flow(s: Array, work: int, step: StepArrays, k: int) -> None:
+    """Advance the state by term k alone over half a step; with H^e, half-way from a predictor.
 
     Scratch rows from ``work``: rate, potential energy (given), H, half-way p, rate with H.
     """
     rate, V, H = row(s, work), row(s, work + 1), row(s, work + 2)
     middle, with_energy = row(s, work + 3), row(s, work + 4)
+    terms, t = step.terms, 0.5 * step.dt
     p = row(s, terms.target[k])
     term_rate(rate, s, 0, terms, k)
     if terms.energy[k] > 0:
-        whole_energy(s, H, V, terms)
-        a = terms.half_inverse_mass[terms.target[k] - terms.half_inverse_mass.size]
+        whole_energy(s, H, V, step)
+        a = step.half_inverse_mass[terms.target[k] - step.half_inverse_mass.size]
         copy(with_energy, rate)
         copy(middle, p)
         for _ in range(terms.energy[k]):
@@ -107,9 +100,9 @@ def term_flow_with_energy(s: Array, work: int, terms: TermArrays, k: int, t: flo
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def damping_forces(s: Array, first: int, H: Array, to: int, work: int, terms: TermArrays) -> None:
+def damping_forces(s: Array, first: int, H: Array, to: int, work: int, step: StepArrays) -> None:
     """Write Σ_j c̃_ij v_j of the terms at the state from row ``first``, whose energy is ``H``."""
-    n, rate = terms.half_inverse_mass.size, row(s, work)
+    n, rate, terms = step.half_inverse_mass.size, row(s, work), step.terms
     for i in range(n):
         fill(row(s, to + i), 0.0)
     for k in range(terms.target.size):
@@ -122,16 +115,14 @@ def damping_forces(s: Array, first: int, H: Array, to: int, work: int, terms: Te
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def change_by_springs(s: Array, state: int, to: int, terms: TermArrays) -> None:
+def change_by_springs(s: Array, state: int, to: int, step: StepArrays) -> None:
     """Write (M⁻¹ p, −K q) of the state from row ``state`` on, the flow of the springs alone."""
-    n = terms.half_inverse_mass.size
+    n = step.half_inverse_mass.size
+    for i in range(2 * n):
+        fill(row(s, to + i), 0.0)
     for i in range(n):
-        velocity, force = row(s, to + i), row(s, to + n + i)
-        fill(velocity, 0.0)
-        add(velocity, row(s, state + n + i), 2.0 * terms.half_inverse_mass[i])
-        fill(force, 0.0)
-        for j in range(n):
-            add(force, row(s, state + j), -terms.stiffness_matrix[i, j])
+        add(row(s, to + i), row(s, state + n + i), 2.0 * step.half_inverse_mass[i])
+    add_matrix(s, to + n, state, step.stiffness_matrix, -1.0)
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
@@ -162,12 +153,12 @@ def processed_by_terms(s: Array, H: Array, at: Rows, shift: float, step: StepArr
     sign; [B, [A, N]] and [B, [B, N]] stay, of first order in the terms: steps are shorter then.
     """
     terms = step.terms
-    n, work = terms.half_inverse_mass.size, at.work
-    change_by_springs(s, at.q, at.change, terms)
+    n, work = step.half_inverse_mass.size, at.work
+    change_by_springs(s, at.q, at.change, step)
     for slot in range(step.slot_mass.size):
         force = row(s, at.change + n + step.slot_mass[slot])
         add(force, row(s, at.contact + 2 * slot), 1.0)
-    damping_forces(s, at.q, H, at.damping, work, terms)
+    damping_forces(s, at.q, H, at.damping, work, step)
     for i in range(n):
         fill(row(s, at.change + 2 * n + i), 0.0)
     change, one = row(s, work), row(s, work + 3)
@@ -177,15 +168,6 @@ def processed_by_terms(s: Array, H: Array, at: Rows, shift: float, step: StepArr
             multiply(change, H)
         add(row(s, at.change + n + terms.target[k]), change, 1.0)
     for i in range(n):
-        a = 2.0 * shift * terms.half_inverse_mass[i]
+        a = 2.0 * shift * step.half_inverse_mass[i]
         add(row(s, at.q + i), row(s, at.damping + i), -a)
         add(row(s, at.p + i), row(s, at.change + 2 * n + i), shift)
-
-
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def kick_by_springs(s: Array, terms: TermArrays) -> None:
-    """Take dt K q from p where the scheme kicks by its springs."""
-    n = terms.springs.shape[0]
-    for i in range(n):
-        for j in range(n):
-            add(row(s, n + i), row(s, j), -terms.springs[i, j])

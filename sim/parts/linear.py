@@ -13,38 +13,26 @@ from numba import njit
 from numpy.typing import NDArray
 
 from fpk.compiling import FLAGS
-from sim.arrays import LANES, StepArrays
+from sim.arrays import COLUMNS, LANES, StepArrays
 from sim.lanes import copy, row
 from sim.parts.contact import modified_force, only_stop
 from sim.random import Singles
 
 Array = NDArray[np.float64]
 W = LANES
-NO_STOP = (0.0, 0.0, 0.0, 1.0, 0, 0.0)
 
 ONE_LOOP = ((1, 1), (2, 2))
 """Masses and pairs of normals that have a loop of their own."""
 
-COLUMNS = 4
-"""Columns of the map that one loop joins; its matrix is padded to a multiple."""
-
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
 def map_one_mass(
-    x: Array,
-    z: Singles,
-    A: Array,
-    step: StepArrays,
-    kick1: bool,
-    force: Any,
-    slope: Any,
-    width: int = W,
-    sines: int = W,
-    pair: int = 2 * W,
-) -> None:
+    x: Array, z: Singles, A: Array, step: StepArrays, kick1: bool, force: Any, slope: Any,
+    width: int, sines: int,
+) -> None:  # fmt: skip
     """Map (q, p) of one mass with one pair of normals, after the kick of its stop if any."""
     h = step.dt
-    stop1 = only_stop(step, 0) if kick1 else NO_STOP
+    stop1 = only_stop(step, 0)
     a, b, c = A[0, 0], A[0, 1], A[0, 2]
     d, e, f, g = A[1, 0], A[1, 1], A[1, 2], A[1, 3]
     for k in range(width):
@@ -57,22 +45,13 @@ def map_one_mass(
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
 def map_two_masses(
-    x: Array,
-    z: Singles,
-    A: Array,
-    step: StepArrays,
-    kick1: bool,
-    kick2: bool,
-    force: Any,
-    slope: Any,
-    width: int = W,
-    sines: int = W,
-    pair: int = 2 * W,
-) -> None:
+    x: Array, z: Singles, A: Array, step: StepArrays, kick1: bool, kick2: bool, force: Any,
+    slope: Any, width: int, sines: int, pair: int,
+) -> None:  # fmt: skip
     """Map (q1, q2, p1, p2) with two pairs of normals, after the kicks of stops if any."""
     h = step.dt
-    stop1 = only_stop(step, 0) if kick1 else NO_STOP
-    stop2 = only_stop(step, 1) if kick2 else NO_STOP
+    stop1 = only_stop(step, 0)
+    stop2 = only_stop(step, 1)
     a0, a1, a2, a3, a4 = A[0, 0], A[0, 1], A[0, 2], A[0, 3], A[0, 4]
     b0, b1, b2, b3, b4, b5 = A[1, 0], A[1, 1], A[1, 2], A[1, 3], A[1, 4], A[1, 5]
     c0, c1, c2, c3, c4, c5, c6 = A[2, 0], A[2, 1], A[2, 2], A[2, 3], A[2, 4], A[2, 5], A[2, 6]
@@ -94,14 +73,7 @@ def map_two_masses(
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def widen(target: Array, source: Singles, width: int = W) -> None:
-    """Copy one row of normals."""
-    for k in range(width):
-        target[k] = np.float64(source[k])
-
-
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def map_by_pairs(s: Array, matrix: Array, scratch: int, width: int = W) -> None:
+def map_by_pairs(s: Array, matrix: Array, scratch: int, width: int) -> None:
     """Map the first rows of ``s`` with the normals in the rows behind them."""
     for i in range(0, matrix.shape[0], 2):
         y = row(s, scratch + i, 2, width)
@@ -124,19 +96,22 @@ def map_by_pairs(s: Array, matrix: Array, scratch: int, width: int = W) -> None:
         copy(row(s, i, 1, width), row(s, scratch + i, 1, width), width)
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def map_any(
-    s: Array,
-    z: Singles,
-    pairs: int,
-    matrix: Array,
-    width: int = W,
-    sines: int = W,
-    pair: int = 2 * W,
-) -> None:
-    """Map the state in the first rows of ``s``, any number of masses and normals."""
-    first = matrix.shape[0]
-    for i in range(pairs):
-        widen(row(s, first + 2 * i, 1, width), z[i * pair :], width)
-        widen(row(s, first + 2 * i + 1, 1, width), z[i * pair + sines :], width)
-    map_by_pairs(s, matrix, matrix.shape[1], width)
+@njit(inline="always")
+def map_state(
+    s: Array, z: Singles, A: Array, step: StepArrays, loop: int, kicks: tuple[bool, bool],
+    pairs: int, force: Any, slope: Any, width: int = W, sines: int = W, pair: int = 2 * W,
+) -> None:  # fmt: skip
+    """Apply the map: by the loop of one mass, or two, after its kicks, or by that of any number.
+
+    Inlined before types are inferred, so that a constant ``loop`` leaves one of the three.
+    """
+    if loop == 1:
+        map_one_mass(s, z, A, step, kicks[0], force, slope, width, sines)
+    elif loop == 2:
+        map_two_masses(s, z, A, step, kicks[0], kicks[1], force, slope, width, sines, pair)
+    else:
+        n = A.shape[0]
+        for i in range(pairs):
+            copy(row(s, n + 2 * i, 1, width), z[i * pair :], width)
+            copy(row(s, n + 2 * i + 1, 1, width), z[i * pair + sines :], width)
+        map_by_pairs(s, A, A.shape[1], width)

@@ -6,7 +6,19 @@ from numpy.typing import NDArray
 
 from fpk.compiling import FLAGS
 from sim.arrays import LANES, StepArrays, WatchArrays
-from sim.lanes import add, add_product, bin_of, copy, count, fill, grow, join_bins, kick, row
+from sim.lanes import (
+    add,
+    add_matrix,
+    add_product,
+    bin_of,
+    copy,
+    count,
+    fill,
+    grow,
+    join_bins,
+    kick,
+    row,
+)
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -33,8 +45,7 @@ def observed_momenta(s: Array, step: StepArrays, watch: WatchArrays) -> None:
     n, slots = step.matrix.shape[0] // 2, step.slot_mass.size
     for i in range(n):
         copy(row(s, p0 + i), row(s, n + i))
-        for j in range(n):
-            add(row(s, p0 + i), row(s, j), -watch.half_springs[i, j])
+    add_matrix(s, p0, 0, watch.half_springs, -1.0)
     for slot in range(slots):
         p, g = row(s, p0 + step.slot_mass[slot]), row(s, g0 + 2 * slot, 2)
         kick(p, g, watch.half_kick, step.slot_shift[slot])
@@ -45,28 +56,17 @@ def observed_momenta(s: Array, step: StepArrays, watch: WatchArrays) -> None:
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def observed_energy(s: Array, watch: WatchArrays) -> None:
+def observed_energy(s: Array, step: StepArrays, watch: WatchArrays) -> None:
     """Write kinetic energy and that of the springs of (q*, p*); contact is added elsewhere."""
     H = row(s, watch.at.energy)
     fill(H, 0.0)
-    n = watch.mass.size
+    n = step.half_inverse_mass.size
     for i in range(n):
         p = row(s, watch.at.p + i)
-        add_product(H, p, p, 0.5 / watch.mass[i])
+        add_product(H, p, p, step.half_inverse_mass[i])
         for j in range(n):
-            K = watch.stiffness_matrix[i, j]
+            K = step.stiffness_matrix[i, j]
             add_product(H, row(s, watch.at.q + i), row(s, watch.at.q + j), 0.5 * K)
-
-
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def observed_springs(s: Array, watch: WatchArrays) -> None:
-    """Write the forces K q* of the springs; contact is added elsewhere."""
-    n = watch.mass.size
-    for i in range(n):
-        fill(row(s, watch.at.force + i), 0.0)
-        for j in range(n):
-            K = watch.stiffness_matrix[i, j]
-            add(row(s, watch.at.force + i), row(s, watch.at.q + j), K)
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
@@ -84,25 +84,25 @@ def observed_modes(s: Array, mode_q: Array, mode_p: Array, watch: WatchArrays) -
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def sum_products(s: Array, sums: Array, watch: WatchArrays) -> None:
-    """Add the products of rows that are asked for, each lane on its own."""
+def add_products(
+    s: Array, b: int, sums: Array, folded: Array, live: Integers, watch: WatchArrays
+) -> None:
+    """Add the products of rows of block ``b``: lane by lane in the first blocks.
+
+    In the others lanes ``FOLDED`` apart share one sum.
+    """
     for m in range(watch.products.shape[0]):
         u, v = row(s, watch.products[m, 0]), row(s, watch.products[m, 1])
-        add_product(row(sums, m), u, v, 1.0)
-
-
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def fold_products(s: Array, sums: Array, live: int, watch: WatchArrays) -> None:
-    """Add the products of the first ``live`` lanes, those ``FOLDED`` apart to one sum."""
-    for m in range(watch.products.shape[0]):
-        u, v = row(s, watch.products[m, 0]), row(s, watch.products[m, 1])
-        to = row(sums, m, 1, FOLDED)
-        if live == W:
-            for j in range(0, W, FOLDED):
-                add_product(to, u[j:], v[j:], 1.0, FOLDED)
+        if b < sums.shape[0]:
+            add_product(row(sums[b], m), u, v, 1.0)
         else:
-            for k in range(live):
-                to[k % FOLDED] += u[k] * v[k]
+            to = row(folded[b - sums.shape[0]], m, 1, FOLDED)
+            if live[b] == W:
+                for j in range(0, W, FOLDED):
+                    add_product(to, u[j:], v[j:], 1.0, FOLDED)
+            else:
+                for k in range(live[b]):
+                    to[k % FOLDED] += u[k] * v[k]
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)

@@ -14,10 +14,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from fpk.compiling import FLAGS
-from sim.arrays import LANES, StepArrays, SubstepArrays
-from sim.lanes import fill, kick, row
-from sim.parts.contact import contact_forces
-from sim.parts.linear import COLUMNS, map_any, map_one_mass, map_two_masses
+from sim.arrays import COLUMNS, LANES, StepArrays
+from sim.lanes import fill, row
+from sim.parts.contact import contact_forces, kick_by_contact
+from sim.parts.linear import map_state
 from sim.random import GOLDEN, LANE, Halves, Singles, Words, box_muller, mixed_word
 
 Array = NDArray[np.float64]
@@ -34,15 +34,15 @@ V = NARROW
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def near_lanes(s: Array, work: Array, near: Integers, index: Integers, sub: SubstepArrays) -> int:
+def near_lanes(s: Array, work: Array, near: Integers, index: Integers, step: StepArrays) -> int:
     """Write the lanes that may touch a stop to ``index`` and return how many they are.
 
     ``work``: two rows of scratch, the displacement after the step and the bend of its way.
     """
-    after, bend = work[:W], work[W : 2 * W]
+    after, bend, sub = work[:W], work[W : 2 * W], step.substeps
     for k in range(W):
         near[k] = 0
-    for stop in range(sub.mass.size):
+    for stop in range(step.stop_slot.size):
         for j in range(0, sub.row.shape[1], COLUMNS):
             a, b, x = sub.row[stop], sub.bend[stop], row(s, j, COLUMNS)
             a0, a1, a2, a3 = a[j], a[j + 1], a[j + 2], a[j + 3]
@@ -54,16 +54,12 @@ def near_lanes(s: Array, work: Array, near: Integers, index: Integers, sub: Subs
                 x0, x1, x2, x3 = x[k], x[W + k], x[2 * W + k], x[3 * W + k]
                 after[k] += a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
                 bend[k] += b0 * abs(x0) + b1 * abs(x1) + b2 * abs(x2) + b3 * abs(x3)
-        q, sign = row(s, sub.mass[stop]), sub.sign[stop]
-        clearance, reach = sub.clearance[stop], sub.reach[stop]
-        if sign != 0.0:
-            for k in range(W):
-                furthest = max(sign * q[k], sign * after[k] + reach) + bend[k]
-                near[k] |= np.int64(furthest >= clearance)
-        else:
-            for k in range(W):
-                furthest = max(abs(q[k]), abs(after[k]) + reach) + bend[k]
-                near[k] |= np.int64(furthest >= clearance)
+        q, sign = row(s, step.slot_mass[step.stop_slot[stop]]), step.stop_sign[stop]
+        clearance, reach = step.stop_clearance[stop], sub.reach[stop]
+        for k in range(W):
+            x0 = sign * q[k] if sign != 0.0 else abs(q[k])
+            x1 = sign * after[k] if sign != 0.0 else abs(after[k])
+            near[k] |= np.int64(max(x0, x1 + reach) + bend[k] >= clearance)
     count = 0
     for k in range(W):
         index[count] = k
@@ -121,27 +117,17 @@ def narrow_normals(z: Singles, halves: Halves, start: Words, first: np.uint64, p
     box_muller(z, halves, many)
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@njit(inline="always")
 def small_steps(
-    groups: Array,
-    stride: int,
-    start: Words,
-    count: int,
-    z: Singles,
-    halves: Halves,
-    first: np.uint64,
-    step: StepArrays,
-    at_contact: int,
-    kicked: tuple[bool, bool],
-    masses: int,
-    pairs: int,
-    force: Any,
-    slope: Any,
-) -> None:
-    """Advance all groups by the small steps of one long one; ``first`` is their first word."""
-    n, fused, small = step.matrix.shape[0] // 2, kicked[0] or kicked[1], step.substeps.small
-    kick1, kick2 = kicked
-    A, many = step.matrix, AT_ONCE * pairs * V
+    groups: Array, stride: int, start: Words, count: int, z: Singles, halves: Halves,
+    first: np.uint64, step: StepArrays, at_contact: int, loop: int, kicks: tuple[bool, bool],
+    pairs: int, force: Any, slope: Any,
+) -> None:  # fmt: skip
+    """Advance all groups by the small steps of one long one; ``first`` is their first word.
+
+    The kicks are fused with the map where it has a ``loop`` of its own.
+    """
+    n, small, many = step.matrix.shape[0] // 2, step.substeps.small, AT_ONCE * pairs * V
     for begin in range(0, small, AT_ONCE):
         for c in range(-(-count // V)):
             word = first + np.uint64(begin * pairs) * GOLDEN
@@ -150,15 +136,7 @@ def small_steps(
             for c in range(-(-count // V)):
                 s = groups[c * stride : (c + 1) * stride]
                 u = z[2 * many * c + V * pairs * t : 2 * many * (c + 1)]
-                if not fused:
+                if loop == 0:
                     contact_forces(s, at_contact, step, force, slope, V)
-                    for slot in range(step.slot_mass.size):
-                        p = row(s, n + step.slot_mass[slot], 1, V)
-                        g = row(s, at_contact + 2 * slot, 2, V)
-                        kick(p, g, step.dt, step.slot_shift[slot], V)
-                if masses == 1 and pairs == 1 and fused:
-                    map_one_mass(s, u, A, step, kick1, force, slope, V, many, V)
-                elif masses == 2 and pairs == 2 and fused:
-                    map_two_masses(s, u, A, step, kick1, kick2, force, slope, V, many, V)
-                else:
-                    map_any(s, u, pairs, A, V, many, V)
+                    kick_by_contact(s, at_contact, step, n, V)
+                map_state(s, u, step.matrix, step, loop, kicks, pairs, force, slope, V, many, V)
