@@ -48,7 +48,7 @@ class TermArrays(NamedTuple):
     scale: Array  # (terms,)
     energy: Integers  # (terms,)
     first: Integers  # (terms + 1,), where the factors of each begin
-    factor: Integers  # (factors,), row in a state (q, p); as often as its power
+    factor: Integers  # (factors,), row in a state (q, p), as often as its power; p_i at the end
     springs: Array
 
 
@@ -87,7 +87,7 @@ class StepArrays(NamedTuple):
 
 
 class WatchArrays(NamedTuple):
-    """What is observed, and where it is counted."""
+    """Numbers of the observed state, of the histograms and of the products that are summed."""
 
     half_kick: float  # share of the kick that belongs to the observed momentum, times dt
     half_springs: Array  # (n, n), the same of the springs

@@ -1,9 +1,9 @@
-"""Workers of ensembles on a Dask cluster: shares stay there, and their results add up.
+"""Workers of ensembles on a Dask cluster: batches stay there, and their results add up.
 
-The state of a share is a future, and every step forward a task that is a pure function of the
+The state of a batch is a future, and every step forward a task that is a pure function of the
 future before. When a worker dies Dask computes what it held again from the tasks that led there:
-the answer is bitwise that of one machine (of the same kind of processor), however many shares and
-workers there are.
+the answer is bitwise that of one machine (of the same kind of processor), however many workers
+there are.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -15,7 +15,7 @@ from importlib import import_module
 from typing import Any
 
 from fpk.errors import NotCertified, Unavailable
-from sim.ensemble import Threads
+from sim.batch import Threads
 from sim.sources import program_checksum
 
 PATIENCE = 10.0
@@ -23,9 +23,6 @@ PATIENCE = 10.0
 
 WORKERS_IN = 60.0
 """Seconds in which it must have a worker."""
-
-SHARES_PER_THREAD = 2
-"""Shares, in units of the threads of the cluster: what a dead worker held is spread over others."""
 
 
 @cache
@@ -86,7 +83,7 @@ def as_finished(client: Any, tasks: Sequence[Callable[[], Any]]) -> Iterator[Any
 class Cluster:
     """Workers of an ensemble on a Dask cluster: a task uses one thread of a worker.
 
-    A worker with several threads works on as many shares at once; shares stay where they are.
+    A worker with several threads works on as many batches at once; they stay where they are.
     """
 
     client: Any
@@ -96,13 +93,8 @@ class Cluster:
         """The threads of all workers."""
         return max(1, sum(self.client.nthreads().values()))
 
-    @property
-    def shares(self) -> int:
-        """The shares that an ensemble is divided into."""
-        return SHARES_PER_THREAD * self.threads
-
     def map(self, task: Any, *columns: Any) -> list[Any]:
-        """Return futures of what ``task`` makes of every share, and wait for them."""
+        """Return futures of what ``task`` makes of every batch, and wait for them."""
         with package("dask").config.set(
             {"distributed.admin.large-graph-warning-threshold": "1PiB"}
         ):

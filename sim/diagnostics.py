@@ -42,7 +42,7 @@ class Effective(NamedTuple):
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What is said of a sample; ``failures`` in words, empty where it can be trusted.
+    """How far a sample can be trusted; ``failures`` in words, empty where it can.
 
     ``autocorrelation_time`` τ is the longest of all quantities, ``effective_samples`` their
     smallest number; ``r_hat`` the largest split R-hat; ``drift`` the largest |z| of the first chunk
@@ -166,7 +166,7 @@ def diagnosis(
     paths: int,
     burn_in: float,
 ) -> Diagnosis:
-    """Return what can be said of ``paths`` trajectories of ``time`` after ``burn_in`` (a time).
+    """Return the diagnosis of ``paths`` trajectories of ``time`` after ``burn_in`` (a time).
 
     ``means`` (quantities, batches, chunks) belong to the ``names``, in chunks of equal length.
     """

@@ -1,25 +1,24 @@
 """An ensemble of trajectories that advances together and adds to histograms and moments."""
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fpk.effects import effects_of
 from fpk.system import System
-from sim.arrays import LANES, StepArrays, WatchArrays
+from sim.arrays import LANES, StepArrays
+from sim.batch import Advance, Batch, Summary, Threads, copied, summary, watching
 from sim.flow import factored
 from sim.histogram import Histogram, modes_of, starts, watch_arrays
-from sim.kernel import KernelKey, compiled_kernel
+from sim.kernel import KernelKey
 from sim.parts.linear import ONE_LOOP
-from sim.parts.observed import FOLDED
 from sim.plan import step_arrays
-from sim.random import START, mixed_seed, normals
+from sim.random import START, normals
 from sim.scheme import Scheme
 from sim.step_size import temperature
 
@@ -30,10 +29,6 @@ Saved = Mapping[str, NDArray[Any]]
 
 BATCHES = 64
 """Independent batches at most; a batch is made of whole blocks of lanes."""
-
-APART = 512
-"""Blocks at most whose trajectories have sums of their own, 65536 of them: enough for the variance
-of path means to half a per cent. Of the others there are sums over each block."""
 
 PIECE = 64
 """Blocks whose starts are drawn together, beginning at its multiples."""
@@ -104,125 +99,16 @@ def start_states(system: System, seed: int, piece: int) -> Array:
     return np.vstack([q, p]).reshape(2 * n, -1, LANES).transpose(1, 0, 2)
 
 
-class Share(NamedTuple):
-    """The blocks from number ``first`` on of an ensemble: all of them that changes."""
-
-    first: int
-    states: Array  # (blocks, 2n, LANES)
-    sums: Array = np.zeros((0, 0, 0))  # (first blocks, products, LANES)
-    folded: Array = np.zeros((0, 0, 0))  # (other blocks, products, FOLDED)
-    counts: Integers = np.zeros((0, 0), dtype=np.int64)  # (batches that it has blocks of, bins)
-
-    @property
-    def end(self) -> int:
-        """The number behind that of the last block."""
-        return self.first + self.states.shape[0]
-
-    def batches(self, edges: Integers) -> tuple[int, int]:
-        """Return the first batch of which it has some blocks, and that behind the last."""
-        first = int(np.searchsorted(edges, self.first, side="right")) - 1
-        return first, int(np.searchsorted(edges, self.end, side="left"))
-
-
-def watching(share: Share, *, edges: Integers, bins: int, products: int) -> Share:
-    """Return the share with counts and sums of zero; ``edges`` are those of the batches."""
-    blocks = share.states.shape[0]
-    apart = min(blocks, max(0, APART - share.first))
-    first, beyond = share.batches(edges)
-    return share._replace(
-        sums=np.zeros((apart, products, LANES)),
-        folded=np.zeros((blocks - apart, products, FOLDED)),
-        counts=np.zeros((beyond - first, bins), dtype=np.int64),
-    )
-
-
-def emptied(share: Share, states: Array, sums: Array, folded: Array) -> Share:
-    """Return the share with other states and sums, and counts of zero."""
-    return Share(share.first, states, sums, folded, np.zeros_like(share.counts))
-
-
-@dataclass(frozen=True, eq=False)
-class Advance:
-    """A call of the kernel: ``steps`` steps of a share, the same for all; see ``Ensemble``."""
-
-    key: KernelKey
-    step: StepArrays
-    watch: WatchArrays
-    edges: Integers
-    paths: int
-    seed: int
-    done: int
-    phase: int
-    steps: int
-    stride: int
-
-    def __call__(self, share: Share) -> Share:
-        """Advance a share in place and return it."""
-        kernel, first = compiled_kernel(self.key), share.first
-        blocks, (apart, products) = share.states.shape[0], share.sums.shape[:2]
-        x = share.states.reshape(blocks, -1)
-        sums = share.sums.reshape(apart, products * LANES)
-        folded = share.folded.reshape(blocks - apart, products * FOLDED)
-        live = lanes_alive(self.paths, first, share.end)
-        low, beyond = share.batches(self.edges)
-        own = np.clip(self.edges[low : beyond + 1], first, share.end) - first
-        for b, counts in enumerate(share.counts):
-            part = slice(own[b], own[b + 1])
-            others = slice(max(0, own[b] - apart), max(0, own[b + 1] - apart))
-            kernel(
-                x[part], sums[part], folded[others], live[part], int(first + own[b]),
-                np.uint64(self.done * self.step.words), self.steps, self.phase, self.stride,
-                mixed_seed(self.seed), self.step, self.watch, counts,
-            )  # fmt: skip
-        return share
-
-
-class Summary(NamedTuple):
-    """What is asked of a share, or of all, between two chunks: small beside its trajectories."""
-
-    lost: int
-    sums: Array  # (blocks, products)
-    counts: Integers
-
-
-def summary(share: Share, *, paths: int) -> Summary:
-    """Return how many trajectories have left the finite range, and the sums over each block."""
-    alive = np.arange(LANES) < lanes_alive(paths, share.first, share.end)[:, None]
-    finite = np.isfinite(share.states).all(axis=1)
-    apart = np.where(alive[: share.sums.shape[0], None, :], share.sums, 0.0).sum(axis=2)
-    sums = np.concatenate([apart, share.folded.sum(axis=2)])
-    return Summary(int(np.sum(~finite & alive)), sums, share.counts)
-
-
-@dataclass(frozen=True)
-class Threads:
-    """Workers of an ensemble: ``threads`` of this process, each at one of the ``shares``."""
-
-    threads: int = 1
-    shares: int = BATCHES
-
-    def map(self, task: Any, *columns: Any) -> list[Any]:
-        """Return what ``task`` makes of every share."""
-        if self.threads == 1:
-            return [task(*row) for row in zip(*columns, strict=True)]
-        with ThreadPoolExecutor(self.threads) as pool:
-            return list(pool.map(task, *columns))
-
-    def values(self, answers: list[Any]) -> list[Any]:
-        """Return the answers of ``map``: they are here."""
-        return answers
-
-
 @dataclass(eq=False)
 class Ensemble:
     """States of ``paths`` trajectories, in blocks of lanes; a block is never divided.
 
-    Blocks are worked on share by share, by ``workers``: threads of this process, or of a cluster
-    (``sim.cluster``). Streams are keyed by trajectory, all counts are integers, and sums grow in
-    the order of samples and are added in that of blocks: the result is bitwise the same for any
-    workers and any division of the steps into calls of ``advance``. Lanes beyond ``paths`` run but
-    are not counted. The first ``APART`` blocks have ``sums`` for each trajectory; in the others,
-    ``folded``, every ``FOLDED``-th trajectory of a block shares one.
+    A batch of blocks is one task of one of the ``workers``: threads of this process, or of a
+    cluster (``sim.cluster``). Streams are keyed by trajectory, all counts are integers, and sums
+    grow in the order of samples: the result is bitwise the same for any workers and any division of
+    the steps into calls of ``advance``. Lanes beyond ``paths`` run but are not counted. The first
+    ``APART`` blocks have ``sums`` for each trajectory; in the others, ``folded``, every
+    ``FOLDED``-th trajectory of a block shares one.
     """
 
     system: System
@@ -234,8 +120,7 @@ class Ensemble:
     workers: Any = None  # None: so many threads of this process
     step: StepArrays = field(init=False)
     edges: Integers = field(init=False)  # first block of each batch, and the number of blocks
-    bounds: Integers = field(init=False)  # first block of each share, and the number of blocks
-    live: Integers = field(init=False)  # lanes of each block that are trajectories
+    live: Integers = field(init=False)  # (blocks,), lanes that are trajectories
     done: int = 0
     samples: int = 0
     phase: int = 0  # steps since ``watch`` that might have been observed
@@ -246,29 +131,23 @@ class Ensemble:
         self.threads = self.workers.threads
         self.step = step_arrays(self.system, self.scheme, self.dt)
         blocks = -(-self.paths // LANES)
-        self.edges = divided(blocks, BATCHES)
-        self.bounds = divided(blocks, self.workers.shares)
-        self.live = lanes_alive(self.paths, 0, blocks)
+        batches = min(BATCHES, blocks)
+        self.edges = np.arange(batches + 1, dtype=np.int64) * blocks // batches
+        self.live = np.minimum(LANES, self.paths - LANES * np.arange(blocks))
         states = np.empty((blocks, 2 * self.system.n, LANES))
         for piece in range(0, blocks, PIECE):
             drawn = start_states(self.system, self.seed, piece)
             states[piece : piece + PIECE] = drawn[: blocks - piece]
-        parts = np.split(states, self.bounds[1:-1])
-        self._shares = self.workers.map(Share, self.bounds[:-1].tolist(), parts)
+        parts = (np.split(array, self.edges[1:-1]) for array in (self.live, states))
+        self._batches = self.workers.map(Batch, self.edges[:-1].tolist(), *parts)
         self.watch()
 
     def watch(self, histograms: Sequence[Histogram] = (), products: Sequence[Product] = ()) -> None:
         """Observe these from now on, all counts and sums starting from zero."""
         asked = (self.system, self.scheme, self.step, histograms, products)
         self._watch, self._key = watch_arrays(*asked), kernel_key(*asked)
-        bins = int(starts(histograms)[-1])
-        self._restored = np.zeros((self.edges.size - 1, bins), dtype=np.int64)
-        self._now(
-            self.workers.map(
-                partial(watching, edges=self.edges, bins=bins, products=len(products)),
-                self._shares,
-            )
-        )
+        task = partial(watching, bins=int(starts(histograms)[-1]), products=len(products))
+        self._now(task, self._batches)
         self.samples = self.phase = 0
 
     def advance(self, steps: int, *, stride: int = 1) -> None:
@@ -276,11 +155,8 @@ class Ensemble:
 
         ``stride`` 0: nothing is observed, and ``watch`` may be called with ranges still unknown.
         """
-        task = Advance(
-            self._key, self.step, self._watch, self.edges, self.paths, self.seed,
-            self.done, self.phase, steps, stride,
-        )  # fmt: skip
-        self._now(self.workers.map(task, self._shares))
+        clock = (self.seed, self.done, self.phase, steps, stride)
+        self._now(Advance(self._key, self.step, self._watch, *clock), self._batches)
         if stride:
             self.samples += -(-(self.phase + steps) // stride) - -(-self.phase // stride)
             self.phase += steps
@@ -297,18 +173,13 @@ class Ensemble:
         return self._joined("sums")
 
     @property
-    def folded(self) -> Array:
-        """Sums (other blocks, products, FOLDED)."""
-        return self._joined("folded")
-
-    @property
     def counts(self) -> Integers:
         """Counts (batches, bins) of all histograms, one more bin each for outside."""
-        return self._summed().counts
+        return np.stack([part.counts for part in self._summaries()])
 
     def lost(self) -> int:
         """Return how many trajectories have left the finite range."""
-        return self._summed().lost
+        return sum(part.lost for part in self._summaries())
 
     def batch_paths(self) -> Integers:
         """Return the number of trajectories of each batch."""
@@ -316,61 +187,48 @@ class Ensemble:
 
     def batch_means(self) -> Array:
         """Return (batches, products) means over the samples of each batch, in fixed order."""
-        sums = np.add.reduceat(self._summed().sums, self.edges[:-1], axis=0)
+        sums = np.stack([part.sums for part in self._summaries()])
         return np.asarray(sums / (self.batch_paths()[:, None] * max(1, self.samples)))
 
     def phase_points(self, most: int | None = None) -> tuple[Array, Array]:
         """Return the states (paths, n) of q and p just before the next kick, the first ``most``.
 
-        Only shares that have some of them are asked.
+        Only batches that have some of them are asked.
         """
         n, paths = self.system.n, self.paths if most is None else min(self.paths, most)
-        shares = int(np.searchsorted(LANES * self.bounds, paths))
-        states = self._joined("states", shares)
+        states = self._joined("states", int(np.searchsorted(LANES * self.edges, paths)))
         lanes = states.transpose(1, 0, 2).reshape(2 * n, -1)[:, :paths].T
         return lanes[:, :n], lanes[:, n:]
 
     def saved(self) -> Saved:
         """Return all that changes: what ``restore`` needs to go on as if never stopped."""
-        arrays = {name: getattr(self, name) for name in ("states", "sums", "folded", "counts")}
-        return {**arrays, "clock": np.array([self.done, self.samples, self.phase], dtype=np.int64)}
+        return {
+            **{name: self._joined(name) for name in ("states", "sums", "folded")},
+            "counts": self.counts,
+            "clock": np.array([self.done, self.samples, self.phase], dtype=np.int64),
+        }
 
     def restore(self, saved: Saved) -> None:
         """Go on from what ``saved`` returned, by any workers, after the same calls of ``watch``."""
         self.done, self.samples, self.phase = (int(number) for number in saved["clock"])
-        self._restored = np.array(saved["counts"])
-        bounds, apart = self.bounds[1:-1], saved["sums"].shape[0]
-        arrays = [np.split(saved[name], bounds) for name in ("states", "sums")]
-        arrays.append(np.split(saved["folded"], np.maximum(0, bounds - apart)))
-        self._now(self.workers.map(emptied, self._shares, *arrays))
+        first, cuts = self.edges[:-1].tolist(), self.edges[1:-1]
+        others = np.maximum(0, cuts - saved["sums"].shape[0])
+        arrays = [(self.live, cuts), (saved["states"], cuts), (saved["sums"], cuts)]
+        parts = [np.split(array, at) for array, at in (*arrays, (saved["folded"], others))]
+        self._now(copied, first, *parts, list(saved["counts"]))
 
-    def _now(self, shares: list[Any]) -> None:
-        self._shares, self._known = shares, None
+    def _now(self, task: Any, *columns: Any) -> None:
+        """Let the batches be what ``task`` makes of ``columns``."""
+        self._batches, self._known = self.workers.map(task, *columns), None
 
-    def _summed(self) -> Summary:
-        """Losses, sums and counts of all shares, asked for once a step: of a cluster it is slow."""
+    def _summaries(self) -> list[Summary]:
+        """Return losses, sums and counts, asked for once a step: a cluster answers slowly."""
         if self._known is None:
-            ask = partial(summary, paths=self.paths)
-            parts = self.workers.values(self.workers.map(ask, self._shares))
-            counts = self._restored.copy()
-            for first, part in zip(self.bounds.tolist(), parts, strict=False):
-                row = int(np.searchsorted(self.edges, first, side="right")) - 1
-                counts[row : row + part.counts.shape[0]] += part.counts
-            sums = np.concatenate([part.sums for part in parts])
-            self._known = Summary(sum(part.lost for part in parts), sums, counts)
+            self._known = self.workers.values(self.workers.map(summary, self._batches))
         return self._known
 
-    def _joined(self, name: str, shares: int | None = None) -> Array:
-        answers = self.workers.map(attrgetter(name), self._shares[:shares])
-        return np.concatenate(self.workers.values(answers))
-
-
-def divided(blocks: int, parts: int) -> Integers:
-    """Return the first block of each of so many parts, or fewer, and the number of blocks."""
-    parts = min(parts, blocks)
-    return np.arange(parts + 1, dtype=np.int64) * blocks // parts
-
-
-def lanes_alive(paths: int, first: int, end: int) -> Integers:
-    """Return the lanes of the blocks ``first`` to before ``end`` that are trajectories."""
-    return np.minimum(LANES, paths - LANES * np.arange(first, end))
+    def _joined(self, name: str, batches: int | None = None) -> Array:
+        answers = self.workers.map(attrgetter(name), self._batches[:batches])
+        joined = np.concatenate(self.workers.values(answers))
+        joined.flags.writeable = False  # a copy: what is written to it would be lost
+        return joined

@@ -1,4 +1,4 @@
-"""What is observed and where it is counted: coordinates, ranges, bins."""
+"""Histograms: ranges and bins, the rows of the kernel that they count, and their densities."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -191,7 +191,19 @@ def sampled_density(
         words.append(f"{int(total.sum())} samples were counted of {taken} taken")
     if tail > LARGEST_TAIL:
         words.append(f"{tail:.2g} of the samples lie outside the histogram")
-    density = _density(histogram, mirrored(histogram, counts) if mirror else counts)
+    if mirror:
+        counts = mirrored(histogram, counts)
+    whole, samples = max(1, counts.sum()), np.maximum(1, counts.sum(axis=1, keepdims=True))
+    shape = tuple(e.size - 1 for e in histogram.edges)
+    area = float(np.prod([e[1] - e[0] for e in histogram.edges]))
+    density = SampledDensity(
+        histogram.observable,
+        histogram.edges,
+        (counts.sum(axis=0)[:-1] / (whole * area)).reshape(shape),
+        (counts[:, :-1] / (samples * area)).reshape(-1, *shape),
+        UNJUDGED,
+        one_sample=1.0 / (whole * area),
+    )
     measured = Measured(
         l1_error=sampling_error(density),
         mass_defect=abs(float(total.sum()) / max(1, taken) - 1.0),
@@ -205,20 +217,3 @@ def sampled_density(
 
 UNJUDGED = certify(Measured(nan, nan, nan, nan, nan), tol=0.0)
 """Certificate of a density before it is judged: every check fails."""
-
-
-def _density(histogram: Histogram, counts: Integers) -> SampledDensity:
-    shape = tuple(e.size - 1 for e in histogram.edges)
-    area = float(np.prod([e[1] - e[0] for e in histogram.edges]))
-    total = counts.sum(axis=0)
-    values = total[:-1] / (max(1, total.sum()) * area)
-    samples = np.maximum(1, counts.sum(axis=1, keepdims=True))
-    batch_values = counts[:, :-1] / (samples * area)
-    return SampledDensity(
-        histogram.observable,
-        histogram.edges,
-        values.reshape(shape),
-        batch_values.reshape(-1, *shape),
-        UNJUDGED,
-        one_sample=1.0 / (max(1, total.sum()) * area),
-    )

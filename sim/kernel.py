@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ from sim.sources import kernel_checksum
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 W = LANES
+_COMPILING = Lock()
 
 
 @dataclass(frozen=True)
@@ -62,9 +64,15 @@ class KernelKey:
     substeps: bool = False
 
 
-@lru_cache
 def compiled_kernel(key: KernelKey) -> Any:
-    """Return the kernel of ``key``; laws that it does not need are not compiled."""
+    """Return the kernel of ``key``, one for all threads."""
+    with _COMPILING:
+        return _compiled(key)
+
+
+@lru_cache
+def _compiled(key: KernelKey) -> Any:
+    """Return a new kernel; laws that it does not need are not compiled."""
     contact, observed, kick_first = bool(key.laws), key.observed, key.kick_first
     damping, energy_damping = key.damping, key.energy_damping
     momenta, energy, modes, moments = key.momenta, key.energy, key.modes, key.moments

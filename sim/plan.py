@@ -73,9 +73,10 @@ def term_arrays(system: System, springs: Array) -> TermArrays:
         powers.append(v[term.row])
         scales.append(term.coefficient / float(np.prod(system.mass ** np.array(v))))
         v[term.row] = 0
-        own = [a for a, power in enumerate((*term.powers("q", n), *v)) for _ in range(power)]
-        factors += own
-        counts.append(len(own))
+        rows = [a for a, power in enumerate((*term.powers("q", n), *v)) for _ in range(power)]
+        rows += powers[-1] * [n + term.row]
+        factors += rows
+        counts.append(len(rows))
     return TermArrays(
         target=np.array([n + term.row for term in system.damping_terms], dtype=np.int64),
         power=np.array(powers, dtype=np.int64),

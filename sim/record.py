@@ -1,7 +1,7 @@
-"""What is written down between the chunks of a simulation, for its diagnosis afterwards."""
+"""Means at the end of every chunk of a simulation, from which the sample is diagnosed."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from math import inf, nan
 from typing import Any
 
@@ -23,20 +23,6 @@ SNAPSHOTS = (0, 5, 10, 15)
 
 LEVELS = 8
 """A density is watched by its shares below the octiles of a coordinate, of |x| with a mirror."""
-
-CHANGES = (
-    "chunk_samples",
-    "chunks",
-    "stepping",
-    "elapsed",
-    "error",
-    "target",
-    "cuts",
-    "ends",
-    "variances",
-    "errors",
-)
-"""Fields of a record that a checkpoint holds."""
 
 
 @dataclass(eq=False)
@@ -139,7 +125,7 @@ class Record:
     def moments(self, ensemble: Any, effective: Sequence[Effective]) -> tuple[Moment, ...]:
         """Return E q_i² and E v_i² over all trajectories, with errors from those of single ones.
 
-        These are the trajectories of the first blocks; see ``sim.ensemble.APART``.
+        These are the trajectories of the first blocks; see ``sim.batch.APART``.
         """
         each = self._of_paths(ensemble.sums, ensemble.live) / ensemble.samples
         errors = np.sqrt(each.var(axis=1, ddof=1) / ensemble.paths)
@@ -152,12 +138,16 @@ class Record:
 
     def saved(self) -> dict[str, NDArray[Any]]:
         """Return all that changes, as arrays: what ``restore`` needs."""
-        return {f"record_{name}": np.array(getattr(self, name)) for name in CHANGES}
+        return {f"record_{name}": np.array(getattr(self, name)) for name in self._changes()}
 
     def restore(self, saved: Any) -> None:
         """Go on from what ``saved`` returned."""
-        for name in CHANGES:
+        for name in self._changes():
             setattr(self, name, type(getattr(self, name))(saved[f"record_{name}"]))
+
+    def _changes(self) -> list[str]:
+        """Names of the fields that have a value at the beginning, and others later."""
+        return [f.name for f in fields(self)[4:]]
 
     def _of_paths(self, sums: Array, live: Integers) -> Array:
         """Squares (squares, paths) of the trajectories from ``sums`` (blocks, products, LANES)."""

@@ -1,4 +1,4 @@
-"""What a simulation says of itself, as records; tables and JSON show them as ``settings``."""
+"""The report of a simulation, as typed records; tables and JSON show it as ``settings``."""
 
 from dataclasses import asdict, dataclass
 from math import nan
@@ -14,7 +14,7 @@ SHOWN_AS = {
     "nanoseconds": "ns_per_particle_step",
     "division": "small_steps",
 }
-"""Names of ``Steps`` in tables and JSON, where they differ from those of the fields."""
+"""Keys of ``Steps`` in tables and JSON, where they differ from the names of its fields."""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from math import hypot, inf
+from math import hypot
 
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput
@@ -11,12 +11,13 @@ from fpk.method import Progress, Result
 from fpk.observable import Observable
 from fpk.system import System
 from sim.cluster import workers_of
+from sim.histogram import Histogram
 from sim.montecarlo import MonteCarlo
 from sim.relaxation import relaxation_time
 from sim.report import Report, StepBias
 from sim.sampling import Setup
 from sim.scheme import SCHEMES
-from sim.simulation import Simulation, simulate
+from sim.simulation import simulate
 from sim.statistics import l1_difference
 from sim.step_size import check_step, chosen_step
 from sim.substeps import cost, with_long_steps
@@ -32,32 +33,25 @@ def run(
     unstable = _unstable(method, system)
     setup = _setup(method, system, observables)
     with workers_of(method.cluster, method.threads or usable_cores()) as workers:
-        simulated = partial(
-            simulate,
-            workers=workers,
-            folder=method.checkpoint,
-            partial=method.partial,
-            failures=unstable,
-            progress=progress,
-        )
-        first = simulated(setup)
-        report = first.report
+        simulated = partial(simulate, workers=workers, failures=unstable, progress=progress)
+        densities, identities, report = simulated(setup)
         if method.step_pair and not (report.lost or report.interrupted):
+            seed = (method.seed + OTHER_SEED) % 2**64
             half = replace(
                 setup,
+                method=replace(method, seed=seed, tol=None, seconds=None),
                 dt=0.5 * setup.dt,
                 time=report.steps.time,
-                seed=(setup.seed + OTHER_SEED) % 2**64,
-                tol=None,
-                seconds=inf,
-                histograms=first.histograms,
+                histograms=tuple(Histogram(d.observable, d.edges) for d in densities),
             )
-            report = _with_step_bias(report, first, simulated(half))
+            others, _, half_report = simulated(half)
+            distances = [l1_difference(a, b) for a, b in zip(densities, others, strict=True)]
+            report = _with_step_bias(report, half_report, distances)
     settings = report.settings()
     return Result(
         method=method,
-        densities=tuple(replace(density, provenance=settings) for density in first.densities),
-        identities=first.identities,
+        densities=tuple(replace(density, provenance=settings) for density in densities),
+        identities=identities,
         settings=settings,
         partial=bool(report.interrupted),
         report=report,
@@ -87,35 +81,29 @@ def _setup(method: MonteCarlo, system: System, observables: Sequence[Observable]
     if method.time is None:
         price = cost(system, dt, scheme.small) if scheme.small > 1 else 1.0
         time = min(wanted, method.most_steps * dt / price)
-    tol = method.tol if observables else None
-    limit = method.longest if tol is not None else inf
     return Setup(
+        method=method,
         system=system,
         observables=tuple(observables),
         scheme=scheme,
         dt=long,
-        paths=method.paths,
-        seed=method.seed,
         time=time,
-        burn_in=method.burn_in,
-        moments=method.moments,
-        tol=tol,
-        seconds=limit if method.seconds is None else method.seconds,
         division=division,
         limited_by="most_steps" if time < wanted else "",
     )
 
 
-def _with_step_bias(report: Report, first: Simulation, second: Simulation) -> Report:
-    """Return the report with the differences from the run at half the step.
+def _with_step_bias(
+    report: Report, half: Report, distances: Sequence[tuple[float, float]]
+) -> Report:
+    """Return the report with the differences from the run at half the step, by ``l1_difference``.
 
     Of a run that was interrupted there are none, and of one that lost trajectories no moments.
     """
-    half = second.report
     if half.interrupted:
         return replace(report, step_pair="not measured: interrupted")
-    pairs = zip(report.errors, first.densities, second.densities, strict=True)
-    errors = tuple(replace(e, step_bias=StepBias(*l1_difference(a, b))) for e, a, b in pairs)
+    pairs = zip(report.errors, distances, strict=True)
+    errors = tuple(replace(e, step_bias=StepBias(*distance)) for e, distance in pairs)
     if half.lost:
         words = f"{half.lost} trajectories left the finite range at dt/2"
         return replace(report, errors=errors, step_pair=words)

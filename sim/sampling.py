@@ -15,6 +15,7 @@ from fpk.observable import Observable
 from fpk.system import System
 from sim.checkpoint import Autosave
 from sim.histogram import Histogram, sampled_density, starts
+from sim.montecarlo import MonteCarlo
 from sim.record import SNAPSHOTS, Record
 from sim.relaxation import relaxation_time
 from sim.scheme import Scheme
@@ -41,27 +42,32 @@ class Setup:
     """Everything that the numbers of one simulation of Eq. (6) depend on; times of the system.
 
     ``dt`` is the step in which the ensemble advances, the long one where ``scheme`` makes small
-    ones. ``burn_in`` counts relaxation times (``sim.relaxation``). Each of ``paths`` trajectories
-    is sampled for ``time``; with ``tol`` until the expected L1 error of the first observable is
-    below it, with ``seconds`` until that wall time has passed, or whichever comes first.
-    ``histograms`` None: bins that cover what a pilot reaches. ``division`` and ``limited_by`` are
-    for the report, see ``sim.report.Steps``.
+    ones. Each trajectory is sampled for ``time``; with ``tol`` until the expected L1 error of the
+    first observable is below it, with ``seconds`` until that wall time has passed, or whichever
+    comes first. ``histograms`` None: bins that cover what a pilot reaches. ``division`` and
+    ``limited_by`` are for the report, see ``sim.report.Steps``.
     """
 
+    method: MonteCarlo
     system: System
     observables: Sequence[Observable]
     scheme: Scheme
     dt: float
-    paths: int
-    seed: int
     time: float
-    burn_in: float = 10.0
-    moments: bool = True
-    tol: float | None = None
-    seconds: float = inf
     histograms: tuple[Histogram, ...] | None = None
     division: str = ""
     limited_by: Literal["", "most_steps"] = ""
+
+    @property
+    def tol(self) -> float | None:
+        """The target of the expected L1 error of the first observable."""
+        return self.method.tol if self.observables else None
+
+    @property
+    def seconds(self) -> float:
+        """The wall time at which the sampling ends, infinity where only ``time`` ends it."""
+        limit = self.method.longest if self.tol is not None else inf
+        return limit if self.method.seconds is None else self.method.seconds
 
     @property
     def open(self) -> bool:
@@ -76,7 +82,7 @@ class Setup:
     @cached_property
     def burn_in_steps(self) -> int:
         """Steps before the sampling begins."""
-        return ceil(self.burn_in * relaxation_time(self.system) / self.dt)
+        return ceil(self.method.burn_in * relaxation_time(self.system) / self.dt)
 
     @property
     def mirror(self) -> bool:
@@ -87,13 +93,14 @@ class Setup:
     def products(self) -> tuple[Product, ...]:
         """The products whose means are observed."""
         terms = bool(self.system.damping_terms)
-        return moment_products(self.system.n, terms=terms) if self.moments else ()
+        return moment_products(self.system.n, terms=terms) if self.method.moments else ()
 
     @property
     def identity(self) -> tuple[Any, ...]:
         """What a checkpoint must agree with; it may be resumed with another limit of wall time."""
-        asked = (self.burn_in, self.time, self.moments, self.tol, isinf(self.seconds))
-        steps = (self.scheme.name, self.scheme.small, self.dt, self.paths, self.seed)
+        m = self.method
+        asked = (m.burn_in, self.time, m.moments, self.tol, isinf(self.seconds))
+        steps = (self.scheme.name, self.scheme.small, self.dt, m.paths, m.seed)
         edges = [h.edges for h in self.histograms or ()]
         return (self.system, list(self.observables), *steps, *asked, edges)
 

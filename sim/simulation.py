@@ -2,9 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
 from math import inf, nan
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -16,7 +14,7 @@ from fpk.system import System
 from sim.checkpoint import Autosave, checkpoint_of, interruptible
 from sim.diagnostics import Diagnosis, diagnosis
 from sim.ensemble import Ensemble
-from sim.histogram import Array, Histogram, covering, extremes, sampled_density, starts
+from sim.histogram import Array, covering, extremes, sampled_density, starts
 from sim.record import Record
 from sim.relaxation import relaxation_time
 from sim.report import DensityError, Report, Steps
@@ -42,37 +40,30 @@ STEP_BIAS = 1e-3
 leave beyond chance; a long run resolves less than this, and ``residual`` then is the |z| of it."""
 
 
-@dataclass(frozen=True, eq=False)
-class Simulation:
-    """What one simulation returns; ``identities`` are empty without moments."""
-
-    densities: tuple[SampledDensity, ...]
-    histograms: tuple[Histogram, ...]
-    identities: tuple[Identity, ...]
-    report: Report
+Answer = tuple[tuple[SampledDensity, ...], tuple[Identity, ...], Report]
+"""The densities, the moment identities (none without moments), and the report."""
 
 
 def simulate(
     setup: Setup,
     *,
     workers: Any = None,
-    folder: Path | None = None,
-    partial: bool = False,
     failures: Sequence[str] = (),
     progress: Progress = silent,
-) -> Simulation:
+) -> Answer:
     """Sample the stationary state of Eq. (6) as ``setup`` says.
 
-    ``workers`` do the work (None: one thread here). In ``folder`` the state is saved at
-    intervals, and a simulation of the same setup goes on from there. With ``partial`` Ctrl-C ends
-    the sampling, and what there is by then is the result, not certified. ``failures`` say what is
-    known beforehand to stand against a certificate.
+    ``workers`` do the work (None: one thread here). ``failures`` say what is known beforehand to
+    stand against a certificate. The state is saved at intervals where the method has a folder for
+    ``checkpoint``, and a simulation of the same setup goes on from there. Where its answer may be
+    ``partial`` Ctrl-C ends the sampling, and what there is by then is the result, not certified.
 
     Where the system has the mirror symmetry, mirror images of samples count as samples.
     """
     begin = perf_counter()
+    method, folder = setup.method, setup.method.checkpoint
     ensemble = Ensemble(
-        setup.system, setup.scheme, setup.dt, setup.paths, setup.seed, workers=workers
+        setup.system, setup.scheme, setup.dt, method.paths, method.seed, workers=workers
     )
     autosave = Autosave(None if folder is None else checkpoint_of(folder, setup.identity))
     saved = autosave.load()
@@ -86,7 +77,7 @@ def simulate(
         record.restore(saved)
         begin -= record.elapsed
     autosave.notes["reached"] = reached
-    with interruptible() if partial else nullcontext() as autosave.stopped:
+    with interruptible() if method.partial else nullcontext() as autosave.stopped:
         sample(ensemble, record, setup, begin=begin, autosave=autosave, progress=progress)
     autosave.save(ensemble)
     interrupted = ""
@@ -122,7 +113,7 @@ def _burnt_in(setup: Setup, ensemble: Any, autosave: Autosave, saved: Any) -> Ar
 
 def _assessed(
     setup: Setup, ensemble: Any, record: Record, *, interrupted: str, failures: Sequence[str]
-) -> Simulation:
+) -> Answer:
     """Return the certified densities, the moment identities and the report.
 
     ``failures`` and ``interrupted`` (in words, empty if it was not) stand against a certificate.
@@ -171,7 +162,7 @@ def _assessed(
         interrupted=interrupted,
         lost=lost,
     )
-    return Simulation(densities, tuple(record.histograms), identities, report)
+    return densities, identities, report
 
 
 def _defect(system: System, identity: Identity) -> str:
@@ -187,17 +178,17 @@ def _steps(setup: Setup, ensemble: Any, seconds: float) -> Steps:
     return Steps(
         scheme=setup.scheme.name,
         dt=setup.dt / setup.scheme.small,
-        paths=setup.paths,
+        paths=ensemble.paths,
         steps=steps,
         time=steps * setup.dt,
         burn_in=setup.burn_in_steps * setup.dt,
         stride=setup.stride,
         batches=ensemble.edges.size - 1,
-        seed=setup.seed,
+        seed=ensemble.seed,
         threads=ensemble.threads,
         temperature=temperature(setup.system),
         long_step=setup.dt,
-        nanoseconds=1e9 * seconds * ensemble.threads / (setup.paths * steps),
+        nanoseconds=1e9 * seconds * ensemble.threads / (ensemble.paths * steps),
         relaxation_time=relaxation_time(setup.system),
         small=setup.scheme.small,
         division=setup.division,

@@ -7,15 +7,9 @@ from pkgutil import iter_modules
 from fpk.compiled_laws import law_files
 from fpk.compiling import ROOT, checksum
 
+COMPILED = ("arrays", "kernel", "lanes", "random")
 PARTS = ("contact", "damping", "linear", "observed", "substeps")
-
-KERNEL = (
-    "sim/arrays.py",
-    "sim/kernel.py",
-    "sim/lanes.py",
-    "sim/random.py",
-    *(f"sim/parts/{name}.py" for name in PARTS),
-)
+KERNEL = tuple(f"sim/{name}.py" for name in (*COMPILED, *(f"parts/{part}" for part in PARTS)))
 """Files of this room that a kernel is compiled from."""
 
 

@@ -55,8 +55,8 @@ SMALL_STEPS = (4, 8, 12, 16, 24, 32, 48, 64, 96, 128)
 """Small steps in a long one; few choices, so that round-off does not decide between them."""
 
 LONG_COST, SMALL_COST, WORTH = 2.3, 1.2, 0.8
-"""Costs of a long step and of a small one in a group, in those of a step of a whole block (measured
-by ``benchmarks/montecarlo.py``), and the cost below which long steps are made at all."""
+"""Processor time of a long step, and of a small step in a group, in units of a step of a whole
+block (measured by ``benchmarks/montecarlo.py``), and the cost below which long steps are made."""
 
 
 def noise_reach(system: System, H: float, masses: Integers) -> Array:
@@ -114,7 +114,7 @@ def near_share(system: System, H: float) -> float:
 
 
 def cost(system: System, dt: float, small: int) -> float:
-    """Return the cost of a unit of time in that of uniform steps ``dt``, by ``near_share``."""
+    """Return the processor time of long steps over that of uniform steps ``dt``, an estimate."""
     count = np.arange(LANES + 1)
     groups = np.ceil(count / NARROW) * NARROW / LANES
     near = near_share(system, small * dt)

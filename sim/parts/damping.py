@@ -21,10 +21,10 @@ W = LANES
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def term_rate(rate: Array, s: Array, first: int, terms: TermArrays, k: int) -> None:
-    """Write κ of term k, without its H, at the state from row ``first`` on."""
+def term_rate(rate: Array, s: Array, first: int, terms: TermArrays, k: int, own: int) -> None:
+    """Write κ p^own of term k, without its H, at the state from row ``first`` on."""
     fill(rate, terms.scale[k])
-    for f in range(terms.first[k], terms.first[k + 1]):
+    for f in range(terms.first[k], terms.first[k + 1] - terms.power[k] + own):
         multiply(rate, row(s, first + terms.factor[f]))
 
 
@@ -83,7 +83,7 @@ def term_flow(s: Array, work: int, step: StepArrays, k: int) -> None:
     middle, with_energy = row(s, work + 3), row(s, work + 4)
     terms, t = step.terms, 0.5 * step.dt
     p = row(s, terms.target[k])
-    term_rate(rate, s, 0, terms, k)
+    term_rate(rate, s, 0, terms, k, 0)
     if terms.energy[k] > 0:
         whole_energy(s, H, V, step)
         a = step.half_inverse_mass[terms.target[k] - step.half_inverse_mass.size]
@@ -106,9 +106,7 @@ def damping_forces(s: Array, first: int, H: Array, to: int, work: int, step: Ste
     for i in range(n):
         fill(row(s, to + i), 0.0)
     for k in range(terms.target.size):
-        term_rate(rate, s, first, terms, k)
-        for _ in range(terms.power[k]):
-            multiply(rate, row(s, first + terms.target[k]))
+        term_rate(rate, s, first, terms, k, terms.power[k])
         for _ in range(terms.energy[k]):
             multiply(rate, H)
         add(row(s, to + terms.target[k] - n), rate, 1.0)
@@ -131,13 +129,11 @@ def change_of_term(
 ) -> None:
     """Write the rate of change of term k's force, without its H, as (q, p) change by ``rates``."""
     first, last = terms.first[k], terms.first[k + 1]
-    target, power = terms.target[k], terms.power[k]
     fill(change, 0.0)
-    for moving in range(first, last + power):
+    for moving in range(first, last):
         fill(one, terms.scale[k])
-        for f in range(first, last + power):
-            factor = terms.factor[f] if f < last else target
-            multiply(one, row(s, (rates if f == moving else state) + factor))
+        for f in range(first, last):
+            multiply(one, row(s, (rates if f == moving else state) + terms.factor[f]))
         add(change, one, 1.0)
 
 

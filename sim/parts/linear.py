@@ -101,9 +101,10 @@ def map_state(
     s: Array, z: Singles, A: Array, step: StepArrays, loop: int, kicks: tuple[bool, bool],
     pairs: int, force: Any, slope: Any, width: int = W, sines: int = W, pair: int = 2 * W,
 ) -> None:  # fmt: skip
-    """Apply the map: by the loop of one mass, or two, after its kicks, or by that of any number.
+    """Apply the random linear map, after the contact kicks that are fused with it.
 
-    Inlined before types are inferred, so that a constant ``loop`` leaves one of the three.
+    ``loop`` 1 or 2 is the loop of one or two masses, 0 that of any number. Inlined before types
+    are inferred, so that a constant ``loop`` compiles one of the three.
     """
     if loop == 1:
         map_one_mass(s, z, A, step, kicks[0], force, slope, width, sines)

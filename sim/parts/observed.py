@@ -1,4 +1,4 @@
-"""What is observed of a state, and how it is counted."""
+"""The observed state, products of its rows, and histograms."""
 
 import numpy as np
 from numba import njit

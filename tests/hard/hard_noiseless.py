@@ -23,8 +23,9 @@ MANY_STEPS = 1_000_000
 def _released(system: System, dt: float) -> Ensemble:
     """Trajectories at rest, pushed into the stops and beside them, up to five kT of the system."""
     ensemble = Ensemble(system, SCHEMES["exact_flow"], dt, LANES, 1, 1)
-    ensemble.states[:] = 0.0
-    ensemble.states[0, 1] = np.linspace(-0.7, 0.7, LANES)
+    states = 0.0 * ensemble.states
+    states[0, 1] = np.linspace(-0.7, 0.7, LANES)
+    ensemble.restore({**ensemble.saved(), "states": states})
     return ensemble
 
 

@@ -170,7 +170,7 @@ def many_trajectories() -> HardCase:
     ensemble.advance(20)
     _, p = ensemble.phase_points()
     square = float(np.mean(p[:, 0] ** 2))
-    gigabytes = (ensemble.states.nbytes + ensemble.sums.nbytes + ensemble.folded.nbytes) / 1e9
+    gigabytes = sum(array.nbytes for array in ensemble.saved().values()) / 1e9
     # From the momenta's own law, kT = 1/8, twenty short steps do not lead far away.
     return HardCase(
         name="ten million trajectories",

@@ -5,6 +5,7 @@ from typing import Any
 
 from fpk.contact import Contact
 from fpk.system import System
+from sim.ensemble import Ensemble
 from sim.histogram import Histogram, covering, extremes
 from sim.montecarlo import MonteCarlo
 from sim.report import Report
@@ -60,6 +61,11 @@ def report_of(method: MonteCarlo, system: System, observables: Sequence[Any] = (
     report = method.solve(system, observables).report
     assert isinstance(report, Report)
     return report
+
+
+def place(ensemble: Ensemble, states: Any) -> None:
+    """Go on from other ``states`` (blocks, 2n, LANES)."""
+    ensemble.restore({**ensemble.saved(), "states": states})
 
 
 def ranged(

@@ -16,7 +16,8 @@ import sim.schemes  # noqa: F401
 from fpk.errors import NotCertified, Unavailable
 from fpk.observable import parse_observable
 from sim.arrays import LANES
-from sim.cluster import ClusterEnsemble, after, connected, gathered, package
+from sim.batch import Threads
+from sim.cluster import Cluster, connected, gathered, on_copies, package
 from sim.ensemble import Ensemble
 from sim.histogram import Histogram
 from sim.scheme import SCHEMES
@@ -24,8 +25,10 @@ from sim.statistics import moment_products
 
 distributed = pytest.importorskip("distributed")
 EXACT_FLOW = SCHEMES["exact_flow"]
-PATHS = 70 * LANES - 17
-"""Seventy blocks in sixty-four batches: shares divide some of the batches."""
+PATHS = 5 * LANES - 17
+"""Five batches of one block each."""
+MANY = 70 * LANES - 17
+"""Seventy blocks in sixty-four batches, of which some have two."""
 
 
 @contextmanager
@@ -57,7 +60,7 @@ def sampled(ensemble: Any, *, between: Callable[[], None] = lambda: None) -> dic
         between()
     q, p = ensemble.phase_points()
     found = {"q": q, "p": p, "means": ensemble.batch_means(), "lost": ensemble.lost()}
-    return {**ensemble.saved(), **found, "first": ensemble.counted(3, 9), "live": ensemble.live}
+    return {**ensemble.saved(), **found, "live": ensemble.live}
 
 
 def same(a: dict[str, Any], b: dict[str, Any]) -> None:
@@ -66,12 +69,12 @@ def same(a: dict[str, Any], b: dict[str, Any]) -> None:
         np.testing.assert_array_equal(a[key], b[key], err_msg=key)
 
 
-def here() -> Ensemble:
-    return Ensemble(fig6(), EXACT_FLOW, 0.1, PATHS, 31, 2)
+def here(paths: int = PATHS) -> Ensemble:
+    return Ensemble(fig6(), EXACT_FLOW, 0.1, paths, 31, workers=Threads(2))
 
 
-def there(client: Any) -> ClusterEnsemble:
-    return ClusterEnsemble(client, fig6(), EXACT_FLOW, 0.1, PATHS, 31, 1)
+def there(client: Any, paths: int = PATHS) -> Ensemble:
+    return Ensemble(fig6(), EXACT_FLOW, 0.1, paths, 31, workers=Cluster(client))
 
 
 def kill_one(client: Any) -> Callable[[], None]:
@@ -86,32 +89,36 @@ def kill_one(client: Any) -> Callable[[], None]:
 
 
 @pytest.mark.parametrize("apart", [512, 20])
-def test_shares_put_together_are_the_ensemble(apart: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sim.ensemble.APART", apart)
-    whole, parts = here(), [Ensemble(fig6(), EXACT_FLOW, 0.1, PATHS, 31, 1, part) for part in
-                            ((0, 13), (13, 14), (14, 70))]  # fmt: skip
-    found, shares = sampled(whole), [sampled(part) for part in parts]
-    for name in ("states", "sums", "folded", "q", "p", "live"):
-        np.testing.assert_array_equal(np.concatenate([s[name] for s in shares]), found[name])
-    counts = np.zeros_like(found["counts"])
-    for part, share in zip(parts, shares, strict=True):
-        counts[part.batch : part.batch + share["counts"].shape[0]] += share["counts"]
-    np.testing.assert_array_equal(counts, found["counts"])
+def test_what_was_saved_goes_on_in_another_ensemble(
+    apart: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sim.batch.APART", apart)
+    one, other = here(MANY), here(MANY)
+    for ensemble in (one, other):
+        ensemble.watch(histograms(), moment_products(2))
+    one.advance(31, stride=3)
+    other.restore(one.saved())
+    for ensemble in (one, other):
+        ensemble.advance(20, stride=3)
+    same({**one.saved()}, {**other.saved()})
+    np.testing.assert_array_equal(one.batch_means(), other.batch_means())
 
 
-def test_a_step_of_a_share_leaves_the_share_as_it_was() -> None:
-    share = Ensemble(fig6(), EXACT_FLOW, 0.1, PATHS, 31, 1, (3, 5))
-    before = {name: np.copy(array) for name, array in share.saved().items()}
-    moved = after(share, "advance", 7)
-    same({**share.saved()}, before)
-    assert moved.done == 7 and not np.array_equal(moved.states, share.states)
+def test_a_task_on_a_cluster_leaves_its_arguments_as_they_were() -> None:
+    def add(array: Any, number: float) -> Any:
+        array += number
+        return array
+
+    array = np.zeros(3)
+    np.testing.assert_array_equal(on_copies(add, array, 1.0), np.ones(3))
+    assert not array.any()
 
 
 def test_bitwise_the_same_on_two_workers_of_which_one_is_killed() -> None:
     expected = sampled(here())
     with cluster(2) as client:
         ensemble = there(client)
-        assert ensemble.threads == 2 and ensemble.bounds.size == 5
+        assert ensemble.threads == 2
         same(sampled(ensemble, between=kill_one(client)), expected)
         # What is saved here goes on there, and the other way round.
         stopped = here()
@@ -132,7 +139,7 @@ def test_bitwise_the_same_on_two_workers_of_which_one_is_killed() -> None:
 def test_bitwise_the_same_on_four_workers(kill: bool) -> None:
     with cluster(4) as client:
         between = kill_one(client) if kill else lambda: None
-        same(sampled(there(client), between=between), sampled(here()))
+        same(sampled(there(client, MANY), between=between), sampled(here(MANY)))
 
 
 def fail_with_the_system(share: int) -> int:

@@ -81,11 +81,11 @@ def test_a_stop_equal_on_both_sides_is_evaluated_once() -> None:
 def test_sums_of_blocks_are_those_of_their_trajectories(monkeypatch: pytest.MonkeyPatch) -> None:
     """To 1e-12: the same numbers added in another order; and bitwise for any threads and chunks."""
     apart = run(1, (60,))
-    monkeypatch.setattr("sim.ensemble.APART", 2)
+    monkeypatch.setattr("sim.batch.APART", 2)
     folded, other = run(1, (60,)), run(2, (1, 7, 20, 32))
-    assert folded.sums.shape[0] == 2 and folded.folded.shape[0] == 3
+    assert folded.sums.shape[0] == 2 and folded.saved()["folded"].shape[0] == 3
     np.testing.assert_array_equal(folded.sums, apart.sums[:2])
-    np.testing.assert_array_equal(folded.folded, other.folded)
+    np.testing.assert_array_equal(folded.saved()["folded"], other.saved()["folded"])
     np.testing.assert_array_equal(folded.batch_means(), other.batch_means())
     found, wanted = folded.batch_means(), apart.batch_means()
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
@@ -133,11 +133,13 @@ SECOND_PROCESS = """
 import numpy as np
 import sim.schemes
 from sim.ensemble import Ensemble
+from sim.kernel import compiled_kernel
 from sim.scheme import SCHEMES
 from sim_systems import fig6
 e = Ensemble(fig6(), SCHEMES["exact_flow"], 0.2, 128, 1, 1)
 e.advance(2)
-print(sum(e._kernel.stats.cache_hits.values()), sum(e._kernel.stats.cache_misses.values()))
+stats = compiled_kernel(e._key).stats
+print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))
 """
 
 

@@ -18,12 +18,14 @@ from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.method import Result
 from fpk.observable import parse_observable
 from fpk.system import System
+from sim.batch import Threads
 from sim.histogram import watch_arrays
 from sim.kernel import WatchArrays
 from sim.montecarlo import MonteCarlo
 from sim.report import Report
+from sim.sampling import Setup
 from sim.scheme import SCHEMES
-from sim.simulation import Setup, simulate
+from sim.simulation import simulate
 from sim.step_size import chosen_step, contact_frequency
 
 Q2 = (parse_observable("q2", 2),)
@@ -234,9 +236,9 @@ def test_weak_order_of_the_displacement_in_the_step() -> None:
     steps, biases, errors = (0.32, 0.42), [], []
     scheme = SCHEMES["exact_flow"]
     for dt in steps:
-        square = simulate(
-            Setup(exact(), (), scheme, dt=dt, paths=65536, seed=97, time=6000.0), threads=2
-        ).report.moments[1]
+        method = MonteCarlo(paths=65536, seed=97)
+        setup = Setup(method, exact(), (), scheme, dt=dt, time=6000.0)
+        square = simulate(setup, workers=Threads(2))[-1].moments[1]
         biases.append(square.mean / exact_square() - 1.0)
         errors.append(square.error / abs(square.mean - exact_square()))
     wide = np.log(steps[1] / steps[0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.linalg import expm
-from sim_systems import exact, fig6, linear, mixed
+from sim_systems import exact, fig6, linear, mixed, place
 
 import sim.schemes
 from fpk.contact import Contact
@@ -75,7 +75,7 @@ def test_kernel_equals_its_twin(name: str, make: Callable[[], System]) -> None:
     system, h, paths, seed = make(), 0.11, 150, 977
     ensemble = Ensemble(system, SCHEMES[name], h, paths, seed, 1)
     q, p = (x.T * 3.0 for x in ensemble.phase_points())
-    ensemble.states *= 3.0
+    place(ensemble, 3.0 * ensemble.states)
     for step in range(20):
         pairs = ensemble.step.pairs
         draw = lambda r, s=step, k=pairs: normals(seed, paths, s * k, max(r, 1))[:r]  # noqa: E731
