@@ -1,8 +1,9 @@
 """The exact stationary solution (7), (22), where damping and noise are in proportion (8)."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.integrate takes long to import
@@ -61,26 +62,19 @@ def compatibility(system: System) -> Array:
 
 def _by_energy(system: System) -> Array:
     """Symmetric damping matrices of each power of H, (powers, n, n), all else having to vanish."""
-    constant = 0.5 * (system.damping + system.damping.T)
-    terms = system.damping_terms
-    matrices = np.zeros((1 + max((t.energy for t in terms), default=0), system.n, system.n))
-    matrices[0] = constant
-    others: dict[object, Array] = {}
-    for t in terms:
-        if t.q or t.v:
-            key = (t.q, t.v, t.energy)
-            entry = others.setdefault(key, np.zeros((system.n, system.n)))
-            entry[t.row, t.column] += t.coefficient
-        else:
-            matrices[t.energy, t.row, t.column] += 0.5 * t.coefficient
-            matrices[t.energy, t.column, t.row] += 0.5 * t.coefficient
+    parts: dict[Any, Array] = defaultdict(lambda: np.zeros((system.n, system.n)))
+    parts[(), (), 0] += system.damping
+    for t in system.damping_terms:
+        parts[t.q, t.v, t.energy][t.row, t.column] += t.coefficient
     # c_ij(q) = −c_ji(q) does no work and leaves a density of H alone; with v in it, it does not.
-    working = [k for k, m in others.items() if np.any(m + m.T)]
-    turning = [t for t in terms if t.v]
-    if working or turning:
+    if any(v or (q and np.any(c + c.T)) for (q, v, _), c in parts.items()):
         raise NotApplicable(
             "the compatibility condition (8) is not met: the damping depends on q or v beside H"
         )
+    matrices = np.zeros((1 + max(power for _, _, power in parts), system.n, system.n))
+    for (q, _, power), c in parts.items():
+        if not q:
+            matrices[power] = 0.5 * (c + c.T)
     return matrices
 
 

@@ -99,7 +99,9 @@ class HiddenIntegral:
         that f can tell, with layers where a stop, or one of the next mass, bends it.
         """
         law, T = self.laws[k], self.temperature
-        following = _Following(law, self.laws[k + 1] if k + 1 < len(self.laws) else None, T)
+        # The next mass matters here only where this one pulls at it.
+        coupled = [other for other in self.laws[k + 1 : k + 2] if other.weights[-1] > 0.0]
+        following = _Following(law, coupled[0] if coupled else None, T)
         shift = following.shift(given)
         bottom = following.minimum(mean, shift)
         lowest = following.energy(bottom, mean, shift)
@@ -208,7 +210,7 @@ class _Following:
 
     def layers(self, shift: Array, reach: float) -> Array:
         """Where the next mass begins to touch: layers from a part of the width of its law on."""
-        if self.next is None or not self.next.stops or not self.next.weights[-1] > 0.0:
+        if self.next is None or not self.next.stops:
             return np.empty((shift.size, 0))
         share = self.next.weights[-1]
         width = float(np.sqrt(self.temperature / self.next.precision))

@@ -12,17 +12,15 @@ from fpk.quadrature import gauss_legendre
 Array = NDArray[np.float64]
 
 
-def circle_rule(
-    shell: EnergyShell, energy: Array, nodes: int
-) -> tuple[NDArray[np.intp], Array, Array]:
-    """Two contact masses: Gauss panels over the angle, cut where a stop joins or leaves the shell.
+def circle_rule(cuts: Array, nodes: int, *, mirror: bool) -> tuple[NDArray[np.intp], Array, Array]:
+    """Two contact masses: Gauss panels over the angle between ``cuts`` (energies, cuts).
 
     Returns the index of each ray's energy (rays,), the directions (rays, 2), the weights (rays,).
     The substitution sin² towards both ends of a panel turns the half-integer powers that Hertz
-    contact leaves there into smooth functions.
+    contact leaves there into smooth functions. ``mirror`` says that V is even.
     """
-    period = pi if shell.mirror else 2.0 * pi
-    cuts = np.sort(_cut_angles(shell, energy) % period, axis=1)
+    period = pi if mirror else 2.0 * pi
+    cuts = np.sort(cuts % period, axis=1)
     cuts = np.concatenate([cuts, cuts[:, :1] + period], axis=1)
     t, w = gauss_legendre(nodes)
     psi = 0.25 * pi * (1.0 + t)
@@ -31,7 +29,7 @@ def circle_rule(
     angle = cuts[:, :-1, None] + length[:, :, None] * share
     weight = np.broadcast_to(length[:, :, None] * slope, angle.shape)
     keep = weight > 0
-    index = np.arange(energy.size, dtype=np.intp)[:, None, None]
+    index = np.arange(len(cuts), dtype=np.intp)[:, None, None]
     which = np.broadcast_to(index, angle.shape)[keep]
     directions = np.stack([np.cos(angle[keep]), np.sin(angle[keep])], axis=1)
     return which, directions, weight[keep] * (2.0 * pi / period)
@@ -46,8 +44,8 @@ def hyperspherical(angles: Array) -> tuple[Array, Array]:
     return directions, np.prod(sine**powers, axis=1)
 
 
-def _cut_angles(shell: EnergyShell, energy: Array) -> Array:
-    """Angles (energies, cuts) at which the rays change their panels; 0 where a cut is absent."""
+def cut_angles(shell: EnergyShell, energy: Array) -> Array:
+    """Return angles (energies, cuts) where a stop joins or leaves the shell; 0 for no cut."""
     fixed = [0.0, 0.5 * pi, *np.arctan2(shell.corners[:, 1], shell.corners[:, 0])]
     crossings = [
         angle

@@ -5,11 +5,12 @@ ratios between 0 and 1 that depend on H only; they are all that quadrature is ne
 well scaled for any number of masses, and they are exactly 1 below the energy where contact begins.
 """
 
-from math import exp, lgamma, pi
+from math import gamma, lgamma, pi
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import beta
 
 from averaging.shell.energy_shell import EnergyShell, energy_shell
 from averaging.shell.sums import shell_integrals
@@ -85,7 +86,7 @@ def _integrated(shell: EnergyShell, energy: Array) -> Array:
     n, c = shell.system.n, shell.count
     sums, errors = shell_integrals(shell, energy, _sizes)
     a = n - 0.5 * c - 1.0
-    flat = (2.0 * pi) ** (0.5 * c) * exp(lgamma(a + 1.0) - lgamma(n))
+    flat = (2.0 * pi) ** (0.5 * c) * float(beta(a + 1.0, 0.5 * c)) / gamma(0.5 * c)
     error = np.maximum(errors[:, 0], errors[:, 1])
     if n == 1:
         rises = energy[:, None] - shell.potential(shell.stops.clearance[:, None] / shell.stops.rows)

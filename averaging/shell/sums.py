@@ -7,7 +7,7 @@ import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.integrate takes long to import
 from numpy.typing import NDArray
 
-from averaging.shell.directions import circle_rule, hyperspherical
+from averaging.shell.directions import circle_rule, cut_angles, hyperspherical
 from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.rays import RULES, gauss_rules
 
@@ -52,74 +52,52 @@ def shell_integrals(
     ``combine`` makes of them, summed over all directions. ``size`` takes sums and returns what
     their errors are relative to. The rules are refined until all errors are below ``target``.
     """
+
+    def along(energy: Array, directions: Array, rule: int, rules: int = 1) -> Array:
+        """The quantities of each ray by ``rules`` rules from ``rule`` on, (rules, rays, ·)."""
+        out = np.zeros((rules, energy.size, 3 + len(orders)))
+        points, n = gauss_rules(), shell.system.n
+        shell.add_rays(energy, directions, shell.stops, n, orders, points, rule, out)
+        return out if combine is None else combine(directions, out)
+
+    def over_line(i: Integers, rule: int, rules: int) -> Array:
+        right = np.ones((i.size, 1))
+        total = along(energy[i], right, rule, rules)
+        return total + (total if shell.mirror else along(energy[i], -right, rule, rules))
+
+    def over_circle(i: Integers, rule: int, rules: int) -> Array:
+        sums = []
+        for k in range(rule, rule + rules):
+            which, directions, weights = circle_rule(cuts[i], RULES[k], mirror=shell.mirror)
+            parts = along(energy[i[which]], directions, min(k, RADIAL_RULE))[0]
+            sums.append([np.bincount(which, weights * x, minlength=i.size) for x in parts.T])
+        return np.swapaxes(sums, 1, 2)
+
     if shell.count > 2:
-        return _over_sphere(shell, energy, size, orders, combine)
-
-    def sums(energy: Array, rule: int, rules: int) -> Array:
-        if shell.count == 2:
-            return _over_circle(shell, energy, rule, rules, orders, combine)
-        right = np.ones((energy.size, 1))
-        total = _along(shell, energy, right, rule, rules, orders, combine)
-        other = (
-            total if shell.mirror else _along(shell, energy, -right, rule, rules, orders, combine)
-        )
-        return total + other
-
+        return _over_sphere(shell, energy, along, size)
+    if shell.count == 2:
+        cuts = cut_angles(shell, energy)
+    sums = over_line if shell.count == 1 else over_circle
     first = 1 if shell.count == 1 and shell.system.n >= MANY else 0
     floor = ROUND_OFF if shell.system.n > 1 else ROOT_ROUND_OFF
-    coarse, fine = sums(energy, first, 2)
+    coarse, fine = sums(np.arange(energy.size), first, 2)
     error = np.abs(coarse - fine) / size(fine) + floor
     for rule in range(first + 2, len(RULES)):
         # A sum that is no number is refined, too.
         i = np.flatnonzero(~(error.max(axis=1) <= target))
         if not i.size:
             break
-        finer = sums(energy[i], rule, 1)[0]
+        finer = sums(i, rule, 1)[0]
         error[i] = np.abs(fine[i] - finer) / size(finer) + floor
         fine[i] = finer
     return fine, np.where(np.isnan(error), np.inf, error)
 
 
-def _along(
-    shell: EnergyShell,
-    energy: Array,
-    directions: Array,
-    rule: int,
-    rules: int,
-    orders: Integers,
-    combine: Combine | None,
-) -> Array:
-    """The quantities of each ray by ``rules`` rules from ``rule`` on, (rules, rays, quantities)."""
-    result = np.zeros((rules, energy.size, 3 + len(orders)))
-    rules_at = gauss_rules()
-    shell.add_rays(energy, directions, shell.stops, shell.system.n, orders, rules_at, rule, result)
-    return result if combine is None else combine(directions, result)
-
-
-def _over_circle(
-    shell: EnergyShell,
-    energy: Array,
-    rule: int,
-    rules: int,
-    orders: Integers,
-    combine: Combine | None,
-) -> Array:
-    result = []
-    for k in range(rule, rule + rules):
-        which, directions, weights = circle_rule(shell, energy, RULES[k])
-        radial = min(k, RADIAL_RULE)
-        parts = _along(shell, energy[which], directions, radial, 1, orders, combine)[0]
-        columns = [np.bincount(which, weights * part, minlength=energy.size) for part in parts.T]
-        result.append(np.stack(columns, axis=1))
-    return np.stack(result)
-
-
 def _over_sphere(
     shell: EnergyShell,
     energy: Array,
+    along: Callable[[Array, Array, int], Array],
     size: Callable[[Array], Array],
-    orders: Integers,
-    combine: Combine | None,
 ) -> tuple[Array, Array]:
     """Three or more contact masses: adaptive cubature over the directions."""
     angles = shell.count - 1
@@ -130,8 +108,7 @@ def _over_sphere(
     def integrand(points: Array) -> Array:
         directions, jacobian = hyperspherical(points)
         energies = np.tile(energy, points.shape[0])
-        rays = np.repeat(directions, energy.size, axis=0)
-        parts = _along(shell, energies, rays, 0, 1, orders, combine)[0]
+        parts = along(energies, np.repeat(directions, energy.size, axis=0), 0)[0]
         return np.asarray(jacobian[:, None, None] * parts.reshape(-1, energy.size, parts.shape[-1]))
 
     result = scipy.integrate.cubature(

@@ -67,12 +67,18 @@ class ShellTable:
     def __call__(self, energy: Array) -> Array:
         """Values and errors, as ``evaluate`` returns them, at energies (energies,)."""
         index = np.searchsorted(self.edges, energy, side="right") - 1
+        direct = np.zeros(energy.size, dtype=bool)
         parts = []
         for k in np.unique(index).tolist():
-            here = np.flatnonzero(index == k)
-            if k not in self.panels and here.size >= self.resolution.points:
+            here = index == k
+            if k not in self.panels and here.sum() >= self.resolution.points:
                 self.panels[k] = self._fitted(self.edges[k : k + 2])
-            parts.append((here, (self.panels.get(k) or self._each)(energy[here])))
+            if k in self.panels:
+                parts.append((here, self.panels[k](energy[here])))
+            else:
+                direct |= here
+        if direct.any():
+            parts.append((direct, self._each(energy[direct])))
         result = np.empty((energy.size, parts[0][1].shape[1]))
         for here, values in parts:
             result[here] = values
