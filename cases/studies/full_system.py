@@ -13,12 +13,12 @@ from cases.studies.timing import timed_first
 from fpk.certificate import Measured
 from fpk.density import Array, Density, SampledDensity, certified_density
 from fpk.errors import InvalidInput, NotCertified
-from fpk.method import Method
+from fpk.method import Method, Result
 from fpk.observable import Observable, parse_observable
 from fpk.route import Solves
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
-from sim.report import Report, Steps
+from sim.report import Moment, Report
 
 LARGEST = 4.0
 """Largest step tried, in units of the chosen one: beyond it no scheme is stable in contact."""
@@ -37,22 +37,17 @@ SEED_STEP = 7919
 
 @dataclass(frozen=True)
 class Run:
-    """One simulation: its ``steps``, E q_i² ``value`` with one standard ``error``, and a density.
+    """E q_i² of one simulation at the step ``dt``: its ``value`` with one standard ``error``.
 
-    ``value`` is not a number where trajectories were lost; ``density`` is that of the first
-    observable in about 128 bins, None without one; ``seconds`` of processor time.
+    ``sampled`` is the sampled time of all paths, ``seconds`` the processor time. Not a number where
+    trajectories were lost.
     """
 
-    steps: Steps
+    dt: float
     value: float
     error: float
+    sampled: float
     seconds: float
-    density: SampledDensity | None
-
-    @property
-    def sampled(self) -> float:
-        """The sampled time of all paths."""
-        return self.steps.paths * self.steps.time
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,16 +68,16 @@ def observed_displacement(system: System) -> Observable:
     return parse_observable(f"q{observed_mass(system) + 1}", system.n)
 
 
-def run(system: System, method: MonteCarlo, observables: Sequence[Observable] = ()) -> Run:
+def run(
+    system: System, method: MonteCarlo, observables: Sequence[Observable] = ()
+) -> tuple[Run, Result]:
     """Run ``method``; E q² is that of ``observed_mass``."""
     result, seconds = timed_first(lambda: method.solve(system, observables))
-    report = result.report
-    assert isinstance(report, Report)
-    density = next((joined(d) for d in result.densities if isinstance(d, SampledDensity)), None)
-    if not report.moments:  # nothing is known of the means where trajectories were lost
-        return Run(report.steps, nan, nan, seconds, density)
-    moment = report.moments[observed_mass(system)]
-    return Run(report.steps, moment.mean, moment.error, seconds, density)
+    assert isinstance(result.report, Report)
+    steps, moments = result.report.steps, result.report.moments
+    # Nothing is known of the means where trajectories were lost.
+    mean = moments[observed_mass(system)] if moments else Moment("", nan, nan)
+    return Run(steps.dt, mean.mean, mean.error, steps.paths * steps.time, seconds), result
 
 
 def largest_stable(
@@ -97,7 +92,7 @@ def largest_stable(
     factor = LARGEST
     while factor > smallest:
         try:
-            tried = run(system, replace(trial, step_factor=factor))
+            tried, _ = run(system, replace(trial, step_factor=factor))
         except InvalidInput as refusal:
             if refusal.key != "dt":
                 raise

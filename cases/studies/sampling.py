@@ -14,11 +14,11 @@ from cases.studies.levels import Equation, Level, Work
 from cases.studies.prices import NotTimed, Priced, priced
 from cases.studies.timing import Timing, timed_first
 from fpk.certificate import Measured
-from fpk.density import SampledDensity, certified_density, l1_distance
+from fpk.density import Density, SampledDensity, certified_density, l1_distance
 from fpk.method import Progress, Result, silent
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
-from sim.report import Report
+from sim.report import Report, Steps
 from sim.scheme import SCHEMES
 
 FULL = "full system (6)"
@@ -136,17 +136,16 @@ def _law(system: System, method: MonteCarlo, factor: float, reference: Reference
     if factor < 0.25:
         few = replace(method, paths=LEAST_PATHS, relaxations=RELAXATIONS)
 
-    def measured(factor: float) -> tuple[Run, float, float, float]:
-        own = run(system, replace(few, step_factor=factor), [density.observable])
-        assert own.density is not None
-        return own, l1_distance(own.density, density), *chance_l1(own.density)
+    def measured(factor: float) -> tuple[Run, Steps, float, float, float]:
+        own, result = run(system, replace(few, step_factor=factor), [density.observable])
+        return own, _steps(result), *_distance(result, density)
 
-    first, distance, mean, _ = measured(factor)
+    first, _, distance, mean, _ = measured(factor)
     noise = float(np.hypot(mean, density.l1_error))
     resolved = distance > 2.0 * noise
     bias = sqrt(distance**2 - noise**2) if resolved else 2.0 * noise
-    usual, true, mean, quantile = measured(min(0.7 * factor, 1.0))
-    at, largest = usual.steps, first.steps.dt
+    usual, at, true, mean, quantile = measured(min(0.7 * factor, 1.0))
+    largest = first.dt
     # The bias itself is known to the noise of the run that it was read from.
     left = (bias + noise) * (at.dt / largest) ** order
     allowed = quantile + left + 2.0 * density.l1_error
@@ -171,8 +170,7 @@ def _simulated(
     """The simulation at its chosen step and its refinements."""
 
     def described(result: Result) -> tuple[str, float]:
-        assert isinstance(result.report, Report)
-        at = result.report.steps
+        at = _steps(result)
         words = f"{at.paths} paths, time {at.time:.3g}, dt {at.dt:.3g}"
         return words, law.bias * at.dt**law.order
 
@@ -213,15 +211,24 @@ def _priced(
             level = level.refined() if k else level
             work = partial(level.solve, system, [density.observable])
             result, seconds = timed_first(work)
-            (sampled,) = result.densities
-            assert isinstance(sampled, SampledDensity)
-            mean, quantile = chance_l1(joined(sampled))
+            distance, mean, quantile = _distance(result, density)
             settings, bias = described(result)
             # Twice the reference's error: its mean is what chance makes of it, not the worst case.
             estimate = quantile + bias + 2.0 * density.l1_error
-            distance, expected = l1_distance(joined(sampled), density), mean + bias
-            timing = Timing(seconds)
-            yield work, Level(settings, expected, expected, timing, distance, estimate)
+            error, timing = mean + bias, Timing(seconds)
+            yield work, Level(settings, error, error, timing, distance, estimate)
 
     warm_up = partial(method.solve, system, [reference.density.observable])
     return priced(empty, levels(), warm_up=warm_up, reference=reference.words, longest=LONG)
+
+
+def _steps(result: Result) -> Steps:
+    assert isinstance(result.report, Report)
+    return result.report.steps
+
+
+def _distance(result: Result, reference: Density) -> tuple[float, float, float]:
+    """L1 distance of the one density to the reference, its mean by chance alone and quantile."""
+    (density,) = result.densities
+    assert isinstance(density, SampledDensity)
+    return l1_distance(joined(density), reference), *chance_l1(joined(density))

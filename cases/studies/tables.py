@@ -68,7 +68,7 @@ def cell(value: Any) -> str:
         return "–"
     if not isinstance(value, float):
         return str(value)
-    return f"{value:.3g}" if 0.01 <= abs(value) < 1000 or not value else f"{value:.2e}"
+    return f"{value:#.3g}" if 0.01 <= abs(value) < 100 or not value else f"{value:.2e}"
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cases.studies.full_system import (
+    Run,
     full_density,
     largest_stable,
     observed_displacement,
@@ -47,17 +48,6 @@ KNOWN = 1e-6
 Verdict = Literal["as theory", "pre-asymptotic", "not resolved", "unstable"]
 
 
-@dataclass(frozen=True)
-class StepLevel:
-    """E q² at one step with its standard error, and the sampled time it took (paths x time)."""
-
-    dt: float
-    value: float
-    error: float
-    sampled: float
-    seconds: float
-
-
 class Line(NamedTuple):
     """Weighted fits of value = limit + slope dtʳ by order, standard errors of both, and χ²."""
 
@@ -85,7 +75,7 @@ class WeakOrder:
     scheme: str
     observable: str
     theory: int
-    levels: tuple[StepLevel, ...] = ()
+    levels: tuple[Run, ...] = ()
     limit: float = nan
     limit_error: float = nan
     known: bool = False
@@ -157,17 +147,16 @@ def weak_order(
 
 def _levels(
     system: System, method: MonteCarlo, factors: Sequence[float], relaxations: float
-) -> list[StepLevel]:
+) -> list[Run]:
     # Different seeds: steps of different lengths are independent, as the regression takes them.
     own = replace(method, relaxations=relaxations, seed=method.seed + 1000 * ceil(relaxations))
-    runs = [
-        run(system, replace(own, step_factor=factor, seed=own.seed + k))
+    return [
+        run(system, replace(own, step_factor=factor, seed=own.seed + k))[0]
         for k, factor in enumerate(factors)
     ]
-    return [StepLevel(r.steps.dt, r.value, r.error, r.sampled, r.seconds) for r in runs]
 
 
-def fit(levels: Sequence[StepLevel], orders: ArrayLike, truth: float | None) -> Line:
+def fit(levels: Sequence[Run], orders: ArrayLike, truth: float | None) -> Line:
     """Return the weighted fits of value = limit + slope dtʳ, arrays in the shape of the orders r.
 
     A known limit ``truth`` is a value at dt = 0 that has nearly no error.
@@ -187,7 +176,7 @@ def fit(levels: Sequence[StepLevel], orders: ArrayLike, truth: float | None) -> 
     return Line(mean - slope * x_mean, slope, limit_error, slope_error, chi2)
 
 
-def judged(scheme: WeakOrder, levels: Sequence[StepLevel], truth: float | None) -> WeakOrder:
+def judged(scheme: WeakOrder, levels: Sequence[Run], truth: float | None) -> WeakOrder:
     """Return ``scheme`` with what the levels show.
 
     "as theory" only where two standard errors of the profile (χ² + 4) exclude other orders; where
@@ -258,7 +247,7 @@ def sample_slope(
     levels = [MonteCarlo(paths=paths, seed=seed, threads=threads, relaxations=1.0)]
     while len(levels) < SAMPLE_LEVELS:
         levels.append(levels[-1].refined())
-    runs = [run(system, level) for level in levels]
+    runs = [run(system, level)[0] for level in levels]
     sampled, errors = tuple(r.sampled for r in runs), tuple(r.error for r in runs)
     weights = np.full(len(runs), sqrt(2.0 * 63.0))
     line, covariance = np.polyfit(np.log(sampled), np.log(errors), 1, w=weights, cov="unscaled")

@@ -11,12 +11,12 @@ from cases.scene.scene import load_scene
 from cases.studies.answer import FUNCTIONALS, NORMS, errors
 from cases.studies.converge import chosen_routes
 from cases.studies.energy_equation import energy_equation
+from cases.studies.full_system import Run
 from cases.studies.ladders import H_LEVELS, ROUND_OFF, degree_ladder, ladders
 from cases.studies.levels import P_DEGREES, refined_levels
 from cases.studies.modal_equation import modal_equation
 from cases.studies.weak import (
     ORDER_ERROR,
-    StepLevel,
     WeakOrder,
     judged,
     known_square,
@@ -120,7 +120,7 @@ STEPS = 0.4 / np.sqrt(2.0) ** np.arange(5.0)
 def levels_of(order, error, noise=0.0, rng=None):
     """Levels with a bias dt^order, the standard error that they state, and as much noise."""
     chance = noise * rng.normal(size=5) if noise else np.zeros(5)
-    return [StepLevel(dt, 1.0 + dt**order + x, error, 1.0, 1.0)
+    return [Run(dt, 1.0 + dt**order + x, error, 1.0, 1.0)
             for dt, x in zip(STEPS, chance, strict=True)]  # fmt: skip
 
 
@@ -293,7 +293,7 @@ def test_a_route_that_alone_is_asked_for_and_does_not_apply_is_refused(fpk, scen
 def test_a_fit_at_the_end_of_the_orders_tried_is_called_none():
     # The bias of the two largest of five steps only: no power does that.
     values = [1.0 + b for b in (1.0, 0.03, 0.0, 0.0, 0.0)]
-    levels = [StepLevel(dt, v, 1e-4, 1.0, 1.0) for dt, v in zip(STEPS, values, strict=True)]
+    levels = [Run(dt, v, 1e-4, 1.0, 1.0) for dt, v in zip(STEPS, values, strict=True)]
     result = judged_order(2, levels)
     assert result.beyond and result.verdict == "pre-asymptotic"
     assert not judged_order(2, levels_of(2, 1e-5, 1e-5, np.random.default_rng(7))).beyond
