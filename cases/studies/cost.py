@@ -1,7 +1,7 @@
 """The work-precision study of a scene: what each digit costs, by every route."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from time import perf_counter
 from typing import Any
@@ -26,13 +26,12 @@ from cases.studies.prices import (
     Priced,
     crossovers,
     price_list,
-    priced,
     promised_list,
 )
 from cases.studies.sampling import FULL, Law, averaged_route, full_routes
 from cases.studies.timing import timed_first, timing
 from fpk.density import Density
-from fpk.errors import NotApplicable, NotCertified
+from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.method import Progress, silent
 from fpk.observable import observable_name
 from fpk.system import System
@@ -174,23 +173,41 @@ def candidates(equation: Equation) -> tuple[Discretisation, ...]:
 def equation_routes(
     equation: Equation, offered: Sequence[Discretisation], *, progress: Progress = silent
 ) -> list[Priced | NotTimed]:
-    """Check every answer of every route against the reference; time those routes that agree."""
+    """Check every level of every route against the reference; time routes that agree at all.
+
+    A route with one answer that disagrees, or with none at all, is named and not timed.
+    """
     results = []
-    of = observable_name(equation.observable)
     for k, first in enumerate(offered):
         progress(k, len(offered), f"cost of {equation.name}")
-        count = TOLERANCES if first.family == "tol" else MESHES[equation.dimension]
-        result = priced(
-            Priced(first.name, equation.name, f"numerical: L1 of p({of}), {equation.name}", ()),
-            refined_levels(first, equation.reference, count),
-            warm_up=first.solve,
-            reference=equation.reference_words,
-            longest=LONGEST,
-            clock=equation.coefficients,
-        )
-        results.append(result)
+        results.append(_priced(equation, first))
     progress(len(offered), len(offered), f"cost of {equation.name}")
     return results
+
+
+def _priced(equation: Equation, first: Discretisation) -> Priced | NotTimed:
+    names, checked = (first.name, equation.name), []
+    count = TOLERANCES if first.family == "tol" else MESHES[equation.dimension]
+    try:
+        _, compiling = timed_first(first.solve)  # the levels themselves are timed warm
+        for work, level in refined_levels(first, equation.reference, count):
+            words = ""
+            if not np.isfinite(level.stated):
+                words = "states no finite error of its own: its density does not fall off"
+            elif not level.honest:
+                words = f"differs from the {equation.reference_words} by more than both state"
+            if words:
+                return NotTimed(*names, level.settings, level.distance, level.estimate, words)
+            checked.append((work, level))
+            if level.seconds > LONGEST:
+                break
+    except (NotCertified, NotApplicable, InvalidInput, np.linalg.LinAlgError) as error:
+        return NotTimed(*names, reason=str(error))
+    timings = [timing(work, level.seconds, equation.coefficients) for work, level in checked]
+    timings[0] = replace(timings[0], first=max(0.0, compiling - timings[0].seconds))
+    points = tuple(replace(p, timing=t) for (_, p), t in zip(checked, timings, strict=True))
+    axis = f"numerical: L1 of p({observable_name(equation.observable)}), {equation.name}"
+    return Priced(*names, axis, points)
 
 
 def _models(system: System, reference: Reference) -> list[Model]:

@@ -174,7 +174,7 @@ def cost_panels(study: CostStudy) -> list[Panel]:
                 route.route,
                 [p.seconds for p in points],
                 [p.error for p in points],
-                style=":" if points[0].modelled else "-",
+                style=":" if points[-1].modelled else "-",
                 end=points[-1].settings.rpartition(", ")[2],
             )
             for route in routes

@@ -1,15 +1,13 @@
 """Prices: for every route error against time, and from them the cheapest setting for an error."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import inf, isfinite, nan
+from math import inf, nan
 
 import numpy as np
 
-from cases.studies.levels import Level, Work
-from cases.studies.timing import Clock, timed_first, timing
+from cases.studies.levels import Level
 from fpk.density import Array
-from fpk.errors import InvalidInput, NotApplicable, NotCertified
 
 
 @dataclass(frozen=True)
@@ -63,42 +61,6 @@ class NotTimed:
     def wrong(self) -> bool:
         """Whether an answer disagrees: no answer, or a baseline's, says nothing against others."""
         return self.distance == self.distance and not self.baseline
-
-
-def priced(
-    empty: Priced,
-    levels: Iterable[tuple[Work, Level]],
-    *,
-    warm_up: Work,
-    reference: str,
-    longest: float,
-    clock: Clock | None = None,
-) -> Priced | NotTimed:
-    """Check every level of a route against the ``reference``; time them where all of them agree.
-
-    ``empty`` names the route. After a level of more than ``longest`` seconds no finer one is asked
-    for. A route with one answer that disagrees, or with none at all, is named and not timed.
-    """
-    names, checked = (empty.route, empty.equation), []
-    try:
-        _, compiling = timed_first(warm_up)  # the levels themselves are timed warm
-        for work, level in levels:
-            words = ""
-            if not isfinite(level.stated):
-                words = "states no finite error of its own: its density does not fall off"
-            elif not level.honest:
-                words = f"differs from the {reference} by more than both errors explain"
-            if words:
-                return NotTimed(*names, level.settings, level.distance, level.estimate, words)
-            checked.append((work, level))
-            if level.seconds > longest:
-                break
-    except (NotCertified, NotApplicable, InvalidInput, np.linalg.LinAlgError) as error:
-        return NotTimed(*names, reason=str(error))
-    points = [replace(p, timing=timing(work, p.seconds, clock)) for work, p in checked]
-    first = max(0.0, compiling - points[0].seconds)
-    points[0] = replace(points[0], timing=replace(points[0].timing, first=first))
-    return replace(empty, points=tuple(points))
 
 
 @dataclass(frozen=True)

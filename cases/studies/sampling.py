@@ -1,6 +1,5 @@
 """What sampling costs: the full system by every scheme, and the averaged equation (24)."""
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf, sqrt
@@ -9,29 +8,27 @@ import numpy as np
 
 from cases.comparison.averaged import AveragedSimulation
 from cases.comparison.compare import chance_l1, joined
-from cases.studies.full_system import PATHS, Reference, Run, largest_stable, run
-from cases.studies.levels import Equation, Level, Work
-from cases.studies.prices import NotTimed, Priced, priced
+from cases.studies.full_system import PATHS, Reference, largest_stable, run
+from cases.studies.levels import Equation, Level
+from cases.studies.prices import NotTimed, Priced
 from cases.studies.timing import Timing, timed_first
 from fpk.certificate import Measured
 from fpk.density import Density, SampledDensity, certified_density, l1_distance
 from fpk.method import Progress, Result, silent
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
-from sim.report import Report, Steps
+from sim.report import Report
 from sim.scheme import SCHEMES
 
 FULL = "full system (6)"
-RELAXATIONS, LEVELS = 4.0, 3
-"""Sampled relaxation times of the first run at the chosen step, and runs, each a refinement."""
+RELAXATIONS = 4.0
+"""Sampled relaxation times of a run with few paths at a small step; four times that else."""
 SMALLEST, PATIENCE = 2.0**-8, 2.0
 """Smallest step tried, in chosen ones, and seconds of a trial beyond which no smaller one is."""
 HALVINGS = 2
 """Times that the step is halved where a scheme is not yet where its order says."""
 FEWEST = 256
-"""Paths of the first simulation of (24)."""
-LONG = 5.0
-"""Seconds of a simulation beyond which it is not refined."""
+"""Paths of the simulation of (24)."""
 ERRORS = tuple(10.0**-k for k in (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0))
 """Errors for which the cheapest (dt, N) is given."""
 MAX_PATHS = 2.0**20
@@ -89,7 +86,7 @@ class Law:
 def full_routes(
     system: System, reference: Reference, *, seed: int, progress: Progress = silent
 ) -> tuple[list[Priced | NotTimed], list[Law]]:
-    """Measure the schemes, and return their points: refined at the chosen step, and in (dt, N).
+    """Measure the schemes: one run of each, and by the law the cheapest (dt, N) for ``ERRORS``.
 
     A baseline without a step at which its law holds is named and not timed: it is no failure.
     """
@@ -99,132 +96,97 @@ def full_routes(
     for k, scheme in enumerate(sorted(SCHEMES, key=lambda s: -SCHEMES[s].weak_order)):
         progress(k, len(SCHEMES), f"cost of {FULL}")
         method = MonteCarlo(paths=PATHS, scheme=scheme, seed=seed, threads=1)
-        baseline = scheme != MonteCarlo.scheme
-        law = _law_at_some_step(system, method, reference)
-        if isinstance(law, NotTimed):
-            results.append(replace(law, baseline=baseline))
+        measured = _law_at_some_step(system, method, reference)
+        if isinstance(measured, NotTimed):
+            results.append(replace(measured, baseline=scheme != MonteCarlo.scheme))
             continue
+        law, level = measured
         laws.append(law)
-        if not baseline:
-            results.append(_simulated(system, method, law, reference, axis))
-        points = tuple(law.point(error) for error in ERRORS)
+        points = (level, *(law.point(error) for error in ERRORS))
         results.append(Priced(f"{scheme}, (dt, N)", FULL, axis, points, sampled=True))
     progress(len(SCHEMES), len(SCHEMES), f"cost of {FULL}")
     return results, laws
 
 
-def _law_at_some_step(system: System, method: MonteCarlo, reference: Reference) -> Law | NotTimed:
-    """Return the law from the largest step at which it holds: at most ``HALVINGS`` halvings."""
+def _law_at_some_step(
+    system: System, method: MonteCarlo, reference: Reference
+) -> tuple[Law, Level] | NotTimed:
+    """The law from the largest step at which it holds, and a run: at most ``HALVINGS`` halvings."""
     factor = largest_stable(system, method, smallest=SMALLEST, patience=PATIENCE)
     if factor is None:
         words = f"no usable step: none down to {SMALLEST:g} of the chosen one is stable and cheap"
         return NotTimed(method.scheme, FULL, reason=words)
     for k in range(HALVINGS + 1):  # next to its limit of stability a scheme has no order yet
-        law = _law(system, method, factor * 0.5**k, reference)
-        if isinstance(law, Law):
-            break
-    return law
+        law, level = _law(system, method, factor * 0.5**k, reference.density)
+        if level.honest:
+            return law, level
+    words = f"differs from the {reference.words} by more than chance and its order explain"
+    at = level.settings, level.distance, level.estimate
+    return NotTimed(method.scheme, FULL, *at, words)
 
 
-def _law(system: System, method: MonteCarlo, factor: float, reference: Reference) -> Law | NotTimed:
+def _law(
+    system: System, method: MonteCarlo, factor: float, reference: Density
+) -> tuple[Law, Level]:
     """Bias from the largest stable step, noise and speed at 0.7 of it or at the chosen one.
 
     The second run must be where the law says: what is wrong at any step alike is no bias of a step.
     """
-    order, density = SCHEMES[method.scheme].weak_order, reference.density
+    order = SCHEMES[method.scheme].weak_order
     few = replace(method, relaxations=4.0 * RELAXATIONS)
     if factor < 0.25:
         few = replace(method, paths=LEAST_PATHS, relaxations=RELAXATIONS)
-
-    def measured(factor: float) -> tuple[Run, Steps, float, float, float]:
-        own, result = run(system, replace(few, step_factor=factor), [density.observable])
-        return own, _steps(result), *_distance(result, density)
-
-    first, _, distance, mean, _ = measured(factor)
-    noise = float(np.hypot(mean, density.l1_error))
+    first, result = run(system, replace(few, step_factor=factor), [reference.observable])
+    distance, mean, _ = _distance(result, reference)
+    noise = float(np.hypot(mean, reference.l1_error))
     resolved = distance > 2.0 * noise
     bias = sqrt(distance**2 - noise**2) if resolved else 2.0 * noise
-    usual, at, true, mean, quantile = measured(min(0.7 * factor, 1.0))
-    largest = first.dt
-    # The bias itself is known to the noise of the run that it was read from.
-    left = (bias + noise) * (at.dt / largest) ** order
-    allowed = quantile + left + 2.0 * density.l1_error
-    if not true <= allowed:
-        words = f"differs from the {reference.words} by more than chance and its order explain"
-        return NotTimed(method.scheme, FULL, f"dt {at.dt:.3g}", true, allowed, words)
-    return Law(
+    usual, result = run(
+        system, replace(few, step_factor=min(0.7 * factor, 1.0)), [reference.observable]
+    )
+    distance, mean, quantile = _distance(result, reference)
+    assert isinstance(result.report, Report)
+    at, share = result.report.steps, (usual.dt / first.dt) ** order
+    law = Law(
         scheme=method.scheme,
         noise=mean * sqrt(usual.sampled),
-        bias=bias / largest**order,
+        bias=bias / first.dt**order,
         bias_resolved=resolved,
         order=order,
         step=usual.seconds * at.dt / (at.paths * (at.time + at.burn_in)),
-        largest=largest,
+        largest=first.dt,
         relaxation=at.relaxation_time,
     )
-
-
-def _simulated(
-    system: System, method: MonteCarlo, law: Law, reference: Reference, axis: str
-) -> Priced | NotTimed:
-    """The simulation at its chosen step and its refinements."""
-
-    def described(result: Result) -> tuple[str, float]:
-        at = _steps(result)
-        words = f"{at.paths} paths, time {at.time:.3g}, dt {at.dt:.3g}"
-        return words, law.bias * at.dt**law.order
-
-    few = replace(method, relaxations=RELAXATIONS)
-    return _priced(few, system, reference, Priced(few.route.label, FULL, axis, (), True), described)
+    level = Level(
+        f"{at.paths} paths, time {at.time:.3g}, dt {at.dt:.3g}",
+        mean + bias * share,
+        mean + bias * share,
+        Timing(usual.seconds),
+        distance,
+        # The bias itself is known to the noise of the run that it was read from. Twice the error of
+        # the reference: its mean is what chance makes of it, not the worst case.
+        quantile + (bias + noise) * share + 2.0 * reference.l1_error,
+    )
+    return law, level
 
 
 def averaged_route(system: System, equation: Equation, *, seed: int) -> Priced | NotTimed:
-    """Return the simulation of (24) and its refinements."""
+    """Return the simulation of (24), run once."""
     p = equation.reference
     measured = Measured(p.l1_error, 0.0, 0.0, 0.0, 0.0)
     density = certified_density(
         equation.observable, p.panels, p.density, lambda H: 0.0 * H, measured=measured, tol=inf
     )
     method = AveragedSimulation("nonintegrable", seed=seed, threads=1, paths=FEWEST)
-
-    def described(result: Result) -> tuple[str, float]:
-        assert isinstance(result.method, AveragedSimulation)
-        return f"{result.method.paths} paths, step {result.method.step:g}", 0.0
-
+    result, seconds = timed_first(partial(method.solve, system, [equation.observable]))
+    distance, mean, quantile = _distance(result, density)
+    settings, route = f"{method.paths} paths, step {method.step:g}", method.route.label
+    level = Level(settings, mean, mean, Timing(seconds), distance, quantile + p.l1_error)
+    if not level.honest:
+        words = f"differs from the {equation.reference_words} by more than chance explains"
+        return NotTimed(route, equation.name, settings, distance, level.estimate, words)
     axis = "sampling error: expected L1 of p(H), within chance of the reference"
-    empty = Priced(method.route.label, equation.name, axis, (), True)
-    return _priced(method, system, Reference(equation.reference_words, density), empty, described)
-
-
-def _priced(
-    method: AveragedSimulation | MonteCarlo,
-    system: System,
-    reference: Reference,
-    empty: Priced,
-    described: Callable[[Result], tuple[str, float]],
-) -> Priced | NotTimed:
-    """The method and its refinements; ``described`` gives settings in words and the step error."""
-
-    def levels() -> Iterator[tuple[Work, Level]]:
-        level, density = method, reference.density
-        for k in range(LEVELS):
-            level = level.refined() if k else level
-            work = partial(level.solve, system, [density.observable])
-            result, seconds = timed_first(work)
-            distance, mean, quantile = _distance(result, density)
-            settings, bias = described(result)
-            # Twice the reference's error: its mean is what chance makes of it, not the worst case.
-            estimate = quantile + bias + 2.0 * density.l1_error
-            error, timing = mean + bias, Timing(seconds)
-            yield work, Level(settings, error, error, timing, distance, estimate)
-
-    warm_up = partial(method.solve, system, [reference.density.observable])
-    return priced(empty, levels(), warm_up=warm_up, reference=reference.words, longest=LONG)
-
-
-def _steps(result: Result) -> Steps:
-    assert isinstance(result.report, Report)
-    return result.report.steps
+    return Priced(route, equation.name, axis, (level,), sampled=True)
 
 
 def _distance(result: Result, reference: Density) -> tuple[float, float, float]:
