@@ -6,10 +6,11 @@ from typing import Literal
 import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
+from averaging.energy_density import TAIL, closed_form_measured
 from averaging.modal.analysis import ModalAnalysis
 from averaging.quadrature import solve_by_quadrature
-from averaging.zero_flux import flux_residual
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
 from fpk.line.mesh import initial_nodes
@@ -28,8 +29,6 @@ Solved = tuple[tuple[Array, ...], Callable[..., Array], Callable[..., Array], Me
 
 POINTS = 24
 """Gauss points per panel of the integrals of a closed form: over three e-folds they miss 1e-30."""
-TAIL = 1e-17
-"""Share of the probability beyond the last panel of a closed form: below round-off."""
 EPS = float(np.finfo(float).eps)
 
 
@@ -97,33 +96,29 @@ def _closed_form(modes: ModalAnalysis, mode: int, process: Process) -> Solved:
     probe = probed(process)
     nodes = initial_nodes(probe, probe.extent(TAIL), ())
     exponent = polynomial.polyint(-modes.averaged.powers(mode) / modes.noise[mode])
-
-    def log_p(x: Array) -> Array:
-        """ln p up to a constant."""
-        return np.asarray(polynomial.polyval(x, exponent))
-
-    def sizes(x: Array) -> Array:
-        return np.asarray(polynomial.polyval(np.abs(x), np.abs(exponent)))
-
     (x, w), (y, v) = (panel_rule(nodes, points) for points in (POINTS, POINTS // 2))
-    top = float(log_p(x).max())
-    shares = w * np.exp(log_p(x) - top)
-    norm = float(np.sum(shares))
-    relative = abs(float(np.sum(v * np.exp(log_p(y) - top))) / norm - 1.0)
-    # ln p is a sum of terms of the size of the polynomial of their sizes.
-    relative += EPS * float(4.0 + nodes.size + 2.0 * np.sum(shares * sizes(x)) / norm)
-    log_norm = top + float(np.log(norm))
+    log_norm = logsumexp(polynomial.polyval(x, exponent), b=w)
+    relative = abs(logsumexp(polynomial.polyval(y, exponent), b=v) - log_norm)
+    exponent[0] = -log_norm
+
+    def log_p(energy: Array) -> Array:
+        return np.asarray(polynomial.polyval(energy, exponent))
+
+    def round_off(energy: Array) -> Array:
+        """Round-off of ln p, relative to the sum of the absolute values of its terms."""
+        return np.asarray(2.0 * EPS * polynomial.polyval(np.abs(energy), np.abs(exponent)))
+
+    relative += EPS * (4.0 + nodes.size) + float(np.sum(w * np.exp(log_p(x)) * round_off(x)))
+    _, measured = closed_form_measured(process, log_p, error=float(relative))
 
     def pdf(energy: Array) -> Array:
         inside = (energy >= 0.0) & (energy <= nodes[-1])
-        return np.where(inside, np.exp(log_p(np.clip(energy, 0.0, nodes[-1])) - log_norm), 0.0)
+        return np.where(inside, np.exp(log_p(np.clip(energy, 0.0, nodes[-1]))), 0.0)
 
     def error(energy: Array) -> Array:
-        return np.asarray((relative + tail + 2.0 * EPS * sizes(energy)) * pdf(energy))
+        return np.asarray((measured.l1_error + round_off(energy)) * pdf(energy))
 
-    tail = probe.tail_bound(float(nodes[-1]), float(pdf(nodes[-1:])[0]))
-    residual = flux_residual(process, nodes, lambda x: log_p(x) - log_norm)
-    return (nodes,), pdf, error, Measured(relative + 2.0 * tail, np.nan, np.inf, residual, tail)
+    return (nodes,), pdf, error, measured
 
 
 def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:

@@ -6,21 +6,22 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
+from averaging.energy_density import closed_form_measured
 from averaging.gaussian import Gaussian
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
 from averaging.modal.groups import POINTS, Group, Solver, joined, solved_group
 from averaging.modal.total import total_energy
-from averaging.zero_flux import flux_residual
 from fpk.density import Density, certified_density
 from fpk.observable import Coordinate, Observable
 from fpk.quadrature import panel_rule
 
 Array = NDArray[np.float64]
+Function = Callable[..., Array]
 
-RESIDUAL_PANELS = np.linspace(0.0, 40.0, 21)
-"""Ends of panels, in units of the mean energy, on which the flux of a modal density is measured:
-e^−40 of the mass lies beyond, and a panel of two means is integrated to round-off."""
+FINE_POINTS = 2 * POINTS
+"""Gauss points per panel where an energy is integrated out; the distance to ``POINTS`` of them is
+the error."""
 
 
 def modal_densities(
@@ -75,18 +76,23 @@ def _joint(observable: Observable, parts: Sequence[Density], tol: float) -> Dens
     panels = {c: x for part in parts for c, x in zip(part.observable, part.panels, strict=True)}
     hidden = len(panels) > len(observable)
 
-    def factors(name: str, energies: Sequence[Array], points: int = 2 * POINTS) -> list[Array]:
+    def integrated(
+        functions: Sequence[Function], energies: Sequence[Array], points: int
+    ) -> list[Array]:
         given = dict(zip(observable, energies, strict=True))
-        return [_marginal(part, getattr(part, name), given, points) for part in parts]
+        return [_marginal(part, f, given, points) for part, f in zip(parts, functions, strict=True)]
+
+    densities = [part.pdf for part in parts]
 
     def pdf(*energies: Array) -> Array:
-        return np.asarray(prod(factors("pdf", energies)))
+        return np.asarray(prod(integrated(densities, energies, FINE_POINTS)))
 
     def rule_error(*energies: Array) -> Array:
-        return np.asarray(np.abs(pdf(*energies) - prod(factors("pdf", energies, POINTS))))
+        return np.asarray(np.abs(pdf(*energies) - prod(integrated(densities, energies, POINTS))))
 
     def pointwise(*energies: Array) -> Array:
-        p, errors = (factors(name, energies) for name in ("pdf", "pointwise"))
+        p = integrated(densities, energies, FINE_POINTS)
+        errors = integrated([part.pointwise for part in parts], energies, FINE_POINTS)
         total = sum(e * prod(p[:k] + p[k + 1 :]) for k, e in enumerate(errors))
         return np.asarray(total + rule_error(*energies) if hidden else total)
 
@@ -103,7 +109,7 @@ def _joint(observable: Observable, parts: Sequence[Density], tol: float) -> Dens
 
 def _marginal(
     part: Density,
-    function: Callable[..., Array],
+    function: Function,
     given: Mapping[Coordinate, Array],
     points: int,
 ) -> Array:
@@ -129,15 +135,14 @@ def gaussian_modes(modes: ModalAnalysis) -> Gaussian:
         scales=theta,
         shape=1.0,
         scale_errors=modes.relative_error * theta,
-        residual=max(_flux_residual(modes, m) for m in range(modes.n)),
+        residual=max(_residual(modes, m) for m in range(modes.n)),
     )
 
 
-def _flux_residual(modes: ModalAnalysis, mode: int) -> float:
+def _residual(modes: ModalAnalysis, mode: int) -> float:
     """How far e^(−H/θ)/θ is from zero flux in the energy process (19) of its own mode."""
     theta = float(modes.temperature[mode])
-
-    def log_density(energy: Array) -> Array:
-        return np.asarray(-energy / theta - np.log(theta))
-
-    return flux_residual(modes.process((mode,)), theta * RESIDUAL_PANELS, log_density)
+    process = modes.process((mode,))
+    return closed_form_measured(process, lambda H: -H / theta - np.log(theta), error=0.0)[
+        1
+    ].residual
