@@ -3,10 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.certificate import Measured
-from fpk.density import Density, certified_density
-from fpk.observable import Observable
-
 Array = NDArray[np.float64]
 
 NODES, COARSE_NODES = 40, 30
@@ -17,8 +13,6 @@ MIN_CROSSING = 2.0
 singularity the sum needs more nodes, farther from it e^2 times as large terms cancel."""
 CONTOUR_NATS = 39.0
 """ln of the fall of the integrand along the contour at which that ends: 1e-17 lies beyond."""
-TAIL = 4e-18
-"""Bound of the mass beyond the last energy of the support."""
 SADDLE_STEPS = 12
 """Fixed-point steps to the saddle; any point between it and the first guess serves."""
 MIN_ENERGY = 1e-200
@@ -67,34 +61,3 @@ def _contour(scales: Array, shape: float, x: Array, nodes: int) -> tuple[Array, 
     exponent = t[:, None] * (z - 1.0) - shape * np.log(factors).sum(axis=-1)
     length = np.where(x >= 0.0, 2.0 * crossing * step / (np.pi * largest), 0.0)
     return np.exp(exponent) * (1.0 + u) * length[:, None], exponent, factors, z - 1.0
-
-
-def gamma_sum_density(
-    scales: Array,
-    shape: float,
-    errors: Array,
-    observable: Observable,
-    *,
-    residual: float,
-    tol: float,
-) -> Density:
-    """Return ``gamma_sum`` as the density of an energy; ``residual`` is that of the scales."""
-    # Chernoff's bound at s = 7/8 of the least rate: P(X > E) <= e^(−sE) Π (1 − s λ_j)^−shape.
-    s = 0.875 / float(np.max(scales))
-    end = float(-np.log(TAIL) - shape * np.sum(np.log1p(-s * scales))) / s
-    nodes, least = [0.0], max(float(np.min(scales)), EPS * end)
-    while nodes[-1] < end:
-        nodes.append(nodes[-1] + min(max(2.0 * least, nodes[-1] / 3.0), 2.0 * float(scales.max())))
-
-    def error(energy: Array) -> Array:
-        return gamma_sum(scales, shape, errors, energy)[1]
-
-    return certified_density(
-        observable,
-        (np.array([*nodes[:-1], end]),),
-        lambda energy: gamma_sum(scales, shape, errors, energy)[0],
-        error,
-        measured=Measured(TAIL, np.nan, np.inf, residual, TAIL),
-        tol=tol,
-        added_error=error,
-    )

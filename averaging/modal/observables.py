@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from averaging.energy_density import closed_form_measured
-from averaging.gaussian import Gaussian
+from averaging.gaussian_state import Gaussian
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
 from averaging.modal.groups import POINTS, Group, Solver, joined, solved_group
