@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from averaging.shell.energy_shell import EnergyShell, energy_shell
 from averaging.shell.monomials import PowerPolynomial, power_polynomials
 from averaging.shell.sums import TARGET, shell_integrals
-from averaging.shell.table import COARSE, Resolution, ShellTable
+from averaging.shell.table import ShellTable
 from fpk.equivalent import dissipated_power
 from fpk.system import System
 
@@ -133,8 +133,7 @@ def _tabulated(direct: Averages, size: Array, shell: EnergyShell) -> Averages:
         g, error = direct(energy)
         return np.column_stack([g / size, np.max(error / size, axis=1)])
 
-    resolution = Resolution() if shell.count == 2 else COARSE
-    table = ShellTable(evaluate, shell.contact_energies, resolution)
+    table = ShellTable(evaluate, shell)
 
     def integrals(energy: Array) -> tuple[Array, Array]:
         values = table(energy)

@@ -14,7 +14,7 @@ from scipy.special import beta
 
 from averaging.shell.energy_shell import EnergyShell, energy_shell
 from averaging.shell.sums import shell_integrals
-from averaging.shell.table import COARSE, Resolution, ShellTable
+from averaging.shell.table import ShellTable
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -77,8 +77,7 @@ def _table(system: System) -> ShellTable:
         rows = _integrated(shell, energy)
         return np.column_stack([*rows[:3], rows[4]])
 
-    resolution = Resolution() if shell.count == 2 else COARSE
-    return ShellTable(evaluate, shell.contact_energies, resolution)
+    return ShellTable(evaluate, shell)
 
 
 def _integrated(shell: EnergyShell, energy: Array) -> Array:

@@ -26,7 +26,7 @@ RULES = (14, 18, 24, 48, 96, 192)
 evaluated at once: 32 points fill four vectors, as fewer would."""
 NEAR = 0.01
 """Difference of overlap, relative to the overlap, below which that of the contact energy is taken
-from the force, as it would cancel: beyond a second stop, and where the integrand is 1/√v."""
+from the force, as it would cancel: beyond a second stop, and next to the turning point."""
 NEWTON_STEPS = 100
 DIED_OUT = 1e-18
 """Share of its value at the stop below which v^a is left out: of many masses it is narrow."""
@@ -158,7 +158,7 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
                     if gone < X - top:
                         top, died = X - gone, True
                 _points(ray.at[k], X, top, rules, first, work)
-                _heights(H, X, ray, k, work, U, g, singular)
+                _heights(H, X, ray, k, work, U, g)
                 if singular:
                     _lowest_degree(H, ray, k, c, a, work, U, g, bend)
                 else:
@@ -331,26 +331,19 @@ def _points(start: float, X: float, top: float, rules: Rules, i: int, work: Work
 
 
 @inner
-def _heights(H: float, X: float, ray: Ray, k: int, work: Work, U: Any, g: Any, exact: bool) -> None:
-    """Add to v the fall of the stops from X to x and divide it by H: it is 1 − V/H then.
-
-    ``exact`` asks for differences that do not cancel near X, of a stop touched just now, too.
-    """
+def _heights(H: float, X: float, ray: Ray, k: int, work: Work, U: Any, g: Any) -> None:
+    """Add to v the fall of the stops from X to x and divide it by H: it is 1 − V/H then."""
     x, v = work.x, work.v
     for s in range(k + 1):
         reach, begun = ray.reach[s], ray.reach[s] * (ray.at[k] - ray.at[s])
         B, e, law = ray.stiffness[s], ray.exponent[s], ray.law[s]
         last = of_law(U, law, begun + reach * X, e)
-        if exact or begun > 0.0:
-            for j in range(x.size):
-                now, left = begun + reach * x[j], reach * work.left[j]
-                if left > NEAR * now:
-                    v[j] += B * (last - of_law(U, law, now, e))
-                else:
-                    v[j] += B * left * _mean_force(now + 0.5 * left, left, law, e, g)
-        else:
-            for j in range(x.size):
-                v[j] += B * (last - of_law(U, law, begun + reach * x[j], e))
+        for j in range(x.size):
+            now, left = begun + reach * x[j], reach * work.left[j]
+            if left > NEAR * now:
+                v[j] += B * (last - of_law(U, law, now, e))
+            else:
+                v[j] += B * left * _mean_force(now + 0.5 * left, left, law, e, g)
     for j in range(x.size):
         v[j] *= 1.0 / H
 

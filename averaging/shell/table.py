@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from averaging.shell.energy_shell import EnergyShell
 from fpk.piecewise import Piecewise, fit
 from fpk.quadrature import panel_rule
 
@@ -29,12 +30,14 @@ class Resolution:
     A panel is split, at most ``deepest`` times, while its last coefficients exceed ``target``.
     """
 
-    points: int = 16
-    layers: int = 5
-    target: float = 1e-11
-    deepest: int = 8
+    points: int
+    layers: int
+    target: float
+    deepest: int
 
 
+FINE = Resolution(points=16, layers=5, target=1e-11, deepest=8)
+"""For two contact masses."""
 COARSE = Resolution(points=8, layers=1, target=1e-5, deepest=2)
 """For more than two contact masses: below the tolerance of their cubature nothing is resolved."""
 
@@ -43,17 +46,16 @@ class ShellTable:
     """Function of the energy by panels that are fitted on demand.
 
     ``evaluate`` returns (energies, quantities + 1), relative quantities of order one and their
-    error; ``breaks`` are the energies, ascending, where it loses smoothness, the first one being
-    the least energy asked for.
+    error, above the first contact energy of ``shell``. Panels end at each of them.
     """
 
     def __init__(
         self,
         evaluate: Callable[[Array], Array],
-        breaks: tuple[float, ...],
-        resolution: Resolution,
+        shell: EnergyShell,
     ) -> None:
         """Lay out the panels; none is fitted yet."""
+        resolution, breaks = FINE if shell.count == 2 else COARSE, shell.contact_energies
         self.evaluate, self.resolution = evaluate, resolution
         nodes = [np.array(breaks)]
         ends = [*breaks[1:], 2.0 * breaks[-1] if breaks[-1] > 0 else 1.0]
