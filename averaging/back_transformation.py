@@ -101,7 +101,7 @@ def _marginal(source: EnergyDensity, observable: Observable) -> Callable[..., Ar
 
     def marginal(*x: Array, part: Part = "value", points: int = POINTS[len(hidden)][1]) -> Array:
         arrays = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in x))
-        flat = {c.kind: [] for c in observable}
+        flat: dict[str, list[Array]] = {c.kind: [] for c in observable}
         for c, a in zip(observable, arrays, strict=True):
             flat[c.kind].append(a.ravel())
         Q = np.array(flat.get("q", [])).reshape(len(q), arrays[0].size)

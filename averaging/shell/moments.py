@@ -76,7 +76,7 @@ def _term_power(system: System) -> TermPower:
         if polynomial.degree % 2 == 0 and s < gibbs.size:
             free[k] = gibbs[s] * np.exp(lgamma(n) - lgamma(n + s))
     size = np.array([polynomial.free_size(n) for polynomial in polynomials])
-    integrals = partial(_averages, shell, polynomials)
+    integrals: Averages = partial(_averages, shell, polynomials)
     if shell.count > 1 and polynomials:
         integrals = _tabulated(integrals, size, shell)
     begins = min(shell.contact_energies, default=np.inf)

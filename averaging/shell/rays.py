@@ -33,7 +33,7 @@ DIED_OUT = 1e-18
 LEAST_LEFT = 0.005
 """Share of v that is left by then for the cut to be worth a second root: from n = 10 on."""
 
-inner: Any = njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+inner = njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
 
 
 class Stops(NamedTuple):
