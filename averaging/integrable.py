@@ -56,8 +56,9 @@ class Integrable(Method):
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
             neglected = _contacts_left_out(system, modes)
+            of_state = "" if modes.constant else ", damping of the state averaged"
             settings: dict[str, str | float | int] = {
-                "equation": self._equation(modes),
+                "equation": self.route.equation + of_state,
                 "tol": self.tol,
                 "nearest resonance": nearest_resonance(system, modes),
             }
@@ -68,13 +69,13 @@ class Integrable(Method):
             densities = modal_densities(modes, observables, self.solver, tol=self.tol)
             return Result(self, densities, settings=settings, neglected=neglected)
 
-        return Plan(lambda observable: self._unknown(observable, modes), solve)
+        return Plan(lambda observable: self._refusal(observable, modes), solve)
 
     def refined(self) -> Self:
         """Return the method with a tolerance ten times smaller, down to 1e-12."""
         return replace(self, tol=max(0.1 * self.tol, 1e-12))
 
-    def _unknown(self, observable: Observable, modes: ModalAnalysis) -> str | None:
+    def _refusal(self, observable: Observable, modes: ModalAnalysis) -> str | None:
         """Why the solver does not give this observable."""
         name, kinds = observable_name(observable), [c.kind for c in observable]
         total = any(c.kind == "H" and c.index is None for c in observable)
@@ -83,11 +84,6 @@ class Integrable(Method):
         if modes.constant and self.solver != "closed-form" and (total or kinds[0] != "H"):
             return f"{name}: by {self.solver}, only modal energies H1, H2, … ; use closed-form"
         return None
-
-    def _equation(self, modes: ModalAnalysis) -> str:
-        if modes.constant:
-            return {"closed-form": "(34), (36)", "quadrature": "(11)", "fem": "(19)"}[self.solver]
-        return f"{'(19)' if self.solver == 'fem' else '(11)'}, damping of the state averaged"
 
 
 def _contacts_left_out(system: System, modes: ModalAnalysis) -> str:

@@ -19,20 +19,21 @@ from fpk.quadrature import panel_rule
 Array = NDArray[np.float64]
 
 FIRST_BAND = 8.0
-"""Wave number, in units of 1/rms, at which the search for the band begins: e^-32 for a Gaussian."""
+"""Highest wave number of the first attempt, in units of 1/rms: φ of a Gaussian is e^-32 there."""
 WIDER = 2.0**0.5
-"""Factor by which the band is widened at a time."""
+"""Factor by which the highest wave number grows from one attempt to the next."""
 MAX_WAVES = 40_000
-"""Number of waves beyond which the band is not widened; what is cut off goes into the error."""
+"""Largest number of waves; the estimate of what further ones would add goes into the error."""
 BEYOND = 3.0
-"""What lies beyond the band over what lies in its last ring [s/√2, s]: 1/(√2 − 1) for s^-2."""
+"""Estimate of the norm of φ beyond the highest wave number s over that between s/√2 and s:
+1/(√2 − 1) = 2.4, rounded up, where |φ| falls as s^-2, and less where it falls faster."""
 PHASE = {1: 30.0, 2: 16.0}
-"""Radians over a panel that the rules of ``fpk.density`` (20 and 12 points) meet to 1e-9, by the
-number of coordinates."""
+"""Largest phase of a wave over one panel, in radians, by the number of coordinates: the rules of
+``fpk.density`` (20 and 12 points) integrate such a wave to 1e-9."""
 HALF_PANELS = (4.0, 400.0)
-"""Least and largest number of panels on either side of 0."""
+"""Least and largest number of panels of an axis on either side of 0."""
 LATTICE = 65
-"""Points along an axis at which the largest density and error are read off."""
+"""Points along an axis of the grid on which the largest density and error are looked for."""
 CHUNK = 4_000_000
 """Numbers held at once: 32 MB."""
 EPS = float(np.finfo(float).eps)

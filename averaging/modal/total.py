@@ -40,6 +40,7 @@ def total_energy(observable: Observable, parts: Sequence[Density], *, tol: float
 def _of_sum(
     observable: Observable, parts: Sequence[Density], *, share: float, tol: float
 ) -> Density:
+    """The density of H1 + H2 from p(H1, H2), or from those of two independent energies."""
     panels = tuple(x for part in parts for x in part.panels)
     end = panels[0][-1] + panels[1][-1]
     nodes = np.unique(np.concatenate([*panels, np.linspace(0.0, end, 9), [end]]))

@@ -126,8 +126,8 @@ def test_amplitudes_of_the_flow_by_quadrature(integers):
             total += wx * wy * np.einsum("xmm,x->m", flow, wave) / wave.size
     norm = np.sqrt(np.prod([float(np.prod(np.arange(1, abs(k) + 1))) for k in integers]))
     # Half powers of the energies make Gauss-Laguerre converge slowly: 24 points give 1e-4 or more.
-    found = flow_amplitudes(system, modes, order)
-    np.testing.assert_allclose(found, np.abs(total) / norm, rtol=1e-3, atol=1e-4 * found.max())
+    flow = flow_amplitudes(system, modes, order)
+    np.testing.assert_allclose(flow, np.abs(total) / norm, rtol=1e-3, atol=1e-4 * flow.max())
 
 
 def nearest(modes, order):
