@@ -14,10 +14,10 @@ from cases.studies.tables import Page, Table, duration, megabytes, rows_dataset
 
 MEANING = (
     "Times are processor times on one thread: the wall time of a core that does nothing else, after"
-    " a warm-up, the median of 3 to 21 runs where one takes less than a second. Every error is that"
-    " of the route's own equation: numerical for the averaged equations, sampling and step for the"
-    " full system. What averaging itself costs in accuracy is in a table of its own, and in none of"
-    " the others. What a process remembers (integrals of two or more contact masses, of damping"
+    " a warm-up, the median of 3 to 21 runs where one takes less than a second; simulations are run"
+    " once. Every error is that of the route's own equation: numerical for the averaged equations,"
+    " sampling and step for the full system. What averaging costs in accuracy is in a table of its"
+    " own. What a process remembers (integrals of two or more contact masses, of damping"
     " that depends on the state) is in the first call, not in the median."
 )
 PROMISE = (
