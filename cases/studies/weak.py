@@ -201,7 +201,7 @@ def judged(scheme: WeakOrder, levels: Sequence[Run], truth: float | None) -> Wea
     errors, bars = np.abs(value - line["limit"]), np.hypot(error, line["limit_error"])
     ratios = zip(observed_orders(dt, errors), order_errors(dt, errors, bars), strict=True)
     resolved = errors > MIN_ORDER_SIGNAL * bars
-    # Orders are told apart as finely as those that are tried.
+    # No width is less than the spacing of the orders that are tried.
     width = 0.5 * max(high - low, ORDERS[1] - ORDERS[0])
     wanted = float(error.max()) * ORDER_ERROR / width
     return replace(
