@@ -41,7 +41,7 @@ def require_no_resonance(system: System, modes: ModalAnalysis) -> None:
     """
     correlation = correlations(modes)
     i, j = np.unravel_index(np.argmax(correlation), correlation.shape)
-    if correlation[i, j] > MAX_NEGLECTED:
+    if not correlation[i, j] <= MAX_NEGLECTED:
         detuning = abs(float(modes.natural_frequency[i] - modes.natural_frequency[j]))
         raise NotApplicable(
             f"internal resonance: |ω{i + 1} − ω{j + 1}| = {detuning:.4g} is not large against the "
@@ -52,7 +52,7 @@ def require_no_resonance(system: System, modes: ModalAnalysis) -> None:
     for integers, detuning in _excited_resonances(system, modes):
         swing = 2.0 * flow_amplitudes(system, modes, integers) / modes.temperature
         m = int(np.argmax(swing))
-        if swing[m] > MAX_NEGLECTED * detuning:
+        if not swing[m] <= MAX_NEGLECTED * detuning:
             relative = swing[m] / detuning if detuning else np.inf
             raise NotApplicable(
                 f"internal resonance: |Σ l ω| = {detuning:.4g} for l = {_words(integers)} is not "
