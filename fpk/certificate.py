@@ -24,8 +24,8 @@ class Measured:
     share) of the mass outside the support; ``net_flux`` the largest probability flux through an
     element relative to its one-way parts, None where none is computed. ``absolute_error`` is a
     bound of the error of p anywhere, in units of its largest value, where one is part of the stated
-    error (0 where none is): to that the sign of p is known. ``failures``: what else was found
-    wrong, in words.
+    error (0 where none is): to that the sign of p is known. ``failures``: what else does not hold,
+    in words.
     """
 
     l1_error: float
@@ -38,7 +38,7 @@ class Measured:
     absolute_error: float = 0.0
 
     def with_failures(self, *words: str) -> "Measured":
-        """Return the same with more found wrong."""
+        """Return the same with more that does not hold."""
         return replace(self, failures=(*self.failures, *words))
 
 

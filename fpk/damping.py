@@ -72,8 +72,8 @@ class DampingTerm:
 
     def powers(self, key: str, n: int) -> tuple[int, ...]:
         """Return the powers of all n masses' q or v, 0 where one does not occur."""
-        found: Mapping[int, int] = dict(getattr(self, key))
-        return tuple(found.get(mass, 0) for mass in range(1, n + 1))
+        power_of: Mapping[int, int] = dict(getattr(self, key))
+        return tuple(power_of.get(mass, 0) for mass in range(1, n + 1))
 
     def value(self, q: ArrayLike, v: ArrayLike, energy: ArrayLike) -> Array:
         """Return what c_ij gains at displacements and velocities (..., n) and energies (...)."""

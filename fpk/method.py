@@ -41,7 +41,7 @@ class Identity:
 
 @dataclass(frozen=True)
 class Result:
-    """What one method found: a density per observable asked for, and what it can say of itself.
+    """The answer of one method: a density per observable asked for, and its own statements.
 
     ``neglected`` names in words the effects of the system that the method leaves out, empty where
     none; ``partial`` says that the work was interrupted and the answer is what there was by then;

@@ -76,8 +76,8 @@ def convergence(
     convergence), the rate does not drop by more than ``STEADY``. Else "pre-asymptotic".
     """
     low = np.flatnonzero(np.asarray(errors, float) <= ABOVE_FLOOR * floor)
-    kept = int(low[0]) if low.size else len(errors)
-    orders = observed_orders(sizes[:kept], errors[:kept])
+    above = int(low[0]) if low.size else len(errors)
+    orders = observed_orders(sizes[:above], errors[:above])
     last = orders[-3:]
     order = float(np.median(last)) if last.size else float("nan")
     spread = 0.5 * float(np.ptp(last)) if last.size else float("nan")

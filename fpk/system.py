@@ -139,7 +139,7 @@ class System:
         """Return ``compute(self)``: computed when first asked for, then held by the system.
 
         For what follows from the system alone and costs something; ``compute`` is a function of a
-        module, which serves as the key. What is raised is not kept.
+        module, which serves as the key. An exception is not held: it is raised again.
         """
         if compute not in self._facts:
             self._facts[compute] = compute(self)
@@ -184,15 +184,15 @@ class System:
 
 def _effective_terms(terms: tuple[DampingTerm, ...], damping: Array) -> tuple[DampingTerm, ...]:
     """Terms that depend on the state; constant ones are added to ``damping`` (n, n) in place."""
-    n, kept = damping.shape[0], []
+    n, varying = damping.shape[0], []
     for k, term in enumerate(terms, start=1):
         if outside := [mass for mass in term.masses if not 1 <= mass <= n]:
             raise InvalidInput(f"damping_term[{k}]", outside[0], f"is not a mass; use 1 to {n}")
         if term.degree == 0:
             damping[term.row, term.column] += term.coefficient
         elif term.coefficient != 0.0:
-            kept.append(term)
-    return tuple(kept)
+            varying.append(term)
+    return tuple(varying)
 
 
 def _finite(key: str, value: ArrayLike) -> Array:

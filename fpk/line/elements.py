@@ -71,7 +71,7 @@ def element_rule(degree: int) -> Rule:
     share, weight = _gauss(degree + ENRICHMENT + 2)
     count, highest = degree + 2 + CONTACT_POINTS, degree + ENRICHMENT
     t, w = (np.concatenate(x) for x in zip(_gauss(count), _gauss(2 * count - 2), strict=True))
-    P = np.ascontiguousarray(legvander(2.0 * share - 1.0, highest))
+    P = np.ascontiguousarray(legvander(2.0 * share - 1.0, highest), dtype=float)
     return Rule(
         share=share,
         weight=weight,
@@ -82,7 +82,7 @@ def element_rule(degree: int) -> Rule:
         padded_weight=np.append(weight, np.zeros(count - share.size)),
         contact_share=t**3,
         contact_weight=3.0 * t**2 * w,
-        contact_P=legvander(2.0 * t**3 - 1.0, highest),
+        contact_P=np.asarray(legvander(2.0 * t**3 - 1.0, highest), dtype=float),
     )
 
 

@@ -32,12 +32,15 @@ from fpk.quadrature import panel_rule
 Array = NDArray[np.float64]
 
 SAFETY = 2.0
-"""Factor on the distance to the comparison solution: at an algebraic singularity of order r of u it
+"""Factor on the distance to the enriched solution: at an algebraic singularity of order r of u it
 keeps the share (p/(p+2))^(2r+2) of the error, at most a half for p >= 4; integrals beside a contact
-energy have twice as many points there (``fpk.line.rules``)."""
+energy have twice as many points there (``fpk.line.elements``)."""
 MOST_ROUNDS = 40
+"""Most rounds of cutting elements in two: 2^−40 of a length is near the round-off of its ends."""
 MOST_ELEMENTS = 20_000
+"""Elements beyond which none is cut any more: a solution of so many takes seconds."""
 ROUND_OFF = 4e-16
+"""Relative round-off of p, for each element and for the square of the degree."""
 ACCUMULATION_POINTS = 6
 """Gauss points an element at which the errors of the coefficients are summed: they are estimates.
 """

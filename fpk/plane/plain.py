@@ -75,7 +75,8 @@ def _refined(solution: PlaneSolution, tol: float) -> Nodes:
     size = np.abs(solution.u.coefficients) * area[:, :, None, None]
     highest = size[:, :, -2:].sum(axis=(1, 2, 3)), size[..., -2:].sum(axis=(0, 2, 3))
     limit = COARSE * max(highest[0].max(), highest[1].max())
-    negative = by_element(p < NEGATIVE * p.max(), area.shape).any(axis=(1, 2)).reshape(area.shape)
+    below = by_element(p - NEGATIVE * p.max(), area.shape).min(axis=(1, 2)) < 0.0
+    negative: Flags = below.reshape(area.shape)
     meshes = []
     for axis, nodes in enumerate(solution.nodes):
         marked: Flags = (highest[axis] > limit) | negative.any(axis=1 - axis)

@@ -72,7 +72,7 @@ class PlaneSolution:
         """Estimate of |p_h − p| at energies that broadcast together."""
         x, y = np.asarray(H1, float), np.asarray(H2, float)
         p = self.density(x, y)
-        relative = self.relative_error + ROUND_OFF * self.degree**2
+        relative = np.asarray(self.relative_error + ROUND_OFF * self.degree**2)
         if self.weight is not None:
             relative = relative + ROUND_OFF * self.weight.terms(x, y)
         return np.asarray(SAFETY * np.abs(p - self.enriched_density(x, y)) + relative * np.abs(p))

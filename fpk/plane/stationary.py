@@ -1,8 +1,8 @@
 """Certified solution of the stationary FPK equation of two energies, Eq. (19).
 
 One discretisation, two uses of it. The spectral solver writes p = w u, w a weight near p, u of high
-degree on a few panels. Where no weight is found, or it does not get to the tolerance, plain finite
-elements expand p itself. Any w gives the same p, so that neither rests on a guess.
+degree on a few panels. Where it does not get to the tolerance plain finite elements expand p
+itself. Any w gives the same p, so that neither rests on a guess.
 """
 
 from collections.abc import Iterator
@@ -21,9 +21,6 @@ from fpk.plane.weight import Weight, flux_free_weight
 from fpk.process import Process
 
 __all__ = ["PlaneSolution", "solve_plane", "solve_plane_on_mesh"]
-
-ROUGH = 1e-5
-"""Tolerance of the plain elements to which a weight is fitted where the probe gives none."""
 
 
 def solve_plane(
@@ -51,15 +48,19 @@ def solve_plane(
         if best is None or not best.l1_error <= solution.l1_error:
             best = solution
     if best is None:
-        raise NotCertified("neither a weight nor an affordable mesh was found for the density")
+        raise NotCertified("neither a weight nor an affordable mesh gives the density")
     return best
 
 
 def _attempts(process: Process, probe: Probe, tol: float) -> Iterator[PlaneSolution]:
-    """Solutions, each made after the one before was not certified."""
+    """Solutions, each made after the one before was not certified.
+
+    Where no polynomial falls off, the first w is the product of exponentials of the scales.
+    """
     weight = flux_free_weight(probe, process.energy_scales)
     if weight is None:
-        weight = Weight(np.array([[0.0, 1.0], [1.0, 0.0]]), process.energy_scales)
+        first, second = process.energy_scales
+        weight = Weight(np.array([[0.0, 1.0], [1.0, 0.0]]), (first, second))
     balanced = detailed_balance(process, weight, tol=tol)
     if balanced is not None:
         yield balanced

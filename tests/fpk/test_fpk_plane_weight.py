@@ -51,9 +51,9 @@ STRONG = (2.0, 0.3)
 
 
 def distance(first: PlaneSolution, second: PlaneSolution) -> float:
-    """∫|p − q| as far as the longer of the meshes."""
+    """∫|p − q| as far as the longer of the meshes, to some per cent: bounds are held against it."""
     rules = [
-        panel_rule(np.union1d(a, b), 24) for a, b in zip(first.nodes, second.nodes, strict=True)
+        panel_rule(np.union1d(a, b), 8) for a, b in zip(first.nodes, second.nodes, strict=True)
     ]
     (x, wx), (y, wy) = ((a.ravel(), w.ravel()) for a, w in rules)
     gap = np.abs(first.density(x[:, None], y) - second.density(x[:, None], y))
@@ -64,7 +64,7 @@ def distance(first: PlaneSolution, second: PlaneSolution) -> float:
 def test_spectral_and_plain_solutions_agree_where_probability_circulates(tol: float) -> None:
     process = one_sided(0.3, 0.05)
     found = solve_plane(process, tol=tol)
-    elements = solve_by_elements(process, probed(process), tol=1e-9)
+    elements = solve_by_elements(process, probed(process), tol=1e-8)
     assert_strictly_certified(found)
     assert_strictly_certified(elements)
     assert distance(found, elements) <= found.l1_error + elements.l1_error
@@ -87,8 +87,7 @@ def test_strong_circulation_takes_a_weight_on_a_few_elements(tol: float) -> None
     assert distance(other, plain) > found.l1_error + plain.l1_error
 
 
-@pytest.mark.parametrize("tilt", [0.1, -0.2, 0.4])
-@pytest.mark.parametrize("tol", [1e-6, 1e-10])
+@pytest.mark.parametrize(("tilt", "tol"), [(0.1, 1e-10), (-0.2, 1e-6), (0.4, 1e-6)])
 def test_weighted_elements_within_an_honest_estimate_from_any_weight(
     tilt: float, tol: float
 ) -> None:
@@ -138,7 +137,7 @@ def test_any_weight_gives_the_same_density(tilt: float) -> None:
     errors = []
     for degree in (4, 8, 12, 16):
         solution = solve_plane_on_mesh(process, (nodes[0], nodes[1]), degree, weight=weight)
-        x, y = (np.linspace(0.0, H[-1], 400) for H in solution.nodes)
+        x, y = (np.linspace(0.0, H[-1], 150) for H in solution.nodes)
         p, p_h = np.exp(log_p(x[:, None], y)), solution.density(x[:, None], y)
         errors.append(np.abs(p_h - p_h.sum() / p.sum() * p).max())
         assert solution.measured.residual < 1e-14
@@ -283,7 +282,7 @@ def test_a_looser_tolerance_takes_no_more_attempts_and_no_more_work(
     for module in (plain, spectral):
         monkeypatch.setattr(module, "solve_plane_on_mesh", noted)
     counts, work = [], []
-    for tol in (1e-4, 1e-6, 1e-8, 1e-10):
+    for tol in (1e-4, 1e-7, 1e-10):
         attempts.clear()
         assert_strictly_certified(solve_plane(process, tol=tol))
         counts.append(len(attempts))
