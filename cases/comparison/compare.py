@@ -200,9 +200,12 @@ def chance_l1(sampled: SampledDensity) -> tuple[float, float]:
     return mean, mean + z * spread
 
 
-def joined(sampled: SampledDensity) -> SampledDensity:
-    """Return the histogram with neighbouring bins joined: ``BINS_1D`` or ``BINS_2D`` an axis."""
-    wanted = BINS_1D if len(sampled.edges) == 1 else BINS_2D
+def joined(sampled: SampledDensity, bins: int | None = None) -> SampledDensity:
+    """Return the histogram with neighbouring bins joined until about ``bins`` an axis are left.
+
+    ``bins`` None: as many as are compared, ``BINS_1D`` or ``BINS_2D``.
+    """
+    wanted = bins or (BINS_1D if len(sampled.edges) == 1 else BINS_2D)
     counts = [e.size - 1 for e in sampled.edges]
     factors = [f for f in range(1, min(counts) // wanted + 1) if not any(c % f for c in counts)]
     return sampled.coarsened(max(factors)) if factors else sampled

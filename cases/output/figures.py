@@ -6,10 +6,14 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from cases.comparison.run import CurveOutcome, Outcome
-from cases.output.pictures.joint import pair_figure, pair_solver_figure
-from cases.output.pictures.lines import density_figure, left_figure, solver_figure
-from cases.output.pictures.style import STYLE, lines_of, simulation_of, two_solvers
-from cases.output.pictures.surface import surface_figure
+from cases.output.pictures.joint import pair_figure, pair_solver_figure, surface_figure
+from cases.output.pictures.lines import (
+    density_figure,
+    difference_figure,
+    solver_differences,
+    theory_differences,
+)
+from cases.output.pictures.style import STYLE, two_solvers
 from fpk.observable import Observable, observable_name
 
 Drawn = tuple[str, str, Figure]
@@ -22,8 +26,7 @@ def figures(outcome: Outcome) -> Iterator[Drawn]:
         for observable in outcome.scene.observables:
             curves = [c for c in outcome.curves if c.densities(observable)]
             if curves:
-                drawn = _joint if len(observable) == 2 else _single
-                yield from drawn(curves, observable)
+                yield from (_joint if len(observable) == 2 else _single)(curves, observable)
 
 
 def _single(curves: list[CurveOutcome], observable: Observable) -> Iterator[Drawn]:
@@ -31,14 +34,17 @@ def _single(curves: list[CurveOutcome], observable: Observable) -> Iterator[Draw
     curves = sorted(curves, key=lambda c: c.value or 0.0)
     words = f"Density of {name}: theory as lines, simulation as points with two standard errors."
     yield f"density_{name}", words, density_figure(curves, observable)
-    if any(two_solvers(c, observable) for c in curves):
-        yield f"solver_{name}", _solver_caption(name), solver_figure(curves, observable)
-    if any(simulation_of(c, observable) and lines_of(c, observable) for c in curves):
-        words = (
-            f"Simulation minus theory for {name}. Inside the grey band the difference is chance; a"
-            " curve that leaves it shows the averaging error where the theory is an averaged one."
-        )
-        yield f"left_{name}", words, left_figure(curves, observable)
+    of_theories = (
+        f"Simulation minus theory for {name}. Inside the grey band the difference is chance; a"
+        " curve that leaves it shows the averaging error where the theory is an averaged one."
+    )
+    for stem, words, differences, band in (
+        ("solver", _solver_caption(name), solver_differences, "±the errors that both state"),
+        ("left", of_theories, theory_differences, "±2 standard errors"),
+    ):
+        rows = [(c.label, drawn) for c in curves if (drawn := differences(c, observable))]
+        if rows:
+            yield f"{stem}_{name}", words, difference_figure(rows, observable, band)
 
 
 def _joint(curves: list[CurveOutcome], observable: Observable) -> Iterator[Drawn]:

@@ -1,9 +1,14 @@
-"""Pictures of joint densities on common levels: the routes, and the difference of two solvers."""
+"""Pictures of joint densities: panels on common levels, and surfaces as in Fig. 7 of the paper."""
+
+from collections.abc import Mapping
 
 import numpy as np
-from matplotlib.colors import LogNorm, Normalize
+from matplotlib.colors import LightSource, LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d import Axes3D
 
+from cases.comparison.compare import joined
 from cases.comparison.run import CurveOutcome
 from cases.output.grids import common_grid, values_on
 from cases.output.pictures.style import (
@@ -14,14 +19,14 @@ from cases.output.pictures.style import (
     two_solvers,
     words_of,
 )
-from fpk.density import Array
+from fpk.density import AnyDensity, Array, SampledDensity
 from fpk.observable import Observable
 
-DECADES = 1e-3
-"""Lowest level of a joint density of energies, relative to the largest."""
+LOWEST = 1e-3
+"""Lowest level of a picture in decades, relative to the largest."""
 
-LEAST_DIFFERENCE = 1e-7
-"""Lowest level of a difference of solvers, relative to its largest."""
+SHEET = 72
+"""Points an axis of a surface, and bins an axis, about, where it is sampled."""
 
 
 def pair_figure(curve: CurveOutcome, observable: Observable) -> Figure:
@@ -31,16 +36,9 @@ def pair_figure(curve: CurveOutcome, observable: Observable) -> Figure:
     grid = common_grid([densities[r] for r in routes], cut=SHOWN)
     mesh = np.meshgrid(*grid, indexing="ij")
     panels = {r.words: values_on(densities[r], *mesh)[0] for r in routes}
-    top = max(float(v.max()) for v in panels.values())
     # A density of energies falls exponentially from its corner: decades, not equal steps.
-    energies = all(c.kind == "H" for c in observable)
-    levels = top * np.geomspace(DECADES, 1.0, 13) if energies else np.linspace(0.0, top, 13)
-    norm = LogNorm(levels[0], levels[-1]) if energies else Normalize(0.0, top)
-    label = f"density $p({symbol_of(observable[0])}, {symbol_of(observable[1])})$"
-    # Below the lowest level nothing is drawn; a logarithm needs a value there all the same.
-    floor = 0.1 * levels[0] if energies else 0.0
-    panels = {words: np.maximum(v, floor) for words, v in panels.items()}
-    return _panels(panels, grid, observable, levels, norm=norm, label=label, cmap="viridis")
+    decades = all(c.kind == "H" for c in observable)
+    return _panels(panels, grid, observable, _density(observable), decades=decades)
 
 
 def pair_solver_figure(curve: CurveOutcome, observable: Observable) -> Figure:
@@ -53,32 +51,80 @@ def pair_solver_figure(curve: CurveOutcome, observable: Observable) -> Figure:
         f"|{a.solver} − {b.solver}|": np.abs(value - other),
         "errors that both state, added": stated + also_stated,
     }
-    top = max(float(v.max()) for v in panels.values())
-    least = min(float(np.quantile(v[v > 0], 0.02)) for v in panels.values() if np.any(v > 0))
-    low = max(least, LEAST_DIFFERENCE * top)
-    levels, norm = np.geomspace(low, top, 15), LogNorm(low, top)
-    panels = {words: np.maximum(v, low) for words, v in panels.items()}
-    label = "difference of $p$"
-    return _panels(panels, grid, observable, levels, norm=norm, label=label, cmap="magma")
+    return _panels(panels, grid, observable, "difference of $p$", decades=True)
+
+
+def surface_figure(curve: CurveOutcome, observable: Observable) -> Figure:
+    """Draw the joint density as surfaces on the same levels: theory and simulation.
+
+    The theory is the exact density where there is one, else an averaged one; one that neglects
+    something, the contacts for example, comes last.
+    """
+    densities = curve.densities(observable)
+    lines = sorted(lines_of(curve, observable), key=curve.neglects)
+    full = [r for r in samples_of(curve, observable) if r.solves == "full"]
+    routes = [*lines[:1], *full] or list(densities)[:1]
+    ends = common_grid([densities[r] for r in routes], cut=SHOWN)
+    sheets = {route.words: _sheet(densities[route], ends) for route in routes}
+    top = max(float(values.max()) for *_, values in sheets.values())
+    figure = Figure(figsize=(4.3 * len(routes), 4.0))
+    for place, (words, (x, y, values)) in enumerate(sheets.items(), start=1):
+        axes = figure.add_subplot(1, len(routes), place, projection="3d", proj_type="ortho")
+        assert isinstance(axes, Axes3D)
+        axes.view_init(elev=28.0, azim=-58.0)
+        axes.set_box_aspect((1.0, 1.0, 0.72), zoom=0.92)  # beyond it labels are cut
+        axes.set_zlim(0.0, 1.05 * top)
+        axes.set_xlabel(words_of(observable[0]))
+        axes.set_ylabel(words_of(observable[1]))
+        axes.set_zlabel(_density(observable))
+        for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+            axis.set_major_locator(MaxNLocator(5))
+            axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
+        sheet = axes.plot_surface(
+            x, y, values, cmap="viridis", norm=Normalize(0.0, top), rcount=SHEET, ccount=SHEET,
+            lightsource=LightSource(azdeg=225, altdeg=50), linewidth=0, antialiased=False,
+        )  # fmt: skip
+        sheet.set_rasterized(True)
+        axes.set_title(words, y=0.96, loc="left", x=0.05)
+    figure.subplots_adjust(left=0.0, right=0.96, bottom=0.06, top=0.96, wspace=0.06)
+    return figure
+
+
+def _sheet(density: AnyDensity, ends: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+    """Points and values of one surface; a sampled one has its own, joined bins."""
+    if not isinstance(density, SampledDensity):
+        x, y = np.meshgrid(*(np.linspace(e[0], e[-1], SHEET) for e in ends), indexing="ij")
+        return x, y, values_on(density, x, y)[0]
+    few = joined(density, SHEET)
+    middles = [0.5 * (e[1:] + e[:-1]) for e in few.edges]
+    inside = [(m >= e[0]) & (m <= e[-1]) for m, e in zip(middles, ends, strict=True)]
+    x, y = np.meshgrid(*(m[i] for m, i in zip(middles, inside, strict=True)), indexing="ij")
+    return x, y, few.values[np.ix_(*inside)]
 
 
 def _panels(
-    panels: dict[str, Array],
+    panels: Mapping[str, Array],
     grid: tuple[Array, ...],
     observable: Observable,
-    levels: Array,
-    *,
-    norm: Normalize,
     label: str,
-    cmap: str,
+    *,
+    decades: bool,
 ) -> Figure:
+    top = max(float(v.max()) for v in panels.values())
+    levels = top * (np.geomspace(LOWEST, 1.0, 13) if decades else np.linspace(0.0, 1.0, 13))
+    norm = LogNorm(levels[0], top) if decades else Normalize(0.0, top)
     figure = Figure(figsize=(3.4 * len(panels) + 0.6, 3.2), layout="constrained")
     row = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     for axes, (words, values) in zip(row, panels.items(), strict=True):
-        filled = axes.contourf(*grid, values.T, levels=levels, norm=norm, cmap=cmap)
+        # Below the lowest level nothing is drawn; a logarithm needs a value there all the same.
+        drawn = np.maximum(values, 0.1 * levels[0])
+        filled = axes.contourf(*grid, drawn.T, levels=levels, norm=norm, cmap="viridis")
         axes.set_title(words)
         axes.set_xlabel(words_of(observable[0]))
     row[0].set_ylabel(words_of(observable[1]))
-    bar = figure.colorbar(filled, ax=list(row), shrink=0.9, format="%.2g")
-    bar.set_label(label)
+    figure.colorbar(filled, ax=list(row), shrink=0.9, format="%.2g").set_label(label)
     return figure
+
+
+def _density(observable: Observable) -> str:
+    return f"density $p({', '.join(map(symbol_of, observable))})$"

@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from cases.comparison.run import CurveOutcome
 from cases.output.grids import common_grid, values_on
@@ -104,19 +103,10 @@ def shown_range(densities: Iterable[AnyDensity]) -> tuple[float, float]:
     return float(x[max(inside[0] - 1, 0)]), float(x[min(inside[-1] + 1, x.size - 1)])
 
 
-def set_labels(axes: Axes, coordinate: Coordinate, y: str | None = None) -> None:
-    """Label both axes of a picture over one coordinate."""
-    axes.set_xlabel(words_of(coordinate))
-    axes.set_ylabel(y or f"density $p({symbol_of(coordinate)})$")
-
-
 def symbol_of(coordinate: Coordinate) -> str:
     """Return the coordinate as mathtext without its dollars."""
-    return (
-        coordinate.kind
-        if coordinate.index is None
-        else f"{coordinate.kind}_{{{coordinate.index + 1}}}"
-    )
+    index = "" if coordinate.index is None else f"_{{{coordinate.index + 1}}}"
+    return f"{coordinate.kind}{index}"
 
 
 def words_of(coordinate: Coordinate) -> str:
