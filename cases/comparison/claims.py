@@ -4,12 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import erfc, sqrt
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from cases.comparison.compare import distance_between
-from cases.comparison.regime import Regime
 from cases.scene.expect import Expect
 from fpk.certificate import ROUNDING, Measured
 from fpk.density import (
@@ -23,6 +22,9 @@ from fpk.density import (
 )
 from fpk.observable import Observable, observable_name
 from fpk.route import Route
+
+if TYPE_CHECKING:
+    from cases.comparison.run import CurveOutcome
 
 Verdict = Literal["holds", "does not hold", "undecided", "not checked"]
 
@@ -44,29 +46,6 @@ mass lies beyond."""
 ACCEPTABLE_L1 = 0.1
 """L1 distance to the full system up to which a theory is called acceptable: no probability is
 wrong by more than 5 %."""
-
-
-class Curve(Protocol):
-    """What the claims need to know of one curve."""
-
-    @property
-    def label(self) -> str:
-        """The curve's label, empty for a lone one."""
-        ...
-
-    @property
-    def value(self) -> float | None:
-        """What is varied, as one number."""
-        ...
-
-    @property
-    def regime(self) -> Regime:
-        """What decides between the theories."""
-        ...
-
-    def densities(self, observable: Observable) -> Mapping[Route, AnyDensity]:
-        """Return the densities of one observable by route."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -91,31 +70,34 @@ class Shape:
     @property
     def almost_gaussian(self) -> bool | None:
         """Whether both measures are small; None where their errors leave it open."""
-        near = [
-            _below(self.l1, self.l1_error, ALMOST_L1),
-            _below(abs(self.kurtosis), self.kurtosis_error, ALMOST_KURTOSIS),
-        ]
+        near = {
+            _below(self.l1, ALMOST_L1, self.l1_error),
+            _below(abs(self.kurtosis), ALMOST_KURTOSIS, self.kurtosis_error),
+        }
         return False if False in near else None if None in near else True
 
 
-def findings(expect: Expect | None, curves: Sequence[Curve]) -> tuple[Finding, ...]:
+def findings(expect: Expect | None, curves: Sequence["CurveOutcome"]) -> tuple[Finding, ...]:
     """Return what became of every claim on every curve that it is about."""
     if expect is None:
         return ()
+    symbol = curves[0].label.partition(" =")[0]
     verdicts: list[Finding] = []
-    for wanted, claim_range, words in (
+    for wanted, values, words in (
         (False, expect.non_gaussian, "non-Gaussian"),
         (True, expect.almost_gaussian, "almost Gaussian"),
     ):
-        if claim_range is None:
-            continue
-        for curve in curves:
-            if curve.value is not None and curve.value in claim_range:
-                symbol = curve.label.partition(" =")[0]
-                claim = f"{observable_name(expect.of)} {words} for {symbol} {claim_range.words}"
-                verdicts.append(_gaussian(claim, curve, expect.of, wanted=wanted))
-    if expect.nonintegrable_better_with is not None:
-        verdicts += _monotone(expect, curves)
+        if values is not None:
+            claim = f"{observable_name(expect.of)} {words} for {symbol} {values.words}"
+            inside = [c for c in curves if c.value is not None and c.value in values]
+            verdicts += [_gaussian(claim, c, expect.of, wanted=wanted) for c in inside]
+    if (direction := expect.nonintegrable_better_with) is not None:
+        # Neighbours along the varied number, the better one last.
+        claim = f"nonintegrable theory better with {direction} {symbol}"
+        ordered = sorted(curves, key=lambda c: c.value or 0.0, reverse=direction == "smaller")
+        for worse, better in pairwise(ordered):
+            pair = [_distance(c, expect.of, "nonintegrable") for c in (better, worse)]
+            verdicts.append(_nearer(claim, f"{worse.label} to {better.label}", *pair))
     for curve in curves:
         verdicts += _theories(expect, curve)
     return tuple(verdicts)
@@ -133,9 +115,8 @@ def shape_of(density: AnyDensity) -> Shape:
         reach = max(abs(density.panels[0][0] - mean), abs(density.panels[0][-1] - mean))
         slack = density.l1_error * (reach**4 / variance**2)
         return Shape(distance, 2.0 * density.l1_error, kurtosis, float(slack))
-    count = density.batch_values.shape[0]
-    batches = [replace(density, values=v) for v in density.batch_values]
-    spread = float(np.std([_kurtosis(b) for b in batches], ddof=1) / np.sqrt(count))
+    batches = [_kurtosis(replace(density, values=v)) for v in density.batch_values]
+    spread = float(np.std(batches, ddof=1) / np.sqrt(len(batches)))
     chance = float(np.sum(density.standard_error * np.diff(density.edges[0])))
     return Shape(distance, chance, kurtosis, 3.0 * spread)
 
@@ -152,56 +133,36 @@ def theory_of(densities: Mapping[Route, AnyDensity], name: str) -> AnyDensity | 
     return next((densities[r] for r in own), None)
 
 
-def _gaussian(claim: str, curve: Curve, of: Observable, *, wanted: bool) -> Finding:
+def _gaussian(claim: str, curve: "CurveOutcome", of: Observable, *, wanted: bool) -> Finding:
     density = reference_of(curve.densities(of))
     if density is None:
         return Finding(claim, curve.label, "no answer for the full system", "not checked")
     shape = shape_of(density)
     measured = f"L1 to the fitted Gaussian {shape.l1:.3f}, excess kurtosis {shape.kurtosis:+.3f}"
     almost = shape.almost_gaussian
-    return Finding(
-        claim, curve.label, measured, _verdict(None if almost is None else almost is wanted)
-    )
+    return Finding(claim, curve.label, measured, _verdict(almost if wanted else _opposite(almost)))
 
 
-def _monotone(expect: Expect, curves: Sequence[Curve]) -> list[Finding]:
-    """Compare neighbours along the varied number, the better one last."""
-    direction = expect.nonintegrable_better_with
-    symbol = curves[0].label.partition(" =")[0]
-    claim = f"nonintegrable theory better with {direction} {symbol}"
-    ordered = sorted(curves, key=lambda c: c.value or 0.0, reverse=direction == "smaller")
-    return [
-        _nearer(
-            claim,
-            f"{worse.label} to {better.label}",
-            _distance(better, expect.of, "nonintegrable"),
-            _distance(worse, expect.of, "nonintegrable"),
-        )
-        for worse, better in pairwise(ordered)
-    ]
-
-
-def _theories(expect: Expect, curve: Curve) -> list[Finding]:
+def _theories(expect: Expect, curve: "CurveOutcome") -> list[Finding]:
     verdicts = []
     if expect.better is not None:
-        first, second = expect.better
-        pair = [_distance(curve, expect.of, name) for name in (first, second)]
-        verdicts.append(_nearer(f"{first} theory better than {second}", curve.label, *pair))
+        pair = [_distance(curve, expect.of, name) for name in expect.better]
+        claim = "{} theory better than {}".format(*expect.better)
+        verdicts.append(_nearer(claim, curve.label, *pair))
     verdicts += [
         _acceptable(f"{name} theory acceptable", name, curve, expect.of)
         for name in expect.acceptable
     ]
-    rule = expect.clearance_rule
-    if rule is not None:
+    if (rule := expect.clearance_rule) is not None:
         claim = f"integrable theory acceptable for clearance > {rule:g} rms"
         ratios = [s.ratio for s in curve.regime.stops]
         known = [r for r in ratios if r is not None]
-        if not known or len(known) < len(ratios):
-            verdicts.append(Finding(claim, curve.label, "the rms is not known", "not checked"))
-        elif min(known) > rule:
+        if known and len(known) == len(ratios) and min(known) > rule:
             verdicts.append(_acceptable(claim, "integrable", curve, expect.of))
         else:
-            measured = f"clearance is {min(known):.3g} rms: the rule says nothing here"
+            measured = "the rms is not known"
+            if known and len(known) == len(ratios):
+                measured = f"clearance is {min(known):.3g} rms: the rule says nothing here"
             verdicts.append(Finding(claim, curve.label, measured, "not checked"))
     return verdicts
 
@@ -211,18 +172,19 @@ def _nearer(claim: str, where: str, near: Bounded | None, far: Bounded | None) -
     if near is None or far is None:
         return Finding(claim, where, "no answer to compare with", "not checked")
     measured = f"L1 {near[0]:.4f} ± {near[1]:.4f} against {far[0]:.4f} ± {far[1]:.4f}"
-    return Finding(claim, where, measured, _verdict(_less(*near, *far)))
+    return Finding(claim, where, measured, _verdict(_below(near[0], far[0], near[1] + far[1])))
 
 
-def _acceptable(claim: str, name: str, curve: Curve, of: Observable) -> Finding:
+def _acceptable(claim: str, name: str, curve: "CurveOutcome", of: Observable) -> Finding:
     distance = _distance(curve, of, name)
     if distance is None:
         return Finding(claim, curve.label, f"no answer of the {name} theory", "not checked")
     measured = f"L1 to the full system {distance[0]:.4f} ± {distance[1]:.4f}"
-    return Finding(claim, curve.label, measured, _verdict(_below(*distance, ACCEPTABLE_L1)))
+    verdict = _verdict(_below(distance[0], ACCEPTABLE_L1, distance[1]))
+    return Finding(claim, curve.label, measured, verdict)
 
 
-def _distance(curve: Curve, of: Observable, name: str) -> Bounded | None:
+def _distance(curve: "CurveOutcome", of: Observable, name: str) -> Bounded | None:
     densities = curve.densities(of)
     theory, reference = theory_of(densities, name), reference_of(densities)
     if theory is None or reference is None:
@@ -230,13 +192,13 @@ def _distance(curve: Curve, of: Observable, name: str) -> Bounded | None:
     return distance_between(theory, reference)
 
 
-def _less(a: float, slack_a: float, b: float, slack_b: float) -> bool | None:
-    """Whether a < b; None where the difference does not exceed what both may be off."""
-    return None if abs(a - b) <= slack_a + slack_b else a < b
-
-
-def _below(value: float, slack: float, limit: float) -> bool | None:
+def _below(value: float, limit: float, slack: float) -> bool | None:
+    """Whether value < limit; None where the difference does not exceed what both may be off."""
     return None if abs(value - limit) <= slack else value < limit
+
+
+def _opposite(holds: bool | None) -> bool | None:
+    return None if holds is None else not holds
 
 
 def _verdict(holds: bool | None) -> Verdict:

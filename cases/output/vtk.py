@@ -23,9 +23,6 @@ SUBDIVISION = 1e-5
 MOST_CELLS = {1: 20_000, 2: 60_000}
 """Cells at which refinement ends; the error that is left is stated in any case."""
 
-PROBES = (0.25, 0.75)
-"""Where in a cell its interpolant is held against the density: halfway between its nodes."""
-
 
 @dataclass(frozen=True)
 class Field:
@@ -84,28 +81,29 @@ def field_of(densities: Mapping[str, AnyDensity]) -> Field:
     ``density`` is the first; every route has its own array, the error it states, and the
     difference of the first from it.
     """
-    first, *others = densities
-    nodes = _ends(densities)
+    named = {route.replace("/", " "): density for route, density in densities.items()}
+    (first, density), *_ = named.items()
+    ends = [
+        np.unique([grid[0], *panels[(panels > grid[0]) & (panels < grid[-1])], grid[-1]])
+        for grid, panels in zip(common_grid(named.values()), density.panels, strict=True)
+    ]
     while True:
-        values = [_values(densities[first], nodes)]
-        misses = _misses(densities[first], nodes, values[0])
-        largest = max(float(m.max()) for m in misses)
-        halves = tuple(n[::2] for n in nodes)
-        allowed = SUBDIVISION * float(values[0].max())
-        finer = tuple(_split(h, m > allowed) for h, m in zip(halves, misses, strict=True))
-        cells = int(np.prod([f.size // 2 for f in finer]))
-        if largest <= allowed or cells > MOST_CELLS[len(nodes)]:
+        nodes = tuple(_with_middles(e) for e in ends)
+        values = _values(density, nodes)
+        misses = [_misses(density, nodes, values, axis) for axis in range(len(nodes))]
+        subdivision = max(float(m.max()) for m in misses)
+        allowed = SUBDIVISION * float(values.max())
+        ends = [_with_middles(e, only=miss > allowed) for e, miss in zip(ends, misses, strict=True)]
+        cells = int(np.prod([e.size - 1 for e in ends]))
+        if subdivision <= allowed or cells > MOST_CELLS[len(nodes)]:
             break
-        nodes = finer
     mesh = np.meshgrid(*nodes, indexing="ij")
     points: dict[str, Array] = {}
-    for route, density in densities.items():
-        name = route.replace("/", " ")
-        points[name], points[f"error of {name}"] = values_on(density, *mesh)
-    for route in others:
-        name = f"{first} - {route}".replace("/", " ")
-        points[name] = points[first.replace("/", " ")] - points[route.replace("/", " ")]
-    return Field(nodes, {"density": points[first.replace("/", " ")], **points}, largest)
+    for name, other in named.items():
+        points[name], points[f"error of {name}"] = values_on(other, *mesh)
+    for name in [*named][1:]:
+        points[f"{first} - {name}"] = points[first] - points[name]
+    return Field(nodes, {"density": points[first], **points}, subdivision)
 
 
 def _write(outcome: Outcome, curve: CurveOutcome, observable: Observable, path: Path) -> None:
@@ -114,7 +112,7 @@ def _write(outcome: Outcome, curve: CurveOutcome, observable: Observable, path: 
     routes = sorted(densities, key=lambda r: (r.sampled, r.solves != "averaged"))
     field = field_of({route.label: densities[route] for route in routes})
     scene = outcome.scene
-    words = {
+    data: dict[str, str | float] = {
         "scene": scene.name,
         "title": scene.title,
         "source": scene.source,
@@ -126,12 +124,16 @@ def _write(outcome: Outcome, curve: CurveOutcome, observable: Observable, path: 
         "first route": routes[0].label,
         "scene file": scene.text,
         "program": f"vibro-fpk {program_version()}",
+        "subdivision error": field.subdivision,
+        "largest density": field.largest,
     }
-    numbers = {"subdivision error": field.subdivision, "largest density": field.largest}
 
     def write(temporary: Path) -> None:
         meshio.vtu.write(temporary, _mesh(field))
-        _add_field_data(temporary, words, numbers)
+        # meshio writes no field data.
+        text = temporary.read_text(encoding="utf-8")
+        head = "<UnstructuredGrid>"
+        temporary.write_text(text.replace(head, head + _field_data(data), 1), encoding="utf-8")
 
     write_by(path, write)
 
@@ -153,70 +155,38 @@ def _mesh(field: Field) -> meshio.Mesh:
     return meshio.Mesh(points, [cells], point_data=data)
 
 
-def _add_field_data(path: Path, words: Mapping[str, str], numbers: Mapping[str, float]) -> None:
-    """Add field data, which meshio does not write: texts as VTK has them, zero-ended codes."""
-    tree = ElementTree.parse(path)
-    grid = tree.getroot().find("UnstructuredGrid")
-    assert grid is not None
-    block = ElementTree.Element("FieldData")
-    for name, text in words.items():
-        codes = " ".join(str(byte) for byte in [*text.encode(), 0])
-        array = ElementTree.SubElement(
-            block, "DataArray", type="String", Name=name, NumberOfTuples="1", format="ascii"
+def _field_data(data: Mapping[str, str | float]) -> str:
+    """The field data of a file; texts as VTK has them, zero-ended codes."""
+    arrays = []
+    for name, value in data.items():
+        number = isinstance(value, float)
+        kind = "Float64" if number else "String"
+        text = repr(value) if number else " ".join(map(str, [*str(value).encode(), 0]))
+        arrays.append(
+            f'<DataArray type="{kind}" Name="{name}" NumberOfTuples="1" format="ascii">{text}'
+            "</DataArray>"
         )
-        array.text = codes
-    for name, number in numbers.items():
-        array = ElementTree.SubElement(
-            block, "DataArray", type="Float64", Name=name, NumberOfTuples="1", format="ascii"
-        )
-        array.text = repr(number)
-    grid.insert(0, block)
-    tree.write(path, xml_declaration=True, encoding="utf-8")
+    return f"<FieldData>{''.join(arrays)}</FieldData>"
 
 
-def _ends(densities: Mapping[str, AnyDensity]) -> tuple[Array, ...]:
-    """The first density's panels where any density counts, as cells with a node in the middle."""
-    first = next(iter(densities.values()))
-    ends = []
-    for grid, panels in zip(common_grid(densities.values()), first.panels, strict=True):
-        within = panels[(panels > grid[0]) & (panels < grid[-1])]
-        ends.append(_quadratic(np.unique(np.concatenate([grid[[0, -1]], within]))))
-    return tuple(ends)
-
-
-def _quadratic(ends: Array) -> Array:
-    """The ends of cells and their middles."""
-    nodes = np.empty(2 * ends.size - 1)
-    nodes[::2], nodes[1::2] = ends, 0.5 * (ends[1:] + ends[:-1])
-    return nodes
-
-
-def _split(ends: Array, bad: NDArray[np.bool_]) -> Array:
-    """The nodes after every cell marked ``bad`` was halved."""
+def _with_middles(ends: Array, only: NDArray[np.bool_] | None = None) -> Array:
+    """The ends of cells with the middles of all of them, or of those in ``only``."""
     middles = 0.5 * (ends[1:] + ends[:-1])
-    return _quadratic(np.sort(np.concatenate([ends, middles[bad]])))
+    return np.sort(np.concatenate([ends, middles if only is None else middles[only]]))
 
 
 def _values(density: AnyDensity, nodes: Sequence[Array]) -> Array:
     return values_on(density, *np.meshgrid(*nodes, indexing="ij"))[0]
 
 
-def _misses(density: AnyDensity, nodes: tuple[Array, ...], values: Array) -> list[Array]:
-    """Per axis and cell, the largest |interpolant − density| at the probes along that axis."""
-    misses = []
-    for axis, x in enumerate(nodes):
-        left, width = x[:-1:2], x[2::2] - x[:-1:2]
-        low, middle, high = (
-            np.moveaxis(values, axis, 0)[s]
-            for s in (slice(None, -1, 2), slice(1, None, 2), slice(2, None, 2))
-        )
-        worst = np.zeros(left.size)
-        for t in PROBES:
-            weights = (2 * (t - 0.5) * (t - 1), 4 * t * (1 - t), 2 * t * (t - 0.5))
-            guess = weights[0] * low + weights[1] * middle + weights[2] * high
-            probe = tuple(left + t * width if a == axis else n for a, n in enumerate(nodes))
-            truth = np.moveaxis(_values(density, probe), axis, 0)
-            off = np.abs(guess - truth).reshape(left.size, -1).max(axis=1)
-            worst = np.maximum(worst, off)
-        misses.append(worst)
-    return misses
+def _misses(density: AnyDensity, nodes: Sequence[Array], values: Array, axis: int) -> Array:
+    """Per cell along an axis, the largest |interpolant − density| halfway between its nodes."""
+    x = nodes[axis]
+    between = [0.5 * (x[1:] + x[:-1]) if a == axis else n for a, n in enumerate(nodes)]
+    truth = np.moveaxis(_values(density, between), axis, 0)
+    along = np.moveaxis(values, axis, 0)
+    low, middle, high = along[:-1:2], along[1::2], along[2::2]
+    # The parabola through three nodes at a quarter and at three quarters of the cell.
+    quarters = [0.125 * (3 * a + 6 * middle - b) for a, b in ((low, high), (high, low))]
+    off = np.abs(np.stack(quarters, axis=1).reshape(truth.shape) - truth)
+    return np.asarray(off.reshape(low.shape[0], -1).max(axis=1))
