@@ -1,46 +1,46 @@
 """Contact laws of the registry as compiled scalar functions that a kernel can close over."""
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from dataclasses import dataclass
 from inspect import getfile
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numba
-from numba.extending import overload
+from numba import types
+from numba.core.imputils import lower_constant
+from numba.extending import models, overload, register_model, typeof_impl
 
-from fpk.compiling import FLAGS, ROOT, cached_where_possible
+from fpk.compiling import FLAGS, ROOT
 from fpk.contact_law import LAWS
 
-Compiled = Any
-"""A ``numba.vectorize`` object of signature (law, overlap, exponent), of a single law (overlap,
-exponent): kernels that close over one are found again in the disk cache, those that close over an
-``njit`` function never are. Each takes 50 ms to load."""
 
-_numba_vectorize: Any = numba.vectorize
+@dataclass(frozen=True)
+class CompiledLaws:
+    """One ``part`` of the laws ``names``, to be called by ``of_law`` in compiled code.
 
+    Plain data: a kernel that closes over it is found again in the disk cache, with the laws inside
+    it, and they need not be compiled or loaded again. ``stamps`` tell laws of one name apart.
+    """
 
-def _vectorize(signatures: list[str]) -> Callable[[Any], Compiled]:
-    """Return ``numba.vectorize`` with the disk cache, without it where a law has no file."""
-
-    def compiled(function: Any) -> Compiled:
-        return cached_where_possible(
-            lambda **cache: _numba_vectorize(signatures, **cache)(function)
-        )
-
-    return compiled
+    names: tuple[str, ...]
+    part: str
+    stamps: tuple[int, ...]
 
 
-@lru_cache
-def compiled_laws(names: tuple[str, ...], part: str) -> Compiled:
+class LawsType(types.Type):  # type: ignore[misc]  # numba has no types
+    """The type of ``CompiledLaws`` in compiled code, one for every value."""
+
+    def __init__(self, laws: CompiledLaws) -> None:
+        """Take the name of the type from the value."""
+        self.laws = laws
+        super().__init__(name=repr(laws))
+
+
+def compiled_laws(names: tuple[str, ...], part: str) -> CompiledLaws:
     """Return "force", "energy" or "slope" of the laws, to be called by ``of_law``."""
-    functions = [_vectorize(["f8(f8,f8)"])(getattr(LAWS[name], part)) for name in names]
-    if len(functions) == 1:
-        return functions[0]
-    choice = _vectorize(["f8(i8,f8,f8)"])(_only(functions[-1]))
-    for function in reversed(functions[:-1]):
-        choice = _vectorize(["f8(i8,f8,f8)"])(_first_or(function, choice))
-    return choice
+    return CompiledLaws(names, part, tuple(_stamp(getattr(LAWS[name], part)) for name in names))
 
 
 def law_files(names: Sequence[str], root: Path = ROOT) -> tuple[Path, ...]:
@@ -54,7 +54,7 @@ def law_files(names: Sequence[str], root: Path = ROOT) -> tuple[Path, ...]:
     return (*(root / name for name in compiled), *(f for f in own if not f.name.startswith("<")))
 
 
-def of_law(function: Compiled, law: int, overlap: float, exponent: float) -> float:
+def of_law(function: Any, law: int, overlap: float, exponent: float) -> float:
     """Stand for a call of ``compiled_laws`` in compiled code; ``law`` picks one of several."""
     raise NotImplementedError
 
@@ -62,21 +62,53 @@ def of_law(function: Compiled, law: int, overlap: float, exponent: float) -> flo
 @overload(of_law, jit_options={"fastmath": FLAGS, "error_model": "numpy", "forceinline": True})
 def _of_law(function, law, overlap, exponent):  # type: ignore[no-untyped-def]
     """Return the call that the type of ``function`` asks for; None, for no law, gives 0."""
-    if isinstance(function, numba.types.NoneType):
+    if isinstance(function, types.NoneType):
         return lambda function, law, overlap, exponent: 0.0
-    if getattr(getattr(function, "typing_key", None), "nin", 3) == 2:
-        return lambda function, law, overlap, exponent: function(overlap, exponent)
-    return lambda function, law, overlap, exponent: function(law, overlap, exponent)
+    if not isinstance(function, LawsType):
+        return lambda function, law, overlap, exponent: function(law, overlap, exponent)
+    parts = [_compiled(getattr(LAWS[name], function.laws.part)) for name in function.laws.names]
+    if len(parts) == 1:
+        only = parts[0]
+        return lambda function, law, overlap, exponent: only(overlap, exponent)
+    choice = _compiled(_last(parts[-1]))
+    for part in reversed(parts[:-1]):
+        choice = _compiled(_first_or(part, choice))
+    return lambda function, law, overlap, exponent: choice(law, overlap, exponent)
 
 
-def _only(function: Compiled) -> Callable[[Any, Any, Any], Any]:
-    def only(law: Any, x: Any, e: Any) -> Any:
+register_model(LawsType)(models.OpaqueModel)
+
+
+@typeof_impl.register(CompiledLaws)
+def _typeof(value, context):  # type: ignore[no-untyped-def]
+    return LawsType(value)
+
+
+@lower_constant(LawsType)
+def _constant(context, builder, kind, value):  # type: ignore[no-untyped-def]
+    return context.get_dummy_value()
+
+
+def _compiled(function: Callable[..., Any]) -> Any:
+    """Compiled without liberties of arithmetic: a law is what its file says."""
+    return numba.njit(error_model="numpy")(function)
+
+
+def _stamp(function: Callable[..., Any]) -> int:
+    """A checksum of a function's code and of what it closes over."""
+    code = function.__code__
+    cells = [cell.cell_contents for cell in function.__closure__ or ()]
+    return crc32(repr((code.co_code, code.co_consts, code.co_names, cells)).encode())
+
+
+def _last(function: Any) -> Callable[[Any, Any, Any], Any]:
+    def last(law: Any, x: Any, e: Any) -> Any:
         return function(x, e)
 
-    return only
+    return last
 
 
-def _first_or(first: Compiled, others: Compiled) -> Callable[[Any, Any, Any], Any]:
+def _first_or(first: Any, others: Any) -> Callable[[Any, Any, Any], Any]:
     def first_or(law: Any, x: Any, e: Any) -> Any:
         return first(x, e) if law == 0 else others(law - 1, x, e)
 
