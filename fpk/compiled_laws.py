@@ -64,8 +64,6 @@ def _of_law(function, law, overlap, exponent):  # type: ignore[no-untyped-def]
     """Return the call that the type of ``function`` asks for; None, for no law, gives 0."""
     if isinstance(function, types.NoneType):
         return lambda function, law, overlap, exponent: 0.0
-    if not isinstance(function, LawsType):
-        return lambda function, law, overlap, exponent: function(law, overlap, exponent)
     parts = [_compiled(getattr(LAWS[name], function.laws.part)) for name in function.laws.names]
     if len(parts) == 1:
         only = parts[0]
