@@ -19,7 +19,7 @@ from cases.studies.full_system import full_reference
 from cases.studies.levels import ByTolerance, Level
 from cases.studies.prices import NotTimed, Priced, crossovers, price_list, promised_list
 from cases.studies.sampling import FULL, Law, full_routes
-from cases.studies.tables import duration
+from cases.studies.tables import Table, duration
 from cases.studies.timing import Timing
 from fpk.density import l1_distance
 from fpk.observable import parse_observable
@@ -243,3 +243,20 @@ def test_the_whole_study_agrees_with_itself(tmp_path):
 def test_times_are_shown_in_units_that_suit_them():
     assert duration(2e-3) == "2 ms" and duration(90.0) == "1.5 min" and duration(2e-6) == "0.002 ms"
     assert duration(float("nan")) == "–" and duration(1e14) == "3.2e+06 a"
+
+
+def test_a_table_is_markdown_in_aligned_columns_without_repeats():
+    rows = [("x", 1.0), ("x", None), ("y", (0.5, 2000.0)), ("y", float("nan"))]
+    assert Table("T", "first | second", rows, ("why",)).markdown() == [
+        "## T",
+        "",
+        "| first |         second |",
+        "| ----- | -------------: |",
+        "| x     |           1.00 |",
+        "|       |              – |",
+        "| y     | 0.500 2.00e+03 |",
+        "|       |              – |",
+        "",
+        "why",
+        "",
+    ]

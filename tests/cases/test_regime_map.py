@@ -100,6 +100,17 @@ def test_where_there_is_an_exact_answer_no_simulation_is_needed(monkeypatch):
     assert all(p.L1["nonintegrable"] < 1e-10 for p in found.points)
 
 
+def test_a_map_is_printed_and_once_written_its_summary_only(fpk, tmp_path):
+    line = ["regime", "fig3a", "--vary", "contact.clearance=0.5:2:2"]
+    status, out, err = fpk(*line)
+    assert (status, err) == (0, "") and out.count("| ") > 6 and "2 points (0 from disk)" in out
+    status, out, err = fpk(*line, "--out", tmp_path)
+    assert (status, err) == (0, "") and "|" not in out and out.startswith("p(q2), 2 points")
+    for ending in ("md", "nc", "svg", "csv"):
+        path = tmp_path / f"regime.{ending}"
+        assert path.stat().st_size > 100 and f"wrote {path}" in out
+
+
 def test_a_scene_without_contact_has_no_map(fpk, tmp_path, scene_text):
     path = tmp_path / "free.toml"
     before, _, after = scene_text.partition("[[contact]]")
