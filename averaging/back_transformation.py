@@ -127,8 +127,8 @@ def _energy_density(source: EnergyDensity, observable: Observable, tol: float) -
 
     def pointwise(energy: Array) -> Array:
         energy = np.asarray(energy)
-        error = np.exp(source.log_states(energy)) * source.weyl(0.0, energy, "error")
-        error = np.where((energy > last) & (source.energy_pdf(energy) == 0.0), dropped, error)
+        error = np.exp(source.log_states(energy)) * source.u_error(energy)
+        error = np.where((energy > last) & (source.u(energy) == 0.0), dropped, error)
         # T is evaluated at the points themselves: at a contact energy it may be worse than on the
         # mesh, where the solver estimated the error of u.
         error = error + source.states_error(energy)

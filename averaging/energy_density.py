@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal, Protocol
 
 import numpy as np
@@ -44,6 +45,7 @@ class Weyl(Protocol):
 class EnergyDensity:
     """Phase-space density u(H) of a system and its integrals, with errors, Eqs. (22), (30).
 
+    ``u`` and ``u_error`` take energies, ``weyl`` is what is left of them when integrated out.
     ``nodes`` are energies from 0 to the last one of a mesh, between which u is smooth;
     ``temperature`` is an energy over which u falls by about 1/e. ``measured`` is what was measured
     on p(H); as integrating out cannot increase an L1 distance, its ``l1_error`` holds for all
@@ -54,6 +56,8 @@ class EnergyDensity:
     system: System
     nodes: Array
     temperature: float
+    u: Callable[[Array], Array]
+    u_error: Callable[[Array], Array]
     weyl: Weyl
     measured: Measured
     closed: bool = False
@@ -71,7 +75,7 @@ class EnergyDensity:
 
     def energy_pdf(self, energy: Array) -> Array:
         """p(H) = T(H) u(H); 0 below H = 0."""
-        p = np.exp(self.log_states(energy)) * self.weyl(0.0, energy)
+        p = np.exp(self.log_states(energy)) * self.u(energy)
         return np.where(np.asarray(energy) >= 0.0, p, 0.0)
 
     def states_error(self, energy: Array) -> Array:
@@ -104,9 +108,8 @@ def gibbs(
         factor = {"value": 1.0, "error": error, "table": 0.0}[part]
         return np.asarray(factor * np.exp(log_norm - order * np.log(alpha) - alpha * energy))
 
-    return EnergyDensity(
-        system, nodes, 1.0 / alpha, weyl, measured, closed=True, provenance=provenance
-    )
+    u, u_error = partial(weyl, 0.0), partial(weyl, 0.0, part="error")
+    return EnergyDensity(system, nodes, 1.0 / alpha, u, u_error, weyl, measured, True, provenance)
 
 
 def closed_form_measured(

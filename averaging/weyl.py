@@ -53,8 +53,6 @@ def tabulated(
     @cache
     def table(order: float, name: str) -> Function:
         grid, function, points = tables[name]
-        if order == 0.0:
-            return function
         log_values = weyl_table(order, grid, function, points=points)
         return lambda energy: np.exp(log_values(energy))
 
@@ -69,8 +67,7 @@ def tabulated(
             return value
         if part == "error":
             dropped = table(order, "value")(np.array([last]))[0]
-            lost = (energy >= last) & (value == 0.0)
-            return np.where(lost, dropped, table(order, "error")(energy))
+            return np.where(energy < last, table(order, "error")(energy), dropped)
         error = np.abs(table(order, "coarse")(energy) - value)
         if varying:
             error += continued(order, np.minimum(energy, last), fine, u)
@@ -81,7 +78,7 @@ def tabulated(
         # u need not fall from H = 0, and may change much faster than over the scale of the energy.
         temperature = min(temperature, probed(process).e_fold(float(nodes[-1])))
     return EnergyDensity(
-        system, nodes, temperature, weyl, measured, closed=closed, provenance=provenance or {}
+        system, nodes, temperature, u, u_error, weyl, measured, closed, provenance or {}
     )
 
 
@@ -91,8 +88,9 @@ def halved(nodes: Array) -> Array:
 
 
 def weyl_table(order: float, nodes: Array, u: Function, *, points: int = POINTS[1]) -> Piecewise:
-    """Return ln Ψ_ν(E), Ψ_ν = ∫_E u(H) (H − E)^(ν−1)/Γ(ν) dH for ν = ``order`` = ½, 1, ...
+    """Return ln Ψ_ν(E), Ψ_ν = ∫_E u(H) (H − E)^(ν−1)/Γ(ν) dH for ν = ``order`` = 0, ½, 1, ...
 
+    Ψ_0 is u, which a solver may be slow to evaluate.
     Ψ falls exponentially, so its logarithm is what is smooth; it is −∞ beyond the last node. There
     u, smooth between ``nodes``, is continued exponentially at the rate of the last element: Ψ then
     keeps its relative accuracy up to that node.
@@ -100,8 +98,11 @@ def weyl_table(order: float, nodes: Array, u: Function, *, points: int = POINTS[
     element = np.repeat(np.arange(nodes.size - 1), points)
 
     def log_weyl(energy: Array) -> Array:
-        total = continued(order, energy, nodes, u)
-        total += _integrals(order, energy, element, nodes, u, points)
+        if order == 0.0:
+            total = u(energy)
+        else:
+            total = continued(order, energy, nodes, u)
+            total += _integrals(order, energy, element, nodes, u, points)
         return np.log(np.maximum(total, np.finfo(float).tiny))
 
     coefficients = interpolated(log_weyl, nodes[:-1], nodes[1:], points - 1)

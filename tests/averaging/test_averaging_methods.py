@@ -257,7 +257,7 @@ def test_a_mirrored_system_has_a_mirrored_density(name):
     assert bool(skew < 1e-9) is (name != "right, masses")
 
 
-@pytest.mark.parametrize("order", [0.5, 1.0, 1.5, 2.5])
+@pytest.mark.parametrize("order", [0.0, 0.5, 1.0, 1.5, 2.5])
 def test_weyl_integrals_of_an_exponential(order):
     # ∫_0^∞ e^(−a(E + x)) x^(ν−1) dx/Γ(ν) = a^(−ν) e^(−aE); the table continues u beyond its end.
     a = 4.0
