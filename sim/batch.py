@@ -42,7 +42,7 @@ def watching(batch: Batch, *, bins: int, products: int) -> Batch:
     )
 
 
-def copied(first: int, *arrays: Array) -> Batch:
+def copied(first: int, *arrays: Any) -> Batch:
     """Return a batch of copies of arrays."""
     return Batch(first, *(np.array(array) for array in arrays))
 

@@ -46,7 +46,8 @@ class Checkpoint:
         Raises ``Unavailable`` where that is not possible; what was in the file stays.
         """
         content = io.BytesIO()
-        np.savez(content, **arrays, identity=np.array(self.identity))
+        entries: dict[str, Any] = {**arrays, "identity": np.array(self.identity)}
+        np.savez(content, **entries)
         part = self.path.with_suffix(".part")
         try:
             with part.open("wb") as stream:

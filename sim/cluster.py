@@ -91,7 +91,7 @@ class Cluster:
     @property
     def threads(self) -> int:
         """The threads of all workers."""
-        return max(1, sum(self.client.nthreads().values()))
+        return max(1, sum(map(int, self.client.nthreads().values())))
 
     def map(self, task: Any, *columns: Any) -> list[Any]:
         """Return futures of what ``task`` makes of every batch, and wait for them."""

@@ -219,13 +219,16 @@ class Ensemble:
 
     def _now(self, task: Any, *columns: Any) -> None:
         """Let the batches be what ``task`` makes of ``columns``."""
-        self._batches, self._known = self.workers.map(task, *columns), None
+        self._batches = self.workers.map(task, *columns)
+        self._known: list[Summary] | None = None
 
     def _summaries(self) -> list[Summary]:
         """Return losses, sums and counts, asked for once a step: a cluster answers slowly."""
-        if self._known is None:
-            self._known = self.workers.values(self.workers.map(summary, self._batches))
-        return self._known
+        summaries = self._known
+        if summaries is None:
+            summaries = self.workers.values(self.workers.map(summary, self._batches))
+            self._known = summaries
+        return summaries
 
     def _joined(self, name: str, batches: int | None = None) -> Array:
         answers = self.workers.map(attrgetter(name), self._batches[:batches])

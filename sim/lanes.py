@@ -7,6 +7,8 @@ compiler turns the loop into vector instructions whatever the number of masses. 
 into the kernel.
 """
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -49,8 +51,8 @@ def fill(target: Array, value: float, width: int = W) -> None:
 
 
 @njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-def copy(target: Array, source: Array, width: int = W) -> None:
-    """Copy one row."""
+def copy(target: Array, source: NDArray[Any], width: int = W) -> None:
+    """Copy one row, of normals in single precision too."""
     for k in range(width):
         target[k] = source[k]
 
