@@ -1,7 +1,8 @@
 """The FPK operator of a process of one or two energies on a mesh, as sparse matrices.
 
-Here the weak form is written as the equation is; the solvers of ``fpk.line`` and ``fpk.plane`` hold
-the same form in compiled or factored arithmetic, and tests compare the two.
+Here the weak form is written as the equation is, in scikit-fem. The stationary solvers assemble it
+in other ways, ``fpk.line`` one element at a time and ``fpk.plane`` one direction at a time, and
+tests compare the matrices' null vectors.
 """
 
 from dataclasses import dataclass
@@ -62,7 +63,7 @@ class Operator:
 
     @cached_property
     def basis(self) -> Basis:
-        """Continuous hierarchical elements, in one energy those of ``fpk.line``."""
+        """Continuous hierarchical elements, in two energies those of ``fpk.plane``."""
         if len(self.nodes) == 1:
             low = {1: ElementLineP1, 2: ElementLineP2}
             element = low[self.degree]() if self.degree in low else ElementLinePp(self.degree)
