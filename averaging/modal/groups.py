@@ -6,7 +6,6 @@ from typing import Literal
 import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from averaging.energy_density import TAIL, closed_form_measured
 from averaging.modal.analysis import ModalAnalysis
@@ -96,10 +95,14 @@ def _closed_form(modes: ModalAnalysis, mode: int, process: Process) -> Solved:
     probe = probed(process)
     nodes = initial_nodes(probe, probe.extent(TAIL), ())
     exponent = polynomial.polyint(-modes.averaged.powers(mode) / modes.noise[mode])
-    (x, w), (y, v) = (panel_rule(nodes, points) for points in (POINTS, POINTS // 2))
-    log_norm = logsumexp(polynomial.polyval(x, exponent), b=w)
-    relative = abs(logsumexp(polynomial.polyval(y, exponent), b=v) - log_norm)
-    exponent[0] = -log_norm
+
+    def log_norm(points: int) -> float:
+        x, w = panel_rule(nodes, points)
+        terms = polynomial.polyval(x, exponent)
+        return float(terms.max() + np.log(np.sum(w * np.exp(terms - terms.max()))))
+
+    exponent[0] = -log_norm(POINTS)
+    relative = abs(log_norm(POINTS // 2))
 
     def log_p(energy: Array) -> Array:
         return np.asarray(polynomial.polyval(energy, exponent))
@@ -108,8 +111,9 @@ def _closed_form(modes: ModalAnalysis, mode: int, process: Process) -> Solved:
         """Round-off of ln p, relative to the sum of the absolute values of its terms."""
         return np.asarray(2.0 * EPS * polynomial.polyval(np.abs(energy), np.abs(exponent)))
 
+    x, w = panel_rule(nodes, POINTS)
     relative += EPS * (4.0 + nodes.size) + float(np.sum(w * np.exp(log_p(x)) * round_off(x)))
-    _, measured = closed_form_measured(process, log_p, error=float(relative))
+    _, measured = closed_form_measured(process, log_p, error=relative)
 
     def pdf(energy: Array) -> Array:
         inside = (energy >= 0.0) & (energy <= nodes[-1])

@@ -6,12 +6,12 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from averaging.energy_density import closed_form_measured
 from averaging.gaussian_state import Gaussian
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
 from averaging.modal.groups import POINTS, Group, Solver, joined, solved_group
 from averaging.modal.total import total_energy
+from averaging.zero_flux import flux_residual
 from fpk.density import Density, certified_density
 from fpk.observable import Coordinate, Observable
 from fpk.quadrature import panel_rule
@@ -19,6 +19,9 @@ from fpk.quadrature import panel_rule
 Array = NDArray[np.float64]
 Function = Callable[..., Array]
 
+RESIDUAL_PANELS = np.linspace(0.0, 40.0, 21)
+"""Panels, in units of the mean energy, on which the flux of a modal density is measured: e^−40 of
+the mass lies beyond, and a panel of two means is integrated to round-off."""
 FINE_POINTS = 2 * POINTS
 """Gauss points per panel where an energy is integrated out; the distance to ``POINTS`` of them is
 the error."""
@@ -142,7 +145,5 @@ def gaussian_modes(modes: ModalAnalysis) -> Gaussian:
 def _residual(modes: ModalAnalysis, mode: int) -> float:
     """How far e^(−H/θ)/θ is from zero flux in the energy process (19) of its own mode."""
     theta = float(modes.temperature[mode])
-    process = modes.process((mode,))
-    return closed_form_measured(process, lambda H: -H / theta - np.log(theta), error=0.0)[
-        1
-    ].residual
+    nodes = theta * RESIDUAL_PANELS
+    return flux_residual(modes.process((mode,)), nodes, lambda H: -H / theta - np.log(theta))
