@@ -29,7 +29,7 @@ class CompiledLaws:
     stamps: tuple[int, ...]
 
 
-class LawsType(types.Type):  # type: ignore[misc]  # numba has no types
+class LawsType(types.Type):
     """The type of ``CompiledLaws`` in compiled code, one for every value."""
 
     def __init__(self, laws: CompiledLaws) -> None:
@@ -82,7 +82,7 @@ def _typeof(value, context):  # type: ignore[no-untyped-def]
     return LawsType(value)
 
 
-@lower_constant(LawsType)
+@lower_constant(LawsType)  # type: ignore[no-untyped-call]
 def _constant(context, builder, kind, value):  # type: ignore[no-untyped-def]
     return context.get_dummy_value()
 

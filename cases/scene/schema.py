@@ -66,7 +66,7 @@ def _legible(text: str) -> str:
 def _range(ends: dict[str, float]) -> Range:
     if len(ends) != 1:
         one = "must have exactly one of above, below, at_least, at_most"
-        raise PydanticCustomError("range", one)  # type: ignore[arg-type]  # no literal, but a text
+        raise PydanticCustomError("range", one)
     ((end, value),) = ends.items()
     low, high = (value, inf) if end in ("above", "at_least") else (-inf, value)
     sign = {"above": ">", "below": "<", "at_least": "≥", "at_most": "≤"}[end]
@@ -156,7 +156,7 @@ SCENE = _table(
 )
 """The whole file."""
 
-_VALIDATOR = SchemaValidator(SCENE)  # type: ignore[arg-type]  # it checks the schema itself
+_VALIDATOR = SchemaValidator(SCENE)  # it checks the schema itself
 
 REMEDIES = {
     "float_type": "must be a number",
