@@ -75,7 +75,7 @@ class Summary(NamedTuple):
     """Losses, sums and counts of a batch: small beside its trajectories."""
 
     lost: int  # trajectories that have left the finite range
-    sums: Array  # (products,), over its trajectories
+    sums: Array  # (blocks, products)
     counts: Integers  # (bins,)
 
 
@@ -85,7 +85,7 @@ def summary(batch: Batch) -> Summary:
     finite = np.isfinite(batch.states).all(axis=1)
     apart = np.where(alive[: batch.sums.shape[0], None, :], batch.sums, 0.0).sum(axis=2)
     sums = np.concatenate([apart, batch.folded.sum(axis=2)])
-    return Summary(int(np.sum(~finite & alive)), np.add.reduce(sums, axis=0), batch.counts)
+    return Summary(int(np.sum(~finite & alive)), sums, batch.counts)
 
 
 @dataclass(frozen=True)

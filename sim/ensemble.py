@@ -187,7 +187,8 @@ class Ensemble:
 
     def batch_means(self) -> Array:
         """Return (batches, products) means over the samples of each batch, in fixed order."""
-        sums = np.stack([part.sums for part in self._summaries()])
+        blocks = np.concatenate([part.sums for part in self._summaries()])
+        sums = np.add.reduceat(blocks, self.edges[:-1], axis=0)
         return np.asarray(sums / (self.batch_paths()[:, None] * max(1, self.samples)))
 
     def phase_points(self, most: int | None = None) -> tuple[Array, Array]:
