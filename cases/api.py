@@ -6,7 +6,7 @@ from typing import Any
 
 from averaging.exact import compatibility
 from cases.comparison.compare import Comparison, compared
-from cases.comparison.routes import all_methods, listed_routes, method_for
+from cases.comparison.routes import all_methods, listed_routes, method_for, register_routes
 from cases.scene.scene import Scene, load_scene
 from fpk.density import AnyDensity
 from fpk.errors import InvalidInput, NotApplicable
@@ -145,6 +145,7 @@ def _methods(methods: Sequence[str | Method] | None, tol: float | None) -> list[
 
 def _named(name: str, tol: float | None) -> Method:
     method, _, solver = name.partition("/")
+    register_routes(method)
     solvers = solvers_of(method)
     if not solvers or (solver and solver not in solvers):
         known = ", ".join(f"{route.method}/{route.solver}" for route in listed_routes())

@@ -56,10 +56,10 @@ def shell_ratios(system: System, energy: Array) -> ShellRatios:
     contact mass they are integrated afresh, for more they are interpolated.
     """
     shell = energy_shell(system)
-    rows = np.zeros((5, energy.size))
-    rows[:2], rows[2] = 1.0, system.n - 1.0
-    touching = np.flatnonzero(energy > min(shell.contact_energies, default=np.inf))
-    if touching.size:
+    rows = np.empty((5, energy.size))
+    rows[:2], rows[2], rows[3:] = 1.0, system.n - 1.0, 0.0
+    touching = energy > (shell.contact_energies[0] if shell.contact_energies else np.inf)
+    if touching.any():
         above = energy[touching]
         if shell.count == 1:
             rows[:, touching] = _integrated(shell, above)

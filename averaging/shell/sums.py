@@ -63,7 +63,7 @@ def shell_integrals(
     def over_line(i: Integers, rule: int, rules: int) -> Array:
         right = np.ones((i.size, 1))
         total = along(energy[i], right, rule, rules)
-        return total + (total if shell.mirror else along(energy[i], -right, rule, rules))
+        return 2.0 * total if shell.mirror else total + along(energy[i], -right, rule, rules)
 
     def over_circle(i: Integers, rule: int, rules: int) -> Array:
         sums = []
@@ -84,9 +84,10 @@ def shell_integrals(
     error = np.abs(coarse - fine) / size(fine) + floor
     for rule in range(first + 2, len(RULES)):
         # A sum that is no number is refined, too.
-        i = np.flatnonzero(~(error.max(axis=1) <= target))
-        if not i.size:
+        met = error <= target
+        if met.all():
             break
+        i = np.flatnonzero(~met.all(axis=1))
         finer = sums(i, rule, 1)[0]
         error[i] = np.abs(fine[i] - finer) / size(finer) + floor
         fine[i] = finer

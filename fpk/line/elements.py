@@ -168,6 +168,9 @@ def solve_elements(
     A /= np.maximum(np.abs(A).max(axis=2, keepdims=True), TINY)
     u, enriched = _null_vectors(A, degree), _null_vectors(A, degree + ENRICHMENT)
     terms = A[:, :degree] * u[:, None]
+    # All terms are zero where an element is so short that the damping in it underflows.
+    left_over = np.abs(terms.sum(axis=2)).max(axis=1)
+    left_over /= np.maximum(np.abs(terms).sum(axis=2).max(axis=1), TINY)
     value, change = u @ rule.P.T, u @ rule.slope.T
     net = (alpha * value + beta * change).sum(axis=1)
     # In a short element both parts of J are small beside the terms that make up u'.
@@ -195,7 +198,7 @@ def solve_elements(
         values=p / mass[:, None],
         enriched_values=better / enriched_mass[:, None],
         weights=weights,
-        residual=np.abs(terms.sum(axis=2)).max(axis=1) / np.abs(terms).sum(axis=2).max(axis=1),
+        residual=left_over,
         net_flux=np.abs(net / mass) / h[:, 0],
         one_way=np.abs(parts.sum(axis=1) / mass) / h[:, 0],
         at_end=T_end * u.sum(axis=1) / mass,

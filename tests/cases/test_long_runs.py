@@ -18,7 +18,7 @@ GRID = ["--vary", "contact.stiffness=0.01:100:log2", "--paths", 4096, "--time", 
 
 def begun(folder):
     """Whether a state of the sampling itself is in ``folder``."""
-    return any(b"loop.npy" in p.read_bytes() for p in folder.glob("*.checkpoint"))
+    return any(b"record_" in p.read_bytes() for p in folder.glob("*.checkpoint"))
 
 
 def test_control_c_leaves_a_partial_result_and_exit_1(tmp_path):
@@ -29,6 +29,7 @@ def test_control_c_leaves_a_partial_result_and_exit_1(tmp_path):
     )  # fmt: skip
     while process.poll() is None and not begun(tmp_path):
         time.sleep(0.05)
+    assert process.poll() is None
     process.send_signal(signal.SIGINT)
     out, err = process.communicate()
     record = json.loads(out)
