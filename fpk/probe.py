@@ -21,6 +21,8 @@ SAGITTA = 1.0
 may rise above its chord. Asked for where p is within exp(−``DEEP``) of its maximum."""
 DEEP = 100.0
 """Nats below the largest p H down to which a probe resolves it: 1e-43 of the mass."""
+LOG_LARGEST = math.log(np.finfo(float).max)
+"""Logarithm of the largest floating-point number: a density that rises by more has no bound."""
 PROBE_ROUNDS = 20
 """Halvings of the distance between points of a probe, at the most."""
 
@@ -65,17 +67,17 @@ class Probe:
         beyond the last one at the rate there.
         """
         first = int(np.searchsorted(self.energy, end, side="right"))
-        energy, rate = self.energy[first - 1 :].copy(), -self.slope[first - 1 :]
-        rate[0], energy[0] = -np.interp(end, self.energy, self.slope), end
-        least = np.minimum(rate[1:], rate[:-1])
-        if not rate[-1] > 0.0 or not least.all():
-            return math.inf
-        fall = least * (energy[1:] - energy[:-1])
-        left = np.ones(energy.size)
-        with np.errstate(over="ignore"):
-            np.exp(-fall.cumsum(), out=left[1:])
-            pieces = (left[:-1] - left[1:]) / least
-        return density_at_end * float(pieces.sum() + left[-1] / rate[-1])
+        rate, bound, left = -float(np.interp(end, self.energy, self.slope)), 0.0, 1.0
+        beyond = zip(self.energy[first:].tolist(), self.slope[first:].tolist(), strict=True)
+        for energy, slope in beyond:
+            least = min(rate, -slope)
+            fall = least * (energy - end)
+            if least == 0.0 or not fall > -LOG_LARGEST:
+                return math.inf
+            after = left * math.exp(-fall)
+            bound += (left - after) / least
+            rate, end, left = -slope, energy, after
+        return density_at_end * (bound + left / rate) if rate > 0.0 else math.inf
 
     def e_fold(self, end: float) -> float:
         """Return the mean energy over which p/T changes by the factor e, below ``end``."""

@@ -38,7 +38,8 @@ class Rule(NamedTuple):
     """Points of an element in [0, 1], and the Legendre polynomials P_j there.
 
     At the Gauss points ``share`` with ``weight`` the flux is tested, for the answer and for the
-    enriched solution; ``P`` and ``slope`` (points, degree + 3) are values and derivatives. The mass
+    enriched solution; ``P`` and ``slope`` (points, degree + 3) are values and derivatives, and
+    ``tested`` (2, points, tests · (degree + 3)) those times each of the degree + 2 tests. The mass
     of the enriched solution is the sum with ``enriched_weight``, an interpolation at all points but
     one: how far the two masses differ shows what T lacks of being a polynomial, and exceeds the
     error of the Gauss rule.
@@ -58,6 +59,7 @@ class Rule(NamedTuple):
     enriched_weight: Array
     P: Array
     slope: Array
+    tested: Array
     padding: NDArray[np.intp]
     padded_weight: Array
     contact_share: Array
@@ -72,12 +74,15 @@ def element_rule(degree: int) -> Rule:
     count, highest = degree + 2 + CONTACT_POINTS, degree + ENRICHMENT
     t, w = (np.concatenate(x) for x in zip(_gauss(count), _gauss(2 * count - 2), strict=True))
     P = np.ascontiguousarray(legvander(2.0 * share - 1.0, highest), dtype=float)
+    slope = 2.0 * P[:, :-1] @ legder(np.eye(highest + 1))
+    tests = P[:, :-1, None]
     return Rule(
         share=share,
         weight=weight,
         enriched_weight=_without_one(share),
         P=P,
-        slope=2.0 * P[:, :-1] @ legder(np.eye(highest + 1)),
+        slope=slope,
+        tested=np.array([(tests * f[:, None]).reshape(share.size, -1) for f in (P, slope)]),
         padding=np.minimum(np.arange(count), share.size - 1),
         padded_weight=np.append(weight, np.zeros(count - share.size)),
         contact_share=t**3,
@@ -164,13 +169,13 @@ def solve_elements(
         error += c.slope_error.max(axis=1)
     # J h = alpha u + beta du/dt at the Gauss points, t from 0 to 1 over the element.
     alpha, beta = h * rule.weight * T * F, -0.5 * rule.weight * T * c.diffusion
-    A = rule.P[:, :-1].T @ (alpha[:, :, None] * rule.P + beta[:, :, None] * rule.slope)
+    A = (alpha @ rule.tested[0] + beta @ rule.tested[1]).reshape(left.size, -1, degree + 3)
     A /= np.maximum(np.abs(A).max(axis=2, keepdims=True), TINY)
     u, enriched = _null_vectors(A, degree), _null_vectors(A, degree + ENRICHMENT)
-    terms = A[:, :degree] * u[:, None]
+    equations, column = A[:, :degree], u[:, :, None]
+    residual = np.abs(equations @ column).max(axis=(1, 2))
     # All terms are zero where an element is so short that the damping in it underflows.
-    left_over = np.abs(terms.sum(axis=2)).max(axis=1)
-    left_over /= np.maximum(np.abs(terms).sum(axis=2).max(axis=1), TINY)
+    residual /= np.maximum((np.abs(equations) @ np.abs(column)).max(axis=(1, 2)), TINY)
     value, change = u @ rule.P.T, u @ rule.slope.T
     net = (alpha * value + beta * change).sum(axis=1)
     # In a short element both parts of J are small beside the terms that make up u'.
@@ -181,7 +186,7 @@ def solve_elements(
     weights = h * rule.padded_weight
     if above.size:
         own = rule.padding.size
-        both = inner_T * (np.stack([u[above], enriched[above]]) @ rule.contact_P.T)
+        both = inner_T * (np.array([u[above], enriched[above]]) @ rule.contact_P.T)
         p[above], better[above] = both[:, :, :own]
         weights[above] = h[above] * rule.contact_weight[:own]
         enriched_mass[above] = h[above, 0] * (both[1, :, own:] @ rule.contact_weight[own:])
@@ -198,7 +203,7 @@ def solve_elements(
         values=p / mass[:, None],
         enriched_values=better / enriched_mass[:, None],
         weights=weights,
-        residual=left_over,
+        residual=residual,
         net_flux=np.abs(net / mass) / h[:, 0],
         one_way=np.abs(parts.sum(axis=1) / mass) / h[:, 0],
         at_end=T_end * u.sum(axis=1) / mass,

@@ -8,6 +8,7 @@ natural. The equation is solved from its coefficients alone, never from the know
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -249,14 +250,12 @@ def _chained(series: Sequence[Array], log_factor: Array) -> tuple[Array, Array, 
     element's mass among them. The scales that match the elements at the nodes are added up as
     logarithms, so that no density is too steep; where mass is most it is positive.
     """
-    left, right = np.empty((2, len(series), log_factor.size))
-    for k, u in enumerate(series):
-        left[k], right[k] = u @ (-1.0) ** np.arange(u.shape[1]), u.sum(axis=1)
-    log_scale, sign = np.zeros(left.shape), np.ones(left.shape)
-    leaving, entering = right[:, :-1], left[:, 1:]
-    ratio = np.maximum(np.abs(leaving), TINY) / np.maximum(np.abs(entering), TINY)
-    np.log(ratio).cumsum(axis=1, out=log_scale[:, 1:])
-    np.where((leaving < 0.0) == (entering < 0.0), 1.0, -1.0).cumprod(axis=1, out=sign[:, 1:])
+    ends = np.array([u @ _at_ends(u.shape[1]) for u in series])
+    log_scale, sign = np.zeros(ends.shape[:2]), np.ones(ends.shape[:2])
+    size = np.maximum(np.abs(ends), TINY)
+    np.log(size[:, :-1, 1] / size[:, 1:, 0]).cumsum(axis=1, out=log_scale[:, 1:])
+    turned = (ends[:, :-1, 1] < 0.0) != (ends[:, 1:, 0] < 0.0)
+    (1.0 - 2.0 * turned).cumprod(axis=1, out=sign[:, 1:])
     log_mass = log_scale + log_factor
     top, every = log_mass.argmax(axis=1), range(len(series))
     sign *= sign[every, top][:, None]
@@ -265,6 +264,12 @@ def _chained(series: Sequence[Array], log_factor: Array) -> tuple[Array, Array, 
     total = share.sum(axis=1, keepdims=True)
     highest += np.log(total)
     return sign, log_scale - highest, log_mass - highest, share / total
+
+
+@lru_cache
+def _at_ends(count: int) -> Array:
+    """Legendre polynomials of degree < ``count`` at both ends of an element, (count, 2)."""
+    return np.column_stack([(-1.0) ** np.arange(count), np.ones(count)])
 
 
 def _accumulated_error(process: Process, nodes: Array, share: Array) -> tuple[float, float]:
