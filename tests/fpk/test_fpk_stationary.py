@@ -100,6 +100,16 @@ def test_both_forms_agree_within_their_estimates(averaged):
         assert distance <= one.l1_error + two.l1_error
 
 
+@pytest.mark.parametrize("tol", [1e-4, 1e-6, 1e-8, 1e-10])
+@pytest.mark.parametrize("masses", [1, 2, 3, 4, 8])
+def test_where_nothing_is_rough_the_pointwise_estimate_covers_every_point(masses, tol):
+    process = energy_process(chain(masses))
+    solution = solve_stationary(process, tol=tol)
+    x = np.linspace(0.0, solution.nodes[-1], 4001)[1:-1]
+    exact = gamma(masses, scale=process.energy_scale / masses).pdf(x)
+    assert np.all(np.abs(solution.density(x) - exact) <= solution.pointwise_error(x))
+
+
 @pytest.mark.parametrize("form", FORMS)
 def test_the_pointwise_estimate_covers_the_pointwise_error(averaged, form):
     # The estimate is 2 |p_h − p̃|, p̃ the enriched solution; it can only fail where

@@ -81,7 +81,7 @@ def refinement_check(system: System, closed: Density) -> Check:
         nodes = np.sort(np.concatenate([nodes, 0.5 * (nodes[1:] + nodes[:-1])]))
     # What lies beyond the mesh is renormalised into it: that part does not fall with the cells.
     floor = ROUND_OFF + closed.l1_error + 2.0 * solution.certificate.tail_mass
-    floor += solution.coefficient_error
+    floor += solution.common_error
     falls = all(b <= 0.5 * a or b <= floor for a, b in pairwise(errors))
     measured = ", ".join(f"{e:.1e}" for e in errors)
     return Check(
