@@ -55,9 +55,9 @@ class StationarySolution:
     """Finite element density p(H) with its error estimate and certificate.
 
     ``answer`` is u, with p = u or p = T u by ``form``, and ``enriched`` that of a higher degree,
-    there for the pointwise error. ``common_error`` is the relative error that shifts all of p alike,
-    of the coefficients and of the mass. ``measured`` is what ``certificate`` was made of, to the
-    tolerance asked for: densities made of the solution are certified from it.
+    there for the pointwise error. ``common_error`` is the relative error that shifts all of p
+    alike, of the coefficients and of the mass. ``measured`` is what ``certificate`` was made of, to
+    the tolerance asked for: densities made of the solution are certified from it.
     """
 
     process: Process
