@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from averaging.conditional import conditionals, overlap_at
 from averaging.energy_density import EnergyDensity, Part
 from averaging.hidden import HiddenIntegral, overlaps
+from averaging.shell.energy_shell import energy_shell
 from fpk.contact import Contact
 from fpk.density import Density, certified_density
 from fpk.errors import NotApplicable
+from fpk.line.mesh import DEEP_LAYERS, with_layers
 from fpk.observable import Observable, observable_name
 from fpk.system import System
 
@@ -134,9 +136,11 @@ def _energy_density(source: EnergyDensity, observable: Observable, tol: float) -
         error = error + source.states_error(energy)
         return np.where(energy >= 0.0, error, 0.0)
 
+    # Without clearance T is a series in H^(1/4) at H = 0, which one panel does not integrate.
+    touching = [H for H in energy_shell(source.system).contact_energies if H == 0.0]
     return certified_density(
         observable,
-        (source.nodes,),
+        (with_layers(source.nodes, tuple(touching), count=DEEP_LAYERS),),
         source.energy_pdf,
         pointwise,
         measured=source.measured,

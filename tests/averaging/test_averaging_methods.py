@@ -340,3 +340,15 @@ def test_refinement_tightens_the_tolerance():
     reference = averaged_closed_form(system, energy_process(system))
     (exact,) = solved(NonIntegrable(solver="closed-form"), system, "H")
     assert l1_distance(fine, exact) <= fine.l1_error + reference.l1_error
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("exponent", [1.0, 1.46, 1.5, 2.57])
+def test_the_energy_of_one_mass_that_always_touches_is_certified(exponent, solver):
+    # Without clearance p(H) is a series in a fractional power of H at H = 0.
+    stop = Contact(1, "left", 1.5, 0.0, law="power", exponent=exponent)
+    system = System([1.7], [1.0], [0.33], [0.032], contacts=(stop,))
+    (density,) = solved(NonIntegrable(solver=solver, tol=1e-8), system, "H")
+    assert density.certificate.certified, density.certificate.failures
+    (closed,) = solved(Exact(tol=1e-8), system, "H")
+    assert l1_distance(density, closed) <= density.l1_error + closed.l1_error
