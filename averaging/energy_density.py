@@ -21,7 +21,8 @@ from fpk.system import System
 Array = NDArray[np.float64]
 Provenance = Mapping[str, str | float | int]
 Part = Literal["value", "error", "table"]
-"""Of an integral of u: itself, its error by that of u, and its error by being tabulated."""
+"""Which number is asked of an integral of u(H): its value, the error that the error of u leaves in
+it, or the error of the table in which it is interpolated."""
 
 TAIL = 1e-17
 """Share of the probability beyond the last energy of a closed form."""

@@ -149,7 +149,7 @@ class _Following:
     temperature: float
 
     def shift(self, given: Array) -> Array:
-        """What the observed displacements (observed, N) add to the mean of the next mass."""
+        """Return the part (N,) of the mean of the next mass caused by ``given`` (observed, N)."""
         if self.next is None:
             return np.zeros(given.shape[1])
         return np.asarray(self.next.weights[:-1] @ given)

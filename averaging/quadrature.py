@@ -49,7 +49,7 @@ class QuadratureSolution:
 
     @property
     def panels(self) -> Array:
-        """The same: between them quadrature of p is exact."""
+        """Energies between which a Gauss rule integrates p to round-off, (panels + 1,)."""
         return self.smooth.nodes
 
     @property

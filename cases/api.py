@@ -1,4 +1,4 @@
-"""What ``import fpk`` offers from above its own room: load, solve, compare."""
+"""The functions of ``import fpk`` that need all rooms: load, solve, compare."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -166,7 +166,7 @@ def _assessed(
 
 
 def _defect(system: System, identity: Identity) -> str:
-    """What is wrong with an identity, empty where chance and a small step bias explain it."""
+    """Return why a moment identity fails, empty where chance and a small step bias explain it."""
     allowed = STEP_BIAS * (identity.expected or temperature(system))
     if abs(identity.value - identity.expected) > LARGEST_Z * identity.error + allowed:
         return f"{identity.name} is off by {identity.z:.1f} standard errors; use a smaller dt"

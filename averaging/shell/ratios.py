@@ -96,7 +96,10 @@ def _integrated(shell: EnergyShell, energy: Array) -> Array:
 
 
 def _sizes(sums: Array) -> Array:
-    """What the errors of T, Φ and T' are relative to; T' is taken to be of the order of T."""
+    """Return the sizes (energies, 3) that relative errors of T, Φ and H T' refer to.
+
+    H T' may vanish where T does not: its error is relative to T there.
+    """
     sizes = np.abs(sums)
     np.maximum(sizes[:, 2], sizes[:, 0], out=sizes[:, 2])
     return sizes

@@ -10,7 +10,7 @@ from cases.scene.errors import BadInput
 from cases.scene.scene import Scene
 
 SETTINGS = ("seed", "tol", "dt", "step_pair", "observable")
-"""What a state depends on, of the settings of a command."""
+"""Settings of a command that a saved state of its simulation depends on."""
 
 
 def checkpoint_folder(scene: Scene, settings: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""What the commands of ``fpk`` share: options, ends, JSON; nothing heavy is imported here."""
+"""Options, exit statuses and JSON output shared by the commands of ``fpk``; light to import."""
 
 import json
 import os

@@ -9,7 +9,10 @@ from fpk.system import System
 
 @dataclass(frozen=True)
 class Regime:
-    """What decides between the theories; ``incompatible``: why (8) fails, None where it holds."""
+    """Facts of a system by which a theory applies to it or not.
+
+    ``incompatible`` says why the compatibility condition (8) fails, None where it holds.
+    """
 
     natural_frequencies: tuple[float, ...]
     incompatible: str | None

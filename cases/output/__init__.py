@@ -1,1 +1,1 @@
-"""What is written of an outcome: text, pages, tables, pictures, fields."""
+"""Output of a run: text, HTML report, tables, pictures, fields for ParaView."""

@@ -1,4 +1,4 @@
-"""What came of a run as one record; the text, the report and ``--json`` are formats of it."""
+"""One record of a run's results, from which text, report and ``--json`` are written."""
 
 from collections.abc import Iterable
 from dataclasses import asdict

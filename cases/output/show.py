@@ -1,4 +1,4 @@
-"""What a scene is before anything is solved: system, effects, frequencies, theories, boundaries."""
+"""The record and the text of ``fpk show``: system, effects, frequencies, theories, boundaries."""
 
 from dataclasses import asdict
 from typing import Any

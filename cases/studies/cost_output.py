@@ -68,7 +68,7 @@ def _price(c: Cheapest) -> tuple[Any, ...]:
 
 
 def _promises(study: CostStudy) -> Table:
-    """The same question for a scene that was not measured: tolerances keep what they promise."""
+    """Return the table of settings that also hold for scenes which were not measured."""
     rows = [(c.equation, *_price(c)) for c in study.promises if c.point is not None]
     head = "equation | digits | route | settings | time here | memory"
     return Table("Settings that hold for other scenes", head, rows, (PROMISE,))

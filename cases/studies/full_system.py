@@ -52,7 +52,7 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What simulations are held against: a density, its L1 error with it; ``words`` name it."""
+    """Reference density of the full system with its L1 error; ``words`` name its method."""
 
     words: str
     density: Density

@@ -1,4 +1,4 @@
-"""What sampling costs: the full system by every scheme, and the averaged equation (24)."""
+"""Cost of sampling: the full system by every scheme, and the averaged equation (24)."""
 
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,4 +1,4 @@
-"""What all pictures share: ink, colours, which routes are drawn, words for axes."""
+"""Style of all pictures: ink, colours, which routes are drawn, words for axes."""
 
 from collections.abc import Iterable
 from typing import Any

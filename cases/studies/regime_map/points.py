@@ -21,7 +21,7 @@ UNDECIDED, NEITHER = "undecided", "neither"
 
 @dataclass(frozen=True)
 class MapPoint:
-    """What was measured at one grid point.
+    """Measured distances of the theories at one grid point.
 
     ``L1`` and ``error`` by theory; a theory that does not apply is left out. ``reference`` is the
     route that they are held against. ``rms_ratio``: the smallest clearance over the rms
