@@ -24,7 +24,8 @@ STEP_PER_FREQUENCY = 0.45
 
 STEP_WITH_TERMS = 0.22
 """Step times the frequency in contact where damping terms act, too: with contact, their bias grows
-with the square of the step. At 0.45 it is 4e-3 of the kinetic balance of a mass that both act on, at 0.22 a quarter of that."""
+with the square of the step. At 0.45 it is 4e-3 of the kinetic balance of a mass that both act on,
+at 0.22 a quarter of that."""
 
 STEP_PER_RATE = 0.1
 """Step times the steepest rate of the damping terms that is reached, see ``term_rate``."""

@@ -13,8 +13,8 @@ NATS_PER_ELEMENT = 3.0
 """Fall of ln(p/T) over one element: exp(−3 t) is met by degree 10 to 1e-11."""
 SMOOTH_NATS = 4.0
 """Fall of ln(p/T) over one element where ln(p/T) is linear in H: over n nats a polynomial of degree
-p misses e^(−x) by n^(p+1)/((p+1)! 2^(2p+1)) of its largest value (Chebyshev), with the degree of a tolerance (four
-more than its digits) 1e-1 to 1e-2 of the tolerance."""
+p misses e^(−x) by n^(p+1)/((p+1)! 2^(2p+1)) of its largest value (Chebyshev), with the
+degree of a tolerance (four more than its digits) 1e-1 to 1e-2 of the tolerance."""
 SPREAD = 20.0
 """Largest ratio of the ends of an element that begins where contact does."""
 GRADING = 0.15
