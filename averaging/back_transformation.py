@@ -77,7 +77,6 @@ def back_transformed(source: EnergyDensity, observable: Observable, *, tol: floa
         tol=tol,
         added_error=added,
         frame=_ridge(system, q, source.temperature, end) if len(q) == 2 else None,
-        provenance=source.provenance,
     )
 
 
@@ -146,7 +145,6 @@ def _energy_density(source: EnergyDensity, observable: Observable, tol: float) -
         measured=source.measured,
         tol=tol,
         added_error=source.states_error if source.closed else None,
-        provenance=source.provenance,
     )
 
 

@@ -1,7 +1,7 @@
 """Stationary densities of the full state that depend on the energy only, ρ(q, p) = u(H(q, p))."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Literal, Protocol
 
@@ -19,7 +19,6 @@ from fpk.quadrature import panel_rule
 from fpk.system import System
 
 Array = NDArray[np.float64]
-Provenance = Mapping[str, str | float | int]
 Part = Literal["value", "error", "table"]
 """Which number is asked of an integral of u(H): its value, the error that the error of u leaves in
 it, or the error of the table in which it is interpolated."""
@@ -62,7 +61,6 @@ class EnergyDensity:
     weyl: Weyl
     measured: Measured
     closed: bool = False
-    provenance: Provenance = field(default_factory=dict)
 
     @property
     def l1_error(self) -> float:
@@ -94,7 +92,6 @@ def gibbs(
     *,
     error: float,
     residual: float | None = None,
-    provenance: Provenance,
 ) -> EnergyDensity:
     """Return u = exp(log_norm − αH), the form of (22) and (29), α the inverse temperature.
 
@@ -110,7 +107,7 @@ def gibbs(
         return np.asarray(factor * np.exp(log_norm - order * np.log(alpha) - alpha * energy))
 
     u, u_error = partial(weyl, 0.0), partial(weyl, 0.0, part="error")
-    return EnergyDensity(system, nodes, 1.0 / alpha, u, u_error, weyl, measured, True, provenance)
+    return EnergyDensity(system, nodes, 1.0 / alpha, u, u_error, weyl, measured, True)
 
 
 def closed_form_measured(
@@ -177,7 +174,7 @@ def averaged_closed_form(system: System, process: Process) -> EnergyDensity:
     damping, noise = damping_and_noise(system)
     alpha = damping / noise
     log_norm, error = log_energy_norm(system, process, lambda energy: alpha * energy)
-    return gibbs(system, process, alpha, log_norm, error=error, provenance={"equation": "(29)"})
+    return gibbs(system, process, alpha, log_norm, error=error)
 
 
 def _graded_to_zero(nodes: Array) -> Array:

@@ -138,7 +138,6 @@ def exact_energy_density(system: System) -> EnergyDensity:
         log_norm,
         error=error,
         residual=left,
-        provenance={"equation": "(7), (22)"},
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincc
 
-from averaging.energy_density import EnergyDensity, Part, Provenance
+from averaging.energy_density import EnergyDensity, Part
 from fpk.certificate import Measured
 from fpk.piecewise import Piecewise, interpolated
 from fpk.probe import probed
@@ -35,7 +35,6 @@ def tabulated(
     *,
     measured: Measured,
     closed: bool = False,
-    provenance: Provenance | None = None,
 ) -> EnergyDensity:
     """Return the density whose u and error of u are smooth between ``nodes``.
 
@@ -77,9 +76,7 @@ def tabulated(
     if varying:
         # u need not fall from H = 0, and may change much faster than over the scale of the energy.
         temperature = min(temperature, probed(process).e_fold(float(nodes[-1])))
-    return EnergyDensity(
-        system, nodes, temperature, u, u_error, weyl, measured, closed, provenance or {}
-    )
+    return EnergyDensity(system, nodes, temperature, u, u_error, weyl, measured, closed)
 
 
 def halved(nodes: Array) -> Array:

@@ -109,7 +109,6 @@ def certified_density(
     tol: float,
     added_error: Callable[..., Array] | None = None,
     frame: tuple[Array, tuple[Array, ...]] | None = None,
-    provenance: Mapping[str, str | float | int] | None = None,
 ) -> Density:
     """Return a density with its certificate: the one place where densities by a function are made.
 
@@ -137,9 +136,7 @@ def certified_density(
         minimum=smallest if not measured.minimum < smallest else measured.minimum,
     )
     certificate = certify(checked, tol=tol)
-    return Density(
-        observable, panels, pdf, pointwise, checked.l1_error, certificate, provenance or {}
-    )
+    return Density(observable, panels, pdf, pointwise, checked.l1_error, certificate)
 
 
 def _integral(values: Array, grids: list[tuple[Array, Array]]) -> float:
