@@ -13,6 +13,7 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 
 from dataclasses import replace
 from functools import partial
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -21,9 +22,8 @@ from report import machine, markdown_table
 from averaging.energy_process import energy_process
 from cases.scene.scene import load_scene
 from cases.studies.answer import errors
-from cases.studies.energy_equation import energy_equation
-from cases.studies.ladders import degree_ladder, observed_rates
-from cases.studies.modal_equation import modal_equation
+from cases.studies.equations import energy_equation, modal_equation
+from cases.studies.ladders import degree_ladder
 from cases.studies.timing import timed_first, timing
 from fpk.contact import Contact
 from fpk.process import Process
@@ -50,7 +50,8 @@ def one_energy() -> str:
     system, rows = load_scene("fig6b").system, []
     for words, own in (("with contact", system), ("without", replace(system, contacts=()))):
         equation = energy_equation(own)
-        answers = [equation.by_tolerance[0].solve(tol) for tol in TOLERANCES]
+        solve = next(iter(equation.by_tolerance.values()))
+        answers = [solve(equation.process, tol) for tol in TOLERANCES]
         distance = [errors(a, equation.reference)["L1"] for a in answers]
         rows += [
             [
@@ -71,12 +72,11 @@ def in_degree() -> str:
     """Return error by degree on one mesh, with contact and without."""
     system = load_scene("fig6b").system
     ladders = [degree_ladder(energy_equation(s)) for s in (system, replace(system, contacts=()))]
-    nats = [observed_rates(ladder) for ladder in ladders]
-    rows = []
-    for k, (with_contact, without) in enumerate(zip(*(x.levels for x in ladders), strict=True)):
-        both = ((with_contact, nats[0][k]), (without, nats[1][k]))
-        cells = [cell for level, rate in both for cell in (f"{level.error:.1e}", rate)]
-        rows.append([with_contact.settings, *cells])
+    rows = [[level.settings] for level in ladders[0].levels]
+    for ladder in ladders:
+        nats = ["–", *(f"{order:.2f}" for order in ladder.verdicts["L1"].orders)]
+        for row, level, rate in zip_longest(rows, ladder.levels, nats, fillvalue="–"):
+            row += [f"{level.error:.1e}", rate]
     words = (
         "\nOne mesh, the contact energy among its nodes; nats: -ln of the ratio of neighbouring"
         " errors, by degree. They do not fall to nothing: the error falls exponentially, log-lin in"
@@ -91,7 +91,7 @@ def two_energies() -> str:
     equation, rows, N, seconds = modal_equation(load_scene("fig8b").system), [], [], []
     for count in (2, 3, 4, 6, 8):
         nodes = tuple(np.linspace(0.0, x[-1], count + 1) for x in equation.coarsest(8))
-        work = partial(equation.on_mesh, nodes, 8)
+        work = partial(equation.on_mesh, equation.process, nodes, 8)
         answer, first = timed_first(work)
         seconds.append(timing(work, first).seconds)
         N.append(float(answer.unknowns))

@@ -80,7 +80,7 @@ class Density:
 
     def cell_averages(self, *edges: Array) -> Array:
         """Return the mean of the density over each cell of the grid of ``edges``."""
-        mesh, grids = _gauss_grid(
+        mesh, grids = gauss_grid(
             [_refined_by(*pair) for pair in zip(edges, self.panels, strict=True)]
         )
         values = self.pdf(*mesh)
@@ -121,25 +121,26 @@ def certified_density(
     so strongly correlated that no affordable panels of x resolve the ridge.
     """
     jacobian, axes = (np.eye(len(panels)), panels) if frame is None else frame
-    mesh, grids = _gauss_grid(axes)
+    mesh, grids = gauss_grid(axes)
     if frame is not None:
         mesh = tuple(np.einsum("ij,j...->i...", jacobian, np.array(np.broadcast_arrays(*mesh))))
         grids[0] = (grids[0][0], grids[0][1] * abs(float(np.linalg.det(jacobian))))
     values = np.asarray(pdf(*mesh))
     largest = float(values.max(initial=0.0))
     smallest = float(values.min(initial=0.0)) / largest if largest > 0.0 else np.nan
-    added = 0.0 if added_error is None else _integral(np.asarray(added_error(*mesh)), grids)
+    added = 0.0 if added_error is None else integral(np.asarray(added_error(*mesh)), grids)
     checked = replace(
         measured,
         l1_error=measured.l1_error + added,
-        mass_defect=abs(_integral(values, grids) - 1.0),
+        mass_defect=abs(integral(values, grids) - 1.0),
         minimum=smallest if not measured.minimum < smallest else measured.minimum,
     )
     certificate = certify(checked, tol=tol)
     return Density(observable, panels, pdf, pointwise, checked.l1_error, certificate)
 
 
-def _integral(values: Array, grids: list[tuple[Array, Array]]) -> float:
+def integral(values: Array, grids: list[tuple[Array, Array]]) -> float:
+    """Return the integral of ``values`` on the mesh of ``gauss_grid``."""
     total = np.broadcast_to(values, tuple(w.size for _, w in grids))
     for _, w in reversed(grids):
         total = total @ w
@@ -250,8 +251,8 @@ def l1_distance(a: AnyDensity, b: AnyDensity) -> float:
         shares = bin_differences(first, second) * _cell_areas(first.edges)
         # All that lies outside is one more bin; as both masses are one, its share is minus the sum.
         return float(np.sum(np.abs(shares)) + abs(np.sum(shares)))
-    mesh, grids = _gauss_grid(list(map(np.union1d, a.panels, b.panels)))
-    return _integral(np.abs(a.pdf(*mesh) - b.pdf(*mesh)), grids)
+    mesh, grids = gauss_grid(list(map(np.union1d, a.panels, b.panels)))
+    return integral(np.abs(a.pdf(*mesh) - b.pdf(*mesh)), grids)
 
 
 def bin_differences(sampled: SampledDensity, other: AnyDensity) -> Array:
@@ -272,9 +273,9 @@ def moment(density: AnyDensity, *powers: int) -> float:
             [(0.5 * (e[1:] + e[:-1]), np.diff(e)) for e in density.edges],
         )
     else:
-        mesh, grids = _gauss_grid(density.panels)
+        mesh, grids = gauss_grid(density.panels)
         values = density.pdf(*mesh)
-    return _integral(values, [(x, w * x**k) for (x, w), k in zip(grids, powers, strict=True)])
+    return integral(values, [(x, w * x**k) for (x, w), k in zip(grids, powers, strict=True)])
 
 
 def mass(density: AnyDensity) -> float:
@@ -335,8 +336,8 @@ def _refined_by(nodes: Array, others: Array) -> Array:
     return np.unique(np.concatenate([nodes, others[between]]))
 
 
-def _gauss_grid(panels: Sequence[Array]) -> tuple[Sequence[Array], list[tuple[Array, Array]]]:
-    """The mesh of the Gauss points of ``panels``, and points and weights along each axis."""
+def gauss_grid(panels: Sequence[Array]) -> tuple[Sequence[Array], list[tuple[Array, Array]]]:
+    """Return the mesh of the Gauss points of ``panels``, and points and weights of each axis."""
     rules = [panel_rule(nodes, GAUSS_POINTS[len(panels)]) for nodes in panels]
     grids = [(x.ravel(), w.ravel()) for x, w in rules]
     return np.meshgrid(*(x for x, _ in grids), indexing="ij", sparse=True), grids

@@ -42,7 +42,7 @@ def converge(
     loaded = begin_study(scene, out)
     from cases.output.terminal import progress_bar
     from cases.studies.converge import SECONDS, chosen_routes, study_convergence
-    from cases.studies.converge_output import convergence_page
+    from cases.studies.converge_page import convergence_page
 
     routes = chosen_routes(route, of)
     with progress_bar() as progress:

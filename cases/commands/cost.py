@@ -28,7 +28,7 @@ def cost(scene: str, out: Path | None, simulate: bool, seed: int | None, as_json
     loaded = begin_study(scene, out)
     from cases.output.terminal import progress_bar
     from cases.studies.cost import study_cost
-    from cases.studies.cost_output import cost_page
+    from cases.studies.cost_page import cost_page
 
     seed = FIRST_SEED if seed is None else seed
     with progress_bar() as progress:

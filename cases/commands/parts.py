@@ -11,7 +11,7 @@ import click
 if TYPE_CHECKING:
     from cases.comparison.run import Outcome
     from cases.scene.scene import Scene
-    from cases.studies.tables import Page
+    from cases.studies.page import Page
     from fpk.observable import Observable
 
 Decorator = Callable[[Any], Any]

@@ -1,6 +1,6 @@
 """The convergence study of a scene: every averaged equation, and the simulation."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from time import perf_counter
 from typing import Any
@@ -8,23 +8,16 @@ from typing import Any
 from cases.output.records import plain
 from cases.scene.errors import BadInput
 from cases.scene.scene import Scene
-from cases.studies.energy_equation import energy_equation
+from cases.studies.equations import EQUATIONS
 from cases.studies.ladders import Ladder, degree_ladder, ladders
 from cases.studies.levels import Equation
-from cases.studies.modal_equation import modal_equation
+from cases.studies.orders import LIMITS
 from cases.studies.weak import SampleSlope, WeakOrder, sample_slope, weak_order
 from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Progress, silent
 from fpk.observable import observable_name
-from fpk.orders import LIMITS
-from fpk.system import System
 from sim.montecarlo import MonteCarlo
 
-EQUATIONS: dict[str, tuple[str, Callable[[System], Equation]]] = {
-    "nonintegrable": ("H", energy_equation),
-    "integrable": ("H1,H2", modal_equation),
-}
-"""For ``--route`` and ``--of``: the theory, the observable that its equation is studied for."""
 SIMULATION = MonteCarlo().route.method
 SCHEMES_STUDIED = ("exact_flow", "baoab", "euler_maruyama")
 SECONDS = 10.0
@@ -49,15 +42,22 @@ class ConvergenceStudy:
     seconds: float = 0.0
 
     @property
-    def problems(self) -> tuple[str, ...]:
-        """Every estimate that is below the true error, in words."""
+    def ladders(self) -> list[tuple[str, Ladder]]:
+        """Every ladder with the name of its equation."""
         pairs = [(e.name, ladder) for e, own in self.equations for ladder in own]
         if self.without_contact is not None:
-            pairs.append(("without contact", self.without_contact))
+            pairs.append(
+                (f"{self.without_contact.equation.name} without contact", self.without_contact)
+            )
+        return pairs
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Every estimate that is below the true error, in words."""
         return tuple(
             f"{where}, {ladder.name}, {level.settings}: the estimate {level.estimate:.2g} is below"
             f" the true L1 error {level.error:.2g}"
-            for where, ladder in pairs
+            for where, ladder in self.ladders
             for level in ladder.levels
             if not level.honest
         )
@@ -75,7 +75,7 @@ class ConvergenceStudy:
                         "dimension": e.dimension,
                         "reference": e.reference_words,
                         "reference_error": e.reference.l1_error,
-                        "by_tolerance": e.by_tolerance[0].words,
+                        "by_tolerance": e.words,
                         "ladders": [ladder.record() for ladder in own],
                     }
                     for e, own in self.equations
@@ -122,14 +122,15 @@ def study_convergence(
     ``NotApplicable`` or ``NotCertified``.
     """
     start, system, study = perf_counter(), scene.system, ConvergenceStudy(scene)
-    given: dict[str, Any] = {"seed": seed, "threads": threads}
     for route in routes:
         try:
             if route == SIMULATION:
+                method = MonteCarlo(seed=seed, threads=threads)
                 for scheme in SCHEMES_STUDIED:
-                    study.schemes.append(weak_order(system, scheme, seconds=seconds, **given))
+                    own = replace(method, scheme=scheme)
+                    study.schemes.append(weak_order(system, own, seconds=seconds))
                     progress(len(study.schemes), len(SCHEMES_STUDIED), f"steps of {scheme}")
-                study.samples = sample_slope(system, **given)
+                study.samples = sample_slope(system, method)
                 continue
             _, make = EQUATIONS[route]
             equation = make(system)

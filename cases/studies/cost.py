@@ -11,14 +11,10 @@ import numpy as np
 from cases.comparison.compare import BINS_1D
 from cases.output.records import plain
 from cases.scene.scene import Scene
-from cases.studies.energy_equation import energy_equation
-from cases.studies.full_system import (
-    Reference,
-    deterministic,
-    full_reference,
-)
+from cases.studies.equations import energy_equation, modal_equation
+from cases.studies.ladders import H_LEVELS
+from cases.studies.law import FULL, Law, averaged_route, full_routes
 from cases.studies.levels import Discretisation, Equation, refined_levels
-from cases.studies.modal_equation import modal_equation
 from cases.studies.prices import (
     Cheapest,
     Crossover,
@@ -28,7 +24,7 @@ from cases.studies.prices import (
     price_list,
     promised_list,
 )
-from cases.studies.sampling import FULL, Law, averaged_route, full_routes
+from cases.studies.simulation import Reference, deterministic, full_reference
 from cases.studies.timing import timed_first, timing
 from fpk.density import Density
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
@@ -39,8 +35,7 @@ from fpk.system import System
 DIGITS = tuple(range(1, 11))
 """Digits that are priced."""
 DEGREES = (1, 2, 4, 8)
-MESHES = {1: 7, 2: 5}
-"""Bisections of the coarsest mesh, by the number of energies."""
+"""Degrees of the elements that are timed."""
 TOLERANCES, STRIDE = 6, 2
 """Tolerances that are timed, from 1e-2 on, and digits from one to the next."""
 LONGEST = 0.4
@@ -116,9 +111,7 @@ class CostStudy:
             {
                 "scene": self.scene.name,
                 **{key: [asdict(item) for item in getattr(self, key)] for key in lists},
-                "floors": self.floors,
-                "full_reference": self.full_reference,
-                "seconds": self.seconds,
+                **{key: getattr(self, key) for key in ("floors", "full_reference", "seconds")},
                 "problems": self.problems,
             }
         )
@@ -126,11 +119,7 @@ class CostStudy:
 
 
 def study_cost(
-    scene: Scene,
-    *,
-    simulate: bool = True,
-    seed: int = 1,
-    progress: Progress = silent,
+    scene: Scene, *, simulate: bool = True, seed: int = 1, progress: Progress = silent
 ) -> CostStudy:
     """Check and time every route of ``scene``, the sampling routes where ``simulate``."""
     start, system = perf_counter(), scene.system
@@ -166,8 +155,8 @@ def study_cost(
 
 def candidates(equation: Equation) -> tuple[Discretisation, ...]:
     """Return the coarsest of every route: elements in h, and the routes by tolerance."""
-    by_tol = [route.at(STRIDE, STRIDE) for route in equation.by_tolerance]
-    return *(equation.elements(degree) for degree in DEGREES), *by_tol
+    routes = [equation.to_tolerance(route, STRIDE, STRIDE) for route in equation.by_tolerance]
+    return *(equation.elements(degree) for degree in DEGREES), *routes
 
 
 def equation_routes(
@@ -178,16 +167,15 @@ def equation_routes(
     A route with one answer that disagrees, or with none at all, is named and not timed.
     """
     results = []
-    for k, first in enumerate(offered):
-        progress(k, len(offered), f"cost of {equation.name}")
+    for k, first in enumerate(offered, start=1):
         results.append(_priced(equation, first))
-    progress(len(offered), len(offered), f"cost of {equation.name}")
+        progress(k, len(offered), f"cost of {equation.name}")
     return results
 
 
 def _priced(equation: Equation, first: Discretisation) -> Priced | NotTimed:
     names, checked = (first.name, equation.name), []
-    count = TOLERANCES if first.family == "tol" else MESHES[equation.dimension]
+    count = TOLERANCES if first.family == "tol" else H_LEVELS[equation.dimension]
     try:
         _, compiling = timed_first(first.solve)  # the levels themselves are timed warm
         for work, level in refined_levels(first, equation.reference, count):
@@ -203,7 +191,7 @@ def _priced(equation: Equation, first: Discretisation) -> Priced | NotTimed:
                 break
     except (NotCertified, NotApplicable, InvalidInput, np.linalg.LinAlgError) as error:
         return NotTimed(*names, reason=str(error))
-    timings = [timing(work, level.seconds, equation.coefficients) for work, level in checked]
+    timings = [timing(work, level.seconds, equation.clock) for work, level in checked]
     timings[0] = replace(timings[0], first=max(0.0, compiling - timings[0].seconds))
     points = tuple(replace(p, timing=t) for (_, p), t in zip(checked, timings, strict=True))
     axis = f"numerical: L1 of p({observable_name(equation.observable)}), {equation.name}"
@@ -213,22 +201,17 @@ def _priced(equation: Equation, first: Discretisation) -> Priced | NotTimed:
 def _models(system: System, reference: Reference) -> list[Model]:
     """Averaging error of each theory in p(q_i), and the time of its fastest route."""
     models: dict[str, Model] = {}
-    observable = reference.density.observable
-    for method in deterministic(system, observable, "averaged"):
-        work = partial(method.solve, system, [observable])
+    full = reference.density
+    for method in deterministic(system, full.observable, "averaged"):
+        work = partial(method.solve, system, [full.observable])
         result, first = timed_first(work)
         (density,) = result.densities
         assert isinstance(density, Density)
+        # Probabilities of bins: a long simulation is known no finer.
+        edges = np.linspace(density.panels[0][0], density.panels[0][-1], BINS_1D + 1)
+        difference = density.cell_averages(edges) - full.cell_averages(edges)
+        distance = float(np.abs(difference) @ np.diff(edges))
         theory, seconds = method.route.method, timing(work, first).seconds
-        error = reference.density.l1_error + density.l1_error
-        distance = _binned_distance(density, reference.density)
-        model = Model(theory, density.name, distance, error, seconds)
+        model = Model(theory, full.name, distance, full.l1_error + density.l1_error, seconds)
         models[theory] = min(model, models.get(theory, model), key=lambda m: m.seconds)
     return list(models.values())
-
-
-def _binned_distance(density: Density, reference: Density) -> float:
-    """L1 distance of the probabilities of bins: a long simulation is known no finer."""
-    edges = np.linspace(density.panels[0][0], density.panels[0][-1], BINS_1D + 1)
-    difference = density.cell_averages(edges) - reference.cell_averages(edges)
-    return float(np.abs(difference) @ np.diff(edges))

@@ -1,6 +1,5 @@
-"""Families of levels of one averaged equation, and what their errors show: in h, p and by tol."""
+"""Families of levels of one averaged equation, and their observed orders: in h, p and by tol."""
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import reduce
 from typing import Any
@@ -9,9 +8,9 @@ import numpy as np
 
 from cases.studies.answer import FUNCTIONALS, NORMS, errors, sizes
 from cases.studies.levels import P_DEGREES, Discretisation, Equation, Level, refined_levels
+from cases.studies.orders import Convergence, GridConvergence, convergence, grid_convergence
 from fpk.density import Array
 from fpk.method import Progress, silent
-from fpk.orders import Convergence, GridConvergence, convergence, grid_convergence
 
 H_DEGREES = {1: (1, 2, 4), 2: (1, 2, 3)}
 """Degrees in h, by the number of energies. Of two, degree 4 has two orders within 0.15 of 5 only at
@@ -22,24 +21,26 @@ DIGITS = 12
 """Tolerances are 1e-1 to 1e-12."""
 ROUND_OFF = 1e-15
 """Relative floor of any answer: a few rounding errors of its largest values."""
-COLUMNS = (*NORMS, *FUNCTIONALS)
-"""Errors of a level in the order in which tables show them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
-    """Levels from coarse to fine that start with ``first``, and what their errors show by norm.
+    """Levels from coarse to fine that start with ``first``, with their orders by norm and moment.
 
-    ``degree`` is that of the elements in h, None else; ``verdicts`` by norm and moment, ``grid`` by
-    moment.
+    ``degree`` is that of the elements in h, None else; ``grid`` holds Richardson's value and the
+    grid convergence index by moment, in h only.
     """
 
     equation: Equation
     first: Discretisation
-    degree: int | None
     levels: tuple[Level, ...]
     verdicts: dict[str, Convergence]
     grid: dict[str, GridConvergence]
+
+    @property
+    def degree(self) -> int | None:
+        """Degree of the elements in h, None in other families."""
+        return self.first.degree if self.first.family == "h" else None
 
     @property
     def name(self) -> str:
@@ -62,58 +63,50 @@ class Ladder:
 
 def ladders(equation: Equation, *, progress: Progress = silent) -> tuple[Ladder, ...]:
     """Return the h-ladders, a p-ladder, and one by tolerance of the route by elements."""
-    n = equation.dimension
-    plans: list[tuple[Discretisation, int]] = [
+    n, route = equation.dimension, next(iter(equation.by_tolerance))
+    plans = [
         *((equation.elements(degree), H_LEVELS[n]) for degree in H_DEGREES[n]),
         (equation.degrees(), len(P_DEGREES)),
-        (equation.by_tolerance[0].at(1), DIGITS),
+        (equation.to_tolerance(route), DIGITS),
     ]
     results = []
-    for k, (first, count) in enumerate(plans):
+    for k, (first, count) in enumerate(plans, start=1):
+        results.append(ladder(equation, first, count))
         progress(k, len(plans), f"convergence of {equation.name}")
-        results.append(_ladder(equation, first, count))
-    progress(len(plans), len(plans), f"convergence of {equation.name}")
     return tuple(results)
 
 
 def degree_ladder(equation: Equation) -> Ladder:
     """Return the p-ladder alone."""
-    return _ladder(equation, equation.degrees(), len(P_DEGREES))
+    return ladder(equation, equation.degrees(), len(P_DEGREES))
 
 
-def _ladder(equation: Equation, first: Discretisation, count: int) -> Ladder:
+def ladder(equation: Equation, first: Discretisation, count: int) -> Ladder:
+    """Return ``count`` levels from ``first`` on, with their observed orders."""
     levels = [level for _, level in refined_levels(first, equation.reference, count)]
-    floor = floors(equation, given_mesh=first.family != "tol")
     if first.family == "tol":  # two tolerances with the same answer are one level
         most = np.maximum.accumulate([0, *(level.unknowns for level in levels)])
         levels = [level for level, n in zip(levels, most, strict=False) if level.unknowns > n]
-    degree = first.degree if first.family == "h" else None
+    floor = floors(equation, given_mesh=first.family != "tol")
     h = [level.size for level in levels]
+    theory: dict[str, float] = {}
+    if first.family == "h" and first.degree:  # Galerkin duality doubles the order of moments
+        theory = dict.fromkeys(NORMS, first.degree + 1.0)
+        theory |= dict.fromkeys(FUNCTIONALS, 2.0 * first.degree)
     verdicts = {
         key: convergence(
-            h,
-            [level.errors[key] for level in levels],
-            theory=theoretical_order(key, degree) if degree else None,
-            floor=floor[key],
+            h, [v.errors[key] for v in levels], theory=theory.get(key), floor=floor[key]
         )
-        for key in COLUMNS
+        for key in (*NORMS, *FUNCTIONALS)
     }
     grid = {
         key: grid_convergence(
-            h,
-            [level.functionals[key] for level in levels],
-            theory=theoretical_order(key, degree),
-            floor=floor[key],
+            h, [v.functionals[key] for v in levels], theory=theory[key], floor=floor[key]
         )
         for key in FUNCTIONALS
-        if degree
+        if theory
     }
-    return Ladder(equation, first, degree, tuple(levels), verdicts, grid)
-
-
-def theoretical_order(key: str, degree: int) -> float:
-    """Return p + 1 of the norms, 2 p of the moments (Galerkin duality), smoothness allowing it."""
-    return float(degree + 1 if key in NORMS else 2 * degree)
+    return Ladder(equation, first, tuple(levels), verdicts, grid)
 
 
 def floors(equation: Equation, *, given_mesh: bool) -> dict[str, float]:
@@ -132,13 +125,5 @@ def floors(equation: Equation, *, given_mesh: bool) -> dict[str, float]:
         within = [x <= end for x, end in zip(H, ends, strict=True)]
         return np.where(reduce(np.logical_and, within), p.density(*H), 0.0)
 
-    panels = tuple(np.unique(np.append(x, end)) for x, end in zip(p.panels, ends, strict=True))
-    cut = errors(replace(p, panels=panels, density=inside), p)
+    cut = errors(replace(p, panels=tuple(map(np.union1d, p.panels, ends)), density=inside), p)
     return {key: value + 2.0 * cut[key] for key, value in floor.items()}
-
-
-def observed_rates(ladder: Ladder) -> list[str]:
-    """Return the nats of error that a degree took off, by level; a dash where none is known."""
-    orders: Sequence[float] = ladder.verdicts["L1"].orders
-    known = ["–", *(f"{o:.2f}" for o in orders)]
-    return known + ["–"] * (len(ladder.levels) - len(known))

@@ -1,10 +1,10 @@
-"""Levels of refinement of one averaged equation: discretisations that refine themselves.
+"""One averaged equation and the discretisations of it, which refine themselves level by level.
 
 A study is a loop: ``refined_levels`` solves, measures the error against the reference, and goes on
 with ``refined()``. Convergence and cost differ in what they do with the levels only.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from math import exp, inf, nan, sqrt
@@ -12,15 +12,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cases.studies.answer import Answer, errors, functionals
+from cases.studies.answer import FUNCTIONALS, Answer, Nodes, errors, sizes
 from cases.studies.timing import Clock, Timing, timed_first
-from fpk.density import Array
 from fpk.observable import Observable
+from fpk.process import Process
 from fpk.route import Route
-
-Nodes = tuple[Array, ...]
-OnMesh = Callable[[Nodes, int], Answer]
-Work = Callable[[], Any]
 
 P_DEGREES = (1, 2, 3, 4, 6, 8, 10, 12)
 """Degrees of a sweep in p on one mesh."""
@@ -64,16 +60,16 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class Discretisation:
-    """What a study loops over: it solves, and gives itself one level finer.
+    """One level of a family of discretisations: it solves, and gives the next finer level.
 
     ``name`` is that of the family in tables and legends, ``settings`` the level in words; in the
     family "h" elements of ``degree`` are halved, in "p" the degree grows, in "tol" the tolerance
-    ``promised`` falls. ``size(answer)`` is h, or that of which a logarithm counts: exp(−p), whose
-    order is the nats of error that a degree takes off, and exp(−√N), that of a unit of √unknowns.
+    ``promised`` falls. ``size(answer)`` is h; or, so that the order is a rate of exponential
+    convergence, exp(−p) and exp(−√unknowns): nats of error a degree, or a unit of √unknowns.
     """
 
-    name: str
     family: Literal["h", "p", "tol"]
+    name: str
     settings: str
     solve: Callable[[], Answer]
     refined: Callable[[], "Discretisation"]
@@ -82,91 +78,77 @@ class Discretisation:
     promised: float = inf
 
 
-def elements(on_mesh: OnMesh, nodes: Nodes, degree: int, level: int = 0) -> Discretisation:
-    """Return elements of one degree, refined by bisection from the mesh of level 0 on."""
-    return Discretisation(
-        f"elements of degree {degree}",
-        "h",
-        " x ".join(str(x.size - 1) for x in nodes) + " elements",
-        solve=partial(on_mesh, nodes, degree),
-        refined=lambda: elements(on_mesh, bisected(nodes), degree, level + 1),
-        size=lambda answer: 2.0**-level,
-        degree=degree,
-    )
-
-
-def degrees(on_mesh: OnMesh, nodes: Nodes, level: int = 0) -> Discretisation:
-    """Return elements on a fixed mesh, refined from degree to degree of ``P_DEGREES``."""
-    degree = P_DEGREES[level]
-    return Discretisation(
-        "p on a fixed mesh",
-        "p",
-        f"p = {degree}",
-        solve=partial(on_mesh, nodes, degree),
-        refined=lambda: degrees(on_mesh, nodes, level + 1),
-        size=lambda answer: exp(-degree),
-        degree=degree,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class ByTolerance:
-    """A route whose ``solve`` is given a tolerance; ``words`` say how it discretises."""
-
-    route: Route
-    solve: Callable[[float], Answer]
-    words: str
-
-    def at(self, digits: int, stride: int = 1) -> Discretisation:
-        """Return the route at 10^−``digits``, refined by ``stride`` digits."""
-        tol = 10.0**-digits
-        return Discretisation(
-            self.route.label,
-            "tol",
-            f"tol = {tol:.0e}",
-            solve=partial(self.solve, tol),
-            refined=lambda: self.at(digits + stride, stride),
-            size=lambda answer: exp(-sqrt(answer.unknowns)),
-            promised=tol,
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class Equation:
     """One averaged equation: how it is solved on a mesh, to a tolerance, and its reference.
 
     ``coarsest`` gives the nodes of each axis of the first mesh by degree; ``by_tolerance`` are the
-    routes that are given a tolerance, elements first; ``coefficients`` is the clock of the
-    process's coefficients within every solution.
+    routes that are given a tolerance, elements first, which ``words`` are about; ``clock`` counts
+    the time in the coefficients of ``process``.
     """
 
     theory: str
     name: str
     observable: Observable
+    process: Process
+    clock: Clock
     reference: Answer
     reference_words: str
     coarsest: Callable[[int], Nodes]
-    on_mesh: OnMesh
-    by_tolerance: tuple[ByTolerance, ...]
-    coefficients: Clock
+    on_mesh: Callable[[Process, Nodes, int], Answer]
+    by_tolerance: Mapping[Route, Callable[[Process, float], Answer]]
+    words: str
 
     @property
     def dimension(self) -> int:
         """Number of energies."""
         return len(self.observable)
 
-    def elements(self, degree: int) -> Discretisation:
-        """Return the coarsest elements of one degree, refined in h."""
-        return elements(self.on_mesh, self.coarsest(degree), degree)
+    def elements(self, degree: int, level: int = 0) -> Discretisation:
+        """Return elements of one degree, refined by bisection of the coarsest mesh."""
+        nodes = self.coarsest(degree)
+        for _ in range(level):
+            nodes = bisected(nodes)
+        return Discretisation(
+            "h",
+            f"elements of degree {degree}",
+            " x ".join(str(x.size - 1) for x in nodes) + " elements",
+            solve=partial(self.on_mesh, self.process, nodes, degree),
+            refined=partial(self.elements, degree, level + 1),
+            size=lambda answer: 2.0**-level,
+            degree=degree,
+        )
 
-    def degrees(self) -> Discretisation:
-        """Return degree 1 on a fixed mesh with the contact energies among its nodes."""
-        return degrees(self.on_mesh, bisected(self.coarsest(4)))
+    def degrees(self, level: int = 0) -> Discretisation:
+        """Return degree 1 of ``P_DEGREES`` on a mesh with the contact energies among its nodes."""
+        degree = P_DEGREES[level]
+        return Discretisation(
+            "p",
+            "p on a fixed mesh",
+            f"p = {degree}",
+            solve=partial(self.on_mesh, self.process, bisected(self.coarsest(4)), degree),
+            refined=partial(self.degrees, level + 1),
+            size=lambda answer: exp(-degree),
+            degree=degree,
+        )
+
+    def to_tolerance(self, route: Route, digits: int = 1, stride: int = 1) -> Discretisation:
+        """Return a route at the tolerance 10^−``digits``, refined by ``stride`` digits."""
+        tol = 10.0**-digits
+        return Discretisation(
+            "tol",
+            route.label,
+            f"tol = {tol:.0e}",
+            solve=partial(self.by_tolerance[route], self.process, tol),
+            refined=partial(self.to_tolerance, route, digits + stride, stride),
+            size=lambda answer: exp(-sqrt(answer.unknowns)),
+            promised=tol,
+        )
 
 
 def refined_levels(
     first: Discretisation, reference: Answer, count: int
-) -> Iterator[tuple[Work, Level]]:
+) -> Iterator[tuple[Callable[[], Any], Level]]:
     """Yield ``count`` levels from coarse to fine, each with what solves it again.
 
     Raises what the solvers raise.
@@ -175,7 +157,7 @@ def refined_levels(
     for k in range(count):
         discretisation = discretisation.refined() if k else first
         answer, seconds = timed_first(discretisation.solve)
-        distances = errors(answer, reference)
+        distances, moments = errors(answer, reference), sizes(answer)
         level = Level(
             settings=", ".join(filter(None, (discretisation.settings, answer.variant))),
             error=distances["L1"],
@@ -186,7 +168,7 @@ def refined_levels(
             unknowns=answer.unknowns,
             size=discretisation.size(answer),
             errors=distances,
-            functionals=functionals(answer),
+            functionals={key: moments[key] for key in FUNCTIONALS},
             promised=discretisation.promised,
         )
         yield discretisation.solve, level

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import ceil
 from typing import Any, Literal
 
 import matplotlib as mpl
@@ -28,17 +29,16 @@ SMALL = 7.0
 class Curve:
     """Errors ``y`` over ``x``; a name has the same colour and marker in all panels.
 
-    ``bar`` is how far chance may have moved each, drawn as a band where ``banded``; ``dashed`` are
-    the two coordinates of a line of theory. ``style``: "-" or "none" for points that are joined or
-    not, ":" for points computed by a law, not measured. ``end`` are words at the last point.
+    ``bar`` is how far chance may have moved each; ``dashed`` are the two coordinates of a line of
+    theory. ``style``: "-" or "none" for points that are joined, their bars a band, or not; ":" for
+    points computed by a law, not measured. ``end`` are words at the last point.
     """
 
     name: str
     x: Sequence[float] | Array
     y: Sequence[float] | Array
     label: str = ""
-    bar: Sequence[float] | Array | None = None
-    banded: bool = False
+    bar: Array | None = None
     dashed: tuple[Array, Array] | None = None
     style: Literal["-", ":", "none"] = "-"
     end: str = ""
@@ -61,9 +61,9 @@ class Panel:
 def study_figure(panels: Sequence[Panel], *, width: float = 4.3) -> Figure:
     """Draw the panels, two in a row; the legend of each stands below it, where no curve passes."""
     columns = min(2, max(1, len(panels)))
-    rows = max(1, -(-len(panels) // columns))
+    rows = max(1, ceil(len(panels) / columns))
     entries = max((len(panel.curves) for panel in panels), default=0)
-    height = 3.0 + LEGEND_ROW * -(-entries // LEGEND_COLUMNS)
+    height = 3.0 + LEGEND_ROW * ceil(entries / LEGEND_COLUMNS)
     names = list(dict.fromkeys(curve.name for panel in panels for curve in panel.curves))
     with mpl.rc_context({**STYLE, "font.size": 8.5, "axes.titlesize": 8.5}):
         figure = Figure(figsize=(width * columns, height * rows), layout="constrained")
@@ -89,12 +89,11 @@ def _draw(axes: Axes, panel: Panel, names: Sequence[str]) -> None:
     for level, words in panel.marks:
         axes.axhline(level, color=INK, lw=0.9, ls=DASHES)
         _words_at(axes, level, words, below=False)
-    if not panel.curves:
-        return
-    axes.legend(
-        loc="upper left", bbox_to_anchor=(-0.02, -0.19), ncols=LEGEND_COLUMNS,
-        fontsize=SMALL, columnspacing=1.2, handlelength=1.8, borderaxespad=0.0,
-    )  # fmt: skip
+    if panel.curves:
+        axes.legend(
+            loc="upper left", bbox_to_anchor=(-0.02, -0.19), ncols=LEGEND_COLUMNS,
+            fontsize=SMALL, columnspacing=1.2, handlelength=1.8, borderaxespad=0.0,
+        )  # fmt: skip
 
 
 def _draw_curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:
@@ -104,9 +103,8 @@ def _draw_curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:
         mfc="none" if curve.style == ":" else colour, label=curve.label or curve.name,
     )  # fmt: skip
     if curve.bar is not None:
-        bar = np.asarray(curve.bar, dtype=float)
-        low, high = np.maximum(y - bar, 0.1 * y), y + bar
-        if curve.banded:
+        low, high = np.maximum(y - curve.bar, 0.1 * y), y + curve.bar
+        if curve.style == "-":
             axes.fill_between(x, low, high, color=colour, alpha=0.25, lw=0)
         else:
             axes.vlines(x, low, high, color=colour, lw=0.8)

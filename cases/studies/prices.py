@@ -1,8 +1,8 @@
 """Prices: for every route error against time, and from them the cheapest setting for an error."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import inf, nan
+from math import inf, isnan, nan
 
 import numpy as np
 
@@ -36,11 +36,6 @@ class Priced:
         t = np.log([p.seconds for p in reversed(front)])
         return np.exp(np.interp(np.log(error), e, t, left=nan))
 
-    def cheapest(self, error: float) -> Level | None:
-        """Return the cheapest measured or modelled point with at most this error."""
-        enough = [p for p in self.points if p.error <= error]
-        return min(enough, key=lambda p: p.seconds, default=None)
-
 
 @dataclass(frozen=True)
 class NotTimed:
@@ -60,7 +55,7 @@ class NotTimed:
     @property
     def wrong(self) -> bool:
         """Whether an answer disagrees: no answer, or a baseline's, says nothing against others."""
-        return self.distance == self.distance and not self.baseline
+        return not (isnan(self.distance) or self.baseline)
 
 
 @dataclass(frozen=True)
@@ -74,11 +69,11 @@ class Cheapest:
 
 
 def price_list(routes: Sequence[Priced], digits: Sequence[int]) -> tuple[Cheapest, ...]:
-    """Return the cheapest route of each equation for errors 10^−digits."""
+    """Return the cheapest measured or modelled point of each equation for errors 10^−digits."""
     prices = []
-    for equation, own in by_equation(routes):
+    for equation, own in by_equation(routes).items():
         for d in digits:
-            offers = [(r.route, p) for r in own if (p := r.cheapest(10.0**-d)) is not None]
+            offers = [(r.route, p) for r in own for p in r.points if p.error <= 10.0**-d]
             route, point = min(offers, key=lambda o: o[1].seconds, default=("", None))
             prices.append(Cheapest(equation, d, route, point))
     return tuple(prices)
@@ -89,13 +84,10 @@ def promised_list(routes: Sequence[Priced], digits: Sequence[int]) -> tuple[Chea
 
     Here a tolerance is chosen for what it promises, not for what it happened to reach.
     """
-    by_tol = []
-    for route in routes:
-        own = [p for p in route.points if p.promised < inf]
-        if own:
-            points = tuple(replace(p, error=p.promised) for p in own)
-            by_tol.append(replace(route, points=points))
-    return price_list(by_tol, digits)
+    promised = [
+        replace(r, points=tuple(replace(p, error=p.promised) for p in r.points)) for r in routes
+    ]
+    return price_list([r for r in promised if min(p.error for p in r.points) < inf], digits)
 
 
 @dataclass(frozen=True)
@@ -112,7 +104,7 @@ def crossovers(routes: Sequence[Priced]) -> tuple[Crossover, ...]:
     """Return where the cheapest route of each equation changes, from large errors to small."""
     crossings = []
     errors = np.geomspace(0.3, 1e-13, 1001)
-    for equation, own in by_equation(routes):
+    for equation, own in by_equation(routes).items():
         times = np.nan_to_num([r.seconds_for(errors) for r in own], nan=inf)
         winner = np.where(np.isfinite(times).any(axis=0), times.argmin(axis=0), -1)
         for k in np.flatnonzero(np.diff(winner)) + 1:
@@ -122,7 +114,9 @@ def crossovers(routes: Sequence[Priced]) -> tuple[Crossover, ...]:
     return tuple(crossings)
 
 
-def by_equation(routes: Sequence[Priced]) -> Iterator[tuple[str, list[Priced]]]:
-    """Yield every equation with its routes."""
-    for equation in dict.fromkeys(r.equation for r in routes):
-        yield equation, [r for r in routes if r.equation == equation]
+def by_equation(routes: Sequence[Priced]) -> dict[str, list[Priced]]:
+    """Return the routes of every equation."""
+    equations: dict[str, list[Priced]] = {}
+    for route in routes:
+        equations.setdefault(route.equation, []).append(route)
+    return equations

@@ -6,35 +6,41 @@ compared where other work runs beside.
 
 import tracemalloc
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import nan
 from statistics import median, quantiles
 from time import process_time
 from timeit import repeat
-from typing import Any
+from typing import Any, TypeVar
+
+from fpk.density import Array
+from fpk.process import Coefficients, Process
+
+T = TypeVar("T")
 
 MIN_REPEATS, MAX_REPEATS = 3, 21
+"""Runs of a timing, at the least and at the most."""
 ENOUGH = 0.1
 """Seconds of repeats after which no more than ``MIN_REPEATS`` are made."""
 LONG = 1.0
-"""Seconds of a first run above which it is the only one: compile time and spread stay unknown."""
+"""Seconds of a first run above which it is the only one: its spread and memory stay unknown."""
 
 
 @dataclass
 class Clock:
-    """Seconds of processor time spent in the functions given to it."""
+    """Seconds of processor time spent in the coefficients of the processes given to it."""
 
     seconds: float = 0.0
 
-    def timed(self, function: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        """Return ``function``, its time added to the clock at each call."""
+    def timed(self, process: Process) -> Process:
+        """Return ``process``, the time of its coefficients added to the clock at each call."""
 
-        def wrapped(argument: Any) -> Any:
-            value, seconds = timed_first(lambda: function(argument))
+        def coefficients(energies: Array) -> Coefficients:
+            values, seconds = timed_first(lambda: process.coefficients(energies))
             self.seconds += seconds
-            return value
+            return values
 
-        return wrapped
+        return replace(process, coefficients=coefficients)
 
 
 @dataclass(frozen=True)
@@ -53,7 +59,7 @@ class Timing:
     memory: float = nan
 
 
-def timed_first(work: Callable[[], Any]) -> tuple[Any, float]:
+def timed_first(work: Callable[[], T]) -> tuple[T, float]:
     """Return the value of one call and its seconds of processor time."""
     start = process_time()
     value = work()
@@ -70,12 +76,12 @@ def timing(work: Callable[[], Any], first: float, clock: Clock | None = None) ->
     more = min(int(ENOUGH / max(median(times), 1e-9)), MAX_REPEATS) - MIN_REPEATS
     times += repeat(work, repeat=max(more, 0), number=1, timer=process_time)
     inside = (clock.seconds - before) / len(times)
-    middle, quarter = median(times), quantiles(times, n=4, method="inclusive")
+    middle, (lower, _, upper) = median(times), quantiles(times, n=4, method="inclusive")
     tracemalloc.start()
     try:
         work()
         memory = float(tracemalloc.get_traced_memory()[1])
     finally:
         tracemalloc.stop()
-    spread = 0.5 * (quarter[2] - quarter[0])
+    spread = 0.5 * (upper - lower)
     return Timing(middle, spread, len(times), max(0.0, first - middle), inside, memory)

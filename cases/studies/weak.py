@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil, isfinite, nan, sqrt
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cases.studies.full_system import (
+from cases.studies.orders import observed_orders
+from cases.studies.simulation import (
+    SMALL_STEP,
     Run,
     full_density,
     largest_stable,
@@ -17,7 +19,6 @@ from cases.studies.full_system import (
     run,
 )
 from fpk.density import Array, moment
-from fpk.orders import observed_orders, order_errors
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
 from sim.scheme import SCHEMES
@@ -30,8 +31,8 @@ PILOT = 4.0
 """Relaxation times of a pilot run, beside those of its burn-in."""
 SAMPLE_LEVELS = 4
 """Refinements of the study in samples; each quadruples the time, from one relaxation time on."""
-SMALLEST, SMALL_STEP = 2.0**-10, 0.25
-"""Smallest step that a scheme is tried with, and one that counts as small, in chosen ones."""
+SMALLEST = 2.0**-10
+"""Smallest step that a scheme is tried with, in units of the chosen one."""
 SHARE_OF_A_TRIAL = 0.2
 """Share of the time that a trial of one step may take; a scheme that needs longer is left."""
 MIN_ORDER_SIGNAL = 2.0
@@ -44,18 +45,6 @@ ORDERS = np.linspace(0.25, 10.0, 391)
 """Orders that are fitted."""
 KNOWN = 1e-6
 """Standard error of a limit that is known, in the smallest of the levels: as good as none."""
-
-Verdict = Literal["as theory", "pre-asymptotic", "not resolved", "unstable"]
-
-
-class Line(NamedTuple):
-    """Weighted fits of value = limit + slope dtʳ by order, standard errors of both, and χ²."""
-
-    limit: Array
-    slope: Array
-    limit_error: Array
-    slope_error: Array
-    chi2: Array
 
 
 @dataclass(frozen=True)
@@ -90,7 +79,7 @@ class WeakOrder:
     orders: tuple[tuple[float, float], ...] = ()
     wanted: float = nan
     short: float = nan
-    verdict: Verdict = "unstable"
+    verdict: Literal["as theory", "pre-asymptotic", "not resolved", "unstable"] = "unstable"
 
     @property
     def beyond(self) -> bool:
@@ -105,24 +94,15 @@ def known_square(system: System) -> float | None:
     return None if answer is None else moment(answer.density, 2)
 
 
-def weak_order(
-    system: System,
-    scheme: str,
-    *,
-    seconds: float,
-    seed: int = 1,
-    paths: int = 8192,
-    threads: int | None = None,
-) -> WeakOrder:
-    """Return the weak order of ``scheme``, spending about ``seconds`` on its five steps.
+def weak_order(system: System, method: MonteCarlo, *, seconds: float) -> WeakOrder:
+    """Return the weak order of the scheme of ``method``, spending about ``seconds`` on its steps.
 
     The sample is derived: the fit of a pilot says by which factor its standard errors are too large
     for the order to be known to ``ORDER_ERROR``. The sample grows as the square of that, or until
     ``seconds`` of processor time are spent.
     """
-    mass, theory = observed_mass(system), SCHEMES[scheme].weak_order
-    unusable = WeakOrder(scheme, f"E q{mass + 1}²", theory)
-    method = MonteCarlo(paths=paths, scheme=scheme, seed=seed, threads=threads)
+    theory = SCHEMES[method.scheme].weak_order
+    unusable = WeakOrder(method.scheme, f"E q{observed_mass(system) + 1}²", theory)
     patience = SHARE_OF_A_TRIAL * seconds
     first = largest_stable(system, method, smallest=SMALLEST, patience=patience)
     if first is None:
@@ -130,38 +110,36 @@ def weak_order(
     count = LEVELS
     if first < SMALL_STEP:  # only a large bias asks for such steps: it needs few paths to be seen
         method, count = replace(method, paths=LEAST_PATHS), FEW_LEVELS
-    factors = [first / RATIO**k for k in range(count)]
-    levels = _levels(system, method, factors, PILOT)
-    truth = known_square(system)
+
+    def runs(relaxations: float) -> list[Run]:
+        # Different seeds: the regression takes the values at different steps as independent.
+        seed = method.seed + 1000 * ceil(relaxations)
+        levels = [
+            replace(method, relaxations=relaxations, step_factor=first / RATIO**k, seed=seed + k)
+            for k in range(count)
+        ]
+        return [run(system, level)[0] for level in levels]
+
+    levels, truth = runs(PILOT), known_square(system)
     if all(isfinite(level.value) for level in levels):
         # Burn-in costs once; where it takes all the time the pilot is all that there is.
         cost = sum(level.seconds for level in levels) / (PILOT + method.burn_in)
         affordable = (seconds / cost - method.burn_in) / PILOT
         growth = min(judged(unusable, levels, truth).short ** 2, affordable)
         if growth > 1.0:
-            levels = _levels(system, method, factors, PILOT * growth)
+            levels = runs(PILOT * growth)
     if not all(isfinite(level.value) for level in levels):
         return unusable
     return judged(unusable, levels, truth)
 
 
-def _levels(
-    system: System, method: MonteCarlo, factors: Sequence[float], relaxations: float
-) -> list[Run]:
-    # Different seeds: steps of different lengths are independent, as the regression takes them.
-    own = replace(method, relaxations=relaxations, seed=method.seed + 1000 * ceil(relaxations))
-    return [
-        run(system, replace(own, step_factor=factor, seed=own.seed + k))[0]
-        for k, factor in enumerate(factors)
-    ]
+def _fit(levels: Array, orders: ArrayLike, truth: float | None) -> dict[str, Array]:
+    """Weighted fits of value = limit + slope dtʳ: standard errors and χ², by the order r.
 
-
-def fit(levels: Sequence[Run], orders: ArrayLike, truth: float | None) -> Line:
-    """Return the weighted fits of value = limit + slope dtʳ, arrays in the shape of the orders r.
-
-    A known limit ``truth`` is a value at dt = 0 that has nearly no error.
+    ``levels`` (3, levels) are dt, value and standard error. A known limit ``truth`` is a value at
+    dt = 0 that has nearly no error.
     """
-    dt, value, error = np.array([(level.dt, level.value, level.error) for level in levels]).T
+    dt, value, error = levels
     if truth is not None:
         dt, value = np.append(dt, 0.0), np.append(value, truth)
         error = np.append(error, KNOWN * error.min())
@@ -170,37 +148,40 @@ def fit(levels: Sequence[Run], orders: ArrayLike, truth: float | None) -> Line:
     x_mean, mean = x @ share, value @ share
     x, y = x - x_mean[..., None], value - mean
     slope = (x * y) @ share / (x * x @ share)
-    chi2 = np.sum(((y - slope[..., None] * x) / error) ** 2, axis=-1)
     slope_error = np.sum((x / error) ** 2, axis=-1) ** -0.5
-    limit_error = np.hypot(np.sum(error**-2.0) ** -0.5, x_mean * slope_error)
-    return Line(mean - slope * x_mean, slope, limit_error, slope_error, chi2)
+    return {
+        "limit": mean - slope * x_mean,
+        "slope": slope,
+        "limit_error": np.hypot(np.sum(error**-2.0) ** -0.5, x_mean * slope_error),
+        "slope_error": slope_error,
+        "chi2": np.sum(((y - slope[..., None] * x) / error) ** 2, axis=-1),
+    }
 
 
 def judged(scheme: WeakOrder, levels: Sequence[Run], truth: float | None) -> WeakOrder:
-    """Return ``scheme`` with what the levels show.
+    """Return ``scheme`` with the order that the levels show and its verdict.
 
     "as theory" only where two standard errors of the profile (χ² + 4) exclude other orders; where
     they leave nearly every order, or no slope is resolved, the order is "not resolved".
     """
-    line: dict[str, Any] = {
-        key: float(x) for key, x in fit(levels, scheme.theory, truth)._asdict().items()
-    }
-    profile = fit(levels, ORDERS, truth).chi2
+    dt, value, error = np.array([(level.dt, level.value, level.error) for level in levels]).T
+    known = np.array([dt, value, error])
+    line: dict[str, Any] = {k: float(x) for k, x in _fit(known, scheme.theory, truth).items()}
+    profile = _fit(known, ORDERS, truth)["chi2"]
     best = int(profile.argmin())
     order, inside = float(ORDERS[best]), ORDERS[profile <= profile[best] + 1.0]
     low, high = float(inside[0]), float(inside[-1])
-    verdict: Verdict = "as theory"
+    flat = abs(line["slope"]) < 3.0 * line["slope_error"]
+    verdict: Any = "as theory"
     if line["chi2"] > profile[best] + 4.0:
         verdict = "pre-asymptotic"
-    elif (
-        abs(line["slope"]) < 3.0 * line["slope_error"]
-        or max(order - low, high - order) > UNRESOLVED
-    ):
+    elif flat or max(order - low, high - order) > UNRESOLVED:
         verdict = "not resolved"
-    dt, value, error = np.array([(level.dt, level.value, level.error) for level in levels]).T
     errors, bars = np.abs(value - line["limit"]), np.hypot(error, line["limit_error"])
-    ratios = zip(observed_orders(dt, errors), order_errors(dt, errors, bars), strict=True)
+    relative = bars / errors
+    order_bars = np.hypot(relative[1:], relative[:-1]) / -np.diff(np.log(dt))
     resolved = errors > MIN_ORDER_SIGNAL * bars
+    orders = np.stack([observed_orders(dt, errors), order_bars], axis=1)
     # No width is less than the spacing of the orders that are tried.
     width = 0.5 * max(high - low, ORDERS[1] - ORDERS[0])
     wanted = float(error.max()) * ORDER_ERROR / width
@@ -214,11 +195,7 @@ def judged(scheme: WeakOrder, levels: Sequence[Run], truth: float | None) -> Wea
         freedom=len(levels) - (1 if truth is not None else 2),
         errors=tuple(errors.tolist()),
         error_bars=tuple(bars.tolist()),
-        orders=tuple(
-            (float(o), float(s))
-            for (o, s), good in zip(ratios, resolved[1:] & resolved[:-1], strict=True)
-            if good
-        ),
+        orders=tuple(map(tuple, orders[resolved[1:] & resolved[:-1]].tolist())),
         wanted=wanted,
         short=max(float(error.max()) / wanted, 1.0),
         verdict=verdict,
@@ -236,15 +213,13 @@ class SampleSlope:
     slope_error: float
 
 
-def sample_slope(
-    system: System, *, seed: int = 1, paths: int = 8192, threads: int | None = None
-) -> SampleSlope:
+def sample_slope(system: System, method: MonteCarlo) -> SampleSlope:
     """Return how the standard error falls as the simulation is refined, from the chosen step on.
 
     Each error comes from single paths and is good to 1/√(2·63) of itself at least, as errors from
     64 batches would be: the bar of the slope.
     """
-    levels = [MonteCarlo(paths=paths, seed=seed, threads=threads, relaxations=1.0)]
+    levels = [replace(method, relaxations=1.0)]
     while len(levels) < SAMPLE_LEVELS:
         levels.append(levels[-1].refined())
     runs = [run(system, level)[0] for level in levels]

@@ -10,11 +10,11 @@ from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
 from cases.studies.answer import FUNCTIONALS, NORMS, errors
 from cases.studies.converge import chosen_routes
-from cases.studies.energy_equation import energy_equation
-from cases.studies.full_system import Run
+from cases.studies.equations import energy_equation, modal_equation
 from cases.studies.ladders import H_LEVELS, ROUND_OFF, degree_ladder, ladders
 from cases.studies.levels import P_DEGREES, refined_levels
-from cases.studies.modal_equation import modal_equation
+from cases.studies.orders import NEAR, convergence, grid_convergence, observed_orders
+from cases.studies.simulation import Run
 from cases.studies.weak import (
     ORDER_ERROR,
     WeakOrder,
@@ -23,7 +23,7 @@ from cases.studies.weak import (
     sample_slope,
     weak_order,
 )
-from fpk.orders import NEAR, convergence, grid_convergence, observed_orders
+from sim.montecarlo import MonteCarlo
 
 SIZES = 2.0 ** -np.arange(6.0)
 
@@ -178,7 +178,8 @@ def test_an_equation_that_is_not_the_right_one_does_not_converge():
 
         return replace(process, coefficients=coefficients)
 
-    equation = energy_equation(system, changed=wrong)
+    equation = energy_equation(system)
+    equation = replace(equation, process=wrong(equation.process))
     found = next(x for x in ladders(equation) if x.name == "h, p = 2")
     assert found.verdicts["L1"].kind != "asymptotic"
     assert not found.levels[-1].honest
@@ -219,7 +220,8 @@ def test_damping_terms_have_a_reference_by_another_method(scene):
     assert equation.reference_words.startswith("plain elements (w = 1)")
     assert equation.reference.variant == "w = 1" and equation.reference.l1_error < 1e-10
     for tol in (1e-4, 1e-8):
-        answer = equation.by_tolerance[0].solve(tol)
+        (solve,) = equation.by_tolerance.values()
+        answer = solve(equation.process, tol)
         assert answer.variant == ""  # weighted, on a mesh of its own
         meshes = (answer.panels, equation.reference.panels)
         assert [x.size for x in meshes[0]] != [x.size for x in meshes[1]]
@@ -234,7 +236,7 @@ def test_a_discretisation_refines_itself_and_states_its_level():
     finer = first.refined().refined()
     coarse, fine = (int(d.settings.split()[0]) for d in (first, finer))
     assert fine == 4 * coarse and (finer.size(None), finer.degree) == (0.25, 2)
-    by_tolerance = equation.by_tolerance[0].at(2, 2)
+    by_tolerance = equation.to_tolerance(next(iter(equation.by_tolerance)), 2, 2)
     assert by_tolerance.name == "nonintegrable/fem" and by_tolerance.refined().promised == 1e-4
 
 
@@ -242,12 +244,13 @@ def test_the_exact_scene_knows_its_moment_and_the_samples_their_slope():
     scene = load_scene("fig3a")
     assert known_square(scene.system) is not None
     assert known_square(load_scene("fig6b").system) is None
-    found = sample_slope(scene.system, paths=4096, threads=2)
+    found = sample_slope(scene.system, MonteCarlo(paths=4096, threads=2))
     assert abs(found.slope + 0.5) < 4.0 * found.slope_error
 
 
 def test_weak_order_on_an_exact_scene_derives_its_sample():
-    found = weak_order(load_scene("fig3a").system, "baoab", seconds=2.0, paths=4096, threads=2)
+    method = MonteCarlo(scheme="baoab", paths=4096, threads=2)
+    found = weak_order(load_scene("fig3a").system, method, seconds=2.0)
     assert found.known and found.limit_error < 1e-5 * found.levels[0].error
     assert found.verdict in ("as theory", "not resolved", "pre-asymptotic")
     low, high = found.order_error

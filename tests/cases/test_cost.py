@@ -13,13 +13,13 @@ from averaging.nonintegrable import NonIntegrable
 from cases.scene.scene import load_scene
 from cases.studies.answer import Answer, errors
 from cases.studies.cost import CostStudy, candidates, equation_routes, study_cost
-from cases.studies.cost_output import cost_page, cost_tables
-from cases.studies.energy_equation import energy_equation
-from cases.studies.full_system import full_reference
-from cases.studies.levels import ByTolerance, Level
+from cases.studies.cost_page import cost_page, cost_tables
+from cases.studies.equations import energy_equation
+from cases.studies.law import FULL, Law, full_routes
+from cases.studies.levels import Level
+from cases.studies.page import Table, cell, duration
 from cases.studies.prices import NotTimed, Priced, crossovers, price_list, promised_list
-from cases.studies.sampling import FULL, Law, full_routes
-from cases.studies.tables import Table, duration
+from cases.studies.simulation import full_reference
 from cases.studies.timing import Timing
 from fpk.density import l1_distance
 from fpk.observable import parse_observable
@@ -36,7 +36,8 @@ def sign_of_28(process):
 
 
 def test_the_sign_of_28_as_printed_is_caught_by_every_route_and_not_timed():
-    equation = energy_equation(load_scene("fig6b").system, changed=sign_of_28)
+    equation = energy_equation(load_scene("fig6b").system)
+    equation = replace(equation, process=sign_of_28(equation.process))
     bad = equation_routes(equation, candidates(equation))
     assert all(isinstance(n, NotTimed) for n in bad)
     assert {n.route for n in bad} == {c.name for c in candidates(equation)}
@@ -52,7 +53,8 @@ def test_a_wrong_damping_is_caught_by_every_route_by_its_distance():
 
         return replace(process, coefficients=coefficients)
 
-    equation = energy_equation(load_scene("fig6b").system, changed=stronger)
+    equation = energy_equation(load_scene("fig6b").system)
+    equation = replace(equation, process=stronger(equation.process))
     bad = equation_routes(equation, candidates(equation))
     assert len(bad) == len(candidates(equation))
     for n in bad:  # exp(-1.1 α H) beside exp(-α H): L1 is some percent
@@ -62,11 +64,13 @@ def test_a_wrong_damping_is_caught_by_every_route_by_its_distance():
 
 def test_a_slightly_wrong_answer_is_named_with_what_it_disagrees_by():
     equation = energy_equation(load_scene("fig6b").system)
-    right = equation.by_tolerance[0].solve(1e-8)
+    fem, solve = next(iter(equation.by_tolerance.items()))
+    right = solve(equation.process, 1e-8)
     # Mass moved by 1e-6 while 1e-8 is stated: a factor 1 + 1e-6 moves L1 by 1e-6.
     wrong = Answer(right.panels, lambda H: (1 + 1e-6) * right.density(H), 1e-8, right.unknowns)
-    route = replace(equation.by_tolerance[0].route, method="wrong")
-    offered = [candidates(equation)[-1], ByTolerance(route, lambda tol: wrong, "").at(8)]
+    route = replace(fem, method="wrong")
+    other = replace(equation, by_tolerance={route: lambda process, tol: wrong})
+    offered = [candidates(equation)[-1], other.to_tolerance(route, 8)]
     good, caught = equation_routes(equation, offered)
     assert caught.route == "wrong" and not caught.baseline
     assert abs(caught.distance - 1e-6) < 2e-8 and caught.allowed < 2e-8
@@ -185,12 +189,12 @@ def table_of_fig6b():
 def test_settings_of_one_scene_keep_their_digits_on_three_others(table_of_fig6b, scene):
     equation = energy_equation(load_scene(scene).system)
     assert equation.reference_words == "closed form (29)" and len(table_of_fig6b) == 10
-    routes = {r.route.label: r for r in equation.by_tolerance}
+    routes = {route.label: solve for route, solve in equation.by_tolerance.items()}
     settings = {(c.route, c.point.promised): [] for c in table_of_fig6b}
     for c in table_of_fig6b:
         settings[c.route, c.point.promised].append(c.digits)
     for (name, tol), digits in settings.items():
-        answer = routes[name].solve(tol)
+        answer = routes[name](equation.process, tol)
         true = errors(answer, equation.reference)["L1"]
         assert true <= 10.0 ** -max(digits)
         assert true <= answer.l1_error + equation.reference.l1_error
@@ -242,12 +246,14 @@ def test_the_whole_study_agrees_with_itself(tmp_path):
 
 def test_times_are_shown_in_units_that_suit_them():
     assert duration(2e-3) == "2 ms" and duration(90.0) == "1.5 min" and duration(2e-6) == "0.002 ms"
-    assert duration(float("nan")) == "–" and duration(1e14) == "3.2e+06 a"
+    assert duration(1e14) == "3.2e+06 a"
+    assert cell(2e-3, "seconds") == "2 ms" and cell(float("nan"), "seconds") == "–"
 
 
 def test_a_table_is_markdown_in_aligned_columns_without_repeats():
-    rows = [("x", 1.0), ("x", None), ("y", (0.5, 2000.0)), ("y", float("nan"))]
-    assert Table("T", "first | second", rows, ("why",)).markdown() == [
+    cells = [("x", 1.0), ("x", None), ("y", (0.5, 2000.0)), ("y", float("nan"))]
+    rows = [dict(zip(("first", "second"), row, strict=True)) for row in cells]
+    assert Table("t", "T", rows, ("why",)).markdown() == [
         "## T",
         "",
         "| first |         second |",

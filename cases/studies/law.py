@@ -1,16 +1,15 @@
 """Cost of sampling: the full system by every scheme, and the averaged equation (24)."""
 
 from dataclasses import dataclass, replace
-from functools import partial
 from math import inf, sqrt
 
 import numpy as np
 
 from cases.comparison.averaged import AveragedSimulation
 from cases.comparison.compare import chance_l1, joined
-from cases.studies.full_system import PATHS, Reference, largest_stable, run
 from cases.studies.levels import Equation, Level
 from cases.studies.prices import NotTimed, Priced
+from cases.studies.simulation import SMALL_STEP, Reference, largest_stable, run
 from cases.studies.timing import Timing, timed_first
 from fpk.certificate import Measured
 from fpk.density import Density, SampledDensity, certified_density, l1_distance
@@ -93,18 +92,17 @@ def full_routes(
     results: list[Priced | NotTimed] = []
     laws: list[Law] = []
     axis = f"sampling and step error: expected L1 of p({reference.density.name}) of the full system"
-    for k, scheme in enumerate(sorted(SCHEMES, key=lambda s: -SCHEMES[s].weak_order)):
-        progress(k, len(SCHEMES), f"cost of {FULL}")
-        method = MonteCarlo(paths=PATHS, scheme=scheme, seed=seed, threads=1)
+    for scheme in sorted(SCHEMES, key=lambda s: -SCHEMES[s].weak_order):
+        method = MonteCarlo(scheme=scheme, seed=seed, threads=1)
         measured = _law_at_some_step(system, method, reference)
         if isinstance(measured, NotTimed):
             results.append(replace(measured, baseline=scheme != MonteCarlo.scheme))
-            continue
-        law, level = measured
-        laws.append(law)
-        points = (level, *(law.point(error) for error in ERRORS))
-        results.append(Priced(f"{scheme}, (dt, N)", FULL, axis, points, sampled=True))
-    progress(len(SCHEMES), len(SCHEMES), f"cost of {FULL}")
+        else:
+            law, level = measured
+            laws.append(law)
+            points = (level, *(law.point(error) for error in ERRORS))
+            results.append(Priced(f"{scheme}, (dt, N)", FULL, axis, points, sampled=True))
+        progress(len(results), len(SCHEMES), f"cost of {FULL}")
     return results, laws
 
 
@@ -121,8 +119,7 @@ def _law_at_some_step(
         if level.honest:
             return law, level
     words = f"differs from the {reference.words} by more than chance and its order explain"
-    at = level.settings, level.distance, level.estimate
-    return NotTimed(method.scheme, FULL, *at, words)
+    return NotTimed(method.scheme, FULL, level.settings, level.distance, level.estimate, words)
 
 
 def _law(
@@ -132,18 +129,16 @@ def _law(
 
     The second run must be where the law says: what is wrong at any step alike is no bias of a step.
     """
-    order = SCHEMES[method.scheme].weak_order
+    order, observables = SCHEMES[method.scheme].weak_order, [reference.observable]
     few = replace(method, relaxations=4.0 * RELAXATIONS)
-    if factor < 0.25:
+    if factor < SMALL_STEP:
         few = replace(method, paths=LEAST_PATHS, relaxations=RELAXATIONS)
-    first, result = run(system, replace(few, step_factor=factor), [reference.observable])
+    first, result = run(system, replace(few, step_factor=factor), observables)
     distance, mean, _ = _distance(result, reference)
     noise = float(np.hypot(mean, reference.l1_error))
     resolved = distance > 2.0 * noise
     bias = sqrt(distance**2 - noise**2) if resolved else 2.0 * noise
-    usual, result = run(
-        system, replace(few, step_factor=min(0.7 * factor, 1.0)), [reference.observable]
-    )
+    usual, result = run(system, replace(few, step_factor=min(0.7 * factor, 1.0)), observables)
     distance, mean, quantile = _distance(result, reference)
     assert isinstance(result.report, Report)
     at, share = result.report.steps, (usual.dt / first.dt) ** order
@@ -157,10 +152,11 @@ def _law(
         largest=first.dt,
         relaxation=at.relaxation_time,
     )
+    error = law.error(usual.sampled, usual.dt)
     level = Level(
         f"{at.paths} paths, time {at.time:.3g}, dt {at.dt:.3g}",
-        mean + bias * share,
-        mean + bias * share,
+        error,
+        error,
         Timing(usual.seconds),
         distance,
         # The bias itself is known to the noise of the run that it was read from. Twice the error of
@@ -172,21 +168,22 @@ def _law(
 
 def averaged_route(system: System, equation: Equation, *, seed: int) -> Priced | NotTimed:
     """Return the simulation of (24), run once."""
-    p = equation.reference
+    p, of = equation.reference, equation.observable
     measured = Measured(p.l1_error, 0.0, 0.0, 0.0, 0.0)
     density = certified_density(
-        equation.observable, p.panels, p.density, lambda H: 0.0 * H, measured=measured, tol=inf
+        of, p.panels, p.density, lambda H: 0.0 * H, measured=measured, tol=inf
     )
     method = AveragedSimulation("nonintegrable", seed=seed, threads=1, paths=FEWEST)
-    result, seconds = timed_first(partial(method.solve, system, [equation.observable]))
+    result, seconds = timed_first(lambda: method.solve(system, [of]))
     distance, mean, quantile = _distance(result, density)
-    settings, route = f"{method.paths} paths, step {method.step:g}", method.route.label
+    settings = f"{method.paths} paths, step {method.step:g}"
+    names = method.route.label, equation.name
     level = Level(settings, mean, mean, Timing(seconds), distance, quantile + p.l1_error)
     if not level.honest:
         words = f"differs from the {equation.reference_words} by more than chance explains"
-        return NotTimed(route, equation.name, settings, distance, level.estimate, words)
+        return NotTimed(*names, settings, distance, level.estimate, words)
     axis = "sampling error: expected L1 of p(H), within chance of the reference"
-    return Priced(route, equation.name, axis, (level,), sampled=True)
+    return Priced(*names, axis, (level,), sampled=True)
 
 
 def _distance(result: Result, reference: Density) -> tuple[float, float, float]:

@@ -22,15 +22,14 @@ from sim.report import Moment, Report
 
 LARGEST = 4.0
 """Largest step tried, in units of the chosen one: beyond it no scheme is stable in contact."""
-SMALL = 0.25
-"""Step, in units of the chosen one, below which a slow trial ends the search."""
+SMALL_STEP = 0.25
+"""Step, in units of the chosen one, that counts as small: a slow trial of it ends the search, and
+runs at such steps have fewer paths."""
 TRIAL = 0.4
 """Relaxation times of a trial, after one of burn-in: an unstable step is lost within one."""
 REFERENCE_RELAXATIONS = 200.0
 """Sampled relaxation times of the simulation that is the reference where no other route solves (6):
 three times the longest run that is compared with it."""
-PATHS = 8192
-"""Trajectories of that simulation and of those that are priced."""
 SEED_STEP = 7919
 """Added to the seed for the reference, which must be independent of what it judges."""
 
@@ -100,9 +99,9 @@ def largest_stable(
             continue
         if isfinite(tried.value):
             return factor
-        if factor < SMALL and tried.seconds > patience:
+        if factor < SMALL_STEP and tried.seconds > patience:
             return None
-        factor /= sqrt(2.0) if factor > 2.0 * SMALL else 2.0
+        factor /= sqrt(2.0) if factor > 2.0 * SMALL_STEP else 2.0
     return None
 
 
@@ -132,15 +131,13 @@ def full_reference(
     observable = observed_displacement(system)
     if known := full_density(system, observable):
         return known
-    method = MonteCarlo(
-        paths=PATHS, relaxations=relaxations, seed=seed + SEED_STEP, step_factor=sqrt(0.5)
-    )
+    method = MonteCarlo(relaxations=relaxations, seed=seed + SEED_STEP, step_factor=sqrt(0.5))
     (sampled,) = method.solve(system, [observable]).densities
     assert isinstance(sampled, SampledDensity)
     if not np.all(np.isfinite(sampled.values)):
         raise NotCertified("the long simulation that is the reference has no density")
     edges = sampled.edges[0]
-    below = np.concatenate([[0.0], np.cumsum(sampled.values * np.diff(edges))])
+    below = np.append(0.0, np.cumsum(sampled.values * np.diff(edges)))
     # Between the edges of 1024 bins the distribution function is smooth to far below the noise.
     slope = PchipInterpolator(edges, below).derivative()
 

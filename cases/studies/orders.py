@@ -1,4 +1,4 @@
-"""Observed orders of convergence, what they say, Richardson extrapolation, grid convergence index.
+"""Observed orders of convergence, their classes, Richardson extrapolation, grid convergence index.
 
 Sources: P. J. Roache, J. Fluids Eng. 116, 1994, 405; W. L. Oberkampf and C. J. Roy, Verification
 and Validation in Scientific Computing, 2010, sections 8.5-8.7.
@@ -6,13 +6,13 @@ and Validation in Scientific Computing, 2010, sections 8.5-8.7.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from math import isnan, log, nan
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fpk.density import Array
+
 Kind = Literal["asymptotic", "pre-asymptotic", "at the floor", "oscillating", "diverging"]
 
 NEAR = 0.15
@@ -20,8 +20,8 @@ NEAR = 0.15
 STEADY = 0.25
 """Share by which the rate of exponential convergence may drop from one level to the next."""
 ABOVE_FLOOR = 10.0
-"""Times the floor above which an error still tells an order: the floor moves it by 10 % at most,
-which is 0.14 of an order at a bisection."""
+"""Times the floor above which an error gives an order: the floor moves it by 10 % at most, which
+is 0.14 of an order at a bisection."""
 TRUSTED = 0.1
 """Relative distance of the observed order from theory up to which the safety factor is 1.25."""
 LIMITS = (
@@ -37,22 +37,14 @@ def observed_orders(sizes: Sequence[float], errors: Sequence[float]) -> Array:
     ``sizes`` h_k descend. Not a number where an error is 0. For exponential convergence,
     e ~ exp(−γ x), give h = exp(−x): the order then is γ.
     """
-    h, e = np.log(np.asarray(sizes, float)), np.asarray(errors, float)
     with np.errstate(divide="ignore", invalid="ignore"):
-        orders = -np.diff(np.log(np.abs(e))) / -np.diff(h)
-    return np.asarray(np.where(np.isfinite(orders), orders, np.nan))
-
-
-def order_errors(sizes: Sequence[float], errors: Sequence[float], spread: Sequence[float]) -> Array:
-    """Return one standard error of each observed order from those of the errors, first order."""
-    relative = np.asarray(spread, float) / np.abs(np.asarray(errors, float))
-    steps = np.abs(np.diff(np.log(np.asarray(sizes, float))))
-    return np.asarray(np.hypot(relative[1:], relative[:-1]) / steps)
+        orders = np.diff(np.log(np.abs(errors))) / np.diff(np.log(sizes))
+    return np.asarray(np.where(np.isfinite(orders), orders, nan))
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """What a sequence of errors shows.
+    """Observed orders of a sequence of errors and the class they put it in.
 
     ``orders`` are those of consecutive levels above the floor, ``order`` the median of the last
     three and ``spread`` half their range; ``theory`` None stands for exponential convergence.
@@ -75,14 +67,13 @@ def convergence(
     "asymptotic": the last two orders are within ``NEAR`` of theory; without one (exponential
     convergence), the rate does not drop by more than ``STEADY``. Else "pre-asymptotic".
     """
-    low = np.flatnonzero(np.asarray(errors, float) <= ABOVE_FLOOR * floor)
+    low = np.flatnonzero(np.asarray(errors) <= ABOVE_FLOOR * floor)
     above = int(low[0]) if low.size else len(errors)
     orders = observed_orders(sizes[:above], errors[:above])
     last = orders[-3:]
-    order = float(np.median(last)) if last.size else float("nan")
-    spread = 0.5 * float(np.ptp(last)) if last.size else float("nan")
-    kind = "at the floor" if low.size else _kind(list(errors), orders, theory)
-    return Convergence(tuple(float(o) for o in orders), order, spread, theory, kind)
+    order, spread = (np.median(last), 0.5 * np.ptp(last)) if last.size else (nan, nan)
+    kind: Kind = "at the floor" if low.size else _kind(errors, orders, theory)
+    return Convergence(tuple(orders.tolist()), float(order), float(spread), theory, kind)
 
 
 def _kind(errors: Sequence[float], orders: Array, theory: float | None) -> Kind:
@@ -95,7 +86,7 @@ def _kind(errors: Sequence[float], orders: Array, theory: float | None) -> Kind:
     if theory is None:
         reached = orders[-1] >= (1.0 - STEADY) * orders[-2]
     else:
-        reached = bool(np.all(np.abs(orders[-2:] - theory) <= NEAR))
+        reached = np.all(np.abs(orders[-2:] - theory) <= NEAR)
     return "asymptotic" if reached else "pre-asymptotic"
 
 
@@ -120,10 +111,11 @@ def grid_convergence(
 ) -> GridConvergence:
     """Return f₁ + (f₁ − f₂)/(rᵖ − 1) and F |f₁ − f₂|/(rᵖ − 1) from the three finest levels.
 
-    F = 1.25 and p that of theory where the observed order is within ``TRUSTED`` of it; else F = 3
-    and p the observed order, kept between 0.5 and theory (Oberkampf and Roy, Table 8.1). Without an
-    observed order (differences that change sign, or grow) p = 0.5 is used. Differences within
-    ``floor`` are no differences: the index then is 3 times the floor.
+    F = 1.25 and p that of theory where the observed order is within ``TRUSTED`` of it
+    ("asymptotic"); else F = 3 and p the observed order, between 0.5 and theory (Oberkampf and Roy,
+    Table 8.1). Differences that grow are "diverging", those that change sign "oscillating": they
+    have no order, and p = 0.5. Differences within ``floor`` are no differences: the index then is
+    3 times the floor.
 
     Raises ``ValueError`` for fewer than three levels, or unequal ratios of their sizes.
     """
@@ -135,18 +127,14 @@ def grid_convergence(
         raise ValueError(f"ratios {h3 / h2:.4g} and {ratio:.4g} of the sizes differ")
     coarse, fine = values[-3] - values[-2], values[-2] - values[-1]
     if abs(fine) <= floor:
-        return GridConvergence(values[-1], float("nan"), theory, 3.0, 3.0 * floor, "at the floor")
-    observed = float(np.log(coarse / fine) / np.log(ratio)) if coarse / fine > 0 else float("nan")
-    trusted = bool(abs(observed - theory) <= TRUSTED * theory)
-    if trusted:
-        used, safety = theory, 1.25
-    else:
-        used, safety = min(max(observed if observed == observed else 0.5, 0.5), theory), 3.0
+        return GridConvergence(values[-1], nan, theory, 3.0, 3.0 * floor, "at the floor")
+    observed = log(coarse / fine) / log(ratio) if coarse / fine > 0 else nan
+    trusted = abs(observed - theory) <= TRUSTED * theory
+    used, safety = theory, 1.25
+    if not trusted:
+        used, safety = (0.5 if isnan(observed) else float(np.clip(observed, 0.5, theory))), 3.0
     step = fine / (ratio**used - 1.0)
-    changes = [a - b for a, b in pairwise(values) if abs(a - b) > floor]
-    kind: Kind = "asymptotic" if trusted else "pre-asymptotic"
-    if observed != observed:
+    kind: Kind = "asymptotic" if trusted else "diverging" if observed < 0.0 else "pre-asymptotic"
+    if isnan(observed):
         kind = "oscillating"
-    elif observed < 0.0 and abs(changes[-1]) >= abs(changes[0]):
-        kind = "diverging"
     return GridConvergence(values[-1] - step, observed, used, safety, safety * abs(step), kind)

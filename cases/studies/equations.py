@@ -1,0 +1,171 @@
+"""The averaged equations (24) of one energy and (17) of two modal energies, to be studied."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from averaging.energy_process import energy_process
+from averaging.integrable import Integrable
+from averaging.modal.analysis import modal_analysis
+from averaging.modal.observables import modal_densities
+from averaging.modal.resonance import require_no_resonance
+from averaging.nonintegrable import NonIntegrable
+from averaging.polynomial_rate import averaged_density
+from averaging.quadrature import POINTS, solve_by_quadrature
+from cases.studies.answer import Answer, Nodes
+from cases.studies.levels import Equation
+from cases.studies.timing import Clock
+from fpk.density import Array
+from fpk.errors import NotApplicable, NotCertified
+from fpk.line.stationary import StationarySolution, solve_on_mesh, solve_stationary
+from fpk.observable import parse_observable
+from fpk.plane.probe import probed as probed_plane
+from fpk.plane.stationary import PlaneSolution, solve_plane, solve_plane_on_mesh
+from fpk.probe import probed
+from fpk.process import Process
+from fpk.system import System
+
+BEYOND = {1: 1e-14, 2: 1e-9}
+"""Share of the probability beyond given meshes, by the number of energies: less than the errors
+that their levels reach; it is part of the floor."""
+REFERENCE_TOL = {1: 1e-12, 2: 1e-11}
+"""Tolerance of a numerical reference. Of two energies a tenth of it takes up to 10 s in the van der
+Pol scenes and brings no more, as round-off is most of the estimate."""
+REFERENCE_DEGREE = 12
+"""Degree of the plain elements that are the reference of two energies."""
+GOOD = 1e-9
+"""L1 error of a reference by plain elements above which its description says so."""
+ELEMENTS = {1: {8: 2}, 2: {1: 4, 2: 3, 3: 3, 4: 2}}
+"""Elements an axis of the coarsest mesh, by the number of energies and the degree; else 8 and 1."""
+
+
+def energy_equation(system: System) -> Equation:
+    """Return (24) for p(H). Raises ``NotApplicable`` where the theory does.
+
+    The closed form (29) is the reference; where damping depends on q or v it is the
+    drift-diffusion form by hp elements, in which p itself is the polynomial, not p/T.
+    """
+    process, clock = energy_process(system), Clock()
+    try:
+        closed = averaged_density(system, process)
+        reference = Answer((closed.nodes,), closed.energy_pdf, closed.l1_error)
+        words = "closed form (29)"
+    except NotApplicable:
+        tol = REFERENCE_TOL[1]
+        reference = _answer(solve_stationary(process, tol=tol, form="drift-diffusion"))
+        words = f"drift-diffusion hp elements, tol {tol:g}"
+    end = probed(process).extent(BEYOND[1])
+
+    def coarsest(degree: int) -> Nodes:
+        nodes = np.linspace(0.0, end, ELEMENTS[1].get(degree, 8) + 1)
+        return (np.union1d(nodes, [H for H in process.nonsmooth if end > H]),)
+
+    def by_quadrature(process: Process, tol: float) -> Answer:
+        s = solve_by_quadrature(process, tol=tol)
+        return Answer((s.nodes,), s.density, s.l1_error, POINTS * (s.nodes.size - 1))
+
+    return Equation(
+        theory="nonintegrable",
+        name="averaged equation (24)",
+        observable=parse_observable("H", system.n),
+        process=clock.timed(process),
+        clock=clock,
+        reference=reference,
+        reference_words=words,
+        coarsest=coarsest,
+        on_mesh=lambda process, nodes, degree: _answer(solve_on_mesh(process, *nodes, degree)),
+        by_tolerance={
+            NonIntegrable("fem").route: lambda p, tol: _answer(solve_stationary(p, tol=tol)),
+            NonIntegrable("quadrature").route: by_quadrature,
+        },
+        words="elements whose number and degree follow from the tolerance, cut until it is met.",
+    )
+
+
+def modal_equation(system: System) -> Equation:
+    """Return (17) for p(H1, H2) of the first two modes, with a reference by another way.
+
+    Constant damping has (34). Where damping depends on the state it is the plain elements of one
+    degree (p itself is the polynomial, w = 1) on a mesh of their own, which share the coefficients
+    and the weak form with the route and nothing else: neither weight nor expansion, places nor
+    degree. ``l1_error`` is their own estimate, whether it meets the tolerance or not.
+
+    Raises ``NotApplicable`` where the theory does, or n < 2.
+    """
+    modes = modal_analysis(system)
+    if modes.n < 2:
+        raise NotApplicable("one mass has one modal energy: nothing to solve in two dimensions")
+    if not modes.constant and modes.n > 2:
+        raise NotApplicable("damping terms couple more than two modal energies")
+    require_no_resonance(system, modes)
+    observable = parse_observable("H1,H2", system.n)
+    process, clock = modes.process([0, 1]), Clock()
+    if modes.constant:
+        (closed,) = modal_densities(modes, [observable], "closed-form", tol=1e-12)
+        reference = Answer(closed.panels, closed.pdf, closed.l1_error)
+        words = "closed form (34)"
+    else:
+        solution = solve_plane(process, tol=REFERENCE_TOL[2], degree=REFERENCE_DEGREE)
+        if not np.isfinite(solution.l1_error):
+            raise NotCertified("plain elements, the reference of (17), have no finite error")
+        reference = _plane_answer(solution)
+        count = " x ".join(str(nodes.size - 1) for nodes in solution.nodes)
+        words = f"plain elements (w = 1), degree {solution.degree}, {count} on a mesh of their own"
+        if solution.l1_error > GOOD:
+            words += "; the floor: a finer one takes more unknowns than are affordable"
+    ends = probed_plane(process).extent(BEYOND[2])
+
+    def coarsest(degree: int) -> Nodes:
+        axes = zip(ends, process.energy_scales, strict=True)
+        return tuple(graded(end, ELEMENTS[2].get(degree, 1), degree) * scale for end, scale in axes)
+
+    return Equation(
+        theory="integrable",
+        name="averaged equation (17)",
+        observable=observable,
+        process=clock.timed(process),
+        clock=clock,
+        reference=reference,
+        reference_words=words,
+        coarsest=coarsest,
+        on_mesh=lambda p, nodes, degree: _plane_answer(
+            solve_plane_on_mesh(p, (nodes[0], nodes[1]), degree)
+        ),
+        by_tolerance={
+            Integrable("fem").route: lambda p, tol: _plane_answer(solve_plane(p, tol=tol))
+        },
+        words=(
+            "p = w u with a positive weight w near p and u a polynomial of high degree on each of"
+            " few panels; where that does not reach the tolerance (levels marked w = 1) plain"
+            " elements take over. Where no probability flows, as with constant damping, w itself is"
+            " the density, (34)."
+        ),
+    )
+
+
+def graded(end: float, count: int, degree: int) -> Array:
+    """Return nodes from 0 to ``end``, for e^(−x) by elements of ``degree``.
+
+    Equal shares h^(p+2) |f^(p+1)| of the L1 error ask for h ~ e^(x/(p+2)); taken is half that
+    growth, h ~ e^(x/(2p+4)), so that every element is shorter than e^(−x) takes to fall: orders in
+    L1 of p = 1 in fig6b are 0.82, 1.53, 2.07 from 8 x 8 on with full growth and 1.86, 1.93, 1.97
+    with half of it.
+    """
+    c = 2.0 * (degree + 2.0)
+    share = np.linspace(0.0, 1.0, count + 1)
+    return np.asarray(-c * np.log1p(share * np.expm1(-end / c)))
+
+
+EQUATIONS: Mapping[str, tuple[str, Callable[[System], Equation]]] = {
+    "nonintegrable": ("H", energy_equation),
+    "integrable": ("H1,H2", modal_equation),
+}
+"""By theory: the observable that its equation is studied for, and what makes the equation."""
+
+
+def _answer(s: StationarySolution) -> Answer:
+    return Answer((s.nodes,), s.density, s.l1_error, s.unknowns)
+
+
+def _plane_answer(s: PlaneSolution) -> Answer:
+    return Answer(s.nodes, s.density, s.l1_error, s.unknowns, "w = 1" if s.weight is None else "")

@@ -1,0 +1,150 @@
+"""Output of a study: tables as Markdown and netCDF, and a picture; all files in one writer."""
+
+import csv
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from io import StringIO
+from itertools import pairwise
+from math import nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from cases.output.fields import write_dataset
+from cases.output.files import write_text
+from cases.output.records import program_version
+from cases.output.svg import svg_text
+from cases.scene.scene import Scene
+
+UNITS = ((3.156e7, "a"), (86400.0, "d"), (3600.0, "h"), (60.0, "min"), (1.0, "s"), (1e-3, "ms"))
+"""Units of time in seconds, with their names."""
+
+
+def duration(seconds: float) -> str:
+    """Return a time with a unit that suits it."""
+    size, unit = next((u for u in UNITS if seconds >= u[0]), UNITS[-1])
+    value = seconds / size
+    return f"{value:.3g} {unit}" if value < 1e4 else f"{value:.1e} {unit}"
+
+
+def megabytes(size: float) -> str:
+    """Return a memory in MB."""
+    return f"{size / 1e6:.2g} MB"
+
+
+FORMATS: Mapping[str, Callable[[Any], str]] = {
+    **dict.fromkeys(("seconds", "spread", "first", "coefficients", "simulation to this"), duration),
+    "memory": megabytes,
+    **dict.fromkeys(("limit", "value"), "{:.10g}".format),
+}
+"""How the values of a column are written where three digits do not suit them."""
+
+
+def cell(value: Any, column: str = "") -> str:
+    """Return a value of a table in words: three digits of a plain number, a dash for none."""
+    if isinstance(value, tuple):
+        value = " ".join(map(cell, value))
+    if value is None or value == "" or value != value:
+        return "–"
+    if not isinstance(value, float):
+        return str(value)
+    if column in FORMATS:
+        return FORMATS[column](value)
+    return f"{value:#.3g}" if 0.01 <= abs(value) < 100 or not value else f"{value:.2e}"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of equal keys, which are the columns, under a title; remarks stand below them.
+
+    ``name`` is the dimension of the rows in netCDF.
+    """
+
+    name: str
+    title: str
+    rows: Sequence[Mapping[str, Any]]
+    remarks: tuple[str, ...] = ()
+
+    def markdown(self) -> list[str]:
+        """Return title, rows in aligned columns, and remarks; first cells are not repeated."""
+        head = list(self.rows[0])
+        rows = [[cell(value, column) for column, value in row.items()] for row in self.rows]
+        for above, row in reversed(list(pairwise(rows))):
+            same = [a == b for a, b in zip(above, row, strict=True)]
+            row[: same.index(False)] = [""] * same.index(False)
+        widths = [max(3, *map(len, column)) for column in zip(head, *rows, strict=True)]
+        rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
+        lines = [f"## {self.title}", ""]
+        for first, *others in (head, rule, *rows):
+            cells = [first.ljust(widths[0]), *map(str.rjust, others, widths[1:])]
+            lines.append(f"| {' | '.join(cells)} |")
+        return [*lines, "", *(line for remark in self.remarks for line in (remark, ""))]
+
+    def variables(self) -> dict[str, tuple[str, Any]]:
+        """Return the columns as netCDF variables ``name_column``: numbers, else text."""
+        columns = {}
+        for key in self.rows[0]:
+            values = [row[key] for row in self.rows]
+            if all(value is None or isinstance(value, int | float) for value in values):
+                column = np.array([nan if value is None else value for value in values], float)
+            else:
+                column = np.array(list(map(cell, values)))
+            variable = re.sub(r"\W+", "_", f"{self.name}_{key}".replace("²", "2")).strip("_")
+            columns[variable] = (self.name, column)
+        return columns
+
+    def csv(self) -> str:
+        """Return the rows as comma-separated values below their columns."""
+        stream = StringIO()
+        writer = csv.DictWriter(stream, list(self.rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.rows)
+        return stream.getvalue()
+
+
+@dataclass(frozen=True)
+class Page:
+    """What a study shows: its title, tables, closing words, and a picture.
+
+    Tables without rows are left out. ``summary`` is all that is printed once the page is written,
+    empty for the page itself. ``gridded`` is the data set of a map, which is written in the place
+    of the tables, the first of them beside it as comma-separated values.
+    """
+
+    name: str
+    scene: Scene
+    title: str
+    tables: Sequence[Table]
+    figure: Callable[[], Figure]
+    closing: str = ""
+    summary: str = ""
+    gridded: xr.Dataset | None = None
+
+    def text(self) -> str:
+        """Return the page as Markdown, which a terminal shows as it is."""
+        tables = [line for t in self.tables if t.rows for line in t.markdown()]
+        return "\n".join([f"# {self.title}", "", *tables, self.closing]).rstrip() + "\n"
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write files of the study's name: md, nc, svg and, of a map, csv."""
+        endings = ("md", "nc", "svg", "csv")[: 3 if self.gridded is None else 4]
+        paths = [folder / f"{self.name}.{ending}" for ending in endings]
+        columns = {k: v for t in self.tables if t.rows for k, v in t.variables().items()}
+        data = xr.Dataset(columns) if self.gridded is None else self.gridded
+        data.attrs |= {
+            "title": self.title,
+            "scene": self.scene.name,
+            "scene_file": self.scene.text,
+            "program": f"vibro-fpk {program_version()}",
+            "closing": self.closing,
+        }
+        write_text(paths[0], self.text())
+        write_dataset(data, paths[1])
+        write_text(paths[2], svg_text(self.figure(), salt=self.name))
+        if self.gridded is not None:
+            write_text(paths[3], self.tables[0].csv())
+        return paths
