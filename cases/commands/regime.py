@@ -54,8 +54,8 @@ def regime(
         if folder is not None:
             make_folder(folder)
     check_cluster(settings["cluster"])
-    from cases.studies.regime_map.build import MAP_RELAXATIONS, build_map
-    from cases.studies.regime_map.output import map_page
+    from cases.studies.regime_map.map import MAP_RELAXATIONS, build_map
+    from cases.studies.regime_map.map_page import map_page
     from sim.montecarlo import MonteCarlo
 
     given = {key: value for key, value in settings.items() if value is not None}

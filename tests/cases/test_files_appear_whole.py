@@ -20,9 +20,9 @@ from cases.output.svg import svg_text
 from cases.output.vtk import write_pvd, write_vtu
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
-from cases.studies.regime_map.build import RegimeMap
 from cases.studies.regime_map.grid import Axis
-from cases.studies.regime_map.output import map_page
+from cases.studies.regime_map.map import RegimeMap
+from cases.studies.regime_map.map_page import map_page
 from cases.studies.regime_map.points import MapPoint
 
 resource = pytest.importorskip("resource", reason="limits of a process are Unix's")

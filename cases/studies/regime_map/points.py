@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from time import perf_counter
 
 from cases.comparison.compare import distance_between
-from cases.studies.full_system import deterministic
+from cases.studies.simulation import deterministic
 from fpk.clearance import stop_clearances
 from fpk.density import AnyDensity, Density
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
@@ -17,6 +17,7 @@ from sim.montecarlo import MonteCarlo
 THEORIES = ("nonintegrable", "integrable")
 """Averaged methods that are mapped, in the order of the pictures."""
 UNDECIDED, NEITHER = "undecided", "neither"
+"""Winners where the difference is within the errors, and where no theory applies."""
 
 
 @dataclass(frozen=True)
@@ -25,9 +26,8 @@ class MapPoint:
 
     ``L1`` and ``error`` by theory; a theory that does not apply is left out. ``reference`` is the
     route that they are held against. ``rms_ratio``: the smallest clearance over the rms
-    displacement without contact. ``winner``: the nearer theory, "undecided" where the difference is
-    within ``error``, "neither" where no theory applies. ``problems``: what failed or was not
-    certified.
+    displacement without contact. ``winner``: the nearer theory, or ``UNDECIDED``, or ``NEITHER``.
+    ``problems``: what failed or was not certified.
     """
 
     values: tuple[float, ...]
@@ -56,7 +56,7 @@ def map_point(
     distances = {}
     for theory in THEORIES:
         own = [m for m in averaged if m.route.method == theory]
-        answer = _best(own, system, observable, problems) if own else None
+        answer = _best(own, system, observable, problems)
         if answer is not None and reference is not None:
             distances[theory] = distance_between(answer[1], reference[1])
     ratios = [s.ratio for s in stop_clearances(system) if s.ratio is not None]
@@ -76,32 +76,33 @@ def _best(
     methods: Sequence[Method], system: System, observable: Observable, problems: list[str]
 ) -> tuple[str, AnyDensity] | None:
     """Return the best answer with its route's label; say in ``problems`` what is wrong with it."""
-    answers: list[tuple[Method, AnyDensity]] = []
+    answers: list[tuple[str, AnyDensity]] = []
     refusals = []
     for method in methods:
+        label = method.route.label
         try:
-            answers.append((method, method.solve(system, [observable]).densities[0]))
+            answers.append((label, method.solve(system, [observable]).densities[0]))
         except (NotApplicable, NotCertified, InvalidInput) as error:
-            refusals.append(f"{method.route.label}: {error}")
+            refusals.append(f"{label}: {error}")
     if not answers:
         problems.extend(refusals)
         return None
-    method, density = min(answers, key=lambda a: (not a[1].certificate.certified, _stated(a[1])))
-    label = method.route.label
+
+    def rank(answer: tuple[str, AnyDensity]) -> tuple[bool, float]:
+        density = answer[1]
+        stated = density.l1_error if isinstance(density, Density) else 0.0
+        return not density.certificate.certified, stated
+
+    label, density = min(answers, key=rank)
     problems.extend(f"{label}: {failure}" for failure in density.certificate.failures)
     return label, density
-
-
-def _stated(density: AnyDensity) -> float:
-    return density.l1_error if isinstance(density, Density) else 0.0
 
 
 def winner_of(distances: dict[str, tuple[float, float]]) -> str:
     """Return the theory whose distance is smaller beyond the errors of both."""
     if not distances:
         return NEITHER
-    if len(distances) == 1:
-        return next(iter(distances))
-    nearer, farther = sorted(distances, key=lambda name: distances[name][0])
-    (a, slack_a), (b, slack_b) = distances[nearer], distances[farther]
-    return nearer if b - a > slack_a + slack_b else UNDECIDED
+    nearer, *others = sorted(distances, key=lambda name: distances[name][0])
+    margins = [distances[o][0] - distances[nearer][0] for o in others]
+    slack = sum(error for _, error in distances.values())
+    return nearer if all(margin > slack for margin in margins) else UNDECIDED

@@ -17,7 +17,7 @@ NAME = "points.jsonl"
 FORMAT = 3
 """Version of the lines: each ends with its own hash, the first holds the identity of the map."""
 MAX_BYTES = 64 << 20
-"""Some hundred times the points that a map may have."""
+"""Largest file that is read: some hundred times the points that a map may have."""
 
 
 class PointStore:
@@ -57,15 +57,15 @@ class PointStore:
     def _read(self, path: Path) -> bool:
         """Read the file's points; return whether it is whole, down to the end of its last line."""
         text = read_text(path, str(path), most=MAX_BYTES, what="the file of a map's points")
-        head, *lines = text.split("\n")
         if not text:  # as a full disk leaves it, nothing can be wrong with it
             return False
-        if not lines or _record(head).get("map") != self._head["map"]:
+        head, *lines, last = text.split("\n")
+        if _record(head).get("map") != self._head["map"]:
             raise BadInput(
                 f"{path}: holds points of another map (other scene, observable, settings or"
                 " version); give another --out or remove the file"
             )
-        for number, line in enumerate(lines[:-1], start=2):
+        for number, line in enumerate(lines, start=2):
             record, words = _record(line), ""
             if record.keys() != {field.name for field in fields(MapPoint)}:
                 words = "is not what was written"
@@ -80,10 +80,10 @@ class PointStore:
                     f"{path}: line {number} {words}: the file is damaged; remove that line, its"
                     " point is then computed again"
                 )
-        if lines[-1]:
+        if last:
             count = len(self.points)
             self.note = f"{path}: the last line was cut off and is dropped; {count} points are kept"
-        return not lines[-1]
+        return not last
 
 
 def _line(record: dict[str, Any]) -> str:

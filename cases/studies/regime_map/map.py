@@ -1,21 +1,22 @@
-"""The whole map: every grid point once, finished ones taken from disk."""
+"""The whole map: every grid point once, finished ones taken from disk, and its page."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
+from math import nan
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
-from cases.output.records import plain, program_version
+from cases.output.records import UNITS, plain, program_version
 from cases.scene.scene import Scene
 from cases.studies.regime_map.grid import Axis, system_at
-from cases.studies.regime_map.points import MapPoint, map_point
+from cases.studies.regime_map.points import THEORIES, MapPoint, map_point
 from cases.studies.regime_map.store import PointStore
-from fpk.density import Array
 from fpk.method import Progress, silent
 from fpk.observable import Observable, observable_name
 from sim.cluster import as_finished, connected
@@ -50,14 +51,24 @@ class RegimeMap:
             for words in p.problems
         )
 
-    def table(self, value: Callable[[MapPoint], Any]) -> Array:
-        """Return one value of every point in the shape of the grid; NaN for None."""
-        values = np.array([np.nan if (v := value(p)) is None else v for p in self.points])
-        return values.reshape([axis.values.size for axis in self.axes])
-
-    def of_theory(self, key: str, theory: str) -> Array:
-        """Return ``L1`` or ``error`` of one theory in the shape of the grid."""
-        return self.table(lambda p: getattr(p, key).get(theory))
+    def dataset(self) -> xr.Dataset:
+        """Return ``L1`` and ``error`` (theory, parameters); by parameters what else is known."""
+        keys, name = [axis.key for axis in self.axes], observable_name(self.observable)
+        shape = [axis.values.size for axis in self.axes]
+        axes = {a.key: (a.key, a.values, {"units": UNITS, "symbol": a.symbol}) for a in self.axes}
+        data = xr.Dataset(coords={"theory": list(THEORIES), **axes}, attrs={"observable": name})
+        for key, words in (
+            ("L1", f"L1 distance of p({name}) to the full system"),
+            ("error", "how far chance and the solvers may have moved L1"),
+        ):
+            rows = [[getattr(p, key).get(theory, nan) for p in self.points] for theory in THEORIES]
+            data[key] = ("theory", *keys), np.reshape(rows, (-1, *shape)), {"long_name": words}
+        ratios = [nan if p.rms_ratio is None else p.rms_ratio for p in self.points]
+        words = "smallest clearance over rms displacement without contact"
+        data["rms_ratio"] = keys, np.reshape(ratios, shape), {"long_name": words}
+        for key in ("winner", "reference"):
+            data[key] = keys, np.reshape([getattr(p, key) for p in self.points], shape)
+        return data
 
     def record(self) -> dict[str, Any]:
         """Return the record of ``fpk regime``."""
