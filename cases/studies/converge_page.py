@@ -82,7 +82,7 @@ def study_tables(study: ConvergenceStudy) -> list[Table]:
         {
             "scheme": s.scheme,
             "dt": v.dt,
-            "value": v.value,
+            "mean": v.value,
             "standard error": v.error,
             "step error": error,
             "its standard error": bar,
@@ -160,7 +160,7 @@ def _ladder_panel(equation: Equation, ladders: Sequence[Ladder]) -> Panel:
             label = f"{ladder.name}: order {ladder.verdicts['L1'].order:.2f}"
             power = (ladder.degree + 1.0) / equation.dimension
             dashed = N[-3:], 0.5 * e[-1] * (N[-3:] / N[-1]) ** -power
-        curves.append(Curve(ladder.name, N, e, label, dashed=dashed))
+        curves.append(Curve(label, N, e, dashed=dashed))
     return _error_panel(equation, "dashed: order of theory", "unknowns $N$", curves)
 
 
@@ -168,10 +168,9 @@ def _degree_panel(equation: Equation, ladders: dict[str, Ladder]) -> Panel:
     """Log-lin: exponential convergence is a straight line."""
     curves = [
         Curve(
-            words,
+            f"{words}: $e^{{-{ladder.verdicts['L1'].order:.1f} p}}$",
             [-np.log(v.size) for v in ladder.levels],
             [v.error for v in ladder.levels],
-            f"{words}: $e^{{-{ladder.verdicts['L1'].order:.1f} p}}$",
         )
         for words, ladder in ladders.items()
     ]
@@ -196,8 +195,8 @@ def _step_panel(schemes: Sequence[WeakOrder]) -> Panel:
             words = f"order {s.order:.1f} ± {np.ptp(s.order_error) / 2:.1f} (theory {s.theory})"
         if dt.size:
             line = dt, abs(s.slope) * dt**s.theory
-        label, bars = f"{s.scheme}: {words}", np.array(s.error_bars)
-        curves.append(Curve(s.scheme, dt, s.errors, label, bars, dashed=line, style="none"))
+        label, bar = f"{s.scheme}: {words}", np.array(s.error_bars)
+        curves.append(Curve(label, dt, s.errors, bar, dashed=line, style="none"))
     y = f"step error of {schemes[0].observable}"
     x = "step $dt$, in the scene's unit of time"
     return Panel("full system (6), simulation; lines: theory", x, y, curves)

@@ -53,11 +53,16 @@ def cost_tables(study: CostStudy) -> list[Table]:
             "L1 error": point.error,
             "stated": point.stated,
             "unknowns": point.unknowns or None,
-            **asdict(point.timing),
+            "seconds": t.seconds,
+            "quartiles ±": t.spread,
+            "first call more": t.first,
+            "coefficients": t.coefficients,
+            "memory": t.memory,
         }
         for route in study.routes
         for point in route.points
         if not point.modelled
+        for t in [point.timing]
     ]
     models = [
         {**asdict(m), "simulation to this": _simulated(study, max(m.distance, m.error))}
@@ -108,7 +113,7 @@ def cost_panels(study: CostStudy) -> list[Panel]:
         for route in routes:
             points = [
                 p
-                for p in route.points
+                for p in sorted(route.points, key=lambda p: -p.error)
                 if p.error > 0.0
                 and not (p.modelled and (p.error < 0.99 * DRAWN or p.seconds > LONGEST))
             ]

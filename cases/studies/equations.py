@@ -73,7 +73,7 @@ def energy_equation(system: System) -> Equation:
         reference=reference,
         reference_words=words,
         coarsest=coarsest,
-        on_mesh=lambda process, nodes, degree: _answer(solve_on_mesh(process, *nodes, degree)),
+        on_mesh=lambda process, nodes, degree: _answer(solve_on_mesh(process, nodes[0], degree)),
         by_tolerance={
             NonIntegrable("fem").route: lambda p, tol: _answer(solve_stationary(p, tol=tol)),
             NonIntegrable("quadrature").route: by_quadrature,

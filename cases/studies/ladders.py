@@ -112,18 +112,18 @@ def ladder(equation: Equation, first: Discretisation, count: int) -> Ladder:
 def floors(equation: Equation, *, given_mesh: bool) -> dict[str, float]:
     """Return what cannot be resolved in each norm: the reference's own error, relative to p.
 
-    On a ``given_mesh`` also twice what its end cuts off: the mass is missing there, and appears
-    again in the norm of what is left.
+    On a ``given_mesh`` also what its end cuts off: the mass is missing there, and appears again in
+    what is left, which it scales; ∫p² takes twice that.
     """
-    p = equation.reference
-    floor = {key: (p.l1_error + ROUND_OFF) * size for key, size in sizes(p).items()}
-    if not given_mesh:
-        return floor
-    ends = [x[-1] for x in equation.coarsest(1)]
+    p, scale, cut = equation.reference, 0.0, dict.fromkeys((*NORMS, *FUNCTIONALS), 0.0)
+    if given_mesh:
+        ends = [x[-1] for x in equation.coarsest(1)]
 
-    def inside(*H: Array) -> Array:
-        within = [x <= end for x, end in zip(H, ends, strict=True)]
-        return np.where(reduce(np.logical_and, within), p.density(*H), 0.0)
+        def inside(*H: Array) -> Array:
+            within = [x <= end for x, end in zip(H, ends, strict=True)]
+            return np.where(reduce(np.logical_and, within), p.density(*H), 0.0)
 
-    cut = errors(replace(p, panels=tuple(map(np.union1d, p.panels, ends)), density=inside), p)
-    return {key: value + 2.0 * cut[key] for key, value in floor.items()}
+        cut = errors(replace(p, panels=tuple(map(np.union1d, p.panels, ends)), density=inside), p)
+        scale = 2.0 * cut["L1"]
+    relative = p.l1_error + ROUND_OFF + scale
+    return {key: relative * size + cut[key] for key, size in sizes(p).items()}

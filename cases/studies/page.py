@@ -37,9 +37,13 @@ def megabytes(size: float) -> str:
 
 
 FORMATS: Mapping[str, Callable[[Any], str]] = {
-    **dict.fromkeys(("seconds", "spread", "first", "coefficients", "simulation to this"), duration),
+    **dict.fromkeys(
+        ("seconds", "quartiles ±", "first call more", "coefficients", "simulation to this"),
+        duration,
+    ),
     "memory": megabytes,
-    **dict.fromkeys(("limit", "value"), "{:.10g}".format),
+    **dict.fromkeys(("mean", "limit"), "{:.6g}".format),
+    "value": "{:.10g}".format,
 }
 """How the values of a column are written where three digits do not suit them."""
 

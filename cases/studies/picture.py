@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
-from typing import Any, Literal
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -27,7 +27,7 @@ SMALL = 7.0
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Errors ``y`` over ``x``; a name has the same colour and marker in all panels.
+    """Errors ``y`` over ``x`` with their name in the legend.
 
     ``bar`` is how far chance may have moved each; ``dashed`` are the two coordinates of a line of
     theory. ``style``: "-" or "none" for points that are joined, their bars a band, or not; ":" for
@@ -37,10 +37,9 @@ class Curve:
     name: str
     x: Sequence[float] | Array
     y: Sequence[float] | Array
-    label: str = ""
     bar: Array | None = None
     dashed: tuple[Array, Array] | None = None
-    style: Literal["-", ":", "none"] = "-"
+    style: str = "-"
     end: str = ""
 
 
@@ -64,23 +63,21 @@ def study_figure(panels: Sequence[Panel], *, width: float = 4.3) -> Figure:
     rows = max(1, ceil(len(panels) / columns))
     entries = max((len(panel.curves) for panel in panels), default=0)
     height = 3.0 + LEGEND_ROW * ceil(entries / LEGEND_COLUMNS)
-    names = list(dict.fromkeys(curve.name for panel in panels for curve in panel.curves))
     with mpl.rc_context({**STYLE, "font.size": 8.5, "axes.titlesize": 8.5}):
         figure = Figure(figsize=(width * columns, height * rows), layout="constrained")
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes in grid[len(panels) :]:
             axes.remove()
         for axes, panel in zip(grid, panels, strict=False):
-            _draw(axes, panel, names)
+            _draw(axes, panel)
     return figure
 
 
-def _draw(axes: Axes, panel: Panel, names: Sequence[str]) -> None:
+def _draw(axes: Axes, panel: Panel) -> None:
     axes.set(xscale="log" if panel.logarithmic else "linear", yscale="log")
     if panel.limits is not None:
         axes.set_ylim(panel.limits)
-    for curve in panel.curves:
-        k = names.index(curve.name)
+    for k, curve in enumerate(panel.curves):
         _draw_curve(axes, curve, COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)])
     axes.set(title=panel.title, xlabel=panel.x, ylabel=panel.y)
     if panel.floor is not None:
@@ -100,7 +97,7 @@ def _draw_curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:
     x, y = np.asarray(curve.x, dtype=float), np.maximum(np.asarray(curve.y, float), ROUND_OFF)
     axes.plot(
         x, y, color=colour, marker=marker, markersize=3.6, lw=1.2, ls=curve.style,
-        mfc="none" if curve.style == ":" else colour, label=curve.label or curve.name,
+        mfc="none" if curve.style == ":" else colour, label=curve.name,
     )  # fmt: skip
     if curve.bar is not None:
         low, high = np.maximum(y - curve.bar, 0.1 * y), y + curve.bar

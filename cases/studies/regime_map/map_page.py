@@ -92,8 +92,9 @@ def _fields(result: RegimeMap, data: xr.Dataset, words: str) -> Figure:
         drawn = field.plot.pcolormesh(ax=axes, norm=norm, cmap="viridis_r", **settings)
         axes.set_title(theory)
     names, colours = [*THEORIES, UNDECIDED], [COLOURS[0], COLOURS[1], PALE]
-    index = sum(k * (data["winner"] == name) for k, name in enumerate(names))
-    index = index.where(data["winner"] != NEITHER)
+    index = data["rms_ratio"] * np.nan
+    for k, name in enumerate(names):
+        index = index.where(data["winner"] != name, k)
     flat = ListedColormap(colours)
     index.plot.pcolormesh(ax=panels[2], cmap=flat, vmin=-0.5, vmax=2.5, **settings)
     panels[2].set_title("nearer to the full system")
