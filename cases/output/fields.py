@@ -1,34 +1,49 @@
-"""Densities as labelled arrays and as files: netCDF and comma-separated values."""
+"""Densities on common grids as files: netCDF and comma-separated values."""
 
 import csv
 import json
+from collections.abc import Mapping
 from io import BytesIO, StringIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5netcdf
+import h5py
 import numpy as np
-import xarray as xr
+from numpy.typing import NDArray
 
 from cases.comparison.run import Outcome
 from cases.output.files import write_by, write_text
 from cases.output.grids import common_grid, values_on
 from cases.output.records import UNITS, certificate_record, plain, program_version
-from fpk.density import Density
+from fpk.density import AnyDensity, Array, Density
 from fpk.observable import Observable, observable_name
 
+Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]]
+"""Dimensions, values and attributes by name, as ``xarray.Dataset`` takes them."""
 
-def dataset(outcome: Outcome) -> xr.Dataset:
-    """Return the densities of every observable, curve and route on common grids.
+
+class Answer(NamedTuple):
+    """The density of one curve by one route on the grid of its observable, and its error there."""
+
+    curve: str
+    route: str
+    density: AnyDensity
+    value: Array
+    error: Array
+
+
+def write_netcdf(outcome: Outcome, path: Path) -> list[Path]:
+    """Write the densities of every observable, curve and route on common grids as netCDF-4.
 
     ``p_q2`` (curve, route, q2) is the density and ``error_q2`` its error: an estimate of the
     numerical error or one standard error, as ``error_kind_q2`` says. A route that does not apply is
-    not a number. Provenance and certificates are JSON in ``provenance``.
+    not a number. Provenance and certificates are JSON in the attribute ``provenance``.
     """
-    data = xr.Dataset()
+    variables: Variables = {}
     for observable in outcome.scene.observables:
-        _add(data, outcome, observable)
-    data.attrs = {
+        variables |= _variables(outcome, observable)
+    attributes = {
         "title": outcome.scene.title,
         "scene": outcome.scene.name,
         "source": outcome.scene.source,
@@ -37,20 +52,23 @@ def dataset(outcome: Outcome) -> xr.Dataset:
         "units": UNITS,
         "provenance": json.dumps(plain(_provenance(outcome)), ensure_ascii=False),
     }
-    return data
-
-
-def write_netcdf(outcome: Outcome, path: Path) -> list[Path]:
-    """Write the dataset of ``outcome`` as netCDF-4."""
-    write_dataset(dataset(outcome), path)
+    write_variables(variables, attributes, path)
     return [path]
 
 
-def write_dataset(data: xr.Dataset, path: Path) -> None:
-    """Write ``data`` as netCDF-4, made in memory: HDF5 does not survive a disk that fills up."""
+def write_variables(variables: Variables, attributes: Mapping[str, str], path: Path) -> None:
+    """Write ``variables`` as netCDF-4, made in memory: HDF5 does not survive a full disk."""
     stream = BytesIO()
     with h5netcdf.File(stream, "w") as file:
-        data.dump_to_store(xr.backends.H5NetCDFStore(file))
+        for name, (dimensions, values, words) in variables.items():
+            text = values.dtype.kind in "OU"
+            kind = h5py.string_dtype() if text else values.dtype
+            for dimension, size in zip(dimensions, values.shape, strict=True):
+                if dimension not in file.dimensions:
+                    file.dimensions[dimension] = size
+            data = values.astype(object) if text else values
+            file.create_variable(name, dimensions, dtype=kind, data=data).attrs.update(words)
+        file.attrs.update(attributes)
     write_by(path, lambda temporary: temporary.write_bytes(stream.getvalue()))
 
 
@@ -60,53 +78,60 @@ def write_csv(outcome: Outcome, path: Path) -> list[Path]:
     lines = csv.writer(stream, lineterminator="\n")
     lines.writerow(["curve", "observable", "route", "x", "y", "density", "error"])
     for observable in outcome.scene.observables:
-        for curve in outcome.curves:
-            densities = curve.densities(observable)
-            if not densities:
-                continue
-            mesh = np.meshgrid(*common_grid(densities.values()), indexing="ij")
-            points = [m.ravel() for m in mesh]
-            for route, density in densities.items():
-                value, error = values_on(density, *points)
-                y = points[1].tolist() if len(points) == 2 else [""] * value.size
-                for row in zip(points[0].tolist(), y, value.tolist(), error.tolist(), strict=True):
-                    lines.writerow([curve.label, density.name, route.label, *row])
+        grid, answers = _on_grid(outcome, observable)
+        x, *others = (m.ravel().tolist() for m in np.meshgrid(*grid, indexing="ij"))
+        y = others[0] if others else [""] * len(x)
+        for curve, route, density, value, error in answers:
+            columns = x, y, value.ravel().tolist(), error.ravel().tolist()
+            for row in zip(*columns, strict=True):
+                lines.writerow([curve, density.name, route, *row])
     write_text(path, stream.getvalue())
     return [path]
 
 
-def _add(data: xr.Dataset, outcome: Outcome, observable: Observable) -> None:
-    densities = {
-        (curve.label, route.label): density
+def _on_grid(outcome: Outcome, observable: Observable) -> tuple[tuple[Array, ...], list[Answer]]:
+    """The grid of an observable and the answers on it."""
+    densities = [
+        (curve.label, route.label, density)
         for curve in outcome.curves
         for route, density in curve.densities(observable).items()
-    }
+    ]
     if not densities:
-        return
+        return (), []
+    grid = common_grid(density for *_, density in densities)
+    mesh = np.meshgrid(*grid, indexing="ij")
+    return grid, [Answer(*answer, *values_on(answer[-1], *mesh)) for answer in densities]
+
+
+def _variables(outcome: Outcome, observable: Observable) -> Variables:
+    grid, answers = _on_grid(outcome, observable)
+    if not answers:
+        return {}
     name = observable_name(observable)
-    axes = [str(c) for c in observable]
-    curves = list(dict.fromkeys(label for label, _ in densities))
-    routes = list(dict.fromkeys(route for _, route in densities))
-    grid = common_grid(densities.values())
+    curves = [c.label for c in outcome.curves]
+    routes = list(dict.fromkeys(a.route for a in answers))
     values = np.full((len(curves), len(routes), *(g.size for g in grid)), np.nan)
     errors, kinds = values.copy(), np.full(values.shape[:2], "", dtype=object)
-    mesh = np.meshgrid(*grid, indexing="ij")
-    for (label, route), density in densities.items():
-        where = (curves.index(label), routes.index(route))
-        values[where], errors[where] = values_on(density, *mesh)
-        kinds[where] = density.error_kind
+    for answer in answers:
+        where = (curves.index(answer.curve), routes.index(answer.route))
+        values[where], errors[where] = answer.value, answer.error
+        kinds[where] = answer.density.error_kind
     # Each observable has its own grid and routes: a coordinate of another must not realign it.
-    route_axis = f"route_{name}"
+    axes = [str(c) for c in observable]
     points = [f"{axis}_of_{name}" if len(axes) == 2 else axis for axis in axes]
-    dims = ("curve", route_axis, *points)
-    data.coords["curve"] = ("curve", curves)
-    data.coords[route_axis] = (route_axis, routes)
-    for point, axis, g in zip(points, axes, grid, strict=True):
-        data.coords[point] = (point, g, {"long_name": axis, "units": UNITS})
+    first = ("curve", f"route_{name}")
     words = {"long_name": f"probability density of {name}", "units": UNITS}
-    data[f"p_{name}"] = (dims, values, words)
-    data[f"error_{name}"] = (dims, errors, {"long_name": f"error of p_{name}", "units": UNITS})
-    data[f"error_kind_{name}"] = (dims[:2], kinds.astype(str))
+    return {
+        "curve": (first[:1], np.array(curves), {}),
+        first[1]: (first[1:], np.array(routes), {}),
+        **{
+            point: ((point,), g, {"long_name": axis, "units": UNITS})
+            for point, axis, g in zip(points, axes, grid, strict=True)
+        },
+        f"p_{name}": ((*first, *points), values, words),
+        f"error_{name}": ((*first, *points), errors, {**words, "long_name": f"error of p_{name}"}),
+        f"error_kind_{name}": (first, kinds, {}),
+    }
 
 
 def _provenance(outcome: Outcome) -> list[dict[str, Any]]:

@@ -12,14 +12,19 @@ GRID_1D, GRID_2D = 401, 101
 CUT = 1e-9
 """Share of the largest value below which a density no longer widens the grid."""
 
-COARSE_1D, COARSE_2D = 400, 60
+COARSE_1D, COARSE_2D = 200, 60
 """Cells an axis on which the extent of a density is measured."""
 
 
-def common_grid(densities: Iterable[AnyDensity], *, cut: float = CUT) -> tuple[Array, ...]:
-    """Return one ascending array per axis: where any density exceeds ``cut`` of its largest."""
+def common_grid(
+    densities: Iterable[AnyDensity], *, cut: float = CUT, count: int | None = None
+) -> tuple[Array, ...]:
+    """Return one ascending array per axis: where any density exceeds ``cut`` of its largest.
+
+    ``count`` points an axis; None: ``GRID_1D`` or ``GRID_2D``.
+    """
     ends = [_reach(d, cut) for d in densities]
-    count = GRID_1D if len(ends[0]) == 1 else GRID_2D
+    count = count or (GRID_1D if len(ends[0]) == 1 else GRID_2D)
     return tuple(
         np.linspace(min(e[axis][0] for e in ends), max(e[axis][1] for e in ends), count)
         for axis in range(len(ends[0]))

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from cases.output.fields import write_dataset
+from cases.output.fields import write_variables
 from cases.output.files import write_text
 from cases.output.records import program_version
 from cases.output.svg import svg_text
@@ -147,7 +147,8 @@ class Page:
             "closing": self.closing,
         }
         write_text(paths[0], self.text())
-        write_dataset(data, paths[1])
+        variables = {str(key): (v.dims, v.values, v.attrs) for key, v in data.variables.items()}
+        write_variables(variables, data.attrs, paths[1])
         write_text(paths[2], svg_text(self.figure(), salt=self.name))
         if self.gridded is not None:
             write_text(paths[3], self.tables[0].csv())

@@ -36,4 +36,4 @@ def test_energies_are_drawn_in_decades():
         pytest.skip("no route gives p(H1,H2) in this version")
     assert list(found) == ["density_H1_H2"]
     bar = found["density_H1_H2"][1].axes[-1]
-    assert bar.get_yscale() == "log" and "H_{1}" in bar.get_ylabel()
+    assert bar.get_yscale() == "log" and "H₁" in bar.get_ylabel()

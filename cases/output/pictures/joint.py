@@ -1,6 +1,6 @@
 """Pictures of joint densities: panels on common levels, and surfaces as in Fig. 7 of the paper."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from matplotlib.colors import LightSource, LogNorm, Normalize
@@ -11,16 +11,11 @@ from mpl_toolkits.mplot3d import Axes3D
 from cases.comparison.compare import joined
 from cases.comparison.run import CurveOutcome
 from cases.output.grids import common_grid, values_on
-from cases.output.pictures.style import (
-    SHOWN,
-    lines_of,
-    samples_of,
-    symbol_of,
-    two_solvers,
-    words_of,
-)
+from cases.output.pictures.choice import lines_of, samples_of, two_solvers
+from cases.output.pictures.style import FOOT, LEFT, SHOWN, density_words, words_of
 from fpk.density import AnyDensity, Array, SampledDensity
-from fpk.observable import Observable
+from fpk.observable import Observable, observable_name
+from fpk.route import Route
 
 LOWEST = 1e-3
 """Lowest level of a picture in decades, relative to the largest."""
@@ -28,17 +23,39 @@ LOWEST = 1e-3
 SHEET = 72
 """Points an axis of a surface, and bins an axis, about, where it is sampled."""
 
+PANEL, HEIGHT, SPACE, HEAD, BAR = 2.7, 2.5, 0.2, 0.3, 0.12
+"""Width and height of a panel, the space between two and above them, and the width of the bar of
+colours, in inches."""
+
+
+def joint_pictures(
+    curve: CurveOutcome, observable: Observable
+) -> Iterator[tuple[str, str, Figure]]:
+    """Yield file stem, caption and figure of everything to be seen of a pair of coordinates."""
+    name = observable_name(observable)
+    stem = name.replace(",", "_")
+    words = f"Joint density of {name}, on common levels."
+    yield f"density_{stem}", words, pair_figure(curve, observable)
+    if two_solvers(curve, observable):
+        words = (
+            f"Numerical error for {name}: two solvers of the same equation against each other, and"
+            " the errors that they state."
+        )
+        yield f"solver_{stem}", words, pair_solver_figure(curve, observable)
+    if all(c.kind != "H" for c in observable):  # energies pile up in a corner
+        words = f"Joint density of {name} as a surface: theory, and simulation in its own bins."
+        yield f"surface_{stem}", words, surface_figure(curve, observable)
+
 
 def pair_figure(curve: CurveOutcome, observable: Observable) -> Figure:
     """Draw a joint density by every route that is drawn, side by side on common levels."""
-    densities = curve.densities(observable)
-    routes = [*lines_of(curve, observable), *samples_of(curve, observable)]
-    grid = common_grid([densities[r] for r in routes], cut=SHOWN)
+    drawn = {**lines_of(curve, observable), **samples_of(curve, observable)}
+    grid = common_grid(drawn.values(), cut=SHOWN)
     mesh = np.meshgrid(*grid, indexing="ij")
-    panels = {r.words: values_on(densities[r], *mesh)[0] for r in routes}
+    panels = {r.words: values_on(d, *mesh)[0] for r, d in drawn.items()}
     # A density of energies falls exponentially from its corner: decades, not equal steps.
     decades = all(c.kind == "H" for c in observable)
-    return _panels(panels, grid, observable, _density(observable), decades=decades)
+    return _panels(panels, grid, observable, density_words(observable), decades=decades)
 
 
 def pair_solver_figure(curve: CurveOutcome, observable: Observable) -> Figure:
@@ -51,7 +68,7 @@ def pair_solver_figure(curve: CurveOutcome, observable: Observable) -> Figure:
         f"|{a.solver} − {b.solver}|": np.abs(value - other),
         "errors that both state, added": stated + also_stated,
     }
-    return _panels(panels, grid, observable, "difference of $p$", decades=True)
+    return _panels(panels, grid, observable, "difference of p", decades=True)
 
 
 def surface_figure(curve: CurveOutcome, observable: Observable) -> Figure:
@@ -60,23 +77,23 @@ def surface_figure(curve: CurveOutcome, observable: Observable) -> Figure:
     The theory is the exact density where there is one, else an averaged one; one that neglects
     something, the contacts for example, comes last.
     """
-    densities = curve.densities(observable)
-    lines = sorted(lines_of(curve, observable), key=curve.neglects)
-    full = [r for r in samples_of(curve, observable) if r.solves == "full"]
-    routes = [*lines[:1], *full] or list(densities)[:1]
-    ends = common_grid([densities[r] for r in routes], cut=SHOWN)
-    sheets = {route.words: _sheet(densities[route], ends) for route in routes}
+    theories = sorted(lines_of(curve, observable).items(), key=lambda a: curve.neglects(a[0]))
+    full = [a for a in samples_of(curve, observable).items() if a[0].solves == "full"]
+    drawn: dict[Route, AnyDensity] = dict([*theories[:1], *full])
+    drawn = drawn or dict(list(curve.densities(observable).items())[:1])
+    ends = common_grid(drawn.values(), cut=SHOWN)
+    sheets = {route.words: _sheet(density, ends) for route, density in drawn.items()}
     top = max(float(values.max()) for *_, values in sheets.values())
-    figure = Figure(figsize=(4.3 * len(routes), 4.0))
+    figure = Figure(figsize=(4.3 * len(sheets), 4.0))
     for place, (words, (x, y, values)) in enumerate(sheets.items(), start=1):
-        axes = figure.add_subplot(1, len(routes), place, projection="3d", proj_type="ortho")
+        axes = figure.add_subplot(1, len(sheets), place, projection="3d", proj_type="ortho")
         assert isinstance(axes, Axes3D)
         axes.view_init(elev=28.0, azim=-58.0)
         axes.set_box_aspect((1.0, 1.0, 0.72), zoom=0.92)  # beyond it labels are cut
         axes.set_zlim(0.0, 1.05 * top)
         axes.set_xlabel(words_of(observable[0]))
         axes.set_ylabel(words_of(observable[1]))
-        axes.set_zlabel(_density(observable))
+        axes.set_zlabel(density_words(observable))
         for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
             axis.set_major_locator(MaxNLocator(5))
             axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
@@ -113,8 +130,13 @@ def _panels(
     top = max(float(v.max()) for v in panels.values())
     levels = top * (np.geomspace(LOWEST, 1.0, 13) if decades else np.linspace(0.0, 1.0, 13))
     norm = LogNorm(levels[0], top) if decades else Normalize(0.0, top)
-    figure = Figure(figsize=(3.4 * len(panels) + 0.6, 3.2), layout="constrained")
-    row = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+    count = len(panels)
+    width = LEFT + count * (PANEL + SPACE) + BAR + LEFT
+    height = FOOT + HEIGHT + HEAD
+    figure = Figure(figsize=(width, height))
+    edges = {"left": LEFT / width, "right": (LEFT + count * (PANEL + SPACE) - SPACE) / width}
+    edges |= {"bottom": FOOT / height, "top": 1.0 - HEAD / height, "wspace": SPACE / PANEL}
+    row = figure.subplots(1, count, sharex=True, sharey=True, squeeze=False, gridspec_kw=edges)[0]
     for axes, (words, values) in zip(row, panels.items(), strict=True):
         # Below the lowest level nothing is drawn; a logarithm needs a value there all the same.
         drawn = np.maximum(values, 0.1 * levels[0])
@@ -122,9 +144,8 @@ def _panels(
         axes.set_title(words)
         axes.set_xlabel(words_of(observable[0]))
     row[0].set_ylabel(words_of(observable[1]))
-    figure.colorbar(filled, ax=list(row), shrink=0.9, format="%.2g").set_label(label)
+    bar = figure.add_axes(
+        (edges["right"] + 0.15 / width, edges["bottom"], BAR / width, HEIGHT / height)
+    )
+    figure.colorbar(filled, cax=bar, format="%.2g").set_label(label)
     return figure
-
-
-def _density(observable: Observable) -> str:
-    return f"density $p({', '.join(map(symbol_of, observable))})$"

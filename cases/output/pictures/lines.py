@@ -1,32 +1,31 @@
 """Pictures over one coordinate: densities, and differences of two answers with their bands."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import cycle
 from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from cases.comparison.compare import joined
 from cases.comparison.run import CurveOutcome
-from cases.output.grids import values_on
+from cases.output.grids import common_grid, values_on
+from cases.output.pictures.choice import lines_of, samples_of, two_solvers
 from cases.output.pictures.style import (
     COLOURS,
+    GAP,
     INK,
-    LINES,
-    MARKS,
-    lines_of,
-    samples_of,
-    shown_range,
-    simulation_of,
+    SHOWN,
+    column_of_axes,
+    density_words,
     symbol_of,
-    two_solvers,
+    unit_of,
     words_of,
 )
-from fpk.density import Array, Density, SampledDensity, bin_differences
-from fpk.observable import Observable
+from fpk.density import Array, SampledDensity, bin_differences
+from fpk.observable import Observable, observable_name
 
 POINTS = 600
 """Points of a line."""
@@ -34,8 +33,14 @@ POINTS = 600
 MARKERS = 56
 """Bins drawn as points."""
 
-LONGEST_OF_THREE = 31
-"""Letters of the longest label with which three columns fit."""
+LINES: Any = ("-", (0, (6, 2)), (0, (6, 2, 1, 2)), (0, (1, 1)))
+"""Dashes of the lines of one curve, by its routes."""
+
+MARKS = {"full": "o", "averaged": "s"}
+"""Markers of samples, by what the route solves."""
+
+HEIGHT, ALONE, ROW = 3.1, 1.6, 0.9
+"""Height in inches of the axes of densities, and of differences of a lone curve or one of many."""
 
 
 class Difference(NamedTuple):
@@ -47,120 +52,154 @@ class Difference(NamedTuple):
     band: Array
 
 
-def density_figure(curves: Sequence[CurveOutcome], observable: Observable) -> Figure:
+def line_pictures(
+    curves: Sequence[CurveOutcome], observable: Observable
+) -> Iterator[tuple[str, str, Figure]]:
+    """Yield file stem, caption and figure of everything to be seen of one coordinate."""
+    name = observable_name(observable)
+    curves = sorted(curves, key=lambda c: c.value or 0.0)
+    densities = [d for c in curves for d in c.densities(observable).values()]
+    (x,) = common_grid(densities, cut=SHOWN, count=POINTS)
+    ends = float(x[0]), float(x[-1])
+    yield (
+        f"density_{name}",
+        f"Density of {name}: theory as lines, simulation as points with two standard errors.",
+        density_figure(curves, observable, x),
+    )
+    rows = {c.label: solver_difference(c, observable, x) for c in curves}
+    if any(rows.values()):
+        words = (
+            f"Numerical error for {name}: two solvers of the same equation against each other, and"
+            " the errors that they state."
+        )
+        band = "±the errors that both state"
+        yield f"solver_{name}", words, difference_figure(rows, observable, band=band, ends=ends)
+    rows = {c.label: theory_differences(c, observable, x) for c in curves}
+    if any(rows.values()):
+        words = (
+            f"Simulation minus theory for {name}. Inside the grey band the difference is chance; a"
+            " curve that leaves it shows the averaging error where the theory is an averaged one."
+        )
+        band = "±2 standard errors"
+        yield f"left_{name}", words, difference_figure(rows, observable, band=band, ends=ends)
+
+
+def density_figure(curves: Sequence[CurveOutcome], observable: Observable, x: Array) -> Figure:
     """Draw the densities of one coordinate: deterministic as lines, sampled as points with bars.
 
     Several curves are distinguished by colour, and their routes by dashes; the routes of a single
     curve have their own colours, too.
     """
-    figure = Figure(figsize=(6.6, 4.2), layout="constrained")
-    axes = figure.subplots()
     alone = len(curves) == 1
     colours = dict(zip((c.label for c in curves), cycle(COLOURS), strict=False))
-    legend: dict[str, Line2D] = {}
+    legend: dict[str, Artist] = {}
     if not alone:
         legend = {w: Line2D([], [], color=c, linewidth=3) for w, c in colours.items()}
+    lines: list[tuple[Array, Array, Mapping[str, Any]]] = []
+    bars: list[tuple[Array, Array, Array, str]] = []
     for curve in curves:
-        densities = curve.densities(observable)
-        x = np.linspace(*shown_range(densities.values()), POINTS)
-        for route, dashes in zip(lines_of(curve, observable), LINES, strict=False):
-            style: Any = {"color": route.colour if alone else colours[curve.label]}
-            axes.plot(x, values_on(densities[route], x)[0], linestyle=dashes, **style)
-            ink = style["color"] if alone else INK
-            legend.setdefault(route.words, Line2D([], [], color=ink, linestyle=dashes))
+        functions = lines_of(curve, observable).items()
+        for (route, density), dashes in zip(functions, LINES, strict=False):
+            style: dict[str, Any] = {"linestyle": dashes}
+            colour = route.colour if alone else colours[curve.label]
+            lines.append((x, values_on(density, x)[0], {**style, "color": colour}))
+            ink = colour if alone else INK
+            legend.setdefault(route.words, Line2D([], [], color=ink, **style))
         for route, sampled in samples_of(curve, observable).items():
             style = {
-                "color": route.colour if alone else colours[curve.label],
                 "marker": MARKS[route.solves],
                 "linestyle": "none",
                 "markersize": 3.4,
                 "markerfacecolor": "none",
                 "markeredgewidth": 0.9,
             }
-            _points(axes, sampled, (x[0], x[-1]), style)
-            style["color"] = style["color"] if alone else INK
-            legend.setdefault(f"{route.words}, ±2 standard errors", Line2D([], [], **style))
-    axes.autoscale(axis="x", tight=True)
+            few = joined(sampled, MARKERS)
+            middles, inside = _middles(few, x)
+            values, error = few.values[inside], 2.0 * few.standard_error[inside]
+            colour = route.colour if alone else colours[curve.label]
+            lines.append((middles, values, {**style, "color": colour}))
+            bars.append((middles, values - error, values + error, colour))
+            ink = colour if alone else INK
+            words = f"{route.words}, ±2 standard errors"
+            legend.setdefault(words, Line2D([], [], color=ink, **style))
+    figure, (axes,) = column_of_axes(1, HEIGHT, legend, head=0.12)
+    for x_values, values, drawn in lines:
+        axes.plot(x_values, values, **drawn)
+    for x_values, low, high, colour in bars:
+        axes.vlines(x_values, low, high, color=colour, linewidth=0.9)
+    axes.set(xlim=(x[0], x[-1]), xlabel=words_of(observable[0]))
     axes.set_ylim(bottom=0)
-    axes.set_xlabel(words_of(observable[0]))
-    axes.set_ylabel(f"density $p({symbol_of(observable[0])})$")
-    _set_legend(figure, legend)
+    axes.set_ylabel(density_words(observable))
     return figure
 
 
-def solver_differences(curve: CurveOutcome, observable: Observable) -> list[Difference]:
+def solver_difference(curve: CurveOutcome, observable: Observable, x: Array) -> list[Difference]:
     """Return the difference of two solvers of one equation, in the errors that both state."""
     answers = two_solvers(curve, observable)
     if not answers:
         return []
-    x = np.linspace(*shown_range(curve.densities(observable).values()), POINTS)
     (first, stated), (second, also_stated) = (values_on(d, x) for _, d in answers)
-    a, b = (route.solver for route, _ in answers)
-    return [Difference(f"{a} − {b}", x, first - second, stated + also_stated)]
+    words = " − ".join(route.solver for route, _ in answers)
+    return [Difference(words, x, first - second, stated + also_stated)]
 
 
-def theory_differences(curve: CurveOutcome, observable: Observable) -> list[Difference]:
+def theory_differences(curve: CurveOutcome, observable: Observable, x: Array) -> list[Difference]:
     """Return simulation − theory for every theory drawn, in two standard errors."""
-    simulation, densities = simulation_of(curve, observable), curve.densities(observable)
-    if simulation is None:
-        return []
-    few = joined(simulation, 2 * MARKERS)
-    x, inside = _middles(few, shown_range(densities.values()))
-    return [
-        Difference(
-            f"simulation − {route.words}",
-            x,
-            bin_differences(few, theory)[inside],
-            2.0 * few.standard_error[inside],
-        )
-        for route in lines_of(curve, observable)
-        if isinstance(theory := densities[route], Density)
-    ]
+    for route, sampled in samples_of(curve, observable).items():
+        if route.solves == "full":
+            few = joined(sampled, 2 * MARKERS)
+            middles, inside = _middles(few, x)
+            band = 2.0 * few.standard_error[inside]
+            return [
+                Difference(
+                    f"simulation − {r.words}", middles, bin_differences(few, theory)[inside], band
+                )
+                for r, theory in lines_of(curve, observable).items()
+            ]
+    return []
 
 
 def difference_figure(
-    rows: Sequence[tuple[str, Sequence[Difference]]], observable: Observable, band: str
+    rows: Mapping[str, Sequence[Difference]],
+    observable: Observable,
+    *,
+    band: str,
+    ends: tuple[float, float],
 ) -> Figure:
-    """Draw the differences of each curve (label, differences) in a row, ``band`` in words."""
-    figure = Figure(figsize=(6.6, 0.9 + 1.35 * len(rows)), layout="constrained")
-    panels = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
-    legend: dict[str, Line2D] = {}
-    for axes, (label, differences), colour in zip(panels, rows, cycle(COLOURS), strict=False):
-        axes.axhline(0.0, color=INK, linewidth=0.7)
-        x, allowed = differences[0].x, differences[0].band
-        axes.fill_between(x, -allowed, allowed, color=INK, alpha=0.16, linewidth=0)
-        for difference, dashes in zip(differences, LINES, strict=False):
-            style: Any = {"linewidth": 1.2, "linestyle": dashes}
-            axes.plot(difference.x, difference.values, color=colour, **style)
-            legend.setdefault(difference.words, Line2D([], [], color=INK, **style))
-        axes.set_title(label)
-        axes.ticklabel_format(axis="y", style="sci", scilimits=(-2, 2))
+    """Draw the differences of each curve, by its label, in a row between ``ends``.
+
+    ``band`` says in words what the band is.
+    """
+    shown = {label: differences for label, differences in rows.items() if differences}
+    style: Any = {"linewidth": 1.2}
+    legend: dict[str, Artist] = {
+        d.words: Line2D([], [], color=INK, linestyle=dashes, **style)
+        for differences in shown.values()
+        for d, dashes in zip(differences, LINES, strict=False)
+    }
     legend[band] = Line2D([], [], color=INK, alpha=0.16, linewidth=6)
-    _set_legend(figure, legend)
-    figure.supylabel(f"difference of $p({symbol_of(observable[0])})$", fontsize=9.5)
-    panels[-1].set_xlabel(words_of(observable[0]))
+    figure, panels = column_of_axes(len(shown), ROW if len(shown) > 1 else ALONE, legend, head=GAP)
+    for axes, (label, differences), colour in zip(
+        panels, shown.items(), cycle(COLOURS), strict=False
+    ):
+        x, allowed = differences[0].x, differences[0].band
+        unit, words = unit_of(max(np.abs([allowed, *(d.values for d in differences)]).ravel()))
+        axes.axhline(0.0, color=INK, linewidth=0.7)
+        axes.fill_between(x, -allowed / unit, allowed / unit, color=INK, alpha=0.16, linewidth=0)
+        for difference, dashes in zip(differences, LINES, strict=False):
+            axes.plot(x, difference.values / unit, color=colour, linestyle=dashes, **style)
+        axes.set_title(f"{label}   {words}".strip())
+        axes.locator_params(axis="y", nbins=4)
+    figure.supylabel(
+        f"difference of p({symbol_of(observable[0])})", fontsize=9.5, x=0.005, ha="left"
+    )
+    panels[-1].set(xlim=ends, xlabel=words_of(observable[0]))
     return figure
 
 
-def _points(
-    axes: Axes, sampled: SampledDensity, ends: tuple[float, float], style: dict[str, Any]
-) -> None:
-    few = joined(sampled, MARKERS)
-    x, inside = _middles(few, ends)
-    error = 2.0 * few.standard_error[inside]
-    axes.errorbar(x, few.values[inside], error, elinewidth=0.9, **style)
-
-
-def _middles(sampled: SampledDensity, ends: tuple[float, float]) -> tuple[Array, Any]:
-    """The middles of the bins between ``ends``, and which bins these are."""
+def _middles(sampled: SampledDensity, x: Array) -> tuple[Array, Any]:
+    """The middles of the bins between the ends of ``x``, and which bins these are."""
     edges = sampled.edges[0]
     middles = 0.5 * (edges[1:] + edges[:-1])
-    inside = (middles >= ends[0]) & (middles <= ends[1])
+    inside = (middles >= x[0]) & (middles <= x[-1])
     return middles[inside], inside
-
-
-def _set_legend(figure: Figure, legend: dict[str, Line2D]) -> None:
-    """Words above the picture, in as many columns as its width has room for."""
-    columns = 3 if max(map(len, legend)) <= LONGEST_OF_THREE else 2
-    handles, labels = list(legend.values()), list(legend)
-    figure.legend(handles, labels, loc="outside upper left", ncols=columns, columnspacing=1.6)

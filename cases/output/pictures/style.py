@@ -1,15 +1,14 @@
-"""Style of all pictures: ink, colours, which routes are drawn, words for axes."""
+"""Style of all pictures: ink and colours, words for axes, figures with fixed margins."""
 
-from collections.abc import Iterable
+from collections.abc import Mapping
+from math import floor, log10
 from typing import Any
 
-import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from cases.comparison.run import CurveOutcome
-from cases.output.grids import common_grid, values_on
-from fpk.density import AnyDensity, Density, SampledDensity
 from fpk.observable import Coordinate, Observable
-from fpk.route import Route
 
 INK = "#1a1b1e"
 """Colour of text and axes; the report replaces it by that of the page's text."""
@@ -22,12 +21,12 @@ STYLE: Any = {
     "font.size": 9.5,
     "mathtext.fontset": "dejavusans",
     "axes.facecolor": "none",
-    "axes.formatter.use_mathtext": True,
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
     "axes.titlecolor": INK,
     "axes.titlesize": 9.5,
     "axes.titlelocation": "left",
+    "axes.titley": 1.0,
     "axes.linewidth": 0.7,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -45,72 +44,69 @@ STYLE: Any = {
 SHOWN = 1e-3
 """Share of the largest value below which a linear axis shows nothing."""
 
-LINES: Any = ("-", (0, (6, 2)), (0, (6, 2, 1, 2)), (0, (1, 1)))
-"""Dashes of the lines of one curve, by its routes."""
+WIDTH = 6.6
+"""Width of a picture with one column of axes, in inches."""
 
-MARKS = {"full": "o", "averaged": "s"}
-"""Markers of samples, by what the route solves."""
+LEFT, RIGHT, FOOT, GAP, LEGEND_ROW = 0.66, 0.12, 0.5, 0.34, 0.19
+"""Margins beside and below the axes, the gap between two for a title, and the height of a row of
+the legend, in inches. Fixed, as to measure all words first costs a second drawing."""
+
+LONGEST_OF_THREE = 31
+"""Letters of the longest entry with which a legend of three columns fits."""
+
+SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def lines_of(curve: CurveOutcome, observable: Observable) -> list[Route]:
-    """Return the routes drawn as lines: an exact one, and of each averaged method its first.
+def column_of_axes(
+    rows: int, height: float, legend: Mapping[str, Artist], *, head: float
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure of ``rows`` axes over one x axis, ``height`` inches each, below a legend.
 
-    An averaged method that is exact itself is not drawn beside the exact density.
+    ``legend`` has the handles by their words; ``head`` is the space below it in inches.
     """
-    deterministic = [r for r in curve.densities(observable) if not r.sampled]
-    exact = [r for r in deterministic if r.solves == "full"][:1]
-    averaged: dict[str, Route] = {}
-    for route in deterministic:
-        if route.solves == "averaged" and not (exact and curve.is_exact(route)):
-            averaged.setdefault(route.method, route)
-    return [*exact, *averaged.values()]
+    columns = 3 if max(map(len, legend)) <= LONGEST_OF_THREE else 2
+    head += LEGEND_ROW * -(-len(legend) // columns)
+    total = head + rows * height + (rows - 1) * GAP + FOOT
+    figure = Figure(figsize=(WIDTH, total))
+    edges = {"left": LEFT / WIDTH, "right": 1.0 - RIGHT / WIDTH}
+    edges |= {"bottom": FOOT / total, "top": 1.0 - head / total, "hspace": GAP / height}
+    grid = figure.subplots(rows, 1, sharex=True, squeeze=False, gridspec_kw=edges)
+    figure.legend(
+        list(legend.values()), list(legend), loc="upper left", ncols=columns, columnspacing=1.6,
+        bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2,
+    )  # fmt: skip
+    return figure, list(grid[:, 0])
 
 
-def samples_of(curve: CurveOutcome, observable: Observable) -> dict[Route, SampledDensity]:
-    """Return the histograms of one observable by route."""
-    densities = curve.densities(observable).items()
-    return {r: d for r, d in densities if isinstance(d, SampledDensity)}
+def power_of_ten(exponent: int) -> str:
+    """Return 10 to the power ``exponent`` in plain characters."""
+    return f"10{str(exponent).translate(SUPERSCRIPTS)}"
 
 
-def simulation_of(curve: CurveOutcome, observable: Observable) -> SampledDensity | None:
-    """Return the histogram of the full system, None where it was not simulated."""
-    sampled = samples_of(curve, observable).items()
-    return next((d for r, d in sampled if r.solves == "full"), None)
+def unit_of(largest: float) -> tuple[float, str]:
+    """Return a power of ten that makes ``largest`` a short number, and words for it.
 
-
-def two_solvers(curve: CurveOutcome, observable: Observable) -> list[tuple[Route, Density]]:
-    """Return two deterministic answers to the same averaged equation, empty where there are none.
-
-    The one that states the larger error comes first.
+    1 and no words where the number is short already: 0.01 to 1000.
     """
-    answers: dict[str, list[tuple[Route, Density]]] = {}
-    for route, density in curve.densities(observable).items():
-        if route.solves == "averaged" and isinstance(density, Density):
-            answers.setdefault(route.method, []).append((route, density))
-    pair = next((pair[:2] for pair in answers.values() if len(pair) > 1), [])
-    return sorted(pair, key=lambda answer: -answer[1].l1_error)
+    exponent = floor(log10(largest)) if largest > 0.0 else 0
+    if -2 <= exponent < 3:
+        return 1.0, ""
+    return 10.0**exponent, f"(in units of {power_of_ten(exponent)})"
 
 
-def shown_range(densities: Iterable[AnyDensity]) -> tuple[float, float]:
-    """Where any of the densities exceeds ``SHOWN`` of its largest value."""
-    densities = list(densities)
-    x = common_grid(densities)[0]
-    counts = np.zeros(x.size, dtype=bool)
-    for density in densities:
-        value = values_on(density, x)[0]
-        counts |= value > SHOWN * value.max()
-    inside = np.flatnonzero(counts)
-    return float(x[max(inside[0] - 1, 0)]), float(x[min(inside[-1] + 1, x.size - 1)])
+def density_words(observable: Observable) -> str:
+    """Return the words for an axis of the density, as ``density p(q₂)``."""
+    return f"density p({', '.join(map(symbol_of, observable))})"
 
 
 def symbol_of(coordinate: Coordinate) -> str:
-    """Return the coordinate as mathtext without its dollars."""
-    index = "" if coordinate.index is None else f"_{{{coordinate.index + 1}}}"
-    return f"{coordinate.kind}{index}"
+    """Return the coordinate with its index as a subscript."""
+    return str(coordinate).translate(SUBSCRIPTS)
 
 
 def words_of(coordinate: Coordinate) -> str:
     """Return the coordinate in words with its symbol."""
     words = {"q": "displacement", "p": "momentum", "H": "energy"}[coordinate.kind]
     modal = "modal " if coordinate.kind == "H" and coordinate.index is not None else ""
-    return f"{modal}{words} ${symbol_of(coordinate)}$"
+    return f"{modal}{words} {symbol_of(coordinate)}"

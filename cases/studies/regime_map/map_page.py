@@ -63,7 +63,7 @@ def map_page(result: RegimeMap) -> Page:
 def regime_figure(result: RegimeMap) -> Figure:
     """Draw a map over one parameter as curves, over two as fields."""
     data = result.dataset()
-    words = f"$L_1$ distance of $p({symbol_of(result.observable[0])})$ to the full system"
+    words = f"L₁ distance of p({symbol_of(result.observable[0])}) to the full system"
     if len(result.axes) == 2:
         with mpl.rc_context(dict(STYLE)):
             return _fields(result, data, words)

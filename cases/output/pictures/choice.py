@@ -1,0 +1,42 @@
+"""Which answers of a curve are drawn: lines, samples, two solvers of one equation."""
+
+from cases.comparison.run import CurveOutcome
+from fpk.density import Density, SampledDensity
+from fpk.observable import Observable
+from fpk.route import Route
+
+
+def lines_of(curve: CurveOutcome, observable: Observable) -> dict[Route, Density]:
+    """Return the densities drawn as lines: an exact one, and of each averaged method its first.
+
+    An averaged method that is exact itself is not drawn beside the exact density.
+    """
+    densities = curve.densities(observable).items()
+    functions = {r: d for r, d in densities if isinstance(d, Density)}
+    drawn: dict[str, Route] = {}
+    for route in sorted(functions, key=lambda r: r.solves != "full"):
+        if route.solves == "full":
+            drawn.setdefault("", route)
+        elif "" not in drawn or not curve.is_exact(route):
+            drawn.setdefault(route.method, route)
+    return {route: functions[route] for route in drawn.values()}
+
+
+def samples_of(curve: CurveOutcome, observable: Observable) -> dict[Route, SampledDensity]:
+    """Return the histograms of one observable, that of the full system first."""
+    densities = curve.densities(observable).items()
+    sampled = {r: d for r, d in densities if isinstance(d, SampledDensity)}
+    return dict(sorted(sampled.items(), key=lambda answer: answer[0].solves != "full"))
+
+
+def two_solvers(curve: CurveOutcome, observable: Observable) -> list[tuple[Route, Density]]:
+    """Return two deterministic answers to the same averaged equation, empty where there are none.
+
+    The one that states the larger error comes first.
+    """
+    answers: dict[str, list[tuple[Route, Density]]] = {}
+    for route, density in curve.densities(observable).items():
+        if route.solves == "averaged" and isinstance(density, Density):
+            answers.setdefault(route.method, []).append((route, density))
+    pair = next((pair[:2] for pair in answers.values() if len(pair) > 1), [])
+    return sorted(pair, key=lambda answer: -answer[1].l1_error)
