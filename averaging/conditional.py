@@ -54,11 +54,11 @@ def conditional(system: System, mass: int, given: Sequence[int]) -> Conditional:
     flexibility = 1.0 / system.stiffness
     weights = np.zeros(len(given))
     below = max((k for k in given if k < mass), default=-1)
-    left = 1.0 / float(np.sum(flexibility[below + 1 : mass + 1]))
+    left = 1.0 / float(flexibility[below + 1 : mass + 1].sum())
     precision = left
     above = min((k for k in given if k > mass), default=None)
     if above is not None:
-        right = 1.0 / float(np.sum(flexibility[mass + 1 : above + 1]))
+        right = 1.0 / float(flexibility[mass + 1 : above + 1].sum())
         precision = left + right
         weights[list(given).index(above)] = right / precision
     if below >= 0:

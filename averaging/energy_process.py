@@ -28,11 +28,9 @@ def damping_and_noise(system: System) -> tuple[float, float]:
 
     Off-diagonal entries drop out of the average ⟨v_i v_j⟩ = δ_ij τ/m_i.
     """
-    damping, noise = (
-        float(np.sum(np.diag(matrix) / system.mass))
-        for matrix in (system.damping, system.noise_matrix)
-    )
-    return damping, noise
+    mobility = 1.0 / system.mass
+    damping = system.damping.diagonal() @ mobility
+    return float(damping), float(system.noise_matrix.diagonal() @ mobility)
 
 
 def energy_process(system: System) -> Process:
@@ -53,8 +51,8 @@ def energy_process(system: System) -> Process:
 
 
 def _energy_process(system: System) -> Process:
-    scale, n = _energy_scale(system), system.n
     damping, noise = damping_and_noise(system)
+    scale, n = _energy_scale(system, damping, noise), system.n
 
     def coefficients(energy: Array) -> Coefficients:
         ratios = shell_ratios(system, energy)
@@ -86,9 +84,8 @@ def _energy_process(system: System) -> Process:
     )
 
 
-def _energy_scale(system: System) -> float:
+def _energy_scale(system: System, damping: float, noise: float) -> float:
     """An energy of the order of the mean: n times the temperature, or where damping takes over."""
-    damping, noise = damping_and_noise(system)
     if len(system.contact_masses) > MOST_CONTACT_MASSES:
         raise NotApplicable(
             f"{len(system.contact_masses)} contact masses: energy shells are integrated over"

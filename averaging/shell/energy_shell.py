@@ -82,7 +82,13 @@ class EnergyShell:
         They are the minima of V_red where one stop is just touched, H_c = ½ k_eff δ² with no other
         in the way, and for two contact masses also where two are: each more adds half a derivative.
         """
-        energies = [self._lowest(row, d) for row, d in zip(*self.stops[:2], strict=True)]
+        rows = self.stops.rows
+        feet = (self.stops.clearance / (rows * rows).sum(axis=1))[:, None] * rows
+        energies = self.potential(feet).tolist()
+        if self.count > 1:
+            springs = 0.5 * (feet * feet).sum(axis=1) * (1.0 + SAME)
+            for k in np.flatnonzero(np.array(energies) > springs):
+                energies[k] = self._lowest(feet[k], rows[k])
         if self.count == 2:
             energies += self.potential(self.corners).tolist()
         distinct: list[float] = []
@@ -91,12 +97,8 @@ class EnergyShell:
                 distinct.append(H)
         return tuple(distinct)
 
-    def _lowest(self, row: Array, clearance: float) -> float:
-        """The minimum of V_red over the plane ``row @ y = clearance``."""
-        foot = clearance * row / (row @ row)
-        lowest = float(self.potential(foot))
-        if self.count == 1 or lowest <= 0.5 * float(foot @ foot) * (1.0 + SAME):
-            return lowest
+    def _lowest(self, foot: Array, row: Array) -> float:
+        """The minimum of V_red over the plane through ``foot`` across ``row``."""
         free = np.linalg.svd(row[None])[2][1:].T
 
         def energy(t: Array) -> float:
@@ -118,12 +120,13 @@ def _energy_shell(system: System) -> EnergyShell:
     their stiffness, ½ qᵀ K_red q is ½|y|², and nothing cancels at any ratio of the springs.
     """
     masses, stops = system.contact_masses, system.stops
-    stiffness = [law.precision for law in conditionals(system, masses)]
-    L: Array = np.tril(np.ones((len(masses), len(masses)))) / np.sqrt(stiffness)
+    reach = [law.precision**-0.5 for law in conditionals(system, masses)]
+    c = len(masses)
+    L = np.array([[x * (j <= i) for j, x in enumerate(reach)] for i in range(c)]).reshape(c, c)
     rows = [side_sign(stop) * L[masses.index(stop.index)] for stop in stops]
     laws = sorted({stop.law for stop in stops})
     compiled = Stops(
-        rows=np.array(rows).reshape(len(stops), len(masses)),
+        rows=np.array(rows).reshape(len(stops), c),
         clearance=np.array([stop.clearance for stop in stops], dtype=float),
         stiffness=np.array([stop.stiffness for stop in stops], dtype=float),
         exponent=np.array([stop.power for stop in stops], dtype=float),

@@ -86,7 +86,7 @@ def shell_integrals(
         # A sum that is no number is refined, too.
         met = error <= target
         if met.all():
-            break
+            return fine, error
         i = np.flatnonzero(~met.all(axis=1))
         finer = sums(i, rule, 1)[0]
         error[i] = np.abs(fine[i] - finer) / size(finer) + floor

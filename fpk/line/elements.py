@@ -38,8 +38,8 @@ class Rule(NamedTuple):
     """Points of an element in [0, 1], and the Legendre polynomials P_j there.
 
     At the Gauss points ``share`` with ``weight`` the flux is tested, for the answer and for the
-    enriched solution; ``P`` and ``slope`` (points, degree + 3) are values and derivatives, and
-    ``tested`` (2, points, tests · (degree + 3)) those times each of the degree + 2 tests. The mass
+    enriched solution; ``P`` (degree + 3, 2, points) are values and derivatives, and ``tested``
+    (2 · points, tests · (degree + 3)) those times each of the degree + 2 tests. The mass
     of the enriched solution is the sum with ``enriched_weight``, an interpolation at all points but
     one: how far the two masses differ shows what T lacks of being a polynomial, and exceeds the
     error of the Gauss rule.
@@ -58,7 +58,6 @@ class Rule(NamedTuple):
     weight: Array
     enriched_weight: Array
     P: Array
-    slope: Array
     tested: Array
     padding: NDArray[np.intp]
     padded_weight: Array
@@ -73,16 +72,17 @@ def element_rule(degree: int) -> Rule:
     share, weight = _gauss(degree + ENRICHMENT + 2)
     count, highest = degree + 2 + CONTACT_POINTS, degree + ENRICHMENT
     t, w = (np.concatenate(x) for x in zip(_gauss(count), _gauss(2 * count - 2), strict=True))
-    P = np.ascontiguousarray(legvander(2.0 * share - 1.0, highest), dtype=float)
-    slope = 2.0 * P[:, :-1] @ legder(np.eye(highest + 1))
-    tests = P[:, :-1, None]
+    value = legvander(2.0 * share - 1.0, highest)
+    slope = 2.0 * value[:, :-1] @ legder(np.eye(highest + 1))
+    tests = value[:, :-1, None]
     return Rule(
         share=share,
         weight=weight,
         enriched_weight=_without_one(share),
-        P=P,
-        slope=slope,
-        tested=np.array([(tests * f[:, None]).reshape(share.size, -1) for f in (P, slope)]),
+        P=np.array([value.T, slope.T]).swapaxes(0, 1).copy(),
+        tested=np.concatenate(
+            [(tests * f[:, None]).reshape(share.size, -1) for f in (value, slope)]
+        ),
         padding=np.minimum(np.arange(count), share.size - 1),
         padded_weight=np.append(weight, np.zeros(count - share.size)),
         contact_share=t**3,
@@ -167,20 +167,25 @@ def solve_elements(
         T, inner_T = np.ones(energy.shape), np.ones(inner.shape)
         F = c.drift - 0.5 * c.divergence
         error += c.slope_error.max(axis=1)
-    # J h = alpha u + beta du/dt at the Gauss points, t from 0 to 1 over the element.
-    alpha, beta = h * rule.weight * T * F, -0.5 * rule.weight * T * c.diffusion
-    A = (alpha @ rule.tested[0] + beta @ rule.tested[1]).reshape(left.size, -1, degree + 3)
+    # J h = factors · (u, du/dt) at the Gauss points, t from 0 to 1 over the element.
+    factors = np.empty((left.size, 2, rule.share.size))
+    factors[:] = (rule.weight * T)[:, None]
+    factors[:, 0] *= h * F
+    factors[:, 1] *= -0.5 * c.diffusion
+    A = (factors.reshape(left.size, -1) @ rule.tested).reshape(left.size, -1, degree + 3)
     A /= np.maximum(np.abs(A).max(axis=2, keepdims=True), TINY)
     u, enriched = _null_vectors(A, degree), _null_vectors(A, degree + ENRICHMENT)
     equations, column = A[:, :degree], u[:, :, None]
     residual = np.abs(equations @ column).max(axis=(1, 2))
     # All terms are zero where an element is so short that the damping in it underflows.
     residual /= np.maximum((np.abs(equations) @ np.abs(column)).max(axis=(1, 2)), TINY)
-    value, change = u @ rule.P.T, u @ rule.slope.T
-    net = (alpha * value + beta * change).sum(axis=1)
+    value = (u @ rule.P.reshape(degree + 3, -1)).reshape(factors.shape)
+    net = (factors * value).sum(axis=(1, 2))
     # In a short element both parts of J are small beside the terms that make up u'.
-    parts = np.abs(alpha * value) + np.abs(beta) * (np.abs(change) + np.abs(value))
-    p, better = T * value, T * (enriched @ rule.P.T)
+    factors, sizes = np.abs(factors), np.abs(value)
+    sizes[:, 1] += sizes[:, 0]
+    parts = (factors * sizes).sum(axis=(1, 2))
+    p, better = T * value[:, 0], T * (enriched @ rule.P[:, 0])
     enriched_mass = h[:, 0] * (better @ rule.enriched_weight)
     p, better = p[:, rule.padding], better[:, rule.padding]
     weights = h * rule.padded_weight
@@ -205,7 +210,7 @@ def solve_elements(
         weights=weights,
         residual=residual,
         net_flux=np.abs(net / mass) / h[:, 0],
-        one_way=np.abs(parts.sum(axis=1) / mass) / h[:, 0],
+        one_way=np.abs(parts / mass) / h[:, 0],
         at_end=T_end * u.sum(axis=1) / mass,
     )
 

@@ -8,14 +8,22 @@ natural. The equation is solved from its coefficients alone, never from the know
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fpk.certificate import NEGATIVE, Certificate, Measured, certify
 from fpk.errors import NotCertified
-from fpk.line.elements import ENRICHMENT, TINY, Elements, Form, joined, solve_elements
+from fpk.line.elements import (
+    ENRICHMENT,
+    TINY,
+    Elements,
+    Form,
+    element_rule,
+    joined,
+    solve_elements,
+)
 from fpk.line.mesh import (
     DEEP_LAYERS,
     GRADED_LAYERS,
@@ -128,8 +136,28 @@ class StationarySolution:
             ],
             axis=0,
         )
-        floor = self.common_error + self.measured.tail_mass + ROUND_OFF * self.nodes.size
-        return np.asarray(SAFETY * distance + floor * np.abs(self.answer(x, log_factor=factor)))
+        floor = self.common_error + self.measured.tail_mass
+        error = SAFETY * distance + floor * np.abs(self.answer(x, log_factor=factor))
+        return np.asarray(error + np.exp(np.interp(x, *self._log_round_off) + factor))
+
+    @cached_property
+    def _log_round_off(self) -> tuple[Array, Array]:
+        """Energies, and the logarithm of the round-off of u there.
+
+        Elimination of ``degree`` unknowns leaves a rounding each of the largest p in the element,
+        everywhere in it, and the answer and the enriched solution have it alike. At a node where p
+        is much less it spoils the scale of all elements on the side of less mass.
+        """
+        share = element_rule(self.degree).share
+        x = self.nodes[:-1, None] + np.diff(self.nodes)[:, None] * share
+        log_T = _log_factor(self.process, self.form, x, of_p=True, last=self.nodes[-1])
+        p = np.abs(self.answer(x, log_factor=log_T))
+        most = self.degree * p.max(axis=1)
+        at_nodes = np.maximum(np.abs(self.density(self.nodes[1:-1])), TINY)
+        total = np.append(0.0, np.cumsum((most[:-1] + most[1:]) / at_nodes))
+        relative = self.nodes.size + np.abs(total - total[most.argmax()])
+        error = ROUND_OFF * (most[:, None] + relative[:, None] * p)
+        return x.ravel(), (np.log(np.maximum(error, TINY)) - log_T).ravel()
 
 
 def _log_factor(process: Process, form: Form, energy: Array, *, of_p: bool, last: float) -> Array:
@@ -192,7 +220,7 @@ def _assembled(
     process: Process, probe: Probe, e: Elements, degree: int, form: Form, tol: float
 ) -> tuple[StationarySolution, NDArray[np.bool_]]:
     """Return the elements scaled to one density, judged, and which of them to cut in two."""
-    nodes = np.append(e.left, e.right[-1])
+    nodes = np.concatenate([e.left, e.right[-1:]])
     sign, log_scale, log_mass, share = _chained([e.u, e.enriched], e.log_factor)
     p, better = share[0, :, None] * e.values, share[1, :, None] * e.enriched_values
     difference = np.abs(p - better)
@@ -262,12 +290,12 @@ def _chained(series: Sequence[Array], log_factor: Array) -> tuple[Array, Array, 
     log_scale, sign = np.zeros(ends.shape[:2]), np.ones(ends.shape[:2])
     size = np.maximum(np.abs(ends), TINY)
     np.log(size[:, :-1, 1] / size[:, 1:, 0]).cumsum(axis=1, out=log_scale[:, 1:])
-    turned = (ends[:, :-1, 1] < 0.0) != (ends[:, 1:, 0] < 0.0)
-    (1.0 - 2.0 * turned).cumprod(axis=1, out=sign[:, 1:])
     log_mass = log_scale + log_factor
-    top, every = log_mass.argmax(axis=1), range(len(series))
-    sign *= sign[every, top][:, None]
-    highest = log_mass[every, top][:, None]
+    highest = log_mass.max(axis=1, keepdims=True)
+    if (ends < 0.0).any():
+        turned = (ends[:, :-1, 1] < 0.0) != (ends[:, 1:, 0] < 0.0)
+        (1.0 - 2.0 * turned).cumprod(axis=1, out=sign[:, 1:])
+        sign *= np.take_along_axis(sign, log_mass.argmax(axis=1, keepdims=True), axis=1)
     share = sign * np.exp(log_mass - highest)
     total = share.sum(axis=1, keepdims=True)
     highest += np.log(total)
