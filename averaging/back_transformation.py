@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from averaging.conditional import conditionals, overlap_at
 from averaging.energy_density import EnergyDensity, Part
-from averaging.hidden import HiddenIntegral, overlaps
+from averaging.hidden import RULES, HiddenIntegral, overlaps
 from averaging.shell.energy_shell import energy_shell
 from fpk.contact import Contact
 from fpk.density import Density, certified_density
@@ -20,9 +20,6 @@ from fpk.system import System
 
 Array = NDArray[np.float64]
 
-POINTS = {0: (1, 1), 1: (10, 14), 2: (8, 10)}
-"""Gauss points per panel over 0, 1 or 2 contact masses that are not observed, and of a finer rule:
-the answer is that of the finer one, the distance between the two its error."""
 TIED = 0.2
 """Width of a displacement given another one, relative to its own, below which the joint density is
 a ridge that panels of one thermal displacement do not resolve."""
@@ -57,7 +54,7 @@ def back_transformed(source: EnergyDensity, observable: Observable, *, tol: floa
         """Error of integrating out: tables of Weyl integrals, quadrature over hidden masses."""
         error = marginal(*x, part="table")
         if hidden:
-            error = error + np.abs(marginal(*x) - marginal(*x, points=POINTS[hidden][0]))
+            error = error + np.abs(marginal(*x) - marginal(*x, points=RULES[hidden][0]))
         return error
 
     end = float(source.nodes[-1])
@@ -100,7 +97,7 @@ def _marginal(source: EnergyDensity, observable: Observable) -> Callable[..., Ar
         - np.sum(np.log(system.stiffness))
     )
 
-    def marginal(*x: Array, part: Part = "value", points: int = POINTS[len(hidden)][1]) -> Array:
+    def marginal(*x: Array, part: Part = "value", points: int = RULES[len(hidden)][1]) -> Array:
         arrays = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in x))
         flat: dict[str, list[Array]] = {c.kind: [] for c in observable}
         for c, a in zip(observable, arrays, strict=True):

@@ -22,31 +22,25 @@ BETWEEN = 65
 
 @dataclass(frozen=True, eq=False)
 class Conditional:
-    """Law of one displacement given some others of a chain: ½ a (q − Σ w_k q_k)², and its stops.
+    """Law of one displacement of a chain given some others: ½ a (q − Σ w_k q_k)² + U(q).
 
     ``mass`` counts from 0; ``precision`` is a, the stiffness of the springs to the neighbours among
     the others, in series; ``weights`` (others,) are the w_k.
     """
 
+    system: System
     mass: int
     precision: float
     weights: Array
-    stops: tuple[Contact, ...]
+
+    @property
+    def stops(self) -> tuple[Contact, ...]:
+        """The one-sided stops of the mass."""
+        return tuple(stop for stop in self.system.stops if stop.index == self.mass)
 
     def energy(self, q: Array, mean: Array) -> Array:
         """½ a (q − mean)² + U(q)."""
-        energy = 0.5 * self.precision * (q - mean) ** 2
-        for stop in self.stops:
-            energy = energy + stop.energy(np.maximum(side_sign(stop) * q - stop.clearance, 0.0))
-        return np.asarray(energy)
-
-    def contact_force(self, q: Array) -> Array:
-        """U'(q)."""
-        force = np.zeros_like(q)
-        for stop in self.stops:
-            overlap = np.maximum(side_sign(stop) * q - stop.clearance, 0.0)
-            force = force + side_sign(stop) * stop.force(overlap)
-        return force
+        return 0.5 * self.precision * (q - mean) ** 2 + self.system.contact_energy(self.mass, q)
 
 
 def conditional(system: System, mass: int, given: Sequence[int]) -> Conditional:
@@ -63,8 +57,7 @@ def conditional(system: System, mass: int, given: Sequence[int]) -> Conditional:
         weights[list(given).index(above)] = right / precision
     if below >= 0:
         weights[list(given).index(below)] = left / precision
-    stops = tuple(stop for stop in system.stops if stop.index == mass)
-    return Conditional(mass, precision, weights, stops)
+    return Conditional(system, mass, precision, weights)
 
 
 def conditionals(system: System, masses: Sequence[int]) -> tuple[Conditional, ...]:

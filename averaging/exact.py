@@ -6,17 +6,12 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
-import scipy  # its parts are loaded at their first use: scipy.integrate takes long to import
 from numpy.typing import NDArray
 
-from averaging.back_transformation import POINTS, back_transformed
-from averaging.conditional import conditionals
-from averaging.energy_density import EnergyDensity, gibbs
+from averaging.back_transformation import back_transformed
+from averaging.closed_form import energy_closed_form
 from averaging.energy_process import energy_process
-from averaging.hidden import DEPTH, HiddenIntegral
 from averaging.nonintegrable import energy_only_refusal
-from averaging.polynomial_rate import density_of_rate
-from averaging.shell.energy_shell import energy_shell
 from fpk.errors import NotApplicable
 from fpk.method import Method, Plan, Progress, Result, check_solver
 from fpk.observable import Observable
@@ -27,10 +22,6 @@ Array = NDArray[np.float64]
 
 PROPORTION_SLACK = 1e-12
 """Relative departure from 2 c = h b that counts as round-off of the input."""
-ROUND_OFF = 2e-15
-"""Relative error of a sum of thousands of positive terms."""
-CUBATURE_TOLERANCE = 1e-8
-"""Relative tolerance of the norm for three or more contact masses: a second or so."""
 
 
 def compatibility(system: System) -> Array:
@@ -107,7 +98,10 @@ class Exact(Method):
             settings[f"h, H^{power}"] = float(coefficient)
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
-            source = exact_energy_density(system)
+            # u solves the full equation where (8) holds: what is left of (8) is the residual.
+            constant, D = _by_energy(system)[0], h[0] * system.noise_matrix
+            left = float(np.max(np.abs(constant - D)) / np.max(np.abs(D)))
+            source = energy_closed_form(system, h, residual=None if h.size > 1 else left)
             densities = tuple(back_transformed(source, o, tol=self.tol) for o in observables)
             return Result(self, densities, settings=settings)
 
@@ -116,60 +110,6 @@ class Exact(Method):
     def refined(self) -> Self:
         """Return itself: there is nothing to refine."""
         return self
-
-
-def exact_energy_density(system: System) -> EnergyDensity:
-    """Return the normalised u(H) = C exp(−∫h dH), Eqs. (7), (22)."""
-    rate = compatibility(system)
-    process = energy_process(system)
-    if rate.size > 1:
-        return density_of_rate(system, process, rate)
-    h = float(rate[0])
-    log_integral, error = _log_configuration_integral(system, h)
-    # Momenta give Π √(2π m_i/h), the displacements without contact (2π/h)^½ each over √det K_ff.
-    log_norm = -0.5 * float(np.sum(np.log(2.0 * np.pi * system.mass / h))) - log_integral
-    # u solves the full equation where (8) holds: what is left of it is the residual.
-    D = system.noise_matrix
-    left = float(np.max(np.abs(_by_energy(system)[0] - h * D)) / np.max(np.abs(h * D)))
-    return gibbs(
-        system,
-        process,
-        h,
-        log_norm,
-        error=error,
-        residual=left,
-    )
-
-
-def _log_configuration_integral(system: System, h: float) -> tuple[float, float]:
-    """Return ln ∫exp(−h V) dq over all displacements, and its relative error."""
-    laws = conditionals(system, system.contact_masses)
-    # The masses without contact leave (2π/h)^½ each over √det K_ff, det K_ff = det K / det K_red.
-    constant = 0.5 * (system.n - len(laws)) * np.log(2.0 * np.pi / h)
-    constant -= 0.5 * float(np.sum(np.log(system.stiffness)))
-    if len(laws) > 2:
-        integral, error = _whitened_cubature(system, h)
-        return constant + np.log(integral), error / integral
-    constant += 0.5 * float(np.sum(np.log([law.precision for law in laws])))
-    hidden = HiddenIntegral(laws, 1.0 / h, DEPTH / h)
-    coarse, fine = (
-        float(hidden(lambda V: np.exp(-h * V), np.zeros(1), np.zeros((0, 1)), points=points)[0])
-        for points in POINTS[len(laws)]
-    )
-    return constant + float(np.log(fine)), abs(coarse / fine - 1.0) + ROUND_OFF
-
-
-def _whitened_cubature(system: System, h: float) -> tuple[float, float]:
-    """Return ∫exp(−h V_red) dy and its error, where V_red >= ½|y|²: one scale in all directions."""
-    shell = energy_shell(system)
-    reach = np.full(shell.count, np.sqrt(2.0 * DEPTH / h))
-
-    def weight(y: Array) -> Array:
-        return np.asarray(np.exp(-h * shell.potential(y)))
-
-    # A rule of few points in a wide box can miss where the weight is: it has 15 along each axis.
-    result = scipy.integrate.cubature(weight, -reach, reach, rtol=CUBATURE_TOLERANCE, rule="gk15")
-    return float(result.estimate), float(result.error)
 
 
 register(

@@ -8,9 +8,9 @@ from typing import Literal, Self, get_args
 import numpy as np
 
 from averaging.back_transformation import back_transformed
+from averaging.closed_form import averaged_density, averaged_rate
 from averaging.energy_density import EnergyDensity
 from averaging.energy_process import energy_process
-from averaging.polynomial_rate import averaged_density, averaged_rate
 from averaging.quadrature import QuadratureSolution, solve_by_quadrature
 from averaging.shell.ratios import log_linear_states
 from averaging.weyl import tabulated
@@ -69,7 +69,7 @@ class NonIntegrable(Method):
     def _energy_density(self, system: System) -> tuple[EnergyDensity, Settings]:
         process = energy_process(system)
         if self.solver == "closed-form":
-            return averaged_density(system, process), {"equation": "(29)"}
+            return averaged_density(system), {"equation": "(29)"}
         solution: StationarySolution | QuadratureSolution
         settings: Settings = {"equation": "(11)"}
         if self.solver == "quadrature":

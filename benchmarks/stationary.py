@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from report import machine, markdown_table
 
-from averaging.energy_density import averaged_closed_form
+from averaging.closed_form import averaged_density
 from averaging.energy_process import energy_process
 from averaging.quadrature import solve_by_quadrature
 from cases.scene.scene import load_scene
@@ -72,7 +72,7 @@ def median_ms(work: Callable[[], object]) -> float:
 
 def l1_error(density: Callable[[Array], Array], system: System, nodes: Array) -> float:
     """Return ∫|p − p_(29)| over the panels of both."""
-    reference = averaged_closed_form(system, energy_process(system))
+    reference = averaged_density(system)
     x, w = panel_rule(np.unique(np.concatenate([nodes, reference.nodes])), 24)
     return float(np.sum(w * np.abs(density(x) - reference.energy_pdf(x))))
 

@@ -4,21 +4,16 @@ from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
-from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from averaging.energy_density import TAIL, closed_form_measured
+from averaging.closed_form import ClosedForm, closed_form
 from averaging.modal.analysis import ModalAnalysis
 from averaging.quadrature import solve_by_quadrature
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
-from fpk.line.mesh import initial_nodes
 from fpk.line.stationary import solve_stationary
 from fpk.observable import Coordinate
 from fpk.plane.stationary import solve_plane
-from fpk.probe import probed
-from fpk.process import Process
-from fpk.quadrature import panel_rule
 
 Array = NDArray[np.float64]
 Group = tuple[int, ...]
@@ -27,8 +22,7 @@ Solved = tuple[tuple[Array, ...], Callable[..., Array], Callable[..., Array], Me
 """Panels, density, its error at points, and what was measured on it."""
 
 POINTS = 24
-"""Gauss points per panel of the integrals of a closed form: over three e-folds they miss 1e-30."""
-EPS = float(np.finfo(float).eps)
+"""Gauss points per panel where an energy is integrated out: over three e-folds they miss 1e-30."""
 
 
 def unsolved(modes: ModalAnalysis, solver: Solver) -> str | None:
@@ -80,49 +74,24 @@ def _solved(modes: ModalAnalysis, group: Group, solver: Solver, tol: float) -> S
         plane = solve_plane(process, tol=tol)
         return plane.nodes, plane.density, plane.pointwise_error, plane.measured
     if solver == "closed-form":
-        return _closed_form(modes, group[0], process)
+        return _closed_form(
+            closed_form(process, modes.averaged.powers(*group) / modes.noise[group])
+        )
     line = (solve_stationary if solver == "fem" else solve_by_quadrature)(process, tol=tol)
     return (line.nodes,), line.density, line.pointwise_error, line.measured
 
 
-def _closed_form(modes: ModalAnalysis, mode: int, process: Process) -> Solved:
-    """p(H) = C exp(−∫γ(H)/d dH) of a mode whose damping depends on its energy alone.
-
-    b ~ H and a constant period make (11) elementary but for C, which is a Gauss rule over panels;
-    its error is the difference from a rule of half as many points, and a bound of the tail. With
-    constant damping it is e^(−H/θ)/θ, Eq. (34) with the exponent −c*_ii H_i/d_i.
-    """
-    probe = probed(process)
-    nodes = initial_nodes(probe, probe.extent(TAIL), ())
-    exponent = polynomial.polyint(-modes.averaged.powers(mode) / modes.noise[mode])
-
-    def log_norm(points: int) -> float:
-        x, w = panel_rule(nodes, points)
-        terms = polynomial.polyval(x, exponent)
-        return float(terms.max() + np.log(np.sum(w * np.exp(terms - terms.max()))))
-
-    exponent[0] = -log_norm(POINTS)
-    relative = abs(log_norm(POINTS // 2))
-
-    def log_p(energy: Array) -> Array:
-        return np.asarray(polynomial.polyval(energy, exponent))
-
-    def round_off(energy: Array) -> Array:
-        """Round-off of ln p, relative to the sum of the absolute values of its terms."""
-        return np.asarray(2.0 * EPS * polynomial.polyval(np.abs(energy), np.abs(exponent)))
-
-    x, w = panel_rule(nodes, POINTS)
-    relative += EPS * (4.0 + nodes.size) + float(np.sum(w * np.exp(log_p(x)) * round_off(x)))
-    _, measured = closed_form_measured(process, log_p, error=relative)
+def _closed_form(form: ClosedForm) -> Solved:
+    """p(H) of a mode whose damping depends on its energy alone; T is its period, a constant."""
+    end = form.nodes[-1]
 
     def pdf(energy: Array) -> Array:
-        inside = (energy >= 0.0) & (energy <= nodes[-1])
-        return np.where(inside, np.exp(log_p(np.clip(energy, 0.0, nodes[-1]))), 0.0)
+        return np.where((energy >= 0.0) & (energy <= end), np.exp(form.log_u(energy)), 0.0)
 
     def error(energy: Array) -> Array:
-        return np.asarray((measured.l1_error + round_off(energy)) * pdf(energy))
+        return form.relative_error(energy) * pdf(energy)
 
-    return (nodes,), pdf, error, measured
+    return (form.nodes,), pdf, error, form.measured
 
 
 def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:

@@ -16,8 +16,8 @@ from coupled import Mixture
 from numpy.typing import NDArray
 from vanderpol import Averaged
 
-from averaging.energy_density import EnergyDensity, averaged_closed_form
-from averaging.energy_process import energy_process
+from averaging.closed_form import averaged_density
+from averaging.energy_density import EnergyDensity
 from averaging.modal.analysis import modal_analysis
 from fpk.contact import Contact
 from fpk.process import Process
@@ -83,7 +83,7 @@ class Line:
     def closed_form(self) -> EnergyDensity:
         """The closed form (29)."""
         system = self.system
-        return averaged_closed_form(system, energy_process(system))
+        return averaged_density(system)
 
     def exact(self, points: Array) -> Array:
         """p(H) of (29) at points (1, ...)."""

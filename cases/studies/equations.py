@@ -4,13 +4,13 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from averaging.closed_form import averaged_density
 from averaging.energy_process import energy_process
 from averaging.integrable import Integrable
 from averaging.modal.analysis import modal_analysis
 from averaging.modal.observables import modal_densities
 from averaging.modal.resonance import require_no_resonance
 from averaging.nonintegrable import NonIntegrable
-from averaging.polynomial_rate import averaged_density
 from averaging.quadrature import POINTS, solve_by_quadrature
 from cases.studies.answer import Answer, Nodes
 from cases.studies.levels import Equation
@@ -47,7 +47,7 @@ def energy_equation(system: System) -> Equation:
     """
     process, clock = energy_process(system), Clock()
     try:
-        closed = averaged_density(system, process)
+        closed = averaged_density(system)
         reference = Answer((closed.nodes,), closed.energy_pdf, closed.l1_error)
         words = "closed form (29)"
     except NotApplicable:

@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from scipy.linalg import eigvalsh
 from scipy.special import gamma as gamma_function
 
-from averaging.energy_density import averaged_closed_form
+from averaging.closed_form import averaged_density
 from averaging.energy_process import energy_process
 from averaging.exact import Exact, compatibility
 from averaging.gaussian import Linear
@@ -337,7 +337,7 @@ def test_refinement_tightens_the_tolerance():
     )
     assert fine.l1_error < coarse.l1_error
     system = fig6(both(10.0))
-    reference = averaged_closed_form(system, energy_process(system))
+    reference = averaged_density(system)
     (exact,) = solved(NonIntegrable(solver="closed-form"), system, "H")
     assert l1_distance(fine, exact) <= fine.l1_error + reference.l1_error
 

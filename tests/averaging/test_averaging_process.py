@@ -6,7 +6,7 @@ from averaging_systems import SKEW, TWO_MASSES, both, chain, fig6, integral
 from scipy.integrate import dblquad, quad
 from scipy.optimize import brentq
 
-from averaging.energy_density import averaged_closed_form
+from averaging.closed_form import averaged_density
 from averaging.energy_process import damping_and_noise, energy_process
 from averaging.quadrature import solve_by_quadrature
 from averaging.shell.ratios import log_linear_states, shell_ratios
@@ -151,7 +151,7 @@ def test_units_do_not_matter():
         np.testing.assert_allclose(d.drift, c.drift * E / t, rtol=1e-10)
         np.testing.assert_allclose(d.diffusion, c.diffusion * E**2 / t, rtol=1e-10)
         np.testing.assert_allclose(d.divergence, c.divergence * E / t, rtol=1e-10)
-        u, v = averaged_closed_form(one, p), averaged_closed_form(two, q)
+        u, v = averaged_density(one), averaged_density(two)
         np.testing.assert_allclose(v.energy_pdf(E * energy) * E, u.energy_pdf(energy), rtol=1e-10)
 
 
@@ -175,7 +175,7 @@ def test_the_printed_sign_of_eq_11_fails(name):
     process = energy_process(system)
     nodes = process.energy_scale * np.geomspace(1e-3, 10.0, 1500)
     nodes = np.union1d(nodes, process.nonsmooth)
-    reference = averaged_closed_form(system, process).energy_pdf(nodes)
+    reference = averaged_density(system).energy_pdf(nodes)
     reference = reference / np.trapezoid(reference, nodes)
     # Gauss panels of 0.6 % width: 1e-12 each, graded to contact by the density of the nodes.
     np.testing.assert_allclose(eq_11(process, nodes, +1.0), reference, rtol=1e-8)
@@ -200,7 +200,7 @@ def test_the_printed_sign_of_eq_28_is_not_confined():
 def test_eq_29_needs_the_masses():
     system = SYSTEMS["masses"]
     process = energy_process(system)
-    reference = averaged_closed_form(system, process)
+    reference = averaged_density(system)
     solution = solve_stationary(process, tol=1e-10)
     printed = np.trace(system.damping) / np.trace(system.noise_intensity)
 
@@ -221,7 +221,7 @@ def test_eq_29_needs_the_masses():
 def test_quadrature_of_eq_11_meets_its_estimate(name):
     system = SYSTEMS[name]
     process = energy_process(system)
-    reference = averaged_closed_form(system, process)
+    reference = averaged_density(system)
     # Two contact masses take seconds at the tight tolerance.
     for tol in (1e-6,) if name in ("skew", "two contact masses") else (1e-6, 1e-10):
         solution = solve_by_quadrature(process, tol=tol)
@@ -238,7 +238,7 @@ def test_quadrature_of_eq_11_meets_its_estimate(name):
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_the_closed_form_has_mass_one(name):
     system = SYSTEMS[name]
-    density = averaged_closed_form(system, energy_process(system))
+    density = averaged_density(system)
     low, *cuts = density.nodes
     mass = sum(
         quad(lambda H: float(density.energy_pdf(np.array(H))), a, b, epsrel=1e-11, epsabs=1e-13)[0]

@@ -6,7 +6,7 @@ from fpk_processes import both, by_hand, chain, cox_ingersoll_ross, integral, re
 from scipy.integrate import quad
 from scipy.stats import gamma
 
-from averaging.energy_density import averaged_closed_form
+from averaging.closed_form import averaged_density
 from averaging.energy_process import energy_process
 from fpk.contact import Contact
 from fpk.errors import NotCertified
@@ -53,7 +53,7 @@ def averaged(request):
     """An averaged process and its closed form C T exp(−αH)."""
     system = SYSTEMS[request.param]
     process = energy_process(system)
-    return process, averaged_closed_form(system, process)
+    return process, averaged_density(system)
 
 
 def true_error(solution, reference):
@@ -84,7 +84,7 @@ def test_the_tolerance_is_met_and_the_estimate_honest(averaged, form):
 @pytest.mark.parametrize("name", THIN)
 def test_thin_layers_are_in_the_estimate(name, form):
     process = energy_process(THIN[name])
-    reference = averaged_closed_form(THIN[name], process)
+    reference = averaged_density(THIN[name])
     for tol in (1e-3, *TOLERANCES):
         solution = solve_stationary(process, tol=tol, form=form)
         assert true_error(solution, reference) <= solution.l1_error + reference.l1_error
@@ -161,7 +161,7 @@ def test_no_energies_have_no_densities(form):
 def test_another_system_is_outside_the_estimate():
     process = energy_process(SYSTEMS["B = 10"])
     other = chain(2, both(10.0, 0.55))
-    reference = averaged_closed_form(other, energy_process(other))
+    reference = averaged_density(other)
     solution = solve_stationary(process, tol=1e-4)
     assert true_error(solution, reference) > 100.0 * solution.l1_error
 

@@ -1,0 +1,191 @@
+"""Closed forms p = C T exp(−∫h dH) for damping that depends on the energy only, (7), (29), (34)."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.polynomial import polynomial
+from numpy.typing import NDArray
+
+from averaging.conditional import conditional
+from averaging.energy_density import EnergyDensity, Part
+from averaging.energy_process import damping_and_noise, energy_process
+from averaging.hidden import RULES, chain_integral
+from averaging.shell.ratios import log_linear_states
+from averaging.weyl import tabulated
+from averaging.zero_flux import flux_residual
+from fpk.certificate import Measured
+from fpk.errors import NotApplicable
+from fpk.line.mesh import DEEP_LAYERS, GRADING, initial_nodes, with_layers
+from fpk.probe import probed
+from fpk.process import Process
+from fpk.quadrature import panel_rule
+from fpk.system import System
+
+Array = NDArray[np.float64]
+
+TAIL = 1e-17
+"""Share of the probability beyond the last energy of a closed form."""
+POINTS = (16, 20)
+"""Gauss points per panel of the normalisation, and of the finer rule that estimates its error."""
+LAYERS_AT_ZERO = 12
+"""Geometric panels above H = 0, where T ~ H^(n−1) times a series in H^(1/4) without clearance."""
+EPS = float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedForm:
+    """p(H) = T(H) exp(Σ exponent_e H^e) of a process of one energy, T as the process gives it.
+
+    ``nodes`` are energies from 0 to the last one, between which p is smooth; ``measured`` is what
+    was measured on p but for its mass and minimum.
+    """
+
+    nodes: Array
+    exponent: Array
+    measured: Measured
+
+    def log_u(self, energy: Array) -> Array:
+        """ln(p/T) at energies of any shape."""
+        return np.asarray(polynomial.polyval(energy, self.exponent))
+
+    def relative_error(self, energy: Array) -> Array:
+        """Relative error of p/T at energies of any shape: of the norm, and round-off."""
+        return self.measured.l1_error + _round_off(self.exponent, energy)
+
+
+def closed_form(
+    process: Process,
+    rate: Array,
+    *,
+    norm: tuple[float, float] | None = None,
+    residual: float | None = None,
+) -> ClosedForm:
+    """Return C T exp(−∫_0^H h dH) with h(H) = Σ rate_e H^e.
+
+    ``norm`` is ln C and its error where they are known, otherwise they follow from quadrature.
+    ``residual`` is that of the equation which p solves; the flux is measured where none is given.
+    """
+    probe = probed(process)
+    nodes = initial_nodes(probe, probe.extent(TAIL), process.nonsmooth)
+    exponent = polynomial.polyint(-rate)
+    exponent[0], error = norm or _log_norm(process, nodes, exponent)
+
+    def log_p(energy: Array) -> Array:
+        log_states = process.coefficients(energy).log_density_of_states
+        return np.asarray(log_states + polynomial.polyval(energy, exponent))
+
+    if residual is None:
+        residual = flux_residual(process, nodes, log_p)
+    tail = probe.tail_bound(float(nodes[-1]), float(np.exp(log_p(nodes[-1:])[0])))
+    measured = Measured(error + 2.0 * tail, np.nan, np.nan, residual, tail)
+    return ClosedForm(nodes, exponent, measured)
+
+
+def _log_norm(process: Process, nodes: Array, exponent: Array) -> tuple[float, float]:
+    """Return −ln ∫T exp(Σ exponent_e H^e) dH and its error, that of T and round-off included."""
+    nodes = with_layers(nodes, process.nonsmooth, count=DEEP_LAYERS)
+    towards_zero = nodes[1] * GRADING ** np.arange(1.0, LAYERS_AT_ZERO + 1.0)
+    nodes = np.unique(np.concatenate([nodes, towards_zero]))
+    norms = []
+    for points in POINTS:
+        energy, weights = (part.ravel() for part in panel_rule(nodes, points))
+        c = process.coefficients(energy)
+        terms = c.log_density_of_states + polynomial.polyval(energy, exponent)
+        top = float(terms.max())
+        shares = weights * np.exp(terms - top)
+        norms.append(-top - float(np.log(shares.sum())))
+    error = (c.relative_error + _round_off(exponent, energy)) @ shares / shares.sum()
+    return norms[1], abs(norms[1] - norms[0]) + float(error) + 4.0 * EPS * (1.0 + abs(norms[1]))
+
+
+def _round_off(exponent: Array, energy: Array) -> Array:
+    """Round-off of the exponent, relative to the sum of the absolute values of its terms."""
+    return np.asarray(2.0 * EPS * polynomial.polyval(np.abs(energy), np.abs(exponent)))
+
+
+def energy_closed_form(
+    system: System, rate: Array, *, residual: float | None = None
+) -> EnergyDensity:
+    """Return u = C exp(−∫_0^H h dH) of the full state, h(H) = Σ rate_e H^e, Eqs. (7), (22), (29).
+
+    With a constant h the norm is the configuration integral and Weyl integrals are elementary;
+    otherwise the norm is an integral over the shells and Weyl integrals are tabulated, twice.
+    """
+    process = energy_process(system)
+    # The process measures T in units of the chain without contacts at its energy scale.
+    unit = float(log_linear_states(system, np.array([process.energy_scale]))[0])
+    if rate.size > 1:
+        p = closed_form(process, rate, residual=residual)
+
+        def u(energy: Array) -> Array:
+            return np.asarray(np.exp(p.log_u(energy) - unit))
+
+        return tabulated(
+            system,
+            process,
+            p.nodes,
+            u,
+            lambda energy: p.relative_error(energy) * u(energy),
+            measured=p.measured,
+            closed=True,
+        )
+    alpha = float(rate[0])
+    log_norm, error = log_gibbs_norm(system, alpha)
+    p = closed_form(process, rate, norm=(log_norm + unit, error), residual=residual)
+
+    def weyl(order: float, energy: Array, part: Part = "value") -> Array:
+        factor = {"value": 1.0, "error": p.relative_error(energy), "table": 0.0}[part]
+        return np.asarray(factor * np.exp(log_norm - order * np.log(alpha) - alpha * energy))
+
+    of_u, of_error = partial(weyl, 0.0), partial(weyl, 0.0, part="error")
+    return EnergyDensity(system, p.nodes, 1.0 / alpha, of_u, of_error, weyl, p.measured, True)
+
+
+def log_gibbs_norm(system: System, alpha: float) -> tuple[float, float]:
+    """Return −ln ∫exp(−αH) dq dp over all displacements and momenta, and its error.
+
+    Momenta, and displacements of masses without contact, are Gaussian; what contacts make of the
+    rest is one pass along the chain.
+    """
+    masses = system.contact_masses
+    laws = [conditional(system, mass, masses[max(k - 1, 0) : k]) for k, mass in enumerate(masses)]
+    (coarse, _), (fine, interpolation) = (
+        chain_integral(laws, np.zeros(1), temperature=1.0 / alpha, points=points)
+        for points in RULES[1]
+    )
+    log_norm = system.n * np.log(alpha / (2.0 * np.pi)) - float(np.log(fine[0]))
+    log_norm += 0.5 * float(np.sum(np.log(system.stiffness / system.mass)))
+    # The exponent log_norm − αH has a round-off; the mean of αH is n at the most.
+    round_off = EPS * (system.n + abs(log_norm))
+    rule = (np.abs(fine - coarse)[0] + interpolation) / fine[0]
+    return log_norm, float(rule) + round_off
+
+
+def averaged_rate(system: System) -> Array:
+    """Return α(H) = Σ c_ii(H)/m_i / Σ D_ii/m_i, coefficients in ascending powers of H, Eq. (11).
+
+    With u = p/T, zero flux in (24) is u' = −α(H) u. Raises ``NotApplicable`` where a damping term
+    depends on displacements or velocities: its average is no polynomial times τ then.
+    """
+    terms = system.damping_terms
+    if any(term.q or term.v for term in terms):
+        raise NotApplicable(
+            "damping that depends on q or v leaves (11) without a closed form; "
+            "the solvers fem and quadrature evaluate it"
+        )
+    damping, noise = damping_and_noise(system)
+    rate = np.zeros(1 + max((term.energy for term in terms), default=0))
+    rate[0] = damping
+    for term in terms:
+        if term.row == term.column:
+            rate[term.energy] += term.coefficient / system.mass[term.row]
+    return rate / noise
+
+
+def averaged_density(system: System) -> EnergyDensity:
+    """Return p(H) = C T(H) exp(−∫α dH): (29) for any n and masses and for c(H).
+
+    The printed (29) holds for two unit masses.
+    """
+    return energy_closed_form(system, averaged_rate(system))
