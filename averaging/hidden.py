@@ -25,7 +25,7 @@ LEVELS = (1e-5, 1e-3, 0.1, 1.0)
 """Contact energies in units of T between which panels lie beyond a stop, where the potential has a
 half-integer power; higher ones follow by ``RISE`` as far as energies go."""
 RISE = 2.0
-"""Ratio of neighbouring levels: over [x, 2x] a Gauss rule of ten points misses no more than 2e-12 of
+"""Ratio of neighbouring levels: over [x, 2x] a Gauss rule of ten points misses at most 2e-12 of
 exp(−x), at x = 16."""
 FIT_TOLERANCE = 1e-13
 """Largest error of the integral over all masses beyond one, a number between 0 and 1: round-off
