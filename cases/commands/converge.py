@@ -1,14 +1,15 @@
 """The command ``fpk converge``: how errors fall with the discretisation."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from cases.commands.parts import (
-    FIRST_SEED,
     as_json,
     begin_study,
     end_study,
+    given,
     observable_option,
     scene_name,
     seed,
@@ -29,29 +30,15 @@ from cases.commands.parts import (
 @threads
 @as_json
 def converge(
-    scene: str,
-    route: str | None,
-    of: str | None,
-    out: Path | None,
-    seconds: float | None,
-    seed: int | None,
-    threads: int | None,
-    as_json: bool,
+    scene: str, route: str | None, of: str | None, out: Path | None, as_json: bool, **settings: Any
 ) -> None:
     """Measure orders of convergence: in h, in p, in both, in the step and in samples."""
     loaded = begin_study(scene, out)
     from cases.output.terminal import progress_bar
-    from cases.studies.converge import SECONDS, chosen_routes, study_convergence
+    from cases.studies.converge import chosen_routes, study_convergence
     from cases.studies.converge_page import convergence_page
 
     routes = chosen_routes(route, of)
     with progress_bar() as progress:
-        study = study_convergence(
-            loaded,
-            routes,
-            seconds=seconds or SECONDS,
-            seed=FIRST_SEED if seed is None else seed,
-            threads=threads,
-            progress=progress,
-        )
+        study = study_convergence(loaded, routes, progress=progress, **given(settings))
     end_study(study, convergence_page(study), out, as_json=as_json)

@@ -1,14 +1,15 @@
 """The command ``fpk cost``: what each digit costs in time, by every route."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from cases.commands.parts import (
-    FIRST_SEED,
     as_json,
     begin_study,
     end_study,
+    given,
     scene_name,
     seed,
     study_folder,
@@ -23,14 +24,13 @@ from cases.commands.parts import (
 )
 @seed
 @as_json
-def cost(scene: str, out: Path | None, simulate: bool, seed: int | None, as_json: bool) -> None:
+def cost(scene: str, out: Path | None, as_json: bool, **settings: Any) -> None:
     """Time every route whose answer agrees with the reference, and price each digit."""
     loaded = begin_study(scene, out)
     from cases.output.terminal import progress_bar
     from cases.studies.cost import study_cost
     from cases.studies.cost_page import cost_page
 
-    seed = FIRST_SEED if seed is None else seed
     with progress_bar() as progress:
-        study = study_cost(loaded, simulate=simulate, seed=seed, progress=progress)
+        study = study_cost(loaded, progress=progress, **given(settings))
     end_study(study, cost_page(study), out, as_json=as_json)

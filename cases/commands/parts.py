@@ -29,8 +29,6 @@ cluster = click.option(
 study_folder = click.option(
     "--out", type=FOLDER, help="Folder for the study: tables (.md), numbers (.nc), picture (.svg)."
 )
-FIRST_SEED = 1
-"""Seed of a study where none is given."""
 
 
 def observable_option(help: str, *, required: bool = False) -> Decorator:
@@ -85,6 +83,11 @@ def observable_of(name: str, scene: "Scene") -> "Observable":
         raise BadInput(f'--of "{name}": {error.remedy}') from None
 
 
+def given(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return the options that were given; for the others the defaults of the work itself hold."""
+    return {key: value for key, value in settings.items() if value is not None}
+
+
 def begin_study(scene: str, out: Path | None = None) -> "Scene":
     """Load the scene and make the folder of a study.
 
@@ -97,9 +100,11 @@ def begin_study(scene: str, out: Path | None = None) -> "Scene":
 
 def end_study(study: Any, page: "Page", out: Path | None, *, as_json: bool) -> None:
     """Write a study's page to ``out``, print it or the JSON object, and say the problems."""
+    from cases.output.records import plain
+
     written = [] if out is None else page.write(out)
     short = page.summary if written and page.summary else None
-    record = study.record() if as_json else None
+    record = plain(study.record()) if as_json else None
     end(record, lambda: short or page.text().rstrip(), written, problems=study.problems)
 
 

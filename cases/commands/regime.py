@@ -12,6 +12,7 @@ from cases.commands.parts import (
     check_cluster,
     cluster,
     end_study,
+    given,
     scene_name,
     seed,
     threads,
@@ -58,12 +59,10 @@ def regime(
     from cases.studies.regime_map.map_page import map_page
     from sim.montecarlo import MonteCarlo
 
-    given = {key: value for key, value in settings.items() if value is not None}
-    simulation = MonteCarlo(**{"relaxations": MAP_RELAXATIONS, **given})
+    simulation = MonteCarlo(**{"relaxations": MAP_RELAXATIONS, **given(settings)})
     with progress_bar() as progress:
-        result = build_map(
-            loaded, axes, simulation=simulation, folder=checkpoint or out, progress=progress
-        )
+        store = checkpoint or out
+        result = build_map(loaded, axes, simulation=simulation, folder=store, progress=progress)
     if result.note is not None:
         click.echo(f"fpk: note: {result.note}", err=True)
     end_study(result, map_page(result), out, as_json=as_json)

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from dataclasses import asdict
+from dataclasses import asdict, fields, is_dataclass
 from importlib.metadata import PackageNotFoundError, version
 from math import isfinite
 from typing import Any
@@ -27,7 +27,12 @@ def program_version() -> str:
 
 
 def plain(value: Any) -> Any:
-    """Return ``value`` as JSON has it: lists and numbers; what is not finite becomes null."""
+    """Return ``value`` as JSON has it: lists and numbers; what is not finite becomes null.
+
+    A record becomes the dictionary of its fields.
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, (np.ndarray, np.generic)):

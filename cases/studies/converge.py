@@ -1,11 +1,10 @@
 """The convergence study of a scene: every averaged equation, and the simulation."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any
 
-from cases.output.records import plain
 from cases.scene.errors import BadInput
 from cases.scene.scene import Scene
 from cases.studies.equations import EQUATIONS
@@ -63,32 +62,26 @@ class ConvergenceStudy:
         )
 
     def record(self) -> dict[str, Any]:
-        """Return the study as plain data."""
-        record: dict[str, Any] = plain(
-            {
-                "scene": self.scene.name,
-                "equations": [
-                    {
-                        "theory": e.theory,
-                        "equation": e.name,
-                        "observable": observable_name(e.observable),
-                        "dimension": e.dimension,
-                        "reference": e.reference_words,
-                        "reference_error": e.reference.l1_error,
-                        "by_tolerance": e.words,
-                        "ladders": [ladder.record() for ladder in own],
-                    }
-                    for e, own in self.equations
-                ],
-                "without_contact": self.without_contact and self.without_contact.record(),
-                "schemes": [asdict(scheme) for scheme in self.schemes],
-                "samples": self.samples and asdict(self.samples),
-                "refusals": self.refusals,
-                "seconds": self.seconds,
-                "limits_of_the_index": LIMITS,
-            }
-        )
-        return record
+        """Return the study as ``plain`` takes it."""
+        return {
+            "scene": self.scene.name,
+            "equations": [
+                {
+                    "theory": e.theory,
+                    "equation": e.name,
+                    "observable": observable_name(e.observable),
+                    "dimension": e.dimension,
+                    "reference": e.reference_words,
+                    "reference_error": e.reference.l1_error,
+                    "by_tolerance": e.words,
+                    "ladders": [ladder.record() for ladder in own],
+                }
+                for e, own in self.equations
+            ],
+            "without_contact": self.without_contact and self.without_contact.record(),
+            **{key: getattr(self, key) for key in ("schemes", "samples", "refusals", "seconds")},
+            "limits_of_the_index": LIMITS,
+        }
 
 
 def chosen_routes(route: str | None, of: str | None) -> tuple[str, ...]:

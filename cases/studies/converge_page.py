@@ -1,13 +1,13 @@
 """A convergence study as tables and panels of a picture."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from cases.studies.converge import ConvergenceStudy
-from cases.studies.ladders import Ladder
+from cases.studies.ladders import ROUND_OFF, Ladder
 from cases.studies.levels import Equation
 from cases.studies.orders import LIMITS
 from cases.studies.page import Page, Table
@@ -37,12 +37,18 @@ TWO_ENERGIES = (
 )
 """Why two of the orders of (17) differ, and may differ, from the column of theory."""
 STEP_WORDS = (
-    "Order: that of the best fit to all steps, from and to one standard error;"
+    f"Order: that of the best fit to all steps; order error: from and to one standard error;"
     f" {ORDERS[0]:g} or {ORDERS[-1]:g} there: none is known. Unstable: no step is stable and cheap"
-    " enough. Chi² with the order of theory. Limit: the closed form where there is one, else the"
-    " intercept of the regression; where a fit fails (pre-asymptotic) the step errors rest on that."
-    " Short: by how much the standard errors are larger than wanted, in the time given."
+    " enough. Orders: of consecutive resolved steps, each with its error. Chi² with the order of"
+    " theory. Limit: the closed form where there is one, else the intercept of the regression;"
+    " where a fit fails (pre-asymptotic) the step errors rest on that. Short: by how much the"
+    " standard errors are larger than wanted, in the time given."
 )
+WEAK_COLUMNS = (
+    "scheme", "theory", "order", "order_error", "verdict", "orders", "chi2", "freedom", "limit",
+    "limit_error", "wanted", "short",
+)  # fmt: skip
+"""Fields of ``WeakOrder`` that its table shows."""
 LIMITS_OF_AXIS = (1e-16, 10.0)
 """Ends of the axis of L1 errors: round-off of one, and more than the largest distance, 2."""
 
@@ -64,50 +70,26 @@ def study_tables(study: ConvergenceStudy) -> list[Table]:
         ({"equation": name, "family": ladder.name}, ladder) for name, ladder in study.ladders
     ]
     errors = [
-        {**of, "level": v.settings, "unknowns": v.unknowns, **v.errors, "estimate": v.estimate}
-        for of, ladder in ladders
+        {**names, "level": v.settings, "unknowns": v.unknowns, **v.errors, "estimate": v.estimate}
+        for names, ladder in ladders
         for v in ladder.levels
     ]
     orders = [
-        {**of, "error": key, **asdict(verdict)}
-        for of, ladder in ladders
+        {**names, "error": key, **asdict(verdict)}
+        for names, ladder in ladders
         for key, verdict in ladder.verdicts.items()
     ]
     index = [
-        {**of, "functional": key, "true error": ladder.levels[-1].errors[key], **asdict(grid)}
-        for of, ladder in ladders
+        {**names, "functional": key, "true error": ladder.levels[-1].errors[key], **asdict(grid)}
+        for names, ladder in ladders
         for key, grid in ladder.grid.items()
     ]
     steps = [
-        {
-            "scheme": s.scheme,
-            "dt": v.dt,
-            "mean": v.value,
-            "standard error": v.error,
-            "step error": error,
-            "its standard error": bar,
-            "paths x time": v.sampled,
-        }
+        {"scheme": s.scheme, **asdict(run), "step error": error, "its error": bar}
         for s in study.schemes
-        for v, error, bar in zip(s.levels, s.errors, s.error_bars, strict=True)
+        for run, error, bar in zip(s.levels, s.errors, s.error_bars, strict=True)
     ]
-    weak = [
-        {
-            "scheme": s.scheme,
-            "theory": s.theory,
-            "order": s.order,
-            "from, to": s.order_error,
-            "verdict": s.verdict,
-            "consecutive ratios": tuple(f"{o:.2f} ± {e:.2f}" for o, e in s.orders),
-            "chi²": s.chi2,
-            "freedom": s.freedom,
-            "limit": s.limit,
-            "its standard error": s.limit_error,
-            "wanted": s.wanted,
-            "short": s.short,
-        }
-        for s in study.schemes
-    ]
+    weak = [{key: getattr(s, key) for key in WEAK_COLUMNS} for s in study.schemes]
     about = [
         f"{e.name}: p({observable_name(e.observable)}) against {e.reference_words}, itself within"
         f" {e.reference.l1_error:.1e} in L1. By tolerance: {e.words}"
@@ -115,21 +97,20 @@ def study_tables(study: ConvergenceStudy) -> list[Table]:
     ]
     plane = any(e.dimension == 2 for e, _ in study.equations)
     samples: list[dict[str, Any]] = []
-    slope = ""
+    slope = of = ""
     if s := study.samples:
-        columns = zip(s.sampled, s.errors, strict=True)
-        samples = [{"paths x time": t, f"standard error of {s.observable}": e} for t, e in columns]
-        slope = f"slope {s.slope:.3f} ± {s.slope_error:.3f}, theory -0.5"
+        pairs = zip(s.sampled, s.errors, strict=True)
+        samples = [{"paths x time": time, "standard error": error} for time, error in pairs]
+        of, slope = s.observable, f"slope {s.slope:.3f} ± {s.slope_error:.3f}, theory -0.5"
     refusals = [{"route": route, "reason": why} for route, why in study.refusals.items()]
-    index_title = "Richardson and grid convergence index (GCI)"
     words = (*ORDER_WORDS, *(TWO_ENERGIES if plane else ()))
     return [
         Table("errors", "Averaged equations: errors", errors, tuple(about)),
         Table("orders", "Averaged equations: observed orders", orders, words),
-        Table("index", f"Averaged equations: {index_title}", index, (GCI_WORDS,)),
-        Table("steps", "Simulation: errors of the step", steps),
+        Table("index", "Richardson and grid convergence index (GCI)", index, (GCI_WORDS,)),
+        Table("steps", f"Simulation: errors of the step in {of}", steps),
         Table("weak", "Simulation: weak order in the step", weak, (STEP_WORDS,)),
-        Table("samples", "Simulation: standard error in samples", samples, (slope,)),
+        Table("samples", f"Simulation: standard error of {of} in samples", samples, (slope,)),
         Table("refusals", "Routes that do not apply", refusals),
     ]
 
@@ -139,51 +120,48 @@ def study_panels(study: ConvergenceStudy) -> list[Panel]:
 
     Dashed lines have the slope of theory, below the finest levels.
     """
-    panels = [_ladder_panel(*own) for own in study.equations]
+    panels = [
+        _error_panel(equation, "dashed: order of theory", map(_in_unknowns, ladders))
+        for equation, ladders in study.equations
+    ]
     for equation, ladders in study.equations:
         if equation.dimension == 1:
             (own,) = (ladder for ladder in ladders if ladder.first.family == "p")
-            pair = {"no contact": own}
-            if study.without_contact:
-                pair = {"with contact": own, "contacts taken away": study.without_contact}
-            panels.append(_degree_panel(equation, pair))
+            curves = [_in_degree("no contact", own)]
+            if free := study.without_contact:
+                curves = [_in_degree("with contact", own), _in_degree("contacts taken away", free)]
+            panels.append(_error_panel(equation, "exponential in $p$", curves, by_degree=True))
     return [*panels, _step_panel(study.schemes)] if study.schemes else panels
 
 
-def _ladder_panel(equation: Equation, ladders: Sequence[Ladder]) -> Panel:
-    curves = []
-    for ladder in ladders:
-        N = np.array([level.unknowns for level in ladder.levels], dtype=float)
-        e = np.array([level.error for level in ladder.levels])
-        label, dashed = ladder.name, None
-        if ladder.degree:
-            label = f"{ladder.name}: order {ladder.verdicts['L1'].order:.2f}"
-            power = (ladder.degree + 1.0) / equation.dimension
-            dashed = N[-3:], 0.5 * e[-1] * (N[-3:] / N[-1]) ** -power
-        curves.append(Curve(label, N, e, dashed=dashed))
-    return _error_panel(equation, "dashed: order of theory", "unknowns $N$", curves)
+def _in_unknowns(ladder: Ladder) -> Curve:
+    N = np.array([level.unknowns for level in ladder.levels], dtype=float)
+    e = np.array([level.error for level in ladder.levels])
+    if not ladder.degree:
+        return Curve(ladder.name, N, e)
+    power = (ladder.degree + 1.0) / ladder.equation.dimension
+    dashed = N[-3:], 0.5 * e[-1] * (N[-3:] / N[-1]) ** -power
+    return Curve(f"{ladder.name}: order {ladder.verdicts['L1'].order:.2f}", N, e, dashed=dashed)
 
 
-def _degree_panel(equation: Equation, ladders: dict[str, Ladder]) -> Panel:
-    """Log-lin: exponential convergence is a straight line."""
-    curves = [
-        Curve(
-            f"{words}: $e^{{-{ladder.verdicts['L1'].order:.1f} p}}$",
-            [-np.log(v.size) for v in ladder.levels],
-            [v.error for v in ladder.levels],
-        )
-        for words, ladder in ladders.items()
-    ]
-    x = "degree $p$ on a fixed mesh"
-    return _error_panel(equation, "exponential in $p$", x, curves, logarithmic=False)
+def _in_degree(words: str, ladder: Ladder) -> Curve:
+    degrees = [-np.log(level.size) for level in ladder.levels]
+    label = f"{words}: $e^{{-{ladder.verdicts['L1'].order:.1f} p}}$"
+    return Curve(label, degrees, [level.error for level in ladder.levels])
 
 
 def _error_panel(
-    equation: Equation, words: str, x: str, curves: list[Curve], *, logarithmic: bool = True
+    equation: Equation, words: str, curves: Iterable[Curve], *, by_degree: bool = False
 ) -> Panel:
-    y = f"$L_1$ error of p({observable_name(equation.observable)})"
-    floor, title = equation.reference.l1_error + 1e-15, f"{equation.name}; {words}"
-    return Panel(title, x, y, curves, floor, logarithmic=logarithmic, limits=LIMITS_OF_AXIS)
+    return Panel(
+        f"{equation.name}; {words}",
+        "degree $p$ on a fixed mesh" if by_degree else "unknowns $N$",
+        f"$L_1$ error of p({observable_name(equation.observable)})",
+        list(curves),
+        floor=equation.reference.l1_error + ROUND_OFF,
+        logarithmic=not by_degree,
+        limits=LIMITS_OF_AXIS,
+    )
 
 
 def _step_panel(schemes: Sequence[WeakOrder]) -> Panel:

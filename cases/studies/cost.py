@@ -1,7 +1,7 @@
 """The work-precision study of a scene: what each digit costs, by every route."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from time import perf_counter
 from typing import Any
@@ -9,21 +9,12 @@ from typing import Any
 import numpy as np
 
 from cases.comparison.compare import BINS_1D
-from cases.output.records import plain
 from cases.scene.scene import Scene
 from cases.studies.equations import energy_equation, modal_equation
 from cases.studies.ladders import H_LEVELS
 from cases.studies.law import FULL, Law, averaged_route, full_routes
 from cases.studies.levels import Discretisation, Equation, refined_levels
-from cases.studies.prices import (
-    Cheapest,
-    Crossover,
-    NotTimed,
-    Priced,
-    crossovers,
-    price_list,
-    promised_list,
-)
+from cases.studies.prices import NotTimed, Priced, crossovers, price_list, promised_list
 from cases.studies.simulation import Reference, deterministic, full_reference
 from cases.studies.timing import timed_first, timing
 from fpk.density import Density
@@ -32,8 +23,6 @@ from fpk.method import Progress, silent
 from fpk.observable import observable_name
 from fpk.system import System
 
-DIGITS = tuple(range(1, 11))
-"""Digits that are priced."""
 DEGREES = (1, 2, 4, 8)
 """Degrees of the elements that are timed."""
 TOLERANCES, STRIDE = 6, 2
@@ -59,7 +48,7 @@ class Model:
 
 @dataclass
 class CostStudy:
-    """Priced routes, those not timed and why, the price list and where routes cross.
+    """Priced routes, those not timed and why, laws of sampling, and averaging errors.
 
     ``floors`` are the errors of the references by equation; ``full_reference`` says what the full
     system is held against.
@@ -73,21 +62,6 @@ class CostStudy:
     floors: dict[str, float] = field(default_factory=dict)
     full_reference: str = "not simulated"
     seconds: float = 0.0
-
-    @property
-    def prices(self) -> tuple[Cheapest, ...]:
-        """The cheapest route and setting for each digit, by equation."""
-        return price_list(self.routes, DIGITS)
-
-    @property
-    def promises(self) -> tuple[Cheapest, ...]:
-        """The cheapest tolerance for each digit: a setting that holds for other scenes."""
-        return promised_list(self.routes, DIGITS)
-
-    @property
-    def crossings(self) -> tuple[Crossover, ...]:
-        """Where the cheapest route changes."""
-        return crossovers(self.routes)
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -105,17 +79,15 @@ class CostStudy:
         self.not_timed += [r for r in results if isinstance(r, NotTimed)]
 
     def record(self) -> dict[str, Any]:
-        """Return the study as plain data."""
-        lists = ("routes", "not_timed", "laws", "models", "crossings", "prices", "promises")
-        record: dict[str, Any] = plain(
-            {
-                "scene": self.scene.name,
-                **{key: [asdict(item) for item in getattr(self, key)] for key in lists},
-                **{key: getattr(self, key) for key in ("floors", "full_reference", "seconds")},
-                "problems": self.problems,
-            }
-        )
-        return record
+        """Return the study as ``plain`` takes it, with the cheapest settings and crossings."""
+        return {
+            "scene": self.scene.name,
+            **{key: value for key, value in vars(self).items() if key != "scene"},
+            "crossings": crossovers(self.routes),
+            "prices": price_list(self.routes),
+            "promises": promised_list(self.routes),
+            "problems": self.problems,
+        }
 
 
 def study_cost(

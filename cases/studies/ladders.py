@@ -48,7 +48,7 @@ class Ladder:
         return f"h, p = {self.degree}" if self.degree else self.first.name
 
     def record(self) -> dict[str, Any]:
-        """Return the ladder as plain data."""
+        """Return the ladder as ``plain`` takes it."""
         return {
             "name": self.name,
             "equation": self.equation.name,
@@ -56,8 +56,8 @@ class Ladder:
             "family": self.first.family,
             "degree": self.degree,
             "levels": [{"label": v.settings, **asdict(v)} for v in self.levels],
-            "verdicts": {key: asdict(v) for key, v in self.verdicts.items()},
-            "grid": {key: asdict(g) for key, g in self.grid.items()},
+            "verdicts": self.verdicts,
+            "grid": self.grid,
         }
 
 

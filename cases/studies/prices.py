@@ -9,6 +9,9 @@ import numpy as np
 from cases.studies.levels import Level
 from fpk.density import Array
 
+DIGITS = tuple(range(1, 11))
+"""Digits that are priced."""
+
 
 @dataclass(frozen=True)
 class Priced:
@@ -68,7 +71,7 @@ class Cheapest:
     point: Level | None
 
 
-def price_list(routes: Sequence[Priced], digits: Sequence[int]) -> tuple[Cheapest, ...]:
+def price_list(routes: Sequence[Priced], digits: Sequence[int] = DIGITS) -> tuple[Cheapest, ...]:
     """Return the cheapest measured or modelled point of each equation for errors 10^−digits."""
     prices = []
     for equation, own in by_equation(routes).items():
@@ -79,7 +82,7 @@ def price_list(routes: Sequence[Priced], digits: Sequence[int]) -> tuple[Cheapes
     return tuple(prices)
 
 
-def promised_list(routes: Sequence[Priced], digits: Sequence[int]) -> tuple[Cheapest, ...]:
+def promised_list(routes: Sequence[Priced], digits: Sequence[int] = DIGITS) -> tuple[Cheapest, ...]:
     """Return the cheapest tolerance within 10^−digits, which the routes keep for any scene.
 
     Here a tolerance is chosen for what it promises, not for what it happened to reach.

@@ -1,7 +1,7 @@
 """The whole map: every grid point once, finished ones taken from disk, and its page."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from math import nan
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from cases.output.records import UNITS, plain, program_version
+from cases.output.records import UNITS, program_version
 from cases.scene.scene import Scene
 from cases.studies.regime_map.grid import Axis, system_at
 from cases.studies.regime_map.points import THEORIES, MapPoint, map_point
@@ -71,18 +71,13 @@ class RegimeMap:
         return data
 
     def record(self) -> dict[str, Any]:
-        """Return the record of ``fpk regime``."""
-        record: dict[str, Any] = plain(
-            {
-                "scene": self.scene.name,
-                "observable": observable_name(self.observable),
-                "axes": [{"key": a.key, "values": a.values} for a in self.axes],
-                "points": [asdict(p) for p in self.points],
-                "reused": self.reused,
-                "seconds": self.seconds,
-            }
-        )
-        return record
+        """Return the record of ``fpk regime`` as ``plain`` takes it."""
+        return {
+            "scene": self.scene.name,
+            "observable": observable_name(self.observable),
+            "axes": [{"key": a.key, "values": a.values} for a in self.axes],
+            **{key: getattr(self, key) for key in ("points", "reused", "seconds")},
+        }
 
 
 def build_map(
@@ -102,12 +97,11 @@ def build_map(
     observable = first_displacement(scene)
     method = simulation or MonteCarlo(relaxations=MAP_RELAXATIONS)
     # Where and by how many threads a simulation is run changes nothing.
-    settings = {key: getattr(method, key) for key in ("paths", "time", "relaxations", "seed")}
     identity = {
         "scene": scene.text,
         "observable": observable_name(observable),
         "keys": [axis.key for axis in axes],
-        **settings,
+        **{key: getattr(method, key) for key in ("paths", "time", "relaxations", "seed")},
         "version": program_version(),
     }
     store = PointStore(folder, identity)

@@ -1,7 +1,7 @@
 """Finished points of a map on disk, one JSON line each: an interrupted map goes on from there."""
 
 import json
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
 from os.path import lexists
 from pathlib import Path
 from typing import Any
@@ -37,8 +37,7 @@ class PointStore:
         self.points: dict[tuple[float, ...], MapPoint] = {}
         self.note: str | None = None
         if self._path is not None and not (lexists(self._path) and self._read(self._path)):
-            lines = [_line(self._head), *(_line(asdict(p)) for p in self.points.values())]
-            write_text(self._path, "".join(lines))
+            write_text(self._path, "".join(map(_line, [self._head, *self.points.values()])))
 
     def add(self, point: MapPoint) -> None:
         """Store a finished point, on disk before anything else is done."""
@@ -47,7 +46,7 @@ class PointStore:
             return
         try:
             with self._path.open("a", encoding="utf-8", newline="\n") as stream:
-                stream.write(_line(asdict(point)))
+                stream.write(_line(point))
         except OSError as error:
             raise BadInput(
                 f"{self._path}: cannot be written: {error.strerror or error}; make room, then start"
@@ -86,9 +85,9 @@ class PointStore:
         return not last
 
 
-def _line(record: dict[str, Any]) -> str:
-    """One line: ``record`` and its own hash, in ASCII, which can be cut anywhere."""
-    record = plain(record)
+def _line(content: Any) -> str:
+    """One line: ``content`` and its own hash, in ASCII, which can be cut anywhere."""
+    record = plain(content)
     return json.dumps({**record, "hash": hash_of(record)}, allow_nan=False) + "\n"
 
 
