@@ -14,7 +14,7 @@ from cases.studies.equations import energy_equation, modal_equation
 from cases.studies.ladders import H_LEVELS
 from cases.studies.law import FULL, Law, averaged_route, full_routes
 from cases.studies.levels import Discretisation, Equation, refined_levels
-from cases.studies.prices import NotTimed, Priced, crossovers, price_list, promised_list
+from cases.studies.prices import NotTimed, Priced, crossovers, price_list
 from cases.studies.simulation import Reference, deterministic, full_reference
 from cases.studies.timing import timed_first, timing
 from fpk.density import Density
@@ -85,7 +85,7 @@ class CostStudy:
             **{key: value for key, value in vars(self).items() if key != "scene"},
             "crossings": crossovers(self.routes),
             "prices": price_list(self.routes),
-            "promises": promised_list(self.routes),
+            "promises": price_list(self.routes, promised=True),
             "problems": self.problems,
         }
 

@@ -9,7 +9,7 @@ from cases.studies.cost import CostStudy
 from cases.studies.law import FULL
 from cases.studies.page import Page, Table
 from cases.studies.picture import Curve, Panel, study_figure
-from cases.studies.prices import Cheapest, by_equation, crossovers, price_list, promised_list
+from cases.studies.prices import Cheapest, by_equation, crossovers, price_list
 
 MEANING = (
     "Times are processor times on one thread: the wall time of a core that does nothing else, after"
@@ -71,7 +71,7 @@ def cost_tables(study: CostStudy) -> list[Table]:
     full = f"Averaging error: L1 to the full system ({study.full_reference}); no solver lowers it."
     axes = tuple(dict.fromkeys(f"{r.equation}: {r.axis}" for r in study.routes))
     lost = [{k: v for k, v in asdict(n).items() if k != "baseline"} for n in study.not_timed]
-    promised = [_price(c) for c in promised_list(study.routes) if c.point]
+    promised = [_price(c) for c in price_list(study.routes, promised=True) if c.point]
     crossings = [asdict(c) for c in crossovers(study.routes)]
     laws = [asdict(law) for law in study.laws]
     return [

@@ -108,7 +108,7 @@ def modal_equation(system: System) -> Equation:
         solution = solve_plane(process, tol=REFERENCE_TOL[2], degree=REFERENCE_DEGREE)
         if not np.isfinite(solution.l1_error):
             raise NotCertified("plain elements, the reference of (17), have no finite error")
-        reference = _plane_answer(solution)
+        reference = _answer(solution)
         count = " x ".join(str(nodes.size - 1) for nodes in solution.nodes)
         words = f"plain elements (w = 1), degree {solution.degree}, {count} on a mesh of their own"
         if solution.l1_error > GOOD:
@@ -128,12 +128,10 @@ def modal_equation(system: System) -> Equation:
         reference=reference,
         reference_words=words,
         coarsest=coarsest,
-        on_mesh=lambda p, nodes, degree: _plane_answer(
+        on_mesh=lambda p, nodes, degree: _answer(
             solve_plane_on_mesh(p, (nodes[0], nodes[1]), degree)
         ),
-        by_tolerance={
-            Integrable("fem").route: lambda p, tol: _plane_answer(solve_plane(p, tol=tol))
-        },
+        by_tolerance={Integrable("fem").route: lambda p, tol: _answer(solve_plane(p, tol=tol))},
         words=(
             "p = w u with a positive weight w near p and u a polynomial of high degree on each of"
             " few panels; where that does not reach the tolerance (levels marked w = 1) plain"
@@ -163,9 +161,7 @@ EQUATIONS: Mapping[str, tuple[str, Callable[[System], Equation]]] = {
 """By theory: the observable that its equation is studied for, and what makes the equation."""
 
 
-def _answer(s: StationarySolution) -> Answer:
-    return Answer((s.nodes,), s.density, s.l1_error, s.unknowns)
-
-
-def _plane_answer(s: PlaneSolution) -> Answer:
-    return Answer(s.nodes, s.density, s.l1_error, s.unknowns, "w = 1" if s.weight is None else "")
+def _answer(s: StationarySolution | PlaneSolution) -> Answer:
+    plain = isinstance(s, PlaneSolution) and s.weight is None
+    nodes = s.nodes if isinstance(s, PlaneSolution) else (s.nodes,)
+    return Answer(nodes, s.density, s.l1_error, s.unknowns, "w = 1" if plain else "")

@@ -9,7 +9,7 @@ from cases.comparison.averaged import AveragedSimulation
 from cases.comparison.compare import chance_l1, joined
 from cases.studies.levels import Equation, Level
 from cases.studies.prices import NotTimed, Priced
-from cases.studies.simulation import SMALL_STEP, Reference, largest_stable, run
+from cases.studies.simulation import SMALL_STEP, SMALLEST, Reference, largest_stable, run
 from cases.studies.timing import Timing, timed_first
 from fpk.certificate import Measured
 from fpk.density import Density, SampledDensity, certified_density, l1_distance
@@ -22,8 +22,6 @@ from sim.scheme import SCHEMES
 FULL = "full system (6)"
 RELAXATIONS = 4.0
 """Sampled relaxation times of a run with few paths at a small step; four times that else."""
-SMALLEST, PATIENCE = 2.0**-8, 2.0
-"""Smallest step tried, in chosen ones, and seconds of a trial beyond which no smaller one is."""
 HALVINGS = 2
 """Times that the step is halved where a scheme is not yet where its order says."""
 FEWEST = 256
@@ -110,7 +108,7 @@ def _law_at_some_step(
     system: System, method: MonteCarlo, reference: Reference
 ) -> tuple[Law, Level] | NotTimed:
     """The law from the largest step at which it holds, and a run: at most ``HALVINGS`` halvings."""
-    factor = largest_stable(system, method, smallest=SMALLEST, patience=PATIENCE)
+    factor = largest_stable(system, method)
     if factor is None:
         words = f"no usable step: none down to {SMALLEST:g} of the chosen one is stable and cheap"
         return NotTimed(method.scheme, FULL, reason=words)

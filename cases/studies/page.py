@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from matplotlib.figure import Figure
 
-from cases.output.fields import write_variables
+from cases.output.fields import Variables, write_variables
 from cases.output.files import write_text
 from cases.output.records import program_version
 from cases.output.svg import svg_text
@@ -88,9 +87,9 @@ class Table:
             lines.append(f"| {' | '.join(cells)} |")
         return [*lines, "", *(line for remark in self.remarks for line in (remark, ""))]
 
-    def variables(self) -> dict[str, tuple[str, Any]]:
+    def variables(self) -> Variables:
         """Return the columns as netCDF variables ``name_column``: numbers, else text."""
-        columns = {}
+        columns: Variables = {}
         for key in self.rows[0]:
             values = [row[key] for row in self.rows]
             if all(value is None or isinstance(value, int | float) for value in values):
@@ -98,7 +97,7 @@ class Table:
             else:
                 column = np.array(list(map(cell, values)))
             variable = re.sub(r"\W+", "_", f"{self.name}_{key}".replace("²", "2")).strip("_")
-            columns[variable] = (self.name, column)
+            columns[variable] = ((self.name,), column, {})
         return columns
 
     def csv(self) -> str:
@@ -115,8 +114,8 @@ class Page:
     """What a study shows: its title, tables, closing words, and a picture.
 
     Tables without rows are left out. ``summary`` is all that is printed once the page is written,
-    empty for the page itself. ``gridded`` is the data set of a map, which is written in the place
-    of the tables, the first of them beside it as comma-separated values.
+    empty for the page itself. ``gridded`` are the variables of a map, which are written in the
+    place of the tables, the first of them beside it as comma-separated values.
     """
 
     name: str
@@ -126,7 +125,7 @@ class Page:
     figure: Callable[[], Figure]
     closing: str = ""
     summary: str = ""
-    gridded: xr.Dataset | None = None
+    gridded: Variables | None = None
 
     def text(self) -> str:
         """Return the page as Markdown, which a terminal shows as it is."""
@@ -138,8 +137,7 @@ class Page:
         endings = ("md", "nc", "svg", "csv")[: 3 if self.gridded is None else 4]
         paths = [folder / f"{self.name}.{ending}" for ending in endings]
         columns = {k: v for t in self.tables if t.rows for k, v in t.variables().items()}
-        data = xr.Dataset(columns) if self.gridded is None else self.gridded
-        data.attrs |= {
+        attributes = {
             "title": self.title,
             "scene": self.scene.name,
             "scene_file": self.scene.text,
@@ -147,8 +145,7 @@ class Page:
             "closing": self.closing,
         }
         write_text(paths[0], self.text())
-        variables = {str(key): (v.dims, v.values, v.attrs) for key, v in data.variables.items()}
-        write_variables(variables, data.attrs, paths[1])
+        write_variables(columns if self.gridded is None else self.gridded, attributes, paths[1])
         write_text(paths[2], svg_text(self.figure(), salt=self.name))
         if self.gridded is not None:
             write_text(paths[3], self.tables[0].csv())

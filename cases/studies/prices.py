@@ -1,7 +1,7 @@
 """Prices: for every route error against time, and from them the cheapest setting for an error."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import inf, isnan, nan
 
 import numpy as np
@@ -71,26 +71,24 @@ class Cheapest:
     point: Level | None
 
 
-def price_list(routes: Sequence[Priced], digits: Sequence[int] = DIGITS) -> tuple[Cheapest, ...]:
-    """Return the cheapest measured or modelled point of each equation for errors 10^−digits."""
+def price_list(
+    routes: Sequence[Priced], digits: Sequence[int] = DIGITS, *, promised: bool = False
+) -> tuple[Cheapest, ...]:
+    """Return the cheapest measured or modelled point of each equation for errors 10^−digits.
+
+    ``promised``: the cheapest tolerance, which the routes keep for any scene, chosen for what it
+    promises, not for what it happened to reach.
+    """
+    if promised:
+        routes = [r for r in routes if any(p.promised < inf for p in r.points)]
     prices = []
     for equation, own in by_equation(routes).items():
+        points = [(r.route, p, p.promised if promised else p.error) for r in own for p in r.points]
         for d in digits:
-            offers = [(r.route, p) for r in own for p in r.points if p.error <= 10.0**-d]
+            offers = [(route, p) for route, p, error in points if error <= 10.0**-d]
             route, point = min(offers, key=lambda o: o[1].seconds, default=("", None))
             prices.append(Cheapest(equation, d, route, point))
     return tuple(prices)
-
-
-def promised_list(routes: Sequence[Priced], digits: Sequence[int] = DIGITS) -> tuple[Cheapest, ...]:
-    """Return the cheapest tolerance within 10^−digits, which the routes keep for any scene.
-
-    Here a tolerance is chosen for what it promises, not for what it happened to reach.
-    """
-    promised = [
-        replace(r, points=tuple(replace(p, error=p.promised) for p in r.points)) for r in routes
-    ]
-    return price_list([r for r in promised if min(p.error for p in r.points) < inf], digits)
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,10 @@ from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
 from sim.report import Moment, Report
 
-LARGEST = 4.0
-"""Largest step tried, in units of the chosen one: beyond it no scheme is stable in contact."""
+LARGEST, SMALLEST = 4.0, 2.0**-10
+"""Steps tried, in units of the chosen one: beyond the largest no scheme is stable in contact."""
+PATIENCE = 2.0
+"""Seconds of a trial of a small step beyond which no smaller one is tried."""
 SMALL_STEP = 0.25
 """Step, in units of the chosen one, that counts as small: a slow trial of it ends the search, and
 runs at such steps have fewer paths."""
@@ -79,17 +81,15 @@ def run(
     return Run(steps.dt, mean.mean, mean.error, steps.paths * steps.time, seconds), result
 
 
-def largest_stable(
-    system: System, method: MonteCarlo, *, smallest: float, patience: float
-) -> float | None:
+def largest_stable(system: System, method: MonteCarlo) -> float | None:
     """Return the largest step, in units of the chosen one, that loses no trajectory.
 
-    None where there is none above ``smallest``, or a trial of a small step takes more than
-    ``patience`` seconds.
+    None where there is none down to ``SMALLEST``, or a trial of a small step takes more than
+    ``PATIENCE`` seconds.
     """
     trial = replace(method, paths=LEAST_PATHS, relaxations=TRIAL, burn_in=1.0)
     factor = LARGEST
-    while factor > smallest:
+    while factor > SMALLEST:
         try:
             tried, _ = run(system, replace(trial, step_factor=factor))
         except InvalidInput as refusal:
@@ -99,7 +99,7 @@ def largest_stable(
             continue
         if isfinite(tried.value):
             return factor
-        if factor < SMALL_STEP and tried.seconds > patience:
+        if factor < SMALL_STEP and tried.seconds > PATIENCE:
             return None
         factor /= sqrt(2.0) if factor > 2.0 * SMALL_STEP else 2.0
     return None

@@ -17,7 +17,7 @@ from cases.studies.equations import energy_equation
 from cases.studies.law import FULL, Law, full_routes
 from cases.studies.levels import Level
 from cases.studies.page import Table, cell, duration
-from cases.studies.prices import NotTimed, Priced, crossovers, price_list, promised_list
+from cases.studies.prices import NotTimed, Priced, crossovers, price_list
 from cases.studies.simulation import full_reference
 from cases.studies.timing import Timing
 from fpk.density import l1_distance
@@ -179,7 +179,7 @@ def table_of_fig6b():
     assert {c.name for c in steered} == {"nonintegrable/fem", "nonintegrable/quadrature"}
     good = equation_routes(equation, steered)
     assert all(isinstance(r, Priced) for r in good)
-    return promised_list(good, range(1, 11))
+    return price_list(good, range(1, 11), promised=True)
 
 
 @pytest.mark.parametrize(
@@ -202,7 +202,7 @@ def test_settings_of_one_scene_keep_their_digits_on_three_others(table_of_fig6b,
 def test_a_tolerance_is_priced_by_its_promise_not_by_what_it_happened_to_reach():
     lucky = Level("1e-02", 1e-9, 1e-8, timed(1.0), promised=1e-2)
     mesh = Level("24", 1e-9, 1e-8, timed(0.1))
-    found = promised_list([Priced("hp", "e", "axis", (lucky, mesh))], [1, 2, 3])
+    found = price_list([Priced("hp", "e", "axis", (lucky, mesh))], [1, 2, 3], promised=True)
     assert [c.point.settings if c.point else None for c in found] == ["1e-02", "1e-02", None]
 
 

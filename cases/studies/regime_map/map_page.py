@@ -7,7 +7,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -56,7 +56,9 @@ def map_page(result: RegimeMap) -> Page:
         [Table("points", title, rows, (summary,))],
         partial(regime_figure, result),
         summary=summary,
-        gridded=result.dataset(),
+        gridded={
+            str(k): (v.dims, v.values, v.attrs) for k, v in result.dataset().variables.items()
+        },
     )
 
 
@@ -78,45 +80,41 @@ def regime_figure(result: RegimeMap) -> Figure:
 
 
 def _fields(result: RegimeMap, data: xr.Dataset, words: str) -> Figure:
-    figure = Figure(figsize=(9.6, 3.9), layout="constrained")
-    panels = figure.subplots(1, 3, sharex=True, sharey=True)
-    x, y = result.axes
     low = max(np.nanmin(data["L1"], initial=0.1), SMALLEST)
-    norm = LogNorm(low, max(np.nanmax(data["L1"], initial=SMALLEST), 2.0 * low))
-    settings: Any = {
-        "x": x.key, "y": y.key, "add_colorbar": False, "add_labels": False, "rasterized": True,
-        "xscale": x.scale, "yscale": y.scale,
-    }  # fmt: skip
-    for axes, theory in zip(panels, THEORIES, strict=False):
-        field = data["L1"].sel(theory=theory)
-        drawn = field.plot.pcolormesh(ax=axes, norm=norm, cmap="viridis_r", **settings)
-        axes.set_title(theory)
-    names, colours = [*THEORIES, UNDECIDED], [COLOURS[0], COLOURS[1], PALE]
+    distances = {
+        "norm": LogNorm(low, max(np.nanmax(data["L1"], initial=SMALLEST), 2.0 * low)),
+        "cmap": "viridis_r",
+    }
+    names, colours = (*THEORIES, UNDECIDED), (COLOURS[0], COLOURS[1], PALE)
     index = data["rms_ratio"] * np.nan
     for k, name in enumerate(names):
         index = index.where(data["winner"] != name, k)
     flat = ListedColormap(colours)
-    index.plot.pcolormesh(ax=panels[2], cmap=flat, vmin=-0.5, vmax=2.5, **settings)
-    panels[2].set_title("nearer to the full system")
-    handles: list[Any] = [Patch(color=c) for c in colours]
-    handles.append(Line2D([], [], color=INK, linestyle=DASHES, linewidth=1.2))
+    fields: list[tuple[str, xr.DataArray, dict[str, Any]]] = [
+        *((theory, data["L1"].sel(theory=theory), distances) for theory in THEORIES),
+        ("nearer to the full system", index, {"vmin": -0.5, "vmax": 2.5, "cmap": flat}),
+    ]
+    figure = Figure(figsize=(9.6, 3.9), layout="constrained")
+    panels = figure.subplots(1, 3, sharex=True, sharey=True)
+    (x, y), ratio = result.axes, data["rms_ratio"]
+    for axes, (title, field, palette) in zip(panels, fields, strict=True):
+        field.plot.pcolormesh(
+            ax=axes, x=x.key, y=y.key, xscale=x.scale, yscale=y.scale, add_colorbar=False,
+            add_labels=False, rasterized=True, **palette,
+        )  # fmt: skip
+        if ratio.min() < CLEARANCE_RULE < ratio.max():  # the rule of section 6.3 as a line
+            ratio.plot.contour(
+                ax=axes, x=x.key, y=y.key, levels=[CLEARANCE_RULE], colors=[INK],
+                linestyles=[DASHES], linewidths=1.2, add_labels=False,
+            )  # fmt: skip
+        axes.set(title=title, xlabel=KEYS[x.key], xlim=(x.values[0], x.values[-1]))
+        axes.set(ylim=(y.values[0], y.values[-1]))
+    panels[0].set_ylabel(KEYS[y.key])
+    shades = ScalarMappable(**distances)
+    bar = figure.colorbar(shades, ax=list(panels[:2]), location="right", shrink=0.95, pad=0.02)
+    bar.set_label(words)
+    rule = Line2D([], [], color=INK, linestyle=DASHES, linewidth=1.2)
+    handles: list[Any] = [*(Patch(color=colour) for colour in colours), rule]
     legend = [*THEORIES, "within the noise", f"clearance = {CLEARANCE_RULE:g} rms"]
     figure.legend(handles, legend, loc="outside lower center", ncols=4)
-    for axes in panels:
-        axes.set(xlabel=KEYS[x.key], xlim=(x.values[0], x.values[-1]))
-        axes.set(ylim=(y.values[0], y.values[-1]))
-        _rule(axes, data, x.key, y.key)
-    panels[0].set_ylabel(KEYS[y.key])
-    bar = figure.colorbar(drawn, ax=list(panels[:2]), location="right", shrink=0.95, pad=0.02)
-    bar.set_label(words)
     return figure
-
-
-def _rule(axes: Axes, data: xr.Dataset, x: str, y: str) -> None:
-    """The rule of section 6.3 as a line, where it lies inside the map."""
-    ratio = data["rms_ratio"]
-    if float(ratio.min()) < CLEARANCE_RULE < float(ratio.max()):
-        axes.contour(
-            data[x], data[y], ratio.transpose(y, x), levels=[CLEARANCE_RULE], colors=[INK],
-            linestyles=[DASHES], linewidths=1.2,
-        )  # fmt: skip

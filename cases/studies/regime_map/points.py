@@ -76,24 +76,21 @@ def _best(
     methods: Sequence[Method], system: System, observable: Observable, problems: list[str]
 ) -> tuple[str, AnyDensity] | None:
     """Return the best answer with its route's label; say in ``problems`` what is wrong with it."""
-    answers: list[tuple[str, AnyDensity]] = []
+    answers: list[tuple[bool, float, str, AnyDensity]] = []
     refusals = []
     for method in methods:
         label = method.route.label
         try:
-            answers.append((label, method.solve(system, [observable]).densities[0]))
+            (density,) = method.solve(system, [observable]).densities
         except (NotApplicable, NotCertified, InvalidInput) as error:
             refusals.append(f"{label}: {error}")
+        else:
+            stated = density.l1_error if isinstance(density, Density) else 0.0
+            answers.append((not density.certificate.certified, stated, label, density))
     if not answers:
         problems.extend(refusals)
         return None
-
-    def rank(answer: tuple[str, AnyDensity]) -> tuple[bool, float]:
-        density = answer[1]
-        stated = density.l1_error if isinstance(density, Density) else 0.0
-        return not density.certificate.certified, stated
-
-    label, density = min(answers, key=rank)
+    *_, label, density = min(answers, key=lambda answer: answer[:2])
     problems.extend(f"{label}: {failure}" for failure in density.certificate.failures)
     return label, density
 
