@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan, prod
+from typing import Literal
 
 import numpy as np
 
@@ -35,7 +36,7 @@ class Axis:
         return VARIED[self.key][0]
 
     @property
-    def scale(self) -> str:
+    def scale(self) -> Literal["log", "linear"]:
         """How a picture spaces the values."""
         return "log" if self.logarithmic else "linear"
 

@@ -57,7 +57,8 @@ def map_page(result: RegimeMap) -> Page:
         partial(regime_figure, result),
         summary=summary,
         gridded={
-            str(k): (v.dims, v.values, v.attrs) for k, v in result.dataset().variables.items()
+            str(key): (tuple(map(str, v.dims)), v.values, v.attrs)
+            for key, v in result.dataset().variables.items()
         },
     )
 
@@ -81,7 +82,7 @@ def regime_figure(result: RegimeMap) -> Figure:
 
 def _fields(result: RegimeMap, data: xr.Dataset, words: str) -> Figure:
     low = max(np.nanmin(data["L1"], initial=0.1), SMALLEST)
-    distances = {
+    distances: dict[str, Any] = {
         "norm": LogNorm(low, max(np.nanmax(data["L1"], initial=SMALLEST), 2.0 * low)),
         "cmap": "viridis_r",
     }
