@@ -4,15 +4,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from averaging.exact import compatibility
 from cases.comparison.compare import Comparison, compared
-from cases.comparison.routes import all_methods, listed_routes, method_for, register_routes
+from cases.comparison.routes import all_methods, method_for
+from cases.comparison.run import answered, incompatibility
 from cases.scene.scene import Scene, load_scene
 from fpk.density import AnyDensity
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.method import Method, Result, solved
+from fpk.method import Method, Result
 from fpk.observable import observable_name, parse_observable
-from fpk.route import solvers_of
 from fpk.system import System
 
 
@@ -21,7 +20,8 @@ class Answers(Mapping[Any, AnyDensity]):
     """Densities by observable and method: ``answers["q2", "exact"]``, as names or labels.
 
     ``answers["q2"]`` will do where one method alone gives q2; ``answers.of("q2")`` returns all by
-    method. ``results`` has what each method returned, ``refusals`` why others were left out.
+    method. ``results`` has what each method returned, ``refusals`` by the label of a method why it
+    gives not all that was asked for.
     """
 
     system: System
@@ -95,23 +95,17 @@ def solve(
     if isinstance(observables, str):
         raise InvalidInput("observables", observables, 'must be a list of names, as ["q2", "H"]')
     wanted = [parse_observable(name, system.n) for name in observables]
-    chosen = _methods(methods, tol)
     results, refusals = [], {}
-    for method in chosen:
-        label = method.route.label
-        try:
-            plan = method.prepare(system)
-            given = [o for o in wanted if _accepted(plan.refusal(o), required=methods is not None)]
-            if not given:
-                refusals[label] = plan.refusal(wanted[0]) or "no observable was asked for"
-                continue
-            result = solved(plan, system, given)
-        except NotApplicable as reason:
-            if methods is not None:
-                raise NotApplicable(f"{label}: {reason}") from None
-            refusals[label] = str(reason)
+    for method in _methods(methods, tol):
+        if methods is None:
+            result, refused = answered(method, system, wanted)
+            results += result
+            refusals.update((r.route.label, r.reason) for r in refused)
             continue
-        results.append(result)
+        try:
+            results.append(method.solve(system, wanted))
+        except NotApplicable as reason:
+            raise NotApplicable(f"{method.route.label}: {reason}") from None
     return Answers(system, tuple(results), refusals)
 
 
@@ -121,18 +115,8 @@ def compare(answers: Answers) -> tuple[Comparison, ...]:
     Numerical and sampling differences are judged (``holds``); those that averaging makes are
     reported, ``band`` is None.
     """
-    try:
-        compatibility(answers.system)
-        averaging_is_exact = True
-    except NotApplicable:
-        averaging_is_exact = False
-    return compared(answers.results, averaging_is_exact=averaging_is_exact)
-
-
-def _accepted(refusal: str | None, *, required: bool) -> bool:
-    if refusal is not None and required:
-        raise NotApplicable(refusal)
-    return refusal is None
+    exact = incompatibility(answers.system) is None
+    return compared(answers.results, averaging_is_exact=exact)
 
 
 def _methods(methods: Sequence[str | Method] | None, tol: float | None) -> list[Method]:
@@ -140,14 +124,4 @@ def _methods(methods: Sequence[str | Method] | None, tol: float | None) -> list[
         raise InvalidInput("methods", methods, 'must be a list, as ["exact", "nonintegrable/fem"]')
     if methods is None:
         return [m for m in all_methods(tol=tol) if not m.route.sampled]
-    return [_named(m, tol) if isinstance(m, str) else m for m in methods]
-
-
-def _named(name: str, tol: float | None) -> Method:
-    method, _, solver = name.partition("/")
-    register_routes(method)
-    solvers = solvers_of(method)
-    if not solvers or (solver and solver not in solvers):
-        known = ", ".join(f"{route.method}/{route.solver}" for route in listed_routes())
-        raise InvalidInput("method", name, f"is not a method; use one of {known}")
-    return method_for(method, solver or solvers[0], tol=tol)
+    return [method_for(*m.split("/", 1), tol=tol) if isinstance(m, str) else m for m in methods]

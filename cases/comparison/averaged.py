@@ -18,7 +18,7 @@ from fpk.route import ROUTES, Route, register
 from fpk.system import System
 
 if TYPE_CHECKING:
-    from sim.averaged.square_root import SquareRootForm
+    from fpk.process import Process
 
 Theory = Literal["integrable", "nonintegrable"]
 
@@ -66,16 +66,8 @@ class AveragedSimulation(Method):
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
-        if self.theory == "nonintegrable":
-            from averaging.energy_process import energy_process
-
-            energy_process(system)
-        else:
-            from averaging.modal.analysis import modal_analysis
-            from averaging.modal.resonance import require_no_resonance
-
-            require_no_resonance(system, system.fact(modal_analysis))
-        return Plan(self._unknown, lambda o, progress: self._sampled(system, o, progress))
+        process = (_total if self.theory == "nonintegrable" else _modal)(system)
+        return Plan(self._unknown, lambda o, progress: self._sampled(process, o, progress))
 
     def _unknown(self, observable: Observable) -> str | None:
         """Why the averaged energies do not give the observable, None where they do."""
@@ -89,11 +81,13 @@ class AveragedSimulation(Method):
         return None
 
     def _sampled(
-        self, system: System, observables: Sequence[Observable], progress: Progress
+        self, process: "Process", observables: Sequence[Observable], progress: Progress
     ) -> Result:
+        from sim.averaged.line import line_form
         from sim.averaged.paths import EnergySampling, exact, simulate_energies
+        from sim.averaged.square_root import square_root_form
 
-        form = self._form(system)
+        form = (line_form if self.theory == "nonintegrable" else square_root_form)(process)
         slowest, fastest = float(form.times.max()), float(form.times.min())
         sampling = EnergySampling(
             dt=inf if exact(form) else self.step * fastest,
@@ -107,7 +101,7 @@ class AveragedSimulation(Method):
         )
         densities = simulate_energies(form, observables, sampling, progress=progress)
         settings: dict[str, str | float | int] = {
-            "equation": "(17)" if self.theory == "integrable" else "(9), (24)",
+            "equation": self.route.equation,
             "relaxation time": slowest,
             "dt": sampling.inner[1],
             "steps": "exact" if exact(form) else "Strang splitting",
@@ -121,16 +115,20 @@ class AveragedSimulation(Method):
         """Return the method with four times the paths and half the step: half of both errors."""
         return replace(self, paths=4 * self.paths, step=0.5 * self.step)
 
-    def _form(self, system: System) -> "SquareRootForm":
-        if self.theory == "integrable":
-            from averaging.modal.analysis import modal_analysis
-            from sim.averaged.square_root import square_root_form
 
-            return square_root_form(system.fact(modal_analysis).process())
-        from averaging.energy_process import energy_process
-        from sim.averaged.line import line_form
+def _total(system: System) -> "Process":
+    from averaging.energy_process import energy_process
 
-        return line_form(energy_process(system))
+    return energy_process(system)
+
+
+def _modal(system: System) -> "Process":
+    from averaging.modal.analysis import modal_analysis
+    from averaging.modal.resonance import require_no_resonance
+
+    analysis = system.fact(modal_analysis)
+    require_no_resonance(system, analysis)
+    return analysis.process()
 
 
 def worth_running(system: System) -> bool:
@@ -142,6 +140,7 @@ for _theory, _words, _equation, _colour in (
     ("nonintegrable", "energy averaging, simulated", "(24)", "#a8577e"),
     ("integrable", "modal averaging, simulated", "(17)", "#9a6fc0"),
 ):
+    _make = partial(AveragedSimulation, _theory)  # type: ignore[arg-type]
     register(
         Route(
             _theory,
@@ -151,7 +150,7 @@ for _theory, _words, _equation, _colour in (
             "averaged",
             True,
             _colour,
-            make=partial(AveragedSimulation, _theory),  # type: ignore[arg-type]
+            _make,
             unasked=worth_running,
-        )
+        )  # fmt: skip
     )

@@ -1,6 +1,6 @@
 """Claims held against numbers: findings about a source, never failures of the program."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import erfc, sqrt
@@ -21,7 +21,6 @@ from fpk.density import (
     moment,
 )
 from fpk.observable import Observable, observable_name
-from fpk.route import Route
 
 if TYPE_CHECKING:
     from cases.comparison.run import CurveOutcome
@@ -121,26 +120,22 @@ def shape_of(density: AnyDensity) -> Shape:
     return Shape(distance, chance, kurtosis, 3.0 * spread)
 
 
-def reference_of(densities: Mapping[Route, AnyDensity]) -> AnyDensity | None:
-    """Return the best answer for the full system: a deterministic one where there is one."""
-    full = (r for r in sorted(densities, key=lambda r: r.sampled) if r.solves == "full")
-    return next((densities[r] for r in full), None)
-
-
-def theory_of(densities: Mapping[Route, AnyDensity], name: str) -> AnyDensity | None:
-    """Return the first deterministic answer of the averaged method ``name``."""
-    own = (r for r in densities if r.method == name and not r.sampled)
-    return next((densities[r] for r in own), None)
+def _reference(curve: "CurveOutcome", of: Observable) -> AnyDensity | None:
+    """The best answer for the full system: a deterministic one where there is one."""
+    densities = sorted(curve.densities(of).items(), key=lambda answer: answer[0].sampled)
+    return next((d for route, d in densities if route.solves == "full"), None)
 
 
 def _gaussian(claim: str, curve: "CurveOutcome", of: Observable, *, wanted: bool) -> Finding:
-    density = reference_of(curve.densities(of))
+    density = _reference(curve, of)
     if density is None:
         return Finding(claim, curve.label, "no answer for the full system", "not checked")
     shape = shape_of(density)
     measured = f"L1 to the fitted Gaussian {shape.l1:.3f}, excess kurtosis {shape.kurtosis:+.3f}"
     almost = shape.almost_gaussian
-    return Finding(claim, curve.label, measured, _verdict(almost if wanted else _opposite(almost)))
+    return Finding(
+        claim, curve.label, measured, _verdict(None if almost is None else almost == wanted)
+    )
 
 
 def _theories(expect: Expect, curve: "CurveOutcome") -> list[Finding]:
@@ -149,44 +144,39 @@ def _theories(expect: Expect, curve: "CurveOutcome") -> list[Finding]:
         pair = [_distance(curve, expect.of, name) for name in expect.better]
         claim = "{} theory better than {}".format(*expect.better)
         verdicts.append(_nearer(claim, curve.label, *pair))
-    verdicts += [
-        _acceptable(f"{name} theory acceptable", name, curve, expect.of)
-        for name in expect.acceptable
-    ]
+    acceptable = {f"{name} theory acceptable": name for name in expect.acceptable}
     if (rule := expect.clearance_rule) is not None:
         claim = f"integrable theory acceptable for clearance > {rule:g} rms"
-        ratios = [s.ratio for s in curve.regime.stops]
-        known = [r for r in ratios if r is not None]
-        if known and len(known) == len(ratios) and min(known) > rule:
-            verdicts.append(_acceptable(claim, "integrable", curve, expect.of))
-        else:
-            measured = "the rms is not known"
-            if known and len(known) == len(ratios):
-                measured = f"clearance is {min(known):.3g} rms: the rule says nothing here"
+        ratios = [stop.ratio for stop in curve.stops if stop.ratio is not None]
+        if len(ratios) < max(len(curve.stops), 1):
+            verdicts.append(Finding(claim, curve.label, "the rms is not known", "not checked"))
+        elif min(ratios) <= rule:
+            measured = f"clearance is {min(ratios):.3g} rms: the rule says nothing here"
             verdicts.append(Finding(claim, curve.label, measured, "not checked"))
-    return verdicts
+        else:
+            acceptable[claim] = "integrable"
+    limit = (ACCEPTABLE_L1, 0.0)
+    return verdicts + [
+        _nearer(claim, curve.label, _distance(curve, expect.of, name), limit)
+        for claim, name in acceptable.items()
+    ]
 
 
 def _nearer(claim: str, where: str, near: Bounded | None, far: Bounded | None) -> Finding:
     """Whether ``near`` is the smaller of two distances to the full system."""
     if near is None or far is None:
         return Finding(claim, where, "no answer to compare with", "not checked")
-    measured = f"L1 {near[0]:.4f} ± {near[1]:.4f} against {far[0]:.4f} ± {far[1]:.4f}"
-    return Finding(claim, where, measured, _verdict(_below(near[0], far[0], near[1] + far[1])))
-
-
-def _acceptable(claim: str, name: str, curve: "CurveOutcome", of: Observable) -> Finding:
-    distance = _distance(curve, of, name)
-    if distance is None:
-        return Finding(claim, curve.label, f"no answer of the {name} theory", "not checked")
-    measured = f"L1 to the full system {distance[0]:.4f} ± {distance[1]:.4f}"
-    verdict = _verdict(_below(distance[0], ACCEPTABLE_L1, distance[1]))
-    return Finding(claim, curve.label, measured, verdict)
+    limit = f"{far[0]:.4f} ± {far[1]:.4f}" if far[1] else f"{far[0]:g}"
+    holds = _below(near[0], far[0], near[1] + far[1])
+    return Finding(
+        claim, where, f"L1 {near[0]:.4f} ± {near[1]:.4f} against {limit}", _verdict(holds)
+    )
 
 
 def _distance(curve: "CurveOutcome", of: Observable, name: str) -> Bounded | None:
-    densities = curve.densities(of)
-    theory, reference = theory_of(densities, name), reference_of(densities)
+    """Distance of the first deterministic answer of the averaged method ``name``, None without."""
+    own = (d for r, d in curve.densities(of).items() if r.method == name and not r.sampled)
+    theory, reference = next(own, None), _reference(curve, of)
     if theory is None or reference is None:
         return None
     return distance_between(theory, reference)
@@ -195,10 +185,6 @@ def _distance(curve: "CurveOutcome", of: Observable, name: str) -> Bounded | Non
 def _below(value: float, limit: float, slack: float) -> bool | None:
     """Whether value < limit; None where the difference does not exceed what both may be off."""
     return None if abs(value - limit) <= slack else value < limit
-
-
-def _opposite(holds: bool | None) -> bool | None:
-    return None if holds is None else not holds
 
 
 def _verdict(holds: bool | None) -> Verdict:

@@ -5,8 +5,7 @@ from dataclasses import fields, replace
 from importlib import import_module
 from typing import Any
 
-from cases.scene.errors import BadInput
-from fpk.errors import NotApplicable
+from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import Method, Plan
 from fpk.observable import Observable
 from fpk.route import ROUTES, Route, solvers_of
@@ -32,28 +31,15 @@ def register_routes(method: str | None = None) -> None:
 def listed_routes() -> tuple[Route, ...]:
     """Return all routes: deterministic before sampled, the full system before averaged ones."""
     register_routes()
-    own = list(ROUTE_MODULES)
-    return tuple(
-        sorted(
-            ROUTES.values(),
-            key=lambda r: (
-                r.sampled,
-                r.solves != "full",
-                own.index(r.method) if r.method in own else len(own),
-            ),
-        )
-    )
-
-
-def listed_methods() -> tuple[str, ...]:
-    """Return the names of all methods in the order of their routes."""
-    return tuple(dict.fromkeys(route.method for route in listed_routes()))
+    names = list(dict.fromkeys([*ROUTE_MODULES, *(method for method, _ in ROUTES)]))
+    order = sorted(ROUTES.values(), key=lambda r: names.index(r.method))
+    return tuple(sorted(order, key=lambda r: (r.sampled, r.solves != "full")))
 
 
 def method_for(name: str, solver: str | None = None, **settings: Any) -> Method:
     """Return the method ``name`` by ``solver`` (None: its default) with the settings it has.
 
-    A setting that is None is left to the method. Raises ``BadInput`` for names of no route.
+    A setting that is None is left to the method. Raises ``InvalidInput`` for names of no route.
     """
     return _made(_routes_of(name, solver)[0], settings)
 
@@ -75,8 +61,8 @@ def chosen(
 ) -> Plan:
     """Return the plan of method ``name`` by ``solver``, or by its first that gives ``observable``.
 
-    Raises ``BadInput`` for names of no route and for a setting that was given and the method does
-    not have, ``NotApplicable`` with the reason of the first where none gives the observable.
+    Raises ``InvalidInput`` for names of no route and for a setting that was given and the method
+    does not have, ``NotApplicable`` with the reason of the first where none gives the observable.
     """
     refusals = []
     for route in _routes_of(name, solver):
@@ -92,23 +78,25 @@ def chosen(
         known = {*_settings_of(method), "partial", "tol"}
         unused = {k for k, v in settings.items() if v not in (None, False)} - known
         for setting in sorted(unused):
-            raise BadInput(
-                f"--{setting.replace('_', '-')}: not an option of {name} by {method.solver};"
-                " leave it out"
-            )
+            option = f"--{setting.replace('_', '-')}"
+            no_option = f"is not an option of {name} by {method.solver}; leave it out"
+            raise InvalidInput(option, settings[setting], no_option)
         return plan
     raise NotApplicable(refusals[0])
 
 
 def _routes_of(name: str, solver: str | None) -> list[Route]:
     register_routes(name)
-    choices = solvers_of(name)
+    choices = [ROUTES[name, each] for each in solvers_of(name)]
     if not choices:
-        raise BadInput(f"--method {name}: use one of {', '.join(listed_methods())}")
-    if solver is not None and solver not in choices:
-        remedy = f"use one of {', '.join(choices)}" if len(choices) > 1 else "leave it out"
-        raise BadInput(f"--solver {solver}: not a solver of {name}; {remedy}")
-    return [ROUTES[name, s] for s in choices if solver in (None, s)]
+        names = dict.fromkeys(route.method for route in listed_routes())
+        raise InvalidInput("method", name, f"use one of {', '.join(names)}")
+    wanted = [route for route in choices if solver in (None, route.solver)]
+    if not wanted:
+        labels = ", ".join(route.label for route in choices)
+        remedy = f"use one of {labels}" if len(choices) > 1 else "leave it out"
+        raise InvalidInput("solver", solver, f"is not a solver of {name}; {remedy}")
+    return wanted
 
 
 def _settings_of(method: Method) -> set[str]:

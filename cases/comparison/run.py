@@ -1,29 +1,21 @@
 """The main job: every curve of a scene by every route that applies, and what they say together."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from time import perf_counter
 
-from averaging.energy_process import energy_process
 from averaging.exact import compatibility
-from averaging.modal.analysis import modal_analysis
 from cases.comparison.claims import Finding, findings
 from cases.comparison.compare import Comparison, compared, discrepancies
-from cases.comparison.regime import Regime, regime_of
 from cases.scene.scene import Scene
 from cases.scene.vary import Curve
+from fpk.clearance import StopClearance, stop_clearances
 from fpk.density import AnyDensity
-from fpk.effects import Effects, effects_of
-from fpk.ends import classify
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.method import Method, Progress, Result, silent, solved
 from fpk.observable import Observable, observable_name
 from fpk.route import Route
 from fpk.system import System
-
-MODES_SHOWN = 4
-"""Modes whose boundaries are shown; with constant damping they are alike in all."""
 
 
 @dataclass(frozen=True)
@@ -37,33 +29,20 @@ class Refusal:
 
 
 @dataclass(frozen=True)
-class Boundary:
-    """One end of the averaged energy process and what it is, in Feller's words."""
-
-    process: str
-    end: str
-    kind: str
-    reason: str
-
-
-@dataclass(frozen=True)
 class CurveOutcome:
-    """The answers of all routes for one curve, and their comparison."""
+    """The answers of all routes for one curve, and their comparison; ``value`` as in ``Curve``."""
 
     label: str
     system: System
-    effects: Effects
-    regime: Regime
-    boundaries: tuple[Boundary, ...]
     results: tuple[Result, ...]
     refusals: tuple[Refusal, ...]
     comparisons: tuple[Comparison, ...]
     value: float | None = None
 
     @property
-    def judged(self) -> int:
-        """How many comparisons are judged."""
-        return sum(c.band is not None for c in self.comparisons)
+    def stops(self) -> tuple[StopClearance, ...]:
+        """Every stop with its clearance over the rms displacement."""
+        return self.system.fact(stop_clearances)
 
     def densities(self, observable: Observable) -> dict[Route, AnyDensity]:
         """Return the densities of one observable by route."""
@@ -80,7 +59,7 @@ class CurveOutcome:
 
     def is_exact(self, route: Route) -> bool:
         """Whether ``route`` gives the exact density: by itself, or as condition (8) holds."""
-        exact = self.regime.incompatible is None and not self.neglects(route)
+        exact = incompatibility(self.system) is None and not self.neglects(route)
         return exact or route.solves == "full"
 
     @property
@@ -130,23 +109,9 @@ def run_scene(scene: Scene, methods: Sequence[Method], *, progress: Progress = s
     for curve in scene.curves:
         interrupted = any(r.partial for c in curves for r in c.results)
         wanted = () if interrupted else methods
-        curves.append(_run_curve(scene, curve, wanted, progress=progress))
+        curves.append(_run_curve(curve, scene.observables, methods=wanted, progress=progress))
     claims = findings(scene.expect, curves)
     return Outcome(scene, tuple(curves), perf_counter() - start, claims)
-
-
-def boundaries_of(system: System) -> tuple[Boundary, ...]:
-    """Return the ends of the averaged energies (24) and (17), of each theory that applies."""
-    boundaries = []
-    with suppress(NotApplicable):
-        ends = classify(energy_process(system))
-        boundaries += [Boundary("nonintegrable", e.end, e.kind, e.reason) for e in ends]
-    with suppress(NotApplicable):
-        process = system.fact(modal_analysis).process()
-        for axis in range(min(process.dimension, MODES_SHOWN)):
-            edges = classify(process, axis)
-            boundaries += [Boundary("integrable", e.end, e.kind, e.reason) for e in edges]
-    return tuple(boundaries)
 
 
 def incompatibility(system: System) -> str | None:
@@ -158,51 +123,57 @@ def incompatibility(system: System) -> str | None:
     return None
 
 
+def answered(
+    method: Method,
+    system: System,
+    observables: Sequence[Observable],
+    *,
+    progress: Progress = silent,
+) -> tuple[list[Result], list[Refusal]]:
+    """Return the result of ``method`` for the observables that it gives, and the others refused.
+
+    No result where it gives none of them or fails.
+    """
+    given: list[Observable] = []
+    refused: dict[str, list[Observable]] = {}
+    try:
+        plan = method.prepare(system)
+    except NotApplicable as error:
+        return [], [_refusal(method, observables, error)]
+    for observable in observables:
+        reason = plan.refusal(observable)
+        (given if reason is None else refused.setdefault(reason, [])).append(observable)
+    refusals = [_refusal(method, names, reason) for reason, names in refused.items()]
+    if not given:
+        return [], refusals
+    try:
+        return [solved(plan, system, given, progress=progress)], refusals
+    except (NotApplicable, NotCertified, InvalidInput) as error:
+        return [], [*refusals, _refusal(method, given, error, failed=True)]
+
+
+def _refusal(
+    method: Method, observables: Sequence[Observable], reason: object, *, failed: bool = False
+) -> Refusal:
+    return Refusal(method.route, tuple(map(observable_name, observables)), str(reason), failed)
+
+
 def _run_curve(
-    scene: Scene, curve: Curve, methods: Sequence[Method], *, progress: Progress
+    curve: Curve,
+    observables: Sequence[Observable],
+    *,
+    methods: Sequence[Method],
+    progress: Progress,
 ) -> CurveOutcome:
     results: list[Result] = []
     refusals: list[Refusal] = []
     for method in methods:
         if method.route.unasked(curve.system):
-            result, refused = _answer(method, curve.system, scene.observables, progress)
+            result, refused = answered(method, curve.system, observables, progress=progress)
             results += result
             refusals += refused
-    incompatible = incompatibility(curve.system)
+    exact = incompatibility(curve.system) is None
+    comparisons = compared(results, averaging_is_exact=exact)
     return CurveOutcome(
-        label=curve.label,
-        system=curve.system,
-        effects=effects_of(curve.system),
-        regime=regime_of(curve.system, incompatible),
-        boundaries=boundaries_of(curve.system),
-        results=tuple(results),
-        refusals=tuple(refusals),
-        comparisons=compared(results, averaging_is_exact=incompatible is None),
-        value=curve.value,
+        curve.label, curve.system, tuple(results), tuple(refusals), comparisons, curve.value
     )
-
-
-def _answer(
-    method: Method, system: System, observables: Sequence[Observable], progress: Progress
-) -> tuple[list[Result], list[Refusal]]:
-    """The result of one method for the observables that it gives, and the others refused."""
-    names = tuple(observable_name(o) for o in observables)
-    route = method.route
-    try:
-        plan = method.prepare(system)
-    except NotApplicable as error:
-        return [], [Refusal(route, names, str(error))]
-    reasons = [plan.refusal(o) for o in observables]
-    refusals = [
-        Refusal(route, tuple(n for n, r in zip(names, reasons, strict=True) if r == reason), reason)
-        for reason in dict.fromkeys(reasons)
-        if reason is not None
-    ]
-    wanted = [o for o, reason in zip(observables, reasons, strict=True) if reason is None]
-    if not wanted:
-        return [], refusals
-    try:
-        return [solved(plan, system, wanted, progress=progress)], refusals
-    except (NotApplicable, NotCertified, InvalidInput) as error:
-        failed = tuple(observable_name(o) for o in wanted)
-        return [], [*refusals, Refusal(route, failed, str(error), failed=True)]

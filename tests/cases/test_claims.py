@@ -1,12 +1,11 @@
 """Claims of a source: judged by numbers known beforehand, undecided within the noise."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 from cases.comparison.claims import ACCEPTABLE_L1, findings, shape_of
-from cases.comparison.regime import Regime
 from cases.comparison.routes import listed_routes
 from cases.scene.expect import Expect, Range
 from cases.scene.scene import load_scene, shipped_scenes
@@ -50,11 +49,10 @@ class Found:
     label: str = ""
     value: float | None = None
     ratio: float | None = 1.0
-    regime: Regime = field(init=False)
 
-    def __post_init__(self):
-        stops = (StopClearance(1, "right", 1.0, 1.0, self.ratio),)
-        object.__setattr__(self, "regime", Regime((1.0,), None, stops))
+    @property
+    def stops(self):
+        return (StopClearance(1, "right", 1.0, 1.0, self.ratio),)
 
     def densities(self, observable):
         answers = {ROUTES[ROUTE[name]]: d for name, d in self.answers.items()}
