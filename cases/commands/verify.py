@@ -27,6 +27,7 @@ def verify(scenes: tuple[str, ...], coarse: bool, as_json: bool, **settings: Any
     shipped = [name for name, path in shipped_scenes().items() if path.parent.name != "hard"]
     loaded = [load_scene(name) for name in dict.fromkeys(scenes or shipped)]
     from cases.comparison.routes import all_methods
+    from cases.output.digest import digest_of
     from cases.output.verify import verify_line, verify_record, verify_row, verify_table
 
     if coarse:
@@ -35,7 +36,7 @@ def verify(scenes: tuple[str, ...], coarse: bool, as_json: bool, **settings: Any
     width = max(len(scene.name) for scene in loaded)
     rows = []
     for scene in loaded:
-        rows.append(verify_row(outcome_of(scene, methods)))
+        rows.append(verify_row(digest_of(outcome_of(scene, methods))))
         if not as_json:
             click.echo(verify_line(rows[-1], width))
     end(

@@ -136,21 +136,10 @@ def worth_running(system: System) -> bool:
     return bool(system.damping_terms)
 
 
-for _theory, _words, _equation, _colour in (
-    ("nonintegrable", "energy averaging, simulated", "(24)", "#a8577e"),
-    ("integrable", "modal averaging, simulated", "(17)", "#9a6fc0"),
+for _names in (
+    ("nonintegrable", "simulation", "energy averaging, simulated", "(24)"),
+    ("integrable", "simulation", "modal averaging, simulated", "(17)"),
 ):
-    _make = partial(AveragedSimulation, _theory)  # type: ignore[arg-type]
-    register(
-        Route(
-            _theory,
-            "simulation",
-            _words,
-            _equation,
-            "averaged",
-            True,
-            _colour,
-            _make,
-            unasked=worth_running,
-        )  # fmt: skip
-    )
+    _make = partial(AveragedSimulation, _names[0])  # type: ignore[arg-type]
+    _colour = {"nonintegrable": "#a8577e", "integrable": "#9a6fc0"}[_names[0]]
+    register(Route(*_names, "averaged", True, _colour, _make, worth_running))

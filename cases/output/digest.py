@@ -6,13 +6,7 @@ from typing import Any
 
 from cases.comparison.compare import Comparison
 from cases.comparison.run import CurveOutcome, Outcome, Refusal
-from cases.output.records import (
-    certificate_record,
-    effects_record,
-    plain,
-    regime_record,
-    system_record,
-)
+from cases.output.records import certificate_record, facts_record, plain
 from fpk.density import Density
 from fpk.method import Result
 from fpk.route import Route, solvers_of
@@ -30,7 +24,9 @@ def digest_of(outcome: Outcome) -> Record:
             "title": outcome.scene.title,
             **_curve(base),
             "curves": [_curve(c) for c in others],
-            "judged": sum(curve.judged for curve in outcome.curves),
+            "judged": sum(
+                c.band is not None for curve in outcome.curves for c in curve.comparisons
+            ),
             "problems": outcome.problems,
             "claims": [asdict(f) for f in outcome.findings],
             "seconds": outcome.seconds,
@@ -81,12 +77,7 @@ def verdict_of(digest: Record) -> str:
 def _curve(curve: CurveOutcome) -> Record:
     return {
         "label": curve.label,
-        "system": system_record(curve.system),
-        "effects": effects_record(curve.effects),
-        "regime": {
-            **regime_record(curve.regime),
-            "boundaries": [asdict(b) for b in curve.boundaries],
-        },
+        **facts_record(curve.system),
         "methods": [*map(_method, curve.results), *map(refusal_record, curve.refusals)],
         "comparisons": comparison_rows(curve.comparisons),
         "errors": [e for r in curve.results for e in _three_errors(r, curve.comparisons)],

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from contextlib import suppress
 from dataclasses import asdict, fields, is_dataclass
 from importlib.metadata import PackageNotFoundError, version
 from math import isfinite
@@ -9,13 +10,22 @@ from typing import Any
 
 import numpy as np
 
-from cases.comparison.regime import Regime
+from averaging.energy_process import energy_process
+from averaging.modal.analysis import modal_analysis
+from cases.comparison.run import incompatibility
+from fpk.clearance import stop_clearances
 from fpk.damping import DampingTerm
 from fpk.density import AnyDensity
-from fpk.effects import Effects
+from fpk.effects import effects_of
+from fpk.ends import BoundaryClass, classify
+from fpk.errors import NotApplicable
+from fpk.linear import natural_frequencies
 from fpk.system import System
 
 UNITS = "the scene's own consistent units"
+
+MODES_SHOWN = 4
+"""Modes whose boundaries are shown; with constant damping they are alike in all."""
 
 
 def program_version() -> str:
@@ -56,18 +66,38 @@ def certificate_record(density: AnyDensity) -> dict[str, Any]:
     return {**asdict(certificate), "certified": certificate.certified}
 
 
-def effects_record(effects: Effects) -> dict[str, Any]:
-    """Return the effects as users read them: masses counted from 1."""
-    record = asdict(effects)
-    record["contact_masses"] = [i + 1 for i in effects.contact_masses]
-    return {**record, "contact": effects.contact}
+def facts_record(system: System) -> dict[str, Any]:
+    """Return the system, its effects, and its regime: what decides between the theories.
+
+    Masses count from 1. ``incompatible`` says why the compatibility condition (8) fails, None where
+    it holds.
+    """
+    effects, stops = effects_of(system), system.fact(stop_clearances)
+    beyond = [stop.beyond_rule for stop in stops]
+    masses = [i + 1 for i in effects.contact_masses]
+    return {
+        "system": system_record(system),
+        "effects": {**asdict(effects), "contact_masses": masses, "contact": effects.contact},
+        "regime": {
+            "natural_frequencies": natural_frequencies(system),
+            "incompatible": incompatibility(system),
+            "stops": [{**asdict(s), "beyond_rule": s.beyond_rule} for s in stops],
+            "contacts_negligible": None if None in beyond else all(beyond),
+            "boundaries": _boundaries(system),
+        },
+    }
 
 
-def regime_record(regime: Regime) -> dict[str, Any]:
-    """Return what decides between the theories."""
-    stops = [{**asdict(s), "beyond_rule": s.beyond_rule} for s in regime.stops]
-    negligible = regime.contacts_negligible
-    return {**asdict(regime), "stops": stops, "contacts_negligible": negligible}
+def _boundaries(system: System) -> list[dict[str, Any]]:
+    """The ends of the averaged energies (24) and (17), of each theory that applies."""
+    ends: list[tuple[str, BoundaryClass]] = []
+    with suppress(NotApplicable):
+        ends += [("nonintegrable", end) for end in classify(energy_process(system))]
+    with suppress(NotApplicable):
+        process = system.fact(modal_analysis).process()
+        for axis in range(min(process.dimension, MODES_SHOWN)):
+            ends += [("integrable", end) for end in classify(process, axis)]
+    return [{"process": theory, **asdict(end)} for theory, end in ends]
 
 
 def system_record(system: System) -> dict[str, Any]:

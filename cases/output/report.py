@@ -6,21 +6,18 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
 from cases.comparison.claims import ACCEPTABLE_L1, ALMOST_KURTOSIS, ALMOST_L1
 from cases.comparison.run import Outcome
-from cases.output.digest import curves_of, digest_of, refusals_of, verdict_of
+from cases.output.digest import curves_of, digest_of, verdict_of
 from cases.output.fields import write_netcdf
 from cases.output.figures import figures
 from cases.output.files import write_text
 from cases.output.records import program_version
-from cases.output.show import term_text, theories
+from cases.output.show import theories
 from cases.output.svg import inline_svg, svg_text
+from cases.output.text import rendered
 
 LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "xarray")
-
-SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def write_report(outcome: Outcome, folder: Path) -> list[Path]:
@@ -41,45 +38,24 @@ def write_report(outcome: Outcome, folder: Path) -> list[Path]:
 
 def report_html(outcome: Outcome, pictures: list[dict[str, Any]]) -> str:
     """Return the page; every text that comes from a scene is escaped by the template."""
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent / "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"num": number, "reasons": refusals_of, "term": term_text}
     digest = digest_of(outcome)
-    return environment.get_template("report.html").render(
-        scene=outcome.scene,
-        digest=digest,
-        curves=curves_of(digest),
-        verdict=verdict_of(digest),
-        theories=theories(outcome.scene),
-        pictures=pictures,
-        limits={
+    record = {
+        "scene": outcome.scene,
+        "digest": digest,
+        "curves": curves_of(digest),
+        "verdict": verdict_of(digest),
+        "theories": theories(outcome.scene),
+        "pictures": pictures,
+        "limits": {
             "gaussian": ALMOST_L1,
             "kurtosis": ALMOST_KURTOSIS,
             "acceptable": ACCEPTABLE_L1,
         },
-        made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        versions=[
+        "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "versions": [
             ("vibro-fpk", program_version()),
             ("Python", platform.python_version()),
             *((name, version(name)) for name in LIBRARIES),
         ],
-    )
-
-
-def number(value: Any, digits: int = 3) -> str:
-    """Return a number as a table shows it: plain where it is short, else with a power of ten."""
-    if value is None:
-        return "–"
-    if isinstance(value, (list, tuple)):
-        return ", ".join(number(v, digits) for v in value)
-    if not isinstance(value, float):
-        return str(value)
-    mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
-    if value == 0 or -3 <= int(exponent or 0) < 5:
-        return f"{value:.{digits + 1}g}"
-    return f"{mantissa} × 10{str(int(exponent)).translate(SUPERSCRIPTS)}"
+    }
+    return rendered("report.html", record)

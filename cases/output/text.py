@@ -1,49 +1,94 @@
-"""Results as text for a terminal."""
+"""Records as text and as HTML, by templates; numbers, damping terms and claims in words."""
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from cases.output.digest import Record, curves_of, refusals_of, verdict_of
 
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
 
 def run_text(digest: Record) -> str:
-    """Return the comparisons of every curve and the verdict."""
-    lines = [digest["title"], ""]
-    for curve in curves_of(digest):
-        lines += [curve["label"]] if curve["label"] else []
-        lines.append(f"  {'of':8}{'a':27}{'b':27}{'measures':11}{'L1':>9} {'allowed':>9}")
-        lines += [_comparison_line(c) for c in curve["comparisons"] if not c["repeats"]]
-        lines += [_errors_line(e) for e in curve["errors"]]
-        lines += [
-            f"  {r['routes']}: {'failed' if r['failed'] else 'not taken'}"
-            f" ({', '.join(r['observables'])}): {r['reason']}"
-            for r in refusals_of(curve)
-        ]
-        lines.append("")
-    if digest["claims"]:
-        claims = [f"  {claim['verdict']:14}{claim_line(claim)}" for claim in digest["claims"]]
-        lines += ["What the source claims", *claims, ""]
-    return "\n".join([*lines, f"{verdict_of(digest)}, {digest['seconds']:.1f} s"])
+    """Return the comparisons of every curve and the verdict, for a terminal."""
+    curves, verdict = curves_of(digest), verdict_of(digest)
+    return rendered("run.txt", {"digest": digest, "curves": curves, "verdict": verdict})
 
 
-def _comparison_line(c: Record) -> str:
-    allowed = "-" if c["band"] is None else f"{c['band']:.2e}"
-    verdict = "" if c["holds"] else "  FAILS"
-    return (
-        f"  {c['observable']:8}{c['a']:27}{c['b']:27}{c['measures']:11}{c['L1']:9.2e} {allowed:>9}"
-        f"{verdict}"
+def show_text(record: Record) -> str:
+    """Return the record of ``fpk show`` for a terminal."""
+    return rendered("show.txt", record)
+
+
+def rendered(template: str, record: Mapping[str, Any]) -> str:
+    """Return the record in the form of a template; in HTML all its text is escaped."""
+    return _templates().get_template(template).render(record).rstrip("\n")
+
+
+@cache
+def _templates() -> Environment:
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=lambda name: name is not None and name.endswith("html"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
+    environment.filters |= {
+        "num": number,
+        "short": _short,
+        "diagonal": _diagonal,
+        "term": _term,
+        "claim": claim_words,
+        "reasons": refusals_of,
+    }
+    return environment
 
 
-def _errors_line(e: Record) -> str:
-    bias = e["step_bias"]
-    if not isinstance(bias, str):
-        bias = f"{bias['L1']:.1e} ({bias['by_chance']:.1e} by chance)"
-    averaging = ", ".join(f"{a['theory']} {a['L1']:.1e}" for a in e["averaging"]) or "-"
-    return (
-        f"  {e['observable']:8}{e['route']}: sampling error {e['sampling']:.1e}; step bias {bias};"
-        f" averaging error {averaging}"
-    )
+def power_of_ten(exponent: int) -> str:
+    """Return 10 to the power ``exponent`` in plain characters."""
+    return f"10{str(exponent).translate(SUPERSCRIPTS)}"
 
 
-def claim_line(claim: Record) -> str:
+def number(value: Any, digits: int = 3) -> str:
+    """Return a number as a table shows it: plain where it is short, else with a power of ten."""
+    if value is None:
+        return "–"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(number(v, digits) for v in value)
+    if not isinstance(value, float):
+        return str(value)
+    mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
+    if value == 0 or -3 <= int(exponent or 0) < 5:
+        return f"{value:.{digits + 1}g}"
+    return f"{mantissa} × {power_of_ten(int(exponent))}"
+
+
+def claim_words(claim: Record) -> str:
     """Return the claim, the curve that it is about and what was measured."""
     where = f"{claim['curve']}: " if claim["curve"] else ""
     return f"{claim['claim']}; {where}{claim['measured']}"
+
+
+def _term(term: Record) -> str:
+    """The damping term as an equation: ``c11 += 0.05 q1^2 v2^2 H``."""
+    powers = [(f"{key}{mass}", n) for key in ("q", "v") for mass, n in term[key].items()]
+    powers += [("H", term["energy"])] if term["energy"] else []
+    factors = [name if n == 1 else f"{name}^{n}" for name, n in powers]
+    return f"c{term['i']}{term['j']} += {' '.join([_short(term['coefficient']), *factors])}"
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, list):
+        return ", ".join(_short(v) for v in value) or "none"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _diagonal(matrix: list[list[float]]) -> str:
+    off = [x for i, row in enumerate(matrix) for j, x in enumerate(row) if i != j]
+    if any(off):
+        return "; ".join(_short(row) for row in matrix)
+    return _short([row[i] for i, row in enumerate(matrix)])

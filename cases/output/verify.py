@@ -1,62 +1,52 @@
-"""The record, the lines and the table of ``fpk verify``."""
+"""The record, the lines and the table of ``fpk verify``, from the digest of each scene."""
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import Any, get_args
 
 from cases.comparison.claims import Verdict
-from cases.comparison.run import Outcome
-from cases.output.records import plain
-from cases.output.text import claim_line
-
-Row = dict[str, Any]
+from cases.output.digest import Record, curves_of
+from cases.output.text import claim_words
 
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 
 COLUMNS = ("curves", "judged", "certified", "failing", "claims", "hold", "do not", "open", "s")
 
 
-def verify_row(outcome: Outcome) -> Row:
+def verify_row(digest: Record) -> Record:
     """Return what the gate says of a scene; a curve about which nothing is judged is a problem."""
+    curves = curves_of(digest)
     unjudged = [
-        f"{curve.label or outcome.scene.name}: no comparison was judged"
-        for curve in outcome.curves
-        if not curve.judged
+        f"{curve['label'] or digest['scene']}: no comparison was judged"
+        for curve in curves
+        if all(comparison["band"] is None for comparison in curve["comparisons"])
     ]
-    problems = [*outcome.problems, *unjudged]
-    certificates = [
-        density.certificate.certified
-        for curve in outcome.curves
-        for result in curve.results
-        for density in result.densities
-    ]
-    row: Row = plain(
-        {
-            "scene": outcome.scene.name,
-            "curves": len(outcome.curves),
-            "judged": sum(curve.judged for curve in outcome.curves),
-            "certificates": sum(certificates),
-            "problems": problems,
-            "claims": [asdict(f) for f in outcome.findings],
-            "seconds": outcome.seconds,
-            "holds": not problems,
-        }
-    )
-    return row
+    problems = [*digest["problems"], *unjudged]
+    taken = [method for curve in curves for method in curve["methods"] if method["applies"]]
+    return {
+        "scene": digest["scene"],
+        "curves": len(curves),
+        "judged": digest["judged"],
+        "certificates": sum(d["certificate"]["certified"] for m in taken for d in m["densities"]),
+        "problems": problems,
+        "claims": digest["claims"],
+        "seconds": digest["seconds"],
+        "holds": not problems,
+    }
 
 
-def verify_record(rows: Sequence[Row]) -> Row:
+def verify_record(rows: Sequence[Record]) -> Record:
     """Return the record of ``fpk verify``."""
+    verdicts = Counter(claim["verdict"] for row in rows for claim in row["claims"])
     return {
         "scenes": list(rows),
         "holds": all(row["holds"] for row in rows),
-        "claims": {word: sum(_verdicts(row)[word] for row in rows) for word in VERDICTS},
+        "claims": {word: verdicts[word] for word in VERDICTS},
         "seconds": sum(row["seconds"] for row in rows),
     }
 
 
-def verify_line(row: Row, width: int) -> str:
+def verify_line(row: Record, width: int) -> str:
     """Return the line of one scene, printed as soon as it is done."""
     verdict = "holds" if row["holds"] else f"{len(row['problems'])} FAIL"
     return (
@@ -65,7 +55,7 @@ def verify_line(row: Row, width: int) -> str:
     )
 
 
-def verify_table(rows: Sequence[Row]) -> str:
+def verify_table(rows: Sequence[Record]) -> str:
     """Return the final table, the claims that do not hold, and the verdict."""
     width = max(len("every scene"), *(len(row["scene"]) for row in rows))
     table = {row["scene"]: _numbers(row) for row in rows}
@@ -76,7 +66,7 @@ def verify_table(rows: Sequence[Row]) -> str:
         for name, numbers in table.items()
     ]
     against = [
-        f"  {row['scene']:{width}}{claim_line(claim)}"
+        f"  {row['scene']:{width}}{claim_words(claim)}"
         for row in rows
         for claim in row["claims"]
         if claim["verdict"] == "does not hold"
@@ -87,12 +77,8 @@ def verify_table(rows: Sequence[Row]) -> str:
     return "\n".join([*lines, "", f"fails: {failing}" if failing else "every check holds"])
 
 
-def _verdicts(row: Row) -> Counter[str]:
-    return Counter(claim["verdict"] for claim in row["claims"])
-
-
-def _numbers(row: Row) -> list[Any]:
-    verdicts = _verdicts(row)
+def _numbers(row: Record) -> list[Any]:
+    verdicts = Counter(claim["verdict"] for claim in row["claims"])
     unknown = verdicts["undecided"] + verdicts["not checked"]
     claims = [len(row["claims"]), verdicts["holds"], verdicts["does not hold"], unknown]
     failing = len(row["problems"])

@@ -8,6 +8,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from cases.output.text import power_of_ten
 from fpk.observable import Coordinate, Observable
 
 INK = "#1a1b1e"
@@ -55,7 +56,6 @@ LONGEST_OF_THREE = 31
 """Letters of the longest entry with which a legend of three columns fits."""
 
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
-SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def column_of_axes(
@@ -77,11 +77,6 @@ def column_of_axes(
         bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2,
     )  # fmt: skip
     return figure, list(grid[:, 0])
-
-
-def power_of_ten(exponent: int) -> str:
-    """Return 10 to the power ``exponent`` in plain characters."""
-    return f"10{str(exponent).translate(SUPERSCRIPTS)}"
 
 
 def unit_of(largest: float) -> tuple[float, str]:
