@@ -1,5 +1,6 @@
 """Exact, Gaussian and averaged densities against each other and against direct integrals."""
 
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -84,17 +85,46 @@ CONTACTS = {
 }
 
 
-@pytest.mark.parametrize("contact", CONTACTS)
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_averaging_is_exact_where_damping_and_noise_are_in_proportion(contact, solver):
-    system = exact_system(CONTACTS[contact])
-    # The joint density with a contact mass integrated out takes a minute and is left out.
-    names = (*ALL[:-1], "q1,p1" if contact == "mass 1" else "q2,p2")
-    averaged = solved(NonIntegrable(solver=solver, tol=1e-11), system, *names)
-    for one, two in zip(averaged, solved(Exact(), system, *names), strict=True):
+def tiered(combinations, default):
+    """All of the combinations, those that are not in ``default`` marked slow."""
+    return [
+        pytest.param(*c, marks=() if c in default else pytest.mark.slow, id="-".join(c))
+        for c in combinations
+    ]
+
+
+@cache
+def exact_densities(contact, names):
+    return solved(Exact(), exact_system(CONTACTS[contact]), *names)
+
+
+def assert_exact(contact, solver, names):
+    averaged = solved(
+        NonIntegrable(solver=solver, tol=1e-11), exact_system(CONTACTS[contact]), *names
+    )
+    for one, two in zip(averaged, exact_densities(contact, names), strict=True):
         distance = l1_distance(one, two)
         assert distance < 1e-10, one.name
         assert distance <= one.l1_error + two.l1_error + 1e-12, one.name
+
+
+@pytest.mark.parametrize("contact", CONTACTS)
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_averaging_is_exact_where_damping_and_noise_are_in_proportion(contact, solver):
+    i = 1 if contact == "mass 1" else 2
+    # The joint density with a contact mass integrated out takes a minute and is left out.
+    assert_exact(contact, solver, (f"q{i}", "H", f"q{i},p{i}"))
+
+
+@pytest.mark.parametrize(
+    "contact, solver",
+    tiered(
+        [(c, s) for c in CONTACTS for s in SOLVERS],
+        [("both", "fem"), ("right", "quadrature"), ("mass 1", "closed-form")],
+    ),
+)
+def test_densities_with_a_contact_mass_integrated_out_are_exact_as_well(contact, solver):
+    assert_exact(contact, solver, ("q2" if contact == "mass 1" else "q1", "p1", "p2"))
 
 
 @pytest.mark.slow
@@ -184,8 +214,14 @@ BACK = {
 }
 
 
-@pytest.mark.parametrize("name", BACK)
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize(
+    "name, solver",
+    tiered(
+        [(n, s) for n in BACK for s in SOLVERS],
+        [("right, masses", "fem"), ("one mass", "quadrature")]
+        + [(name, "closed-form") for name in BACK],
+    ),
+)
 def test_kinetic_energy_is_shared_equally(name, solver):
     # E p_i²/m_i = E τ(H) for every i, with τ from the coefficients: σ² = 2 Σ(D_i/m_i) τ.
     system = BACK[name]

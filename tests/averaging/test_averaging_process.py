@@ -104,6 +104,11 @@ SYSTEMS = {
     ),
 }
 
+FAST = [
+    pytest.param(n, marks=pytest.mark.slow) if n == "two contact masses" else n for n in SYSTEMS
+]
+"""Of two contact masses the skew ones."""
+
 
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_noise_drift_is_half_the_slope_of_diffusion_times_states(name):
@@ -214,10 +219,7 @@ def test_eq_29_needs_the_masses():
     assert right < 1e-10 < 0.1 < wrong
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=pytest.mark.slow) if n == "two contact masses" else n for n in SYSTEMS],
-)
+@pytest.mark.parametrize("name", FAST)
 def test_quadrature_of_eq_11_meets_its_estimate(name):
     system = SYSTEMS[name]
     process = energy_process(system)
@@ -235,7 +237,7 @@ def test_quadrature_of_eq_11_meets_its_estimate(name):
         assert solution.measured.mass_defect <= solution.l1_error
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("name", FAST)
 def test_the_closed_form_has_mass_one(name):
     system = SYSTEMS[name]
     density = averaged_density(system)

@@ -23,11 +23,12 @@ def numbers(low, high):
 
 
 @st.composite
-def valid_scenes(draw, units=0, spread=1, most_masses=3, most_touching=2):
+def valid_scenes(draw, units=0, spread=1, most_masses=3, most_touching=2, one_law=False):
     """The text of a scene that nothing can be wrong with: c and D diagonal and positive.
 
     Every quantity is ``spread`` powers of ten about one in some unit, mass, length and time being
-    up to 10^``units`` of what the scene counts them in. Contacts are at ``most_touching`` masses.
+    up to 10^``units`` of what the scene counts them in. Contacts are at ``most_touching`` masses,
+    all of the same law with ``one_law``: each combination of laws is compiled by itself.
     """
     n = draw(st.integers(1, most_masses))
     m, x, t = (10.0 ** draw(st.integers(-units, units)) for _ in range(3))
@@ -50,10 +51,12 @@ def valid_scenes(draw, units=0, spread=1, most_masses=3, most_touching=2):
         ),
     ]
     mass = draw(st.integers(1, n))
+    laws = st.sampled_from([("hertz", 1.5), ("bilinear", 1.0), ("power", 2.5)])
+    laws = st.just(draw(laws)) if one_law else laws
     for _ in range(draw(st.integers(0, 2))):
         mass = mass if most_touching == 1 else draw(st.integers(1, n))
         side = draw(st.sampled_from(["left", "right", "both"]))
-        law, exponent = draw(st.sampled_from([("hertz", 1.5), ("bilinear", 1.0), ("power", 2.5)]))
+        law, exponent = draw(laws)
         own = f"exponent = {exponent}" if law == "power" else ""
         force = m * x / t**2
         lines += [

@@ -116,23 +116,29 @@ def test_a_valid_scene_in_any_units_is_shown(text, tmp_path):
 
 
 @examples(15)
-@given(text=valid_scenes(most_masses=2, most_touching=1))
+@given(text=valid_scenes(most_masses=2, most_touching=1, one_law=True))
 def test_a_valid_scene_runs(text, tmp_path):
-    runs(tmp_path / "any.toml", text)
+    assert not problems_of_run(tmp_path / "any.toml", text)
 
 
 @pytest.mark.slow
 @examples(100)
 @given(text=valid_scenes(units=6, spread=2, most_touching=1))
 def test_a_valid_scene_in_any_units_runs(text, tmp_path):
-    runs(tmp_path / "any.toml", text)
+    # Far scales may be refused or not be certified; no two routes differ and none fails.
+    for problem in problems_of_run(tmp_path / "any.toml", text):
+        assert "no route applies" in problem or "is not certified: " in problem
+        assert "differ" not in problem
 
 
-def runs(path, text):
-    """By the routes in closed form: densities that are certified, or a reason why not."""
+def problems_of_run(path, text):
+    """Problems of a run by the routes in closed form; each route answers or says why not.
+
+    The tolerance is a hundred times that of the methods: no scene of ordinary numbers misses it.
+    """
     scene = loaded_or_refused(path, text.encode())
     methods = [
-        method_for(*route)
+        method_for(*route, tol=1e-8)
         for route in [("exact",), ("linear",), ("nonintegrable", "closed-form"), ("integrable",)]
     ]
     outcome = run_scene(scene, methods)
@@ -143,3 +149,4 @@ def runs(path, text):
                 certificate = density.certificate
                 assert certificate.certified == (not certificate.failures)
         assert all(r.reason for r in curve.refusals)
+    return outcome.problems

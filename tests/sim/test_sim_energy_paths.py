@@ -22,7 +22,9 @@ from sim.averaged.line import line_form
 from sim.averaged.paths import EnergySampling, exact, simulate_energies
 from sim.averaged.square_root import square_root_form, square_root_step
 
-SAMPLING = EnergySampling(dt=0.1, time=20.0, burn_in=10.0, interval=1.0, paths=4096)
+SAMPLING = EnergySampling(dt=0.2, time=10.0, burn_in=10.0, interval=1.0, paths=4096)
+"""Modes that decay at the rate 0.4 or faster: e⁻⁴ of the start's deviation is left at first, and a
+quarter of that in the mean over ten units of time, half a percent in L1; the bands are wider."""
 H1, H2, TOTAL = Coordinate("H", 0), Coordinate("H", 1), Coordinate("H")
 
 
@@ -87,7 +89,7 @@ def test_one_step_of_an_uncoupled_mode_is_the_noncentral_chi_square_at_any_dt() 
 
 
 def test_agrees_with_elements_on_coupled_damping_and_rejects_a_wrong_coefficient() -> None:
-    # The band is that of chance alone at 1e-4; the step bias at dt = 0.1 must stay inside it, and
+    # The band is that of chance alone at 1e-4; the step bias at dt = 0.2 must stay inside it, and
     # a coupling that is a quarter too strong must not.
     (pair,) = simulate_energies(square_root_form(coupled(0.8)), [(H1, H2)], SAMPLING)
     pair = pair.coarsened(4)
@@ -147,26 +149,26 @@ def test_step_bias_of_the_mean_is_of_second_order() -> None:
 
 
 @pytest.mark.parametrize(
-    ("scene", "theory", "solver", "observable"),
+    ("scene", "theory", "solver", "observables"),
     [
-        ("fig8b", "integrable", "closed-form", (H1,)),
-        ("fig8b", "integrable", "closed-form", (TOTAL,)),
-        ("fig8b", "integrable", "closed-form", (H1, H2)),
-        pytest.param("vanderpol", "integrable", "fem", (H1, H2), marks=pytest.mark.slow),
-        ("vanderpol", "nonintegrable", "fem", (TOTAL,)),
-        ("fig6a", "nonintegrable", "fem", (TOTAL,)),
+        ("fig8b", "integrable", "closed-form", [(H1,), (TOTAL,), (H1, H2)]),
+        pytest.param("vanderpol", "integrable", "fem", [(H1, H2)], marks=pytest.mark.slow),
+        ("vanderpol", "nonintegrable", "fem", [(TOTAL,)]),
+        pytest.param("fig6a", "nonintegrable", "fem", [(TOTAL,)], marks=pytest.mark.slow),
     ],
 )
 def test_as_a_method_it_agrees_with_another_solver_and_is_judged(
-    scene, theory, solver, observable
+    scene, theory, solver, observables
 ) -> None:
     system = load_scene(scene).system
     results = [
-        method_for(theory, name).solve(system, [observable]) for name in ("simulation", solver)
+        method_for(theory, name).solve(system, observables) for name in ("simulation", solver)
     ]
-    (found,) = compared(results, averaging_is_exact=False)
-    assert found.measures == "sampling"
-    assert found.holds and found.band is not None and found.band < 0.1
+    comparisons = compared(results, averaging_is_exact=False)
+    assert len(comparisons) == len(observables)
+    for found in comparisons:
+        assert found.measures == "sampling"
+        assert found.holds and found.band is not None and found.band < 0.1
 
 
 def test_what_is_not_an_energy_is_refused() -> None:
