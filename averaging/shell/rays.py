@@ -1,9 +1,10 @@
 """Integrals over the energy shell along rays from rest, compiled: (10), (25), (28) for any n.
 
-Along a ray y = r e of whitened coordinates V rises strictly, so the shell is 0 <= r <= R. Up to the
-first stop the integrals are those of powers of sine and cosine. From each stop on, x = X sin²φ with
-X the distance to the turning point that the engaged stops alone would leave removes the root there
-and the half-integer powers of Hertz contact, and stays smooth when the next stop comes before.
+Along a ray y = r e of whitened coordinates V rises strictly, so the shell is 0 <= r <= R. Between
+stops lie panels. X is the distance from the beginning of one to the turning point that the engaged
+stops alone would leave. Up to the first stop y = √(X − x) removes the root there. From each stop on
+x = X sin²φ removes the half-integer powers of Hertz contact, too, and stays smooth when the next
+stop comes before.
 """
 
 from collections.abc import Callable
@@ -70,13 +71,12 @@ class Rules(NamedTuple):
 class Work(NamedTuple):
     """Numbers at the points of one panel, (points,) each."""
 
-    x: Array  # distance from the stop
+    x: Array  # distance from the beginning of the panel
     left: Array  # distance to the turning point
     v: Array  # 1 − V/H
     dx: Array
     states: Array  # v^a r^(c−1) dx
     change: Array  # its derivative by ln H
-    square: Array
 
 
 @lru_cache
@@ -128,44 +128,34 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
             np.empty(total), np.empty(total), np.empty(total), np.empty(total), stops.law.copy()
         )
         first, last = rules.first[rule], rules.first[rule + out.shape[0]]
-        w = np.empty((7, last - first))
-        work = Work(w[0], w[1], w[2], w[3], w[4], w[5], w[6])
+        w = np.empty((6, last - first))
+        work = Work(w[0], w[1], w[2], w[3], w[4], w[5])
         for i in range(energy.size):
             H = energy[i]
             count = _along(np.sqrt(2.0 * H), directions[i], stops, ray)
-            end = ray.at[0] if count > 0 else np.inf
-            _free_part(H, end, n, c, singular, orders, rules, out[:, i])
-            for k in range(count):
-                length = ray.at[k + 1] - ray.at[k] if k + 1 < count else np.inf
-                height = H - _level(ray, k, U)
+            for k in range(count + 1):  # stops engaged
+                start = ray.at[k - 1] if k > 0 else 0.0
+                length = ray.at[k] - start if k < count else np.inf
+                height = H - _level(start, k, ray, U)
                 if height <= 0.0:
                     break
                 if length <= 0.0:
                     continue
-                X = _turning_point(height, ray, k, U, g)
-                # X − end of the panel: 0 where it ends at the turning point.
-                top = 0.0
-                if length < X:
-                    top = X - length
-                    if top < 1e-5 * X:
-                        # It cancels: what is left of H over the slope half-way, whose relative
-                        # error is of the order of its square.
-                        left = max(H - _level(ray, k + 1, U), 0.0)
-                        top = left / _slope(0.5 * (length + X), ray, k, g)
-                died = False
+                X = _turning_point(height, start, k, ray, U, g)
+                span, died = min(length, X), False
                 if share > 0.0:
-                    gone = _turning_point(height * (1.0 - share), ray, k, U, g)
-                    if gone < X - top:
-                        top, died = X - gone, True
-                _points(ray.at[k], X, top, rules, first, work)
-                _heights(H, X, ray, k, work, U, g)
+                    gone = _turning_point(height * (1.0 - share), start, k, ray, U, g)
+                    if gone < span:
+                        span, died = gone, True
+                _points(X, span, k, rules, first, work)
+                _heights(H, start, X, k, ray, work, U, g)
                 if singular:
-                    _lowest_degree(H, ray, k, c, a, work, U, g, bend)
+                    _lowest_degree(H, start, k, c, a, ray, work, U, g, bend)
                 else:
-                    _degrees(H, ray.at[k], n, c, work)
+                    _degrees(H, start, n, c, work)
                 for m in range(out.shape[0]):
                     begin, stop = rules.first[rule + m] - first, rules.first[rule + m + 1] - first
-                    _add(begin, stop, ray.at[k], H, orders, work, out[m, i])
+                    _add(begin, stop, start, H, orders, work, out[m, i])
                 if died:
                     break
         return sources
@@ -196,104 +186,46 @@ def _along(span: float, direction: Array, stops: Stops, ray: Ray) -> int:
 
 
 @inner
-def _free_part(
-    H: float, end: float, n: int, c: int, singular: bool, orders: Integers, rules: Rules, out: Array
-) -> None:
-    """Add the integrals up to the first stop, where V = ½ r²; r = √(2H) sin θ."""
-    sine = min(end / np.sqrt(2.0 * H), 1.0)
-    cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
-    a, q = n - 0.5 * c - 1.0, 2 * n - c - 1
-    unit = np.sqrt(2.0) ** c
-    below, states, volume = _sines(c - 1, q, sine, cosine, rules)
-    change = (a + 0.5 * c) * states if singular else a * below
-    for m in range(out.shape[0]):
-        out[m, 0] += unit * states
-        out[m, 1] += unit * volume
-        out[m, 2] += unit * change
-    for o in range(orders.shape[0]):
-        k, j = orders[o, 0], orders[o, 1]
-        _, value, _ = _sines(c - 1 + k, q + 2 * j, sine, cosine, rules)
-        for m in range(out.shape[0]):
-            out[m, 3 + o] += unit * np.sqrt(2.0) ** k * value
-
-
-@inner
-def _sines(p: int, q: int, sine: float, cosine: float, rules: Rules) -> tuple[float, float, float]:
-    """∫sin^p cos^m from 0 on for m = q − 2 (0 where that is negative), q and q + 2.
-
-    From that of m − 2 it is (sin^(p+1) cos^(m−1) + (m − 1) ∫sin^p cos^(m−2))/(p + m): sums of
-    positive terms.
-    """
-    below, states, angle = 0.0, 0.0, np.arctan2(sine, cosine)
-    power = sine ** (p + 1)
-    if q % 2:
-        m, integral = 1, power / (p + 1)
-        power *= cosine * cosine
-    else:
-        m, integral = 0, angle
-        if p > 0:
-            # A recursion down to p = 0 would cancel near 0; 24 points are exact to round-off.
-            integral = 0.0
-            for j in range(rules.first[2], rules.first[3]):
-                integral += angle * rules.weight[j] * np.sin(angle * rules.share[j]) ** p
-        power *= cosine
-    while m < q + 2:
-        m += 2
-        below, states = states, integral
-        integral = (power + (m - 1) * integral) / (p + m)
-        power *= cosine * cosine
-    return below, states, integral
-
-
-@inner
-def _level(ray: Ray, k: int, U: Any) -> float:
-    """V where stop k of the ray is just touched."""
-    V: float = 0.5 * ray.at[k] * ray.at[k]
+def _level(start: float, k: int, ray: Ray, U: Any) -> float:
+    """V at the distance ``start`` where k stops are engaged."""
+    V: float = 0.5 * start * start
     for s in range(k):
-        overlap = ray.reach[s] * (ray.at[k] - ray.at[s])
-        if overlap > 0.0:
-            V += ray.stiffness[s] * of_law(U, ray.law[s], overlap, ray.exponent[s])
+        overlap = ray.reach[s] * (start - ray.at[s])
+        V += ray.stiffness[s] * of_law(U, ray.law[s], overlap, ray.exponent[s])
     return V
 
 
 @inner
-def _slope(x: float, ray: Ray, k: int, g: Any) -> float:
-    """dV/dr at the distance x beyond stop k."""
-    slope: float = ray.at[k] + x
-    for s in range(k + 1):
-        overlap = ray.reach[s] * (ray.at[k] - ray.at[s] + x)
-        force = ray.stiffness[s] * of_law(g, ray.law[s], overlap, ray.exponent[s])
-        slope += ray.reach[s] * force
-    return slope
+def _gain(low: float, width: float, top: float, law: int, e: float, U: Any, g: Any) -> float:
+    """U(low + width) − U(low) without cancellation, ``top`` being the first of the two.
 
-
-@inner
-def _mean_force(middle: float, width: float, law: int, e: float, g: Any) -> float:
-    """Mean of the force over a width of ``NEAR`` of the overlap: three Gauss points are exact."""
-    shift = 0.5 * np.sqrt(0.6) * width
+    A small width is that times the mean force, for which three Gauss points are exact.
+    """
+    if width > NEAR * low:
+        difference: float = top - of_law(U, law, low, e)
+        return difference
+    middle, shift = low + 0.5 * width, 0.5 * np.sqrt(0.6) * width
     ends = of_law(g, law, middle - shift, e) + of_law(g, law, middle + shift, e)
     mean: float = (5.0 * ends + 8.0 * of_law(g, law, middle, e)) / 18.0
-    return mean
+    return width * mean
 
 
 @inner
-def _turning_point(height: float, ray: Ray, k: int, U: Any, g: Any) -> float:
-    """The x > 0 where V, from stop k on, has risen by ``height``; NaN where the iteration fails.
+def _turning_point(height: float, start: float, k: int, ray: Ray, U: Any, g: Any) -> float:
+    """The x > 0 where V has risen by ``height`` from ``start`` on; NaN where the iteration fails.
 
     Newton's method in logarithms: the rise is a sum of positive powers of x, its logarithm convex
     in log x, and the iteration comes down on the root from that of the springs alone.
     """
-    start = ray.at[k]
     x: float = 2.0 * height / (start + np.sqrt(start * start + 2.0 * height))
+    if k == 0:
+        return x
     for _ in range(NEWTON_STEPS):
         rise, steepness = x * (start + 0.5 * x), start + x
-        for s in range(k + 1):
+        for s in range(k):
             begun, gained = ray.reach[s] * (start - ray.at[s]), ray.reach[s] * x
             B, e, law = ray.stiffness[s], ray.exponent[s], ray.law[s]
-            if gained < NEAR * begun:
-                rise += B * gained * _mean_force(begun + 0.5 * gained, gained, law, e, g)
-            else:
-                rise += B * (of_law(U, law, begun + gained, e) - of_law(U, law, begun, e))
+            rise += B * _gain(begun, gained, of_law(U, law, begun + gained, e), law, e, U, g)
             steepness += ray.reach[s] * B * of_law(g, law, begun + gained, e)
         # Where the rise is x^m, x (height/rise)^(1/m) is the root: near it by a Padé approximant.
         ratio, m = height / rise, x * steepness / rise
@@ -311,39 +243,45 @@ def _turning_point(height: float, ray: Ray, k: int, U: Any, g: Any) -> float:
 
 
 @inner
-def _points(start: float, X: float, top: float, rules: Rules, i: int, work: Work) -> None:
-    """Write x, dx and v = (X − x)(start + ½ (X + x)), the fall of the springs, at points from i."""
-    x, left, v, dx = work.x, work.left, work.v, work.dx
-    if top == 0.0:
+def _points(X: float, span: float, k: int, rules: Rules, i: int, work: Work) -> None:
+    """Write x, what is left to X, and dx at the points from i on, of a panel of length ``span``."""
+    x, left, dx = work.x, work.left, work.dx
+    if k == 0:
+        top = np.sqrt(X)
+        width = span / (top + np.sqrt(X - span))
+        for j in range(x.size):
+            fall = width * rules.share[i + j]  # of √(X − x) from its value at x = 0
+            x[j] = fall * (2.0 * top - fall)
+            left[j] = (top - fall) * (top - fall)
+            dx[j] = 2.0 * (top - fall) * width * rules.weight[i + j]
+    elif span == X:
         for j in range(x.size):
             x[j] = X * rules.sine2[i + j]
             left[j] = X * rules.cosine2[i + j]
             dx[j] = X * rules.slope[i + j]
     else:
-        end = np.arctan2(np.sqrt(X - top), np.sqrt(top))
+        end = np.arctan2(np.sqrt(span), np.sqrt(X - span))
         for j in range(x.size):
             sine, cosine = np.sin(end * rules.share[i + j]), np.cos(end * rules.share[i + j])
             x[j] = X * sine * sine
             left[j] = X * cosine * cosine
             dx[j] = 2.0 * X * end * sine * cosine * rules.weight[i + j]
-    for j in range(x.size):
-        v[j] = left[j] * (start + 0.5 * (X + x[j]))
 
 
 @inner
-def _heights(H: float, X: float, ray: Ray, k: int, work: Work, U: Any, g: Any) -> None:
-    """Add to v the fall of the stops from X to x and divide it by H: it is 1 − V/H then."""
-    x, v = work.x, work.v
-    for s in range(k + 1):
-        reach, begun = ray.reach[s], ray.reach[s] * (ray.at[k] - ray.at[s])
+def _heights(
+    H: float, start: float, X: float, k: int, ray: Ray, work: Work, U: Any, g: Any
+) -> None:
+    """Write v = 1 − V/H from the fall of springs and stops between X and x."""
+    x, left, v = work.x, work.left, work.v
+    for j in range(x.size):
+        v[j] = left[j] * (start + 0.5 * (X + x[j]))
+    for s in range(k):
+        reach, begun = ray.reach[s], ray.reach[s] * (start - ray.at[s])
         B, e, law = ray.stiffness[s], ray.exponent[s], ray.law[s]
         last = of_law(U, law, begun + reach * X, e)
         for j in range(x.size):
-            now, left = begun + reach * x[j], reach * work.left[j]
-            if left > NEAR * now:
-                v[j] += B * (last - of_law(U, law, now, e))
-            else:
-                v[j] += B * left * _mean_force(now + 0.5 * left, left, law, e, g)
+            v[j] += B * _gain(begun + reach * x[j], reach * left[j], last, law, e, U, g)
     for j in range(x.size):
         v[j] *= 1.0 / H
 
@@ -351,21 +289,16 @@ def _heights(H: float, X: float, ray: Ray, k: int, work: Work, U: Any, g: Any) -
 @inner
 def _degrees(H: float, start: float, n: int, c: int, work: Work) -> None:
     """Write v^a r^(c−1) dx and a v^(a−1) r^(c−1) dx for a >= ½, a multiple of ½."""
-    v, states, change, square = work.v, work.states, work.change, work.square
+    v, states, change = work.v, work.states, work.change
     a, twice = n - 0.5 * c - 1.0, 2 * n - c - 4
     for j in range(v.size):
         change[j] = a * work.dx[j]
-        square[j] = v[j]
     if twice % 2:
         for j in range(v.size):
             change[j] /= np.sqrt(v[j])
-    left = (twice + 1) // 2
-    while left > 0:
+    for _ in range((twice + 1) // 2):
         for j in range(v.size):
-            if left & 1:
-                change[j] *= square[j]
-            square[j] *= square[j]
-        left >>= 1
+            change[j] *= v[j]
     for _ in range(c - 1):
         for j in range(v.size):
             change[j] *= (start + work.x[j]) / np.sqrt(H)
@@ -375,14 +308,23 @@ def _degrees(H: float, start: float, n: int, c: int, work: Work) -> None:
 
 @inner
 def _lowest_degree(
-    H: float, ray: Ray, k: int, c: int, a: float, work: Work, U: Any, g: Any, bend: Any
+    H: float,
+    start: float,
+    k: int,
+    c: int,
+    a: float,
+    ray: Ray,
+    work: Work,
+    U: Any,
+    g: Any,
+    bend: Any,
 ) -> None:
     """Write v^a r^(c−1) dx and w times that for a = −½ (c = 1) and a = 0 (c = 2)."""
     for j in range(work.x.size):
-        r = ray.at[k] + work.x[j]
+        r = start + work.x[j]
         # Not H (1 − v), which cancels near rest.
         V, steepness, curvature = 0.5 * r * r, r, 1.0
-        for s in range(k + 1):
+        for s in range(k):
             overlap, L = ray.reach[s] * (r - ray.at[s]), ray.reach[s]
             B, e, law = ray.stiffness[s], ray.exponent[s], ray.law[s]
             V += B * of_law(U, law, overlap, e)
