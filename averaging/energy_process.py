@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from averaging.shell.energy_shell import energy_shell
-from averaging.shell.moments import term_power
+from averaging.shell.power import term_power
 from averaging.shell.ratios import shell_ratios
 from fpk.equivalent import dissipated_power, equivalent_temperature
 from fpk.errors import NotApplicable

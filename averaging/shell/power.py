@@ -1,0 +1,202 @@
+"""Microcanonical average of the power that state-dependent damping takes out, Eq. (10)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
+from math import comb, exp, lgamma, prod
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from averaging.conditional import bridge_covariance, conditional
+from averaging.shell.energy_shell import EnergyShell, energy_shell
+from averaging.shell.sums import TARGET, shell_integrals
+from averaging.shell.table import ShellTable
+from fpk.equivalent import dissipated_power
+from fpk.moments import gaussian_moment
+from fpk.system import System
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Averages = Callable[[Array], tuple[Array, Array]]
+
+TARGETS = (8e-13, 3e-14)
+"""Disagreement of two levels, for n = 1 and more, that ends the refinement for one contact mass:
+the power cancels against the noise, so that its error adds up in ln p. Twice and ten times what
+round-off leaves (``averaging.shell.sums``)."""
+ROUND_OFF = 1e-14
+"""Relative error, to the sum of absolute values, of some dozens of Gaussian moments and factors."""
+
+
+class Parts(NamedTuple):
+    """⟨Σ c_ij v_i v_j⟩ given the whitened coordinates y = r e of the contact masses, in monomials.
+
+    A part is H^(1 + degree/2) · coefficient · (r/√H)^k · v^j · Π s_i^powers_i, v = 1 − V_red/H,
+    where s_i = ``follow`` @ e is the mean displacement of mass i per r; k and j are its ``orders``.
+    """
+
+    degree: Integers  # (parts,) of the damping term
+    orders: Integers  # (parts, 2)
+    coefficient: Array  # (parts,)
+    powers: Integers  # (parts, n)
+    follow: Array  # (n, c)
+
+
+@dataclass(frozen=True, eq=False)
+class TermPower:
+    """⟨Σ c_ij v_i v_j⟩_H of the damping terms of one system, without the constant matrix.
+
+    It is Σ_d g_d(H) H^(1 + d/2) over the ``degrees`` d of the terms; below the first contact
+    energy ``begins`` g_d is the constant ``free``. ``size`` bounds the like of Σ|c_ij v_i v_j|.
+    ``integrals`` gives g_d and their errors, both (energies, degrees), above ``begins``.
+    """
+
+    degrees: Array
+    free: Array
+    size: Array
+    begins: float
+    integrals: Averages
+
+    def __call__(self, energy: Array) -> tuple[Array, Array]:
+        """The power and its error at energies > 0 of shape (energies,), in energy/time."""
+        g = np.tile(self.free, (energy.size, 1))
+        error = np.zeros_like(g)
+        touching = np.flatnonzero(energy > self.begins)
+        if touching.size and self.degrees.size:
+            g[touching], error[touching] = self.integrals(energy[touching])
+        error = error + ROUND_OFF * self.size
+        powers = energy[:, None] ** (1.0 + 0.5 * self.degrees)
+        return np.sum(g * powers, axis=1), np.sum(error * powers, axis=1)
+
+
+def term_power(system: System) -> TermPower:
+    """Return the averaged power of the damping terms of ``system``, Eq. (10) for c_ij(q, v).
+
+    Momenta and displacements without contact are averaged in closed form; what is left are
+    integrals of polynomials over the contact masses, along rays and over directions, refined until
+    two rules agree. V and the polynomial look the same at −y where ``EnergyShell.mirror`` holds, as
+    terms of odd degree end it.
+    """
+    return system.fact(_term_power)
+
+
+def _term_power(system: System) -> TermPower:
+    shell, n = energy_shell(system), system.n
+    parts = _parts(shell)
+    degrees = np.unique(parts.degree)
+    gibbs, free, size = dissipated_power(system), np.zeros(degrees.size), np.zeros(degrees.size)
+    for row, degree in enumerate(degrees):
+        s = 1 + int(degree) // 2
+        # On a shell H is H: its powers in the Gibbs state of temperature 1 are taken out.
+        if degree % 2 == 0 and s < gibbs.size:
+            free[row] = gibbs[s] * exp(lgamma(n) - lgamma(n + s))
+    for degree, size_of_part in zip(parts.degree, _free_sizes(parts, n), strict=True):
+        size[np.searchsorted(degrees, degree)] += size_of_part
+    integrals: Averages = partial(_averages, shell, parts)
+    if shell.count > 1 and degrees.size:
+        integrals = _tabulated(integrals, size, shell)
+    begins = min(shell.contact_energies, default=np.inf)
+    return TermPower(degrees.astype(float), free, size, begins, integrals)
+
+
+def _parts(shell: EnergyShell) -> Parts:
+    """Return the parts of all damping terms.
+
+    A displacement is q_i = s_i r + ξ_i, V = V_red + ½ ξᵀKξ. Given y, the N = 2n − c numbers
+    (√m v, K^½ ξ) are uniform on the sphere ½|x|² = H − V_red: a moment of degree 2j is
+    (H − V_red)^j Γ(N/2)/Γ(N/2 + j) times that of Gaussian ones.
+    """
+    system, n, masses = shell.system, shell.system.n, list(shell.masses)
+    free = [i for i in range(n) if i not in masses]
+    follow, covariance = np.zeros((n, shell.count)), np.zeros((n, n))
+    follow[masses] = shell.L
+    covariance[np.ix_(free, free)] = bridge_covariance(system, free, masses)
+    for i in free:
+        follow[i] = conditional(system, i, masses).weights @ shell.L
+    half_n = n - 0.5 * shell.count
+    rows = []
+    for term in system.damping_terms:
+        v, q = np.array(term.powers("v", n)), term.powers("q", n)
+        np.add.at(v, [term.row, term.column], 1)
+        velocities = gaussian_moment(np.diag(1.0 / system.mass), tuple(v.tolist()))
+        for about in product(*(range(power + 1) for power in q)):  # the powers of ξ
+            left = tuple(power - b for power, b in zip(q, about, strict=True))
+            moment = velocities * gaussian_moment(covariance, about)
+            if moment == 0.0 or (not masses and any(left)):
+                continue
+            j = (sum(about) + int(v.sum())) // 2
+            choices = prod(comb(power, b) for power, b in zip(q, about, strict=True))
+            sphere = exp(lgamma(half_n) - lgamma(half_n + j))
+            value = term.coefficient * choices * moment * sphere
+            rows.append((term.degree, (sum(left), j), value, left))
+    degree, orders, coefficient, powers = zip(*rows, strict=True) if rows else ((), (), (), ())
+    return Parts(
+        np.array(degree, dtype=np.int64),
+        np.array(orders, dtype=np.int64).reshape(-1, 2),
+        np.array(coefficient, dtype=float),
+        np.array(powers, dtype=np.int64).reshape(-1, n),
+        follow,
+    )
+
+
+def _free_sizes(parts: Parts, n: int) -> list[float]:
+    """Bounds of the averages of |part| over a shell without contact, H^(1 + degree/2) aside.
+
+    y is Gaussian there. A sum of 2n squares ½x² that is H instead of Gamma(n) loses Γ(n + s)/Γ(n)
+    in degree 2s.
+    """
+    covariance, half_n = parts.follow @ parts.follow.T, n - 0.5 * parts.follow.shape[1]
+    sizes = []
+    for (k, j), C, powers in zip(parts.orders, parts.coefficient, parts.powers, strict=True):
+        mean_square = gaussian_moment(covariance, tuple((2 * powers).tolist()))
+        log_rest = lgamma(half_n + j) - lgamma(half_n) + lgamma(n) - lgamma(n + 0.5 * k + j)
+        sizes.append(abs(C) * mean_square**0.5 * exp(log_rest))
+    return sizes
+
+
+def _averages(shell: EnergyShell, parts: Parts, energy: Array) -> tuple[Array, Array]:
+    """g_d and their errors (energies, degrees), by quadrature."""
+    orders, column = np.unique(parts.orders, axis=0, return_inverse=True)
+    of_degree = (parts.degree[:, None] == np.unique(parts.degree)).astype(float)
+    largest = np.linalg.norm(parts.follow, axis=1)
+    odd = parts.powers % 2
+
+    def combine(directions: Array, integrals: Array) -> Array:
+        radial = integrals[..., 3 + column.ravel()] * parts.coefficient
+        s = (directions @ parts.follow.T)[:, None, :]
+        # A smooth bound of |s| by its largest value f: |s| <= ½ (f + s²/f). A kink would spoil the
+        # rules.
+        bound = 0.5 * (largest + s * s / np.where(largest > 0.0, largest, 1.0))
+        power = (radial * np.prod(s**parts.powers, axis=2)) @ of_degree
+        most = np.abs(radial) * np.prod(s ** (parts.powers - odd) * bound**odd, axis=2)
+        # Positive, so that no error is relative to nothing.
+        return np.concatenate(
+            [integrals[..., :1], power + 2.0 * most @ of_degree, most @ of_degree], axis=-1
+        )
+
+    one = shell.count == 1
+    target = TARGETS[min(shell.system.n, 2) - 1] if one else TARGET
+    sums, errors = shell_integrals(
+        shell, energy, np.abs, orders=orders, combine=combine, target=target
+    )
+    states, shifted, most = np.split(sums, [1, 1 + of_degree.shape[1]], axis=1)
+    # The errors of shifted (at most 3 of most), of 2 most and of states (g is at most most).
+    return (shifted - 2.0 * most) / states, 6.0 * errors.max(axis=1)[:, None] * most / states
+
+
+def _tabulated(direct: Averages, size: Array, shell: EnergyShell) -> Averages:
+    """Piecewise polynomials of g_d/size, for two or more contact masses."""
+
+    def evaluate(energy: Array) -> Array:
+        g, error = direct(energy)
+        return np.column_stack([g / size, np.max(error / size, axis=1)])
+
+    table = ShellTable(evaluate, shell)
+
+    def integrals(energy: Array) -> tuple[Array, Array]:
+        values = table(energy)
+        return values[:, :-1] * size, values[:, -1:] * size
+
+    return integrals
