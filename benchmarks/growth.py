@@ -21,7 +21,7 @@ from report import machine, markdown_table
 
 from averaging.energy_process import energy_process
 from cases.scene.scene import load_scene
-from cases.studies.answer import errors
+from cases.studies.answer import errors, solve_on
 from cases.studies.equations import energy_equation, modal_equation
 from cases.studies.ladders import degree_ladder
 from cases.studies.timing import timed_first, timing
@@ -90,8 +90,8 @@ def two_energies() -> str:
     """Return the time of one solve at degree 8 against unknowns."""
     equation, rows, N, seconds = modal_equation(load_scene("fig8b").system), [], [], []
     for count in (2, 3, 4, 6, 8):
-        nodes = tuple(np.linspace(0.0, x[-1], count + 1) for x in equation.coarsest(8))
-        work = partial(equation.on_mesh, equation.process, nodes, 8)
+        nodes = tuple(np.linspace(0.0, end, count + 1) for end in equation.ends)
+        work = partial(solve_on, equation.process, nodes, 8)
         answer, first = timed_first(work)
         seconds.append(timing(work, first).seconds)
         N.append(float(answer.unknowns))

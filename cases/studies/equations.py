@@ -12,15 +12,14 @@ from averaging.modal.observables import modal_densities
 from averaging.modal.resonance import require_no_resonance
 from averaging.nonintegrable import NonIntegrable
 from averaging.quadrature import POINTS, solve_by_quadrature
-from cases.studies.answer import Answer, Nodes
+from cases.studies.answer import Answer, answer_of
 from cases.studies.levels import Equation
 from cases.studies.timing import Clock
-from fpk.density import Array
 from fpk.errors import NotApplicable, NotCertified
-from fpk.line.stationary import StationarySolution, solve_on_mesh, solve_stationary
+from fpk.line.stationary import solve_stationary
 from fpk.observable import parse_observable
 from fpk.plane.probe import probed as probed_plane
-from fpk.plane.stationary import PlaneSolution, solve_plane, solve_plane_on_mesh
+from fpk.plane.stationary import solve_plane
 from fpk.probe import probed
 from fpk.process import Process
 from fpk.system import System
@@ -35,8 +34,6 @@ REFERENCE_DEGREE = 12
 """Degree of the plain elements that are the reference of two energies."""
 GOOD = 1e-9
 """L1 error of a reference by plain elements above which its description says so."""
-ELEMENTS = {1: {8: 2}, 2: {1: 4, 2: 3, 3: 3, 4: 2}}
-"""Elements an axis of the coarsest mesh, by the number of energies and the degree; else 8 and 1."""
 
 
 def energy_equation(system: System) -> Equation:
@@ -52,13 +49,8 @@ def energy_equation(system: System) -> Equation:
         words = "closed form (29)"
     except NotApplicable:
         tol = REFERENCE_TOL[1]
-        reference = _answer(solve_stationary(process, tol=tol, form="drift-diffusion"))
+        reference = answer_of(solve_stationary(process, tol=tol, form="drift-diffusion"))
         words = f"drift-diffusion hp elements, tol {tol:g}"
-    end = probed(process).extent(BEYOND[1])
-
-    def coarsest(degree: int) -> Nodes:
-        nodes = np.linspace(0.0, end, ELEMENTS[1].get(degree, 8) + 1)
-        return (np.union1d(nodes, [H for H in process.nonsmooth if end > H]),)
 
     def by_quadrature(process: Process, tol: float) -> Answer:
         s = solve_by_quadrature(process, tol=tol)
@@ -72,10 +64,9 @@ def energy_equation(system: System) -> Equation:
         clock=clock,
         reference=reference,
         reference_words=words,
-        coarsest=coarsest,
-        on_mesh=lambda process, nodes, degree: _answer(solve_on_mesh(process, nodes[0], degree)),
+        ends=[probed(process).extent(BEYOND[1])],
         by_tolerance={
-            NonIntegrable("fem").route: lambda p, tol: _answer(solve_stationary(p, tol=tol)),
+            NonIntegrable("fem").route: lambda p, tol: answer_of(solve_stationary(p, tol=tol)),
             NonIntegrable("quadrature").route: by_quadrature,
         },
         words="elements whose number and degree follow from the tolerance, cut until it is met.",
@@ -108,17 +99,12 @@ def modal_equation(system: System) -> Equation:
         solution = solve_plane(process, tol=REFERENCE_TOL[2], degree=REFERENCE_DEGREE)
         if not np.isfinite(solution.l1_error):
             raise NotCertified("plain elements, the reference of (17), have no finite error")
-        reference = _answer(solution)
+        reference = answer_of(solution)
         count = " x ".join(str(nodes.size - 1) for nodes in solution.nodes)
         words = f"plain elements (w = 1), degree {solution.degree}, {count} on a mesh of their own"
         if solution.l1_error > GOOD:
             words += "; the floor: a finer one takes more unknowns than are affordable"
-    ends = probed_plane(process).extent(BEYOND[2])
-
-    def coarsest(degree: int) -> Nodes:
-        axes = zip(ends, process.energy_scales, strict=True)
-        return tuple(graded(end, ELEMENTS[2].get(degree, 1), degree) * scale for end, scale in axes)
-
+    ends = probed_plane(process).extent(BEYOND[2]) * process.energy_scales
     return Equation(
         theory="integrable",
         name="averaged equation (17)",
@@ -127,11 +113,8 @@ def modal_equation(system: System) -> Equation:
         clock=clock,
         reference=reference,
         reference_words=words,
-        coarsest=coarsest,
-        on_mesh=lambda p, nodes, degree: _answer(
-            solve_plane_on_mesh(p, (nodes[0], nodes[1]), degree)
-        ),
-        by_tolerance={Integrable("fem").route: lambda p, tol: _answer(solve_plane(p, tol=tol))},
+        ends=ends.tolist(),
+        by_tolerance={Integrable("fem").route: lambda p, tol: answer_of(solve_plane(p, tol=tol))},
         words=(
             "p = w u with a positive weight w near p and u a polynomial of high degree on each of"
             " few panels; where that does not reach the tolerance (levels marked w = 1) plain"
@@ -141,27 +124,8 @@ def modal_equation(system: System) -> Equation:
     )
 
 
-def graded(end: float, count: int, degree: int) -> Array:
-    """Return nodes from 0 to ``end``, for e^(−x) by elements of ``degree``.
-
-    Equal shares h^(p+2) |f^(p+1)| of the L1 error ask for h ~ e^(x/(p+2)); taken is half that
-    growth, h ~ e^(x/(2p+4)), so that every element is shorter than e^(−x) takes to fall: orders in
-    L1 of p = 1 in fig6b are 0.82, 1.53, 2.07 from 8 x 8 on with full growth and 1.86, 1.93, 1.97
-    with half of it.
-    """
-    c = 2.0 * (degree + 2.0)
-    share = np.linspace(0.0, 1.0, count + 1)
-    return np.asarray(-c * np.log1p(share * np.expm1(-end / c)))
-
-
 EQUATIONS: Mapping[str, tuple[str, Callable[[System], Equation]]] = {
     "nonintegrable": ("H", energy_equation),
     "integrable": ("H1,H2", modal_equation),
 }
 """By theory: the observable that its equation is studied for, and what makes the equation."""
-
-
-def _answer(s: StationarySolution | PlaneSolution) -> Answer:
-    plain = isinstance(s, PlaneSolution) and s.weight is None
-    nodes = s.nodes if isinstance(s, PlaneSolution) else (s.nodes,)
-    return Answer(nodes, s.density, s.l1_error, s.unknowns, "w = 1" if plain else "")

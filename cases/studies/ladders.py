@@ -117,13 +117,14 @@ def floors(equation: Equation, *, given_mesh: bool) -> dict[str, float]:
     """
     p, scale, cut = equation.reference, 0.0, dict.fromkeys((*NORMS, *FUNCTIONALS), 0.0)
     if given_mesh:
-        ends = [x[-1] for x in equation.coarsest(1)]
 
         def inside(*H: Array) -> Array:
-            within = [x <= end for x, end in zip(H, ends, strict=True)]
+            within = [x <= end for x, end in zip(H, equation.ends, strict=True)]
             return np.where(reduce(np.logical_and, within), p.density(*H), 0.0)
 
-        cut = errors(replace(p, panels=tuple(map(np.union1d, p.panels, ends)), density=inside), p)
+        cut = errors(
+            replace(p, panels=tuple(map(np.union1d, p.panels, equation.ends)), density=inside), p
+        )
         scale = 2.0 * cut["L1"]
     relative = p.l1_error + ROUND_OFF + scale
     return {key: relative * size + cut[key] for key, size in sizes(p).items()}

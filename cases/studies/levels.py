@@ -4,15 +4,13 @@ A study is a loop: ``refined_levels`` solves, measures the error against the ref
 with ``refined()``. Convergence and cost differ in what they do with the levels only.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from math import exp, inf, nan, sqrt
 from typing import Any, Literal
 
-import numpy as np
-
-from cases.studies.answer import FUNCTIONALS, Answer, Nodes, errors, sizes
+from cases.studies.answer import FUNCTIONALS, Answer, errors, given_mesh, sizes, solve_on
 from cases.studies.timing import Clock, Timing, timed_first
 from fpk.observable import Observable
 from fpk.process import Process
@@ -80,9 +78,9 @@ class Discretisation:
 
 @dataclass(frozen=True, eq=False)
 class Equation:
-    """One averaged equation: how it is solved on a mesh, to a tolerance, and its reference.
+    """One averaged equation: its process, its reference, and the routes that solve it.
 
-    ``coarsest`` gives the nodes of each axis of the first mesh by degree; ``by_tolerance`` are the
+    ``ends`` are the last energies of given meshes along each axis; ``by_tolerance`` are the
     routes that are given a tolerance, elements first, which ``words`` are about; ``clock`` counts
     the time in the coefficients of ``process``.
     """
@@ -94,8 +92,7 @@ class Equation:
     clock: Clock
     reference: Answer
     reference_words: str
-    coarsest: Callable[[int], Nodes]
-    on_mesh: Callable[[Process, Nodes, int], Answer]
+    ends: Sequence[float]
     by_tolerance: Mapping[Route, Callable[[Process, float], Answer]]
     words: str
 
@@ -106,14 +103,12 @@ class Equation:
 
     def elements(self, degree: int, level: int = 0) -> Discretisation:
         """Return elements of one degree, refined by bisection of the coarsest mesh."""
-        nodes = self.coarsest(degree)
-        for _ in range(level):
-            nodes = bisected(nodes)
+        nodes = given_mesh(self.process, self.ends, degree, level)
         return Discretisation(
             "h",
             f"elements of degree {degree}",
             " x ".join(str(x.size - 1) for x in nodes) + " elements",
-            solve=partial(self.on_mesh, self.process, nodes, degree),
+            solve=partial(solve_on, self.process, nodes, degree),
             refined=partial(self.elements, degree, level + 1),
             size=lambda answer: 2.0**-level,
             degree=degree,
@@ -126,7 +121,9 @@ class Equation:
             "p",
             "p on a fixed mesh",
             f"p = {degree}",
-            solve=partial(self.on_mesh, self.process, bisected(self.coarsest(4)), degree),
+            solve=partial(
+                solve_on, self.process, given_mesh(self.process, self.ends, 4, 1), degree
+            ),
             refined=partial(self.degrees, level + 1),
             size=lambda answer: exp(-degree),
             degree=degree,
@@ -172,8 +169,3 @@ def refined_levels(
             promised=discretisation.promised,
         )
         yield discretisation.solve, level
-
-
-def bisected(nodes: Nodes) -> Nodes:
-    """Return the nodes of every axis with the middles between them."""
-    return tuple(np.sort(np.concatenate([x, 0.5 * (x[1:] + x[:-1])])) for x in nodes)

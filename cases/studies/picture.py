@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from math import ceil
 from typing import Any
 
@@ -30,8 +31,8 @@ class Curve:
     """Errors ``y`` over ``x`` with their name in the legend.
 
     ``bar`` is how far chance may have moved each; ``dashed`` are the two coordinates of a line of
-    theory. ``style``: "-" or "none" for points that are joined, their bars a band, or not; ":" for
-    points computed by a law, not measured. ``end`` are words at the last point.
+    theory. ``style``: "-" or "none" for points that are joined or not, ":" for points computed by a
+    law, not measured. ``end`` are words at the last point.
     """
 
     name: str
@@ -59,7 +60,7 @@ class Panel:
 
 def study_figure(panels: Sequence[Panel], *, width: float = 4.3) -> Figure:
     """Draw the panels, two in a row; the legend of each stands below it, where no curve passes."""
-    columns = min(2, max(1, len(panels)))
+    columns = 2 if len(panels) > 1 else 1
     rows = max(1, ceil(len(panels) / columns))
     entries = max((len(panel.curves) for panel in panels), default=0)
     height = 3.0 + LEGEND_ROW * ceil(entries / LEGEND_COLUMNS)
@@ -74,12 +75,10 @@ def study_figure(panels: Sequence[Panel], *, width: float = 4.3) -> Figure:
 
 
 def _draw(axes: Axes, panel: Panel) -> None:
+    axes.set(title=panel.title, xlabel=panel.x, ylabel=panel.y, ylim=panel.limits)
     axes.set(xscale="log" if panel.logarithmic else "linear", yscale="log")
-    if panel.limits is not None:
-        axes.set_ylim(panel.limits)
-    for k, curve in enumerate(panel.curves):
-        _draw_curve(axes, curve, COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)])
-    axes.set(title=panel.title, xlabel=panel.x, ylabel=panel.y)
+    for curve, colour, marker in zip(panel.curves, cycle(COLOURS), cycle(MARKERS), strict=False):
+        _draw_curve(axes, curve, colour, marker)
     if panel.floor is not None:
         axes.axhspan(axes.get_ylim()[0], panel.floor, color=INK, alpha=0.08, lw=0)
         _words_at(axes, panel.floor, "floor: error of the reference", below=True)
@@ -94,17 +93,11 @@ def _draw(axes: Axes, panel: Panel) -> None:
 
 
 def _draw_curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:
-    x, y = np.asarray(curve.x, dtype=float), np.maximum(np.asarray(curve.y, float), ROUND_OFF)
-    axes.plot(
-        x, y, color=colour, marker=marker, markersize=3.6, lw=1.2, ls=curve.style,
-        mfc="none" if curve.style == ":" else colour, label=curve.name,
+    x, y = np.asarray(curve.x, dtype=float), np.maximum(curve.y, ROUND_OFF)
+    axes.errorbar(
+        x, y, curve.bar, color=colour, marker=marker, markersize=3.6, lw=1.2, elinewidth=0.8,
+        ls=curve.style, mfc="none" if curve.style == ":" else colour, label=curve.name,
     )  # fmt: skip
-    if curve.bar is not None:
-        low, high = np.maximum(y - curve.bar, 0.1 * y), y + curve.bar
-        if curve.style == "-":
-            axes.fill_between(x, low, high, color=colour, alpha=0.25, lw=0)
-        else:
-            axes.vlines(x, low, high, color=colour, lw=0.8)
     if curve.dashed is not None:
         axes.plot(*curve.dashed, color=colour, lw=0.9, ls=DASHES)
     if curve.end and x.size:
@@ -115,10 +108,8 @@ def _draw_curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:
 
 
 def _words_at(axes: Axes, level: float, words: str, *, below: bool) -> None:
-    if not axes.get_ylim()[0] <= level <= axes.get_ylim()[1]:
-        return
     axes.annotate(
-        words, (0.985, level), xycoords=axes.get_yaxis_transform(),
+        words, (0.985, level), xycoords=axes.get_yaxis_transform(), annotation_clip=True,
         xytext=(0, -2 if below else 2), textcoords="offset points", ha="right",
         va="top" if below else "bottom", fontsize=6.5, bbox=HALO,
     )  # fmt: skip
