@@ -121,9 +121,8 @@ def cost_panels(study: CostStudy) -> list[Panel]:
             ]
             if points:
                 times, errors = [p.seconds for p in points], [p.error for p in points]
-                end = points[-1].settings.rpartition(", ")[2]
                 style = ":" if points[-1].modelled else "-"
-                curves.append(Curve(route.route, times, errors, style=style, end=end))
+                curves.append(Curve(route.route, times, errors, style=style))
         panels.append(
             Panel(
                 equation,

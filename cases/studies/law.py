@@ -168,15 +168,13 @@ def averaged_route(system: System, equation: Equation, *, seed: int) -> Priced |
     """Return the simulation of (24), run once."""
     p, of = equation.reference, equation.observable
     measured = Measured(p.l1_error, 0.0, 0.0, 0.0, 0.0)
-    density = certified_density(
-        of, p.panels, p.density, lambda H: 0.0 * H, measured=measured, tol=inf
-    )
+    density = certified_density(of, p.panels, p.density, np.zeros_like, measured=measured, tol=inf)
     method = AveragedSimulation("nonintegrable", seed=seed, threads=1, paths=FEWEST)
     result, seconds = timed_first(lambda: method.solve(system, [of]))
     distance, mean, quantile = _distance(result, density)
     settings = f"{method.paths} paths, step {method.step:g}"
-    names = method.route.label, equation.name
     level = Level(settings, mean, mean, Timing(seconds), distance, quantile + p.l1_error)
+    names = method.route.label, equation.name
     if not level.honest:
         words = f"differs from the {equation.reference_words} by more than chance explains"
         return NotTimed(*names, settings, distance, level.estimate, words)

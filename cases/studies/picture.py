@@ -32,7 +32,7 @@ class Curve:
 
     ``bar`` is how far chance may have moved each; ``dashed`` are the two coordinates of a line of
     theory. ``style``: "-" or "none" for points that are joined or not, ":" for points computed by a
-    law, not measured. ``end`` are words at the last point.
+    law, not measured.
     """
 
     name: str
@@ -41,7 +41,6 @@ class Curve:
     bar: Array | None = None
     dashed: tuple[Array, Array] | None = None
     style: str = "-"
-    end: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,11 +99,6 @@ def _draw_curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:
     )  # fmt: skip
     if curve.dashed is not None:
         axes.plot(*curve.dashed, color=colour, lw=0.9, ls=DASHES)
-    if curve.end and x.size:
-        axes.annotate(
-            curve.end, (x[-1], y[-1]), xytext=(4, 4), textcoords="offset points", fontsize=6.5,
-            color=colour,
-        )  # fmt: skip
 
 
 def _words_at(axes: Axes, level: float, words: str, *, below: bool) -> None:

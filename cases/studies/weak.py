@@ -128,13 +128,13 @@ def weak_order(system: System, method: MonteCarlo, *, seconds: float) -> WeakOrd
     return judged(unusable, levels, truth)
 
 
-def _fit(levels: Array, orders: ArrayLike, truth: float | None) -> dict[str, Array]:
-    """Weighted fits of value = limit + slope dtʳ: standard errors and χ², by the order r.
+def _fit(
+    dt: Array, value: Array, error: Array, truth: float | None, *, orders: ArrayLike
+) -> dict[str, Array]:
+    """Weighted fits of value = limit + slope dtʳ, with standard errors and χ², by the order r.
 
-    ``levels`` (3, levels) are dt, value and standard error. A known limit ``truth`` is a value at
-    dt = 0 that has nearly no error.
+    A known limit ``truth`` is a value at dt = 0 that has nearly no error.
     """
-    dt, value, error = levels
     if truth is not None:
         dt, value = np.append(dt, 0.0), np.append(value, truth)
         error = np.append(error, KNOWN * error.min())
@@ -146,8 +146,8 @@ def _fit(levels: Array, orders: ArrayLike, truth: float | None) -> dict[str, Arr
     slope_error = np.sum((x / error) ** 2, axis=-1) ** -0.5
     return {
         "limit": mean - slope * x_mean,
-        "slope": slope,
         "limit_error": np.hypot(np.sum(error**-2.0) ** -0.5, x_mean * slope_error),
+        "slope": slope,
         "slope_error": slope_error,
         "chi2": np.sum(((y - slope[..., None] * x) / error) ** 2, axis=-1),
     }
@@ -159,13 +159,12 @@ def judged(scheme: WeakOrder, levels: Sequence[Run], truth: float | None) -> Wea
     "as theory" only where two standard errors of the profile (χ² + 4) exclude other orders; where
     they leave nearly every order, or no slope is resolved, the order is "not resolved".
     """
-    dt, value, error = np.array([(level.dt, level.value, level.error) for level in levels]).T
-    known = np.array([dt, value, error])
-    line: dict[str, Any] = {k: float(x) for k, x in _fit(known, scheme.theory, truth).items()}
-    profile = _fit(known, ORDERS, truth)["chi2"]
-    best = int(profile.argmin())
-    order, inside = float(ORDERS[best]), ORDERS[profile <= profile[best] + 1.0]
-    low, high = float(inside[0]), float(inside[-1])
+    dt, value, error = np.array([(run.dt, run.value, run.error) for run in levels]).T
+    theory = _fit(dt, value, error, truth, orders=scheme.theory)
+    line: dict[str, Any] = {key: float(x) for key, x in theory.items()}
+    profile = _fit(dt, value, error, truth, orders=ORDERS)["chi2"]
+    best, inside = profile.argmin(), ORDERS[profile <= profile.min() + 1.0]
+    order, low, high = float(ORDERS[best]), float(inside[0]), float(inside[-1])
     flat = abs(line["slope"]) < 3.0 * line["slope_error"]
     verdict: Any = "as theory"
     if line["chi2"] > profile[best] + 4.0:
@@ -175,11 +174,10 @@ def judged(scheme: WeakOrder, levels: Sequence[Run], truth: float | None) -> Wea
     errors, bars = np.abs(value - line["limit"]), np.hypot(error, line["limit_error"])
     relative = bars / errors
     order_bars = np.hypot(relative[1:], relative[:-1]) / -np.diff(np.log(dt))
-    resolved = errors > MIN_ORDER_SIGNAL * bars
+    resolved = relative < 1.0 / MIN_ORDER_SIGNAL
     orders = np.stack([observed_orders(dt, errors), order_bars], axis=1)
     # No width is less than the spacing of the orders that are tried.
     width = 0.5 * max(high - low, ORDERS[1] - ORDERS[0])
-    wanted = float(error.max()) * ORDER_ERROR / width
     return replace(
         scheme,
         **line,
@@ -191,8 +189,8 @@ def judged(scheme: WeakOrder, levels: Sequence[Run], truth: float | None) -> Wea
         errors=tuple(errors.tolist()),
         error_bars=tuple(bars.tolist()),
         orders=tuple(map(tuple, orders[resolved[1:] & resolved[:-1]].tolist())),
-        wanted=wanted,
-        short=max(float(error.max()) / wanted, 1.0),
+        wanted=float(error.max()) * ORDER_ERROR / width,
+        short=max(width / ORDER_ERROR, 1.0),
         verdict=verdict,
     )
 

@@ -64,21 +64,20 @@ class PointStore:
                 f"{path}: holds points of another map (other scene, observable, settings or"
                 " version); give another --out or remove the file"
             )
+        names = {field.name for field in fields(MapPoint)}
         for number, line in enumerate(lines, start=2):
-            record, words = _record(line), ""
-            if record.keys() != {field.name for field in fields(MapPoint)}:
-                words = "is not what was written"
-            else:
+            record, words = _record(line), "is not what was written"
+            if record.keys() == names:
                 tuples = {key: tuple(record[key]) for key in ("values", "problems")}
                 point = MapPoint(**{**record, **tuples})
                 known = self.points.setdefault(point.values, point)
-                if replace(known, seconds=point.seconds) != point:  # two runs at once write twice
-                    words = "has other numbers than an earlier line of its point"
-            if words:
-                raise BadInput(
-                    f"{path}: line {number} {words}: the file is damaged; remove that line, its"
-                    " point is then computed again"
-                )
+                if replace(known, seconds=point.seconds) == point:  # two runs at once write twice
+                    continue
+                words = "has other numbers than an earlier line of its point"
+            raise BadInput(
+                f"{path}: line {number} {words}: the file is damaged; remove that line, its point"
+                " is then computed again"
+            )
         if last:
             count = len(self.points)
             self.note = f"{path}: the last line was cut off and is dropped; {count} points are kept"
