@@ -9,12 +9,10 @@ from cases.scene.errors import BadInput
 from cases.scene.scene import Scene
 from cases.studies.equations import EQUATIONS
 from cases.studies.ladders import Ladder, degree_ladder, ladders
-from cases.studies.levels import Equation
 from cases.studies.orders import LIMITS
 from cases.studies.weak import SampleSlope, WeakOrder, sample_slope, weak_order
 from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Progress, silent
-from fpk.observable import observable_name
 from sim.montecarlo import MonteCarlo
 
 SIMULATION = MonteCarlo().route.method
@@ -27,13 +25,13 @@ SECONDS = 10.0
 class ConvergenceStudy:
     """All that was measured for a scene; ``refusals`` are routes that do not apply, with reason.
 
-    ``equations`` holds the ladders of each equation, the p-ladder among them. ``without_contact``
-    is the p-ladder of (24) of the same system with its contacts taken away: it shows whether a kink
-    at the contact energy costs the exponential convergence.
+    ``equations`` describe the averaged equations, each with its ``ladders``.
+    ``without_contact`` is the p-ladder of (24) of the same system with its contacts taken away: it
+    shows whether a kink at the contact energy costs the exponential convergence.
     """
 
     scene: Scene
-    equations: list[tuple[Equation, tuple[Ladder, ...]]] = field(default_factory=list)
+    equations: list[dict[str, Any]] = field(default_factory=list)
     without_contact: Ladder | None = None
     schemes: list[WeakOrder] = field(default_factory=list)
     samples: SampleSlope | None = None
@@ -41,47 +39,27 @@ class ConvergenceStudy:
     seconds: float = 0.0
 
     @property
-    def ladders(self) -> list[tuple[str, Ladder]]:
-        """Every ladder with the name of its equation."""
-        pairs = [(e.name, ladder) for e, own in self.equations for ladder in own]
-        if self.without_contact is not None:
-            pairs.append(
-                (f"{self.without_contact.equation.name} without contact", self.without_contact)
-            )
-        return pairs
+    def ladders(self) -> list[Ladder]:
+        """Every ladder; the one without contacts has that in the name of its equation."""
+        ladders = [ladder for e in self.equations for ladder in e["ladders"]]
+        if free := self.without_contact:
+            ladders.append(replace(free, equation=f"{free.equation} without contact"))
+        return ladders
 
     @property
     def problems(self) -> tuple[str, ...]:
         """Every estimate that is below the true error, in words."""
         return tuple(
-            f"{where}, {ladder.name}, {level.settings}: the estimate {level.estimate:.2g} is below"
-            f" the true L1 error {level.error:.2g}"
-            for where, ladder in self.ladders
+            f"{ladder.equation}, {ladder.name}, {level.settings}: the estimate {level.estimate:.2g}"
+            f" is below the true L1 error {level.error:.2g}"
+            for ladder in self.ladders
             for level in ladder.levels
             if not level.honest
         )
 
     def record(self) -> dict[str, Any]:
         """Return the study as ``plain`` takes it."""
-        return {
-            "scene": self.scene.name,
-            "equations": [
-                {
-                    "theory": e.theory,
-                    "equation": e.name,
-                    "observable": observable_name(e.observable),
-                    "dimension": e.dimension,
-                    "reference": e.reference_words,
-                    "reference_error": e.reference.l1_error,
-                    "by_tolerance": e.words,
-                    "ladders": [ladder.record() for ladder in own],
-                }
-                for e, own in self.equations
-            ],
-            "without_contact": self.without_contact and self.without_contact.record(),
-            **{key: getattr(self, key) for key in ("schemes", "samples", "refusals", "seconds")},
-            "limits_of_the_index": LIMITS,
-        }
+        return {**vars(self), "scene": self.scene.name, "limits_of_the_index": LIMITS}
 
 
 def chosen_routes(route: str | None, of: str | None) -> tuple[str, ...]:
@@ -127,7 +105,8 @@ def study_convergence(
                 continue
             _, make = EQUATIONS[route]
             equation = make(system)
-            study.equations.append((equation, ladders(equation, progress=progress)))
+            families = ladders(equation, progress=progress)
+            study.equations.append({**equation.description(), "ladders": families})
             if equation.dimension == 1 and system.contacts:
                 study.without_contact = degree_ladder(make(replace(system, contacts=())))
         except (NotApplicable, NotCertified) as reason:

@@ -1,6 +1,6 @@
 """A convergence study as tables and panels of a picture."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -8,12 +8,10 @@ import numpy as np
 
 from cases.studies.converge import ConvergenceStudy
 from cases.studies.ladders import ROUND_OFF, Ladder
-from cases.studies.levels import Equation
 from cases.studies.orders import LIMITS
 from cases.studies.page import Page, Table
 from cases.studies.picture import Curve, Panel, study_figure
 from cases.studies.weak import ORDERS, WeakOrder
-from fpk.observable import observable_name
 
 GCI_WORDS = (
     "GCI: safety factor 1.25 where the observed order is within 10 % of theory, else 3. " + LIMITS
@@ -66,9 +64,7 @@ def convergence_page(study: ConvergenceStudy) -> Page:
 
 def study_tables(study: ConvergenceStudy) -> list[Table]:
     """Return errors and orders of every ladder, the functionals, the steps and the samples."""
-    ladders = [
-        ({"equation": name, "family": ladder.name}, ladder) for name, ladder in study.ladders
-    ]
+    ladders = [({"equation": x.equation, "family": x.name}, x) for x in study.ladders]
     errors = [
         {**names, "level": v.settings, "unknowns": v.unknowns, **v.errors, "estimate": v.estimate}
         for names, ladder in ladders
@@ -91,11 +87,11 @@ def study_tables(study: ConvergenceStudy) -> list[Table]:
     ]
     weak = [{key: getattr(s, key) for key in WEAK_COLUMNS} for s in study.schemes]
     about = [
-        f"{e.name}: p({observable_name(e.observable)}) against {e.reference_words}, itself within"
-        f" {e.reference.l1_error:.1e} in L1. By tolerance: {e.words}"
-        for e, _ in study.equations
+        "{equation}: p({observable}) against {reference}, itself within {reference_error:.1e} in"
+        " L1. By tolerance: {by_tolerance}".format(**e)
+        for e in study.equations
     ]
-    plane = any(e.dimension == 2 for e, _ in study.equations)
+    plane = any(e["dimension"] == 2 for e in study.equations)
     samples: list[dict[str, Any]] = []
     slope = of = ""
     if s := study.samples:
@@ -121,16 +117,16 @@ def study_panels(study: ConvergenceStudy) -> list[Panel]:
     Dashed lines have the slope of theory, below the finest levels.
     """
     panels = [
-        _error_panel(equation, "dashed: order of theory", map(_in_unknowns, ladders))
-        for equation, ladders in study.equations
+        _error_panel(e, "dashed: order of theory", map(_in_unknowns, e["ladders"]))
+        for e in study.equations
     ]
-    for equation, ladders in study.equations:
-        if equation.dimension == 1:
-            (own,) = (ladder for ladder in ladders if ladder.first.family == "p")
+    for e in study.equations:
+        if e["dimension"] == 1:
+            (own,) = (ladder for ladder in e["ladders"] if ladder.family == "p")
             curves = [_in_degree("no contact", own)]
             if free := study.without_contact:
                 curves = [_in_degree("with contact", own), _in_degree("contacts taken away", free)]
-            panels.append(_error_panel(equation, "exponential in $p$", curves, by_degree=True))
+            panels.append(_error_panel(e, "exponential in $p$", curves, by_degree=True))
     return [*panels, _step_panel(study.schemes)] if study.schemes else panels
 
 
@@ -139,7 +135,7 @@ def _in_unknowns(ladder: Ladder) -> Curve:
     e = np.array([level.error for level in ladder.levels])
     if not ladder.degree:
         return Curve(ladder.name, N, e)
-    power = (ladder.degree + 1.0) / ladder.equation.dimension
+    power = (ladder.degree + 1.0) / ladder.dimension
     dashed = N[-3:], 0.5 * e[-1] * (N[-3:] / N[-1]) ** -power
     return Curve(f"{ladder.name}: order {ladder.verdicts['L1'].order:.2f}", N, e, dashed=dashed)
 
@@ -151,14 +147,14 @@ def _in_degree(words: str, ladder: Ladder) -> Curve:
 
 
 def _error_panel(
-    equation: Equation, words: str, curves: Iterable[Curve], *, by_degree: bool = False
+    e: Mapping[str, Any], words: str, curves: Iterable[Curve], *, by_degree: bool = False
 ) -> Panel:
     return Panel(
-        f"{equation.name}; {words}",
+        f"{e['equation']}; {words}",
         "degree $p$ on a fixed mesh" if by_degree else "unknowns $N$",
-        f"$L_1$ error of p({observable_name(equation.observable)})",
+        f"$L_1$ error of p({e['observable']})",
         list(curves),
-        floor=equation.reference.l1_error + ROUND_OFF,
+        floor=e["reference_error"] + ROUND_OFF,
         logarithmic=not by_degree,
         limits=LIMITS_OF_AXIS,
     )

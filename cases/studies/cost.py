@@ -149,7 +149,7 @@ def _priced(equation: Equation, first: Discretisation) -> Priced | NotTimed:
     names, checked = (first.name, equation.name), []
     count = TOLERANCES if first.family == "tol" else H_LEVELS[equation.dimension]
     try:
-        _, compiling = timed_first(first.solve)  # the levels themselves are timed warm
+        _, compiling = timed_first(first.setting.solve)  # the levels themselves are timed warm
         for work, level in refined_levels(first, equation.reference, count):
             words = ""
             if not np.isfinite(level.stated):

@@ -1,8 +1,7 @@
 """Families of levels of one averaged equation, and their observed orders: in h, p and by tol."""
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import reduce
-from typing import Any
 
 import numpy as np
 
@@ -23,42 +22,22 @@ ROUND_OFF = 1e-15
 """Relative floor of any answer: a few rounding errors of its largest values."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Ladder:
-    """Levels from coarse to fine that start with ``first``, with their orders by norm and moment.
+    """Levels from coarse to fine of one family, with their orders by norm and moment.
 
     ``degree`` is that of the elements in h, None else; ``grid`` holds Richardson's value and the
     grid convergence index by moment, in h only.
     """
 
-    equation: Equation
-    first: Discretisation
+    name: str
+    equation: str
+    dimension: int
+    family: str
+    degree: int | None
     levels: tuple[Level, ...]
     verdicts: dict[str, Convergence]
     grid: dict[str, GridConvergence]
-
-    @property
-    def degree(self) -> int | None:
-        """Degree of the elements in h, None in other families."""
-        return self.first.degree if self.first.family == "h" else None
-
-    @property
-    def name(self) -> str:
-        """The family in tables and legends."""
-        return f"h, p = {self.degree}" if self.degree else self.first.name
-
-    def record(self) -> dict[str, Any]:
-        """Return the ladder as ``plain`` takes it."""
-        return {
-            "name": self.name,
-            "equation": self.equation.name,
-            "dimension": self.equation.dimension,
-            "family": self.first.family,
-            "degree": self.degree,
-            "levels": [{"label": v.settings, **asdict(v)} for v in self.levels],
-            "verdicts": self.verdicts,
-            "grid": self.grid,
-        }
 
 
 def ladders(equation: Equation, *, progress: Progress = silent) -> tuple[Ladder, ...]:
@@ -89,10 +68,10 @@ def ladder(equation: Equation, first: Discretisation, count: int) -> Ladder:
         levels = [level for level, n in zip(levels, most, strict=False) if level.unknowns > n]
     floor = floors(equation, given_mesh=first.family != "tol")
     h = [level.size for level in levels]
-    theory: dict[str, float] = {}
-    if first.family == "h" and first.degree:  # Galerkin duality doubles the order of moments
-        theory = dict.fromkeys(NORMS, first.degree + 1.0)
-        theory |= dict.fromkeys(FUNCTIONALS, 2.0 * first.degree)
+    name, degree, theory = first.name, first.degree, dict[str, float]()
+    if degree:  # Galerkin duality doubles the order of moments
+        name, theory = f"h, p = {degree}", dict.fromkeys(NORMS, degree + 1.0)
+        theory |= dict.fromkeys(FUNCTIONALS, 2.0 * degree)
     verdicts = {
         key: convergence(
             h, [v.errors[key] for v in levels], theory=theory.get(key), floor=floor[key]
@@ -106,7 +85,8 @@ def ladder(equation: Equation, first: Discretisation, count: int) -> Ladder:
         for key in FUNCTIONALS
         if theory
     }
-    return Ladder(equation, first, tuple(levels), verdicts, grid)
+    of = equation.name, equation.dimension, first.family, degree
+    return Ladder(name, *of, tuple(levels), verdicts, grid)
 
 
 def floors(equation: Equation, *, given_mesh: bool) -> dict[str, float]:

@@ -5,14 +5,14 @@ with ``refined()``. Convergence and cost differ in what they do with the levels 
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from math import exp, inf, nan, sqrt
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple, Self
 
 from cases.studies.answer import FUNCTIONALS, Answer, errors, given_mesh, sizes, solve_on
 from cases.studies.timing import Clock, Timing, timed_first
-from fpk.observable import Observable
+from fpk.observable import Observable, observable_name
 from fpk.process import Process
 from fpk.route import Route
 
@@ -29,7 +29,8 @@ class Level:
     ``distance`` is the L1 distance to the reference and ``estimate`` the largest that both errors
     allow; ``size`` as in ``observed_orders``. ``promised`` is the tolerance of a route that is
     given one: it holds for every scene, where a number of elements is right for this one.
-    ``modelled`` marks a setting priced by the law of sampling, not run.
+    ``modelled`` marks a setting priced by the law of sampling, not run; ``label`` names the level
+    in JSON.
     """
 
     settings: str
@@ -44,6 +45,7 @@ class Level:
     functionals: dict[str, float] = field(default_factory=dict)
     promised: float = inf
     modelled: bool = False
+    label: str = ""
 
     @property
     def seconds(self) -> float:
@@ -56,24 +58,37 @@ class Level:
         return self.distance <= self.estimate
 
 
+class Setting(NamedTuple):
+    """One level in words, what solves it, its ``size`` and the tolerance that it promises."""
+
+    words: str
+    solve: Callable[[], Answer]
+    size: float = nan
+    promised: float = inf
+
+
 @dataclass(frozen=True, eq=False)
 class Discretisation:
-    """One level of a family of discretisations: it solves, and gives the next finer level.
+    """One level of a family of discretisations, which gives the next finer one.
 
-    ``name`` is that of the family in tables and legends, ``settings`` the level in words; in the
-    family "h" elements of ``degree`` are halved, in "p" the degree grows, in "tol" the tolerance
-    ``promised`` falls. ``size(answer)`` is h; or, so that the order is a rate of exponential
-    convergence, exp(−p) and exp(−√unknowns): nats of error a degree, or a unit of √unknowns.
+    ``name`` is that of the family in tables and legends: in "h" elements of ``degree`` are halved,
+    in "p" the degree grows, in "tol" the tolerance falls. ``at`` returns the setting of a level.
     """
 
     family: Literal["h", "p", "tol"]
     name: str
-    settings: str
-    solve: Callable[[], Answer]
-    refined: Callable[[], "Discretisation"]
-    size: Callable[[Answer], float]
+    at: Callable[[int], Setting]
     degree: int | None = None
-    promised: float = inf
+    level: int = 0
+
+    @property
+    def setting(self) -> Setting:
+        """The setting of this level."""
+        return self.at(self.level)
+
+    def refined(self) -> Self:
+        """Return the next finer level."""
+        return replace(self, level=self.level + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,46 +116,48 @@ class Equation:
         """Number of energies."""
         return len(self.observable)
 
-    def elements(self, degree: int, level: int = 0) -> Discretisation:
-        """Return elements of one degree, refined by bisection of the coarsest mesh."""
-        nodes = given_mesh(self.process, self.ends, degree, level)
-        return Discretisation(
-            "h",
-            f"elements of degree {degree}",
-            " x ".join(str(x.size - 1) for x in nodes) + " elements",
-            solve=partial(solve_on, self.process, nodes, degree),
-            refined=partial(self.elements, degree, level + 1),
-            size=lambda answer: 2.0**-level,
-            degree=degree,
-        )
+    def description(self) -> dict[str, Any]:
+        """Return the equation and its reference in words and numbers."""
+        return {
+            "theory": self.theory,
+            "equation": self.name,
+            "observable": observable_name(self.observable),
+            "dimension": self.dimension,
+            "reference": self.reference_words,
+            "reference_error": self.reference.l1_error,
+            "by_tolerance": self.words,
+        }
 
-    def degrees(self, level: int = 0) -> Discretisation:
-        """Return degree 1 of ``P_DEGREES`` on a mesh with the contact energies among its nodes."""
-        degree = P_DEGREES[level]
-        return Discretisation(
-            "p",
-            "p on a fixed mesh",
-            f"p = {degree}",
-            solve=partial(
-                solve_on, self.process, given_mesh(self.process, self.ends, 4, 1), degree
-            ),
-            refined=partial(self.degrees, level + 1),
-            size=lambda answer: exp(-degree),
-            degree=degree,
-        )
+    def elements(self, degree: int) -> Discretisation:
+        """Return elements of one degree, refined by bisection of the coarsest mesh."""
+
+        def at(level: int) -> Setting:
+            nodes = given_mesh(self.process, self.ends, degree, level)
+            words = " x ".join(str(x.size - 1) for x in nodes) + " elements"
+            return Setting(words, partial(solve_on, self.process, nodes, degree), 2.0**-level)
+
+        return Discretisation("h", f"elements of degree {degree}", at, degree)
+
+    def degrees(self) -> Discretisation:
+        """Return ``P_DEGREES`` on a mesh with the contact energies among its nodes."""
+        nodes = given_mesh(self.process, self.ends, 4, 1)
+
+        def at(level: int) -> Setting:
+            degree = P_DEGREES[level]
+            solve = partial(solve_on, self.process, nodes, degree)
+            return Setting(f"p = {degree}", solve, exp(-degree))
+
+        return Discretisation("p", "p on a fixed mesh", at)
 
     def to_tolerance(self, route: Route, digits: int = 1, stride: int = 1) -> Discretisation:
         """Return a route at the tolerance 10^−``digits``, refined by ``stride`` digits."""
-        tol = 10.0**-digits
-        return Discretisation(
-            "tol",
-            route.label,
-            f"tol = {tol:.0e}",
-            solve=partial(self.by_tolerance[route], self.process, tol),
-            refined=partial(self.to_tolerance, route, digits + stride, stride),
-            size=lambda answer: exp(-sqrt(answer.unknowns)),
-            promised=tol,
-        )
+
+        def at(level: int) -> Setting:
+            tol = 10.0 ** -(digits + stride * level)
+            solve = partial(self.by_tolerance[route], self.process, tol)
+            return Setting(f"tol = {tol:.0e}", solve, promised=tol)
+
+        return Discretisation("tol", route.label, at)
 
 
 def refined_levels(
@@ -148,24 +165,28 @@ def refined_levels(
 ) -> Iterator[tuple[Callable[[], Any], Level]]:
     """Yield ``count`` levels from coarse to fine, each with what solves it again.
 
-    Raises what the solvers raise.
+    Sizes are h; or, so that the order is a rate of exponential convergence, exp(−p) and
+    exp(−√unknowns): nats of error a degree, or a unit of √unknowns. Raises what the solvers raise.
     """
     discretisation = first
     for k in range(count):
         discretisation = discretisation.refined() if k else first
-        answer, seconds = timed_first(discretisation.solve)
+        setting = discretisation.setting
+        answer, seconds = timed_first(setting.solve)
         distances, moments = errors(answer, reference), sizes(answer)
+        words = ", ".join(filter(None, (setting.words, answer.variant)))
         level = Level(
-            settings=", ".join(filter(None, (discretisation.settings, answer.variant))),
+            settings=words,
             error=distances["L1"],
             stated=answer.l1_error,
             timing=Timing(seconds),
             distance=distances["L1"],
             estimate=answer.l1_error + reference.l1_error,
             unknowns=answer.unknowns,
-            size=discretisation.size(answer),
+            size=exp(-sqrt(answer.unknowns)) if first.family == "tol" else setting.size,
             errors=distances,
             functionals={key: moments[key] for key in FUNCTIONALS},
-            promised=discretisation.promised,
+            promised=setting.promised,
+            label=words,
         )
-        yield discretisation.solve, level
+        yield setting.solve, level

@@ -234,10 +234,12 @@ def test_a_discretisation_refines_itself_and_states_its_level():
     equation = energy_equation(load_scene("fig6b").system)
     first = equation.elements(2)
     finer = first.refined().refined()
-    coarse, fine = (int(d.settings.split()[0]) for d in (first, finer))
-    assert fine == 4 * coarse and (finer.size(None), finer.degree) == (0.25, 2)
+    coarse, fine = (int(d.setting.words.split()[0]) for d in (first, finer))
+    assert fine == 4 * coarse and (finer.setting.size, finer.degree) == (0.25, 2)
     by_tolerance = equation.to_tolerance(next(iter(equation.by_tolerance)), 2, 2)
-    assert by_tolerance.name == "nonintegrable/fem" and by_tolerance.refined().promised == 1e-4
+    assert (
+        by_tolerance.name == "nonintegrable/fem" and by_tolerance.refined().setting.promised == 1e-4
+    )
 
 
 def test_the_exact_scene_knows_its_moment_and_the_samples_their_slope():
