@@ -231,7 +231,7 @@ TRAJECTORY = System(
 STEP, STEPS, BATCHES, STARTS = 1e-3, 1_000_000, 25, 6
 
 
-@numba.njit
+@numba.njit(cache=True)
 def time_averages(q, v, dt, steps, batches):
     """Batch means of Σ c_ij v_i v_j and Σ D_ii v_i² of ``TRAJECTORY`` by velocity Verlet.
 

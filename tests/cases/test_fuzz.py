@@ -61,13 +61,13 @@ BYTES = st.one_of(
 )
 
 
-@examples(300)
+@examples(150)
 @given(content=BYTES)
 def test_any_bytes_are_refused(content, tmp_path):
     any_bytes(tmp_path / "any.toml", content)
 
 
-@examples(700)
+@examples(350)
 @given(content=mutated_scenes())
 def test_any_mutation_of_a_shipped_scene_loads_or_is_refused(content, tmp_path):
     any_mutation(tmp_path / "any.toml", content)
