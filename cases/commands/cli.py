@@ -64,7 +64,7 @@ def list_scenes(as_json: bool) -> None:
 def show(scene: str, as_json: bool) -> None:
     """Show the system, its effects, frequencies, and which theories apply and why."""
     loaded = checked(scene)
-    from cases.output.show import show_record
+    from cases.output.facts import show_record
     from cases.output.text import show_text
 
     record = show_record(loaded)

@@ -1,12 +1,12 @@
 """One record of a run's results, from which text, report and ``--json`` are written."""
 
 from collections.abc import Iterable
-from dataclasses import asdict
 from typing import Any
 
 from cases.comparison.compare import Comparison
 from cases.comparison.run import CurveOutcome, Outcome, Refusal
-from cases.output.records import certificate_record, facts_record, plain
+from cases.output.facts import facts_record
+from cases.output.records import certificate_record, plain
 from fpk.density import Density
 from fpk.method import Result
 from fpk.route import Route, solvers_of
@@ -18,17 +18,16 @@ Record = dict[str, Any]
 def digest_of(outcome: Outcome) -> Record:
     """Return the record of ``fpk run``: the scene's own system, and beside it the other curves."""
     base, *others = outcome.curves
+    judged = [c for curve in outcome.curves for c in curve.comparisons if c.band is not None]
     record: Record = plain(
         {
             "scene": outcome.scene.name,
             "title": outcome.scene.title,
             **_curve(base),
             "curves": [_curve(c) for c in others],
-            "judged": sum(
-                c.band is not None for curve in outcome.curves for c in curve.comparisons
-            ),
+            "judged": len(judged),
             "problems": outcome.problems,
-            "claims": [asdict(f) for f in outcome.findings],
+            "claims": outcome.findings,
             "seconds": outcome.seconds,
         }
     )
@@ -42,27 +41,33 @@ def curves_of(digest: Record) -> list[Record]:
 
 def refusals_of(curve: Record) -> list[Record]:
     """Return the refusals of one curve, those with the same reason joined in one entry."""
-    joined: dict[tuple[str, bool], tuple[dict[str, dict[str, None]], dict[str, None]]] = {}
+    joined: dict[tuple[str, bool], list[Record]] = {}
     for r in curve["methods"]:
         if not r["applies"]:
             reason = r["reason"]
             for name in r["observables"]:
                 reason = reason.removeprefix(f"{name}: ")
-            solvers, names = joined.setdefault((reason, r["failed"]), ({}, {}))
-            solvers.setdefault(r["method"], {})[r["solver"]] = None
-            names.update(dict.fromkeys(r["observables"]))
+            joined.setdefault((reason, r["failed"]), []).append(r)
     return [
         {
-            "routes": ", ".join(
-                method if len(solvers_of(method)) == 1 else f"{method} ({', '.join(s)})"
-                for method, s in solvers.items()
-            ),
-            "observables": list(names),
+            "routes": _routes_in_words(refused),
+            "observables": list(dict.fromkeys(name for r in refused for name in r["observables"])),
             "reason": reason,
             "failed": failed,
         }
-        for (reason, failed), (solvers, names) in joined.items()
+        for (reason, failed), refused in joined.items()
     ]
+
+
+def _routes_in_words(entries: list[Record]) -> str:
+    """The methods of some entries, with their solvers where a method has several."""
+    solvers: dict[str, dict[str, None]] = {}
+    for entry in entries:
+        solvers.setdefault(entry["method"], {})[entry["solver"]] = None
+    return ", ".join(
+        method if len(solvers_of(method)) == 1 else f"{method} ({', '.join(own)})"
+        for method, own in solvers.items()
+    )
 
 
 def verdict_of(digest: Record) -> str:
@@ -82,7 +87,7 @@ def _curve(curve: CurveOutcome) -> Record:
         "comparisons": comparison_rows(curve.comparisons),
         "errors": [e for r in curve.results for e in _three_errors(r, curve.comparisons)],
         "identities": [
-            {"method": r.method.route.label, **asdict(i), "z": i.z}
+            {"method": r.method.route.label, **plain(i), "z": i.z}
             for r in curve.results
             for i in r.identities
         ],
@@ -100,7 +105,7 @@ def _method(result: Result) -> Record:
         "applies": True,
         "seconds": result.seconds,
         "settings": dict(result.settings),
-        "diagnosis": asdict(report.diagnosis) if report and report.diagnosis else None,
+        "diagnosis": report and report.diagnosis,
         "densities": [
             {
                 "observable": d.name,
@@ -135,19 +140,9 @@ def comparison_rows(comparisons: Iterable[Comparison]) -> list[Record]:
     rows = []
     for c in comparisons:
         pair = (c.observable, _theory(c.a), _theory(c.b))
-        rows.append(
-            {
-                "observable": c.observable,
-                "a": c.a.label,
-                "b": c.b.label,
-                "measures": c.measures,
-                "L1": c.L1,
-                "band": c.band,
-                "error": c.error,
-                "holds": c.holds,
-                "repeats": c.measures == "averaging" and pair in shown,
-            }
-        )
+        repeats = c.measures == "averaging" and pair in shown
+        row = {key: getattr(c, key) for key in ("observable", "measures", "L1", "band", "error")}
+        rows.append(row | {"a": c.a.label, "b": c.b.label, "holds": c.holds, "repeats": repeats})
         if c.measures == "averaging":
             shown.add(pair)
     return rows
@@ -166,8 +161,7 @@ def _three_errors(result: Result, comparisons: Iterable[Comparison]) -> list[Rec
     for error in result.report.errors:
         averaging: dict[str, Record] = {}
         for c in comparisons:
-            own = c.measures == "averaging" and c.observable == error.name and route in (c.a, c.b)
-            if own:
+            if (c.measures, c.observable) == ("averaging", error.name) and route in (c.a, c.b):
                 theory = _theory(c.b if c.a == route else c.a)
                 averaging.setdefault(theory, {"theory": theory, "L1": c.L1, "error": c.error})
         bias = error.step_bias

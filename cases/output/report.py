@@ -9,11 +9,11 @@ from typing import Any
 from cases.comparison.claims import ACCEPTABLE_L1, ALMOST_KURTOSIS, ALMOST_L1
 from cases.comparison.run import Outcome
 from cases.output.digest import curves_of, digest_of, verdict_of
+from cases.output.facts import theories
 from cases.output.fields import write_netcdf
 from cases.output.figures import figures
 from cases.output.files import write_text
 from cases.output.records import program_version
-from cases.output.show import theories
 from cases.output.svg import inline_svg, svg_text
 from cases.output.text import rendered
 

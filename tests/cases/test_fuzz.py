@@ -11,7 +11,7 @@ from scenes_drawn import mutated_scenes, valid_scenes
 
 from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
-from cases.output.show import show_record
+from cases.output.facts import show_record
 from cases.output.text import show_text
 from cases.scene.errors import LONGEST, BadInput
 from cases.scene.scene import load_scene

@@ -1,0 +1,122 @@
+"""What follows from a system, as plain records: effects, regime, boundaries, theories."""
+
+from contextlib import suppress
+from typing import Any
+
+from averaging.energy_process import energy_process
+from averaging.modal.analysis import modal_analysis
+from cases.comparison.routes import listed_routes
+from cases.comparison.run import incompatibility
+from cases.output.records import plain
+from cases.scene.scene import Scene
+from fpk.clearance import stop_clearances
+from fpk.damping import DampingTerm
+from fpk.effects import effects_of
+from fpk.ends import BoundaryClass, classify
+from fpk.errors import NotApplicable
+from fpk.linear import natural_frequencies
+from fpk.method import Method
+from fpk.observable import observable_name
+from fpk.route import ROUTES, solvers_of
+from fpk.system import System
+
+Record = dict[str, Any]
+
+MODES_SHOWN = 4
+"""Modes whose boundaries are shown; with constant damping they are alike in all."""
+
+
+def show_record(scene: Scene) -> Record:
+    """Return the record of ``fpk show``."""
+    facts = facts_record(scene.system)
+    record: Record = plain(
+        {
+            "scene": scene.name,
+            "title": scene.title,
+            "source": scene.source,
+            "system": facts["system"],
+            "observables": [observable_name(o) for o in scene.observables],
+            "curves": [curve.label for curve in scene.curves],
+            "effects": facts["effects"],
+            "natural_frequencies": facts["regime"]["natural_frequencies"],
+            "regime": facts["regime"],
+            "theories": theories(scene),
+            "boundaries": facts["regime"].pop("boundaries"),
+        }
+    )
+    return record
+
+
+def facts_record(system: System) -> Record:
+    """Return the system, its effects, and its regime: what decides between the theories.
+
+    Masses count from 1. ``incompatible`` says why the compatibility condition (8) fails, None where
+    it holds.
+    """
+    effects, stops = effects_of(system), system.fact(stop_clearances)
+    beyond = [stop.beyond_rule for stop in stops]
+    masses = [i + 1 for i in effects.contact_masses]
+    given = ("mass", "stiffness", "damping", "noise_intensity", "noise_gain")
+    return {
+        "system": {
+            **{key: getattr(system, key) for key in given},
+            "contacts": system.contacts,
+            "damping_terms": [_term_record(term) for term in system.damping_terms],
+        },
+        "effects": {**plain(effects), "contact_masses": masses, "contact": effects.contact},
+        "regime": {
+            "natural_frequencies": natural_frequencies(system),
+            "incompatible": incompatibility(system),
+            "stops": [{**plain(s), "beyond_rule": s.beyond_rule} for s in stops],
+            "contacts_negligible": None if None in beyond else all(beyond),
+            "boundaries": _boundaries(system),
+        },
+    }
+
+
+def theories(scene: Scene) -> list[Record]:
+    """Return for every METHOD whether it applies to the scene's own system, and why not."""
+    records = []
+    for name in dict.fromkeys(route.method for route in listed_routes()):
+        routes = [ROUTES[name, solver] for solver in solvers_of(name)]
+        by_solver = [_refusals(route.make(), scene) for route in routes]
+        # An observable is refused where every solver refuses it: the default's reason is shown.
+        refused = [column for column in zip(*by_solver, strict=True) if None not in column]
+        records.append(
+            {
+                "method": name,
+                "meaning": f"{routes[0].words}, Eq. {routes[0].equation}",
+                "solvers": solvers_of(name),
+                "applies": len(refused) < len(scene.observables),
+                "reason": "; ".join(dict.fromkeys(str(column[0]) for column in refused)) or None,
+            }
+        )
+    return records
+
+
+def _refusals(method: Method, scene: Scene) -> list[str | None]:
+    """Why the method does not give each observable of the scene, None where it does."""
+    try:
+        plan = method.prepare(scene.system)
+    except NotApplicable as reason:
+        return [str(reason)] * len(scene.observables)
+    pairs = [(observable_name(o), plan.refusal(o)) for o in scene.observables]
+    return [reason and reason.removeprefix(f"{name}: ") for name, reason in pairs]
+
+
+def _boundaries(system: System) -> list[Record]:
+    """The ends of the averaged energies (24) and (17), of each theory that applies."""
+    ends: list[tuple[str, BoundaryClass]] = []
+    with suppress(NotApplicable):
+        ends += [("nonintegrable", end) for end in classify(energy_process(system))]
+    with suppress(NotApplicable):
+        process = system.fact(modal_analysis).process()
+        for axis in range(min(process.dimension, MODES_SHOWN)):
+            ends += [("integrable", end) for end in classify(process, axis)]
+    return [{"process": theory, **plain(end)} for theory, end in ends]
+
+
+def _term_record(term: DampingTerm) -> Record:
+    powers = {key: {str(mass): power for mass, power in getattr(term, key)} for key in ("q", "v")}
+    entry = {"i": term.i, "j": term.j, "coefficient": term.coefficient}
+    return {**entry, **powers, "energy": term.energy}
