@@ -50,9 +50,8 @@ class DampingTerm:
             raise InvalidInput("energy", self.energy, "must be a power of 0 or more")
         degree = sum(power for _, power in self.q + self.v) + 2 * self.energy
         if degree > MOST_POWERS:
-            raise InvalidInput(
-                "damping_term", degree, f"is the degree, an energy counting 2; use {MOST_POWERS}"
-            )
+            remedy = f"is the degree, an energy counting 2; use at most {MOST_POWERS}"
+            raise InvalidInput("degree", degree, remedy)
         object.__setattr__(self, "degree", degree)
 
     @property
@@ -66,9 +65,10 @@ class DampingTerm:
         return self.j - 1
 
     @property
-    def masses(self) -> tuple[int, ...]:
-        """Every mass that the term mentions, ascending."""
-        return tuple(sorted({self.i, self.j, *(mass for mass, _ in self.q + self.v)}))
+    def masses(self) -> dict[str, int]:
+        """Every mass that the term mentions, by where it does: i, j, q.1, v.2 and so on."""
+        powers = {f"{key}.{m}": m for key in ("q", "v") for m, _ in getattr(self, key)}
+        return {"i": self.i, "j": self.j, **powers}
 
     def powers(self, key: str, n: int) -> tuple[int, ...]:
         """Return the powers of all n masses' q or v, 0 where one does not occur."""

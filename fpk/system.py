@@ -81,9 +81,10 @@ class System:
             gain = _finite("noise_gain", self.noise_gain)
             if gain.shape != (n, noises):
                 raise InvalidInput("noise_gain", self.noise_gain, f"must be {n} x {noises}")
-        for contact in self.contacts:
+        for k, contact in enumerate(self.contacts, start=1):
             if not 1 <= contact.mass <= n:
-                raise InvalidInput("contact.mass", contact.mass, f"is not a mass; use 1 to {n}")
+                key = f"contact[{k}].mass"
+                raise InvalidInput(key, contact.mass, f"is not a mass; use 1 to {n}")
         object.__setattr__(self, "damping_terms", terms)
         k = np.append(stiffness, 0.0)
         spring = np.diag(k[:-1] + k[1:]) - np.diag(k[1:-1], 1) - np.diag(k[1:-1], -1)
@@ -186,8 +187,10 @@ def _effective_terms(terms: tuple[DampingTerm, ...], damping: Array) -> tuple[Da
     """Terms that depend on the state; constant ones are added to ``damping`` (n, n) in place."""
     n, varying = damping.shape[0], []
     for k, term in enumerate(terms, start=1):
-        if outside := [mass for mass in term.masses if not 1 <= mass <= n]:
-            raise InvalidInput(f"damping_term[{k}]", outside[0], f"is not a mass; use 1 to {n}")
+        for place, mass in term.masses.items():
+            if not 1 <= mass <= n:
+                key = f"damping_term[{k}].{place}"
+                raise InvalidInput(key, mass, f"is not a mass; use 1 to {n}")
         if term.degree == 0:
             damping[term.row, term.column] += term.coefficient
         elif term.coefficient != 0.0:

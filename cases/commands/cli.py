@@ -22,6 +22,7 @@ from cases.commands.parts import (
     observable_of,
     observable_option,
     outcome_of,
+    progress_bar,
     scene_name,
     simulation_options,
 )
@@ -116,7 +117,6 @@ def density(
     from cases.commands.checkpoints import checkpoint_folder
     from cases.comparison.routes import chosen
     from cases.output.density import density_record, density_text
-    from cases.output.terminal import progress_bar
     from cases.scene.points import parse_points
     from fpk.method import solved
 

@@ -11,6 +11,7 @@ from cases.commands.parts import (
     end_study,
     given,
     observable_option,
+    progress_bar,
     scene_name,
     seed,
     study_folder,
@@ -34,7 +35,6 @@ def converge(
 ) -> None:
     """Measure orders of convergence: in h, in p, in both, in the step and in samples."""
     loaded = begin_study(scene, out)
-    from cases.output.terminal import progress_bar
     from cases.studies.converge import chosen_routes, study_convergence
     from cases.studies.converge_page import convergence_page
 

@@ -10,6 +10,7 @@ from cases.commands.parts import (
     begin_study,
     end_study,
     given,
+    progress_bar,
     scene_name,
     seed,
     study_folder,
@@ -27,7 +28,6 @@ from cases.commands.parts import (
 def cost(scene: str, out: Path | None, as_json: bool, **settings: Any) -> None:
     """Time every route whose answer agrees with the reference, and price each digit."""
     loaded = begin_study(scene, out)
-    from cases.output.terminal import progress_bar
     from cases.studies.cost import study_cost
     from cases.studies.cost_page import cost_page
 

@@ -2,7 +2,9 @@
 
 import json
 import os
+import sys
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +14,7 @@ if TYPE_CHECKING:
     from cases.comparison.run import Outcome
     from cases.scene.scene import Scene
     from cases.studies.page import Page
+    from fpk.method import Progress
     from fpk.observable import Observable
 
 Decorator = Callable[[Any], Any]
@@ -129,10 +132,20 @@ def end(
         raise click.exceptions.Exit(1)
 
 
+def progress_bar() -> "AbstractContextManager[Progress]":
+    """Return a context with a progress callback, which draws where standard error is a terminal."""
+    if not sys.stderr.isatty():
+        from fpk.method import silent
+
+        return nullcontext(silent)
+    from cases.output.bar import drawn_progress
+
+    return drawn_progress()
+
+
 def outcome_of(scene: "Scene", methods: Any) -> "Outcome":
     """Run ``scene`` by ``methods`` under a progress bar."""
     from cases.comparison.run import run_scene
-    from cases.output.terminal import progress_bar
 
     with progress_bar() as progress:
         return run_scene(scene, methods, progress=progress)

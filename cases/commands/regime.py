@@ -13,6 +13,7 @@ from cases.commands.parts import (
     cluster,
     end_study,
     given,
+    progress_bar,
     scene_name,
     seed,
     threads,
@@ -47,7 +48,6 @@ def regime(
     """Map the distance of each theory to the full system over one or two parameters."""
     loaded = begin_study(scene)
     from cases.output.files import make_folder
-    from cases.output.terminal import progress_bar
     from cases.studies.regime_map.grid import parse_axes
 
     axes = parse_axes(vary, loaded.system)

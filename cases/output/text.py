@@ -42,7 +42,7 @@ def _templates() -> Environment:
         "short": _short,
         "diagonal": _diagonal,
         "term": _term,
-        "claim": claim_words,
+        "claim": _claim,
         "reasons": refusals_of,
     }
     return environment
@@ -67,7 +67,7 @@ def number(value: Any, digits: int = 3) -> str:
     return f"{mantissa} × {power_of_ten(int(exponent))}"
 
 
-def claim_words(claim: Record) -> str:
+def _claim(claim: Record) -> str:
     """Return the claim, the curve that it is about and what was measured."""
     where = f"{claim['curve']}: " if claim["curve"] else ""
     return f"{claim['claim']}; {where}{claim['measured']}"

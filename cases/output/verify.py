@@ -6,7 +6,7 @@ from typing import Any, get_args
 
 from cases.comparison.claims import Verdict
 from cases.output.digest import Record, curves_of
-from cases.output.text import claim_words
+from cases.output.text import rendered
 
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 
@@ -57,24 +57,18 @@ def verify_line(row: Record, width: int) -> str:
 
 def verify_table(rows: Sequence[Record]) -> str:
     """Return the final table, the claims that do not hold, and the verdict."""
-    width = max(len("every scene"), *(len(row["scene"]) for row in rows))
-    table = {row["scene"]: _numbers(row) for row in rows}
-    table["every scene"] = [sum(column) for column in zip(*table.values(), strict=True)]
-    lines = ["", f"{'scene':{width}}" + "".join(f"{h:>10}" for h in COLUMNS)]
-    lines += [
-        f"{name:{width}}" + "".join(f"{n:10d}" for n in numbers[:-1]) + f"{numbers[-1]:10.1f}"
-        for name, numbers in table.items()
-    ]
-    against = [
-        f"  {row['scene']:{width}}{claim_words(claim)}"
-        for row in rows
-        for claim in row["claims"]
-        if claim["verdict"] == "does not hold"
-    ]
-    if against:
-        lines += ["", "Claims of the source that do not hold (findings, not failures)", *against]
-    failing = ", ".join(row["scene"] for row in rows if not row["holds"])
-    return "\n".join([*lines, "", f"fails: {failing}" if failing else "every check holds"])
+    numbers = [_numbers(row) for row in rows]
+    names = [*(row["scene"] for row in rows), "every scene"]
+    table = dict(zip(names, [*numbers, list(map(sum, zip(*numbers, strict=True)))], strict=True))
+    claims = [(row["scene"], claim) for row in rows for claim in row["claims"]]
+    record = {
+        "columns": COLUMNS,
+        "table": table,
+        "width": max(map(len, table)),
+        "against": [(name, c) for name, c in claims if c["verdict"] == "does not hold"],
+        "failing": [row["scene"] for row in rows if not row["holds"]],
+    }
+    return rendered("verify.txt", record)
 
 
 def _numbers(row: Record) -> list[Any]:

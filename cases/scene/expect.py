@@ -1,7 +1,8 @@
 """What a source claims of its figure in words, from ``[expect]``."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import ge, gt, le, lt
 from typing import Any, Literal
 
 from cases.scene.errors import BadInput, refused
@@ -11,20 +12,30 @@ Theory = Literal["nonintegrable", "integrable"]
 Direction = Literal["larger", "smaller"]
 
 
+RELATIONS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
+    "above": (">", gt),
+    "below": ("<", lt),
+    "at_least": ("≥", ge),
+    "at_most": ("≤", le),
+}
+"""How a claim gives a range of the varied number, with the sign of each."""
+
+
 @dataclass(frozen=True)
 class Range:
-    """Values of the varied number, ``low`` to ``high``; ``words`` as the scene gives it."""
+    """Values of the varied number in a ``relation`` of ``RELATIONS`` to ``limit``."""
 
-    low: float
-    high: float
-    closed: bool
-    words: str
+    relation: str
+    limit: float
+
+    @property
+    def words(self) -> str:
+        """The range as an inequality without its left side."""
+        return f"{RELATIONS[self.relation][0]} {self.limit:g}"
 
     def __contains__(self, value: float) -> bool:
         """Return whether ``value`` lies in the range."""
-        if self.closed:
-            return self.low <= value <= self.high
-        return self.low < value < self.high
+        return RELATIONS[self.relation][1](value, self.limit)
 
 
 @dataclass(frozen=True)

@@ -37,12 +37,13 @@ def read_toml(path: Path, label: str) -> tuple[dict[str, Any], str]:
         raise too_deep
     try:
         tables = tomllib.loads(text)
+        depth = _depth(tables)
     except RecursionError:
         raise too_deep from None
     except ValueError as error:  # TOMLDecodeError and numbers of thousands of digits
         words = shortened(str(error), 160)
         raise BadInput(f"{label}: is not valid TOML: {words}; correct it there") from None
-    if _deeper_than(tables, MAX_DEPTH):
+    if depth > MAX_DEPTH:
         raise too_deep
     return tables, text
 
@@ -54,9 +55,14 @@ def read_text(path: Path, label: str, *, most: int, what: str) -> str:
     end. Raises ``BadInput`` with one line that begins with ``label``.
     """
     try:
-        status = path.stat()
-        if refusal := _no_file(status.st_mode, status.st_size, most, what):
-            raise BadInput(f"{label}: {refusal}")
+        mode, size = path.stat().st_mode, path.stat().st_size
+        if stat.S_ISDIR(mode):
+            raise BadInput(f"{label}: is a folder; {what} is a file in it")
+        if not stat.S_ISREG(mode):
+            raise BadInput(f"{label}: is not a regular file; {what} is one")
+        if size > most:
+            few = f"{what} has at most {most} ({most >> 20} MiB)"
+            raise BadInput(f"{label}: has {size} bytes; {few}")
         with path.open("rb") as stream:
             content = stream.read(most + 1)
     except OSError as error:
@@ -77,27 +83,8 @@ def read_text(path: Path, label: str, *, most: int, what: str) -> str:
         ) from None
 
 
-def _no_file(mode: int, size: int, most: int, what: str) -> str | None:
-    """Why this is not a file to read, None where it is one."""
-    if stat.S_ISDIR(mode):
-        return f"is a folder; {what} is a file in it"
-    if not stat.S_ISREG(mode):
-        return f"is not a regular file; {what} is one"
-    if size > most:
-        return f"has {size} bytes; {what} has at most {most} ({most >> 20} MiB)"
-    return None
-
-
-def _deeper_than(tables: dict[str, Any], most: int) -> bool:
-    """Whether tables and lists lie more than ``most`` levels deep; without recursion."""
-    level: list[Any] = [tables]
-    for _ in range(most):
-        level = [
-            entry
-            for value in level
-            for entry in (value.values() if isinstance(value, dict) else value)
-            if isinstance(entry, (dict, list))
-        ]
-        if not level:
-            return False
-    return True
+def _depth(value: Any) -> int:
+    """Levels of tables and lists."""
+    if not isinstance(value, (dict, list)):
+        return 0
+    return 1 + max(map(_depth, value.values() if isinstance(value, dict) else value), default=0)

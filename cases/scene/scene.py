@@ -1,6 +1,6 @@
 """Scenes: one system, what is observed of it, and the further curves of its figure."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -10,8 +10,6 @@ from cases.scene.expect import Expect, expect_of
 from cases.scene.reading import read_toml
 from cases.scene.schema import refused_value, validated
 from cases.scene.vary import Curve, curves_of
-from fpk.contact import Contact
-from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput
 from fpk.observable import Observable, parse_observable
 from fpk.system import System
@@ -92,43 +90,12 @@ def _scene(path: Path, label: str) -> Scene:
 
 
 def _system(tables: dict[str, Any], label: str) -> System:
-    contacts: list[Contact] = tables.get("contact", [])
-    n = len(tables["system"]["mass"])
-    terms = [
-        _damping_term(table, f"damping_term[{k}]", label, n=n)
-        for k, table in enumerate(tables.get("damping_term", ()), start=1)
-    ]
+    lists = {f"{key}s": tuple(tables.get(key, ())) for key in ("contact", "damping_term")}
     try:
-        system = System(**tables["system"], damping_terms=tuple(terms))
+        return System(**tables["system"], **lists)
     except InvalidInput as error:
-        raise refused_value(label, "system", error) from None
-    for k, contact in enumerate(contacts, start=1):
-        if contact.mass > n:
-            raise refused(label, f"contact[{k}].mass", contact.mass, _not_a_mass(n))
-    return replace(system, contacts=tuple(contacts))
-
-
-def _damping_term(table: dict[str, Any], place: str, label: str, *, n: int) -> DampingTerm:
-    for key in ("i", "j"):
-        if table[key] > n:
-            raise refused(label, f"{place}.{key}", table[key], _not_a_mass(n))
-    masses = {str(mass): mass for mass in range(1, n + 1)}
-    powers = {}
-    for key in ("q", "v"):
-        given = table.get(key, {})
-        for name, power in given.items():
-            if name not in masses:
-                raise refused(label, f"{place}.{key}.{name}", power, _not_a_mass(n))
-        powers[key] = tuple((masses[name], power) for name, power in given.items())
-    try:
-        return DampingTerm(**{**table, **powers})
-    except InvalidInput as error:
-        where = "" if error.key == "damping_term" else f".{error.key}"
-        raise refused(label, f"{place}{where}", error.value, error.remedy) from None
-
-
-def _not_a_mass(n: int) -> str:
-    return f"is not a mass; use 1 to {n}"
+        place = "system" if error.key in tables["system"] else ""
+        raise refused_value(label, place, error) from None
 
 
 def _observables(

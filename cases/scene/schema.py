@@ -5,15 +5,15 @@ The core alone is used: to import pydantic itself takes longer than many an answ
 
 from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
-from math import inf
 from typing import Any
 from unicodedata import category
 
 from pydantic_core import ErrorDetails, PydanticCustomError, SchemaValidator, ValidationError
 
 from cases.scene.errors import BadInput, refused
-from cases.scene.expect import Range
+from cases.scene.expect import RELATIONS, Range
 from fpk.contact import Contact
+from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput
 
 Schema = dict[str, Any]
@@ -67,10 +67,7 @@ def _range(ends: dict[str, float]) -> Range:
     if len(ends) != 1:
         one = "must have exactly one of above, below, at_least, at_most"
         raise PydanticCustomError("range", one)
-    ((end, value),) = ends.items()
-    low, high = (value, inf) if end in ("above", "at_least") else (-inf, value)
-    sign = {"above": ">", "below": "<", "at_least": "≥", "at_most": "≤"}[end]
-    return Range(low, high, closed=end.startswith("at"), words=f"{sign} {value:g}")
+    return Range(*next(iter(ends.items())))
 
 
 def _distinct(names: list[str]) -> tuple[str, ...]:
@@ -96,15 +93,18 @@ NUMBERS_OR_MATRIX = {
     "choices": {"<list>": NUMBERS, "<matrix>": MATRIX},
     "discriminator": _list_or_matrix,
 }
-POWERS = {
-    "type": "dict",
-    "keys_schema": {"type": "str"},
-    "values_schema": WHOLE,
-    "max_length": MAX_MASSES,
-}
+POWERS = _then(
+    {
+        "type": "dict",
+        "keys_schema": {"type": "str", "pattern": r"^[1-9][0-9]{0,8}$"},
+        "values_schema": WHOLE,
+        "max_length": MAX_MASSES,
+    },
+    lambda powers: tuple((int(mass), power) for mass, power in powers.items()),
+)
 VALUES = _list(NUMBER, most=12)
 MATRICES = _list(NUMBERS_OR_MATRIX, most=12)
-RANGE = _then(_table({}, dict.fromkeys(("above", "below", "at_least", "at_most"), NUMBER)), _range)
+RANGE = _then(_table({}, dict.fromkeys(RELATIONS, NUMBER)), _range)
 THEORY = {"type": "literal", "expected": ["nonintegrable", "integrable"]}
 
 SYSTEM = _table(
@@ -148,7 +148,9 @@ SCENE = _table(
         "title": TEXT,
         "source": TEXT,
         "contact": _list(_then(CONTACT, lambda keys: Contact(**keys)), least=0),
-        "damping_term": _list(DAMPING_TERM, least=0, most=MAX_TERMS),
+        "damping_term": _list(
+            _then(DAMPING_TERM, lambda keys: DampingTerm(**keys)), least=0, most=MAX_TERMS
+        ),
         "observe": _table({"densities": _list(TEXT, most=16)}, {}),
         "vary": VARY,
         "expect": EXPECT,
@@ -168,6 +170,7 @@ REMEDIES = {
     "dict_type": "must be a table",
     "greater_than": "must be > 0",
     "greater_than_equal": "must be 1 or more; masses are counted from 1",
+    "string_pattern_mismatch": "is not the number of a mass; masses are counted from 1",
     "string_too_long": "is too long; at most 1000 characters",
     "too_short": "must have at least {min_length} entries",
     "too_long": "must have at most {max_length} entries",
@@ -196,7 +199,7 @@ def refused_value(label: str, place: str, error: InvalidInput) -> BadInput:
 
 
 def _refusal(error: ErrorDetails, label: str) -> BadInput:
-    kind, place = error["type"], [p for p in error["loc"] if not str(p).startswith("<")]
+    kind, place = error["type"], [p for p in error["loc"] if not str(p).startswith(("<", "[key"))]
     key, context = toml_key(place), error.get("ctx", {})
     if isinstance(invalid := context.get("error"), InvalidInput):
         return refused_value(label, key, invalid)

@@ -1,10 +1,11 @@
 """The curves of a figure: the scene's own system and those in which one key takes other values."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cases.scene.errors import BadInput, refused
 from fpk.errors import InvalidInput
@@ -24,34 +25,29 @@ class Curve:
     value: float | None = None
 
 
-Varied = tuple[str, Callable[[System, Any], System], Callable[[System], Any]]
-
-
-def _of_contacts(symbol: str, key: str) -> Varied:
-    """A number that every contact takes."""
-
-    def changed(system: System, value: Any) -> System:
-        return replace(system, contacts=tuple(replace(c, **{key: value}) for c in system.contacts))
-
-    return symbol, changed, lambda system: [getattr(c, key) for c in system.contacts]
-
-
-def _of_system(symbol: str, key: str) -> Varied:
-    """A matrix of the system."""
-    return (
-        symbol,
-        lambda system, value: replace(system, **{key: value}),
-        lambda system: getattr(system, key),
-    )
-
-
 VARIED = {
-    "contact.stiffness": _of_contacts("B", "stiffness"),
-    "contact.clearance": _of_contacts("δ", "clearance"),
-    "system.noise_intensity": _of_system("D", "noise_intensity"),
-    "system.damping": _of_system("c", "damping"),
+    "contact.stiffness": "B",
+    "contact.clearance": "δ",
+    "system.noise_intensity": "D",
+    "system.damping": "c",
 }
-"""What ``[vary]`` may vary: symbol, how a value enters the system, how it is read from one."""
+"""What ``[vary]`` may vary, with its symbol: a number of all contacts or a matrix of the system."""
+
+
+def changed(system: System, key: str, value: Any) -> System:
+    """Return the system in which ``key`` of ``VARIED`` has the value."""
+    part, _, name = key.partition(".")
+    if part == "system":
+        return replace(system, **{name: value})
+    return replace(system, contacts=tuple(replace(c, **{name: value}) for c in system.contacts))
+
+
+def _read(system: System, key: str) -> NDArray[np.float64]:
+    """The matrix of the system, or the number of every contact."""
+    part, _, name = key.partition(".")
+    if part == "system":
+        return np.asarray(getattr(system, name))
+    return np.array([getattr(contact, name) for contact in system.contacts])
 
 
 def curves_of(
@@ -71,26 +67,23 @@ def curves_of(
     key, values = given[0]
     if key.startswith("contact.") and not system.contacts:
         raise BadInput(f"{label}: vary.{key}: the scene has no [[contact]] to vary")
-    symbol, changed, read = VARIED[key]
     systems = [system]
     for i, value in enumerate(values):
         try:
-            other = changed(system, value)
+            other = changed(system, key, value)
         except InvalidInput as error:
             raise refused(label, f"vary.{key}[{i + 1}]", value, error.remedy) from None
         if other.n != system.n:
             raise refused(label, f"vary.{key}[{i + 1}]", value, f"must fit {system.n} masses")
-        if not any(np.array_equal(read(other), read(s)) for s in systems):
+        if not any(np.array_equal(_read(other, key), _read(s, key)) for s in systems):
             systems.append(other)
     if key == "system.damping" and all(_common_ratio(s) is not None for s in systems):
         return tuple(Curve(f"c/D = {_common_ratio(s):g}", s, _common_ratio(s)) for s in systems)
-    return tuple(Curve(f"{symbol} = {_words(read(s))}", s, _size(read(s))) for s in systems)
-
-
-def _size(value: Any) -> float:
-    """One number for a value: a contact's own (the first contact's), the trace of a matrix."""
-    array = np.asarray(value, dtype=float)
-    return float(np.trace(array) if array.ndim == 2 else array[0])
+    values = [_read(s, key) for s in systems]
+    return tuple(
+        Curve(f"{VARIED[key]} = {_words(v)}", s, float(np.trace(v) if v.ndim == 2 else v[0]))
+        for s, v in zip(systems, values, strict=True)
+    )
 
 
 def _common_ratio(system: System) -> float | None:
@@ -103,11 +96,10 @@ def _common_ratio(system: System) -> float | None:
     return float(ratios[0]) if np.allclose(ratios, ratios[0], rtol=1e-12) else None
 
 
-def _words(value: Any) -> str:
-    array = np.asarray(value)
-    if array.ndim == 2 and np.array_equal(array, np.diag(np.diag(array))):
-        array = np.diag(array)
-    elif array.ndim == 1 and np.ptp(array) == 0:  # the same value at every contact
-        array = array[:1]
-    entries = [f"{x:g}" for x in array.ravel()]
+def _words(value: NDArray[np.float64]) -> str:
+    if value.ndim == 2 and np.array_equal(value, np.diag(np.diag(value))):
+        value = np.diag(value)
+    elif value.ndim == 1 and np.ptp(value) == 0:  # the same value at every contact
+        value = value[:1]
+    entries = [f"{x:g}" for x in value.ravel()]
     return entries[0] if len(entries) == 1 else f"({', '.join(entries)})"

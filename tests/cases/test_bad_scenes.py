@@ -54,7 +54,7 @@ BAD = [  # what is replaced, by what, and what the line must say
     ("[observe]", f"{TERM}i = 1\nq = {{ 1 = 0 }}\n[observe]", ["damping_term[1].q.1 = 0", "power"]),
     ("[observe]", f"{TERM}i = 1\nv = {{ 1 = 0.5 }}\n[observe]", ["damping_term[1].v.1", "whole"]),
     ("[observe]", f"{TERM}i = 1\nenergy = -1\n[observe]", ["damping_term[1].energy = -1"]),
-    ("[observe]", f"{TERM}i = 1\nenergy = 5\n[observe]", ["damping_term[1] = 10", "degree", "8"]),
+    ("[observe]", f"{TERM}i = 1\nenergy = 5\n[observe]", ["damping_term[1].degree = 10", "8"]),
     ("[observe]", f"{TERM}i = 1\nc = 5\n[observe]", ["damping_term[1].c", "known: i, j"]),
     ("[observe]", "[observe", ["TOML", "line 16"]),
     ("[observe]", "[expect]\nnon_gausian = 1\n[observe]", ["did you mean", "non_gaussian"]),

@@ -91,8 +91,8 @@ def test_gaussian_claims_are_about_the_curves_in_their_range():
         Found({"exact": flat}, "B = 1", 1.0),
         Found({}, "B = 9", 9.0),
     ]
-    above = Range(0.1, np.inf, closed=False, words="> 0.1")
-    least = Range(0.1, np.inf, closed=True, words="≥ 0.1")
+    above = Range("above", 0.1)
+    least = Range("at_least", 0.1)
     assert verdicts(Expect(Q1, non_gaussian=above), *curves) == ["holds", "not checked"]
     assert verdicts(Expect(Q1, almost_gaussian=least), *curves) == [
         "holds",

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import cycle
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -18,7 +18,7 @@ from cases.output.pictures.style import (
     GAP,
     INK,
     SHOWN,
-    column_of_axes,
+    arrange,
     density_words,
     symbol_of,
     unit_of,
@@ -39,17 +39,19 @@ LINES: Any = ("-", (0, (6, 2)), (0, (6, 2, 1, 2)), (0, (1, 1)))
 MARKS = {"full": "o", "averaged": "s"}
 """Markers of samples, by what the route solves."""
 
+MARK: Any = {
+    "linestyle": "none",
+    "markersize": 3.4,
+    "markerfacecolor": "none",
+    "markeredgewidth": 0.9,
+}
+
 HEIGHT, ALONE, ROW = 3.1, 1.6, 0.9
 """Height in inches of the axes of densities, and of differences of a lone curve or one of many."""
 
 
-class Difference(NamedTuple):
-    """One answer minus another at the points ``x``, and the ``band`` in which it may lie."""
-
-    words: str
-    x: Array
-    values: Array
-    band: Array
+Difference = tuple[str, Array, Array, Array]
+"""Words for one answer minus another; points, values, and the band in which they may lie."""
 
 
 def line_pictures(
@@ -90,46 +92,30 @@ def density_figure(curves: Sequence[CurveOutcome], observable: Observable, x: Ar
     Several curves are distinguished by colour, and their routes by dashes; the routes of a single
     curve have their own colours, too.
     """
-    alone = len(curves) == 1
+    figure = Figure()
+    axes = figure.subplots()
     colours = dict(zip((c.label for c in curves), cycle(COLOURS), strict=False))
+    alone = len(curves) == 1
     legend: dict[str, Artist] = {}
     if not alone:
-        legend = {w: Line2D([], [], color=c, linewidth=3) for w, c in colours.items()}
-    lines: list[tuple[Array, Array, Mapping[str, Any]]] = []
-    bars: list[tuple[Array, Array, Array, str]] = []
+        legend |= {w: Line2D([], [], color=c, linewidth=3) for w, c in colours.items()}
     for curve in curves:
         functions = lines_of(curve, observable).items()
         for (route, density), dashes in zip(functions, LINES, strict=False):
-            style: dict[str, Any] = {"linestyle": dashes}
-            colour = route.colour if alone else colours[curve.label]
-            lines.append((x, values_on(density, x)[0], {**style, "color": colour}))
-            ink = colour if alone else INK
-            legend.setdefault(route.words, Line2D([], [], color=ink, **style))
+            colour, ink = (route.colour,) * 2 if alone else (colours[curve.label], INK)
+            axes.plot(x, values_on(density, x)[0], linestyle=dashes, color=colour)
+            legend.setdefault(route.words, Line2D([], [], color=ink, linestyle=dashes))
         for route, sampled in samples_of(curve, observable).items():
-            style = {
-                "marker": MARKS[route.solves],
-                "linestyle": "none",
-                "markersize": 3.4,
-                "markerfacecolor": "none",
-                "markeredgewidth": 0.9,
-            }
-            few = joined(sampled, MARKERS)
-            middles, inside = _middles(few, x)
-            values, error = few.values[inside], 2.0 * few.standard_error[inside]
-            colour = route.colour if alone else colours[curve.label]
-            lines.append((middles, values, {**style, "color": colour}))
-            bars.append((middles, values - error, values + error, colour))
-            ink = colour if alone else INK
+            colour, ink = (route.colour,) * 2 if alone else (colours[curve.label], INK)
+            mark = {**MARK, "marker": MARKS[route.solves]}
+            few, middles, inside = _bins(sampled, MARKERS, x)
+            error = 2.0 * few.standard_error[inside]
+            axes.errorbar(middles, few.values[inside], error, color=colour, elinewidth=0.9, **mark)
             words = f"{route.words}, ±2 standard errors"
-            legend.setdefault(words, Line2D([], [], color=ink, **style))
-    figure, (axes,) = column_of_axes(1, HEIGHT, legend, head=0.12)
-    for x_values, values, drawn in lines:
-        axes.plot(x_values, values, **drawn)
-    for x_values, low, high, colour in bars:
-        axes.vlines(x_values, low, high, color=colour, linewidth=0.9)
-    axes.set(xlim=(x[0], x[-1]), xlabel=words_of(observable[0]))
+            legend.setdefault(words, Line2D([], [], color=ink, **mark))
+    axes.set(xlim=(x[0], x[-1]), xlabel=words_of(observable[0]), ylabel=density_words(observable))
     axes.set_ylim(bottom=0)
-    axes.set_ylabel(density_words(observable))
+    arrange(figure, HEIGHT, legend, head=0.12)
     return figure
 
 
@@ -140,23 +126,20 @@ def solver_difference(curve: CurveOutcome, observable: Observable, x: Array) -> 
         return []
     (first, stated), (second, also_stated) = (values_on(d, x) for _, d in answers)
     words = " − ".join(route.solver for route, _ in answers)
-    return [Difference(words, x, first - second, stated + also_stated)]
+    return [(words, x, first - second, stated + also_stated)]
 
 
 def theory_differences(curve: CurveOutcome, observable: Observable, x: Array) -> list[Difference]:
     """Return simulation − theory for every theory drawn, in two standard errors."""
-    for route, sampled in samples_of(curve, observable).items():
-        if route.solves == "full":
-            few = joined(sampled, 2 * MARKERS)
-            middles, inside = _middles(few, x)
-            band = 2.0 * few.standard_error[inside]
-            return [
-                Difference(
-                    f"simulation − {r.words}", middles, bin_differences(few, theory)[inside], band
-                )
-                for r, theory in lines_of(curve, observable).items()
-            ]
-    return []
+    sampled = [d for r, d in samples_of(curve, observable).items() if r.solves == "full"]
+    if not sampled:
+        return []
+    few, middles, inside = _bins(sampled[0], 2 * MARKERS, x)
+    band = 2.0 * few.standard_error[inside]
+    return [
+        (f"simulation − {route.words}", middles, bin_differences(few, theory)[inside], band)
+        for route, theory in lines_of(curve, observable).items()
+    ]
 
 
 def difference_figure(
@@ -170,36 +153,34 @@ def difference_figure(
 
     ``band`` says in words what the band is.
     """
-    shown = {label: differences for label, differences in rows.items() if differences}
-    style: Any = {"linewidth": 1.2}
-    legend: dict[str, Artist] = {
-        d.words: Line2D([], [], color=INK, linestyle=dashes, **style)
-        for differences in shown.values()
-        for d, dashes in zip(differences, LINES, strict=False)
-    }
-    legend[band] = Line2D([], [], color=INK, alpha=0.16, linewidth=6)
-    figure, panels = column_of_axes(len(shown), ROW if len(shown) > 1 else ALONE, legend, head=GAP)
+    rows = {label: differences for label, differences in rows.items() if differences}
+    figure = Figure()
+    panels = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+    legend: dict[str, Artist] = {}
     for axes, (label, differences), colour in zip(
-        panels, shown.items(), cycle(COLOURS), strict=False
+        panels, rows.items(), cycle(COLOURS), strict=False
     ):
-        x, allowed = differences[0].x, differences[0].band
-        unit, words = unit_of(max(np.abs([allowed, *(d.values for d in differences)]).ravel()))
+        _, x, _, allowed = differences[0]
+        unit, words = unit_of(max(np.abs([allowed, *(d[2] for d in differences)]).ravel()))
         axes.axhline(0.0, color=INK, linewidth=0.7)
         axes.fill_between(x, -allowed / unit, allowed / unit, color=INK, alpha=0.16, linewidth=0)
-        for difference, dashes in zip(differences, LINES, strict=False):
-            axes.plot(x, difference.values / unit, color=colour, linestyle=dashes, **style)
+        for (name, _, values, _), dashes in zip(differences, LINES, strict=False):
+            style: Any = {"linewidth": 1.2, "linestyle": dashes}
+            axes.plot(x, values / unit, color=colour, **style)
+            legend.setdefault(name, Line2D([], [], color=INK, **style))
         axes.set_title(f"{label}   {words}".strip())
         axes.locator_params(axis="y", nbins=4)
-    figure.supylabel(
-        f"difference of p({symbol_of(observable[0])})", fontsize=9.5, x=0.005, ha="left"
-    )
+    legend[band] = Line2D([], [], color=INK, alpha=0.16, linewidth=6)
+    words = f"difference of p({symbol_of(observable[0])})"
+    figure.supylabel(words, fontsize=9.5, x=0.005, ha="left")
     panels[-1].set(xlim=ends, xlabel=words_of(observable[0]))
+    arrange(figure, ROW if len(rows) > 1 else ALONE, legend, head=GAP)
     return figure
 
 
-def _middles(sampled: SampledDensity, x: Array) -> tuple[Array, Any]:
-    """The middles of the bins between the ends of ``x``, and which bins these are."""
-    edges = sampled.edges[0]
-    middles = 0.5 * (edges[1:] + edges[:-1])
+def _bins(sampled: SampledDensity, count: int, x: Array) -> tuple[SampledDensity, Array, Any]:
+    """About ``count`` joined bins, the middles of those between the ends of ``x``, and which."""
+    few = joined(sampled, count)
+    middles = 0.5 * (few.edges[0][1:] + few.edges[0][:-1])
     inside = (middles >= x[0]) & (middles <= x[-1])
-    return middles[inside], inside
+    return few, middles[inside], inside

@@ -5,7 +5,6 @@ from math import floor, log10
 from typing import Any
 
 from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cases.output.text import power_of_ten
@@ -58,25 +57,23 @@ LONGEST_OF_THREE = 31
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 
-def column_of_axes(
-    rows: int, height: float, legend: Mapping[str, Artist], *, head: float
-) -> tuple[Figure, list[Axes]]:
-    """Return a figure of ``rows`` axes over one x axis, ``height`` inches each, below a legend.
+def arrange(figure: Figure, height: float, legend: Mapping[str, Artist], *, head: float) -> None:
+    """Size a figure of one column of axes, ``height`` inches each, and put its legend above.
 
     ``legend`` has the handles by their words; ``head`` is the space below it in inches.
     """
+    rows = len(figure.axes)
     columns = 3 if max(map(len, legend)) <= LONGEST_OF_THREE else 2
     head += LEGEND_ROW * -(-len(legend) // columns)
     total = head + rows * height + (rows - 1) * GAP + FOOT
-    figure = Figure(figsize=(WIDTH, total))
-    edges = {"left": LEFT / WIDTH, "right": 1.0 - RIGHT / WIDTH}
-    edges |= {"bottom": FOOT / total, "top": 1.0 - head / total, "hspace": GAP / height}
-    grid = figure.subplots(rows, 1, sharex=True, squeeze=False, gridspec_kw=edges)
+    figure.set_size_inches(WIDTH, total)
+    figure.subplots_adjust(
+        LEFT / WIDTH, FOOT / total, 1.0 - RIGHT / WIDTH, 1.0 - head / total, hspace=GAP / height
+    )
     figure.legend(
         list(legend.values()), list(legend), loc="upper left", ncols=columns, columnspacing=1.6,
-        bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2,
+        borderaxespad=0.2,
     )  # fmt: skip
-    return figure, list(grid[:, 0])
 
 
 def unit_of(largest: float) -> tuple[float, str]:

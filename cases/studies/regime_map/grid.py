@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from cases.scene.errors import BadInput, toml_value
-from cases.scene.vary import VARIED
+from cases.scene.vary import VARIED, changed
 from fpk.density import Array
 from fpk.errors import InvalidInput
 from fpk.system import System
@@ -33,7 +33,7 @@ class Axis:
     @property
     def symbol(self) -> str:
         """The parameter's letter, such as B."""
-        return VARIED[self.key][0]
+        return VARIED[self.key]
 
     @property
     def scale(self) -> Literal["log", "linear"]:
@@ -64,7 +64,7 @@ def parse_axes(texts: Sequence[str], system: System) -> tuple[Axis, ...]:
 def system_at(system: System, axes: Sequence[Axis], point: Sequence[float]) -> System:
     """Return the system with the parameters of one grid point."""
     for axis, value in zip(axes, point, strict=True):
-        system = VARIED[axis.key][1](system, value)
+        system = changed(system, axis.key, value)
     return system
 
 
