@@ -179,7 +179,7 @@ def _distance(curve: "CurveOutcome", of: Observable, name: str) -> Bounded | Non
     theory, reference = next(own, None), _reference(curve, of)
     if theory is None or reference is None:
         return None
-    return distance_between(theory, reference)
+    return distance_between(theory, reference)[:2]
 
 
 def _below(value: float, limit: float, slack: float) -> bool | None:

@@ -86,7 +86,7 @@ def compared(results: Sequence[Result], *, averaging_is_exact: bool) -> tuple[Co
         routes = (of_a.method.route, of_b.method.route)
         whole = not (of_a.neglected or of_b.neglected)
         kind = what_is_measured(*routes, averaging_is_exact=averaging_is_exact and whole)
-        distance, expected, band = _measured(a, b)
+        distance, expected, band = distance_between(a, b)
         comparisons.append(
             Comparison(
                 a.name,
@@ -157,13 +157,8 @@ def what_is_measured(a: Route, b: Route, *, averaging_is_exact: bool) -> Measure
     return "sampling" if a.sampled or b.sampled else "numerical"
 
 
-def distance_between(a: AnyDensity, b: AnyDensity) -> tuple[float, float]:
-    """Return ∫|p_a − p_b| and how far chance and the solvers may have moved it."""
-    return _measured(a, b)[:2]
-
-
-def _measured(a: AnyDensity, b: AnyDensity) -> tuple[float, float, float]:
-    """∫|p_a − p_b|, its expectation were both right, and what it then exceeds in 1e-4."""
+def distance_between(a: AnyDensity, b: AnyDensity) -> tuple[float, float, float]:
+    """Return ∫|p_a − p_b|, its expectation were both right, and what it then exceeds in 1e-4."""
     estimates = sum(d.l1_error for d in (a, b) if isinstance(d, Density))
     sampled = [joined(d) for d in (a, b) if isinstance(d, SampledDensity)]
     if not sampled:

@@ -67,15 +67,14 @@ def chosen_routes(route: str | None, of: str | None) -> tuple[str, ...]:
     known = (*EQUATIONS, SIMULATION)
     if route is not None and route not in known:
         raise BadInput(f"--route {route}: use one of {', '.join(known)}")
-    by_name = (route,) if route else known
     if of is None:
-        return by_name
-    theory = next((name for name, (observable, _) in EQUATIONS.items() if observable == of), None)
-    if theory is None:
+        return (route,) if route else known
+    theories = tuple(name for name, (observable, _) in EQUATIONS.items() if observable == of)
+    if not theories:
         raise BadInput(f'--of "{of}": use H for (24) or H1,H2 for (17)')
-    if theory not in by_name:
+    if route not in (None, *theories):
         raise BadInput(f'--of "{of}": not what --route {route} solves')
-    return (theory,)
+    return theories
 
 
 def study_convergence(

@@ -151,12 +151,10 @@ def _priced(equation: Equation, first: Discretisation) -> Priced | NotTimed:
     try:
         _, compiling = timed_first(first.setting.solve)  # the levels themselves are timed warm
         for work, level in refined_levels(first, equation.reference, count):
-            words = ""
-            if not np.isfinite(level.stated):
-                words = "states no finite error of its own: its density does not fall off"
-            elif not level.honest:
+            if not (level.honest and np.isfinite(level.stated)):
                 words = f"differs from the {equation.reference_words} by more than both state"
-            if words:
+                if level.honest:
+                    words = "states no finite error of its own: its density does not fall off"
                 return NotTimed(*names, level.settings, level.distance, level.estimate, words)
             checked.append((work, level))
             if level.seconds > LONGEST:

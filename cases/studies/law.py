@@ -1,19 +1,19 @@
 """Cost of sampling: the full system by every scheme, and the averaged equation (24)."""
 
 from dataclasses import dataclass, replace
-from math import inf, sqrt
+from math import hypot, inf, sqrt
 
 import numpy as np
 
 from cases.comparison.averaged import AveragedSimulation
-from cases.comparison.compare import chance_l1, joined
+from cases.comparison.compare import distance_between
 from cases.studies.levels import Equation, Level
 from cases.studies.prices import NotTimed, Priced
 from cases.studies.simulation import SMALL_STEP, SMALLEST, Reference, largest_stable, run
 from cases.studies.timing import Timing, timed_first
 from fpk.certificate import Measured
-from fpk.density import Density, SampledDensity, certified_density, l1_distance
-from fpk.method import Progress, Result, silent
+from fpk.density import Density, certified_density
+from fpk.method import Progress, silent
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
 from sim.report import Report
@@ -132,17 +132,17 @@ def _law(
     if factor < SMALL_STEP:
         few = replace(method, paths=LEAST_PATHS, relaxations=RELAXATIONS)
     first, result = run(system, replace(few, step_factor=factor), observables)
-    distance, mean, _ = _distance(result, reference)
-    noise = float(np.hypot(mean, reference.l1_error))
+    distance, expected, _ = distance_between(result.densities[0], reference)
+    noise = hypot(expected - reference.l1_error, reference.l1_error)
     resolved = distance > 2.0 * noise
     bias = sqrt(distance**2 - noise**2) if resolved else 2.0 * noise
     usual, result = run(system, replace(few, step_factor=min(0.7 * factor, 1.0)), observables)
-    distance, mean, quantile = _distance(result, reference)
+    distance, expected, allowed = distance_between(result.densities[0], reference)
     assert isinstance(result.report, Report)
     at, share = result.report.steps, (usual.dt / first.dt) ** order
     law = Law(
         scheme=method.scheme,
-        noise=mean * sqrt(usual.sampled),
+        noise=(expected - reference.l1_error) * sqrt(usual.sampled),
         bias=bias / first.dt**order,
         bias_resolved=resolved,
         order=order,
@@ -159,7 +159,7 @@ def _law(
         distance,
         # The bias itself is known to the noise of the run that it was read from. Twice the error of
         # the reference: its mean is what chance makes of it, not the worst case.
-        quantile + (bias + noise) * share + 2.0 * reference.l1_error,
+        allowed + (bias + noise) * share + reference.l1_error,
     )
     return law, level
 
@@ -171,19 +171,13 @@ def averaged_route(system: System, equation: Equation, *, seed: int) -> Priced |
     density = certified_density(of, p.panels, p.density, np.zeros_like, measured=measured, tol=inf)
     method = AveragedSimulation("nonintegrable", seed=seed, threads=1, paths=FEWEST)
     result, seconds = timed_first(lambda: method.solve(system, [of]))
-    distance, mean, quantile = _distance(result, density)
+    distance, expected, allowed = distance_between(result.densities[0], density)
     settings = f"{method.paths} paths, step {method.step:g}"
-    level = Level(settings, mean, mean, Timing(seconds), distance, quantile + p.l1_error)
+    mean = expected - p.l1_error
+    level = Level(settings, mean, mean, Timing(seconds), distance, allowed)
     names = method.route.label, equation.name
     if not level.honest:
         words = f"differs from the {equation.reference_words} by more than chance explains"
         return NotTimed(*names, settings, distance, level.estimate, words)
     axis = "sampling error: expected L1 of p(H), within chance of the reference"
     return Priced(*names, axis, (level,), sampled=True)
-
-
-def _distance(result: Result, reference: Density) -> tuple[float, float, float]:
-    """L1 distance of the one density to the reference, its mean by chance alone and quantile."""
-    (density,) = result.densities
-    assert isinstance(density, SampledDensity)
-    return l1_distance(joined(density), reference), *chance_l1(joined(density))

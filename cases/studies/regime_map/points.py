@@ -58,7 +58,7 @@ def map_point(
         own = [m for m in averaged if m.route.method == theory]
         answer = _best(own, system, observable, problems)
         if answer is not None and reference is not None:
-            distances[theory] = distance_between(answer[1], reference[1])
+            distances[theory] = distance_between(answer[1], reference[1])[:2]
     ratios = [s.ratio for s in stop_clearances(system) if s.ratio is not None]
     return MapPoint(
         values=values,
