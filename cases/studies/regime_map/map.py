@@ -10,8 +10,8 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
+from cases.output.fields import Variables
 from cases.output.records import UNITS, program_version
 from cases.scene.scene import Scene
 from cases.studies.regime_map.grid import Axis, system_at
@@ -51,24 +51,27 @@ class RegimeMap:
             for words in p.problems
         )
 
-    def dataset(self) -> xr.Dataset:
+    def variables(self) -> Variables:
         """Return ``L1`` and ``error`` (theory, parameters); by parameters what else is known."""
-        keys, name = [axis.key for axis in self.axes], observable_name(self.observable)
+        keys, name = tuple(axis.key for axis in self.axes), observable_name(self.observable)
         shape = [axis.values.size for axis in self.axes]
-        axes = {a.key: (a.key, a.values, {"units": UNITS, "symbol": a.symbol}) for a in self.axes}
-        data = xr.Dataset(coords={"theory": list(THEORIES), **axes}, attrs={"observable": name})
-        for key, words in (
+        variables: Variables = {"theory": (("theory",), np.array(THEORIES), {})}
+        for axis in self.axes:
+            words = {"units": UNITS, "symbol": axis.symbol}
+            variables[axis.key] = (axis.key,), axis.values, words
+        for key, meaning in (
             ("L1", f"L1 distance of p({name}) to the full system"),
             ("error", "how far chance and the solvers may have moved L1"),
         ):
             rows = [[getattr(p, key).get(theory, nan) for p in self.points] for theory in THEORIES]
-            data[key] = ("theory", *keys), np.reshape(rows, (-1, *shape)), {"long_name": words}
+            table = np.reshape(rows, (-1, *shape))
+            variables[key] = ("theory", *keys), table, {"long_name": meaning}
         ratios = [nan if p.rms_ratio is None else p.rms_ratio for p in self.points]
-        words = "smallest clearance over rms displacement without contact"
-        data["rms_ratio"] = keys, np.reshape(ratios, shape), {"long_name": words}
+        words = {"long_name": "smallest clearance over rms displacement without contact"}
+        variables["rms_ratio"] = keys, np.reshape(ratios, shape), words
         for key in ("winner", "reference"):
-            data[key] = keys, np.reshape([getattr(p, key) for p in self.points], shape)
-        return data
+            variables[key] = keys, np.reshape([getattr(p, key) for p in self.points], shape), {}
+        return variables
 
     def record(self) -> dict[str, Any]:
         """Return the record of ``fpk regime`` as ``plain`` takes it."""

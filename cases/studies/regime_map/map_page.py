@@ -6,7 +6,6 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-import xarray as xr
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
@@ -16,10 +15,11 @@ from matplotlib.patches import Patch
 from cases.output.pictures.style import COLOURS, INK, STYLE, symbol_of
 from cases.studies.page import Page, Table
 from cases.studies.picture import DASHES, Curve, Panel, study_figure
-from cases.studies.regime_map.grid import KEYS
+from cases.studies.regime_map.grid import KEYS, Axis
 from cases.studies.regime_map.map import RegimeMap
 from cases.studies.regime_map.points import NEITHER, THEORIES, UNDECIDED
 from fpk.clearance import CLEARANCE_RULE
+from fpk.density import Array
 from fpk.observable import observable_name
 
 PALE = "#d9d9d4"
@@ -56,60 +56,55 @@ def map_page(result: RegimeMap) -> Page:
         [Table("points", title, rows, (summary,))],
         partial(regime_figure, result),
         summary=summary,
-        gridded={
-            str(key): (tuple(map(str, v.dims)), v.values, v.attrs)
-            for key, v in result.dataset().variables.items()
-        },
+        gridded=result.variables(),
     )
 
 
 def regime_figure(result: RegimeMap) -> Figure:
     """Draw a map over one parameter as curves, over two as fields."""
-    data = result.dataset()
+    L1, error = (result.variables()[key][1] for key in ("L1", "error"))
     words = f"L₁ distance of p({symbol_of(result.observable[0])}) to the full system"
     if len(result.axes) == 2:
         with mpl.rc_context(dict(STYLE)):
-            return _fields(result, data, words)
-    (axis,), curves = result.axes, []
-    for theory in THEORIES:
-        own = data.sel(theory=theory)
-        if own["L1"].notnull().any():
-            curves.append(Curve(theory, axis.values, own["L1"].values, bar=own["error"].values))
+            return _fields(result, L1, words)
+    (axis,) = result.axes
+    curves = [
+        Curve(theory, axis.values, values, bar)
+        for theory, values, bar in zip(THEORIES, L1, error, strict=True)
+        if not np.all(np.isnan(values))
+    ]
     title, x = result.scene.title, KEYS[axis.key]
     panel = Panel(title, x, words, curves, logarithmic=axis.logarithmic)
     return study_figure([panel], width=6.6)
 
 
-def _fields(result: RegimeMap, data: xr.Dataset, words: str) -> Figure:
-    low = max(np.nanmin(data["L1"], initial=0.1), SMALLEST)
-    distances: dict[str, Any] = {
-        "norm": LogNorm(low, max(np.nanmax(data["L1"], initial=SMALLEST), 2.0 * low)),
-        "cmap": "viridis_r",
-    }
-    names, colours = (*THEORIES, UNDECIDED), (COLOURS[0], COLOURS[1], PALE)
-    index = data["rms_ratio"] * np.nan
-    for k, name in enumerate(names):
-        index = index.where(data["winner"] != name, k)
-    flat = ListedColormap(colours)
-    fields: list[tuple[str, xr.DataArray, dict[str, Any]]] = [
-        *((theory, data["L1"].sel(theory=theory), distances) for theory in THEORIES),
-        ("nearer to the full system", index, {"vmin": -0.5, "vmax": 2.5, "cmap": flat}),
+def _fields(result: RegimeMap, L1: Array, words: str) -> Figure:
+    low = max(np.nanmin(L1, initial=0.1), SMALLEST)
+    norm = LogNorm(low, max(np.nanmax(L1, initial=SMALLEST), 2.0 * low))
+    distances: dict[str, Any] = {"norm": norm, "cmap": "viridis_r"}
+    variables, names = result.variables(), (*THEORIES, UNDECIDED)
+    ratio, winner = variables["rms_ratio"][1], variables["winner"][1]
+    least, most = np.nanmin(ratio, initial=np.inf), np.nanmax(ratio, initial=-np.inf)
+    index = np.select([winner == name for name in names], [0.0, 1.0, 2.0], np.nan)
+    colours = (COLOURS[0], COLOURS[1], PALE)
+    nearer: dict[str, Any] = {"vmin": -0.5, "vmax": 2.5, "cmap": ListedColormap(colours)}
+    fields = [
+        *((theory, field, distances) for theory, field in zip(THEORIES, L1, strict=True)),
+        ("nearer to the full system", index, nearer),
     ]
     figure = Figure(figsize=(9.6, 3.9), layout="constrained")
     panels = figure.subplots(1, 3, sharex=True, sharey=True)
-    (x, y), ratio = result.axes, data["rms_ratio"]
+    x, y = result.axes
     for axes, (title, field, palette) in zip(panels, fields, strict=True):
-        field.plot.pcolormesh(
-            ax=axes, x=x.key, y=y.key, xscale=x.scale, yscale=y.scale, add_colorbar=False,
-            add_labels=False, rasterized=True, **palette,
-        )  # fmt: skip
-        if ratio.min() < CLEARANCE_RULE < ratio.max():  # the rule of section 6.3 as a line
-            ratio.plot.contour(
-                ax=axes, x=x.key, y=y.key, levels=[CLEARANCE_RULE], colors=[INK],
-                linestyles=[DASHES], linewidths=1.2, add_labels=False,
+        shown = np.ma.masked_invalid(field).T
+        axes.pcolormesh(_edges(x), _edges(y), shown, rasterized=True, **palette)
+        axes.set(title=title, xlabel=KEYS[x.key], xscale=x.scale, yscale=y.scale)
+        axes.set(xlim=(x.values[0], x.values[-1]), ylim=(y.values[0], y.values[-1]))
+        if least < CLEARANCE_RULE < most:  # the rule of section 6.3
+            axes.contour(
+                x.values, y.values, ratio.T, levels=[CLEARANCE_RULE], colors=[INK],
+                linestyles=[DASHES], linewidths=1.2,
             )  # fmt: skip
-        axes.set(title=title, xlabel=KEYS[x.key], xlim=(x.values[0], x.values[-1]))
-        axes.set(ylim=(y.values[0], y.values[-1]))
     panels[0].set_ylabel(KEYS[y.key])
     shades = ScalarMappable(**distances)
     bar = figure.colorbar(shades, ax=list(panels[:2]), location="right", shrink=0.95, pad=0.02)
@@ -119,3 +114,11 @@ def _fields(result: RegimeMap, data: xr.Dataset, words: str) -> Figure:
     legend = [*THEORIES, "within the noise", f"clearance = {CLEARANCE_RULE:g} rms"]
     figure.legend(handles, legend, loc="outside lower center", ncols=4)
     return figure
+
+
+def _edges(axis: Axis) -> Array:
+    """Cell edges halfway between the values, on the axis' own scale."""
+    u = np.log(axis.values) if axis.logarithmic else axis.values
+    middles = 0.5 * (u[1:] + u[:-1])
+    edges = np.concatenate([[2.0 * u[0] - middles[0]], middles, [2.0 * u[-1] - middles[-1]]])
+    return np.exp(edges) if axis.logarithmic else edges
