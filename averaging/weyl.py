@@ -22,6 +22,10 @@ Function = Callable[[Array], Array]
 POINTS = (14, 18)
 """Gauss points per element of a table and of its integrals, and of the finer table: the
 distance between the two is the error of both."""
+COMPARED = (1.0 - 1e-12) * 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 2 * POINTS[1])))
+"""Where two tables are compared, in [0, 1) of an element: dense at its ends, where interpolants part.
+"""
+EPS = float(np.finfo(float).eps)
 MOST_NODES = 100
 """Nodes up to which a mesh is halved once more: with 14 points an element, error falls by 2^-14."""
 
@@ -38,8 +42,9 @@ def tabulated(
 ) -> EnergyDensity:
     """Return the density whose u and error of u are smooth between ``nodes``.
 
-    Weyl integrals are tabulated twice: the finer table is the answer, the distance to the other
-    one its error. Where the damping depends on the state u is no exponential: the finer table then
+    Weyl integrals are tabulated twice: the finer table is the answer, the largest distance to the
+    other one in each element its error (the distance itself has zeros where the error has none).
+    Where the damping depends on the state u is no exponential: the finer table then
     has elements half as long, too, and the error gains all that u was continued by beyond the last
     node, where it falls ever faster.
     """
@@ -50,10 +55,16 @@ def tabulated(
     tables["error"] = (fine, u_error, POINTS[1])
 
     @cache
-    def table(order: float, name: str) -> Function:
+    def table(order: float, name: str) -> Piecewise:
         grid, function, points = tables[name]
-        log_values = weyl_table(order, grid, function, points=points)
-        return lambda energy: np.exp(log_values(energy))
+        return weyl_table(order, grid, function, points=points)
+
+    @cache
+    def distance(order: float) -> Piecewise:
+        value, other = table(order, "value"), table(order, "coarse")
+        x = fine[:-1, None] + np.diff(fine)[:, None] * COMPARED
+        relative = np.abs(np.expm1(other(x) - value(x))).max(axis=1)
+        return Piecewise(fine, relative[:, None])
 
     # Short of the last node, beyond which the tables end. u falls from there on, as p does at the
     # end of every mesh, so that Ψ falls too, at any order, wherever u rises below: its value here
@@ -61,15 +72,18 @@ def tabulated(
     last = nodes[-1] * (1.0 - 1e-9)
 
     def weyl(order: float, energy: Array, part: Part = "value") -> Array:
-        value = table(order, "value")(energy)
-        if part == "value":
-            return value
         if part == "error":
-            dropped = table(order, "value")(np.array([last]))[0]
-            return np.where(energy < last, table(order, "error")(energy), dropped)
-        error = np.abs(table(order, "coarse")(energy) - value)
+            dropped = np.exp(table(order, "value")(last))
+            return np.where(energy < last, np.exp(table(order, "error")(energy)), dropped)
+        if part == "value":
+            return np.exp(table(order, "value")(energy))
+        inside = np.minimum(energy, last)
+        log_value = table(order, "value")(inside)
+        # The logarithm has the round-off of its size.
+        relative = distance(order)(inside) + EPS * np.maximum(np.abs(log_value), 1.0)
+        error = np.exp(log_value) * relative
         if varying:
-            error += continued(order, np.minimum(energy, last), fine, u)
+            error += continued(order, inside, fine, u)
         return np.where(energy < last, error, 0.0)
 
     temperature = process.energy_scale / process.degrees_of_freedom
