@@ -1,6 +1,7 @@
 """From a density of the energy to densities of displacements and momenta, Eqs. (23), (30)."""
 
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from math import ceil, pi
 
@@ -113,6 +114,8 @@ def _marginal(source: EnergyDensity, observable: Observable) -> Callable[..., Ar
             return source.weyl(order, E, part)
 
         result = over_hidden(integral, energy, Q, points=points)
+        if part == "table":
+            result = result + over_hidden.beyond(partial(source.weyl, order), energy)
         return np.asarray(np.exp(log_factor) * result).reshape(arrays[0].shape)
 
     return marginal

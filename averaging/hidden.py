@@ -66,6 +66,18 @@ class HiddenIntegral:
             parts.append(np.bincount(row, weights * f(inner), minlength=part.shape[1]))
         return np.asarray(np.concatenate(parts)[index.ravel()])
 
+    def beyond(self, f: Function, energy: Array) -> Array:
+        """Return a bound of what the grids leave out: V is above ``end``, and ``DEPTH`` above E.
+
+        Contact only adds to V, so that it is less than what springs alone leave there: f at that
+        energy, times a width for each mass. Far out, where contact holds p down, p itself is less.
+        """
+        if not self.laws:
+            return np.zeros_like(energy)
+        top = np.maximum(self.end, energy + DEPTH * self.temperature)
+        widths = [np.sqrt(2.0 * np.pi * self.temperature / law.precision) for law in self.laws]
+        return np.asarray(len(self.laws) * np.prod(widths) * f(top))
+
     def _rule(
         self, energy: Array, given: Array, points: int
     ) -> tuple[NDArray[np.intp], Array, Array]:

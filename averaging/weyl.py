@@ -23,8 +23,7 @@ POINTS = (14, 18)
 """Gauss points per element of a table and of its integrals, and of the finer table: the
 distance between the two is the error of both."""
 COMPARED = (1.0 - 1e-12) * 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 2 * POINTS[1])))
-"""Where two tables are compared, in [0, 1) of an element: dense at its ends, where interpolants part.
-"""
+"""Where two tables are compared, in [0, 1) of an element: dense at its ends, where they part."""
 EPS = float(np.finfo(float).eps)
 MOST_NODES = 100
 """Nodes up to which a mesh is halved once more: with 14 points an element, error falls by 2^-14."""

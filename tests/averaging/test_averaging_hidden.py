@@ -215,3 +215,40 @@ def test_what_lies_between_given_masses_is_a_bridge():
         np.testing.assert_allclose(
             bridge_covariance(system, free, given), np.linalg.inv(K), rtol=1e-12, atol=1e-14
         )
+
+
+@pytest.mark.parametrize("method", ["exact", "fem", "quadrature", "closed-form"])
+def test_far_out_the_error_covers_what_the_grid_of_a_hidden_mass_leaves_out(method):
+    # The stops of mass 1 hold mass 2 down: at two rms of the free chain p is below 1e-20, and where
+    # it is most given q2 the energy is far above the last one of every mesh.
+    contact = Contact(mass=1, side="both", stiffness=60.0, clearance=0.0, law="power", exponent=2.5)
+    stiffness, T = np.array([0.4, 17.0]), 0.5
+    system = System([1.0, 1.0], stiffness, [0.2, 0.4], [0.1, 0.2], contacts=(contact,))
+    q2 = np.linspace(0.0, 2.0, 41) * np.sqrt(T * np.sum(1.0 / stiffness))
+    x, w = graded(-3.0, 3.0, [0.0], 0.1)
+
+    def log_weight(x, q):
+        spring = 0.5 * stiffness[0] * x**2 + 0.5 * stiffness[1] * (q - x) ** 2
+        return -(spring + 60.0 / 3.5 * np.abs(x) ** 3.5) / T
+
+    unnormalised = [np.sum(w * np.exp(log_weight(x, q))) for q in q2]
+    own = np.exp(log_weight(x, x))
+    expected = np.array(unnormalised) / (np.sum(w * own) * np.sqrt(2.0 * np.pi * T / stiffness[1]))
+    (density,) = solved(METHODS[method], system, "q2")
+    p, error = density.at(q2)
+    assert density.certificate.certified
+    assert np.all(np.abs(p - expected) <= error + 1e-13 * expected)
+
+
+@pytest.mark.parametrize("coordinate", ["q", "p"])
+@pytest.mark.parametrize("masses", [5, 8, 10])
+def test_the_error_of_a_table_covers_every_point(masses, coordinate):
+    # No contact: every displacement and momentum is Gaussian.
+    n, T = masses, 2.0
+    system = System(np.ones(n), np.ones(n), np.full(n, 0.05), np.full(n, 0.1))
+    variance = T * (n if coordinate == "q" else 1.0)
+    x = np.linspace(-6.0, 6.0, 1001) * np.sqrt(variance)
+    expected = np.exp(-0.5 * x**2 / variance) / np.sqrt(2.0 * np.pi * variance)
+    (density,) = solved(METHODS["quadrature"], system, f"{coordinate}{n}")
+    p, error = density.at(x)
+    assert np.all(np.abs(p - expected) <= error + 5e-16 * (1.0 + 0.5 * x**2 / variance) * expected)
