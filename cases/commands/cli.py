@@ -10,22 +10,10 @@ from typing import Any
 
 import click
 
+from cases.commands import parts
 from cases.commands.converge import converge
 from cases.commands.cost import cost
 from cases.commands.export import export
-from cases.commands.parts import (
-    FOLDER,
-    as_json,
-    check_cluster,
-    checked,
-    end,
-    observable_of,
-    observable_option,
-    outcome_of,
-    progress_bar,
-    scene_name,
-    simulation_options,
-)
 from cases.commands.regime import regime
 from cases.commands.verify import verify
 from cases.scene.errors import LONGEST, BadInput, one_line, shortened
@@ -44,7 +32,7 @@ def app() -> None:
 
 
 @app.command("list")
-@as_json
+@parts.as_json
 def list_scenes(as_json: bool) -> None:
     """List the shipped scenes."""
     from cases.scene.scene import load_scene, shipped_scenes
@@ -56,38 +44,38 @@ def list_scenes(as_json: bool) -> None:
         rows.append({**row, "title": scene.title, "source": scene.source})
     width = max(len(row["name"]) for row in rows)
     lines = [f"{row['name']:{width}}  {row['folder']:5}  {row['title']}" for row in rows]
-    end({"scenes": rows} if as_json else None, lambda: "\n".join(lines))
+    parts.end({"scenes": rows} if as_json else None, lambda: "\n".join(lines))
 
 
 @app.command()
-@scene_name
-@as_json
+@parts.scene_name
+@parts.as_json
 def show(scene: str, as_json: bool) -> None:
     """Show the system, its effects, frequencies, and which theories apply and why."""
-    loaded = checked(scene)
+    loaded = parts.checked(scene)
     from cases.output.facts import show_record
     from cases.output.text import show_text
 
     record = show_record(loaded)
-    end(record if as_json else None, lambda: show_text(record))
+    parts.end(record if as_json else None, lambda: show_text(record))
 
 
 @app.command()
-@scene_name
-@click.option("--out", type=FOLDER, help="Folder for report, netCDF, pictures.")
-@simulation_options
-@as_json
+@parts.scene_name
+@click.option("--out", type=parts.FOLDER, help="Folder for report, netCDF, pictures.")
+@parts.simulation_options
+@parts.as_json
 def run(scene: str, out: Path | None, as_json: bool, **settings: Any) -> None:
     """Run every applicable route of a scene, compare them, and write a report."""
-    loaded = checked(scene, tol=settings["tol"], out=out)
+    loaded = parts.checked(scene, tol=settings["tol"], out=out)
     from cases.commands.checkpoints import checkpoint_folder
     from cases.comparison.routes import all_methods
     from cases.output.digest import digest_of
     from cases.output.text import run_text
 
-    check_cluster(settings["cluster"])
+    parts.check_cluster(settings["cluster"])
     checkpoint_folder(loaded, {**settings, "tol": None})  # no simulation depends on it
-    outcome = outcome_of(loaded, all_methods(**settings, partial=True))
+    outcome = parts.outcome_of(loaded, all_methods(**settings, partial=True))
     written = []
     if out is not None:
         from cases.output.report import write_report
@@ -95,25 +83,25 @@ def run(scene: str, out: Path | None, as_json: bool, **settings: Any) -> None:
         written = write_report(outcome, out)
     digest = digest_of(outcome)
     record = digest if as_json else None
-    end(record, lambda: run_text(digest), written, problems=outcome.problems)
+    parts.end(record, lambda: run_text(digest), written, problems=outcome.problems)
 
 
 @app.command()
-@scene_name
+@parts.scene_name
 @click.option(
     "--method", required=True, help="exact, linear, nonintegrable, integrable or montecarlo."
 )
-@observable_option("q1.., p1.., H, H1.. or a pair a,b.", required=True)
+@parts.observable_option("q1.., p1.., H, H1.. or a pair a,b.", required=True)
 @click.option("--at", metavar="LIST", required=True, help=LIST)
 @click.option("--solver", help="closed-form, quadrature, fem or simulation.")
-@simulation_options
-@as_json
+@parts.simulation_options
+@parts.as_json
 def density(
     scene: str, method: str, of: str, at: str, solver: str | None, as_json: bool, **settings: Any
 ) -> None:
     """Give one density at the points asked for."""
-    loaded = checked(scene, tol=settings["tol"])
-    observable = observable_of(of, loaded)
+    loaded = parts.checked(scene, tol=settings["tol"])
+    observable = parts.observable_of(of, loaded)
     from cases.commands.checkpoints import checkpoint_folder
     from cases.comparison.routes import chosen
     from cases.output.density import density_record, density_text
@@ -121,17 +109,17 @@ def density(
     from fpk.method import solved
 
     points = parse_points(at, len(observable))
-    check_cluster(settings["cluster"])
+    parts.check_cluster(settings["cluster"])
     try:
         plan = chosen(loaded.system, observable, method, solver, **settings, partial=True)
     except NotApplicable as reason:
         raise BadInput(f"{loaded.name}: {method} does not apply: {reason}") from None
     checkpoint_folder(loaded, {**settings, "observable": of})
-    with progress_bar() as progress:
+    with parts.progress_bar() as progress:
         result = solved(plan, loaded.system, [observable], progress=progress)
     record = density_record(loaded, result, points)
     problems = [f"{of} is not certified: {f}" for f in record["certificate"]["failures"]]
-    end(record if as_json else None, lambda: density_text(record), problems=problems)
+    parts.end(record if as_json else None, lambda: density_text(record), problems=problems)
 
 
 for _command in (converge, cost, export, verify, regime):

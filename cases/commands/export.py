@@ -5,34 +5,26 @@ from pathlib import Path
 
 import click
 
-from cases.commands.parts import (
-    FOLDER,
-    as_json,
-    checked,
-    end,
-    observable_of,
-    observable_option,
-    outcome_of,
-    scene_name,
-    tol,
-)
+from cases.commands import parts
 
 ENDINGS = (".vtu", ".pvd", ".nc", ".csv")
 
 
 @click.command()
-@scene_name
-@click.option("--out", type=FOLDER, required=True, help="File to write: .vtu, .pvd, .nc or .csv.")
-@observable_option("This density instead of the scene's own.")
-@tol
-@as_json
+@parts.scene_name
+@click.option(
+    "--out", type=parts.FOLDER, required=True, help="File to write: .vtu, .pvd, .nc or .csv."
+)
+@parts.observable_option("This density instead of the scene's own.")
+@parts.tol
+@parts.as_json
 def export(scene: str, out: Path, of: str | None, tol: float | None, as_json: bool) -> None:
     """Write the densities of a scene by theory, of all its curves, to one file.
 
     A .vtu holds one field of the scene's own system (the first pair observed, else the first
     density); a .pvd collects one .vtu for every density and curve.
     """
-    loaded = checked(scene, tol=tol)
+    loaded = parts.checked(scene, tol=tol)
     from cases.output.files import make_folder
     from cases.scene.errors import BadInput
 
@@ -42,7 +34,7 @@ def export(scene: str, out: Path, of: str | None, tol: float | None, as_json: bo
         raise BadInput(f"--out {out}: the folder {out.parent} does not exist")
     make_folder(out.parent)  # one that cannot be written is refused before the work
     if of is not None:
-        loaded = replace(loaded, observables=(observable_of(of, loaded),))
+        loaded = replace(loaded, observables=(parts.observable_of(of, loaded),))
     if out.suffix == ".vtu":
         first = next((o for o in loaded.observables if len(o) == 2), loaded.observables[0])
         loaded = replace(loaded, observables=(first,), curves=loaded.curves[:1])
@@ -52,15 +44,9 @@ def export(scene: str, out: Path, of: str | None, tol: float | None, as_json: bo
 
     loaded = replace(loaded, expect=None)  # without the simulation nothing can be claimed
     methods = [m for m in all_methods(tol=tol) if not m.route.sampled or m.route.solves != "full"]
-    outcome = outcome_of(loaded, methods)
+    outcome = parts.outcome_of(loaded, methods)
     write = dict(zip(ENDINGS, (write_vtu, write_pvd, write_netcdf, write_csv), strict=True))
-    written = write[out.suffix](outcome, out)
-    files = [str(path) for path in written]
-    record = {
-        "scene": loaded.name, "file": str(out), "files": files, "seconds": outcome.seconds,
-    }  # fmt: skip
-    end(
-        record if as_json else None,
-        lambda: "\n".join(f"wrote {file}" for file in files),
-        problems=outcome.problems,
-    )
+    files = [str(path) for path in write[out.suffix](outcome, out)]
+    record = {"scene": loaded.name, "file": str(out), "files": files, "seconds": outcome.seconds}
+    words = "\n".join(f"wrote {file}" for file in files)
+    parts.end(record if as_json else None, lambda: words, problems=outcome.problems)

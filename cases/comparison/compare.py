@@ -13,7 +13,7 @@ averaging
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, compress
 from typing import Literal
 
 import numpy as np
@@ -74,33 +74,20 @@ def compared(results: Sequence[Result], *, averaging_is_exact: bool) -> tuple[Co
     ``averaging_is_exact`` says that the exact theory applies, with which the averaged ones then
     coincide (end of section 6.2) unless they neglect something.
     """
-    answers = [(r, d) for r in results for d in r.densities]
-    pairs = [
-        (first, second)
-        for first, second in combinations(answers, 2)
-        if first[1].observable == second[1].observable
-        and not _on_different_bins(first[1], second[1])
-    ]
     comparisons = []
-    for (of_a, a), (of_b, b) in pairs:
+    answers = [(result, density) for result in results for density in result.densities]
+    for (of_a, a), (of_b, b) in combinations(answers, 2):
+        if a.observable != b.observable or _on_different_bins(a, b):
+            continue
         routes = (of_a.method.route, of_b.method.route)
         whole = not (of_a.neglected or of_b.neglected)
         kind = what_is_measured(*routes, averaging_is_exact=averaging_is_exact and whole)
         distance, expected, band = distance_between(a, b)
+        allowed = None if kind == "averaging" else band
+        doubtful = [not d.certificate.certified for d in (a, b)]
+        uncertified = tuple(compress(routes, doubtful))
         comparisons.append(
-            Comparison(
-                a.name,
-                *routes,
-                kind,
-                L1=distance,
-                band=None if kind == "averaging" else band,
-                error=expected,
-                uncertified=tuple(
-                    route
-                    for route, d in zip(routes, (a, b), strict=True)
-                    if not d.certificate.certified
-                ),
-            )
+            Comparison(a.name, *routes, kind, distance, allowed, expected, uncertified)
         )
     return tuple(sorted(comparisons, key=lambda c: c.observable))
 
@@ -120,27 +107,24 @@ def discrepancies(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
 
 
 def _doubt(difference: Comparison, comparisons: Sequence[Comparison]) -> str:
+    """Which of the two a difference speaks against, empty where nothing says so."""
     routes = (difference.a, difference.b)
     if doubtful := difference.uncertified:
         others = [r.label for r in routes if r not in doubtful]
         innocent = f": no finding against {others[0]}" if others else ""
         verb = "is" if others else "are"
         return f"; {' and '.join(r.label for r in doubtful)} {verb} not certified{innocent}"
-    confirmed = [(r, _confirming(r, difference.observable, comparisons)) for r in routes]
-    confirmed = [(r, other) for r, other in confirmed if other is not None]
-    if len(confirmed) != 1:
+    agreeing = [
+        (route.label, (c.b if c.a == route else c.a).label)
+        for route in routes
+        for c in comparisons
+        if c.observable == difference.observable and c.independent and route in (c.a, c.b)
+        if c.band is not None and c.holds and not c.uncertified
+    ]
+    if len({route for route, _ in agreeing}) != 1:
         return ""
-    ((route, other),) = confirmed
-    return f"; {route.label} agrees with {other}, which is calculated independently"
-
-
-def _confirming(route: Route, observable: str, comparisons: Sequence[Comparison]) -> str | None:
-    """Label of an answer that confirms that of ``route``, None where there is none."""
-    for c in comparisons:
-        judged = c.observable == observable and c.band is not None and not c.uncertified
-        if judged and c.holds and c.independent and route in (c.a, c.b):
-            return (c.b if c.a == route else c.a).label
-    return None
+    route, other = agreeing[0]
+    return f"; {route} agrees with {other}, which is calculated independently"
 
 
 def _on_different_bins(a: AnyDensity, b: AnyDensity) -> bool:

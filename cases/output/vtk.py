@@ -87,7 +87,8 @@ def field_of(densities: Mapping[str, AnyDensity]) -> Field:
         np.unique([grid[0], *panels[(panels > grid[0]) & (panels < grid[-1])], grid[-1]])
         for grid, panels in zip(common_grid(named.values()), density.panels, strict=True)
     ]
-    while True:
+    cells, subdivision, allowed = 0, np.inf, 0.0
+    while subdivision > allowed and cells <= MOST_CELLS[len(ends)]:
         nodes = tuple(_with_middles(e) for e in ends)
         values = _values(density, nodes)
         misses = [_misses(density, nodes, values, axis) for axis in range(len(nodes))]
@@ -95,33 +96,31 @@ def field_of(densities: Mapping[str, AnyDensity]) -> Field:
         allowed = SUBDIVISION * float(values.max())
         ends = [_with_middles(e, only=miss > allowed) for e, miss in zip(ends, misses, strict=True)]
         cells = int(np.prod([e.size - 1 for e in ends]))
-        if subdivision <= allowed or cells > MOST_CELLS[len(nodes)]:
-            break
     mesh = np.meshgrid(*nodes, indexing="ij")
     points: dict[str, Array] = {}
     for name, other in named.items():
         points[name], points[f"error of {name}"] = values_on(other, *mesh)
-    for name in [*named][1:]:
-        points[f"{first} - {name}"] = points[first] - points[name]
-    return Field(nodes, {"density": points[first], **points}, subdivision)
+    differences = {f"{first} - {k}": points[first] - points[k] for k in named if k != first}
+    return Field(nodes, {"density": points[first], **points, **differences}, subdivision)
 
 
 def _write(outcome: Outcome, curve: CurveOutcome, observable: Observable, path: Path) -> None:
-    densities = curve.densities(observable)
     # A theory first: the differences from it then show what it leaves out.
-    routes = sorted(densities, key=lambda r: (r.sampled, r.solves != "averaged"))
-    field = field_of({route.label: densities[route] for route in routes})
-    scene = outcome.scene
+    densities = sorted(
+        curve.densities(observable).items(), key=lambda a: (a[0].sampled, a[0].solves != "averaged")
+    )
+    field = field_of({route.label: density for route, density in densities})
+    scene, name = outcome.scene, observable_name(observable)
     data: dict[str, str | float] = {
         "scene": scene.name,
         "title": scene.title,
         "source": scene.source,
         "curve": curve.label,
-        "observable": observable_name(observable),
+        "observable": name,
         "axes": ", ".join(map(str, observable)),
-        "quantity": f"probability density of {observable_name(observable)}",
+        "quantity": f"probability density of {name}",
         "units": UNITS,
-        "first route": routes[0].label,
+        "first route": densities[0][0].label,
         "scene file": scene.text,
         "program": f"vibro-fpk {program_version()}",
         "subdivision error": field.subdivision,
@@ -131,8 +130,7 @@ def _write(outcome: Outcome, curve: CurveOutcome, observable: Observable, path: 
     def write(temporary: Path) -> None:
         meshio.vtu.write(temporary, _mesh(field))
         # meshio writes no field data.
-        text = temporary.read_text(encoding="utf-8")
-        head = "<UnstructuredGrid>"
+        text, head = temporary.read_text(encoding="utf-8"), "<UnstructuredGrid>"
         temporary.write_text(text.replace(head, head + _field_data(data), 1), encoding="utf-8")
 
     write_by(path, write)
@@ -157,16 +155,13 @@ def _mesh(field: Field) -> meshio.Mesh:
 
 def _field_data(data: Mapping[str, str | float]) -> str:
     """The field data of a file; texts as VTK has them, zero-ended codes."""
-    arrays = []
+    root = ElementTree.Element("FieldData")
     for name, value in data.items():
-        number = isinstance(value, float)
-        kind = "Float64" if number else "String"
-        text = repr(value) if number else " ".join(map(str, [*str(value).encode(), 0]))
-        arrays.append(
-            f'<DataArray type="{kind}" Name="{name}" NumberOfTuples="1" format="ascii">{text}'
-            "</DataArray>"
-        )
-    return f"<FieldData>{''.join(arrays)}</FieldData>"
+        kind = "Float64" if isinstance(value, float) else "String"
+        entry = {"type": kind, "Name": name, "NumberOfTuples": "1", "format": "ascii"}
+        codes = [value] if isinstance(value, float) else [*value.encode(), 0]
+        ElementTree.SubElement(root, "DataArray", entry).text = " ".join(map(repr, codes))
+    return ElementTree.tostring(root, encoding="unicode")
 
 
 def _with_middles(ends: Array, only: NDArray[np.bool_] | None = None) -> Array:

@@ -23,8 +23,7 @@ def parse_points(text: str, axes: int) -> tuple[Array, ...]:
         form = "one list such as -1:1:0.1" if axes == 1 else "two lists such as -1:1:0.1 x 0,0.5"
         raise _wrong(text, f"this observable needs {form}")
     lists = [_list(part, text) for part in parts]
-    if np.prod([float(a.size) for a in lists]) > MAX_POINTS:
-        raise _wrong(text, f"asks for more than {MAX_POINTS} points; use larger steps")
+    _require_few(float(np.prod([float(a.size) for a in lists])), text)
     return tuple(grid.ravel() for grid in np.meshgrid(*lists, indexing="ij"))
 
 
@@ -32,14 +31,10 @@ def _list(part: str, text: str) -> Array:
     points: list[float] = []
     for item in part.split(","):
         numbers = [_number(n, text) for n in item.split(":")]
-        if len(numbers) == 1:
-            points.append(float(numbers[0]))
-        elif len(numbers) == 3:
-            points.extend(_range(numbers[0], numbers[1], numbers[2], text))
-        else:
+        if len(numbers) not in (1, 3):
             raise _wrong(text, f"{toml_value(item)} is not start:end:step")
-        if len(points) > MAX_POINTS:
-            raise _wrong(text, f"asks for more than {MAX_POINTS} points; use larger steps")
+        points += map(float, numbers) if len(numbers) == 1 else _range(*numbers, text)
+        _require_few(len(points), text)
     return np.array(points)
 
 
@@ -48,13 +43,15 @@ def _range(start: Decimal, end: Decimal, step: Decimal, text: str) -> list[float
     if step == 0 or (end - start) * step < 0:
         raise _wrong(text, f"a step of {step} does not lead from {start} to {end}")
     if start != end and abs(step) > abs(end - start):
-        raise _wrong(
-            text, f"a step of {step} is longer than from {start} to {end}; a list is start:end:step"
-        )
-    if abs(float(end - start)) > MAX_POINTS * abs(float(step)):
+        longer = f"a step of {step} is longer than from {start} to {end}"
+        raise _wrong(text, f"{longer}; a list is start:end:step")
+    _require_few(abs(float(end - start)) / abs(float(step)), text)
+    return [float(start + i * step) for i in range(int((end - start) / step) + 1)]
+
+
+def _require_few(count: float, text: str) -> None:
+    if not count <= MAX_POINTS:
         raise _wrong(text, f"asks for more than {MAX_POINTS} points; use larger steps")
-    count = int((end - start) / step) + 1
-    return [float(start + i * step) for i in range(count)]
 
 
 def _number(item: str, text: str) -> Decimal:
