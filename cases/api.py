@@ -1,70 +1,15 @@
 """The functions of ``import fpk`` that need all rooms: load, solve, compare."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Sequence
 
-from cases.comparison.compare import Comparison, compared
+from cases.comparison.answers import Answers, answers_of
+from cases.comparison.compare import Comparison
 from cases.comparison.routes import all_methods, method_for
-from cases.comparison.run import answered, incompatibility
 from cases.scene.scene import Scene, load_scene
-from fpk.density import AnyDensity
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.method import Method, Result
-from fpk.observable import observable_name, parse_observable
+from fpk.method import Method
+from fpk.observable import parse_observable
 from fpk.system import System
-
-
-@dataclass(frozen=True, repr=False)
-class Answers(Mapping[Any, AnyDensity]):
-    """Densities by observable and method: ``answers["q2", "exact"]``, as names or labels.
-
-    ``answers["q2"]`` will do where one method alone gives q2; ``answers.of("q2")`` returns all by
-    method. ``results`` has what each method returned, ``refusals`` by the label of a method why it
-    gives not all that was asked for.
-    """
-
-    system: System
-    results: tuple[Result, ...]
-    refusals: Mapping[str, str] = field(default_factory=dict)
-
-    def of(self, observable: str) -> dict[str, AnyDensity]:
-        """Return the densities of ``observable`` by the label of the method, empty where none."""
-        name = observable_name(parse_observable(observable, self.system.n))
-        return {
-            result.method.route.label: density
-            for result in self.results
-            for density in result.densities
-            if density.name == name
-        }
-
-    def __getitem__(self, key: str | tuple[str, str]) -> AnyDensity:
-        """Return one density; raise ``KeyError`` with what there is where it is not one."""
-        observable, method = (key, None) if isinstance(key, str) else key
-        densities = self.of(observable)
-        if method is None and len(densities) == 1:
-            return next(iter(densities.values()))
-        if method in densities:
-            return densities[method]
-        if not densities:
-            there = ", ".join(dict.fromkeys(name for name, _ in self))
-            raise KeyError(f"no density of {observable}; there are densities of {there}")
-        labels = ", ".join(densities)
-        raise KeyError(f"say by which method, as in answers[{observable!r}, ...]: {labels}")
-
-    def __iter__(self) -> Iterator[tuple[str, str]]:
-        """Iterate over the pairs (observable, method)."""
-        for result in self.results:
-            for density in result.densities:
-                yield density.name, result.method.route.label
-
-    def __len__(self) -> int:
-        """Return the number of densities."""
-        return sum(len(result.densities) for result in self.results)
-
-    def __repr__(self) -> str:
-        """Return the pairs in one line."""
-        return f"Answers({', '.join(f'{o} by {m}' for o, m in self)})"
 
 
 def load(scene: str) -> Scene:
@@ -94,19 +39,20 @@ def solve(
     """
     if isinstance(observables, str):
         raise InvalidInput("observables", observables, 'must be a list of names, as ["q2", "H"]')
+    if isinstance(methods, str):
+        raise InvalidInput("methods", methods, 'must be a list, as ["exact", "nonintegrable/fem"]')
     wanted = [parse_observable(name, system.n) for name in observables]
-    results, refusals = [], {}
-    for method in _methods(methods, tol):
-        if methods is None:
-            result, refused = answered(method, system, wanted)
-            results += result
-            refusals.update((r.route.label, r.reason) for r in refused)
-            continue
+    if methods is None:
+        unsampled = [m for m in all_methods(tol=tol) if not m.route.sampled]
+        return answers_of(system, wanted, unsampled)
+    results = []
+    for name in methods:
+        method = method_for(*name.split("/", 1), tol=tol) if isinstance(name, str) else name
         try:
             results.append(method.solve(system, wanted))
         except NotApplicable as reason:
             raise NotApplicable(f"{method.route.label}: {reason}") from None
-    return Answers(system, tuple(results), refusals)
+    return Answers(system, tuple(results))
 
 
 def compare(answers: Answers) -> tuple[Comparison, ...]:
@@ -115,13 +61,4 @@ def compare(answers: Answers) -> tuple[Comparison, ...]:
     Numerical and sampling differences are judged (``holds``); those that averaging makes are
     reported, ``band`` is None.
     """
-    exact = incompatibility(answers.system) is None
-    return compared(answers.results, averaging_is_exact=exact)
-
-
-def _methods(methods: Sequence[str | Method] | None, tol: float | None) -> list[Method]:
-    if isinstance(methods, str):
-        raise InvalidInput("methods", methods, 'must be a list, as ["exact", "nonintegrable/fem"]')
-    if methods is None:
-        return [m for m in all_methods(tol=tol) if not m.route.sampled]
-    return [method_for(*m.split("/", 1), tol=tol) if isinstance(m, str) else m for m in methods]
+    return answers.comparisons

@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import erfc, sqrt
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
+from cases.comparison.answers import Answers
 from cases.comparison.compare import distance_between
 from cases.scene.expect import Expect
 from fpk.certificate import ROUNDING, Measured
@@ -21,9 +22,6 @@ from fpk.density import (
     moment,
 )
 from fpk.observable import Observable, observable_name
-
-if TYPE_CHECKING:
-    from cases.comparison.run import CurveOutcome
 
 Verdict = Literal["holds", "does not hold", "undecided", "not checked"]
 
@@ -76,7 +74,7 @@ class Shape:
         return False if False in near else None if None in near else True
 
 
-def findings(expect: Expect | None, curves: Sequence["CurveOutcome"]) -> tuple[Finding, ...]:
+def findings(expect: Expect | None, curves: Sequence[Answers]) -> tuple[Finding, ...]:
     """Return what became of every claim on every curve that it is about."""
     if expect is None:
         return ()
@@ -120,13 +118,13 @@ def shape_of(density: AnyDensity) -> Shape:
     return Shape(distance, chance, kurtosis, 3.0 * spread)
 
 
-def _reference(curve: "CurveOutcome", of: Observable) -> AnyDensity | None:
+def _reference(curve: Answers, of: Observable) -> AnyDensity | None:
     """The best answer for the full system: a deterministic one where there is one."""
     densities = sorted(curve.densities(of).items(), key=lambda answer: answer[0].sampled)
     return next((d for route, d in densities if route.solves == "full"), None)
 
 
-def _gaussian(claim: str, curve: "CurveOutcome", of: Observable, *, wanted: bool) -> Finding:
+def _gaussian(claim: str, curve: Answers, of: Observable, *, wanted: bool) -> Finding:
     density = _reference(curve, of)
     if density is None:
         return Finding(claim, curve.label, "no answer for the full system", "not checked")
@@ -138,7 +136,7 @@ def _gaussian(claim: str, curve: "CurveOutcome", of: Observable, *, wanted: bool
     )
 
 
-def _theories(expect: Expect, curve: "CurveOutcome") -> list[Finding]:
+def _theories(expect: Expect, curve: Answers) -> list[Finding]:
     verdicts = []
     if expect.better is not None:
         pair = [_distance(curve, expect.of, name) for name in expect.better]
@@ -173,7 +171,7 @@ def _nearer(claim: str, where: str, near: Bounded | None, far: Bounded | None) -
     )
 
 
-def _distance(curve: "CurveOutcome", of: Observable, name: str) -> Bounded | None:
+def _distance(curve: Answers, of: Observable, name: str) -> Bounded | None:
     """Distance of the first deterministic answer of the averaged method ``name``, None without."""
     own = (d for r, d in curve.densities(of).items() if r.method == name and not r.sampled)
     theory, reference = next(own, None), _reference(curve, of)

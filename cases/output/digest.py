@@ -3,8 +3,9 @@
 from collections.abc import Iterable
 from typing import Any
 
+from cases.comparison.answers import Answers, Refusal
 from cases.comparison.compare import Comparison
-from cases.comparison.run import CurveOutcome, Outcome, Refusal
+from cases.comparison.run import Outcome
 from cases.output.facts import facts_record
 from cases.output.records import certificate_record, plain
 from fpk.density import Density
@@ -79,11 +80,11 @@ def verdict_of(digest: Record) -> str:
     return f"{digest['judged']} judged comparisons, every check holds"
 
 
-def _curve(curve: CurveOutcome) -> Record:
+def _curve(curve: Answers) -> Record:
     return {
         "label": curve.label,
         **facts_record(curve.system),
-        "methods": [*map(_method, curve.results), *map(refusal_record, curve.refusals)],
+        "methods": [*map(_method, curve.results), *map(refusal_record, curve.refused)],
         "comparisons": comparison_rows(curve.comparisons),
         "errors": [e for r in curve.results for e in _three_errors(r, curve.comparisons)],
         "identities": [

@@ -5,8 +5,8 @@ from typing import Any
 
 from averaging.energy_process import energy_process
 from averaging.modal.analysis import modal_analysis
+from cases.comparison.answers import incompatibility
 from cases.comparison.routes import listed_routes
-from cases.comparison.run import incompatibility
 from cases.output.records import plain
 from cases.scene.scene import Scene
 from fpk.clearance import stop_clearances

@@ -9,7 +9,8 @@ import meshio
 import numpy as np
 from numpy.typing import NDArray
 
-from cases.comparison.run import CurveOutcome, Outcome
+from cases.comparison.answers import Answers
+from cases.comparison.run import Outcome
 from cases.output.files import write_by
 from cases.output.grids import common_grid, values_on
 from cases.output.records import UNITS, program_version
@@ -46,7 +47,7 @@ def write_vtu(outcome: Outcome, path: Path) -> list[Path]:
     """Write the first observable of the scene's own system as a grid of quadratic cells."""
     curve, observable = outcome.curves[0], outcome.scene.observables[0]
     if not curve.densities(observable):
-        reasons = [r.reason for r in curve.refusals if observable_name(observable) in r.observables]
+        reasons = [r.reason for r in curve.refused if observable_name(observable) in r.observables]
         why = f": {reasons[0]}" if reasons else ""
         raise BadInput(f"{outcome.scene.name}: no theory gives {observable_name(observable)}{why}")
     _write(outcome, curve, observable, path)
@@ -104,7 +105,7 @@ def field_of(densities: Mapping[str, AnyDensity]) -> Field:
     return Field(nodes, {"density": points[first], **points, **differences}, subdivision)
 
 
-def _write(outcome: Outcome, curve: CurveOutcome, observable: Observable, path: Path) -> None:
+def _write(outcome: Outcome, curve: Answers, observable: Observable, path: Path) -> None:
     # A theory first: the differences from it then show what it leaves out.
     densities = sorted(
         curve.densities(observable).items(), key=lambda a: (a[0].sampled, a[0].solves != "averaged")

@@ -1,8 +1,8 @@
 """Averaging rows once for each pair of theories, refusals with the same reason joined."""
 
+from cases.comparison.answers import Refusal
 from cases.comparison.compare import Comparison
 from cases.comparison.routes import register_routes
-from cases.comparison.run import Refusal
 from cases.output.digest import comparison_rows, refusal_record, refusals_of
 from fpk.route import ROUTES
 

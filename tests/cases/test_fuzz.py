@@ -143,10 +143,10 @@ def problems_of_run(path, text):
     ]
     outcome = run_scene(scene, methods)
     for curve in outcome.curves:
-        assert curve.results or curve.refusals
+        assert curve.results or curve.refused
         for result in curve.results:
             for density in result.densities:
                 certificate = density.certificate
                 assert certificate.certified == (not certificate.failures)
-        assert all(r.reason for r in curve.refusals)
+        assert all(r.reason for r in curve.refused)
     return outcome.problems

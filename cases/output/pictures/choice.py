@@ -1,12 +1,12 @@
 """Which answers of a curve are drawn: lines, samples, two solvers of one equation."""
 
-from cases.comparison.run import CurveOutcome
+from cases.comparison.answers import Answers
 from fpk.density import Density, SampledDensity
 from fpk.observable import Observable
 from fpk.route import Route
 
 
-def lines_of(curve: CurveOutcome, observable: Observable) -> dict[Route, Density]:
+def lines_of(curve: Answers, observable: Observable) -> dict[Route, Density]:
     """Return the densities drawn as lines: an exact one, and of each averaged method its first.
 
     An averaged method that is exact itself is not drawn beside the exact density.
@@ -22,14 +22,14 @@ def lines_of(curve: CurveOutcome, observable: Observable) -> dict[Route, Density
     return {route: functions[route] for route in drawn.values()}
 
 
-def samples_of(curve: CurveOutcome, observable: Observable) -> dict[Route, SampledDensity]:
+def samples_of(curve: Answers, observable: Observable) -> dict[Route, SampledDensity]:
     """Return the histograms of one observable, that of the full system first."""
     densities = curve.densities(observable).items()
     sampled = {r: d for r, d in densities if isinstance(d, SampledDensity)}
     return dict(sorted(sampled.items(), key=lambda answer: answer[0].solves != "full"))
 
 
-def two_solvers(curve: CurveOutcome, observable: Observable) -> list[tuple[Route, Density]]:
+def two_solvers(curve: Answers, observable: Observable) -> list[tuple[Route, Density]]:
     """Return two deterministic answers to the same averaged equation, empty where there are none.
 
     The one that states the larger error comes first.

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 
+from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
-from cases.comparison.run import CurveOutcome
 from cases.output.grids import common_grid, values_on
 from cases.output.pictures.choice import lines_of, samples_of, two_solvers
 from cases.output.pictures.style import FOOT, LEFT, SHOWN, density_words, words_of
@@ -28,9 +28,7 @@ PANEL, HEIGHT, SPACE, HEAD, BAR = 2.7, 2.5, 0.2, 0.3, 0.12
 colours, in inches."""
 
 
-def joint_pictures(
-    curve: CurveOutcome, observable: Observable
-) -> Iterator[tuple[str, str, Figure]]:
+def joint_pictures(curve: Answers, observable: Observable) -> Iterator[tuple[str, str, Figure]]:
     """Yield file stem, caption and figure of everything to be seen of a pair of coordinates."""
     name = observable_name(observable)
     stem = name.replace(",", "_")
@@ -47,7 +45,7 @@ def joint_pictures(
         yield f"surface_{stem}", words, surface_figure(curve, observable)
 
 
-def pair_figure(curve: CurveOutcome, observable: Observable) -> Figure:
+def pair_figure(curve: Answers, observable: Observable) -> Figure:
     """Draw a joint density by every route that is drawn, side by side on common levels."""
     drawn = {**lines_of(curve, observable), **samples_of(curve, observable)}
     grid = common_grid(drawn.values(), cut=SHOWN)
@@ -58,7 +56,7 @@ def pair_figure(curve: CurveOutcome, observable: Observable) -> Figure:
     return _panels(panels, grid, observable, density_words(observable), decades=decades)
 
 
-def pair_solver_figure(curve: CurveOutcome, observable: Observable) -> Figure:
+def pair_solver_figure(curve: Answers, observable: Observable) -> Figure:
     """Draw the difference of two solvers of a joint density beside the errors that both state."""
     (a, first), (b, second) = two_solvers(curve, observable)
     grid = common_grid([first, second], cut=SHOWN)
@@ -71,7 +69,7 @@ def pair_solver_figure(curve: CurveOutcome, observable: Observable) -> Figure:
     return _panels(panels, grid, observable, "difference of p", decades=True)
 
 
-def surface_figure(curve: CurveOutcome, observable: Observable) -> Figure:
+def surface_figure(curve: Answers, observable: Observable) -> Figure:
     """Draw the joint density as surfaces on the same levels: theory and simulation.
 
     The theory is the exact density where there is one, else an averaged one; one that neglects

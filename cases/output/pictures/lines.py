@@ -9,8 +9,8 @@ from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
-from cases.comparison.run import CurveOutcome
 from cases.output.grids import common_grid, values_on
 from cases.output.pictures.choice import lines_of, samples_of, two_solvers
 from cases.output.pictures.style import (
@@ -55,7 +55,7 @@ Difference = tuple[str, Array, Array, Array]
 
 
 def line_pictures(
-    curves: Sequence[CurveOutcome], observable: Observable
+    curves: Sequence[Answers], observable: Observable
 ) -> Iterator[tuple[str, str, Figure]]:
     """Yield file stem, caption and figure of everything to be seen of one coordinate."""
     name = observable_name(observable)
@@ -86,7 +86,7 @@ def line_pictures(
         yield f"left_{name}", words, difference_figure(rows, observable, band=band, ends=ends)
 
 
-def density_figure(curves: Sequence[CurveOutcome], observable: Observable, x: Array) -> Figure:
+def density_figure(curves: Sequence[Answers], observable: Observable, x: Array) -> Figure:
     """Draw the densities of one coordinate: deterministic as lines, sampled as points with bars.
 
     Several curves are distinguished by colour, and their routes by dashes; the routes of a single
@@ -119,7 +119,7 @@ def density_figure(curves: Sequence[CurveOutcome], observable: Observable, x: Ar
     return figure
 
 
-def solver_difference(curve: CurveOutcome, observable: Observable, x: Array) -> list[Difference]:
+def solver_difference(curve: Answers, observable: Observable, x: Array) -> list[Difference]:
     """Return the difference of two solvers of one equation, in the errors that both state."""
     answers = two_solvers(curve, observable)
     if not answers:
@@ -129,7 +129,7 @@ def solver_difference(curve: CurveOutcome, observable: Observable, x: Array) -> 
     return [(words, x, first - second, stated + also_stated)]
 
 
-def theory_differences(curve: CurveOutcome, observable: Observable, x: Array) -> list[Difference]:
+def theory_differences(curve: Answers, observable: Observable, x: Array) -> list[Difference]:
     """Return simulation − theory for every theory drawn, in two standard errors."""
     sampled = [d for r, d in samples_of(curve, observable).items() if r.solves == "full"]
     if not sampled:

@@ -1,0 +1,162 @@
+"""The answers to one system by several methods, what separates them, and what is wrong."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from averaging.exact import compatibility
+from cases.comparison.compare import Comparison, compared, discrepancies
+from fpk.clearance import StopClearance, stop_clearances
+from fpk.density import AnyDensity
+from fpk.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.method import Method, Progress, Result, silent, solved
+from fpk.observable import Observable, observable_name, parse_observable
+from fpk.route import Route
+from fpk.system import System
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A route not taken for some observables; ``failed`` when it was tried and did not succeed."""
+
+    route: Route
+    observables: tuple[str, ...]
+    reason: str
+    failed: bool = False
+
+
+@dataclass(frozen=True, repr=False)
+class Answers(Mapping[Any, AnyDensity]):
+    """Densities by observable and method: ``answers["q2", "exact"]``, as names or labels.
+
+    ``answers["q2"]`` will do where one method alone gives q2; ``answers.of("q2")`` returns all by
+    method. ``results`` has what each method returned, ``refused`` who gives not all that was asked
+    for. Of a scene's curve ``label`` and ``value`` are as in ``Curve``.
+    """
+
+    system: System
+    results: tuple[Result, ...]
+    refused: tuple[Refusal, ...] = ()
+    label: str = ""
+    value: float | None = None
+
+    @property
+    def refusals(self) -> dict[str, str]:
+        """By the label of a method, why it gives not all that was asked for."""
+        return {refusal.route.label: refusal.reason for refusal in self.refused}
+
+    @property
+    def stops(self) -> tuple[StopClearance, ...]:
+        """Every stop with its clearance over the rms displacement."""
+        return self.system.fact(stop_clearances)
+
+    @cached_property
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """What separates any two answers to one question."""
+        return compared(self.results, averaging_is_exact=incompatibility(self.system) is None)
+
+    def densities(self, observable: Observable) -> dict[Route, AnyDensity]:
+        """Return the densities of one observable by route."""
+        pairs = [(r.method.route, d) for r in self.results for d in r.densities]
+        return {route: d for route, d in pairs if d.observable == observable}
+
+    def of(self, observable: str) -> dict[str, AnyDensity]:
+        """Return the densities of ``observable`` by the label of the method, empty where none."""
+        densities = self.densities(parse_observable(observable, self.system.n))
+        return {route.label: density for route, density in densities.items()}
+
+    def __getitem__(self, key: str | tuple[str, str]) -> AnyDensity:
+        """Return one density; raise ``KeyError`` with what there is where it is not one."""
+        observable, method = (key, None) if isinstance(key, str) else key
+        densities = self.of(observable)
+        if method is None and len(densities) == 1:
+            return next(iter(densities.values()))
+        if method in densities:
+            return densities[method]
+        if not densities:
+            there = ", ".join(dict.fromkeys(name for name, _ in self))
+            raise KeyError(f"no density of {observable}; there are densities of {there}")
+        labels = ", ".join(densities)
+        raise KeyError(f"say by which method, as in answers[{observable!r}, ...]: {labels}")
+
+    def __iter__(self) -> Iterator[tuple[str, str]]:
+        """Iterate over the pairs (observable, method)."""
+        for result in self.results:
+            for density in result.densities:
+                yield density.name, result.method.route.label
+
+    def __len__(self) -> int:
+        """Return the number of densities."""
+        return sum(len(result.densities) for result in self.results)
+
+    def __repr__(self) -> str:
+        """Return the pairs in one line."""
+        return f"Answers({', '.join(f'{o} by {m}' for o, m in self)})"
+
+    def neglects(self, route: Route) -> bool:
+        """Whether the answer of ``route`` leaves out an effect of the system."""
+        return any(r.neglected for r in self.results if r.method.route == route)
+
+    def is_exact(self, route: Route) -> bool:
+        """Whether ``route`` gives the exact density: by itself, or as condition (8) holds."""
+        exact = incompatibility(self.system) is None and not self.neglects(route)
+        return exact or route.solves == "full"
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Every check that does not hold, in words; empty when all do."""
+        problems = list(discrepancies(self.comparisons))
+        problems += [
+            f"{d.name}: {r.method.route.label} is not certified: {failure}"
+            for r in self.results
+            for d in r.densities
+            for failure in d.certificate.failures
+        ]
+        problems += [f"{r.route.label} failed: {r.reason}" for r in self.refused if r.failed]
+        if not self.refused and not self.results:
+            problems.append("not run: the program was interrupted")
+        elif not self.results and not problems:
+            reasons = dict.fromkeys(r.reason for r in self.refused)
+            problems.append(f"no route applies: {'; '.join(reasons)}")
+        return tuple(f"{self.label}: {p}" if self.label else p for p in problems)
+
+
+def incompatibility(system: System) -> str | None:
+    """Return why the exact theory (7), (8) does not apply, None where it does."""
+    try:
+        compatibility(system)
+    except NotApplicable as reason:
+        return str(reason)
+    return None
+
+
+def answers_of(
+    system: System,
+    observables: Sequence[Observable],
+    methods: Sequence[Method],
+    *,
+    progress: Progress = silent,
+) -> Answers:
+    """Return the answers of ``methods``, each for the observables that it gives."""
+    results: list[Result] = []
+    refused: list[Refusal] = []
+    for method in methods:
+        route, given = method.route, list(observables)
+        by_reason: dict[str, list[str]] = {}
+        try:
+            plan = method.prepare(system)
+        except NotApplicable as error:
+            refused.append(Refusal(route, tuple(map(observable_name, given)), str(error)))
+            continue
+        for observable in observables:
+            if (reason := plan.refusal(observable)) is not None:
+                given.remove(observable)
+                by_reason.setdefault(reason, []).append(observable_name(observable))
+        refused += [Refusal(route, tuple(names), reason) for reason, names in by_reason.items()]
+        try:
+            results += [solved(plan, system, given, progress=progress)] if given else []
+        except (NotApplicable, NotCertified, InvalidInput) as error:
+            names = tuple(map(observable_name, given))
+            refused.append(Refusal(route, names, str(error), failed=True))
+    return Answers(system, tuple(results), tuple(refused))
