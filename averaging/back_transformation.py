@@ -2,21 +2,18 @@
 
 from collections.abc import Callable
 from functools import partial
-from itertools import pairwise
 from math import ceil, pi
 
 import numpy as np
 from numpy.typing import NDArray
 
-from averaging.conditional import conditionals, overlap_at
+from averaging.conditional import conditionals, overlap_at, side_sign
 from averaging.energy_density import EnergyDensity, Part
 from averaging.hidden import RULES, HiddenIntegral, overlaps
 from averaging.shell.energy_shell import energy_shell
-from fpk.contact import Contact
 from fpk.density import Density, certified_density
-from fpk.errors import NotApplicable
 from fpk.line.mesh import DEEP_LAYERS, with_layers
-from fpk.observable import Observable, observable_name
+from fpk.observable import Observable
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -24,31 +21,22 @@ Array = NDArray[np.float64]
 TIED = 0.2
 """Width of a displacement given another one, relative to its own, below which the joint density is
 a ridge that panels of one thermal displacement do not resolve."""
+SAME = 1e-10
+"""Distance of two nodes, relative to the support, below which they are one."""
 
 
 def back_transformed(source: EnergyDensity, observable: Observable, *, tol: float) -> Density:
-    """Return the density of ``observable`` that belongs to the phase-space density u(H).
+    """Return the density of ``observable``, H or one or two of (q, p), from u(H).
 
     Momenta and masses without contact are quadratic in H and integrated out exactly (Weyl
-    integrals of u); contact masses that are not observed are integrated out by quadrature, on grids
+    integrals of u); contact masses that are not observed, two at the most, by quadrature on grids
     that follow their law given the observed ones. ``tol`` is the L1 tolerance that was asked for.
-
-    Raises ``NotApplicable`` for modal energies, for H beside another coordinate, and where more
-    than two contact masses would have to be integrated out.
     """
-    kinds = [coordinate.kind for coordinate in observable]
-    name = observable_name(observable)
-    if "H" in kinds:
-        if len(observable) > 1 or observable[0].index is not None:
-            raise NotApplicable(
-                f"{name} does not follow from a density that depends on the total energy only"
-            )
+    if observable[0].kind == "H":
         return _energy_density(source, observable, tol)
     system = source.system
     q = tuple(c.index for c in observable if c.kind == "q" and c.index is not None)
     hidden = len(set(system.contact_masses) - set(q))
-    if hidden > 2:
-        raise NotApplicable(f"{name}: {hidden} contact masses would have to be integrated out")
     marginal = _marginal(source, observable)
 
     def added(*x: Array) -> Array:
@@ -156,25 +144,28 @@ def displacement_panels(system: System, mass: int, *, temperature: float, end: f
     """
     compliance = system.compliance
     own = float(compliance[mass, mass])
-    thermal = np.sqrt(own * temperature)
+    thermal, most = np.sqrt(own * temperature), np.sqrt(2.0 * own * end)
     stops = [stop for stop in system.stops if stop.index == mass]
-    low, high = (_limit(stops, side, own, end) for side in ("left", "right"))
-    nodes = [np.linspace(-low, high, max(4, ceil((high + low) / thermal)) + 1)]
+    low, high = (
+        min([most, *(s.clearance + overlap_at(s, end) for s in stops if s.side == side)])
+        for side in ("left", "right")
+    )
+    parts = [np.linspace(-low, high, max(4, ceil((high + low) / thermal)) + 1)]
     for stop in system.stops:
-        sign = 1.0 if stop.side == "right" else -1.0
         # Where the mean of the other mass, given this one, is at its stop.
         share = float(compliance[stop.index, mass]) / own
-        touch = sign * stop.clearance / share
+        touch = side_sign(stop) * stop.clearance / share
         if stop.index == mass:
-            nodes.append(touch + sign * overlaps(stop, temperature, end))
+            parts.append(touch + side_sign(stop) * overlaps(stop, temperature, end))
             continue
         (other,) = conditionals(system, [mass, stop.index])[1:]
         width = np.sqrt(temperature / other.precision) / share
         if width < thermal:
             steps = width * 2.0 ** np.arange(-1.0, ceil(np.log2(2.0 * (high + low) / width)))
-            nodes += [touch + steps, np.array([touch]), touch - steps]
-    joined = np.concatenate(nodes)
-    return _spaced(joined[(joined >= -low) & (joined <= high)])
+            parts.append(touch + np.concatenate([-steps, [0.0], steps]))
+    nodes = np.unique(np.concatenate(parts))
+    nodes = nodes[(nodes >= -low) & (nodes <= high)]
+    return nodes[np.append(True, np.diff(nodes) > SAME * (high + low))]
 
 
 def _ridge(
@@ -202,19 +193,3 @@ def _momentum_panels(mass: float, end: float, temperature: float) -> Array:
     reach = float(np.sqrt(2.0 * mass * end))
     panels = max(16, int(np.ceil(np.sqrt(2.0 * end / temperature))))
     return np.linspace(-reach, reach, panels + 1)
-
-
-def _limit(stops: list[Contact], side: str, compliance: float, end: float) -> float:
-    """Distance that a mass can go to one side with the energy ``end``."""
-    limit = float(np.sqrt(2.0 * compliance * end))
-    return min(
-        [limit, *(s.clearance + overlap_at(s, end) for s in stops if s.side == side)],
-    )
-
-
-def _spaced(nodes: Array) -> Array:
-    """Sorted nodes without those that nearly coincide."""
-    nodes = np.unique(nodes)
-    gap = 1e-10 * (nodes[-1] - nodes[0])
-    keep = [nodes[0], *(b for a, b in pairwise(nodes) if b - a > gap)]
-    return np.array(keep)

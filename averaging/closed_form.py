@@ -1,6 +1,6 @@
 """Closed forms p = C T exp(−∫h dH) for damping that depends on the energy only, (7), (29), (34)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -31,6 +31,7 @@ POINTS = (16, 20)
 LAYERS_AT_ZERO = 12
 """Geometric panels above H = 0, where T ~ H^(n−1) times a series in H^(1/4) without clearance."""
 EPS = float(np.finfo(float).eps)
+TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +42,7 @@ class ClosedForm:
     was measured on p but for its mass and minimum.
     """
 
+    process: Process
     nodes: Array
     exponent: Array
     measured: Measured
@@ -49,9 +51,23 @@ class ClosedForm:
         """ln(p/T) at energies of any shape."""
         return np.asarray(polynomial.polyval(energy, self.exponent))
 
+    def log_density(self, energy: Array) -> Array:
+        """ln p at energies > 0 of any shape."""
+        log_states = self.process.coefficients(energy.ravel()).log_density_of_states
+        return log_states.reshape(energy.shape) + self.log_u(energy)
+
+    def density(self, energy: Array) -> Array:
+        """p at energies of any shape; 0 beyond the nodes."""
+        inside = (energy >= 0.0) & (energy <= self.nodes[-1])
+        return np.where(inside, np.exp(self.log_density(np.maximum(energy, TINY))), 0.0)
+
     def relative_error(self, energy: Array) -> Array:
         """Relative error of p/T at energies of any shape: of the norm, and round-off."""
         return self.measured.l1_error + _round_off(self.exponent, energy)
+
+    def pointwise_error(self, energy: Array) -> Array:
+        """Estimate of the error of p at energies of any shape, but for that of T."""
+        return self.relative_error(energy) * self.density(energy)
 
 
 def closed_form(
@@ -70,16 +86,11 @@ def closed_form(
     nodes = initial_nodes(probe, probe.extent(TAIL), process.nonsmooth)
     exponent = polynomial.polyint(-rate)
     exponent[0], error = norm or _log_norm(process, nodes, exponent)
-
-    def log_p(energy: Array) -> Array:
-        log_states = process.coefficients(energy).log_density_of_states
-        return np.asarray(log_states + polynomial.polyval(energy, exponent))
-
+    p = ClosedForm(process, nodes, exponent, Measured(error, np.nan, np.nan, np.nan, np.nan))
     if residual is None:
-        residual = flux_residual(process, nodes, log_p)
-    tail = probe.tail_bound(float(nodes[-1]), float(np.exp(log_p(nodes[-1:])[0])))
-    measured = Measured(error + 2.0 * tail, np.nan, np.nan, residual, tail)
-    return ClosedForm(nodes, exponent, measured)
+        residual = flux_residual(process, nodes, p.log_density)
+    tail = probe.tail_bound(float(nodes[-1]), float(p.density(nodes[-1:])[0]))
+    return replace(p, measured=Measured(error + 2.0 * tail, np.nan, np.nan, residual, tail))
 
 
 def _log_norm(process: Process, nodes: Array, exponent: Array) -> tuple[float, float]:
