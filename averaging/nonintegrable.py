@@ -74,9 +74,11 @@ class NonIntegrable(Method):
         settings: Settings = {"equation": "(11)"}
         if self.solver == "quadrature":
             solution = solve_by_quadrature(process, tol=self.tol)
-            settings["panels"] = solution.nodes.size - 1
+            panels = solution.nodes
+            settings["panels"] = panels.size - 1
         else:
             solution = solve_stationary(process, tol=self.tol, form=self.form)
+            panels = solution.panels
             settings = {
                 "equation": "FPK of (24)",
                 "form": self.form,
@@ -90,7 +92,7 @@ class NonIntegrable(Method):
         density = tabulated(
             system,
             process,
-            solution.panels,
+            panels,
             lambda energy: unit * solution.phase_space_density(energy),
             lambda energy: unit * solution.phase_space_error(energy),
             measured=solution.measured,
