@@ -1,6 +1,6 @@
 """Damping of the modes averaged over their phases: polynomials in the modal energies, section 5."""
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -140,21 +140,21 @@ def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> Polynom
         """E of a product of q_a (a < n) and v_a (n + a)."""
         if not factors:
             return {(): np.array(1.0)}
-        first, *rest = factors
+        first, rest = factors[0], factors[1:]
         total: Polynomial = defaultdict(float)  # type: ignore[arg-type]
-        for other, count in Counter(rest).items():
+        for i, other in enumerate(rest):
             if (first < n) == (other < n):
-                pair: Polynomial = {(m,): count * rms[first, m] * rms[other, m] for m in range(n)}
-                _add_product(total, moment(_without(rest, other)), pair)
+                pair: Polynomial = {(m,): rms[first, m] * rms[other, m] for m in range(n)}
+                _add_product(total, moment(rest[:i] + rest[i + 1 :]), pair)
         return total
 
     powers = [*term.powers("q", n), *term.powers("v", n)]
     powers[n + term.column] += 1
-    factors = [a for a, power in enumerate(powers) for _ in range(power)]
+    factors = tuple(a for a, power in enumerate(powers) for _ in range(power))
     flow: Polynomial = defaultdict(lambda: np.zeros(n))
-    for b in range(n):
-        if count := powers[n + b]:
-            _add_product(flow, moment(_without(factors, n + b)), {(): count * shapes[b]})
+    for i, a in enumerate(factors):
+        if a >= n:
+            _add_product(flow, moment(factors[:i] + factors[i + 1 :]), {(): shapes[a - n]})
     for modes in flow:
         counts = np.bincount(np.array(modes, dtype=np.int64), minlength=n)
         flow[modes] = flow[modes] / (prod(factorial(c) for c in counts) * (1.0 + counts))
@@ -169,12 +169,6 @@ def _add_product(total: Polynomial, first: Polynomial, second: Polynomial) -> No
     for (f, x), (g, y) in product(first.items(), second.items()):
         modes = tuple(sorted(f + g))
         total[modes] = total[modes] + x * y
-
-
-def _without(factors: Sequence[int], factor: int) -> tuple[int, ...]:
-    rest = list(factors)
-    rest.remove(factor)
-    return tuple(rest)
 
 
 def balanced_energies(damping: AveragedDamping, noise: Array, guess: float) -> Array:

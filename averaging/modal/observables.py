@@ -79,23 +79,20 @@ def _joint(observable: Observable, parts: Sequence[Density], tol: float) -> Dens
     panels = {c: x for part in parts for c, x in zip(part.observable, part.panels, strict=True)}
     hidden = len(panels) > len(observable)
 
-    def integrated(
-        functions: Sequence[Function], energies: Sequence[Array], points: int
-    ) -> list[Array]:
+    def marginals(which: str, energies: Sequence[Array], points: int) -> list[Array]:
+        """The densities of the groups, or their errors, without the energies not asked for."""
         given = dict(zip(observable, energies, strict=True))
-        return [_marginal(part, f, given, points) for part, f in zip(parts, functions, strict=True)]
-
-    densities = [part.pdf for part in parts]
+        return [_marginal(part, getattr(part, which), given, points) for part in parts]
 
     def pdf(*energies: Array) -> Array:
-        return np.asarray(prod(integrated(densities, energies, FINE_POINTS)))
+        return np.asarray(prod(marginals("pdf", energies, FINE_POINTS)))
 
     def rule_error(*energies: Array) -> Array:
-        return np.asarray(np.abs(pdf(*energies) - prod(integrated(densities, energies, POINTS))))
+        return np.asarray(np.abs(pdf(*energies) - prod(marginals("pdf", energies, POINTS))))
 
     def pointwise(*energies: Array) -> Array:
-        p = integrated(densities, energies, FINE_POINTS)
-        errors = integrated([part.pointwise for part in parts], energies, FINE_POINTS)
+        p = marginals("pdf", energies, FINE_POINTS)
+        errors = marginals("pointwise", energies, FINE_POINTS)
         total = sum(e * prod(p[:k] + p[k + 1 :]) for k, e in enumerate(errors))
         return np.asarray(total + rule_error(*energies) if hidden else total)
 
@@ -111,10 +108,7 @@ def _joint(observable: Observable, parts: Sequence[Density], tol: float) -> Dens
 
 
 def _marginal(
-    part: Density,
-    function: Function,
-    given: Mapping[Coordinate, Array],
-    points: int,
+    part: Density, function: Function, given: Mapping[Coordinate, Array], points: int
 ) -> Array:
     """A function of the energies of a group, integrated over the one that is not given, if any."""
     hidden = [x for c, x in zip(part.observable, part.panels, strict=True) if c not in given]
@@ -129,21 +123,20 @@ def gaussian_modes(modes: ModalAnalysis) -> Gaussian:
     """Return (34) as the Gaussian state that it is, of independent ω Q_i and P_i of variance θ_i.
 
     With M* = 1: ``cov q = T diag(θ_i/ω_i²) Tᵀ``, ``cov p = M T diag(θ_i) Tᵀ M``, Eqs. (20), (35);
-    displacements and momenta are not correlated.
+    displacements and momenta are not correlated. The residual is the largest flux of e^(−H/θ)/θ in
+    the energy process (19) of a mode.
     """
     theta = modes.temperature
+
+    def flux(m: int) -> float:
+        nodes = theta[m] * RESIDUAL_PANELS
+        return flux_residual(modes.process((m,)), nodes, lambda H: -H / theta[m] - np.log(theta[m]))
+
     return Gaussian(
         factor=modes.state_shapes * np.sqrt(np.tile(theta, 2)),
         relative_error=modes.relative_error,
         scales=theta,
         shape=1.0,
         scale_errors=modes.relative_error * theta,
-        residual=max(_residual(modes, m) for m in range(modes.n)),
+        residual=max(map(flux, range(modes.n))),
     )
-
-
-def _residual(modes: ModalAnalysis, mode: int) -> float:
-    """How far e^(−H/θ)/θ is from zero flux in the energy process (19) of its own mode."""
-    theta = float(modes.temperature[mode])
-    nodes = theta * RESIDUAL_PANELS
-    return flux_residual(modes.process((mode,)), nodes, lambda H: -H / theta - np.log(theta))

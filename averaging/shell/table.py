@@ -6,7 +6,7 @@ asks for as many energies in it as a fit needs.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,7 @@ DOUBLINGS = 60
 """Panels above the highest contact energy, each twice as long as the one below it."""
 
 
-@dataclass(frozen=True)
-class Resolution:
+class Resolution(NamedTuple):
     """Gauss points a panel, panels towards a contact energy, and when a panel is split.
 
     A panel is split, at most ``deepest`` times, while its last coefficients exceed ``target``.
@@ -49,41 +48,32 @@ class ShellTable:
     error, above the first contact energy of ``shell``. Panels end at each of them.
     """
 
-    def __init__(
-        self,
-        evaluate: Callable[[Array], Array],
-        shell: EnergyShell,
-    ) -> None:
+    def __init__(self, evaluate: Callable[[Array], Array], shell: EnergyShell) -> None:
         """Lay out the panels; none is fitted yet."""
         resolution, breaks = FINE if shell.count == 2 else COARSE, shell.contact_energies
         self.evaluate, self.resolution = evaluate, resolution
-        nodes = [np.array(breaks)]
-        ends = [*breaks[1:], 2.0 * breaks[-1] if breaks[-1] > 0 else 1.0]
-        for low, high in zip(breaks, ends, strict=True):
-            nodes.append(low + (high - low) * GRADING ** np.arange(1.0, resolution.layers + 1.0))
-        nodes.append(ends[-1] * 2.0 ** np.arange(DOUBLINGS))
-        self.edges = np.unique(np.concatenate(nodes))
+        ends = np.array([*breaks, 2.0 * breaks[-1] if breaks[-1] > 0 else 1.0])
+        layers = GRADING ** np.arange(1.0, resolution.layers + 1.0)
+        towards = ends[:-1, None] + np.diff(ends)[:, None] * layers
+        beyond = ends[-1] * 2.0 ** np.arange(DOUBLINGS)
+        self.edges = np.unique(np.concatenate([breaks, towards.ravel(), beyond]))
         self.panels: dict[int, Piecewise] = {}
         self.single: dict[float, Array] = {}
 
     def __call__(self, energy: Array) -> Array:
         """Values and errors, as ``evaluate`` returns them, at energies (energies,)."""
         index = np.searchsorted(self.edges, energy, side="right") - 1
-        direct = np.zeros(energy.size, dtype=bool)
-        parts = []
-        for k in np.unique(index).tolist():
-            here = index == k
-            if k not in self.panels and here.sum() >= self.resolution.points:
+        used, count = np.unique(index, return_counts=True)
+        for k in used[count >= self.resolution.points].tolist():
+            if k not in self.panels:
                 self.panels[k] = self._fitted(self.edges[k : k + 2])
-            if k in self.panels:
-                parts.append((here, self.panels[k](energy[here])))
-            else:
-                direct |= here
-        if direct.any():
-            parts.append((direct, self._each(energy[direct])))
-        result = np.empty((energy.size, parts[0][1].shape[1]))
-        for here, values in parts:
-            result[here] = values
+        fitted = [k for k in used.tolist() if k in self.panels]
+        parts = [(index == k, self.panels[k]) for k in fitted]
+        parts.append((~np.isin(index, fitted), self._each))
+        values = [(here, of_part(energy[here])) for here, of_part in parts if here.any()]
+        result = np.empty((energy.size, values[0][1].shape[1]))
+        for here, rows in values:
+            result[here] = rows
         return result
 
     def _each(self, energy: Array) -> Array:
@@ -96,17 +86,13 @@ class ShellTable:
     def _fitted(self, ends: Array) -> Piecewise:
         """The fit between two edges, with a constant bound of the error on each of its panels."""
         points = self.resolution.points
-
-        def decay(lengths: Array, coefficients: Array) -> Array:
-            return np.asarray(np.max(np.abs(coefficients[:, -2:, :-1]), axis=(1, 2)))
-
         values = fit(
             self.evaluate,
             ends,
             self.resolution.target,
             degree=points - 1,
             cut=lambda left, right: left + GRADING * (right - left),
-            estimate=decay,
+            estimate=lambda lengths, c: np.asarray(np.max(np.abs(c[:, -2:, :-1]), axis=(1, 2))),
             rounds=self.resolution.deepest,
         )
         assert values.error is not None
