@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from averaging.conditional import conditionals, overlap_at, side_sign
 from averaging.energy_density import EnergyDensity, Part
-from averaging.hidden import RULES, HiddenIntegral, overlaps
+from averaging.hidden import RULES, HiddenIntegral, gibbs_integral, overlaps
 from averaging.shell.energy_shell import energy_shell
 from fpk.density import Density, certified_density
 from fpk.line.mesh import DEEP_LAYERS, with_layers
@@ -98,12 +98,17 @@ def _marginal(source: EnergyDensity, observable: Observable) -> Callable[..., Ar
         for i, momentum in zip(p, flat.get("p", []), strict=True):
             energy = energy + momentum**2 / (2.0 * system.mass[i])
 
-        def integral(E: Array) -> Array:
-            return source.weyl(order, E, part)
-
-        result = over_hidden(integral, energy, Q, points=points)
-        if part == "table":
-            result = result + over_hidden.beyond(partial(source.weyl, order), energy)
+        weyl = partial(source.weyl, order)
+        if source.gibbs:
+            T = source.temperature
+            factor, error = gibbs_integral(system, q, Q, temperature=T, points=points)
+            scale = np.prod([np.sqrt(2.0 * pi * T / law.precision) for law in laws[len(q) :]])
+            own = error * weyl(energy) if part == "table" else factor * weyl(energy, part)
+            result = scale * own
+        else:
+            result = over_hidden(lambda E: weyl(E, part), energy, Q, points=points)
+            if part == "table":
+                result = result + over_hidden.beyond(weyl, energy)
         return np.asarray(np.exp(log_factor) * result).reshape(arrays[0].shape)
 
     return marginal

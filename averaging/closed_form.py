@@ -7,10 +7,9 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from averaging.conditional import conditional
 from averaging.energy_density import EnergyDensity, Part
 from averaging.energy_process import damping_and_noise, energy_process
-from averaging.hidden import RULES, chain_integral
+from averaging.hidden import RULES, gibbs_integral
 from averaging.shell.ratios import log_linear_states
 from averaging.weyl import tabulated
 from averaging.zero_flux import flux_residual
@@ -150,7 +149,7 @@ def energy_closed_form(
         return np.asarray(factor * np.exp(log_norm - order * np.log(alpha) - alpha * energy))
 
     of_u, of_error = partial(weyl, 0.0), partial(weyl, 0.0, part="error")
-    return EnergyDensity(system, p.nodes, 1.0 / alpha, of_u, of_error, weyl, p.measured, True)
+    return EnergyDensity(system, p.nodes, 1.0 / alpha, of_u, of_error, weyl, p.measured, True, True)
 
 
 def log_gibbs_norm(system: System, alpha: float) -> tuple[float, float]:
@@ -159,10 +158,8 @@ def log_gibbs_norm(system: System, alpha: float) -> tuple[float, float]:
     Momenta, and displacements of masses without contact, are Gaussian; what contacts make of the
     rest is one pass along the chain.
     """
-    masses = system.contact_masses
-    laws = [conditional(system, mass, masses[max(k - 1, 0) : k]) for k, mass in enumerate(masses)]
     (coarse, _), (fine, interpolation) = (
-        chain_integral(laws, np.zeros(1), temperature=1.0 / alpha, points=points)
+        gibbs_integral(system, (), np.zeros((0, 1)), temperature=1.0 / alpha, points=points)
         for points in RULES[1]
     )
     log_norm = system.n * np.log(alpha / (2.0 * np.pi)) - float(np.log(fine[0]))

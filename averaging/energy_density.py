@@ -39,6 +39,7 @@ class EnergyDensity:
     on p(H); as integrating out cannot increase an L1 distance, its ``l1_error`` holds for all
     marginals but for the part "table" of ``weyl`` and their own quadratures. ``closed`` says that u
     is a closed form: p(H) = T u then has the error of T, too, which is none of the error of u.
+    ``gibbs`` says that it is C exp(−H/temperature).
     """
 
     system: System
@@ -49,6 +50,7 @@ class EnergyDensity:
     weyl: Weyl
     measured: Measured
     closed: bool = False
+    gibbs: bool = False
 
     @property
     def l1_error(self) -> float:

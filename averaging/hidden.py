@@ -3,15 +3,16 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import ceil, log2
+from math import ceil, exp, log2
 
 import numpy as np
 from numpy.typing import NDArray
 
-from averaging.conditional import Conditional, overlap_at, side_sign
+from averaging.conditional import Conditional, conditional, conditionals, overlap_at, side_sign
 from fpk.contact import Contact
 from fpk.piecewise import Piecewise, fit
 from fpk.quadrature import gauss_legendre
+from fpk.system import System
 
 Array = NDArray[np.float64]
 Function = Callable[[Array], Array]
@@ -109,6 +110,40 @@ class HiddenIntegral:
             means = np.add.outer(touch, [*-steps, 0.0, *steps]).ravel()
             layers.append((means - (other.weights[:-1] @ given)[:, None]) / share)
         return np.hstack(layers)
+
+
+def gibbs_integral(
+    system: System, observed: Sequence[int], at: Array, *, temperature: float, points: int
+) -> tuple[Array, float]:
+    """Return ∫exp(−V(hidden | observed)/T) Π √(a_k/2πT) over all contact masses not ``observed``.
+
+    ``at`` (observed, N) are the displacements of the observed masses. On either side of them the
+    hidden ones are a chain; up to two between them are integrated at once. With it comes the error
+    of interpolation, beside which there is that of the rule of ``points``.
+    """
+    hidden = [i for i in system.contact_masses if i not in observed]
+    low, high = min(observed, default=-1), max(observed, default=-1)
+    value = np.ones(at.shape[1])
+    error = len(hidden) * exp(-DEPTH)  # what the grids leave out
+    for first, others in (
+        (low, [i for i in reversed(hidden) if i < low]),
+        (high, [i for i in hidden if i > high]),
+    ):
+        order = [first, *others] if observed else others
+        laws = [conditional(system, i, order[max(k - 1, 0) : k]) for k, i in enumerate(order)]
+        laws = laws[len(order) - len(others) :]
+        x = at[observed.index(first)] if observed else np.zeros(at.shape[1])
+        distinct, index = np.unique(x, return_inverse=True)
+        part, added = chain_integral(laws, distinct, temperature=temperature, points=points)
+        value, error = value * part[index], error + added
+    between = [i for i in hidden if low < i < high]
+    if between:
+        laws = list(conditionals(system, [*observed, *between])[len(observed) :])
+        integral = HiddenIntegral(tuple(laws), temperature, DEPTH * temperature)
+        scale = np.prod([np.sqrt(law.precision / (2.0 * np.pi * temperature)) for law in laws])
+        part = integral(lambda V: np.exp(-V / temperature), 0.0 * value, at, points=points)
+        value = value * scale * part
+    return value, error
 
 
 def chain_integral(

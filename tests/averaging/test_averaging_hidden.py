@@ -177,11 +177,11 @@ def test_the_norm_over_three_contact_masses():
         return np.exp(-ALPHA * system.potential(q))
 
     box = np.full(3, 6.0)
-    integral = cubature(weight, -box, box, rtol=1e-7, rule="gk15").estimate
+    integral = cubature(weight, -box, box, rtol=1e-5, rule="gk15").estimate
     momenta = (2.0 * np.pi / ALPHA) ** 1.5
     log_norm, error = log_gibbs_norm(system, ALPHA)
     assert error < 1e-12
-    assert log_norm == pytest.approx(-np.log(integral * momenta), abs=1e-6)
+    assert log_norm == pytest.approx(-np.log(integral * momenta), abs=1e-4)
 
 
 def test_the_residual_of_a_closed_form_sees_a_wrong_temperature():
