@@ -93,7 +93,9 @@ def test_the_peers_get_the_coefficients_of_the_scene(monkeypatch: pytest.MonkeyP
     np.testing.assert_allclose(divergence, problem.process.at(at.T).divergence.T)
 
 
-@pytest.mark.parametrize("module", OTHERS)
+@pytest.mark.parametrize(
+    "module", [m if m == "fipy" else pytest.param(m, marks=pytest.mark.slow) for m in OTHERS]
+)
 def test_a_missing_peer_is_named(module: str) -> None:
     if find_spec(module):
         pytest.skip(f"{module} is installed")
