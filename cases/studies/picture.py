@@ -22,6 +22,8 @@ ROUND_OFF = 1e-16
 """Where an error of zero is drawn: a rounding error of one."""
 LEGEND_COLUMNS, LEGEND_ROW = 2, 0.2
 """Columns of a legend, and the height of one of its rows in inches."""
+ALONE = 6.6
+"""Width of a single panel in inches: that of its legend, too."""
 SMALL = 7.0
 """Size of words inside a panel, in points."""
 
@@ -64,7 +66,8 @@ def study_figure(panels: Sequence[Panel], *, width: float = 4.3) -> Figure:
     entries = max((len(panel.curves) for panel in panels), default=0)
     height = 3.0 + LEGEND_ROW * ceil(entries / LEGEND_COLUMNS)
     with mpl.rc_context({**STYLE, "font.size": 8.5, "axes.titlesize": 8.5}):
-        figure = Figure(figsize=(width * columns, height * rows), layout="constrained")
+        size = width * columns if columns > 1 else ALONE, height * rows
+        figure = Figure(figsize=size, layout="constrained")
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes in grid[len(panels) :]:
             axes.remove()
@@ -74,8 +77,10 @@ def study_figure(panels: Sequence[Panel], *, width: float = 4.3) -> Figure:
 
 
 def _draw(axes: Axes, panel: Panel) -> None:
-    axes.set(title=panel.title, xlabel=panel.x, ylabel=panel.y, ylim=panel.limits)
+    axes.set(title=panel.title, xlabel=panel.x, ylabel=panel.y)
     axes.set(xscale="log" if panel.logarithmic else "linear", yscale="log")
+    if panel.limits is not None:
+        axes.set_ylim(panel.limits)
     for curve, colour, marker in zip(panel.curves, cycle(COLOURS), cycle(MARKERS), strict=False):
         _draw_curve(axes, curve, colour, marker)
     if panel.floor is not None:
@@ -93,8 +98,9 @@ def _draw(axes: Axes, panel: Panel) -> None:
 
 def _draw_curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:
     x, y = np.asarray(curve.x, dtype=float), np.maximum(curve.y, ROUND_OFF)
+    bars = None if curve.bar is None else [np.minimum(curve.bar, 0.9 * y), curve.bar]
     axes.errorbar(
-        x, y, curve.bar, color=colour, marker=marker, markersize=3.6, lw=1.2, elinewidth=0.8,
+        x, y, bars, color=colour, marker=marker, markersize=3.6, lw=1.2, elinewidth=0.8,
         ls=curve.style, mfc="none" if curve.style == ":" else colour, label=curve.name,
     )  # fmt: skip
     if curve.dashed is not None:

@@ -81,11 +81,13 @@ def run(
     return Run(steps.dt, mean.mean, mean.error, steps.paths * steps.time, seconds), result
 
 
-def largest_stable(system: System, method: MonteCarlo) -> float | None:
+def largest_stable(
+    system: System, method: MonteCarlo, *, patience: float = PATIENCE
+) -> float | None:
     """Return the largest step, in units of the chosen one, that loses no trajectory.
 
     None where there is none down to ``SMALLEST``, or a trial of a small step takes more than
-    ``PATIENCE`` seconds.
+    ``patience`` seconds.
     """
     trial = replace(method, paths=LEAST_PATHS, relaxations=TRIAL, burn_in=1.0)
     factor = LARGEST
@@ -99,7 +101,7 @@ def largest_stable(system: System, method: MonteCarlo) -> float | None:
             continue
         if isfinite(tried.value):
             return factor
-        if factor < SMALL_STEP and tried.seconds > PATIENCE:
+        if factor < SMALL_STEP and tried.seconds > patience:
             return None
         factor /= sqrt(2.0) if factor > 2.0 * SMALL_STEP else 2.0
     return None

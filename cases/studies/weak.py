@@ -31,6 +31,8 @@ PILOT = 4.0
 """Relaxation times of a pilot run, beside those of its burn-in."""
 SAMPLE_LEVELS = 4
 """Refinements of the study in samples; each quadruples the time, from one relaxation time on."""
+SHARE_OF_A_TRIAL = 0.2
+"""Share of the time that a trial of one step may take; a scheme that needs longer is left."""
 MIN_ORDER_SIGNAL = 2.0
 """Standard errors an error must exceed for an order to be given from it."""
 ORDER_ERROR = 0.25
@@ -99,7 +101,7 @@ def weak_order(system: System, method: MonteCarlo, *, seconds: float) -> WeakOrd
     """
     theory = SCHEMES[method.scheme].weak_order
     unusable = WeakOrder(method.scheme, f"E q{observed_mass(system) + 1}²", theory)
-    first = largest_stable(system, method)
+    first = largest_stable(system, method, patience=SHARE_OF_A_TRIAL * seconds)
     if first is None:
         return unusable
     count = LEVELS

@@ -14,6 +14,7 @@ from cases.studies.equations import energy_equation, modal_equation
 from cases.studies.ladders import H_LEVELS, ROUND_OFF, degree_ladder, ladders
 from cases.studies.levels import P_DEGREES, refined_levels
 from cases.studies.orders import NEAR, convergence, grid_convergence, observed_orders
+from cases.studies.picture import Curve, Panel, study_figure
 from cases.studies.simulation import Run
 from cases.studies.weak import (
     ORDER_ERROR,
@@ -302,6 +303,14 @@ def test_a_fit_at_the_end_of_the_orders_tried_is_called_none():
     result = judged_order(2, levels)
     assert result.beyond and result.verdict == "pre-asymptotic"
     assert not judged_order(2, levels_of(2, 1e-5, 1e-5, np.random.default_rng(7))).beyond
+
+
+@pytest.mark.parametrize("bar", [None, np.array([0.5, 0.5, 1e-6])])
+def test_the_axis_of_errors_is_that_of_the_curves_however_long_their_bars(bar):
+    curve = Curve("a", [1.0, 2.0, 4.0], [1e-1, 1e-3, 1e-5], bar)
+    (axes,) = study_figure([Panel("title", "x", "y", [curve])]).axes
+    low, high = axes.get_ylim()
+    assert 1e-8 < low < 1e-5 and 1e-1 < high < 10.0
 
 
 def test_a_wrong_route_is_refused_in_one_line(fpk):

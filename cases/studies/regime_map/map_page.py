@@ -75,7 +75,7 @@ def regime_figure(result: RegimeMap) -> Figure:
     ]
     title, x = result.scene.title, KEYS[axis.key]
     panel = Panel(title, x, words, curves, logarithmic=axis.logarithmic)
-    return study_figure([panel], width=6.6)
+    return study_figure([panel])
 
 
 def _fields(result: RegimeMap, L1: Array, words: str) -> Figure:
