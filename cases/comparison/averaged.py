@@ -140,6 +140,6 @@ for _names in (
     ("nonintegrable", "simulation", "energy averaging, simulated", "(24)"),
     ("integrable", "simulation", "modal averaging, simulated", "(17)"),
 ):
-    _make = partial(AveragedSimulation, _names[0])  # type: ignore[arg-type]
+    _make = partial(AveragedSimulation, _names[0])
     _colour = {"nonintegrable": "#a8577e", "integrable": "#9a6fc0"}[_names[0]]
     register(Route(*_names, "averaged", True, _colour, _make, worth_running))

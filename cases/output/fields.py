@@ -5,7 +5,7 @@ import json
 from collections.abc import Mapping
 from io import BytesIO, StringIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import h5netcdf
 import h5py
@@ -23,14 +23,8 @@ Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]]
 """Dimensions, values and attributes by name, as ``xarray.Dataset`` takes them."""
 
 
-class Answer(NamedTuple):
-    """The density of one curve by one route on the grid of its observable, and its error there."""
-
-    curve: str
-    route: str
-    density: AnyDensity
-    value: Array
-    error: Array
+OnGrid = dict[tuple[str, str], tuple[AnyDensity, Array, Array]]
+"""By curve and route, a density with its values and errors on the grid of its observable."""
 
 
 def write_netcdf(outcome: Outcome, path: Path) -> list[Path]:
@@ -79,28 +73,30 @@ def write_csv(outcome: Outcome, path: Path) -> list[Path]:
     lines.writerow(["curve", "observable", "route", "x", "y", "density", "error"])
     for observable in outcome.scene.observables:
         grid, answers = _on_grid(outcome, observable)
+        if not answers:
+            continue
         x, *others = (m.ravel().tolist() for m in np.meshgrid(*grid, indexing="ij"))
         y = others[0] if others else [""] * len(x)
-        for curve, route, density, value, error in answers:
+        for (curve, route), (density, value, error) in answers.items():
             columns = x, y, value.ravel().tolist(), error.ravel().tolist()
-            for row in zip(*columns, strict=True):
-                lines.writerow([curve, density.name, route, *row])
+            names = curve, density.name, route
+            lines.writerows([*names, *row] for row in zip(*columns, strict=True))
     write_text(path, stream.getvalue())
     return [path]
 
 
-def _on_grid(outcome: Outcome, observable: Observable) -> tuple[tuple[Array, ...], list[Answer]]:
-    """The grid of an observable and the answers on it."""
-    densities = [
-        (curve.label, route.label, density)
+def _on_grid(outcome: Outcome, observable: Observable) -> tuple[tuple[Array, ...], OnGrid]:
+    """The grid of an observable and the answers on it, both empty where no route gives it."""
+    densities = {
+        (curve.label, route.label): density
         for curve in outcome.curves
         for route, density in curve.densities(observable).items()
-    ]
+    }
     if not densities:
-        return (), []
-    grid = common_grid(density for *_, density in densities)
+        return (), {}
+    grid = common_grid(densities.values())
     mesh = np.meshgrid(*grid, indexing="ij")
-    return grid, [Answer(*answer, *values_on(answer[-1], *mesh)) for answer in densities]
+    return grid, {key: (density, *values_on(density, *mesh)) for key, density in densities.items()}
 
 
 def _variables(outcome: Outcome, observable: Observable) -> Variables:
@@ -109,13 +105,12 @@ def _variables(outcome: Outcome, observable: Observable) -> Variables:
         return {}
     name = observable_name(observable)
     curves = [c.label for c in outcome.curves]
-    routes = list(dict.fromkeys(a.route for a in answers))
+    routes = list(dict.fromkeys(route for _, route in answers))
     values = np.full((len(curves), len(routes), *(g.size for g in grid)), np.nan)
     errors, kinds = values.copy(), np.full(values.shape[:2], "", dtype=object)
-    for answer in answers:
-        where = (curves.index(answer.curve), routes.index(answer.route))
-        values[where], errors[where] = answer.value, answer.error
-        kinds[where] = answer.density.error_kind
+    for (curve, route), (density, value, error) in answers.items():
+        where = (curves.index(curve), routes.index(route))
+        values[where], errors[where], kinds[where] = value, error, density.error_kind
     # Each observable has its own grid and routes: a coordinate of another must not realign it.
     axes = [str(c) for c in observable]
     points = [f"{axis}_of_{name}" if len(axes) == 2 else axis for axis in axes]

@@ -30,10 +30,13 @@ def parse_points(text: str, axes: int) -> tuple[Array, ...]:
 def _list(part: str, text: str) -> Array:
     points: list[float] = []
     for item in part.split(","):
-        numbers = [_number(n, text) for n in item.split(":")]
-        if len(numbers) not in (1, 3):
-            raise _wrong(text, f"{toml_value(item)} is not start:end:step")
-        points += map(float, numbers) if len(numbers) == 1 else _range(*numbers, text)
+        match [_number(n, text) for n in item.split(":")]:
+            case [number]:
+                points.append(float(number))
+            case [start, end, step]:
+                points += _range(start, end, step, text)
+            case _:
+                raise _wrong(text, f"{toml_value(item)} is not start:end:step")
         _require_few(len(points), text)
     return np.array(points)
 

@@ -90,9 +90,9 @@ def _scene(path: Path, label: str) -> Scene:
 
 
 def _system(tables: dict[str, Any], label: str) -> System:
-    lists = {f"{key}s": tuple(tables.get(key, ())) for key in ("contact", "damping_term")}
+    contacts, terms = (tuple(tables.get(key, ())) for key in ("contact", "damping_term"))
     try:
-        return System(**tables["system"], **lists)
+        return System(**tables["system"], contacts=contacts, damping_terms=terms)
     except InvalidInput as error:
         place = "system" if error.key in tables["system"] else ""
         raise refused_value(label, place, error) from None

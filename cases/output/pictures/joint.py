@@ -12,7 +12,7 @@ from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
 from cases.output.grids import common_grid, values_on
 from cases.output.pictures.choice import lines_of, samples_of, two_solvers
-from cases.output.pictures.style import FOOT, LEFT, SHOWN, density_words, words_of
+from cases.output.pictures.style import FOOT, LEFT, SHOWN, SOLVER_WORDS, density_words, words_of
 from fpk.density import AnyDensity, Array, SampledDensity
 from fpk.observable import Observable, observable_name
 from fpk.route import Route
@@ -35,10 +35,7 @@ def joint_pictures(curve: Answers, observable: Observable) -> Iterator[tuple[str
     words = f"Joint density of {name}, on common levels."
     yield f"density_{stem}", words, pair_figure(curve, observable)
     if two_solvers(curve, observable):
-        words = (
-            f"Numerical error for {name}: two solvers of the same equation against each other, and"
-            " the errors that they state."
-        )
+        words = SOLVER_WORDS.format(name)
         yield f"solver_{stem}", words, pair_solver_figure(curve, observable)
     if all(c.kind != "H" for c in observable):  # energies pile up in a corner
         words = f"Joint density of {name} as a surface: theory, and simulation in its own bins."
@@ -47,7 +44,8 @@ def joint_pictures(curve: Answers, observable: Observable) -> Iterator[tuple[str
 
 def pair_figure(curve: Answers, observable: Observable) -> Figure:
     """Draw a joint density by every route that is drawn, side by side on common levels."""
-    drawn = {**lines_of(curve, observable), **samples_of(curve, observable)}
+    drawn: dict[Route, AnyDensity] = {**lines_of(curve, observable)}
+    drawn |= samples_of(curve, observable)
     grid = common_grid(drawn.values(), cut=SHOWN)
     mesh = np.meshgrid(*grid, indexing="ij")
     panels = {r.words: values_on(d, *mesh)[0] for r, d in drawn.items()}

@@ -18,6 +18,7 @@ from cases.output.pictures.style import (
     GAP,
     INK,
     SHOWN,
+    SOLVER_WORDS,
     arrange,
     density_words,
     symbol_of,
@@ -70,10 +71,7 @@ def line_pictures(
     )
     rows = {c.label: solver_difference(c, observable, x) for c in curves}
     if any(rows.values()):
-        words = (
-            f"Numerical error for {name}: two solvers of the same equation against each other, and"
-            " the errors that they state."
-        )
+        words = SOLVER_WORDS.format(name)
         band = "±the errors that both state"
         yield f"solver_{name}", words, difference_figure(rows, observable, band=band, ends=ends)
     rows = {c.label: theory_differences(c, observable, x) for c in curves}

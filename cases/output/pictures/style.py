@@ -54,6 +54,12 @@ the legend, in inches. Fixed, as to measure all words first costs a second drawi
 LONGEST_OF_THREE = 31
 """Letters of the longest entry with which a legend of three columns fits."""
 
+SOLVER_WORDS = (
+    "Numerical error for {}: two solvers of the same equation against each other, and the errors"
+    " that they state."
+)
+"""Caption of the differences of two solvers of an observable."""
+
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 
