@@ -23,9 +23,9 @@ LOWEST = 1e-3
 SHEET = 72
 """Points an axis of a surface, and bins an axis, about, where it is sampled."""
 
-PANEL, HEIGHT, SPACE, HEAD, BAR = 2.7, 2.5, 0.2, 0.3, 0.12
-"""Width and height of a panel, the space between two and above them, and the width of the bar of
-colours, in inches."""
+PANEL, HEIGHT, SPACE, HEAD, BAR, WORDS = 2.7, 2.5, 0.2, 0.3, 0.12, 0.85
+"""Width and height of a panel, the space between two and above them, and the widths of the bar of
+colours and of its words, in inches."""
 
 
 def joint_pictures(curve: Answers, observable: Observable) -> Iterator[tuple[str, str, Figure]]:
@@ -127,7 +127,7 @@ def _panels(
     levels = top * (np.geomspace(LOWEST, 1.0, 13) if decades else np.linspace(0.0, 1.0, 13))
     norm = LogNorm(levels[0], top) if decades else Normalize(0.0, top)
     count = len(panels)
-    width = LEFT + count * (PANEL + SPACE) + BAR + LEFT
+    width = LEFT + count * (PANEL + SPACE) + BAR + WORDS
     height = FOOT + HEIGHT + HEAD
     figure = Figure(figsize=(width, height))
     edges = {"left": LEFT / width, "right": (LEFT + count * (PANEL + SPACE) - SPACE) / width}
