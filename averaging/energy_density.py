@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +17,11 @@ Part = Literal["value", "error", "table"]
 it, or the error of the table in which it is interpolated."""
 
 
-class Weyl(Protocol):
-    """Ψ_ν(E) = ∫_0^∞ u(E + x) x^(ν−1)/Γ(ν) dx, a Weyl integral; Ψ_0 is u itself.
+Weyl = Callable[..., Array]
+"""Ψ_ν(E) = ∫_0^∞ u(E + x) x^(ν−1)/Γ(ν) dx of (ν, energies, part): a Weyl integral.
 
-    It is what is left of u when 2ν quadratic coordinates are integrated out, a factor
-    (2π)^ν/√det aside.
-    """
-
-    def __call__(self, order: float, energy: Array, part: Part = "value") -> Array:
-        """One part of Ψ for ν = ``order``, a multiple of ½, at energies of any shape."""
-        ...
+It is what is left of u when 2ν quadratic coordinates are integrated out, a factor (2π)^ν/√det
+aside; Ψ_0 is u, and ``part`` is "value" when left out."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,6 @@ from averaging.conditional import bridge_covariance, conditional
 from averaging.shell.energy_shell import EnergyShell, energy_shell
 from averaging.shell.sums import TARGET, shell_integrals
 from averaging.shell.table import ShellTable
-from fpk.equivalent import dissipated_power
 from fpk.moments import gaussian_moment
 from fpk.system import System
 
@@ -83,17 +82,15 @@ def term_power(system: System) -> TermPower:
 
 
 def _term_power(system: System) -> TermPower:
-    shell, n = energy_shell(system), system.n
+    shell = energy_shell(system)
     parts = _parts(shell)
-    degrees = np.unique(parts.degree)
-    gibbs, free, size = dissipated_power(system), np.zeros(degrees.size), np.zeros(degrees.size)
-    for row, degree in enumerate(degrees):
-        s = 1 + int(degree) // 2
-        # On a shell H is H: its powers in the Gibbs state of temperature 1 are taken out.
-        if degree % 2 == 0 and s < gibbs.size:
-            free[row] = gibbs[s] * exp(lgamma(n) - lgamma(n + s))
-    for degree, size_of_part in zip(parts.degree, _free_sizes(parts, n), strict=True):
-        size[np.searchsorted(degrees, degree)] += size_of_part
+    degrees, row = np.unique(parts.degree, return_inverse=True)
+    free, size = np.zeros((2, degrees.size))
+    for k, (average, bound) in zip(row, _free_averages(parts, system.n), strict=True):
+        free[k] += average
+        size[k] += bound
+    # What cancels between two terms is their round-off.
+    free[np.abs(free) <= ROUND_OFF * size] = 0.0
     integrals: Averages = partial(_averages, shell, parts)
     if shell.count > 1 and degrees.size:
         integrals = _tabulated(integrals, size, shell)
@@ -141,19 +138,19 @@ def _parts(shell: EnergyShell) -> Parts:
     )
 
 
-def _free_sizes(parts: Parts, n: int) -> list[float]:
-    """Bounds of the averages of |part| over a shell without contact, H^(1 + degree/2) aside.
+def _free_averages(parts: Parts, n: int) -> list[tuple[float, float]]:
+    """Average of each part over a shell without contact, H^(1 + degree/2) aside, and its bound.
 
     y is Gaussian there. A sum of 2n squares ½x² that is H instead of Gamma(n) loses Γ(n + s)/Γ(n)
-    in degree 2s.
+    in degree 2s. The bound is that of |part|, by its mean square.
     """
     covariance, half_n = parts.follow @ parts.follow.T, n - 0.5 * parts.follow.shape[1]
-    sizes = []
+    averages = []
     for (k, j), C, powers in zip(parts.orders, parts.coefficient, parts.powers, strict=True):
-        mean_square = gaussian_moment(covariance, tuple((2 * powers).tolist()))
         log_rest = lgamma(half_n + j) - lgamma(half_n) + lgamma(n) - lgamma(n + 0.5 * k + j)
-        sizes.append(abs(C) * mean_square**0.5 * exp(log_rest))
-    return sizes
+        mean, square = (gaussian_moment(covariance, tuple(i * p for p in powers)) for i in (1, 2))
+        averages.append((C * mean * exp(log_rest), abs(C) * square**0.5 * exp(log_rest)))
+    return averages
 
 
 def _averages(shell: EnergyShell, parts: Parts, energy: Array) -> tuple[Array, Array]:
