@@ -1,6 +1,6 @@
 """Closed forms p = C T exp(−∫h dH) for damping that depends on the energy only, (7), (29), (34)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from averaging.energy_density import EnergyDensity, Part
 from averaging.energy_process import damping_and_noise, energy_process
 from averaging.hidden import RULES, gibbs_integral
-from averaging.shell.ratios import log_linear_states
-from averaging.weyl import tabulated
-from averaging.zero_flux import flux_residual
+from averaging.weyl import log_unit_of_states, tabulated
+from averaging.zero_flux import ZeroFluxDensity, flux_residual
 from fpk.certificate import Measured
 from fpk.errors import NotApplicable
 from fpk.line.mesh import DEEP_LAYERS, GRADING, initial_nodes, with_layers
@@ -30,43 +29,6 @@ POINTS = (16, 20)
 LAYERS_AT_ZERO = 12
 """Geometric panels above H = 0, where T ~ H^(n−1) times a series in H^(1/4) without clearance."""
 EPS = float(np.finfo(float).eps)
-TINY = float(np.finfo(float).tiny)
-
-
-@dataclass(frozen=True, eq=False)
-class ClosedForm:
-    """p(H) = T(H) exp(Σ exponent_e H^e) of a process of one energy, T as the process gives it.
-
-    ``nodes`` are energies from 0 to the last one, between which p is smooth; ``measured`` is what
-    was measured on p but for its mass and minimum.
-    """
-
-    process: Process
-    nodes: Array
-    exponent: Array
-    measured: Measured
-
-    def log_u(self, energy: Array) -> Array:
-        """ln(p/T) at energies of any shape."""
-        return np.asarray(polynomial.polyval(energy, self.exponent))
-
-    def log_density(self, energy: Array) -> Array:
-        """ln p at energies > 0 of any shape."""
-        log_states = self.process.coefficients(energy.ravel()).log_density_of_states
-        return log_states.reshape(energy.shape) + self.log_u(energy)
-
-    def density(self, energy: Array) -> Array:
-        """p at energies of any shape; 0 beyond the nodes."""
-        inside = (energy >= 0.0) & (energy <= self.nodes[-1])
-        return np.where(inside, np.exp(self.log_density(np.maximum(energy, TINY))), 0.0)
-
-    def relative_error(self, energy: Array) -> Array:
-        """Relative error of p/T at energies of any shape: of the norm, and round-off."""
-        return self.measured.l1_error + _round_off(self.exponent, energy)
-
-    def pointwise_error(self, energy: Array) -> Array:
-        """Estimate of the error of p at energies of any shape, but for that of T."""
-        return self.relative_error(energy) * self.density(energy)
 
 
 def closed_form(
@@ -75,7 +37,7 @@ def closed_form(
     *,
     norm: tuple[float, float] | None = None,
     residual: float | None = None,
-) -> ClosedForm:
+) -> ZeroFluxDensity:
     """Return C T exp(−∫_0^H h dH) with h(H) = Σ rate_e H^e.
 
     ``norm`` is ln C and its error where they are known, otherwise they follow from quadrature.
@@ -85,7 +47,13 @@ def closed_form(
     nodes = initial_nodes(probe, probe.extent(TAIL), process.nonsmooth)
     exponent = polynomial.polyint(-rate)
     exponent[0], error = norm or _log_norm(process, nodes, exponent)
-    p = ClosedForm(process, nodes, exponent, Measured(error, np.nan, np.nan, np.nan, np.nan))
+    p = ZeroFluxDensity(
+        process,
+        nodes,
+        lambda energy: np.asarray(polynomial.polyval(energy, exponent)),
+        lambda energy: error + _round_off(exponent, energy),
+        Measured(error, np.nan, np.nan, np.nan, np.nan),
+    )
     if residual is None:
         residual = flux_residual(process, nodes, p.log_density)
     tail = probe.tail_bound(float(nodes[-1]), float(p.density(nodes[-1:])[0]))
@@ -123,23 +91,10 @@ def energy_closed_form(
     otherwise the norm is an integral over the shells and Weyl integrals are tabulated, twice.
     """
     process = energy_process(system)
-    # The process measures T in units of the chain without contacts at its energy scale.
-    unit = float(log_linear_states(system, np.array([process.energy_scale]))[0])
     if rate.size > 1:
         p = closed_form(process, rate, residual=residual)
-
-        def u(energy: Array) -> Array:
-            return np.asarray(np.exp(p.log_u(energy) - unit))
-
-        return tabulated(
-            system,
-            process,
-            p.nodes,
-            u,
-            lambda energy: p.relative_error(energy) * u(energy),
-            measured=p.measured,
-            closed=True,
-        )
+        return tabulated(system, process, p.nodes, p, closed=True)
+    unit = log_unit_of_states(system, process)
     alpha = float(rate[0])
     log_norm, error = log_gibbs_norm(system, alpha)
     p = closed_form(process, rate, norm=(log_norm + unit, error), residual=residual)

@@ -5,15 +5,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, Self, get_args
 
-import numpy as np
-
 from averaging.back_transformation import back_transformed
 from averaging.closed_form import averaged_density, averaged_rate
 from averaging.energy_density import EnergyDensity
 from averaging.energy_process import energy_process
-from averaging.quadrature import QuadratureSolution, solve_by_quadrature
-from averaging.shell.ratios import log_linear_states
+from averaging.quadrature import solve_by_quadrature
 from averaging.weyl import tabulated
+from averaging.zero_flux import ZeroFluxDensity
 from fpk.line.elements import Form
 from fpk.line.stationary import StationarySolution, solve_stationary
 from fpk.method import Method, Plan, Progress, Result, check_solver
@@ -70,7 +68,7 @@ class NonIntegrable(Method):
         process = energy_process(system)
         if self.solver == "closed-form":
             return averaged_density(system), {"equation": "(29)"}
-        solution: StationarySolution | QuadratureSolution
+        solution: StationarySolution | ZeroFluxDensity
         settings: Settings = {"equation": "(11)"}
         if self.solver == "quadrature":
             solution = solve_by_quadrature(process, tol=self.tol)
@@ -87,17 +85,7 @@ class NonIntegrable(Method):
                 "unknowns": solution.unknowns,
             }
         settings |= {"last energy": float(solution.nodes[-1]), "tol": self.tol}
-        # The process measures T in units of the chain without contacts at its energy scale.
-        unit = np.exp(-log_linear_states(system, np.array([process.energy_scale]))[0])
-        density = tabulated(
-            system,
-            process,
-            panels,
-            lambda energy: unit * solution.phase_space_density(energy),
-            lambda energy: unit * solution.phase_space_error(energy),
-            measured=solution.measured,
-        )
-        return density, settings
+        return tabulated(system, process, panels, solution), settings
 
 
 def energy_only_refusal(system: System, observable: Observable) -> str | None:

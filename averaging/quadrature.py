@@ -1,11 +1,11 @@
 """The stationary density (11) of the averaged energy process, by quadrature of its exponent."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from averaging.zero_flux import flux_residual
+from averaging.zero_flux import ZeroFluxDensity, flux_residual
 from fpk.certificate import Measured
 from fpk.line.mesh import initial_nodes, split_points
 from fpk.piecewise import Piecewise, fit
@@ -25,68 +25,9 @@ singularity there is part of the stated error."""
 ROUND_OFF = 1e-15
 """Relative error of p that a panel adds by its round-off."""
 EPS = float(np.finfo(float).eps)
-TINY = float(np.finfo(float).tiny)
 
 
-@dataclass(frozen=True, eq=False)
-class QuadratureSolution:
-    """ln p of Eq. (11), ∫(2s/σ² − n/H) dH + n ln H − ln σ², the integral a piecewise polynomial.
-
-    ``smooth`` is that integral with the normalisation in it; ``relative_error`` (panels,) is the
-    error of p on each panel, which adds up from where the mass is; ``measured`` is what was
-    measured on p.
-    """
-
-    process: Process
-    smooth: Piecewise
-    relative_error: Array
-    measured: Measured
-
-    @property
-    def nodes(self) -> Array:
-        """Energies between which a Gauss rule integrates p to round-off, (panels + 1,)."""
-        return self.smooth.nodes
-
-    @property
-    def l1_error(self) -> float:
-        """Estimate of ∫|p_h − p|."""
-        return self.measured.l1_error
-
-    def log_density(self, energy: Array) -> Array:
-        """ln p at energies > 0 of any shape, −∞ outside the panels."""
-        energy = np.asarray(energy, dtype=float)
-        safe = np.clip(energy, TINY, self.nodes[-1])
-        diffusion = self.process.coefficients(safe.ravel()).diffusion.reshape(safe.shape)
-        value = self.smooth(safe) - np.log(diffusion)
-        value += self.process.degrees_of_freedom * np.log(safe)
-        return np.where((energy >= 0.0) & (energy <= self.nodes[-1]), value, -np.inf)
-
-    def density(self, energy: Array) -> Array:
-        """p at energies of any shape."""
-        return np.asarray(np.exp(self.log_density(energy)))
-
-    def pointwise_error(self, energy: Array) -> Array:
-        """Estimate of the error of p at energies of any shape."""
-        # ln p is formed with ln H and ln b, which cancel.
-        rounded = 4.0 * EPS * np.abs(np.log(np.maximum(energy, TINY)))
-        return (self.l1_error + self._panel_error(energy) + rounded) * self.density(energy)
-
-    def phase_space_density(self, energy: Array) -> Array:
-        """p/T (up to the constant left out of ln T) at energies of any shape; 0 outside."""
-        flat = np.maximum(np.asarray(energy, dtype=float), TINY).ravel()
-        log_t = self.process.coefficients(flat).log_density_of_states.reshape(np.shape(energy))
-        return np.asarray(np.exp(self.log_density(energy) - log_t))
-
-    def phase_space_error(self, energy: Array) -> Array:
-        """Estimate of the error of p/T at energies of any shape."""
-        return self._panel_error(energy) * self.phase_space_density(energy)
-
-    def _panel_error(self, energy: Array) -> Array:
-        panel = np.searchsorted(self.nodes, energy, side="right") - 1
-        return np.asarray(self.relative_error[np.clip(panel, 0, self.nodes.size - 2)])
-
-
-def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> QuadratureSolution:
+def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDensity:
     """Return p(H) = C/σ² exp(+∫2s/σ² dH), Eq. (11) with its sign corrected.
 
     The integrand is n/H at H → 0, so the integral of (11) from 0 diverges; n/H is integrated in
@@ -98,14 +39,19 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> QuadratureSo
     rate = _expanded_rate(process, nodes, 0.1 * tol)
     nodes, lengths = rate.nodes, np.diff(rate.nodes)
     smooth = replace(rate, coefficients=rate.coefficients[..., 0], error=None).antiderivative()
-    unknown = Measured(np.nan, np.nan, np.nan, np.nan, np.nan)
-    solution = QuadratureSolution(process, smooth, np.zeros(lengths.size), unknown)
+
+    def log_p(energy: Array) -> Array:
+        diffusion = process.coefficients(energy.ravel()).diffusion.reshape(energy.shape)
+        return np.asarray(
+            smooth(energy) + process.degrees_of_freedom * np.log(energy) - np.log(diffusion)
+        )
+
     x, w = panel_rule(nodes, POINTS)
-    log_p = solution.log_density(x)
-    smooth.coefficients[:, 0] -= log_p.max() + np.log(np.sum(w * np.exp(log_p - log_p.max())))
+    top = log_p(x).max()
+    smooth.coefficients[:, 0] -= top + np.log(np.sum(w * np.exp(log_p(x) - top)))
     x, w = panel_rule(nodes, POINTS + 4)
-    p = solution.density(x)
-    tail_mass = probe.tail_bound(float(nodes[-1]), float(solution.density(nodes[-1:])[0]))
+    p = np.exp(log_p(x))
+    tail_mass = probe.tail_bound(float(nodes[-1]), float(np.exp(log_p(nodes[-1:])[0])))
     # An error of the exponent over one panel shifts the mass on one side of it against the other.
     share = np.sum(w * p, axis=1)
     below = np.cumsum(share)
@@ -122,9 +68,21 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> QuadratureSo
     # In ln p the errors add up from the median outwards.
     total, middle = np.cumsum(steps), int(np.searchsorted(below, 0.5))
     outwards = np.abs(total - total[min(middle, lengths.size - 1)]) + steps
-    residual = flux_residual(process, nodes, solution.log_density)
-    measured = Measured(l1_error, defect, float(p.min() / p.max()), residual, tail_mass)
-    return replace(solution, relative_error=l1_error + outwards, measured=measured)
+    measured = Measured(
+        l1_error, defect, float(p.min() / p.max()), flux_residual(process, nodes, log_p), tail_mass
+    )
+
+    def log_u(energy: Array) -> Array:
+        log_states = process.coefficients(energy.ravel()).log_density_of_states
+        return np.asarray(log_p(energy) - log_states.reshape(energy.shape))
+
+    def relative_error(energy: Array) -> Array:
+        panel = np.searchsorted(nodes, energy, side="right") - 1
+        # ln p is formed with ln H and ln b, which cancel.
+        rounded = 4.0 * EPS * np.abs(np.log(energy))
+        return np.asarray(l1_error + outwards[np.clip(panel, 0, nodes.size - 2)] + rounded)
+
+    return ZeroFluxDensity(process, nodes, log_u, relative_error, measured)
 
 
 def _truncation(lengths: Array, coefficients: Array) -> Array:

@@ -3,12 +3,14 @@
 from collections.abc import Callable
 from functools import cache
 from math import gamma
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincc
 
 from averaging.energy_density import EnergyDensity, Part
+from averaging.shell.ratios import log_linear_states
 from fpk.certificate import Measured
 from fpk.piecewise import Piecewise, interpolated
 from fpk.probe import probed
@@ -29,15 +31,30 @@ MOST_NODES = 100
 """Nodes up to which a mesh is halved once more: with 14 points an element, error falls by 2^-14."""
 
 
+class Solution(Protocol):
+    """A density p = T u of a process, T as the process gives it, by whatever solver."""
+
+    @property
+    def measured(self) -> Measured:
+        """What was measured on p."""
+        ...
+
+    def phase_space_density(self, energy: Array) -> Array:
+        """u at energies of any shape."""
+        ...
+
+    def phase_space_error(self, energy: Array) -> Array:
+        """Estimate of the error of u at energies of any shape."""
+        ...
+
+
+def log_unit_of_states(system: System, process: Process) -> float:
+    """Return ln of T over what the process gives for it, T of the chain at its energy scale."""
+    return float(log_linear_states(system, np.array([process.energy_scale]))[0])
+
+
 def tabulated(
-    system: System,
-    process: Process,
-    nodes: Array,
-    u: Function,
-    u_error: Function,
-    *,
-    measured: Measured,
-    closed: bool = False,
+    system: System, process: Process, nodes: Array, solution: Solution, *, closed: bool = False
 ) -> EnergyDensity:
     """Return the density whose u and error of u are smooth between ``nodes``.
 
@@ -47,6 +64,14 @@ def tabulated(
     has elements half as long, too, and the error gains all that u was continued by beyond the last
     node, where it falls ever faster.
     """
+    unit = np.exp(-log_unit_of_states(system, process))
+
+    def u(energy: Array) -> Array:
+        return np.asarray(unit * solution.phase_space_density(energy))
+
+    def u_error(energy: Array) -> Array:
+        return np.asarray(unit * solution.phase_space_error(energy))
+
     varying = process.state_damping
     coarse = halved(nodes) if varying and nodes.size < MOST_NODES else nodes
     fine = halved(coarse) if varying else nodes
@@ -89,7 +114,7 @@ def tabulated(
     if varying:
         # u need not fall from H = 0, and may change much faster than over the scale of the energy.
         temperature = min(temperature, probed(process).e_fold(float(nodes[-1])))
-    return EnergyDensity(system, nodes, temperature, u, u_error, weyl, measured, closed)
+    return EnergyDensity(system, nodes, temperature, u, u_error, weyl, solution.measured, closed)
 
 
 def halved(nodes: Array) -> Array:

@@ -1,10 +1,12 @@
-"""How far a density of the energy is from solving its own equation, (11)."""
+"""Densities of one energy by zero flux, (11): what they answer, and how far the flux is from 0."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fpk.certificate import Measured
 from fpk.process import Coefficients, Process, log_density_slope_error
 from fpk.quadrature import panel_rule
 
@@ -12,8 +14,56 @@ Array = NDArray[np.float64]
 
 POINTS = (16, 20)
 """Gauss points per panel of ∫2s/σ² dH, and of the finer rule whose distance is its error."""
+TINY = float(np.finfo(float).tiny)
 ROUND_OFF = 16.0 * float(np.finfo(float).eps)
 """Round-off of a logarithm of p or of σ², relative to 1 + |ln|, of some dozens of operations."""
+
+
+@dataclass(frozen=True, eq=False)
+class ZeroFluxDensity:
+    """p = T u of a process of one energy from ln u, as (11) gives it; 0 beyond the nodes.
+
+    ``nodes`` are energies from 0 to the last one, between which p is smooth. ``log_u`` and
+    ``relative_error``, that of u, take energies > 0 of any shape. ``measured`` is what was measured
+    on p.
+    """
+
+    process: Process
+    nodes: Array
+    log_u: Callable[[Array], Array]
+    relative_error: Callable[[Array], Array]
+    measured: Measured
+
+    @property
+    def l1_error(self) -> float:
+        """Estimate of ∫|p_h − p|."""
+        return self.measured.l1_error
+
+    def log_density(self, energy: Array) -> Array:
+        """ln p at energies of any shape, −∞ outside the nodes."""
+        energy = np.asarray(energy, dtype=float)
+        safe = np.clip(energy, TINY, self.nodes[-1])
+        log_states = self.process.coefficients(safe.ravel()).log_density_of_states
+        log_p = self.log_u(safe) + log_states.reshape(safe.shape)
+        return np.where((energy >= 0.0) & (energy <= self.nodes[-1]), log_p, -np.inf)
+
+    def density(self, energy: Array) -> Array:
+        """p at energies of any shape."""
+        return np.asarray(np.exp(self.log_density(energy)))
+
+    def pointwise_error(self, energy: Array) -> Array:
+        """Estimate of the error of p at energies of any shape, but for that of T."""
+        return self.relative_error(np.maximum(energy, TINY)) * self.density(energy)
+
+    def phase_space_density(self, energy: Array) -> Array:
+        """u = p/T at energies of any shape, T as the process gives it."""
+        safe = np.clip(energy, TINY, self.nodes[-1])
+        return np.where(np.asarray(energy) <= self.nodes[-1], np.exp(self.log_u(safe)), 0.0)
+
+    def phase_space_error(self, energy: Array) -> Array:
+        """Estimate of the error of u at energies of any shape."""
+        relative = self.relative_error(np.maximum(energy, TINY))
+        return relative * self.phase_space_density(energy)
 
 
 def flux_residual(process: Process, nodes: Array, log_density: Callable[[Array], Array]) -> float:

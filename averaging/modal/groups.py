@@ -6,9 +6,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from averaging.closed_form import ClosedForm, closed_form
+from averaging.closed_form import closed_form
 from averaging.modal.analysis import ModalAnalysis
-from averaging.quadrature import QuadratureSolution, solve_by_quadrature
+from averaging.quadrature import solve_by_quadrature
+from averaging.zero_flux import ZeroFluxDensity
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
 from fpk.line.stationary import StationarySolution, solve_stationary
@@ -44,7 +45,7 @@ def solved_group(
     round-off of the modes, that of γ θ/d, counts by 1 + H/θ of each energy.
     """
     process, theta = modes.process(group), modes.temperature[list(group)]
-    p: PlaneSolution | StationarySolution | QuadratureSolution | ClosedForm
+    p: PlaneSolution | StationarySolution | ZeroFluxDensity
     if len(group) == 2:
         p = solve_plane(process, tol=share)
     elif solver == "closed-form":
