@@ -170,7 +170,7 @@ def displacement_panels(system: System, mass: int, *, temperature: float, end: f
             parts.append(touch + np.concatenate([-steps, [0.0], steps]))
     nodes = np.unique(np.concatenate(parts))
     nodes = nodes[(nodes >= -low) & (nodes <= high)]
-    return nodes[np.append(True, np.diff(nodes) > SAME * (high + low))]
+    return np.asarray(nodes[np.append(True, np.diff(nodes) > SAME * (high + low))])
 
 
 def _ridge(

@@ -45,7 +45,7 @@ def closed_form(
     """
     probe = probed(process)
     nodes = initial_nodes(probe, probe.extent(TAIL), process.nonsmooth)
-    exponent = polynomial.polyint(-rate)
+    exponent: Array = np.asarray(polynomial.polyint(-rate), dtype=float)
     exponent[0], error = norm or _log_norm(process, nodes, exponent)
     p = ZeroFluxDensity(
         process,

@@ -68,9 +68,10 @@ class ShellTable:
             if k not in self.panels:
                 self.panels[k] = self._fitted(self.edges[k : k + 2])
         fitted = [k for k in used.tolist() if k in self.panels]
-        parts = [(index == k, self.panels[k]) for k in fitted]
-        parts.append((~np.isin(index, fitted), self._each))
-        values = [(here, of_part(energy[here])) for here, of_part in parts if here.any()]
+        values = [(index == k, self.panels[k](energy[index == k])) for k in fitted]
+        single = ~np.isin(index, fitted)
+        if single.any():
+            values.append((single, self._each(energy[single])))
         result = np.empty((energy.size, values[0][1].shape[1]))
         for here, rows in values:
             result[here] = rows
