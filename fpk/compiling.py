@@ -45,6 +45,12 @@ def cached_njit(flags: set[str] = FLAGS) -> Callable[[Function], Function]:
     return decorated
 
 
+def inlined(function: Function) -> Function:
+    """Return the function compiled as a part of each compiled function that calls it."""
+    compiled: Function = _njit(fastmath=FLAGS, error_model="numpy", forceinline=True)(function)
+    return compiled
+
+
 ROOT = Path(__file__).parents[1]
 
 

@@ -147,14 +147,16 @@ def solved(
 ) -> Result:
     """Return the result of the plan for ``system`` with the seconds that solving took.
 
-    Its densities have its settings as their provenance, know what they follow from and can be
-    pickled.
+    Its densities have its settings as their provenance; those by functions know what they follow
+    from and can be pickled.
     """
     start = perf_counter()
     result = plan.solve(observables, progress)
     source = Source(result.method, system)
     densities = tuple(
-        replace(d, source=source, provenance=result.settings) if isinstance(d, Density) else d
+        replace(d, source=source, provenance=result.settings)
+        if isinstance(d, Density)
+        else replace(d, provenance=result.settings)
         for d in result.densities
     )
     return replace(result, densities=densities, seconds=perf_counter() - start)

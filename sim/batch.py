@@ -5,19 +5,19 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim.arrays import LANES, StepArrays, WatchArrays
+from sim.arrays import LANES, Array, Integers, StepArrays, WatchArrays
 from sim.kernel import KernelKey, compiled_kernel
 from sim.parts.observed import FOLDED
 from sim.random import mixed_seed
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
 APART = 512
 """Blocks at most whose trajectories have sums of their own, 65536 of them: enough for the variance
 of path means to half a per cent. Of the others there are sums over each block."""
+
+TASKS_PER_THREAD = 8
+"""Tasks into which the batches of a thread are divided: fewer cost less to hand out, more leave
+less to wait for at the end, and after Ctrl-C."""
 
 
 class Batch(NamedTuple):
@@ -42,33 +42,31 @@ def watching(batch: Batch, *, bins: int, products: int) -> Batch:
     )
 
 
+def advanced(
+    batch: Batch,
+    *,
+    key: KernelKey,
+    step: StepArrays,
+    watch: WatchArrays,
+    seed: int,
+    done: int,
+    phase: int,
+    steps: int,
+    stride: int,
+) -> Batch:
+    """Advance a batch in place by ``steps`` and return it; see ``Ensemble.advance``."""
+    arrays = (batch.states, batch.sums, batch.folded)
+    flat = (a.reshape(a.shape[0], a.shape[1] * a.shape[2]) for a in arrays)
+    compiled_kernel(key)(
+        *flat, batch.live, batch.first, np.uint64(done * step.words), steps, phase, stride,
+        mixed_seed(seed), step, watch, batch.counts,
+    )  # fmt: skip
+    return batch
+
+
 def copied(first: int, *arrays: Any) -> Batch:
     """Return a batch of copies of arrays."""
     return Batch(first, *(np.array(array) for array in arrays))
-
-
-@dataclass(frozen=True, eq=False)
-class Advance:
-    """A call of the kernel, the same for every batch; see ``Ensemble.advance``."""
-
-    key: KernelKey
-    step: StepArrays
-    watch: WatchArrays
-    seed: int
-    done: int
-    phase: int
-    steps: int
-    stride: int
-
-    def __call__(self, batch: Batch) -> Batch:
-        """Advance a batch in place and return it."""
-        arrays = (batch.states, batch.sums, batch.folded)
-        flat = (a.reshape(a.shape[0], a.shape[1] * a.shape[2]) for a in arrays)
-        compiled_kernel(self.key)(
-            *flat, batch.live, batch.first, np.uint64(self.done * self.step.words), self.steps,
-            self.phase, self.stride, mixed_seed(self.seed), self.step, self.watch, batch.counts,
-        )  # fmt: skip
-        return batch
 
 
 class Summary(NamedTuple):
@@ -90,16 +88,20 @@ def summary(batch: Batch) -> Summary:
 
 @dataclass(frozen=True)
 class Threads:
-    """Workers of an ensemble: ``threads`` of this process, each at one of the batches."""
+    """Workers of an ensemble: ``threads`` of this process."""
 
     threads: int = 1
 
     def map(self, task: Any, *columns: Any) -> list[Any]:
-        """Return what ``task`` makes of every batch."""
+        """Return what ``task`` makes of every batch, the rows of ``columns``."""
+        rows = list(zip(*columns, strict=True))
         if self.threads == 1:
-            return [task(*row) for row in zip(*columns, strict=True)]
+            return [task(*row) for row in rows]
+        size = -(-len(rows) // (TASKS_PER_THREAD * self.threads))
+        parts = [rows[k : k + size] for k in range(0, len(rows), size)]
         with ThreadPoolExecutor(self.threads) as pool:
-            return list(pool.map(task, *columns))
+            answers = pool.map(lambda part: [task(*row) for row in part], parts)
+            return [answer for part in answers for answer in part]
 
     def values(self, answers: list[Any]) -> list[Any]:
         """Return the answers of ``map``: they are here."""

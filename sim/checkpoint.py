@@ -1,7 +1,6 @@
 """States of unfinished simulations on disk, and Ctrl-C between two pieces of one."""
 
 import hashlib
-import io
 import json
 import os
 import signal
@@ -9,9 +8,11 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, is_dataclass
+from io import BytesIO
 from pathlib import Path
 from time import perf_counter
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,78 +21,119 @@ from fpk.errors import Unavailable, reason_of
 from sim.sources import program_checksum
 
 INTERVAL = 2.0
-"""Seconds between two checkpoints, and the longest that a simulation takes to notice Ctrl-C."""
+"""Seconds that a piece of a simulation takes: between two saved states, and to notice Ctrl-C."""
 
 FIRST_PIECE = 256
-"""Steps after which the time of a step is known."""
+"""Steps of the first piece, which shows how long a step takes."""
 
-Arrays = Mapping[str, NDArray[Any]]
+DAMAGED = (BadZipFile, EOFError, KeyError, OSError, RuntimeError, ValueError)
+"""What NumPy and zipfile raise for bytes that are not the archive that was written."""
 
 
-@dataclass(frozen=True)
+def never() -> bool:
+    """Return that nothing stops a simulation."""
+    return False
+
+
+@dataclass(eq=False)
 class Checkpoint:
-    """A file that holds one state of one simulation, whole or not at all.
+    """Advances an ensemble in pieces of about ``INTERVAL`` seconds and saves its state after each.
 
-    ``identity`` is a hash of all that the numbers depend on. The file is NumPy's .npz of the arrays
-    and of the identity behind its own SHA-256: the checksums of a zip archive leave its directory
-    out.
+    States are saved as NumPy's .npz at ``path``, or not at all where that is None; they hold
+    ``identity``, a hash of all that the numbers depend on, and ``notes``, arrays that the caller
+    needs to go on. ``stopped()`` says after every piece whether to stop.
     """
 
-    path: Path
-    identity: str
+    path: Path | None = None
+    identity: str = ""
+    stopped: Callable[[], bool] = never
+    notes: dict[str, NDArray[Any]] = field(default_factory=dict)
+    interrupted: bool = False
+    _piece: int = FIRST_PIECE
+    _saved: float = field(default_factory=perf_counter)
 
-    def save(self, arrays: Arrays) -> None:
-        """Write ``arrays`` beside the file, to the disk itself, and move them there in one step.
+    def save(self, ensemble: Any) -> None:
+        """Write the state and the notes beside the file, to the disk, and move them there at once.
 
         Raises ``Unavailable`` where that is not possible; what was in the file stays.
         """
-        content = io.BytesIO()
-        entries: dict[str, Any] = {**arrays, "identity": np.array(self.identity)}
-        np.savez(content, **entries)
+        if self.path is None:
+            return
         part = self.path.with_suffix(".part")
+        arrays = {**ensemble.saved(), **self.notes}
+        about = json.dumps({"identity": self.identity, "digest": _digest(arrays)})
         try:
             with part.open("wb") as stream:
-                stream.write(hashlib.sha256(content.getbuffer()).digest())
-                stream.write(content.getbuffer())
+                np.savez(stream, about=about, **arrays)
                 stream.flush()
                 os.fsync(stream.fileno())
             os.replace(part, self.path)
         except OSError as error:
             raise Unavailable(f"{self.path}: cannot be written: {reason_of(error)}") from None
+        self._saved = perf_counter()
 
-    def load(self) -> dict[str, NDArray[Any]] | None:
-        """Return the arrays saved last, None where there are none.
+    def load(self) -> dict[str, NDArray[Any]]:
+        """Return the state and the notes saved last, nothing where there are none.
 
         Raises ``Unavailable`` for a file that is damaged or of another simulation.
         """
+        if self.path is None or not self.path.exists():
+            return {}
         try:
-            whole = self.path.read_bytes()
-        except FileNotFoundError:
-            return None
+            content = BytesIO(self.path.read_bytes())
         except OSError as error:
             raise Unavailable(f"{self.path}: cannot be read: {reason_of(error)}") from None
-        size = hashlib.sha256().digest_size
-        if hashlib.sha256(whole[size:]).digest() != whole[:size]:
+        try:
+            with np.load(content, allow_pickle=False) as saved:
+                arrays = dict(saved)
+            about = json.loads(str(arrays.pop("about")))
+            whole = about["digest"] == _digest(arrays)
+        except DAMAGED:
+            whole = False
+        if not whole:
             raise Unavailable(f"{self.path}: is damaged; remove it to begin anew")
-        with np.load(io.BytesIO(whole[size:]), allow_pickle=False) as saved:
-            arrays = dict(saved)
-        if str(arrays.pop("identity")) != self.identity:
+        if about["identity"] != self.identity:
             raise Unavailable(
                 f"{self.path}: is of another simulation (other system, settings or"
                 " version); give another folder or remove it"
             )
         return arrays
 
+    def advance(self, ensemble: Any, steps: int, *, stride: int = 1) -> bool:
+        """Advance by ``steps``; return whether it was stopped (at least a piece is done)."""
+        while steps > 0 and not self.interrupted:
+            piece, start = min(steps, self._piece), perf_counter()
+            ensemble.advance(piece, stride=stride)
+            now = perf_counter()
+            # Pieces grow gently: the first ones may have been compiled.
+            in_time = int(piece * INTERVAL / max(now - start, 1e-9))
+            self._piece = max(1, min(4 * self._piece, in_time))
+            steps -= piece
+            self.interrupted = self.stopped()
+            if self.interrupted or now - self._saved >= INTERVAL:
+                self.save(ensemble)
+        return self.interrupted
 
-def checkpoint_of(folder: Path, settings: Any) -> Checkpoint:
+
+def checkpoint_of(folder: Path | None, settings: Any) -> Checkpoint:
     """Return the checkpoint in ``folder`` of the simulation that has these settings.
 
     ``settings`` is anything made of records, arrays and numbers, of which every digit counts;
     the program counts, too.
     """
+    if folder is None:
+        return Checkpoint()
     text = json.dumps([program_checksum(), settings], default=_listed)
     identity = hashlib.sha256(text.encode()).hexdigest()
     return Checkpoint(folder / f"montecarlo-{identity[:16]}.checkpoint", identity)
+
+
+def _digest(arrays: Mapping[str, NDArray[Any]]) -> str:
+    """Return a hash of names and numbers: the checksums of a zip archive leave its names out."""
+    digest = hashlib.sha256()
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name} {array.dtype} {array.shape}".encode() + array.tobytes())
+    return digest.hexdigest()
 
 
 def _listed(value: Any) -> Any:
@@ -101,61 +143,16 @@ def _listed(value: Any) -> Any:
     return value.tolist()
 
 
-@dataclass(eq=False)
-class Autosave:
-    """Advances an ensemble in pieces of about ``INTERVAL`` seconds and saves the state after each.
-
-    ``notes`` are arrays saved with the state: what the loop around needs to go on. Without a
-    checkpoint and anything that may stop it there is one piece.
-    """
-
-    checkpoint: Checkpoint | None = None
-    stopped: Callable[[], bool] | None = None
-    notes: dict[str, NDArray[Any]] = field(default_factory=dict)
-    interrupted: bool = False
-    _piece: int = FIRST_PIECE
-    _saved: float = field(default_factory=perf_counter)
-
-    def load(self) -> dict[str, NDArray[Any]]:
-        """Return the state and the notes of the checkpoint, nothing where there is none."""
-        return (self.checkpoint.load() if self.checkpoint else None) or {}
-
-    def save(self, ensemble: Any) -> None:
-        """Save the state now, if there is a checkpoint."""
-        if self.checkpoint is not None:
-            self.checkpoint.save({**ensemble.saved(), **self.notes})
-            self._saved = perf_counter()
-
-    def advance(self, ensemble: Any, steps: int, *, stride: int = 1) -> bool:
-        """Advance by ``steps``; return whether it was stopped before (at least a piece is done)."""
-        if self.checkpoint is None and self.stopped is None:
-            ensemble.advance(steps, stride=stride)
-            return False
-        while steps > 0:
-            piece, start = min(steps, self._piece), perf_counter()
-            ensemble.advance(piece, stride=stride)
-            now = perf_counter()
-            # Pieces grow gently: the first ones may have been compiled.
-            self._piece = max(1, min(4 * piece, int(piece * INTERVAL / max(now - start, 1e-9))))
-            steps -= piece
-            self.interrupted = self.stopped is not None and self.stopped()
-            if self.interrupted or now - self._saved >= INTERVAL:
-                self.save(ensemble)
-            if self.interrupted:
-                return True
-        return False
-
-
 @contextmanager
 def interruptible() -> Iterator[Callable[[], bool]]:
     """Yield a function that says whether Ctrl-C was pressed; a second one interrupts as usual.
 
     Only the main thread of a program receives signals: elsewhere the answer is no.
     """
-    pressed: list[int] = []
     if threading.current_thread() is not threading.main_thread():
-        yield lambda: False
+        yield never
         return
+    pressed: list[int] = []
 
     def note(number: int, frame: Any) -> None:
         if pressed:

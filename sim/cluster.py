@@ -3,14 +3,14 @@
 The state of a batch is a future, and every step forward a task that is a pure function of the
 future before. When a worker dies Dask computes what it held again from the tasks that led there:
 the answer is bitwise that of one machine (of the same kind of processor), however many workers
-there are.
+there are. Dask belongs to the extra ``cluster`` and is imported when it is wanted: it takes a
+second.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import cache
 from importlib import import_module
 from typing import Any
 
@@ -25,12 +25,6 @@ WORKERS_IN = 60.0
 """Seconds in which it must have a worker."""
 
 
-@cache
-def package(name: str) -> Any:
-    """Return a package of the extra ``cluster``, imported when it is wanted: it takes a second."""
-    return import_module(name)
-
-
 @contextmanager
 def connected(address: str) -> Iterator[Any]:
     """Yield a client of the Dask scheduler at ``address`` that has a worker.
@@ -38,33 +32,35 @@ def connected(address: str) -> Iterator[Any]:
     Raises ``Unavailable`` where dask is missing, nothing answers, or no worker of the same
     program is there.
     """
+
+    def unavailable(words: str) -> Unavailable:
+        return Unavailable(f"cluster {address}: {words}")
+
     try:
-        client = package("distributed").Client(address, timeout=PATIENCE, set_as_default=False)
+        distributed = import_module("distributed")
+        client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
     except ImportError:
-        raise Unavailable(
-            f"cluster {address}: needs dask, the extra: pip install 'vibro-fpk[cluster]'"
-        ) from None
+        raise unavailable("needs dask, the extra: pip install 'vibro-fpk[cluster]'") from None
     except (OSError, ValueError, RuntimeError, TypeError) as error:
         words = f"no Dask scheduler answers ({type(error).__name__}); give tcp://HOST:PORT"
-        raise Unavailable(f"cluster {address}: {words}") from None
+        raise unavailable(words) from None
     with client:
         try:
             client.wait_for_workers(1, timeout=WORKERS_IN)
             stamp = client.submit(program_checksum, pure=False).result()
         except TimeoutError:
-            raise Unavailable(f"cluster {address}: has no worker; start one") from None
+            raise unavailable("has no worker; start one") from None
         except ImportError as error:
             words = f"its workers cannot import this program ({error}); install vibro-fpk there"
-            raise Unavailable(f"cluster {address}: {words}") from None
+            raise unavailable(words) from None
         if stamp != program_checksum():
-            words = "its workers run another version of this program; install the same"
-            raise Unavailable(f"cluster {address}: {words}")
+            raise unavailable("its workers run another version of this program; install the same")
         yield client
 
 
 def gathered(client: Any, futures: Sequence[Any]) -> list[Any]:
     """Return the results of ``futures``; ``NotCertified`` when the cluster is lost on the way."""
-    distributed = package("distributed")
+    distributed = import_module("distributed")
     try:
         return list(client.gather(list(futures)))
     except (distributed.KilledWorker, distributed.CancelledError, OSError) as error:
@@ -75,7 +71,7 @@ def gathered(client: Any, futures: Sequence[Any]) -> list[Any]:
 def as_finished(client: Any, tasks: Sequence[Callable[[], Any]]) -> Iterator[Any]:
     """Yield what pure tasks without arguments return, in the order in which they are finished."""
     futures = [client.submit(task, pure=False) for task in tasks]
-    for future in package("distributed").as_completed(futures, loop=client.loop):
+    for future in import_module("distributed").as_completed(futures, loop=client.loop):
         yield gathered(client, [future])[0]
 
 
@@ -95,13 +91,12 @@ class Cluster:
 
     def map(self, task: Any, *columns: Any) -> list[Any]:
         """Return futures of what ``task`` makes of every batch, and wait for them."""
-        with package("dask").config.set(
-            {"distributed.admin.large-graph-warning-threshold": "1PiB"}
-        ):
+        quiet = {"distributed.admin.large-graph-warning-threshold": "1PiB"}
+        with import_module("dask").config.set(quiet):
             rows = zip(*columns, strict=True)
             futures = [self.client.submit(on_copies, task, *row, pure=False) for row in rows]
         with self.client.as_current():
-            package("distributed").wait(futures)
+            import_module("distributed").wait(futures)
         return futures
 
     def values(self, answers: list[Any]) -> list[Any]:

@@ -14,10 +14,9 @@ from math import inf, nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-Array = NDArray[np.float64]
+from sim.arrays import Array
 
 LEAST_TIMES = 50.0
 """Autocorrelation times, of 2τ as emcee counts them, below which a run is refused."""
@@ -44,10 +43,10 @@ class Effective(NamedTuple):
 class Diagnosis:
     """How far a sample can be trusted; ``failures`` in words, empty where it can.
 
-    ``autocorrelation_time`` τ is the longest of all quantities, ``effective_samples`` their
-    smallest number; ``r_hat`` the largest split R-hat; ``drift`` the largest |z| of the first chunk
-    against the others and of the first half against the second, ``drift_limit`` what chance
-    explains of it.
+    ``autocorrelation_time`` τ is the longest of all quantities, that of ``slowest``, of which there
+    are ``effective_samples`` with a ``relative_error``; a trajectory is ``times_per_path`` τ long.
+    ``r_hat`` is the largest split R-hat; ``drift`` the largest |z| of the first chunk against the
+    others and of the first half against the second, ``drift_limit`` what chance explains of it.
     """
 
     autocorrelation_time: float
@@ -80,12 +79,9 @@ def effective_of_paths(
     """Return effective samples and their relative errors from ``means`` (quantities, paths).
 
     There are ``whole`` trajectories, of which these are some, or all. ``variance`` is the σ² of
-    single samples and ``relative_error`` one standard error of that over itself. That of
-    var(path means) is √((kurtosis − 1)/paths).
+    single samples and ``relative_error`` one standard error of that over itself.
     """
-    paths = means.shape[1]
-    centred = means - means.mean(axis=1, keepdims=True)
-    of_means = np.sum(centred**2, axis=1) / (paths - 1)
+    of_means = means.var(axis=1, ddof=1)
     samples = np.full_like(of_means, inf)
     np.divide(whole * variance, of_means, out=samples, where=of_means > 0)
     return samples, np.hypot(variance_error(means), relative_error)
@@ -102,6 +98,19 @@ def effective_of_shares(shares: Array) -> tuple[float, float]:
     variance = float(np.sum(shares.var(axis=0, ddof=1))) / batches
     samples = float(np.sum(s * (1.0 - s))) / variance if variance > 0 else inf
     return samples, sqrt(2.0 / (batches - 1))
+
+
+def variance_error(samples: Array) -> Array:
+    """Return one standard error of the variance of ``samples`` (..., paths), over the variance.
+
+    It is √((kurtosis − 1)/paths).
+    """
+    squares = (samples - samples.mean(axis=-1, keepdims=True)) ** 2
+    second = np.mean(squares, axis=-1)
+    # kurtosis − 1 as a variance: of two values alone it is 0, never below.
+    scatter = np.mean((squares - second[..., None]) ** 2, axis=-1)
+    excess = np.divide(scatter, second**2, out=np.zeros_like(second), where=second > 0)
+    return np.asarray(np.sqrt(excess / samples.shape[-1]))
 
 
 def split_r_hat(draws: Array) -> float:
@@ -128,33 +137,18 @@ def drifts(means: Array) -> Array:
     ``means`` (quantities, batches, chunks). Batches are independent, so that the difference has the
     standard error that they show, whatever the correlation of the chunks.
     """
-    chunks = means.shape[2]
-    half = chunks // 2
-    pairs = (
-        means[:, :, 0] - means[:, :, 1:].mean(axis=2),
-        means[:, :, :half].mean(axis=2) - means[:, :, -half:].mean(axis=2),
-    )
-    z = []
-    for difference in pairs:
-        error = difference.std(axis=1, ddof=1) / sqrt(difference.shape[1])
-        moved = difference.mean(axis=1)
-        z.append(np.divide(moved, error, out=np.zeros_like(moved), where=error > 0))
-    return np.array(z).T
+    half = means.shape[2] // 2
+    first, others = means[:, :, 0], means[:, :, 1:].mean(axis=2)
+    early, late = means[:, :, :half].mean(axis=2), means[:, :, -half:].mean(axis=2)
+    difference = np.stack([first - others, early - late])
+    error = difference.std(axis=2, ddof=1) / sqrt(means.shape[1])
+    moved = difference.mean(axis=2)
+    return np.divide(moved, error, out=np.zeros_like(moved), where=error > 0).T
 
 
 def drift_limit(batches: int, comparisons: int) -> float:
     """Return the |z| that the largest of some Student's t passes with ``FALSE_ALARMS`` at most."""
     return -float(stdtrit(batches - 1, 0.5 * FALSE_ALARMS / max(1, comparisons)))
-
-
-def variance_error(samples: Array) -> Array:
-    """Return one standard error of the variance of ``samples`` (..., paths), over the variance."""
-    centred = samples - samples.mean(axis=-1, keepdims=True)
-    second = np.mean(centred**2, axis=-1)
-    # kurtosis − 1 as a variance: of two values alone it is 0, never below.
-    scatter = np.mean((centred**2 - second[..., None]) ** 2, axis=-1)
-    excess = np.divide(scatter, second**2, out=np.zeros_like(second), where=second > 0)
-    return np.asarray(np.sqrt(excess / samples.shape[-1]))
 
 
 def diagnosis(
@@ -173,27 +167,25 @@ def diagnosis(
     worst = min(effective, key=lambda e: e.samples)
     tau = paths * time / (2.0 * worst.samples)
     quantities, batches, chunks = means.shape
-    r_hat = max(split_r_hat(m) for m in means)
     z = np.abs(drifts(means)) if chunks > 1 else np.zeros((quantities, 2))
-    limit = drift_limit(batches, z.size)
-    words = []
+    drift, limit = float(z.max()), drift_limit(batches, z.size)
+    failures = []
     if chunks < 2:
-        words.append("it ended in its first chunk, where no drift shows; sample for longer")
+        failures.append("it ended in its first chunk, where no drift shows; sample for longer")
     if worst.samples < LEAST_TIMES:
-        words.append(
+        failures.append(
             f"the {paths} trajectories are {worst.samples:.3g} autocorrelation times of"
             f" {worst.name} long together, fewer than {LEAST_TIMES:g}; sample for longer"
         )
     if burn_in < LEAST_BURN_IN * tau:
-        words.append(
+        failures.append(
             f"the burn-in of {burn_in:.3g} is shorter than {LEAST_BURN_IN:g} autocorrelation times"
             f" of {tau:.3g}; use a longer burn_in"
         )
-    if float(z.max()) > limit:
-        name = names[int(np.argmax(z.max(axis=1)))]
-        words.append(
-            f"{name} drifts: its first part differs from the rest by {z.max():.1f} standard errors"
-            f" (chance explains {limit:.1f}); use a longer burn_in"
+    if drift > limit:
+        failures.append(
+            f"{names[int(np.argmax(z.max(axis=1)))]} drifts: its first part differs from the rest"
+            f" by {drift:.1f} standard errors (chance explains {limit:.1f}); use a longer burn_in"
         )
     return Diagnosis(
         autocorrelation_time=tau,
@@ -201,8 +193,8 @@ def diagnosis(
         relative_error=worst.relative_error,
         slowest=worst.name,
         times_per_path=time / tau if tau > 0 else inf,
-        r_hat=r_hat,
-        drift=float(z.max()),
+        r_hat=max(split_r_hat(m) for m in means),
+        drift=drift,
         drift_limit=limit,
-        failures=tuple(words),
+        failures=tuple(failures),
     )

@@ -9,22 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.effects import effects_of
 from fpk.system import System
-from sim.arrays import LANES, StepArrays
-from sim.batch import Advance, Batch, Summary, Threads, copied, summary, watching
+from sim.arrays import LANES, Array, Integers, StepArrays
+from sim.batch import Batch, Summary, Threads, advanced, copied, summary, watching
 from sim.flow import factored
-from sim.histogram import Histogram, modes_of, starts, watch_arrays
-from sim.kernel import KernelKey
-from sim.parts.linear import ONE_LOOP
-from sim.plan import step_arrays
+from sim.histogram import Histogram, starts
+from sim.plan import kernel_key, step_arrays, watch_arrays
 from sim.random import START, normals
 from sim.scheme import Scheme
+from sim.statistics import Product
 from sim.step_size import temperature
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Product = tuple[str, int, str, int]
 Saved = Mapping[str, NDArray[Any]]
 
 BATCHES = 64
@@ -32,53 +27,6 @@ BATCHES = 64
 
 PIECE = 64
 """Blocks whose starts are drawn together, beginning at its multiples."""
-
-
-def kernel_key(
-    system: System,
-    scheme: Scheme,
-    step: StepArrays,
-    histograms: Sequence[Histogram],
-    products: Sequence[Product],
-) -> KernelKey:
-    """Return what the kernel must be compiled for: the effects and the observables asked for."""
-    kinds, effects = {c.kind for h in histograms for c in h.observable}, effects_of(system)
-    whole = any(c.kind == "H" and c.index is None for h in histograms for c in h.observable)
-    one_loop = (system.n, step.pairs) in ONE_LOOP and not effects.state_damping
-    alone = step.stop_slot.size == step.slot_mass.size and scheme.kick_first
-    kicked = tuple(int(i) for i in step.slot_mass) if one_loop and alone else ()
-    return KernelKey(
-        laws=effects.laws,
-        kick_first=scheme.kick_first or not (effects.contact or effects.state_damping),
-        damping=effects.state_damping,
-        energy_damping=effects.energy_damping,
-        observed=bool(kinds or products),
-        momenta=bool(kinds & {"p", "H"} or products or effects.state_damping),
-        energy=whole or bool(products and effects.energy_damping),
-        modes=bool(modes_of(histograms)),
-        moments=bool(products),
-        masses=system.n,
-        pairs=step.pairs,
-        kicked=kicked,
-        substeps=step.substeps is not None,
-    )
-
-
-def start_displacements(system: System, kT: float, z: Array) -> Array:
-    """Return displacements (n, paths) from standard normals ``z``: Gaussian by the springs at kT.
-
-    Where a contact is reached they are shortened, by bisection, to the potential energy of the
-    springs alone: no start is deeper in a stop than its energy allows.
-    """
-    # An inverse, not ``system.compliance``: its rounding is part of what a seed stands for.
-    q = np.linalg.cholesky(kT * np.linalg.inv(system.stiffness_matrix)) @ z
-    level = 0.5 * np.sum(q * (system.stiffness_matrix @ q), axis=0)
-    low, high = np.zeros(q.shape[1]), np.ones(q.shape[1])
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        above = system.potential((middle * q).T) > level
-        low, high = np.where(above, low, middle), np.where(above, middle, high)
-    return np.asarray(low * q)
 
 
 def start_states(system: System, seed: int, piece: int) -> Array:
@@ -99,16 +47,32 @@ def start_states(system: System, seed: int, piece: int) -> Array:
     return np.vstack([q, p]).reshape(2 * n, -1, LANES).transpose(1, 0, 2)
 
 
+def start_displacements(system: System, kT: float, z: Array) -> Array:
+    """Return displacements (n, paths) from standard normals ``z``: Gaussian by the springs at kT.
+
+    Where a contact is reached they are shortened, by bisection, to the potential energy of the
+    springs alone: no start is deeper in a stop than its energy allows.
+    """
+    # An inverse, not ``system.compliance``: its rounding is part of what a seed stands for.
+    q = np.linalg.cholesky(kT * np.linalg.inv(system.stiffness_matrix)) @ z
+    level = 0.5 * np.sum(q * (system.stiffness_matrix @ q), axis=0)
+    low, high = np.zeros(q.shape[1]), np.ones(q.shape[1])
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        above = system.potential((middle * q).T) > level
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    return np.asarray(low * q)
+
+
 @dataclass(eq=False)
 class Ensemble:
-    """States of ``paths`` trajectories, in blocks of lanes; a block is never divided.
+    """States of ``paths`` trajectories, in blocks of lanes, and batches of blocks.
 
-    A batch of blocks is one task of one of the ``workers``: threads of this process, or of a
-    cluster (``sim.cluster``). Streams are keyed by trajectory, all counts are integers, and sums
-    grow in the order of samples: the result is bitwise the same for any workers and any division of
-    the steps into calls of ``advance``. Lanes beyond ``paths`` run but are not counted. The first
-    ``APART`` blocks have ``sums`` for each trajectory; in the others, ``folded``, every
-    ``FOLDED``-th trajectory of a block shares one.
+    ``workers`` are threads of this process, or those of a cluster (``sim.cluster``). Streams are
+    keyed by trajectory, all counts are integers, and sums grow in the order of samples: the result
+    is bitwise the same for any workers and any division of the steps into calls of ``advance``.
+    Lanes beyond ``paths`` run but are not counted. The first ``APART`` blocks have ``sums`` for
+    each trajectory; in the others, ``folded``, every ``FOLDED``-th lane of a block shares one.
     """
 
     system: System
@@ -147,7 +111,7 @@ class Ensemble:
         asked = (self.system, self.scheme, self.step, histograms, products)
         self._watch, self._key = watch_arrays(*asked), kernel_key(*asked)
         task = partial(watching, bins=int(starts(histograms)[-1]), products=len(products))
-        self._now(task, self._batches)
+        self._replace(task, self._batches)
         self.samples = self.phase = 0
 
     def advance(self, steps: int, *, stride: int = 1) -> None:
@@ -155,8 +119,11 @@ class Ensemble:
 
         ``stride`` 0: nothing is observed, and ``watch`` may be called with ranges still unknown.
         """
-        clock = (self.seed, self.done, self.phase, steps, stride)
-        self._now(Advance(self._key, self.step, self._watch, *clock), self._batches)
+        task = partial(
+            advanced, key=self._key, step=self.step, watch=self._watch, seed=self.seed,
+            done=self.done, phase=self.phase, steps=steps, stride=stride,
+        )  # fmt: skip
+        self._replace(task, self._batches)
         if stride:
             self.samples += -(-(self.phase + steps) // stride) - -(-self.phase // stride)
             self.phase += steps
@@ -192,10 +159,7 @@ class Ensemble:
         return np.asarray(sums / (self.batch_paths()[:, None] * max(1, self.samples)))
 
     def phase_points(self, most: int | None = None) -> tuple[Array, Array]:
-        """Return the states (paths, n) of q and p just before the next kick, the first ``most``.
-
-        Only batches that have some of them are asked.
-        """
+        """Return q and p (paths, n) just before the next kick, of the first ``most`` paths."""
         n, paths = self.system.n, self.paths if most is None else min(self.paths, most)
         states = self._joined("states", int(np.searchsorted(LANES * self.edges, paths)))
         lanes = states.transpose(1, 0, 2).reshape(2 * n, -1)[:, :paths].T
@@ -214,24 +178,23 @@ class Ensemble:
         self.done, self.samples, self.phase = (int(number) for number in saved["clock"])
         first, cuts = self.edges[:-1].tolist(), self.edges[1:-1]
         others = np.maximum(0, cuts - saved["sums"].shape[0])
-        arrays = [(self.live, cuts), (saved["states"], cuts), (saved["sums"], cuts)]
-        parts = [np.split(array, at) for array, at in (*arrays, (saved["folded"], others))]
-        self._now(copied, first, *parts, list(saved["counts"]))
+        parts = [np.split(array, cuts) for array in (self.live, saved["states"], saved["sums"])]
+        parts.append(np.split(saved["folded"], others))
+        self._replace(copied, first, *parts, list(saved["counts"]))
 
-    def _now(self, task: Any, *columns: Any) -> None:
+    def _replace(self, task: Any, *columns: Any) -> None:
         """Let the batches be what ``task`` makes of ``columns``."""
         self._batches = self.workers.map(task, *columns)
-        self._known: list[Summary] | None = None
+        self._summary: list[Summary] = []
 
     def _summaries(self) -> list[Summary]:
-        """Return losses, sums and counts, asked for once a step: a cluster answers slowly."""
-        summaries = self._known
-        if summaries is None:
-            summaries = self.workers.values(self.workers.map(summary, self._batches))
-            self._known = summaries
-        return summaries
+        """Return losses, sums and counts, computed once a step: a cluster answers slowly."""
+        if not self._summary:
+            self._summary = self.workers.values(self.workers.map(summary, self._batches))
+        return self._summary
 
     def _joined(self, name: str, batches: int | None = None) -> Array:
+        """Return one array of the first ``batches`` (None: of all), joined along the blocks."""
         answers = self.workers.map(attrgetter(name), self._batches[:batches])
         joined = np.concatenate(self.workers.values(answers))
         joined.flags.writeable = False  # a copy: what is written to it would be lost

@@ -3,14 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.system import System
-from sim.arrays import COLUMNS
-
-Array = NDArray[np.float64]
+from sim.arrays import COLUMNS, Array
 
 RANK_SLACK = 1e-13
 """A pivot below this share of its own variance is round-off: no normal number is drawn for it."""
@@ -90,9 +87,7 @@ def lower_trapezoidal(factor: Array) -> Array:
     """
     size = np.linalg.norm(factor, axis=1, keepdims=True)
     unit = np.divide(factor, size, out=np.zeros_like(factor), where=size > 0)
-    upper: Array = np.asarray(np.linalg.qr(unit.T, mode="r"))
-    lower: Array = upper.T * size
-    return lower
+    return np.asarray(np.linalg.qr(unit.T, mode="r").T * size)
 
 
 def exact_flow(system: System, dt: float) -> LinearMap:

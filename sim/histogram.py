@@ -1,23 +1,18 @@
-"""Histograms: ranges and bins, the rows of the kernel that they count, and their densities."""
+"""Histograms: their ranges and bins, and the densities that follow from counts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf, nan
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fpk.certificate import Measured, certify
 from fpk.density import SampledDensity
 from fpk.modes import natural_modes
 from fpk.observable import Coordinate, Observable
 from fpk.system import System
-from sim.arrays import StepArrays, WatchArrays, workspace
-from sim.scheme import Scheme
-from sim.statistics import Product, sampling_error
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from sim.arrays import Array, Integers
+from sim.statistics import sampling_error
 
 BINS = (1024, 128)
 """Bins of each axis of a histogram of one and of two coordinates."""
@@ -28,6 +23,9 @@ MARGIN = 0.3
 LARGEST_TAIL = 1e-3
 """Share of samples outside a histogram above which its density is not certified."""
 
+UNJUDGED = certify(Measured(nan, nan, nan, nan, nan), tol=0.0)
+"""Certificate of a density before it is judged: every check fails."""
+
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
@@ -37,25 +35,14 @@ class Histogram:
     edges: tuple[Array, ...]
 
     @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of bins along each axis."""
+        return tuple(e.size - 1 for e in self.edges)
+
+    @property
     def size(self) -> int:
         """Number of bins, without that for outside."""
-        return int(np.prod([e.size - 1 for e in self.edges]))
-
-
-def pilot_coordinate(system: System, coordinate: Coordinate, q: Array, p: Array) -> Array:
-    """Return one coordinate of states ``q``, ``p`` (samples, n), uncorrected for the step.
-
-    H_m is the energy of a mode of the springs alone: nothing of a contact is in it.
-    """
-    if coordinate.kind == "H" and coordinate.index is not None:
-        shapes, frequency = natural_modes(system)
-        shape, omega = shapes[:, coordinate.index], frequency[coordinate.index]
-        momentum, displacement = p @ shape, q @ (system.mass * shape)
-        energy: Array = 0.5 * (momentum**2 + (omega * displacement) ** 2)
-        return energy
-    if coordinate.kind == "H":
-        return system.hamiltonian(q, p)
-    return (q if coordinate.kind == "q" else p)[:, coordinate.index]
+        return int(np.prod(self.shape))
 
 
 def extremes(system: System, observables: Sequence[Observable], q: Array, p: Array) -> Array:
@@ -69,16 +56,38 @@ def extremes(system: System, observables: Sequence[Observable], q: Array, p: Arr
     ranges = []
     for coordinate in (c for observable in observables for c in observable):
         with np.errstate(over="ignore", invalid="ignore"):
-            x = pilot_coordinate(system, coordinate, q, p)
+            x = _values(system, coordinate, q, p)
         x = x[np.isfinite(x)]
         ranges.append((x.min(initial=np.inf), x.max(initial=-np.inf)))
     return np.array(ranges).reshape(-1, 2)
 
 
+def _values(system: System, coordinate: Coordinate, q: Array, p: Array) -> Array:
+    """One coordinate of states ``q``, ``p`` (samples, n), uncorrected for the step.
+
+    H_m is the energy of a mode of the springs alone: nothing of a contact is in it.
+    """
+    if coordinate.kind == "H" and coordinate.index is not None:
+        shapes, frequency = natural_modes(system)
+        shape, omega = shapes[:, coordinate.index], frequency[coordinate.index]
+        momentum, displacement = p @ shape, q @ (system.mass * shape)
+        return np.asarray(0.5 * (momentum**2 + (omega * displacement) ** 2))
+    if coordinate.kind == "H":
+        return system.hamiltonian(q, p)
+    return (q if coordinate.kind == "q" else p)[:, coordinate.index]
+
+
 def covering(
-    observables: Sequence[Observable], reached: Array, *, mirror: bool
+    observables: Sequence[Observable],
+    reached: Array,
+    *,
+    mirror: bool,
+    bins: tuple[int, int] = BINS,
 ) -> tuple[Histogram, ...]:
-    """Return histograms that cover the ``extremes`` with a margin; energies start at 0."""
+    """Return histograms that cover the ``extremes`` with a margin; energies start at 0.
+
+    ``bins`` are those of each axis of a histogram of one and of two coordinates.
+    """
     histograms, pairs = [], iter(reached.tolist())
     for observable in observables:
         edges = []
@@ -94,61 +103,9 @@ def covering(
             else:
                 reach = MARGIN * (high - low)
                 low, high = low - reach, high + reach
-            edges.append(np.linspace(low, high, BINS[len(observable) - 1] + 1))
+            edges.append(np.linspace(low, high, bins[len(observable) - 1] + 1))
         histograms.append(Histogram(observable, tuple(edges)))
     return tuple(histograms)
-
-
-def watch_arrays(
-    system: System,
-    scheme: Scheme,
-    step: StepArrays,
-    histograms: Sequence[Histogram],
-    products: Sequence[Product],
-) -> WatchArrays:
-    """Return what the kernel reads to observe: processor, histograms, products of moments."""
-    n, slots = system.n, step.slot_mass.size
-    modes = modes_of(histograms)
-    at = workspace(n, slots, step.matrix.shape[1], modes=len(modes), terms=step.terms is not None)
-    kinds = {"q": at.q, "p": at.p, "f": at.force, "d": at.damping}
-    shapes, frequency = natural_modes(system) if modes else (np.zeros((n, 0)), np.zeros(0))
-    T = shapes.T[list(modes)]
-    rows = np.full((len(histograms), 2), -1, dtype=np.int64)
-    low, scale = np.zeros(rows.shape), np.ones(rows.shape)
-    bins = np.ones(rows.shape, dtype=np.int64)
-    for m, histogram in enumerate(histograms):
-        for axis, (c, e) in enumerate(zip(histogram.observable, histogram.edges, strict=True)):
-            if c.kind != "H":
-                rows[m, axis] = kinds[c.kind] + (c.index or 0)
-            else:
-                rows[m, axis] = at.energy if c.index is None else at.modal + modes.index(c.index)
-            low[m, axis], bins[m, axis] = e[0], e.size - 1
-            scale[m, axis] = (e.size - 1) / (e[-1] - e[0])
-    half = 0.5 * step.dt if scheme.symmetric else 0.0
-    mass = system.mass[step.slot_mass]
-    springs = half if scheme.springs_kicked else 0.0
-    pairs = [(kinds[a] + i, kinds[b] + j) for a, i, b, j in products]
-    return WatchArrays(
-        half_kick=half,
-        half_springs=springs * system.stiffness_matrix,
-        term_shift=scheme.modified * step.dt**2,
-        cross=scheme.modified * step.dt**2 * system.damping[:, step.slot_mass] / mass,
-        mode_q=frequency[list(modes), None] * T * system.mass if modes else None,
-        mode_p=np.ascontiguousarray(T) if modes else None,
-        at=at,
-        rows=rows,
-        low=low,
-        scale=scale,
-        bins=bins,
-        start=starts(histograms)[:-1],
-        products=np.array(pairs, dtype=np.int64).reshape(-1, 2),
-    )
-
-
-def modes_of(histograms: Sequence[Histogram]) -> tuple[int, ...]:
-    """Return the modes whose energies are observed, counted from 0, ascending."""
-    coordinates = {c for h in histograms for c in h.observable if c.kind == "H"}
-    return tuple(sorted(c.index for c in coordinates if c.index is not None))
 
 
 def starts(histograms: Sequence[Histogram]) -> Integers:
@@ -163,10 +120,9 @@ def mirrored(histogram: Histogram, counts: Integers) -> Integers:
     change sign; the edges of all else lie symmetrically about zero. The total doubles, and so does
     what lies outside; batch by batch the same, so that errors shrink by what is truly gained.
     """
-    shape = (-1, *(e.size - 1 for e in histogram.edges))
     axes = tuple(a for a, c in enumerate(histogram.observable, start=1) if c.kind != "H")
-    reflected = np.flip(counts[:, :-1].reshape(shape), axis=axes).reshape(counts.shape[0], -1)
-    return np.hstack([counts[:, :-1] + reflected, 2 * counts[:, -1:]])
+    reflected = np.flip(counts[:, :-1].reshape(-1, *histogram.shape), axis=axes)
+    return np.hstack([counts[:, :-1] + reflected.reshape(len(counts), -1), 2 * counts[:, -1:]])
 
 
 def sampled_density(
@@ -194,13 +150,12 @@ def sampled_density(
     if mirror:
         counts = mirrored(histogram, counts)
     whole, samples = max(1, counts.sum()), np.maximum(1, counts.sum(axis=1, keepdims=True))
-    shape = tuple(e.size - 1 for e in histogram.edges)
     area = float(np.prod([e[1] - e[0] for e in histogram.edges]))
     density = SampledDensity(
         histogram.observable,
         histogram.edges,
-        (counts.sum(axis=0)[:-1] / (whole * area)).reshape(shape),
-        (counts[:, :-1] / (samples * area)).reshape(-1, *shape),
+        (counts.sum(axis=0)[:-1] / (whole * area)).reshape(histogram.shape),
+        (counts[:, :-1] / (samples * area)).reshape(-1, *histogram.shape),
         UNJUDGED,
         one_sample=1.0 / (whole * area),
     )
@@ -213,7 +168,3 @@ def sampled_density(
         failures=tuple(words),
     )
     return replace(density, certificate=certify(measured, tol=tol, sampled=True))
-
-
-UNJUDGED = certify(Measured(nan, nan, nan, nan, nan), tol=0.0)
-"""Certificate of a density before it is judged: every check fails."""

@@ -6,36 +6,20 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fpk.compiled_laws import compiled_laws
 from fpk.compiling import cached_njit
-from sim.arrays import LANES, StepArrays, WatchArrays
-from sim.lanes import add, add_matrix, aligned_rows, fill, row
+from sim.arrays import LANES as W
+from sim.arrays import Array, Integers, StepArrays, WatchArrays
+from sim.lanes import add, add_matrix, aligned_rows, row
 from sim.parts.contact import add_contact, contact_forces, kick_by_contact
-from sim.parts.damping import (
-    damping_forces,
-    processed_by_terms,
-    spring_energy,
-    term_flow,
-    whole_energy,
-)
+from sim.parts.damping import damping_forces, spring_energy, term_flow, whole_energy
 from sim.parts.linear import ONE_LOOP, map_state
-from sim.parts.observed import (
-    add_products,
-    count_all,
-    observed_displacements,
-    observed_energy,
-    observed_modes,
-    observed_momenta,
-)
+from sim.parts.observed import add_products, count_all, observe
 from sim.parts.substeps import AT_ONCE, NARROW, gather, near_lanes, places, scatter, small_steps
 from sim.random import GOLDEN, fill_normals
 from sim.sources import kernel_checksum
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-W = LANES
 _COMPILING = Lock()
 
 
@@ -72,7 +56,10 @@ def compiled_kernel(key: KernelKey) -> Any:
 
 @lru_cache
 def _compiled(key: KernelKey) -> Any:
-    """Return a new kernel; laws that it does not need are not compiled."""
+    """Return a new kernel; laws that it does not need are not compiled.
+
+    Flags are constants of ``advance``: what a flag that is False guards is not compiled.
+    """
     contact, observed, kick_first = bool(key.laws), key.observed, key.kick_first
     damping, energy_damping = key.damping, key.energy_damping
     momenta, energy, modes, moments = key.momenta, key.energy, key.modes, key.moments
@@ -136,27 +123,11 @@ def _compiled(key: KernelKey) -> Any:
 
                 # Observation.
                 if watched:
-                    observed_displacements(s, step, watch)
-                    if momenta:
-                        observed_momenta(s, step, watch)
-                    if damping and watch.term_shift != 0.0:
-                        if energy_damping:
-                            whole_energy(s, H, V, step)
-                        processed_by_terms(s, H, at, watch.term_shift, step)
-                    if energy:
-                        observed_energy(s, step, watch)
-                        if contact:
-                            add_contact(s, at.q, at.energy, step, potential, False)
-                    if modes:
-                        observed_modes(s, watch.mode_q, watch.mode_p, watch)
+                    observe(
+                        s, V, H, step, watch, contact, damping, energy_damping, momenta, energy,
+                        modes, moments, force, potential,
+                    )  # fmt: skip
                     if moments:
-                        for i in range(n):
-                            fill(row(s, at.force + i), 0.0)
-                        add_matrix(s, at.force, at.q, step.stiffness_matrix, 1.0)
-                        if contact:
-                            add_contact(s, at.q, at.force, step, force, True)
-                        if damping:
-                            damping_forces(s, at.q, row(s, at.energy), at.damping, at.work, step)
                         add_products(s, b, sums, folded, live, watch)
                     count_all(s, index, second, live[b], watch, counts)
 

@@ -3,7 +3,6 @@
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib import import_module
 from math import inf, isfinite
 from pathlib import Path
@@ -41,12 +40,11 @@ class MonteCarlo(Method):
     Times are in the unit of time of the system, but for ``seconds`` and ``longest`` (wall time).
 
     ``paths`` trajectories are sampled for ``time`` each, after ``burn_in`` relaxation times.
-    ``time`` None: ``relaxations`` relaxation times, whatever the unit of time is, but no more than
-    the cost of ``most_steps`` uniform steps (rounded up to whole chunks), as ``limited_by`` in the
-    report then says. ``dt`` None: ``step_factor`` times the step chosen from the stiffest contact
-    that is reached and the rates of the damping terms. ``tol``: go on until the expected L1 error
-    of the first observable is below it, at most ``longest`` seconds. ``seconds``: go on for so long
-    instead; with ``tol`` it takes the place of ``longest``.
+    ``time`` None: ``relaxations`` relaxation times, but no more than the cost of ``most_steps``
+    uniform steps, as ``limited_by`` in the report then says. ``dt`` None: ``step_factor`` times the
+    step chosen from the stiffest contact that is reached and the rates of the damping terms.
+    ``tol``: go on until the expected L1 error of the first observable is below it, at most
+    ``longest`` seconds. ``seconds``: go on for so long instead; it takes the place of ``longest``.
     ``step_pair``: run a second simulation at dt/2, its seed another, on the same bins; the report
     then has the difference of each density and moment, apart from sampling errors.
     ``moments``: evaluate the moment identities, too; the report then has the means of q_i², v_i².
@@ -92,8 +90,8 @@ class MonteCarlo(Method):
             raise InvalidInput("threads", self.threads, f"use 1 to {most}")
         if self.most_steps < 1:
             raise InvalidInput("most_steps", self.most_steps, "use 1 or more")
-        steps, limits = ("dt", "step_factor"), ("tol", "longest", "seconds")
-        for key in ("time", "relaxations", "burn_in", *steps, *limits):
+        times = ("time", "relaxations", "burn_in", "dt", "step_factor")
+        for key in (*times, "tol", "longest", "seconds"):
             value = getattr(self, key)
             if value is not None and not (isfinite(value) and value > 0):
                 raise InvalidInput(key, value, "must be a finite number > 0")
@@ -114,12 +112,13 @@ class MonteCarlo(Method):
             raise NotApplicable(
                 "some motion is not damped: under noise it grows and never becomes stationary"
             )
-        return Plan(lambda observable: None, partial(self._run, system))
 
-    def _run(self, system: System, observables: Sequence[Observable], progress: Progress) -> Result:
-        # Compiled code and what it needs are imported by those who simulate only.
-        result: Result = import_module("sim.run").run(self, system, observables, progress)
-        return result
+        def solve(observables: Sequence[Observable], progress: Progress) -> Result:
+            # Compiled code and what it needs are imported by those who simulate only.
+            result: Result = import_module("sim.run").run(self, system, observables, progress)
+            return result
+
+        return Plan(lambda observable: None, solve)
 
     def refined(self) -> "MonteCarlo":
         """Return the method with four times the sample: half the sampling error.
@@ -128,12 +127,12 @@ class MonteCarlo(Method):
         """
         return replace(
             self,
-            time=None if self.time is None else 4.0 * self.time,
+            time=self.time and 4.0 * self.time,
             relaxations=4.0 * self.relaxations,
             most_steps=5 * self.most_steps,  # 4 times the time, in steps 2**(−1/4) as long
-            tol=None if self.tol is None else 0.5 * self.tol,
+            tol=self.tol and 0.5 * self.tol,
             longest=4.0 * self.longest,
-            seconds=None if self.seconds is None else 4.0 * self.seconds,
+            seconds=self.seconds and 4.0 * self.seconds,
             step_factor=self.step_factor * 2.0**-0.25,
         )
 

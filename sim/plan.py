@@ -1,17 +1,21 @@
-"""From a system, a scheme and a step to the arrays that the kernel reads."""
+"""From a system, a scheme and a step to the arrays that the kernel reads, and its key."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fpk.effects import effects_of
+from fpk.modes import natural_modes
+from fpk.observable import Coordinate
 from fpk.system import System
-from sim.arrays import StepArrays, TermArrays
+from sim.arrays import Array, StepArrays, TermArrays, WatchArrays, workspace
+from sim.histogram import Histogram, starts
+from sim.kernel import KernelKey
+from sim.parts.linear import ONE_LOOP
 from sim.scheme import Scheme
+from sim.statistics import Product
 from sim.substeps import substep_arrays
-
-Array = NDArray[np.float64]
 
 
 def step_arrays(system: System, scheme: Scheme, dt: float) -> StepArrays:
@@ -85,4 +89,86 @@ def term_arrays(system: System, springs: Array) -> TermArrays:
         first=np.cumsum([0, *counts], dtype=np.int64),
         factor=np.array(factors, dtype=np.int64),
         springs=springs,
+    )
+
+
+def watch_arrays(
+    system: System,
+    scheme: Scheme,
+    step: StepArrays,
+    histograms: Sequence[Histogram],
+    products: Sequence[Product],
+) -> WatchArrays:
+    """Return what the kernel reads to observe: processor, histograms, products of moments."""
+    n, slots, modes = system.n, step.slot_mass, modes_of(histograms)
+    at = workspace(
+        n, slots.size, step.matrix.shape[1], modes=len(modes), terms=step.terms is not None
+    )
+    first = {"q": at.q, "p": at.p, "f": at.force, "d": at.damping}
+
+    def row_of(c: Coordinate) -> int:
+        if c.kind != "H":
+            return first[c.kind] + (c.index or 0)
+        return at.energy if c.index is None else at.modal + modes.index(c.index)
+
+    shapes, frequency = natural_modes(system) if modes else (np.zeros((n, 0)), np.zeros(0))
+    T = shapes.T[list(modes)]
+    rows = np.full((len(histograms), 2), -1, dtype=np.int64)
+    low, scale, bins = np.zeros(rows.shape), np.ones(rows.shape), np.ones_like(rows)
+    for m, histogram in enumerate(histograms):
+        for axis, (c, e) in enumerate(zip(histogram.observable, histogram.edges, strict=True)):
+            rows[m, axis], low[m, axis], bins[m, axis] = row_of(c), e[0], e.size - 1
+            scale[m, axis] = (e.size - 1) / (e[-1] - e[0])
+    half, shift = 0.5 * step.dt if scheme.symmetric else 0.0, scheme.modified * step.dt**2
+    pairs = [(first[a] + i, first[b] + j) for a, i, b, j in products]
+    return WatchArrays(
+        half_kick=half,
+        half_springs=(half if scheme.springs_kicked else 0.0) * system.stiffness_matrix,
+        term_shift=shift,
+        cross=shift * system.damping[:, slots] / system.mass[slots],
+        mode_q=frequency[list(modes), None] * T * system.mass if modes else None,
+        mode_p=np.ascontiguousarray(T) if modes else None,
+        at=at,
+        rows=rows,
+        low=low,
+        scale=scale,
+        bins=bins,
+        start=starts(histograms)[:-1],
+        products=np.array(pairs, dtype=np.int64).reshape(-1, 2),
+    )
+
+
+def modes_of(histograms: Sequence[Histogram]) -> tuple[int, ...]:
+    """Return the modes whose energies are observed, counted from 0, ascending."""
+    coordinates = {c for h in histograms for c in h.observable if c.kind == "H"}
+    return tuple(sorted(c.index for c in coordinates if c.index is not None))
+
+
+def kernel_key(
+    system: System,
+    scheme: Scheme,
+    step: StepArrays,
+    histograms: Sequence[Histogram],
+    products: Sequence[Product],
+) -> KernelKey:
+    """Return what the kernel must be compiled for: the effects and the observables asked for."""
+    kinds, effects = {c.kind for h in histograms for c in h.observable}, effects_of(system)
+    whole = any(c.kind == "H" and c.index is None for h in histograms for c in h.observable)
+    one_loop = (system.n, step.pairs) in ONE_LOOP and not effects.state_damping
+    alone = step.stop_slot.size == step.slot_mass.size and scheme.kick_first
+    kicked = tuple(int(i) for i in step.slot_mass) if one_loop and alone else ()
+    return KernelKey(
+        laws=effects.laws,
+        kick_first=scheme.kick_first or not (effects.contact or effects.state_damping),
+        damping=effects.state_damping,
+        energy_damping=effects.energy_damping,
+        observed=bool(kinds or products),
+        momenta=bool(kinds & {"p", "H"} or products or effects.state_damping),
+        energy=whole or bool(products and effects.energy_damping),
+        modes=bool(modes_of(histograms)),
+        moments=bool(products),
+        masses=system.n,
+        pairs=step.pairs,
+        kicked=kicked,
+        substeps=step.substeps is not None,
     )

@@ -23,13 +23,11 @@ with the numbers is in double precision: the covariance of the map is exact to r
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from fpk.compiling import FLAGS, cached_njit
-from sim.arrays import LANES
+from fpk.compiling import cached_njit, inlined
+from sim.arrays import LANES, Array
 
-Array = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Words = NDArray[np.uint64]
 Halves = NDArray[np.uint32]
@@ -77,7 +75,7 @@ def mixed_seed(seed: int) -> np.uint64:
     return np.uint64(z ^ (z >> 31))
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def mixed_word(z: np.uint64) -> np.uint64:
     """Return the word at the place ``z`` of the sequence."""
     z = (z ^ (z >> _S30)) * _MIX1
@@ -85,7 +83,7 @@ def mixed_word(z: np.uint64) -> np.uint64:
     return np.uint64(z ^ (z >> _S31))
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def fill_words(words: Words, trajectory: np.uint64, counter: np.uint64, offset: np.uint64) -> None:
     """Write the word ``counter`` of every lane of a block; see ``fill_normals``."""
     first = ((trajectory << _S40) + counter) * GOLDEN + offset
@@ -93,7 +91,7 @@ def fill_words(words: Words, trajectory: np.uint64, counter: np.uint64, offset: 
         words[lane] = mixed_word(first + np.uint64(lane) * LANE)
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def box_muller(rows: Singles, halves: Halves, width: int = LANES) -> None:
     """Write one pair a lane: a row of cosines, then a row of sines; bits as in the module."""
     for k in range(width):
@@ -112,7 +110,7 @@ def box_muller(rows: Singles, halves: Halves, width: int = LANES) -> None:
         rows[k] = r * (_B0 + y * (_B1 + y * (_B2 + y * (_B3 + y * _B4))))
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def fill_normals(
     rows: Singles, words: Words, trajectory: np.uint64, counter: np.uint64, offset: np.uint64
 ) -> None:

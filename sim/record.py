@@ -8,14 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.arrays import LANES
+from sim.arrays import LANES, Array, Integers
 from sim.diagnostics import Effective, effective_of_paths, effective_of_shares, variance_error
 from sim.histogram import Histogram, starts
 from sim.report import Moment
 from sim.statistics import Product
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 SNAPSHOTS = (0, 5, 10, 15)
 """Chunks at whose beginning a single sample of every trajectory shows the variance of the squares:
@@ -52,12 +49,12 @@ class Record:
 
     def __post_init__(self) -> None:
         """Name, product number and factor of every q_i² and v_i²; label and fold of every axis."""
-        n = self.masses.size
-        asked = [(f"q{i + 1}²", ("q", i, "q", i), 1.0) for i in range(n)] + [
-            (f"v{i + 1}²", ("p", i, "p", i), 1.0 / float(self.masses[i]) ** 2) for i in range(n)
-        ]
+        asked = [(f"q{i}²", "q", i - 1, 1.0) for i in range(1, self.masses.size + 1)]
+        asked += [(f"v{i}²", "p", i - 1, 1.0 / float(m) ** 2) for i, m in enumerate(self.masses, 1)]
         self.squares = [
-            (name, self.products.index(p), f) for name, p, f in asked if p in self.products
+            (name, self.products.index((kind, i, kind, i)), factor)
+            for name, kind, i, factor in asked
+            if (kind, i, kind, i) in self.products
         ]
         coordinates = [c for histogram in self.histograms for c in histogram.observable]
         self.folds = [self.mirror and c.kind != "H" for c in coordinates]
@@ -82,14 +79,16 @@ class Record:
 
     def chunk_ends(self, ensemble: Any) -> None:
         """Note where the sums and counts of ``ensemble`` stand at the end of a chunk."""
-        marginals = self._marginals(ensemble.counts)
+        below = [np.cumsum(m, axis=1) for m in self._marginals(ensemble.counts)]
         if not self.ends:
             self.chunk_samples = ensemble.samples
-            octile = [octiles(m.sum(axis=0)).tolist() for m in marginals]
-            self.cuts = [(axis, cut) for axis, cuts in enumerate(octile) for cut in cuts]
+            self.cuts = [
+                (axis, int(cut))
+                for axis, share in enumerate(below)
+                for cut in octiles(share.sum(axis=0))
+            ]
         means, size = ensemble.batch_means(), ensemble.batch_paths()
         columns = [means[:, k] * (f * ensemble.samples) for _, k, f in self.squares]
-        below = [np.cumsum(m, axis=1) for m in marginals]
         columns += [below[axis][:, cut] / size for axis, cut in self.cuts]
         self.ends.append(np.stack(columns, axis=1))
 
@@ -100,8 +99,8 @@ class Record:
 
     def means(self) -> Array:
         """Return the means of the chunks, (quantities, batches, chunks)."""
-        ends = np.array([np.zeros_like(self.ends[0]), *self.ends])
-        return np.ascontiguousarray(np.diff(ends, axis=0).transpose(2, 1, 0) / self.chunk_samples)
+        ends = np.diff(np.array(self.ends), axis=0, prepend=0.0)
+        return np.ascontiguousarray(ends.transpose(2, 1, 0) / self.chunk_samples)
 
     def effective(self, ensemble: Any) -> list[Effective]:
         """Return the effective samples of every quantity, squares first."""
@@ -158,20 +157,20 @@ class Record:
         """Counts (batches, bins) of every coordinate, of |x| from the middle where folded."""
         first, folds, marginals = starts(self.histograms), iter(self.folds), []
         for m, histogram in enumerate(self.histograms):
-            shape = [e.size - 1 for e in histogram.edges]
-            own = counts[:, first[m] : first[m + 1] - 1].reshape(-1, *shape)
-            for axis, bins in enumerate(shape):
-                marginal = own.sum(axis=tuple(1 + a for a in range(len(shape)) if a != axis))
+            own = counts[:, first[m] : first[m + 1] - 1].reshape(-1, *histogram.shape)
+            for axis, bins in enumerate(histogram.shape, start=1):
+                marginal = own.sum(axis=tuple({1, own.ndim - 1} - {axis}))
                 if next(folds):
                     marginal = marginal[:, bins // 2 :] + marginal[:, : bins // 2][:, ::-1]
                 marginals.append(marginal)
         return marginals
 
 
-def octiles(counts: Integers) -> Integers:
-    """Return the bins up to which 1/8, 2/8 ... of ``counts`` (bins,) lie, each once."""
-    below = np.cumsum(counts)
-    wanted = np.arange(1, LEVELS) * int(below[-1])
-    cuts = np.unique(np.searchsorted(LEVELS * below, wanted))
+def octiles(below: Integers) -> Integers:
+    """Return the bins up to which 1/8, 2/8 ... of the samples lie, each once.
+
+    ``below`` (bins,) is the number of samples up to the end of each bin.
+    """
+    cuts = np.unique(np.searchsorted(LEVELS * below, np.arange(1, LEVELS) * int(below[-1])))
     # A cut below which all samples lie says nothing.
     return np.asarray(cuts[(below[cuts] > 0) & (below[cuts] < below[-1])], dtype=np.int64)

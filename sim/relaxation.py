@@ -5,15 +5,13 @@ from typing import Any
 
 import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
-from numpy.typing import NDArray
 
 from fpk.equivalent import dissipated_power, equivalent_temperature
 from fpk.linear import UNDAMPED, decay_time
 from fpk.modes import natural_modes
 from fpk.moments import gaussian_moment
 from fpk.system import System
-
-Array = NDArray[np.float64]
+from sim.arrays import Array
 
 
 def relaxation_time(system: System) -> float:
@@ -31,20 +29,18 @@ def relaxation_time(system: System) -> float:
     if not system.damping_terms:
         return decay_time(system)
     temperature = equivalent_temperature(system)
-    coefficients = dissipated_power(system)
-    slope = float(np.polynomial.Polynomial(coefficients).deriv()(temperature))
-    times = [2.0 * system.n / slope if slope > 0 else inf]
-    omega = float(natural_modes(system)[1][0])
+    slope = float(np.polynomial.Polynomial(dissipated_power(system)).deriv()(temperature))
+    times = [2.0 * system.n / slope] if slope > 0 else []
+    shapes, omega = natural_modes(system)
+    noise = np.einsum("im,ij,jm->m", shapes, system.noise_matrix, shapes)
     start = np.full(system.n, temperature)
-    noise = _modal_noise(system)
     root: Any = scipy.optimize.root  # the stubs want a function of a fixed shape
     balance: Any = root(lambda theta: noise - modal_powers(system, theta), start, method="hybr")
     if balance.success and np.all(balance.x > 0):
         rates = np.linalg.eigvals(_jacobian(system, balance.x)).real
         if np.all(rates > 0):
-            times += [_amplitude_time(float(rate), omega) for rate in rates]
-    finite = [time for time in times if isfinite(time)]
-    return max(finite) if finite else inf
+            times += [_amplitude_time(float(rate), float(omega[0])) for rate in rates]
+    return max((time for time in times if isfinite(time)), default=inf)
 
 
 def modal_powers(system: System, temperatures: Array) -> Array:
@@ -83,11 +79,6 @@ def undamped_mode(system: System) -> bool:
         size = np.abs(shapes) * np.sqrt(system.mass)[:, None]  # at most 1
         reached |= size[term.row] * size[term.column] > UNDAMPED
     return not bool(np.all(reached))
-
-
-def _modal_noise(system: System) -> Array:
-    shapes, _ = natural_modes(system)
-    return np.asarray(np.einsum("im,ij,jm->m", shapes, system.noise_matrix, shapes))
 
 
 def _jacobian(system: System, theta: Array) -> Array:

@@ -96,8 +96,8 @@ class Report:
 
     ``errors`` are in the order of the densities. ``diagnosis`` is None where there was nothing to
     diagnose: trajectories were ``lost`` (left the finite range), or Ctrl-C ended the sampling, as
-    ``interrupted`` then says. ``step_pair`` says
-    whether a second simulation at half the step could be compared.
+    ``interrupted`` then says. ``step_pair`` says whether a second simulation at half the step could
+    be compared.
     """
 
     steps: Steps
@@ -127,10 +127,10 @@ class Report:
         settings["step bias"] = self.step_pair
         for e in self.errors:
             if e.step_bias is not None:
-                settings[f"step bias of {e.name}"] = e.step_bias.difference
-                settings[f"step bias of {e.name} by chance"] = e.step_bias.chance
+                name = f"step bias of {e.name}"
+                settings |= {name: e.step_bias.difference, f"{name} by chance": e.step_bias.chance}
         for m in self.moments:
             if m.step_bias is not None:
-                settings[f"step bias of E {m.name}"] = m.step_bias.difference
-                settings[f"standard error of step bias of E {m.name}"] = m.step_bias.chance
+                name, bias = f"step bias of E {m.name}", m.step_bias
+                settings |= {name: bias.difference, f"standard error of {name}": bias.chance}
         return settings

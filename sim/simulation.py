@@ -1,74 +1,62 @@
-"""One simulation: burn-in, pilot, sampling, and what the sample is worth."""
+"""One simulation: burn-in, a pilot for the histograms, and sampling until it is enough."""
 
-from collections.abc import Sequence
 from contextlib import nullcontext
-from math import inf, nan
+from math import ceil, inf
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from fpk.density import SampledDensity
-from fpk.method import Identity, Progress, silent
-from fpk.system import System
-from sim.checkpoint import Autosave, checkpoint_of, interruptible
-from sim.diagnostics import Diagnosis, diagnosis
+from fpk.method import Progress, silent
+from sim.arrays import Array
+from sim.assessment import Answer, assessed
+from sim.checkpoint import Checkpoint, checkpoint_of, interruptible, never
 from sim.ensemble import Ensemble
-from sim.histogram import Array, covering, extremes, sampled_density, starts
-from sim.record import Record
-from sim.relaxation import relaxation_time
-from sim.report import DensityError, Report, Steps
-from sim.sampling import CHUNKS, Setup, sample
-from sim.statistics import Moments, sampling_error
-from sim.step_size import temperature
+from sim.histogram import covering, extremes, sampled_density, starts
+from sim.record import SNAPSHOTS, Record
+from sim.setup import Setup
+from sim.statistics import sampling_error
 
-SNAPSHOTS = 16
+PILOT_STATES = 16
 """States of the ensemble from which the pilot takes the ranges of the histograms."""
 
 PILOT_STEPS = 8
 """Sampling intervals between two of them: about a period of the fastest mode."""
 
-PILOTS = 65536
+PILOT_PATHS = 65536
 """Trajectories at most that the pilot reads: the extremes of more lie within the margin."""
 
-LARGEST_Z = 5.0
-"""|z| of a moment identity that chance explains: by Student's t 2e-5 each of 32 batches (4096
-paths), 5e-6 of 64 (8192 and more)."""
+CHUNKS = 20
+"""Chunks into which the sampled time is divided; after each progress is reported and trajectories
+that left the finite range are counted."""
 
-STEP_BIAS = 1e-3
-"""Defect of a moment identity, relative to its right side (a virial: to kT), that the step may
-leave beyond chance; a long run resolves less than this, and ``residual`` then is the |z| of it."""
+FIRST_CHUNK = 32
+"""Divisor of the length of a chunk at the beginning of a run without a known end. Whenever such a
+run has 2 ``CHUNKS``, they are joined in pairs, and those that follow are twice as long."""
+
+LEAST_CHUNKS = 8
+"""Chunks before which a target error is not trusted: halves of four can be compared."""
+
+CHECK_AT = 0.95
+"""Share of the samples wanted, as 1/error² predicts them, at which the error is computed again."""
 
 
-Answer = tuple[tuple[SampledDensity, ...], tuple[Identity, ...], Report]
-"""The densities, the moment identities (none without moments), and the report."""
-
-
-def simulate(
-    setup: Setup,
-    *,
-    workers: Any = None,
-    failures: Sequence[str] = (),
-    progress: Progress = silent,
-) -> Answer:
+def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) -> Answer:
     """Sample the stationary state of Eq. (6) as ``setup`` says.
 
-    ``workers`` do the work (None: one thread here). ``failures`` say what is known beforehand to
-    stand against a certificate. The state is saved at intervals where the method has a folder for
-    ``checkpoint``, and a simulation of the same setup goes on from there. Where its answer may be
-    ``partial`` Ctrl-C ends the sampling, and what there is by then is the result, not certified.
-
-    Where the system has the mirror symmetry, mirror images of samples count as samples.
+    ``workers`` do the work (None: one thread here). The state is saved at intervals where the
+    method has a folder for ``checkpoint``, and a simulation of the same setup goes on from there.
+    Where its answer may be ``partial`` Ctrl-C ends the sampling, and what there is by then is the
+    result, not certified.
     """
-    begin = perf_counter()
-    method, folder = setup.method, setup.method.checkpoint
+    begin, method = perf_counter(), setup.method
     ensemble = Ensemble(
         setup.system, setup.scheme, setup.dt, method.paths, method.seed, workers=workers
     )
-    autosave = Autosave(None if folder is None else checkpoint_of(folder, setup.identity))
-    saved = autosave.load()
+    checkpoint = checkpoint_of(method.checkpoint, setup.identity)
+    saved = checkpoint.load()
     sampling = "reached" in saved
-    reached = saved["reached"] if sampling else _burnt_in(setup, ensemble, autosave, saved)
+    reached = saved["reached"] if sampling else _burnt_in(setup, ensemble, checkpoint, saved)
     histograms = setup.histograms or covering(setup.observables, reached, mirror=setup.mirror)
     ensemble.watch(histograms, setup.products)
     record = Record(histograms, setup.products, setup.system.mass, setup.mirror)
@@ -76,21 +64,21 @@ def simulate(
         ensemble.restore(saved)
         record.restore(saved)
         begin -= record.elapsed
-    autosave.notes["reached"] = reached
-    with interruptible() if method.partial else nullcontext() as autosave.stopped:
-        sample(ensemble, record, setup, begin=begin, autosave=autosave, progress=progress)
-    autosave.save(ensemble)
+    checkpoint.notes["reached"] = reached
+    with interruptible() if method.partial else nullcontext(never) as checkpoint.stopped:
+        _sample(ensemble, record, setup, begin=begin, checkpoint=checkpoint, progress=progress)
+    checkpoint.save(ensemble)
     interrupted = ""
-    if autosave.interrupted:
+    if checkpoint.interrupted:
         chunks = f"{record.chunks} chunks" if setup.open else f"{record.chunks} of {CHUNKS} chunks"
         interrupted = f"partial: interrupted after {chunks}"
-    return _assessed(setup, ensemble, record, interrupted=interrupted, failures=failures)
+    return assessed(setup, ensemble, record, interrupted=interrupted)
 
 
-def _burnt_in(setup: Setup, ensemble: Any, autosave: Autosave, saved: Any) -> Array:
+def _burnt_in(setup: Setup, ensemble: Ensemble, checkpoint: Checkpoint, saved: Any) -> Array:
     """Advance to the end of the burn-in, from the state in ``saved`` if there is one.
 
-    Returns the extremes (coordinates, 2) of what the trajectories then reach in ``SNAPSHOTS``
+    Returns the extremes (coordinates, 2) of what the trajectories then reach in ``PILOT_STATES``
     states, to choose the histograms by where they are not given.
     """
     coordinates = sum(map(len, setup.observables))
@@ -99,98 +87,81 @@ def _burnt_in(setup: Setup, ensemble: Any, autosave: Autosave, saved: Any) -> Ar
     ensemble.watch(covering(setup.observables, reached, mirror=setup.mirror), setup.products)
     if saved:
         ensemble.restore(saved)
-    autosave.advance(ensemble, setup.burn_in_steps - ensemble.done, stride=0)
+    checkpoint.advance(ensemble, setup.burn_in_steps - ensemble.done, stride=0)
     if setup.histograms is None:
         reached = np.full((coordinates, 2), (inf, -inf))
-        for _ in range(SNAPSHOTS):
+        for _ in range(PILOT_STATES):
             ensemble.advance(PILOT_STEPS * setup.stride, stride=0)
-            states = ensemble.phase_points(PILOTS)
+            states = ensemble.phase_points(PILOT_PATHS)
             low, high = extremes(setup.system, setup.observables, *states).T
-            reached[:, 0] = np.minimum(reached[:, 0], low)
-            reached[:, 1] = np.maximum(reached[:, 1], high)
+            reached = np.stack(
+                [np.minimum(reached[:, 0], low), np.maximum(reached[:, 1], high)], axis=1
+            )
     return reached
 
 
-def _assessed(
-    setup: Setup, ensemble: Any, record: Record, *, interrupted: str, failures: Sequence[str]
-) -> Answer:
-    """Return the certified densities, the moment identities and the report.
+def _sample(
+    ensemble: Ensemble,
+    record: Record,
+    setup: Setup,
+    *,
+    begin: float,
+    checkpoint: Checkpoint,
+    progress: Progress,
+) -> None:
+    """Advance until ``setup`` is met, a trajectory is lost or ``checkpoint`` is interrupted.
 
-    ``failures`` and ``interrupted`` (in words, empty if it was not) stand against a certificate.
-    Where trajectories were lost, or the sampling was interrupted, there is nothing to diagnose.
+    ``record`` gets what the diagnosis needs: the sums at the end of every chunk, and single
+    samples of all trajectories at the beginning of some. Where it was restored, as ``ensemble``
+    was, the sampling goes on from there. A chunk that was interrupted is not recorded. ``begin`` is
+    the time of the clock at which the simulation began.
     """
-    steps = _steps(setup, ensemble, record.stepping)
-    words, lost = [interrupted] if interrupted else [], ensemble.lost()
-    if lost:
-        words.append(
-            f"{lost} of {ensemble.paths} trajectories left the finite range;"
-            f" use a smaller dt than {steps.dt:g}"
-        )
-    words += failures
-    identities: tuple[Identity, ...] = ()
-    if record.products:
-        identities = Moments(setup.system, ensemble.batch_means()).identities()
-    judged = identities if not lost else ()
-    words += [text for identity in judged if (text := _defect(setup.system, identity))]
-    diagnosed: Diagnosis | None = None
-    effective = [] if lost or interrupted else record.effective(ensemble)
-    if effective:
-        time = ensemble.samples * (ensemble.dt * setup.stride)
-        diagnosed = diagnosis(
-            effective, record.names, record.means(),
-            time=time, paths=ensemble.paths, burn_in=steps.burn_in,
-        )  # fmt: skip
-        words += diagnosed.failures
-    first = starts(record.histograms)
-    densities = tuple(
-        sampled_density(
-            histogram,
-            ensemble.counts[:, first[m] : first[m + 1]],
-            taken=ensemble.paths * ensemble.samples,
-            mirror=record.mirror,
-            residual=max((abs(identity.z) for identity in judged), default=nan),
-            tol=setup.tol if setup.tol is not None and m == 0 else inf,
-            failures=words,
-        )
-        for m, histogram in enumerate(record.histograms)
-    )
-    report = Report(
-        steps=steps,
-        errors=tuple(DensityError(d.observable, sampling_error(d)) for d in densities),
-        diagnosis=diagnosed,
-        moments=record.moments(ensemble, effective) if record.products and not lost else (),
-        interrupted=interrupted,
-        lost=lost,
-    )
-    return densities, identities, report
+    stride, tol = setup.stride, setup.tol
+    chunks = CHUNKS * (FIRST_CHUNK if setup.open else 1)
+    first = max(1, ceil(setup.time / (stride * ensemble.dt * chunks)))
+    record.chunk_samples = record.chunk_samples or first
+    while True:
+        start, length = perf_counter(), record.chunk_samples * stride
+        begun = len(record.ends) * length
+        if ensemble.phase == begun and record.squares and record.chunks in SNAPSHOTS:
+            before = ensemble.sums
+            ensemble.advance(stride, stride=stride)
+            with np.errstate(over="ignore", invalid="ignore"):  # lost trajectories count below
+                record.snapshot(before, ensemble.sums, ensemble.live)
+        record.elapsed = start - begin
+        checkpoint.notes |= record.saved()
+        interrupted = checkpoint.advance(ensemble, begun + length - ensemble.phase, stride=stride)
+        record.stepping += perf_counter() - start
+        if interrupted:
+            return
+        record.chunks += 1
+        if ensemble.lost():
+            return
+        record.chunk_ends(ensemble)
+        record.elapsed = perf_counter() - begin
+        late, enough = record.elapsed > setup.seconds, record.chunks >= LEAST_CHUNKS
+        if tol is not None and (late or (enough and ensemble.samples >= record.target)):
+            record.error = _first_error(ensemble, record)
+            record.target = CHECK_AT * ensemble.samples * (record.error / tol) ** 2
+        done = _share_done(ensemble, record, setup)
+        progress(min(CHUNKS, int(CHUNKS * done)), CHUNKS, "simulation")
+        met = tol is not None and record.error <= tol and enough
+        if met or late or (not setup.open and record.chunks == CHUNKS):
+            return
+        if setup.open and len(record.ends) == 2 * CHUNKS:
+            record.join_pairs()
 
 
-def _defect(system: System, identity: Identity) -> str:
-    """Return why a moment identity fails, empty where chance and a small step bias explain it."""
-    allowed = STEP_BIAS * (identity.expected or temperature(system))
-    if abs(identity.value - identity.expected) > LARGEST_Z * identity.error + allowed:
-        return f"{identity.name} is off by {identity.z:.1f} standard errors; use a smaller dt"
-    return ""
+def _share_done(ensemble: Ensemble, record: Record, setup: Setup) -> float:
+    """Return how much of the sampling is done; beyond 1 where it took longer than predicted."""
+    if not setup.open:
+        return record.chunks / CHUNKS
+    wanted = record.target / CHECK_AT if setup.tol is not None else inf
+    return max(ensemble.samples / wanted if wanted else 0.0, record.elapsed / setup.seconds)
 
 
-def _steps(setup: Setup, ensemble: Any, seconds: float) -> Steps:
-    steps = ensemble.samples * setup.stride
-    return Steps(
-        scheme=setup.scheme.name,
-        dt=setup.dt / setup.scheme.small,
-        paths=ensemble.paths,
-        steps=steps,
-        time=steps * setup.dt,
-        burn_in=setup.burn_in_steps * setup.dt,
-        stride=setup.stride,
-        batches=ensemble.edges.size - 1,
-        seed=ensemble.seed,
-        threads=ensemble.threads,
-        temperature=temperature(setup.system),
-        long_step=setup.dt,
-        nanoseconds=1e9 * seconds * ensemble.threads / (ensemble.paths * steps),
-        relaxation_time=relaxation_time(setup.system),
-        small=setup.scheme.small,
-        division=setup.division,
-        limited_by=setup.limited_by,
-    )
+def _first_error(ensemble: Ensemble, record: Record) -> float:
+    """Return the expected L1 sampling error of the first observable."""
+    histogram, taken = record.histograms[0], ensemble.paths * ensemble.samples
+    counts = ensemble.counts[:, : starts(record.histograms)[1]]
+    return sampling_error(sampled_density(histogram, counts, taken=taken, mirror=record.mirror))

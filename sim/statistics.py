@@ -4,14 +4,14 @@ from dataclasses import dataclass
 from math import pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fpk.density import SampledDensity, bin_differences
 from fpk.method import Identity
 from fpk.system import System
+from sim.arrays import Array
 
-Array = NDArray[np.float64]
 Product = tuple[str, int, str, int]
+"""Two coordinates whose product is summed, each a kind (q, p, f or d) and a mass from 0."""
 
 L1_BINS = (128, 64)
 """Bins of each axis, of one and of two coordinates, on which an L1 error is computed. On the bins
@@ -24,15 +24,11 @@ def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
     With damping ``terms``, whose forces are D_i = Σ_j c̃_ij v_j, also p D and q D.
     """
     masses = range(n)
-    more = [(a, i, "d", i) for a in ("p", "q") for i in masses] if terms else []
-    return (
-        *(("p", i, "p", j) for i in masses for j in range(i, n)),
-        *(("q", i, "p", j) for i in masses for j in masses),
-        *(("q", i, "f", i) for i in masses),
-        *(("p", i, "f", i) for i in masses),
-        *(("q", i, "q", i) for i in masses),
-        *more,
-    )
+    products: list[Product] = [("p", i, "p", j) for i in masses for j in range(i, n)]
+    products += [("q", i, "p", j) for i in masses for j in masses]
+    for a, b in ("qf", "pf", "qq", *(("pd", "qd") if terms else ())):
+        products += [(a, i, b, i) for i in masses]
+    return tuple(products)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +42,7 @@ class Moments:
         """Return the mean (batches,) of one product in each batch, masses counted from 0."""
         products = moment_products(self.system.n, terms=bool(self.system.damping_terms))
         key = (a, i, b, j) if (a, i, b, j) in products else (b, j, a, i)
-        column: Array = self.batch_means[:, products.index(key)]
-        return column
+        return np.asarray(self.batch_means[:, products.index(key)])
 
     def identities(self) -> tuple[Identity, ...]:
         """Return the moment identities, exact in the stationary state of Eq. (6).
@@ -64,8 +59,7 @@ class Moments:
             terms = [c[i, j] / m[j] * self.batches(a, i, "p", j) for j in masses]
             if system.damping_terms:
                 terms.append(self.batches(a, i, "d", i))
-            total: Array = np.sum(terms, axis=0)
-            return total
+            return np.asarray(np.sum(terms, axis=0))
 
         noise = np.diag(system.noise_matrix)
         loss = np.sum([damped("p", i) / m[i] for i in masses], axis=0)

@@ -46,43 +46,34 @@ def temperature(system: System) -> float:
     return noise / loss if loss > 0 else inf
 
 
-def contact_frequency(system: System) -> float:
-    """Return the largest √(g'/m) that is reached; 0 without contact."""
-    return sqrt(max((slope / m for slope, _, m in _reached_stiffness(system)), default=0.0))
+def contact_frequency(system: System, *, springs: bool = False) -> float:
+    """Return the largest √(g'/m) that is reached, with ``springs`` √((g' + K_ii)/m_i).
 
-
-def frequency_in_contact(system: System) -> float:
-    """Return the largest √((g' + K_ii)/m_i) that is reached; 0 without contact."""
-    return sqrt(max(((slope + k) / m for slope, k, m in _reached_stiffness(system)), default=0.0))
-
-
-def _reached_stiffness(system: System) -> list[tuple[float, float, float]]:
-    """For every stop the steepest g' that is reached, and K_ii and the mass of its mass.
-
-    A mass that moves alone, the others following statically, has the potential
-    ``½ k_eff q² + U(q)`` with k_eff the Schur complement of K. It reaches ``REACHED`` kT, or
-    one kT of contact energy where the stop is too far for that.
+    0 without contact. A mass that moves alone, the others following statically, has the potential
+    ``½ k_eff q² + U(q)`` with k_eff the Schur complement of K. It reaches ``REACHED`` kT, or one kT
+    of contact energy where the stop is too far for that.
     """
-    kT, reached = temperature(system), []
-    for i in system.contact_masses:
+    kT, largest = temperature(system), 0.0
+    for stop in system.stops:
+        i, sign = stop.index, 1.0 if stop.side == "right" else -1.0
         k_eff = 1.0 / system.compliance[i, i]
-        for stop in (s for s in system.stops if s.index == i):
-            sign = 1.0 if stop.side == "right" else -1.0
-            level = max(REACHED * kT, 0.5 * k_eff * stop.clearance**2 + kT)
+        level = max(REACHED * kT, 0.5 * k_eff * stop.clearance**2 + kT)
 
-            def excess(
-                q: float, i: int = i, k: float = k_eff, d: float = sign, level: float = level
-            ) -> float:
-                return 0.5 * k * q * q + float(system.contact_energy(i, d * q)) - level
+        def excess(
+            q: float, i: int = i, k: float = k_eff, d: float = sign, level: float = level
+        ) -> float:
+            return 0.5 * k * q * q + float(system.contact_energy(i, d * q)) - level
 
-            q = scipy.optimize.brentq(excess, 0.0, sqrt(2.0 * level / k_eff) * (1.0 + 1e-9))
-            slope = sum(
-                float(s.slope(q - s.clearance))
-                for s in system.stops
-                if s.index == i and s.side == stop.side and q > s.clearance
-            )
-            reached.append((slope, float(system.stiffness_matrix[i, i]), float(system.mass[i])))
-    return reached
+        q = scipy.optimize.brentq(excess, 0.0, sqrt(2.0 * level / k_eff) * (1.0 + 1e-9))
+        stiffness = sum(
+            float(s.slope(q - s.clearance))
+            for s in system.stops
+            if (s.index, s.side) == (i, stop.side) and q > s.clearance
+        )
+        if springs:
+            stiffness += float(system.stiffness_matrix[i, i])
+        largest = max(largest, stiffness / float(system.mass[i]))
+    return sqrt(largest)
 
 
 def highest_frequency(system: System) -> float:
@@ -121,7 +112,7 @@ def chosen_step(system: System) -> float:
     Terms need it short beside their own rates and, since the oscillation does not commute with
     them, beside the natural periods.
     """
-    frequency, steps = frequency_in_contact(system), [sampling_interval(system)]
+    frequency, steps = contact_frequency(system, springs=True), [sampling_interval(system)]
     share = STEP_PER_FREQUENCY
     if system.damping_terms:
         steps.append(STEP_PER_RATE / term_rate(system))

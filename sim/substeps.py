@@ -31,19 +31,15 @@ from dataclasses import replace
 from math import isfinite, log, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import comb, ndtr
 
 from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.system import System
-from sim.arrays import LANES, SubstepArrays
+from sim.arrays import LANES, Array, Integers, SubstepArrays
 from sim.flow import exact_flow, flow_covariance, lower_trapezoidal, padded
 from sim.parts.substeps import NARROW
 from sim.scheme import Scheme
 from sim.step_size import sampling_interval, temperature
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 LARGEST_NORMAL = sqrt(2.0 * 32.0 * log(2.0)) * (1.0 + 3e-6)
 """Radius of a pair of normals at most: its uniform number is 2**-32 or more; and its rounding."""
@@ -96,61 +92,50 @@ def substep_arrays(system: System, H: float, small: int, mass: Integers) -> Subs
 
 def near_share(system: System, H: float) -> float:
     """Return an estimate of the share of trajectories that are near: each mass alone at kT."""
-    kT, far = temperature(system), 1.0
-    for i, reach in zip(
-        system.contact_masses, noise_reach(system, H, np.array(system.contact_masses)), strict=True
-    ):
+    kT, far, masses = temperature(system), 1.0, system.contact_masses
+    for i, reach in zip(masses, noise_reach(system, H, np.array(masses)), strict=True):
         k_eff = 1.0 / system.compliance[i, i]
         q = np.linspace(-6.0, 6.0, 4001) * sqrt(kT / k_eff)
-        energy = 0.5 * k_eff * q * q + np.array([float(system.contact_energy(i, x)) for x in q])
+        energy = 0.5 * k_eff * q * q + system.contact_energy(i, q)
         weight = np.exp(-(energy - energy.min()) / kT)
-        speed = sqrt(kT / system.mass[i])
-        near = np.zeros(q.size)
+        near, width = np.zeros(q.size), H * sqrt(kT / system.mass[i])
         for stop in (s for s in system.stops if s.index == i):
             gap = stop.clearance - (q if stop.side == "right" else -q)
-            near += np.where(gap <= 0.0, 1.0, ndtr((reach - gap) / (H * speed)))
+            near += np.where(gap <= 0.0, 1.0, ndtr((reach - gap) / width))
         far *= 1.0 - float(np.sum(np.minimum(near, 1.0) * weight) / np.sum(weight))
     return 1.0 - far
 
 
 def cost(system: System, dt: float, small: int) -> float:
     """Return the processor time of long steps over that of uniform steps ``dt``, an estimate."""
-    count = np.arange(LANES + 1)
+    if small == 1:
+        return 1.0
+    count, near = np.arange(LANES + 1), near_share(system, small * dt)
     groups = np.ceil(count / NARROW) * NARROW / LANES
-    near = near_share(system, small * dt)
     chance = comb(LANES, count) * near**count * (1.0 - near) ** (LANES - count)  # binomial
-    mean = float(np.sum(chance * groups))
-    return LONG_COST / small + SMALL_COST * mean
+    return LONG_COST / small + SMALL_COST * float(np.sum(chance * groups))
 
 
 def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, float, str]:
     """Return the scheme with long steps of small ones ``dt``, how long they are, and why.
 
-    Where all trajectories are to make the same steps it is the scheme itself, and ``dt``.
-    """
-    small, why = small_steps_in_long(system, scheme, dt)
-    return (replace(scheme, small=small), small * dt, why) if small > 1 else (scheme, dt, why)
-
-
-def small_steps_in_long(system: System, scheme: Scheme, dt: float) -> tuple[int, str]:
-    """Return the small steps ``dt`` in a long one, 1 for none, and why.
-
-    A long step is no longer than the interval of samples. Damping terms act between stops, too,
-    and only the exact flow is exact over a long step.
+    Where all trajectories are to make the same steps it is the scheme itself, and ``dt``. A long
+    step is no longer than the interval of samples. Damping terms act between stops, too, and only
+    the exact flow is exact over a long step.
     """
     if not system.stops:
-        return 1, "no contact: all trajectories make the same steps"
+        return scheme, dt, "no contact: all trajectories make the same steps"
     if system.damping_terms:
-        return 1, "damping terms act everywhere: all trajectories make the same steps"
+        return scheme, dt, "damping terms act everywhere: all trajectories make the same steps"
     if scheme.linear_map is not exact_flow:
-        return 1, f"{scheme.name} needs the small step everywhere"
-    kT = temperature(system)
-    longest = sampling_interval(system) * (1.0 + 1e-9) / dt
+        return scheme, dt, f"{scheme.name} needs the small step everywhere"
+    kT, longest = temperature(system), sampling_interval(system) * (1.0 + 1e-9) / dt
     choices = [m for m in SMALL_STEPS if m <= longest]
     if not choices or not (isfinite(kT) and kT > 0.0):
-        return 1, "the contact does not limit the step"
+        return scheme, dt, "the contact does not limit the step"
     costs = [cost(system, dt, m) for m in choices]
-    best = int(np.argmin(costs))
-    if costs[best] > WORTH:
-        return 1, "too many trajectories are near a stop"
-    return choices[best], f"{choices[best]} small steps near a stop, one elsewhere"
+    small = choices[int(np.argmin(costs))]
+    if min(costs) > WORTH:
+        return scheme, dt, "too many trajectories are near a stop"
+    words = f"{small} small steps near a stop, one elsewhere"
+    return replace(scheme, small=small), small * dt, words

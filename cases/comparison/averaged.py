@@ -84,29 +84,33 @@ class AveragedSimulation(Method):
         self, process: "Process", observables: Sequence[Observable], progress: Progress
     ) -> Result:
         from sim.averaged.line import line_form
-        from sim.averaged.paths import EnergySampling, exact, simulate_energies
+        from sim.averaged.paths import simulate_energies, steps_between
         from sim.averaged.square_root import square_root_form
 
         form = (line_form if self.theory == "nonintegrable" else square_root_form)(process)
         slowest, fastest = float(form.times.max()), float(form.times.min())
-        sampling = EnergySampling(
-            dt=inf if exact(form) else self.step * fastest,
-            time=SAMPLED_TIMES * slowest if self.time is None else self.time,
+        dt, interval = inf if form.exact else self.step * fastest, 0.5 * slowest
+        time = SAMPLED_TIMES * slowest if self.time is None else self.time
+        densities = simulate_energies(
+            form,
+            observables,
+            dt=dt,
+            time=time,
             burn_in=10.0 * slowest,
-            interval=0.5 * slowest,
+            interval=interval,
             paths=self.paths,
             seed=self.seed,
             threads=self.threads or usable_cores(),
             tol=inf if self.tol is None else self.tol,
+            progress=progress,
         )
-        densities = simulate_energies(form, observables, sampling, progress=progress)
         settings: dict[str, str | float | int] = {
             "equation": self.route.equation,
             "relaxation time": slowest,
-            "dt": sampling.inner[1],
-            "steps": "exact" if exact(form) else "Strang splitting",
+            "dt": steps_between(interval, dt)[1],
+            "steps": "exact" if form.exact else "Strang splitting",
             "paths": self.paths,
-            "time": sampling.time,
+            "time": time,
             "seed": self.seed,
         }
         return Result(self, densities, settings=settings)

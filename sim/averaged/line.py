@@ -1,19 +1,18 @@
 """One averaged energy as a square-root process, by a change of the variable."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fpk.errors import NotApplicable
 from fpk.process import Process, log_density_slope
 from fpk.quadrature import panel_rule
 from sim.averaged.square_root import SquareRootForm
 
-Array = NDArray[np.float64]
-
 NATS = 40.0
-"""Fall of the density up to the last energy of the table: 4e-18 of the mass lies beyond."""
+"""Fall of ln p up to the last energy of the table: 4e-18 of the mass lies beyond."""
+
 CELLS = 4096
 """Cells of the tables; linear interpolation between them is good to 1e-7."""
+
 FIRST = 8
 """Cells next to 0 with the γ of the next one: a difference of equal numbers is divided by X."""
 
@@ -39,25 +38,18 @@ def line_form(process: Process) -> SquareRootForm:
     gamma = (noise - mu) / R[1:] ** 2
     gamma[:FIRST] = gamma[FIRST]
     table = np.concatenate([gamma[:1], gamma]) - gamma[0]
-    left = float(np.max(np.abs(table)))
-    scale = float(np.interp(process.energy_scale, nodes, R)) ** 2
-
-    def energies(X: Array) -> Array:
-        # H/R² varies slowly; H itself would be off by the square of a cell next to 0.
-        return np.asarray(X * np.interp(np.sqrt(X), R, ratio))
-
+    # H/R² varies slowly; H itself would be off by the square of a cell next to 0.
     ratio = nodes[1:] / R[1:] ** 2
     ratio = np.concatenate([ratio[:1], ratio])
-    linear = np.array([gamma[0]])
+    scale = float(np.interp(process.energy_scale, nodes, R)) ** 2
+    # What the table itself is good for counts as nothing.
+    alike = float(np.max(np.abs(table))) <= 1e-6 * abs(float(gamma[-1]))
     return SquareRootForm(
         noise=lambda X: np.array([[noise]]),
         slope=lambda X: np.array([[4.0]]),
-        # What the table itself is good for counts as nothing.
-        damping=(lambda X: np.interp(np.sqrt(X), R, table))
-        if left > 1e-6 * abs(float(gamma[-1]))
-        else None,
-        linear=linear,
-        energies=energies,
+        damping=None if alike else lambda X: np.interp(np.sqrt(X), R, table),
+        linear=gamma[:1],
+        energies=lambda X: np.asarray(X * np.interp(np.sqrt(X), R, ratio)),
         scales=np.array([scale]),
         times=np.array([scale / noise]),
     )

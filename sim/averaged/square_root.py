@@ -4,17 +4,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fpk.errors import NotApplicable
 from fpk.process import Process
+from sim.arrays import Array
 
-Array = NDArray[np.float64]
 Function = Callable[[Array], Array]
 
 NEAR_ZERO = 1e-7
 """Energy, in units of the process's scale, below which γ and β are those at that energy."""
+
 PROBES = 64
+"""Random energies at which coefficients are compared to see whether they are constants."""
+
 ALIKE = 1e-12
 """Relative spread over the probes below which a coefficient counts as a constant."""
 
@@ -38,6 +40,13 @@ class SquareRootForm:
     scales: Array
     times: Array
 
+    @property
+    def exact(self) -> bool:
+        """Whether a step of any length is exact: nothing is split off, d and β are constants."""
+        probe = np.ones((2, self.scales.size)) * self.scales
+        constant = all(f(probe).shape[0] == 1 for f in (self.noise, self.slope))
+        return self.damping is None and constant
+
 
 def square_root_form(process: Process) -> SquareRootForm:
     """Return energies H_i with b_ii = β_i H_i and b_ij = 0 in the form of exact steps.
@@ -60,8 +69,7 @@ def square_root_form(process: Process) -> SquareRootForm:
 
     def slope(H: Array) -> Array:
         safe = np.maximum(H, NEAR_ZERO * scales)
-        b = process.at(safe).diffusion
-        return np.asarray(np.diagonal(b, axis1=1, axis2=2) / safe)
+        return np.asarray(np.einsum("nii->ni", process.at(safe).diffusion) / safe)
 
     b = process.at(probes).diffusion
     off = b - np.einsum("nii->ni", b)[:, :, None] * np.eye(scales.size)
@@ -69,23 +77,20 @@ def square_root_form(process: Process) -> SquareRootForm:
         raise NotApplicable("the noises of two energies are correlated (b_ij ≠ 0): not simulated")
     d = _constant_or(noise, probes)
 
-    def whole(H: Array) -> Array:
+    def rate(H: Array) -> Array:
         safe = np.maximum(H, NEAR_ZERO * scales)
         return np.asarray((d(H) - process.at(safe).drift) / safe)
 
-    rates, columns = whole(probes), np.arange(scales.size)
+    rates = rate(probes)
     # Read at large energies: next to 0 the difference of equal numbers is divided by H_i.
-    constant = rates[probes.argmax(axis=0), columns]
-    alike = np.abs(rates - constant) <= ALIKE * (np.abs(d(probes) / probes) + np.abs(constant))
-    linear = constant if alike.all() else whole(np.zeros((1, scales.size)))[0]
-
-    def damping(H: Array) -> Array:
-        return np.asarray(whole(H) - linear)
-
+    constant = rates[probes.argmax(axis=0), np.arange(scales.size)]
+    round_off = ALIKE * (np.abs(d(probes) / probes) + np.abs(constant))
+    alike = bool(np.all(np.abs(rates - constant) <= round_off))
+    linear = constant if alike else rate(np.zeros((1, scales.size)))[0]
     return SquareRootForm(
         noise=d,
         slope=_constant_or(slope, probes),
-        damping=None if alike.all() else damping,
+        damping=None if alike else lambda H: rate(H) - linear,
         linear=linear,
         energies=lambda H: H,
         scales=scales,
@@ -94,10 +99,10 @@ def square_root_form(process: Process) -> SquareRootForm:
 
 
 def _constant_or(function: Function, probes: Array) -> Function:
+    """Return the function, or the constant (1, d) that it is at all ``probes``."""
     values = function(probes)
     if np.all(np.ptp(values, axis=0) <= ALIKE * np.abs(values).max(axis=0)):
-        constant = values[:1]
-        return lambda H: constant
+        return lambda H: values[:1]
     return function
 
 

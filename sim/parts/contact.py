@@ -3,20 +3,17 @@
 from typing import Any
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
 from fpk.compiled_laws import of_law
-from fpk.compiling import FLAGS
-from sim.arrays import LANES, StepArrays
+from fpk.compiling import inlined
+from sim.arrays import LANES as W
+from sim.arrays import Array, StepArrays
 from sim.lanes import fill, kick, row
 
-Array = NDArray[np.float64]
-W = LANES
 Stop = tuple[float, float, float, float, int, float]
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def contact_forces(
     s: Array, g0: int, step: StepArrays, force: Any, slope: Any, width: int = W
 ) -> None:
@@ -37,7 +34,7 @@ def contact_forces(
             g[width + k] += B * of_law(slope, law, o, e) if o > 0.0 else 0.0
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def kick_by_contact(s: Array, g0: int, step: StepArrays, n: int, width: int = W) -> None:
     """Take the modified contact forces in the rows from ``g0`` times dt from the momenta."""
     for slot in range(step.slot_mass.size):
@@ -45,7 +42,7 @@ def kick_by_contact(s: Array, g0: int, step: StepArrays, n: int, width: int = W)
         kick(p, g, step.dt, step.slot_shift[slot], width)
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def only_stop(step: StepArrays, mass: int) -> Stop:
     """Return the numbers of the only stop of a mass, the last its share of the modified kick."""
     for stop in range(step.stop_slot.size):
@@ -62,7 +59,7 @@ def only_stop(step: StepArrays, mass: int) -> Stop:
     return 0.0, np.inf, 0.0, 1.0, 0, 0.0
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def modified_force(q: float, stop: Stop, force: Any, slope: Any) -> float:
     """Return ``g (1 − a g')`` of one stop at the displacement ``q`` of one lane."""
     sign, clearance, B, e, law, a = stop
@@ -73,7 +70,7 @@ def modified_force(q: float, stop: Stop, force: Any, slope: Any) -> float:
     return g * (1.0 - a * g_slope)
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def add_contact(s: Array, q0: int, to: int, step: StepArrays, law_part: Any, forces: bool) -> None:
     """Add g at the displacements from row ``q0`` to the rows of its masses from ``to``.
 

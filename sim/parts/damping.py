@@ -9,18 +9,14 @@ terms backward are symmetric, hence of second order in the step.
 """
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
-from fpk.compiling import FLAGS
-from sim.arrays import LANES, Rows, StepArrays, TermArrays
+from fpk.compiling import inlined
+from sim.arrays import LANES as W
+from sim.arrays import Array, Rows, StepArrays, TermArrays
 from sim.lanes import add, add_matrix, add_product, copy, fill, multiply, row
 
-Array = NDArray[np.float64]
-W = LANES
 
-
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def term_rate(rate: Array, s: Array, first: int, terms: TermArrays, k: int, own: int) -> None:
     """Write κ p^own of term k, without its H, at the state from row ``first`` on."""
     fill(rate, terms.scale[k])
@@ -28,7 +24,7 @@ def term_rate(rate: Array, s: Array, first: int, terms: TermArrays, k: int, own:
         multiply(rate, row(s, first + terms.factor[f]))
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def flow(p: Array, rate: Array, N: int, t: float) -> None:
     """Replace p by the solution of ``p' = −rate p^N`` after ``t``; NaN after a blow-up."""
     if N == 0:
@@ -54,7 +50,7 @@ def flow(p: Array, rate: Array, N: int, t: float) -> None:
             p[k] = p[k] * base ** (-1.0 / (N - 1)) if base > 0.0 else np.nan
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def spring_energy(s: Array, V: Array, step: StepArrays) -> None:
     """Write ½ qᵀ K q of the state; contact is added elsewhere."""
     fill(V, 0.0)
@@ -64,7 +60,7 @@ def spring_energy(s: Array, V: Array, step: StepArrays) -> None:
             add_product(V, row(s, i), row(s, j), 0.5 * K[i, j])
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def whole_energy(s: Array, H: Array, V: Array, step: StepArrays) -> None:
     """Write H = V + Σ p²/(2m) of the state."""
     copy(H, V)
@@ -73,7 +69,7 @@ def whole_energy(s: Array, H: Array, V: Array, step: StepArrays) -> None:
         add_product(H, row(s, n + i), row(s, n + i), step.half_inverse_mass[i])
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def term_flow(s: Array, work: int, step: StepArrays, k: int) -> None:
     """Advance the state by term k alone over half a step; with H^e, half-way from a predictor.
 
@@ -89,17 +85,15 @@ def term_flow(s: Array, work: int, step: StepArrays, k: int) -> None:
         a = step.half_inverse_mass[terms.target[k] - step.half_inverse_mass.size]
         copy(with_energy, rate)
         copy(middle, p)
-        for _ in range(terms.energy[k]):
-            multiply(with_energy, H)
+        multiply(with_energy, H, terms.energy[k])
         flow(middle, with_energy, terms.power[k], 0.5 * t)
         add_product(H, middle, middle, a)
         add_product(H, p, p, -a)
-        for _ in range(terms.energy[k]):
-            multiply(rate, H)
+        multiply(rate, H, terms.energy[k])
     flow(p, rate, terms.power[k], t)
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def damping_forces(s: Array, first: int, H: Array, to: int, work: int, step: StepArrays) -> None:
     """Write Σ_j c̃_ij v_j of the terms at the state from row ``first``, whose energy is ``H``."""
     n, rate, terms = step.half_inverse_mass.size, row(s, work), step.terms
@@ -107,12 +101,11 @@ def damping_forces(s: Array, first: int, H: Array, to: int, work: int, step: Ste
         fill(row(s, to + i), 0.0)
     for k in range(terms.target.size):
         term_rate(rate, s, first, terms, k, terms.power[k])
-        for _ in range(terms.energy[k]):
-            multiply(rate, H)
+        multiply(rate, H, terms.energy[k])
         add(row(s, to + terms.target[k] - n), rate, 1.0)
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def change_by_springs(s: Array, state: int, to: int, step: StepArrays) -> None:
     """Write (M⁻¹ p, −K q) of the state from row ``state`` on, the flow of the springs alone."""
     n = step.half_inverse_mass.size
@@ -123,7 +116,7 @@ def change_by_springs(s: Array, state: int, to: int, step: StepArrays) -> None:
     add_matrix(s, to + n, state, step.stiffness_matrix, -1.0)
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def change_of_term(
     change: Array, one: Array, s: Array, state: int, rates: int, terms: TermArrays, k: int
 ) -> None:
@@ -137,7 +130,7 @@ def change_of_term(
         add(change, one, 1.0)
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def processed_by_terms(s: Array, H: Array, at: Rows, shift: float, step: StepArrays) -> None:
     """Change the observed (q*, p*) by the processor of the terms; ``H`` is that of the state.
 
@@ -160,8 +153,7 @@ def processed_by_terms(s: Array, H: Array, at: Rows, shift: float, step: StepArr
     change, one = row(s, work), row(s, work + 3)
     for k in range(terms.target.size):
         change_of_term(change, one, s, at.q, at.change, terms, k)
-        for _ in range(terms.energy[k]):
-            multiply(change, H)
+        multiply(change, H, terms.energy[k])
         add(row(s, at.change + n + terms.target[k]), change, 1.0)
     for i in range(n):
         a = 2.0 * shift * step.half_inverse_mass[i]

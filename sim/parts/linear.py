@@ -10,22 +10,19 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from fpk.compiling import FLAGS
-from sim.arrays import COLUMNS, LANES, StepArrays
+from fpk.compiling import inlined
+from sim.arrays import COLUMNS, Array, StepArrays
+from sim.arrays import LANES as W
 from sim.lanes import copy, row
 from sim.parts.contact import modified_force, only_stop
 from sim.random import Singles
-
-Array = NDArray[np.float64]
-W = LANES
 
 ONE_LOOP = ((1, 1), (2, 2))
 """Masses and pairs of normals that have a loop of their own."""
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def map_one_mass(
     x: Array, z: Singles, A: Array, step: StepArrays, kick1: bool, force: Any, slope: Any,
     width: int, sines: int,
@@ -43,7 +40,7 @@ def map_one_mass(
         x[width + k] = d * q + e * p + f * z0 + g * np.float64(z[sines + k])
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def map_two_masses(
     x: Array, z: Singles, A: Array, step: StepArrays, kick1: bool, kick2: bool, force: Any,
     slope: Any, width: int, sines: int, pair: int,
@@ -72,7 +69,7 @@ def map_two_masses(
         x[3 * width + k] = y + d6 * z2 + d7 * z3
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def map_by_pairs(s: Array, matrix: Array, scratch: int, width: int) -> None:
     """Map the first rows of ``s`` with the normals in the rows behind them."""
     for i in range(0, matrix.shape[0], 2):

@@ -1,34 +1,22 @@
 """The observed state, products of its rows, and histograms."""
 
+from typing import Any
+
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from fpk.compiling import FLAGS
-from sim.arrays import LANES, StepArrays, WatchArrays
-from sim.lanes import (
-    add,
-    add_matrix,
-    add_product,
-    bin_of,
-    copy,
-    count,
-    fill,
-    grow,
-    join_bins,
-    kick,
-    row,
-)
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-W = LANES
+from fpk.compiling import inlined
+from sim.arrays import LANES as W
+from sim.arrays import Array, Integers, StepArrays, WatchArrays
+from sim.lanes import add, add_matrix, add_product, copy, fill, grow, kick, row
+from sim.parts.contact import add_contact
+from sim.parts.damping import damping_forces, processed_by_terms, whole_energy
 
 FOLDED = 16
-"""Sums of a product over a block whose trajectories are not wanted each: a vector or two."""
+"""Sums of one product over a block of which each lane has no sum of its own: a vector or two."""
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def observed_displacements(s: Array, step: StepArrays, watch: WatchArrays) -> None:
     """Write q*, corrected by the processor; without contact it is q."""
     q0, g0 = watch.at.q, watch.at.contact
@@ -38,7 +26,7 @@ def observed_displacements(s: Array, step: StepArrays, watch: WatchArrays) -> No
         add(row(s, q0 + step.slot_mass[slot]), row(s, g0 + 2 * slot), -step.slot_shift[slot])
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def observed_momenta(s: Array, step: StepArrays, watch: WatchArrays) -> None:
     """Write p*, in the middle of the kicks and corrected by the processor."""
     p0, g0 = watch.at.p, watch.at.contact
@@ -55,7 +43,7 @@ def observed_momenta(s: Array, step: StepArrays, watch: WatchArrays) -> None:
             add(row(s, p0 + i), row(s, g0 + 2 * slot), watch.cross[i, slot])
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def observed_energy(s: Array, step: StepArrays, watch: WatchArrays) -> None:
     """Write kinetic energy and that of the springs of (q*, p*); contact is added elsewhere."""
     H = row(s, watch.at.energy)
@@ -69,7 +57,7 @@ def observed_energy(s: Array, step: StepArrays, watch: WatchArrays) -> None:
             add_product(H, row(s, watch.at.q + i), row(s, watch.at.q + j), 0.5 * K)
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def observed_modes(s: Array, mode_q: Array, mode_p: Array, watch: WatchArrays) -> None:
     """Write the modal energies ½ (P_m² + ω_m² Q_m²) of (q*, p*)."""
     u = row(s, watch.at.work)
@@ -83,14 +71,46 @@ def observed_modes(s: Array, mode_q: Array, mode_p: Array, watch: WatchArrays) -
             add_product(H, u, u, 0.5)
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@njit(inline="always")
+def observe(
+    s: Array, V: Array, H: Array, step: StepArrays, watch: WatchArrays, contact: bool,
+    damping: bool, energy_damping: bool, momenta: bool, energy: bool, modes: bool, moments: bool,
+    force: Any, potential: Any,
+) -> None:  # fmt: skip
+    """Write the observed state and all that is asked for of it to the rows of ``watch.at``.
+
+    ``V`` is the potential energy of the state where damping depends on H, ``H`` scratch. Inlined
+    before types are inferred, so that nothing is compiled for a flag that is a constant False.
+    """
+    at = watch.at
+    observed_displacements(s, step, watch)
+    if momenta:
+        observed_momenta(s, step, watch)
+    if damping and watch.term_shift != 0.0:
+        if energy_damping:
+            whole_energy(s, H, V, step)
+        processed_by_terms(s, H, at, watch.term_shift, step)
+    if energy:
+        observed_energy(s, step, watch)
+        if contact:
+            add_contact(s, at.q, at.energy, step, potential, False)
+    if modes:
+        observed_modes(s, watch.mode_q, watch.mode_p, watch)
+    if moments:
+        for i in range(step.half_inverse_mass.size):
+            fill(row(s, at.force + i), 0.0)
+        add_matrix(s, at.force, at.q, step.stiffness_matrix, 1.0)
+        if contact:
+            add_contact(s, at.q, at.force, step, force, True)
+        if damping:
+            damping_forces(s, at.q, row(s, at.energy), at.damping, at.work, step)
+
+
+@inlined
 def add_products(
     s: Array, b: int, sums: Array, folded: Array, live: Integers, watch: WatchArrays
 ) -> None:
-    """Add the products of rows of block ``b``: lane by lane in the first blocks.
-
-    In the others lanes ``FOLDED`` apart share one sum.
-    """
+    """Add the products of rows of block ``b`` to its lanes' sums, or to those that lanes share."""
     for m in range(watch.products.shape[0]):
         u, v = row(s, watch.products[m, 0]), row(s, watch.products[m, 1])
         if b < sums.shape[0]:
@@ -105,15 +125,28 @@ def add_products(
                     to[k % FOLDED] += u[k] * v[k]
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
+def find_bins(x: Array, watch: WatchArrays, m: int, axis: int, index: Integers) -> None:
+    """Write the bin of every lane along one axis; the number of bins for outside and for NaN."""
+    low, scale, bins = watch.low[m, axis], watch.scale[m, axis], watch.bins[m, axis]
+    for k in range(W):
+        t = (x[k] - low) * scale
+        index[k] = np.int64(t) if (t >= 0.0) & (t < bins) else np.int64(bins)
+
+
+@inlined
 def count_all(
     s: Array, index: Integers, second: Integers, live: int, watch: WatchArrays, counts: Integers
 ) -> None:
-    """Count the lanes in every histogram."""
+    """Add one to a bin of every histogram for each of the first ``live`` lanes."""
     for m in range(watch.rows.shape[0]):
-        low, scale, bins = watch.low[m], watch.scale[m], watch.bins[m]
-        bin_of(row(s, watch.rows[m, 0]), low[0], scale[0], bins[0], index)
+        find_bins(row(s, watch.rows[m, 0]), watch, m, 0, index)
         if watch.rows[m, 1] >= 0:
-            bin_of(row(s, watch.rows[m, 1]), low[1], scale[1], bins[1], second)
-            join_bins(index, second, bins[0], bins[1])
-        count(counts[watch.start[m] :], index, live)
+            find_bins(row(s, watch.rows[m, 1]), watch, m, 1, second)
+            bins, columns = watch.bins[m, 0], watch.bins[m, 1]
+            for k in range(W):
+                inside = (index[k] < bins) & (second[k] < columns)
+                index[k] = index[k] * columns + second[k] if inside else bins * columns
+        own = counts[watch.start[m] :]
+        for k in range(live):
+            own[index[k]] += 1

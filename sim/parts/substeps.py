@@ -11,18 +11,14 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from fpk.compiling import FLAGS
-from sim.arrays import COLUMNS, LANES, StepArrays
+from fpk.compiling import inlined
+from sim.arrays import COLUMNS, Array, Integers, StepArrays
+from sim.arrays import LANES as W
 from sim.lanes import fill, row
 from sim.parts.contact import contact_forces, kick_by_contact
 from sim.parts.linear import map_state
 from sim.random import GOLDEN, LANE, Halves, Singles, Words, box_muller, mixed_word
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-W = LANES
 
 NARROW = 16
 """Lanes of a group: one vector of 32-bit numbers."""
@@ -30,10 +26,8 @@ NARROW = 16
 AT_ONCE = 4
 """Small steps whose normals are drawn together."""
 
-V = NARROW
 
-
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def near_lanes(s: Array, work: Array, near: Integers, index: Integers, step: StepArrays) -> int:
     """Write the lanes that may touch a stop to ``index`` and return how many they are.
 
@@ -64,52 +58,52 @@ def near_lanes(s: Array, work: Array, near: Integers, index: Integers, step: Ste
     for k in range(W):
         index[count] = k
         count += near[k]
-    for k in range(count, -(-count // V) * V):
+    for k in range(count, -(-count // NARROW) * NARROW):
         index[k] = index[0]
     return count
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def gather(groups: Array, s: Array, index: Integers, count: int, rows: int, stride: int) -> None:
     """Copy the state of the lanes of ``index`` to their groups; the first of them fills up."""
-    for c in range(-(-count // V)):
+    for c in range(-(-count // NARROW)):
         for r in range(rows):
-            to, source = row(groups[c * stride :], r, 1, V), row(s, r)
-            for k in range(V):
-                to[k] = source[index[c * V + k]]
+            to, source = row(groups[c * stride :], r, 1, NARROW), row(s, r)
+            for k in range(NARROW):
+                to[k] = source[index[c * NARROW + k]]
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def scatter(s: Array, groups: Array, index: Integers, count: int, rows: int, stride: int) -> None:
     """Copy the state of the groups back to their lanes."""
     for j in range(count):
-        group = groups[(j // V) * stride :]
+        group = groups[(j // NARROW) * stride :]
         for r in range(rows):
-            s[r * W + index[j]] = group[r * V + j % V]
+            s[r * W + index[j]] = group[r * NARROW + j % NARROW]
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def places(start: Words, index: Integers, count: int, pairs: int) -> None:
     """Write where a lane's words lie, behind the first one of its block: ``AT_ONCE`` small steps.
 
-    ``start``: (groups, AT_ONCE · pairs, V), as the words of one draw are.
+    ``start``: (groups, AT_ONCE · pairs, NARROW), as the words of one draw are.
     """
-    many = AT_ONCE * pairs * V
-    for c in range(-(-count // V)):
+    many = AT_ONCE * pairs * NARROW
+    for c in range(-(-count // NARROW)):
         to = start[c * many : (c + 1) * many]
-        for k in range(V):
-            to[k] = np.uint64(index[c * V + k]) * LANE
-        for k in range(V, many):
-            to[k] = to[k - V] + GOLDEN
+        for k in range(NARROW):
+            to[k] = np.uint64(index[c * NARROW + k]) * LANE
+        for k in range(NARROW, many):
+            to[k] = to[k - NARROW] + GOLDEN
 
 
-@njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
+@inlined
 def narrow_normals(z: Singles, halves: Halves, start: Words, first: np.uint64, pairs: int) -> None:
-    """Write the normals of ``AT_ONCE`` small steps of a group, (2, AT_ONCE, pairs, V).
+    """Write the normals of ``AT_ONCE`` small steps of a group, (2, AT_ONCE, pairs, NARROW).
 
     Words (as ``halves``: radii, angles) and normals (cosines, sines) are one long loop each.
     """
-    many = AT_ONCE * pairs * V
+    many = AT_ONCE * pairs * NARROW
     for k in range(many):
         word = mixed_word(first + start[k])
         halves[k] = np.uint32(word)
@@ -127,16 +121,18 @@ def small_steps(
 
     The kicks are fused with the map where it has a ``loop`` of its own.
     """
-    n, small, many = step.matrix.shape[0] // 2, step.substeps.small, AT_ONCE * pairs * V
+    n, small, many = step.matrix.shape[0] // 2, step.substeps.small, AT_ONCE * pairs * NARROW
     for begin in range(0, small, AT_ONCE):
-        for c in range(-(-count // V)):
+        for c in range(-(-count // NARROW)):
             word = first + np.uint64(begin * pairs) * GOLDEN
             narrow_normals(z[2 * many * c :], halves, start[many * c :], word, pairs)
         for t in range(min(AT_ONCE, small - begin)):
-            for c in range(-(-count // V)):
+            for c in range(-(-count // NARROW)):
                 s = groups[c * stride : (c + 1) * stride]
-                u = z[2 * many * c + V * pairs * t : 2 * many * (c + 1)]
+                u = z[2 * many * c + NARROW * pairs * t : 2 * many * (c + 1)]
                 if loop == 0:
-                    contact_forces(s, at_contact, step, force, slope, V)
-                    kick_by_contact(s, at_contact, step, n, V)
-                map_state(s, u, step.matrix, step, loop, kicks, pairs, force, slope, V, many, V)
+                    contact_forces(s, at_contact, step, force, slope, NARROW)
+                    kick_by_contact(s, at_contact, step, n, NARROW)
+                map_state(
+                    s, u, step.matrix, step, loop, kicks, pairs, force, slope, NARROW, many, NARROW
+                )

@@ -17,13 +17,13 @@ from fpk.errors import NotCertified, Unavailable
 from fpk.observable import parse_observable
 from sim.arrays import LANES
 from sim.batch import Threads
-from sim.cluster import Cluster, connected, gathered, on_copies, package
+from sim.cluster import Cluster, connected, gathered, on_copies
 from sim.ensemble import Ensemble
 from sim.histogram import Histogram
 from sim.scheme import SCHEMES
 from sim.statistics import moment_products
 
-distributed = pytest.importorskip("distributed")
+dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
 EXACT_FLOW = SCHEMES["exact_flow"]
 PATHS = 5 * LANES - 17
 """Five batches of one block each."""
@@ -35,7 +35,7 @@ MANY = 70 * LANES - 17
 def cluster(workers: int) -> Iterator[Any]:
     """A client of worker processes of one thread on this machine; they log nothing."""
     with (
-        package("dask").config.set({"distributed.logging.distributed": "critical"}),
+        dask.config.set({"distributed.logging.distributed": "critical"}),
         distributed.LocalCluster(
             n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0",
             silence_logs=logging.CRITICAL,
@@ -166,7 +166,6 @@ def test_an_address_that_does_not_answer_is_one_line(
 
 
 def test_where_dask_is_missing_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    package.cache_clear()
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(Unavailable, match=r"vibro-fpk\[cluster\]"), connected("tcp://x:1"):
         pass

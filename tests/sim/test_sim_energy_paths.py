@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from math import inf
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,10 +20,10 @@ from fpk.observable import Coordinate
 from fpk.plane.stationary import solve_plane
 from fpk.process import Coefficients, Process
 from sim.averaged.line import line_form
-from sim.averaged.paths import EnergySampling, exact, simulate_energies
+from sim.averaged.paths import simulate_energies, steps_between
 from sim.averaged.square_root import square_root_form, square_root_step
 
-SAMPLING = EnergySampling(dt=0.2, time=10.0, burn_in=10.0, interval=1.0, paths=4096)
+SAMPLING: Any = {"dt": 0.2, "time": 10.0, "burn_in": 10.0, "interval": 1.0, "paths": 4096}
 """Modes that decay at the rate 0.4 or faster: e⁻⁴ of the start's deviation is left at first, and a
 quarter of that in the mean over ten units of time, half a percent in L1; the bands are wider."""
 H1, H2, TOTAL = Coordinate("H", 0), Coordinate("H", 1), Coordinate("H")
@@ -76,7 +77,7 @@ def test_one_step_of_an_uncoupled_mode_is_the_noncentral_chi_square_at_any_dt() 
     # The transition law of the CIR process, as scipy knows it; χ² over 20 bins of equal
     # probability, false-alarm rate 1e-4 for each mode.
     form = square_root_form(coupled(0.0))
-    assert exact(form) and not exact(square_root_form(coupled(0.1)))
+    assert form.exact and not square_root_form(coupled(0.1)).exact
     start, dt, count = 0.9, 3.0, 40_000
     H = square_root_step(form, np.full((count, 2), start), dt, np.random.default_rng(11))
     gamma, beta, d = 0.4, 1.0, 0.5
@@ -91,7 +92,7 @@ def test_one_step_of_an_uncoupled_mode_is_the_noncentral_chi_square_at_any_dt() 
 def test_agrees_with_elements_on_coupled_damping_and_rejects_a_wrong_coefficient() -> None:
     # The band is that of chance alone at 1e-4; the step bias at dt = 0.2 must stay inside it, and
     # a coupling that is a quarter too strong must not.
-    (pair,) = simulate_energies(square_root_form(coupled(0.8)), [(H1, H2)], SAMPLING)
+    (pair,) = simulate_energies(square_root_form(coupled(0.8)), [(H1, H2)], **SAMPLING)
     pair = pair.coarsened(4)
     band = chance_l1(pair)[1]
 
@@ -107,7 +108,7 @@ def test_agrees_with_elements_on_coupled_damping_and_rejects_a_wrong_coefficient
 
 def test_three_coupled_energies_against_their_gibbs_like_density() -> None:
     form = square_root_form(coupled(0.4, energies=3))
-    total, first = simulate_energies(form, [(TOTAL,), (H1,)], SAMPLING)
+    total, first = simulate_energies(form, [(TOTAL,), (H1,)], **SAMPLING)
     joined = total.coarsened(8)
     band = chance_l1(joined)[1]
     assert l1_distance(joined, gibbs_sum(0.4, 3)) < band
@@ -117,7 +118,8 @@ def test_three_coupled_energies_against_their_gibbs_like_density() -> None:
 
 def test_one_energy_with_a_diffusion_that_is_not_linear_against_elements() -> None:
     form = line_form(energy_dependent(0.2))
-    (sampled,) = simulate_energies(form, [(TOTAL,)], replace(SAMPLING, burn_in=30.0, interval=2.0))
+    sampling = SAMPLING | {"burn_in": 30.0, "interval": 2.0}
+    (sampled,) = simulate_energies(form, [(TOTAL,)], **sampling)
     joined = sampled.coarsened(8)
     band = chance_l1(joined)[1]
 
@@ -183,9 +185,9 @@ def test_what_is_not_an_energy_is_refused() -> None:
 
 def test_the_answer_does_not_depend_on_threads() -> None:
     form = square_root_form(coupled(0.8))
-    short = replace(SAMPLING, paths=256, time=3.0, burn_in=1.0)
-    (one,) = simulate_energies(form, [(H1,)], short)
-    (two,) = simulate_energies(form, [(H1,)], replace(short, threads=2))
+    short = SAMPLING | {"paths": 256, "time": 3.0, "burn_in": 1.0}
+    (one,) = simulate_energies(form, [(H1,)], **short)
+    (two,) = simulate_energies(form, [(H1,)], **short, threads=2)
     assert np.array_equal(one.batch_values, two.batch_values)
 
 
@@ -208,8 +210,8 @@ def test_refusals() -> None:
     )
     with pytest.raises(NotApplicable, match="correlated"):
         square_root_form(correlated)
-    with pytest.raises(InvalidInput, match="paths"):
-        replace(SAMPLING, paths=100)
-    with pytest.raises(InvalidInput, match="dt"):
-        replace(SAMPLING, dt=0.0)
-    assert replace(SAMPLING, dt=inf).inner == (1, 1.0)
+    form = square_root_form(coupled(0.1))
+    for key, value in (("paths", 100), ("dt", 0.0)):
+        with pytest.raises(InvalidInput, match=key):
+            simulate_energies(form, [(H1,)], **SAMPLING | {key: value})
+    assert steps_between(1.0, inf) == (1, 1.0)

@@ -15,9 +15,9 @@ import sim.schemes  # noqa: F401
 from fpk.compiling import ROOT
 from fpk.observable import parse_observable
 from sim.arrays import LANES
-from sim.ensemble import Ensemble, kernel_key
+from sim.ensemble import Ensemble
 from sim.kernel import KernelKey
-from sim.plan import step_arrays
+from sim.plan import kernel_key, step_arrays
 from sim.scheme import SCHEMES
 from sim.sources import KERNEL, kernel_checksum, module_files, program_checksum
 from sim.statistics import moment_products

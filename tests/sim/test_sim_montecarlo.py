@@ -19,12 +19,12 @@ from fpk.method import Result
 from fpk.observable import parse_observable
 from fpk.system import System
 from sim.batch import Threads
-from sim.histogram import watch_arrays
 from sim.kernel import WatchArrays
 from sim.montecarlo import MonteCarlo
+from sim.plan import watch_arrays
 from sim.report import Report
-from sim.sampling import Setup
 from sim.scheme import SCHEMES
+from sim.setup import Setup
 from sim.simulation import simulate
 from sim.step_size import chosen_step, contact_frequency
 

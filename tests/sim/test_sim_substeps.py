@@ -17,11 +17,11 @@ from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.observable import parse_observable
 from fpk.system import System
 from sim.arrays import LANES
-from sim.ensemble import Ensemble, kernel_key
+from sim.ensemble import Ensemble
 from sim.flow import exact_flow, flow_covariance, lower_trapezoidal
 from sim.histogram import Histogram
 from sim.montecarlo import MonteCarlo
-from sim.plan import step_arrays
+from sim.plan import kernel_key, step_arrays
 from sim.random import normals
 from sim.scheme import SCHEMES, Scheme
 from sim.statistics import Moments, moment_products
@@ -32,7 +32,6 @@ from sim.substeps import (
     bends,
     cost,
     noise_reach,
-    small_steps_in_long,
     with_long_steps,
 )
 
@@ -282,7 +281,7 @@ def test_time_in_contact_of_a_very_stiff_stop() -> None:
 def test_choice_of_the_long_step() -> None:
     system = stiff()
     h = chosen_step(system)
-    scheme, H, _ = with_long_steps(system, EXACT_FLOW, h)
+    scheme, H, words = with_long_steps(system, EXACT_FLOW, h)
     assert scheme.small * h == H > h and scheme.name == EXACT_FLOW.name
     # What most_steps counts: long steps are a part of the cost, the near ones another.
     assert cost(system, h, scheme.small) > LONG_COST / scheme.small
@@ -292,22 +291,22 @@ def test_choice_of_the_long_step() -> None:
     most = 400.0 * h / cost(system, h, scheme.small)
     assert most <= float(capped.settings["time"]) < most + 20.0 * H * int(capped.settings["stride"])
     assert with_long_steps(fig6(), EXACT_FLOW, 0.1)[:2] == (EXACT_FLOW, 0.1)
-    small, words = small_steps_in_long(system, EXACT_FLOW, h)
+    small = scheme.small
     assert small >= 4 and small * h <= sampling_interval(system) and str(small) in words
-    assert small_steps_in_long(system, EXACT_FLOW, 0.5 * h)[0] >= small
+    assert with_long_steps(system, EXACT_FLOW, 0.5 * h)[0].small >= small
     term = DampingTerm(1, 1, 0.05, q=((1, 2),))
     damped = System(
         [1.0, 1.0], [1.0, 1.0], [0.08, 0.04], [0.01, 0.02],
         contacts=system.contacts, damping_terms=(term,),
     )  # fmt: skip
-    for other, scheme, why in (
+    for other, name, why in (
         (linear(2), "exact_flow", "no contact"),
         (damped, "exact_flow", "damping terms"),
         (system, "baoab", "needs the small step"),
         (fig6(), "exact_flow", ""),
     ):
-        small, words = small_steps_in_long(other, SCHEMES[scheme], chosen_step(other))
-        assert small == 1 and why in words
+        scheme, _, words = with_long_steps(other, SCHEMES[name], chosen_step(other))
+        assert scheme.small == 1 and why in words
 
 
 def test_uniform_steps_have_no_arrays_for_them() -> None:

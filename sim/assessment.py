@@ -1,0 +1,111 @@
+"""What a finished sample says: certified densities, moment identities and the report."""
+
+from math import inf, nan
+
+from fpk.density import SampledDensity
+from fpk.method import Identity
+from fpk.system import System
+from sim.diagnostics import Diagnosis, diagnosis
+from sim.ensemble import Ensemble
+from sim.histogram import sampled_density, starts
+from sim.record import Record
+from sim.relaxation import relaxation_time
+from sim.report import DensityError, Report, Steps
+from sim.setup import Setup
+from sim.statistics import Moments, sampling_error
+from sim.step_size import temperature
+
+LARGEST_Z = 5.0
+"""|z| of a moment identity that chance explains: by Student's t 2e-5 each of 32 batches (4096
+paths), 5e-6 of 64 (8192 and more)."""
+
+STEP_BIAS = 1e-3
+"""Defect of a moment identity, relative to its right side (a virial: to kT), that the step may
+leave beyond chance; a long run resolves less than this, and ``residual`` then is the |z| of it."""
+
+Answer = tuple[tuple[SampledDensity, ...], tuple[Identity, ...], Report]
+"""The densities, the moment identities (none without moments), and the report."""
+
+
+def assessed(setup: Setup, ensemble: Ensemble, record: Record, *, interrupted: str) -> Answer:
+    """Return the certified densities, the moment identities and the report.
+
+    ``interrupted``, in words and empty if it was not, stands against a certificate. Where
+    trajectories were lost, or the sampling was interrupted, there is nothing to diagnose. Where the
+    system has the mirror symmetry, mirror images of samples count as samples.
+    """
+    steps = _steps(setup, ensemble, record.stepping)
+    failures, lost = [interrupted] if interrupted else [], ensemble.lost()
+    if lost:
+        failures.append(
+            f"{lost} of {ensemble.paths} trajectories left the finite range;"
+            f" use a smaller dt than {steps.dt:g}"
+        )
+    failures += setup.failures
+    identities: tuple[Identity, ...] = ()
+    if record.products:
+        identities = Moments(setup.system, ensemble.batch_means()).identities()
+    judged = identities if not lost else ()
+    failures += [text for identity in judged if (text := _defect(setup.system, identity))]
+    diagnosed: Diagnosis | None = None
+    effective = [] if lost or interrupted else record.effective(ensemble)
+    if effective:
+        diagnosed = diagnosis(
+            effective, record.names, record.means(),
+            time=ensemble.samples * (ensemble.dt * setup.stride), paths=ensemble.paths,
+            burn_in=steps.burn_in,
+        )  # fmt: skip
+        failures += diagnosed.failures
+    first = starts(record.histograms)
+    densities = tuple(
+        sampled_density(
+            histogram,
+            ensemble.counts[:, first[m] : first[m + 1]],
+            taken=ensemble.paths * ensemble.samples,
+            mirror=record.mirror,
+            residual=max((abs(identity.z) for identity in judged), default=nan),
+            tol=setup.tol if setup.tol is not None and m == 0 else inf,
+            failures=failures,
+        )
+        for m, histogram in enumerate(record.histograms)
+    )
+    report = Report(
+        steps=steps,
+        errors=tuple(DensityError(d.observable, sampling_error(d)) for d in densities),
+        diagnosis=diagnosed,
+        moments=record.moments(ensemble, effective) if record.products and not lost else (),
+        interrupted=interrupted,
+        lost=lost,
+    )
+    return densities, identities, report
+
+
+def _defect(system: System, identity: Identity) -> str:
+    """Return why a moment identity fails, empty where chance and a small step bias explain it."""
+    allowed = STEP_BIAS * (identity.expected or temperature(system))
+    if abs(identity.value - identity.expected) > LARGEST_Z * identity.error + allowed:
+        return f"{identity.name} is off by {identity.z:.1f} standard errors; use a smaller dt"
+    return ""
+
+
+def _steps(setup: Setup, ensemble: Ensemble, seconds: float) -> Steps:
+    steps = ensemble.samples * setup.stride
+    return Steps(
+        scheme=setup.scheme.name,
+        dt=setup.dt / setup.scheme.small,
+        paths=ensemble.paths,
+        steps=steps,
+        time=steps * setup.dt,
+        burn_in=setup.burn_in_steps * setup.dt,
+        stride=setup.stride,
+        batches=ensemble.edges.size - 1,
+        seed=ensemble.seed,
+        threads=ensemble.threads,
+        temperature=temperature(setup.system),
+        long_step=setup.dt,
+        nanoseconds=1e9 * seconds * ensemble.threads / (ensemble.paths * steps),
+        relaxation_time=relaxation_time(setup.system),
+        small=setup.scheme.small,
+        division=setup.division,
+        limited_by=setup.limited_by,
+    )
