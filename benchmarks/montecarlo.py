@@ -79,7 +79,7 @@ def measured_in_c() -> Row | None:
         return None
     step = step_arrays(scene(contact=True), SCHEMES["exact_flow"], 0.2)
     numbers = [
-        *step.matrix.ravel(), step.dt, step.stop_clearance[0], step.stop_stiffness[0],
+        *step.matrix.ravel(), step.dt, step.stops[0, 1], step.stops[0, 2],
         step.slot_shift[0],
     ]  # fmt: skip
     flags = "-O3 -march=native -mprefer-vector-width=512 -ffast-math -fno-finite-math-only"

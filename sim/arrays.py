@@ -37,11 +37,7 @@ class Rows(NamedTuple):
 
 
 class TermArrays(NamedTuple):
-    """Damping terms ``p_i' = −scale · Π factors · H^energy · p_i^power``, velocities as momenta.
-
-    ``springs`` (n, n): the kick that a scheme gives by its springs, times dt; no entries where the
-    springs are in the linear map.
-    """
+    """Damping terms ``p_i' = −scale · Π factors · H^energy · p_i^power``, velocities as momenta."""
 
     target: Integers  # (terms,), row of p_i in a state (q, p)
     power: Integers  # (terms,)
@@ -49,7 +45,7 @@ class TermArrays(NamedTuple):
     energy: Integers  # (terms,)
     first: Integers  # (terms + 1,), where the factors of each begin
     factor: Integers  # (factors,), row in a state (q, p), as often as its power; p_i at the end
-    springs: Array
+    springs: Array  # (n, n), kick by the springs times dt; no entries where the map has it
 
 
 class SubstepArrays(NamedTuple):
@@ -63,24 +59,20 @@ class SubstepArrays(NamedTuple):
 
 
 class StepArrays(NamedTuple):
-    """Numbers of one step; ``matrix`` is (propagator, factor) with columns padded.
+    """Numbers of one step; of a long step those of its small ones.
 
-    With ``substeps`` it is one of the small steps, and ``words`` counts the words of the long one.
+    A slot is a mass that touches something; it may have several stops.
     """
 
-    matrix: Array  # (2n, columns)
+    matrix: Array  # (2n, columns), propagator and factor of the linear map, columns padded
     pairs: int
     dt: float
     stiffness_matrix: Array  # (n, n)
     half_inverse_mass: Array  # (n,), 1/(2m): energies of momenta
-    slot_mass: Integers  # (slots,), the masses that touch something
+    slot_mass: Integers  # (slots,)
     slot_shift: Array  # (slots,), w h² / m of the modified kick and of the observed q
     stop_slot: Integers  # (stops,)
-    stop_sign: Array  # (stops,), +1, −1, or 0 for the same stop on either side
-    stop_clearance: Array
-    stop_stiffness: Array
-    stop_exponent: Array
-    stop_law: Integers
+    stops: Array  # (stops, 5), sign (0: alike on both sides), clearance, stiffness, exponent, law
     terms: Any  # TermArrays, or None for constant damping: its kernel does not read it
     words: int  # of the stream that a trajectory takes in one call of the step
     substeps: Any  # SubstepArrays, or None where all trajectories make the same steps
@@ -105,13 +97,9 @@ class WatchArrays(NamedTuple):
 
 
 def workspace(n: int, slots: int, columns: int, *, modes: int = 0, terms: bool = False) -> Rows:
-    """Return where the rows lie; groups that are not asked for take no space."""
-    contact = columns + 2 * n
-    q = contact + 2 * slots
-    energy = q + 3 * n
-    modal = energy + 1
-    damping = modal + modes
-    change = damping + (n if terms else 0)
-    work = change + (3 * n if terms else 0)
-    scratch = 5 if terms else int(modes > 0)
-    return Rows(contact, q, q + n, q + 2 * n, energy, modal, damping, change, work, work + scratch)
+    """Return where the rows lie; groups that are not needed take no space."""
+    sizes = (
+        2 * slots, n, n, n, 1, modes, n if terms else 0, 3 * n if terms else 0,
+        5 if terms else int(modes > 0),
+    )  # fmt: skip
+    return Rows(*np.cumsum([columns + 2 * n, *sizes]).tolist())

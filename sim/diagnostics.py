@@ -4,8 +4,7 @@
 trajectory has the variance ``2 σ² τ/T · (1 − O(τ/T))``, σ² the variance of the quantity itself, so
 that independent trajectories show τ without any correlogram: ``τ = T var(path means)/(2 σ²)``. One
 independent sample is worth 2τ of sampled time: N trajectories have ``N T/(2τ)`` effective samples,
-whose number ``N σ²/var(path means)`` holds for any T, also one below τ (τ is then at most T/2: a
-lower bound).
+``N σ²/var(path means)`` of them for any T, also below τ (τ is then a lower bound).
 """
 
 from collections.abc import Sequence
@@ -26,9 +25,6 @@ LEAST_BURN_IN = 5.0
 
 FALSE_ALARMS = 1e-6
 """Probability that any quantity of a run without drift is reported to drift."""
-
-LEAST_CHUNKS = 4
-"""Chunks below which there are no halves to compare: R-hat then is not a number."""
 
 
 class Effective(NamedTuple):
@@ -88,11 +84,11 @@ def effective_of_paths(
 
 
 def effective_of_shares(shares: Array) -> tuple[float, float]:
-    """Return effective samples of a distribution function from ``shares`` (batches, levels).
+    """Return effective samples of a distribution function, and the relative error of the number.
 
-    Each level is a share s of samples, variance s(1 − s); with independent samples the variances
-    of the means would sum to Σ s(1 − s)/n, and n is what makes it so. With few levels that vary
-    together its relative error is that of one variance from the batches, √(2/(batches − 1)).
+    ``shares`` (batches, levels) are those of samples below each level. The variances of the means
+    of n independent samples sum to Σ s(1 − s)/n. Levels vary together: the relative error is that
+    of one variance from the batches, √(2/(batches − 1)).
     """
     batches, s = shares.shape[0], shares.mean(axis=0)
     variance = float(np.sum(shares.var(axis=0, ddof=1))) / batches
@@ -121,7 +117,7 @@ def split_r_hat(draws: Array) -> float:
     means (Gelman et al., BDA3, section 11.4; Vehtari et al. 2021, Eqs. (1)-(4), not ranked).
     """
     half = draws.shape[1] // 2
-    if half < LEAST_CHUNKS // 2:
+    if half < 2:
         return nan
     halves = np.vstack([draws[:, :half], draws[:, -half:]])
     within = float(halves.var(axis=1, ddof=1).mean())
@@ -143,7 +139,7 @@ def drifts(means: Array) -> Array:
     difference = np.stack([first - others, early - late])
     error = difference.std(axis=2, ddof=1) / sqrt(means.shape[1])
     moved = difference.mean(axis=2)
-    return np.divide(moved, error, out=np.zeros_like(moved), where=error > 0).T
+    return np.asarray(np.divide(moved, error, out=np.zeros_like(moved), where=error > 0).T)
 
 
 def drift_limit(batches: int, comparisons: int) -> float:

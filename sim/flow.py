@@ -87,7 +87,8 @@ def lower_trapezoidal(factor: Array) -> Array:
     """
     size = np.linalg.norm(factor, axis=1, keepdims=True)
     unit = np.divide(factor, size, out=np.zeros_like(factor), where=size > 0)
-    return np.asarray(np.linalg.qr(unit.T, mode="r").T * size)
+    upper: Array = np.asarray(np.linalg.qr(unit.T, mode="r"))
+    return upper.T * size
 
 
 def exact_flow(system: System, dt: float) -> LinearMap:

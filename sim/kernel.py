@@ -29,7 +29,7 @@ class KernelKey:
 
     ``laws`` are the contact laws that act; ``kick_first`` whether the scheme kicks before its map;
     ``damping`` and ``energy_damping`` whether there are damping terms, and some with H; then what
-    is ``observed``. ``pairs`` of normals a step draws, ``kicked`` are the masses (from 0) whose
+    is ``observed``. A step draws ``pairs`` of normals, ``kicked`` are the masses (from 0) whose
     kick is fused with the map, ``substeps`` whether some trajectories make small steps.
     """
 

@@ -34,20 +34,18 @@ def step_arrays(system: System, scheme: Scheme, dt: float) -> StepArrays:
         linear = replace(linear, propagator=kicked)
     pairs = (linear.normals + 1) // 2
     laws, slots = effects_of(system).laws, system.contact_masses
-    merged: dict[tuple[int, float, float, float, int], list[float]] = {}
+    signs: dict[tuple[float, ...], list[float]] = {}
     for stop in system.stops:
+        shape = (stop.clearance, stop.stiffness, stop.power, laws.index(stop.law))
         sign = 1.0 if stop.side == "right" else -1.0
-        law = laws.index(stop.law)
-        key = (slots.index(stop.index), stop.clearance, stop.stiffness, stop.power, law)
-        merged.setdefault(key, []).append(sign)
+        signs.setdefault((slots.index(stop.index), *shape), []).append(sign)
     rows = [
-        (*key, sign)
-        for key, signs in sorted(merged.items())
-        for sign in ([0.0] if sorted(signs) == [-1.0, 1.0] else signs)
+        (slot, sign, *shape)
+        for (slot, *shape), sides in sorted(signs.items())
+        for sign in ([0.0] if sorted(sides) == [-1.0, 1.0] else sides)
     ]
-    # A contiguous row each: slot, clearance, stiffness, exponent, law, sign.
-    stops = np.ascontiguousarray(np.array(rows, dtype=float).reshape(-1, 6).T)
-    slot, masses = stops[0].astype(np.int64), np.array(slots, dtype=np.int64)
+    stops, masses = np.array(rows, dtype=float).reshape(-1, 6), np.array(slots, dtype=np.int64)
+    slot = stops[:, 0].astype(np.int64)
     return StepArrays(
         matrix=linear.matrix,
         pairs=pairs,
@@ -57,11 +55,7 @@ def step_arrays(system: System, scheme: Scheme, dt: float) -> StepArrays:
         slot_mass=masses,
         slot_shift=scheme.modified * dt**2 / system.mass[masses],
         stop_slot=slot,
-        stop_sign=stops[5],
-        stop_clearance=stops[1],
-        stop_stiffness=stops[2],
-        stop_exponent=stops[3],
-        stop_law=stops[4].astype(np.int64),
+        stops=np.ascontiguousarray(stops[:, 1:]),
         terms=terms,
         words=pairs * (small + 1) if small > 1 else pairs,
         substeps=substep_arrays(system, H, small, masses[slot]) if small > 1 else None,
@@ -70,24 +64,22 @@ def step_arrays(system: System, scheme: Scheme, dt: float) -> StepArrays:
 
 def term_arrays(system: System, springs: Array) -> TermArrays:
     """Return the damping terms as powers of the momenta ``p = m v``; see ``TermArrays``."""
-    n, factors, counts, powers, scales = system.n, [], [], [], []
+    n, factors, powers, scales = system.n, [], [], []
     for term in system.damping_terms:
         v = list(term.powers("v", n))
         v[term.column] += 1
         powers.append(v[term.row])
         scales.append(term.coefficient / float(np.prod(system.mass ** np.array(v))))
         v[term.row] = 0
-        rows = [a for a, power in enumerate((*term.powers("q", n), *v)) for _ in range(power)]
-        rows += powers[-1] * [n + term.row]
-        factors += rows
-        counts.append(len(rows))
+        others = [*term.powers("q", n), *v]
+        factors.append(np.repeat([*range(2 * n), n + term.row], [*others, powers[-1]]))
     return TermArrays(
         target=np.array([n + term.row for term in system.damping_terms], dtype=np.int64),
         power=np.array(powers, dtype=np.int64),
         scale=np.array(scales),
         energy=np.array([term.energy for term in system.damping_terms], dtype=np.int64),
-        first=np.cumsum([0, *counts], dtype=np.int64),
-        factor=np.array(factors, dtype=np.int64),
+        first=np.cumsum([0, *map(len, factors)], dtype=np.int64),
+        factor=np.concatenate(factors),
         springs=springs,
     )
 

@@ -3,23 +3,21 @@
 The word of counter ``t`` is the SplitMix64 finaliser (Stafford's mix 13; Steele, Lea, Flood,
 OOPSLA 2014) of ``t · GOLDEN + mix(seed)`` with ``t = (trajectory << 40) + step · pairs + pair``: a
 trajectory owns 2**40 consecutive words of one sequence of period 2**64, two trajectories never
-share a word, and any number is had without those before it. SplitMix64 passes TestU01 BigCrush;
-two seeds are two places of the same sequence, 2**64 words long.
+share a word, and any number is computed without those before it. SplitMix64 passes TestU01
+BigCrush; two seeds are two places of the same sequence.
 
-One word holds 64 bits, as many as one Box-Muller pair ``√(−2 log u) (cos θ, sin θ)`` takes. The
-words of a block of lanes are read as 32-bit halves, in the order of memory: half ``k`` is the
-radius of lane k, half ``LANES + k`` its angle. That is a fixed exchange of bits within a block,
-spares the unpacking, and lets 16 lanes of 32 bits share one vector.
+One word holds the 64 bits of one Box-Muller pair ``√(−2 log u) (cos θ, sin θ)``. The words of a
+block of lanes are read as 32-bit halves, in the order of memory: half ``k`` is the radius of lane
+k, half ``LANES + k`` its angle, so that 16 lanes share one vector without unpacking.
 
 * Radius: ``u = (2j + 1) / 2**32`` from 31 bits. The tail is cut at ``√(−2 log 2**-32)`` = 6.66,
   beyond which lie 2.8e-11 of the normal law, one draw in 4e10; E r² is low by 3e-10 of itself.
 * Angle: 24 bits. 2**24 equidistant angles are a trapezoid rule, exact for every moment of order
   below 2**24; the opposite of every angle is one, so that odd moments vanish.
 
-Everything behind the bits is in single precision, log, sin and cos being polynomials, so that a
-normal is within 2e-6 and 5e-7 of itself of the exact one. Summed over all bits the mean square of
-the radius is low by 1.7e-7 of itself; sampling resolves 1e-5 of it with 2e10 numbers. What is done
-with the numbers is in double precision: the covariance of the map is exact to round-off.
+Logarithm, sine and cosine are polynomials in single precision: a normal is within 2e-6 plus 5e-7
+of itself of the exact one, the mean square of the radius low by 1.7e-7 of itself (sampling resolves
+1e-5 of it with 2e10 numbers). What is done with the numbers is in double precision.
 """
 
 import numpy as np
@@ -84,14 +82,6 @@ def mixed_word(z: np.uint64) -> np.uint64:
 
 
 @inlined
-def fill_words(words: Words, trajectory: np.uint64, counter: np.uint64, offset: np.uint64) -> None:
-    """Write the word ``counter`` of every lane of a block; see ``fill_normals``."""
-    first = ((trajectory << _S40) + counter) * GOLDEN + offset
-    for lane in range(LANES):
-        words[lane] = mixed_word(first + np.uint64(lane) * LANE)
-
-
-@inlined
 def box_muller(rows: Singles, halves: Halves, width: int = LANES) -> None:
     """Write one pair a lane: a row of cosines, then a row of sines; bits as in the module."""
     for k in range(width):
@@ -117,23 +107,21 @@ def fill_normals(
     """Write one Box-Muller pair a lane: a row of cosines, then a row of sines.
 
     ``trajectory`` is that of the first lane, ``counter`` the word within it, ``offset`` the
-    finalised seed; all three uint64. ``words`` (LANES) is scratch.
+    finalised seed. ``words`` (LANES) is scratch.
     """
-    fill_words(words, trajectory, counter, offset)
+    first = ((trajectory << _S40) + counter) * GOLDEN + offset
+    for lane in range(LANES):
+        words[lane] = mixed_word(first + np.uint64(lane) * LANE)
     box_muller(rows, words.view(np.uint32))
 
 
 @cached_njit()
 def _fill_blocks(out: Singles, words: Words, counter: np.uint64, offset: np.uint64) -> None:
     for block in range(out.shape[0]):
+        trajectory = np.uint64(block * LANES)
         for pair in range(out.shape[1] // (2 * LANES)):
-            fill_normals(
-                out[block, 2 * LANES * pair : 2 * LANES * (pair + 1)],
-                words,
-                np.uint64(block * LANES),
-                counter + np.uint64(pair),
-                offset,
-            )
+            rows = out[block, 2 * LANES * pair : 2 * LANES * (pair + 1)]
+            fill_normals(rows, words, trajectory, counter + np.uint64(pair), offset)
 
 
 def normals(seed: int, paths: int, counter: int, count: int) -> Array:

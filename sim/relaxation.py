@@ -75,20 +75,17 @@ def undamped_mode(system: System) -> bool:
     shapes, omega = natural_modes(system)
     constant = np.abs(np.einsum("im,ij,jm->m", shapes, system.damping, shapes))
     reached = constant > UNDAMPED * omega[-1]
+    size = np.abs(shapes) * np.sqrt(system.mass)[:, None]  # at most 1
     for term in system.damping_terms:
-        size = np.abs(shapes) * np.sqrt(system.mass)[:, None]  # at most 1
         reached |= size[term.row] * size[term.column] > UNDAMPED
     return not bool(np.all(reached))
 
 
 def _jacobian(system: System, theta: Array) -> Array:
     """∂P/∂θ by central differences: a polynomial of low degree, so that 1e-4 costs no digit."""
-    columns = []
-    for k in range(theta.size):
-        step = 1e-4 * theta[k] * (np.arange(theta.size) == k)
-        change = modal_powers(system, theta + step) - modal_powers(system, theta - step)
-        columns.append(change / (2e-4 * theta[k]))
-    return np.array(columns).T
+    steps = np.diag(1e-4 * theta)
+    change = [modal_powers(system, theta + h) - modal_powers(system, theta - h) for h in steps]
+    return np.transpose(change) / (2e-4 * theta)
 
 
 def _amplitude_time(rate: float, omega: float) -> float:

@@ -114,8 +114,7 @@ class Report:
 
     def settings(self) -> Settings:
         """Return everything for readers, by the names that tables and JSON have."""
-        steps = asdict(self.steps)
-        del steps["small"]  # ``division`` has it in words
+        steps = asdict(self.steps) | {"small": ""}  # ``division`` has it in words
         settings: Settings = {SHOWN_AS.get(k, k): v for k, v in steps.items() if v != ""}
         if self.interrupted:
             settings["partial"] = self.interrupted

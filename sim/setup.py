@@ -26,7 +26,7 @@ class Setup:
     ``dt`` is the step in which the ensemble advances, the long one where ``scheme`` makes small
     ones. Each trajectory is sampled for ``time``, unless the method has a ``tol`` or ``seconds``.
     ``histograms`` None: bins that cover what a pilot reaches. ``division`` and ``limited_by`` are
-    for the report, see ``sim.report.Steps``; ``failures`` stand against a certificate beforehand.
+    for the report, see ``sim.report.Steps``; ``failures`` are reasons not to certify an answer.
     """
 
     method: MonteCarlo
@@ -48,8 +48,7 @@ class Setup:
     @property
     def seconds(self) -> float:
         """The wall time at which the sampling ends, infinity where only ``time`` ends it."""
-        limit = self.method.longest if self.tol is not None else inf
-        return limit if self.method.seconds is None else self.method.seconds
+        return self.method.seconds or (self.method.longest if self.tol is not None else inf)
 
     @property
     def open(self) -> bool:
@@ -92,14 +91,14 @@ def setup_of(method: MonteCarlo, system: System, observables: Sequence[Observabl
 
     Raises ``InvalidInput`` for a step at or above the stability limit, unless it is allowed.
     """
-    scheme, failures = SCHEMES[method.scheme], ()
+    scheme, failures = SCHEMES[method.scheme], list[str]()
     dt = method.dt or method.step_factor * chosen_step(system)
     try:
         check_step(system, scheme, dt)
     except InvalidInput as error:
         if not method.allow_unstable:
             raise
-        failures = (f"the step {dt:g} was insisted on: it {error.remedy}",)
+        failures.append(f"the step {dt:g} was insisted on: it {error.remedy}")
     scheme, long, division = with_long_steps(system, scheme, dt)
     time = wanted = method.time or method.relaxations * relaxation_time(system)
     if method.time is None:
@@ -113,5 +112,5 @@ def setup_of(method: MonteCarlo, system: System, observables: Sequence[Observabl
         time=time,
         division=division,
         limited_by="most_steps" if time < wanted else "",
-        failures=failures,
+        failures=tuple(failures),
     )

@@ -100,11 +100,9 @@ def l1_difference(a: SampledDensity, b: SampledDensity) -> tuple[float, float]:
 
 def joined_bins(density: SampledDensity) -> SampledDensity:
     """Return the density with its bins joined to ``L1_BINS``, where they are a multiple."""
-    wanted = L1_BINS[len(density.edges) - 1]
-    bins = {e.size - 1 for e in density.edges}
+    wanted, bins = L1_BINS[len(density.edges) - 1], {e.size - 1 for e in density.edges}
     factor = min(bins) // wanted
-    whole = bins == {factor * wanted} and factor > 1
-    return density.coarsened(factor) if whole else density
+    return density.coarsened(factor) if factor > 1 and bins == {factor * wanted} else density
 
 
 def _bin_area(density: SampledDensity) -> float:

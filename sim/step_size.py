@@ -54,17 +54,16 @@ def contact_frequency(system: System, *, springs: bool = False) -> float:
     of contact energy where the stop is too far for that.
     """
     kT, largest = temperature(system), 0.0
+
+    def excess(q: float, i: int, sign: float, k_eff: float, level: float) -> float:
+        return 0.5 * k_eff * q * q + float(system.contact_energy(i, sign * q)) - level
+
     for stop in system.stops:
         i, sign = stop.index, 1.0 if stop.side == "right" else -1.0
         k_eff = 1.0 / system.compliance[i, i]
         level = max(REACHED * kT, 0.5 * k_eff * stop.clearance**2 + kT)
-
-        def excess(
-            q: float, i: int = i, k: float = k_eff, d: float = sign, level: float = level
-        ) -> float:
-            return 0.5 * k * q * q + float(system.contact_energy(i, d * q)) - level
-
-        q = scipy.optimize.brentq(excess, 0.0, sqrt(2.0 * level / k_eff) * (1.0 + 1e-9))
+        most = sqrt(2.0 * level / k_eff) * (1.0 + 1e-9)
+        q = scipy.optimize.brentq(excess, 0.0, most, args=(i, sign, k_eff, level))
         stiffness = sum(
             float(s.slope(q - s.clearance))
             for s in system.stops
@@ -133,8 +132,5 @@ def check_step(system: System, scheme: Scheme, dt: float) -> None:
         square += highest_frequency(system) ** 2
     limit = 2.0 / sqrt(square) if square > 0 else inf
     if not 0.0 < dt < limit:
-        raise InvalidInput(
-            "dt",
-            dt,
-            f"must be > 0 and below the stability limit 2/ω = {limit:.4g} of {scheme.name}",
-        )
+        remedy = f"must be > 0 and below the stability limit 2/ω = {limit:.4g} of {scheme.name}"
+        raise InvalidInput("dt", dt, remedy)

@@ -89,7 +89,7 @@ class AveragedSimulation(Method):
 
         form = (line_form if self.theory == "nonintegrable" else square_root_form)(process)
         slowest, fastest = float(form.times.max()), float(form.times.min())
-        dt, interval = inf if form.exact else self.step * fastest, 0.5 * slowest
+        dt, interval = inf if form.damping is None else self.step * fastest, 0.5 * slowest
         time = SAMPLED_TIMES * slowest if self.time is None else self.time
         densities = simulate_energies(
             form,
@@ -108,7 +108,7 @@ class AveragedSimulation(Method):
             "equation": self.route.equation,
             "relaxation time": slowest,
             "dt": steps_between(interval, dt)[1],
-            "steps": "exact" if form.exact else "Strang splitting",
+            "steps": "exact" if form.damping is None else "Strang splitting",
             "paths": self.paths,
             "time": time,
             "seed": self.seed,

@@ -45,8 +45,8 @@ def line_form(process: Process) -> SquareRootForm:
     # What the table itself is good for counts as nothing.
     alike = float(np.max(np.abs(table))) <= 1e-6 * abs(float(gamma[-1]))
     return SquareRootForm(
-        noise=lambda X: np.array([[noise]]),
-        slope=lambda X: np.array([[4.0]]),
+        noise=np.array([noise]),
+        slope=np.array([4.0]),
         damping=None if alike else lambda X: np.interp(np.sqrt(X), R, table),
         linear=gamma[:1],
         energies=lambda X: np.asarray(X * np.interp(np.sqrt(X), R, ratio)),

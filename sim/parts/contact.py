@@ -10,7 +10,41 @@ from sim.arrays import LANES as W
 from sim.arrays import Array, StepArrays
 from sim.lanes import fill, kick, row
 
-Stop = tuple[float, float, float, float, int, float]
+Stop = tuple[float, float, float, float, Any, float]
+"""Sign, clearance, stiffness, exponent and law of a stop, and its share of the modified kick."""
+
+
+@inlined
+def numbers_of(step: StepArrays, stop: int) -> Stop:
+    """Return the numbers of one stop."""
+    s = step.stops[stop]
+    return s[0], s[1], s[2], s[3], np.int64(s[4]), step.slot_shift[step.stop_slot[stop]]
+
+
+@inlined
+def only_stop(step: StepArrays, mass: int) -> Stop:
+    """Return the numbers of the only stop of a mass; of a mass without any, one never reached."""
+    for stop in range(step.stop_slot.size):
+        if step.slot_mass[step.stop_slot[stop]] == mass:
+            return numbers_of(step, stop)
+    return 0.0, np.inf, 0.0, 1.0, np.int64(0), 0.0
+
+
+@inlined
+def overlap_of(q: float, sign: float, clearance: float) -> tuple[float, float]:
+    """Return the side on which the displacement ``q`` lies and its overlap with the stop there."""
+    d = sign if sign != 0.0 else np.copysign(1.0, q)
+    return d, max(d * q - clearance, 0.0)
+
+
+@inlined
+def modified_force(q: float, stop: Stop, force: Any, slope: Any) -> float:
+    """Return ``g (1 − a g')`` of one stop at the displacement ``q`` of one lane."""
+    sign, clearance, B, e, law, a = stop
+    d, o = overlap_of(q, sign, clearance)
+    g_slope = B * of_law(slope, law, o, e) if o > 0.0 else 0.0
+    g: float = d * (B * of_law(force, law, o, e))
+    return g * (1.0 - a * g_slope)
 
 
 @inlined
@@ -22,14 +56,12 @@ def contact_forces(
         fill(row(s, g0 + 2 * slot, 1, width), 0.0, width)
         fill(row(s, g0 + 2 * slot + 1, 1, width), 0.0, width)
     for stop in range(step.stop_slot.size):
-        slot, law = step.stop_slot[stop], step.stop_law[stop]
+        slot = step.stop_slot[stop]
         q = row(s, step.slot_mass[slot], 1, width)
         g = row(s, g0 + 2 * slot, 2, width)
-        clearance, sign = step.stop_clearance[stop], step.stop_sign[stop]
-        B, e = step.stop_stiffness[stop], step.stop_exponent[stop]
+        sign, clearance, B, e, law, _ = numbers_of(step, stop)
         for k in range(width):
-            d = sign if sign != 0.0 else np.copysign(1.0, q[k])
-            o = max(d * q[k] - clearance, 0.0)
+            d, o = overlap_of(q[k], sign, clearance)
             g[k] += d * B * of_law(force, law, o, e)
             g[width + k] += B * of_law(slope, law, o, e) if o > 0.0 else 0.0
 
@@ -43,45 +75,16 @@ def kick_by_contact(s: Array, g0: int, step: StepArrays, n: int, width: int = W)
 
 
 @inlined
-def only_stop(step: StepArrays, mass: int) -> Stop:
-    """Return the numbers of the only stop of a mass, the last its share of the modified kick."""
-    for stop in range(step.stop_slot.size):
-        slot = step.stop_slot[stop]
-        if step.slot_mass[slot] == mass:
-            return (
-                step.stop_sign[stop],
-                step.stop_clearance[stop],
-                step.stop_stiffness[stop],
-                step.stop_exponent[stop],
-                step.stop_law[stop],
-                step.slot_shift[slot],
-            )
-    return 0.0, np.inf, 0.0, 1.0, 0, 0.0
-
-
-@inlined
-def modified_force(q: float, stop: Stop, force: Any, slope: Any) -> float:
-    """Return ``g (1 − a g')`` of one stop at the displacement ``q`` of one lane."""
-    sign, clearance, B, e, law, a = stop
-    d = sign if sign != 0.0 else np.copysign(1.0, q)
-    o = max(d * q - clearance, 0.0)
-    g_slope = B * of_law(slope, law, o, e) if o > 0.0 else 0.0
-    g: float = d * (B * of_law(force, law, o, e))
-    return g * (1.0 - a * g_slope)
-
-
-@inlined
 def add_contact(s: Array, q0: int, to: int, step: StepArrays, law_part: Any, forces: bool) -> None:
     """Add g at the displacements from row ``q0`` to the rows of its masses from ``to``.
 
     If not ``forces`` it is U, by the laws' energy as ``law_part``, and all goes to row ``to``.
     """
     for stop in range(step.stop_slot.size):
-        i, law = step.slot_mass[step.stop_slot[stop]], step.stop_law[stop]
+        i = step.slot_mass[step.stop_slot[stop]]
         q, f = row(s, q0 + i), row(s, to + i if forces else to)
-        clearance, sign = step.stop_clearance[stop], step.stop_sign[stop]
-        B, e = step.stop_stiffness[stop], step.stop_exponent[stop]
+        sign, clearance, B, e, law, _ = numbers_of(step, stop)
         for k in range(W):
-            d = sign if sign != 0.0 else np.copysign(1.0, q[k])
+            d, o = overlap_of(q[k], sign, clearance)
             size = d * B if forces else B
-            f[k] += size * of_law(law_part, law, max(d * q[k] - clearance, 0.0), e)
+            f[k] += size * of_law(law_part, law, o, e)

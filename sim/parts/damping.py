@@ -1,11 +1,10 @@
 """Damping that depends on the state: each term's flow at fixed q, and the forces of all.
 
-A term changes one momentum only, ``p_i' = −κ p_i^N`` with κ constant along its flow as long as H
-is not in it, so that the flow is elementary: a shift, an exponential, or
-``p/(1 + (N−1) κ p^(N−1) t)^(1/(N−1))``. Where that base is not positive the flow has blown up
-within the step: the momentum becomes NaN and the trajectory counts as lost. With H the
-rate is that in the middle of the step, from a predictor: second order. Terms forward, kicks,
-terms backward are symmetric, hence of second order in the step.
+A term changes one momentum only, ``p_i' = −κ p_i^N`` with κ constant unless H is in it, so that its
+flow is elementary: a shift, an exponential, or ``p/(1 + (N−1) κ p^(N−1) t)^(1/(N−1))``. Where that
+base is not positive the flow has blown up within the step: the momentum becomes NaN and the
+trajectory counts as lost. With H the rate is that in the middle of the step, from a predictor.
+Terms forward, kicks, terms backward are symmetric, hence of second order in the step.
 """
 
 import numpy as np

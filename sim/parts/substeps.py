@@ -48,8 +48,8 @@ def near_lanes(s: Array, work: Array, near: Integers, index: Integers, step: Ste
                 x0, x1, x2, x3 = x[k], x[W + k], x[2 * W + k], x[3 * W + k]
                 after[k] += a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
                 bend[k] += b0 * abs(x0) + b1 * abs(x1) + b2 * abs(x2) + b3 * abs(x3)
-        q, sign = row(s, step.slot_mass[step.stop_slot[stop]]), step.stop_sign[stop]
-        clearance, reach = step.stop_clearance[stop], sub.reach[stop]
+        q, reach = row(s, step.slot_mass[step.stop_slot[stop]]), sub.reach[stop]
+        sign, clearance = step.stops[stop, 0], step.stops[stop, 1]
         for k in range(W):
             x0 = sign * q[k] if sign != 0.0 else abs(q[k])
             x1 = sign * after[k] if sign != 0.0 else abs(after[k])

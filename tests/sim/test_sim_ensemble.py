@@ -19,7 +19,7 @@ from sim.ensemble import Ensemble
 from sim.kernel import KernelKey
 from sim.plan import kernel_key, step_arrays
 from sim.scheme import SCHEMES
-from sim.sources import KERNEL, kernel_checksum, module_files, program_checksum
+from sim.sources import KERNEL, kernel_checksum, program_checksum
 from sim.statistics import moment_products
 
 EXACT_FLOW = SCHEMES["exact_flow"]
@@ -74,8 +74,8 @@ def test_what_is_not_in_the_scene_is_not_compiled(monkeypatch: pytest.MonkeyPatc
 
 def test_a_stop_equal_on_both_sides_is_evaluated_once() -> None:
     both = Ensemble(fig6(), EXACT_FLOW, 0.1, LANES, 1, 1).step
-    assert both.stop_sign.tolist() == [0.0]
-    assert Ensemble(mixed(), EXACT_FLOW, 0.1, LANES, 1, 1).step.stop_sign.tolist() == [1, 0, -1]
+    assert both.stops[:, 0].tolist() == [0.0]
+    assert Ensemble(mixed(), EXACT_FLOW, 0.1, LANES, 1, 1).step.stops[:, 0].tolist() == [1, 0, -1]
 
 
 def test_sums_of_blocks_are_those_of_their_trajectories(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -124,9 +124,10 @@ def test_an_edit_changes_the_checksums_of_what_depends_on_it(tmp_path: Path) -> 
 def test_whatever_is_compiled_is_in_the_checksum() -> None:
     files = {ROOT / name for name in KERNEL}
     sources = {p: p.read_text("utf-8") for p in (ROOT / "sim").rglob("*.py")}
-    compiled = {p for p, text in sources.items() if re.search(r"@(njit|cached_njit)\(", text)}
+    decorated = re.compile(r"@(njit\(|inlined|cached_njit\()")
+    compiled = {p for p, text in sources.items() if decorated.search(text)}
     assert len(compiled) > 6 and compiled <= files
-    assert files <= set(module_files(ROOT / "sim")) == set(sources)
+    assert files <= set(sources)
 
 
 SECOND_PROCESS = """

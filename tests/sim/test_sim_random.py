@@ -7,6 +7,7 @@ import pytest
 from numba import njit
 from scipy.stats import chi2, norm
 
+from fpk.compiling import FLAGS
 from sim import random
 
 SEED = 8131
@@ -93,7 +94,7 @@ def pairs_of(radius: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return out.astype(float)
 
 
-@njit(fastmath=random.FLAGS, error_model="numpy")
+@njit(fastmath=FLAGS, error_model="numpy")
 def _pairs_of(out: np.ndarray, rows: np.ndarray, radius: np.ndarray, angle: np.ndarray) -> None:
     W = random.LANES
     bits = np.empty(2 * W, np.uint32)
@@ -154,7 +155,7 @@ def test_chi_square_of_1e9_numbers() -> None:
 
 
 def test_the_loop_is_compiled_to_vector_instructions() -> None:
-    fresh = njit(fastmath=random.FLAGS, error_model="numpy")(random._fill_blocks.py_func)
+    fresh = njit(fastmath=FLAGS, error_model="numpy")(random._fill_blocks.py_func)
     rows, words = np.empty((1, 2 * random.LANES), np.float32), np.empty(random.LANES, np.uint64)
     fresh(rows, words, np.uint64(0), np.uint64(0))
     assembly = "".join(fresh.inspect_asm().values())
