@@ -21,9 +21,9 @@ from sim.scheme import SCHEMES
 
 FULL = "full system (6)"
 RELAXATIONS = 4.0
-"""Sampled relaxation times of a run with few paths at a small step; four times that else."""
+"""Sampled relaxation times of a run at a small step; four times as many at any other."""
 HALVINGS = 2
-"""Times that the step is halved where a scheme is not yet where its order says."""
+"""Halvings of the step while a scheme disagrees with its order of theory, at most."""
 FEWEST = 256
 """Paths of the simulation of (24)."""
 ERRORS = tuple(10.0**-k for k in (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0))
@@ -31,7 +31,7 @@ ERRORS = tuple(10.0**-k for k in (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8
 MAX_PATHS = 2.0**20
 """Paths of a modelled run at most; beyond, each is sampled for longer."""
 BYTES_A_PATH = 48.0
-"""State of a path: a few numbers of eight bytes; histograms are small beside it."""
+"""Memory of a path in bytes: a few numbers of eight bytes; histograms are small beside it."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from fpk.density import Array
 MARKERS = "osD^vXPh"
 DASHES: Any = (0, (4, 2))
 HALO: Any = {"boxstyle": "square,pad=0.1", "fc": "#f4f4f4", "ec": "none", "alpha": 0.85}
-"""Behind words that a curve may cross."""
+"""Box behind words that a curve may cross."""
 ROUND_OFF = 1e-16
 """Where an error of zero is drawn: a rounding error of one."""
 LEGEND_COLUMNS, LEGEND_ROW = 2, 0.2

@@ -24,7 +24,7 @@ from sim.montecarlo import LEAST_PATHS, MonteCarlo
 from sim.scheme import SCHEMES
 
 LEVELS, FEW_LEVELS = 5, 4
-"""Steps of a study; the fewer where they are small, and each takes long."""
+"""Number of steps of a study; the second where they are small, as each then takes long."""
 RATIO = sqrt(2.0)
 """Ratio of neighbouring steps: five levels then fit between what is stable and what is chosen."""
 PILOT = 4.0
@@ -40,9 +40,9 @@ ORDER_ERROR = 0.25
 UNRESOLVED = 0.5
 """Error of the order above which it is not judged: neighbouring orders are not distinguished."""
 ORDERS = np.linspace(0.25, 10.0, 391)
-"""Orders that are fitted."""
+"""Orders r of the profile of χ²."""
 KNOWN = 1e-6
-"""Standard error of a limit that is known, in the smallest of the levels: as good as none."""
+"""Standard error given to a known limit, relative to the smallest of the levels: negligible."""
 
 
 @dataclass(frozen=True)
