@@ -34,6 +34,10 @@ SIGN_DRAWS, SIGN_SEED = 2000, 20040808
 BINS_1D, BINS_2D = 128, 32
 """About so many bins an axis are compared: enough to see the shape, few enough to fill."""
 
+WithError = tuple[AnyDensity, float, float]
+"""A density as it is compared, a histogram in joined bins; its expected and its largest L1 error by
+chance or by numerics, the latter exceeded in 1e-4."""
+
 ROUND_OFF = -2.0 * float(np.log(np.finfo(float).eps) * np.finfo(float).eps)
 """Floor of a numerical band: both densities are exponentials, the exponent reaches −log(eps)
 before they stop to count, and an exponential is off by eps times its exponent: 1.6e-14."""
@@ -75,14 +79,14 @@ def compared(results: Sequence[Result], *, averaging_is_exact: bool) -> tuple[Co
     coincide (end of section 6.2) unless they neglect something.
     """
     comparisons = []
-    answers = [(result, density) for result in results for density in result.densities]
-    for (of_a, a), (of_b, b) in combinations(answers, 2):
+    answers = [(r, d, _with_error(d)) for r in results for d in r.densities]
+    for (of_a, a, first), (of_b, b, second) in combinations(answers, 2):
         if a.observable != b.observable or _on_different_bins(a, b):
             continue
         routes = (of_a.method.route, of_b.method.route)
         whole = not (of_a.neglected or of_b.neglected)
         kind = what_is_measured(*routes, averaging_is_exact=averaging_is_exact and whole)
-        distance, expected, band = distance_between(a, b)
+        distance, expected, band = _distance(first, second)
         allowed = None if kind == "averaging" else band
         doubtful = [not d.certificate.certified for d in (a, b)]
         uncertified = tuple(compress(routes, doubtful))
@@ -143,14 +147,20 @@ def what_is_measured(a: Route, b: Route, *, averaging_is_exact: bool) -> Measure
 
 def distance_between(a: AnyDensity, b: AnyDensity) -> tuple[float, float, float]:
     """Return ∫|p_a − p_b|, its expectation were both right, and what it then exceeds in 1e-4."""
-    estimates = sum(d.l1_error for d in (a, b) if isinstance(d, Density))
-    sampled = [joined(d) for d in (a, b) if isinstance(d, SampledDensity)]
-    if not sampled:
-        distance = l1_distance(a, b)
-        return distance, estimates + ROUND_OFF, estimates + ROUND_OFF
-    a, b = (joined(d) if isinstance(d, SampledDensity) else d for d in (a, b))
-    mean, quantile = np.array([chance_l1(d) for d in sampled]).sum(axis=0)
-    return l1_distance(a, b), float(mean) + estimates, float(quantile) + estimates
+    return _distance(_with_error(a), _with_error(b))
+
+
+def _with_error(density: AnyDensity) -> WithError:
+    if isinstance(density, Density):
+        return density, density.l1_error, density.l1_error
+    few = joined(density)
+    return few, *chance_l1(few)
+
+
+def _distance(a: WithError, b: WithError) -> tuple[float, float, float]:
+    sampled = any(isinstance(density, SampledDensity) for density, *_ in (a, b))
+    least = 0.0 if sampled else ROUND_OFF
+    return l1_distance(a[0], b[0]), a[1] + b[1] + least, a[2] + b[2] + least
 
 
 def chance_l1(sampled: SampledDensity) -> tuple[float, float]:

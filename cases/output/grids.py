@@ -1,8 +1,9 @@
 """Densities on common grids: for pictures, tables and fields."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fpk.density import AnyDensity, Array, SampledDensity
 
@@ -36,14 +37,24 @@ def values_on(density: AnyDensity, *points: Array) -> tuple[Array, Array]:
 
     The error is zero, too, but for a histogram: no sample lies there, of so many.
     """
-    inside = np.ones(np.broadcast_shapes(*(x.shape for x in points)), dtype=bool)
-    held = []
-    for x, nodes in zip(points, density.panels, strict=True):
-        inside &= (x >= nodes[0]) & (x <= nodes[-1])
-        held.append(np.clip(x, nodes[0], nodes[-1]))
-    value, error = density.at(*held)
+    inside, clipped = _clipped(density, points)
+    value, error = density.at(*clipped)
     beyond = density.one_sample if isinstance(density, SampledDensity) else 0.0
     return np.where(inside, value, 0.0), np.where(inside, error, beyond)
+
+
+def value_on(density: AnyDensity, *points: Array) -> Array:
+    """Return the density alone, which costs less; outside the support it is zero."""
+    inside, clipped = _clipped(density, points)
+    return np.where(inside, density(*clipped), 0.0)
+
+
+def _clipped(density: AnyDensity, points: Sequence[Array]) -> tuple[NDArray[np.bool_], list[Array]]:
+    """Which points lie in the support, and the points moved into it."""
+    ends = [(nodes[0], nodes[-1]) for nodes in density.panels]
+    within = [(x >= low) & (x <= high) for x, (low, high) in zip(points, ends, strict=True)]
+    clipped = [np.clip(x, *interval) for x, interval in zip(points, ends, strict=True)]
+    return np.logical_and.reduce(np.broadcast_arrays(*within)), clipped
 
 
 def _reach(density: AnyDensity, cut: float) -> list[tuple[float, float]]:
@@ -51,7 +62,7 @@ def _reach(density: AnyDensity, cut: float) -> list[tuple[float, float]]:
     coarse = COARSE_1D if len(density.panels) == 1 else COARSE_2D
     edges = [np.linspace(nodes[0], nodes[-1], coarse + 1) for nodes in density.panels]
     middles = [0.5 * (e[1:] + e[:-1]) for e in edges]
-    value, _ = density.at(*np.meshgrid(*middles, indexing="ij"))
+    value = density(*np.meshgrid(*middles, indexing="ij"))
     counts = value > cut * value.max()
     reach = []
     for axis, e in enumerate(edges):

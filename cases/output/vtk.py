@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cases.comparison.answers import Answers
 from cases.comparison.run import Outcome
 from cases.output.files import write_by
-from cases.output.grids import common_grid, values_on
+from cases.output.grids import common_grid, value_on, values_on
 from cases.output.records import UNITS, program_version
 from cases.scene.errors import BadInput
 from fpk.density import AnyDensity, Array
@@ -172,7 +172,7 @@ def _with_middles(ends: Array, only: NDArray[np.bool_] | None = None) -> Array:
 
 
 def _values(density: AnyDensity, nodes: Sequence[Array]) -> Array:
-    return values_on(density, *np.meshgrid(*nodes, indexing="ij"))[0]
+    return value_on(density, *np.meshgrid(*nodes, indexing="ij"))
 
 
 def _misses(density: AnyDensity, nodes: Sequence[Array], values: Array, axis: int) -> Array:

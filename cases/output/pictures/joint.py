@@ -10,7 +10,7 @@ from mpl_toolkits.mplot3d import Axes3D
 
 from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
-from cases.output.grids import common_grid, values_on
+from cases.output.grids import common_grid, value_on, values_on
 from cases.output.pictures.choice import lines_of, samples_of, two_solvers
 from cases.output.pictures.style import FOOT, LEFT, SHOWN, SOLVER_WORDS, density_words, words_of
 from fpk.density import AnyDensity, Array, SampledDensity
@@ -48,7 +48,7 @@ def pair_figure(curve: Answers, observable: Observable) -> Figure:
     drawn |= samples_of(curve, observable)
     grid = common_grid(drawn.values(), cut=SHOWN)
     mesh = np.meshgrid(*grid, indexing="ij")
-    panels = {r.words: values_on(d, *mesh)[0] for r, d in drawn.items()}
+    panels = {r.words: value_on(d, *mesh) for r, d in drawn.items()}
     # A density of energies falls exponentially from its corner: decades, not equal steps.
     decades = all(c.kind == "H" for c in observable)
     return _panels(panels, grid, observable, density_words(observable), decades=decades)
@@ -107,7 +107,7 @@ def _sheet(density: AnyDensity, ends: tuple[Array, ...]) -> tuple[Array, Array, 
     """Points and values of one surface; a sampled one has its own, joined bins."""
     if not isinstance(density, SampledDensity):
         x, y = np.meshgrid(*(np.linspace(e[0], e[-1], SHEET) for e in ends), indexing="ij")
-        return x, y, values_on(density, x, y)[0]
+        return x, y, value_on(density, x, y)
     few = joined(density, SHEET)
     middles = [0.5 * (e[1:] + e[:-1]) for e in few.edges]
     inside = [(m >= e[0]) & (m <= e[-1]) for m, e in zip(middles, ends, strict=True)]

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 
 from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
-from cases.output.grids import common_grid, values_on
+from cases.output.grids import common_grid, value_on, values_on
 from cases.output.pictures.choice import lines_of, samples_of, two_solvers
 from cases.output.pictures.style import (
     COLOURS,
@@ -101,7 +101,7 @@ def density_figure(curves: Sequence[Answers], observable: Observable, x: Array) 
         functions = lines_of(curve, observable).items()
         for (route, density), dashes in zip(functions, LINES, strict=False):
             colour, ink = (route.colour,) * 2 if alone else (colours[curve.label], INK)
-            axes.plot(x, values_on(density, x)[0], linestyle=dashes, color=colour)
+            axes.plot(x, value_on(density, x), linestyle=dashes, color=colour)
             legend.setdefault(route.words, Line2D([], [], color=ink, linestyle=dashes))
         for route, sampled in samples_of(curve, observable).items():
             colour, ink = (route.colour,) * 2 if alone else (colours[curve.label], INK)
