@@ -10,10 +10,9 @@ from averaging.closed_form import averaged_density, averaged_rate
 from averaging.energy_density import EnergyDensity
 from averaging.energy_process import energy_process
 from averaging.quadrature import solve_by_quadrature
-from averaging.weyl import tabulated
-from averaging.zero_flux import ZeroFluxDensity
+from averaging.weyl import Solution, tabulated
 from fpk.line.elements import Form
-from fpk.line.stationary import StationarySolution, solve_stationary
+from fpk.line.stationary import solve_stationary
 from fpk.method import Method, Plan, Progress, Result, check_solver
 from fpk.observable import Observable, observable_name
 from fpk.route import ROUTES, Route, register
@@ -68,7 +67,7 @@ class NonIntegrable(Method):
         process = energy_process(system)
         if self.solver == "closed-form":
             return averaged_density(system), {"equation": "(29)"}
-        solution: StationarySolution | ZeroFluxDensity
+        solution: Solution
         settings: Settings = {"equation": "(11)"}
         if self.solver == "quadrature":
             solution = solve_by_quadrature(process, tol=self.tol)

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from functools import cache
 from math import gamma
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,8 @@ from scipy.special import gammaincc
 
 from averaging.energy_density import EnergyDensity, Part
 from averaging.shell.ratios import log_linear_states
-from fpk.certificate import Measured
+from averaging.zero_flux import ZeroFluxDensity
+from fpk.line.stationary import StationarySolution
 from fpk.piecewise import Piecewise, interpolated
 from fpk.probe import probed
 from fpk.process import Process
@@ -20,6 +20,8 @@ from fpk.system import System
 
 Array = NDArray[np.float64]
 Function = Callable[[Array], Array]
+Solution = StationarySolution | ZeroFluxDensity
+"""Of the averaged energy: p = T u, with T in the unit of its process."""
 
 POINTS = (14, 18)
 """Gauss points per element of a table and of its integrals, and of the finer table: the
@@ -29,23 +31,6 @@ COMPARED = (1.0 - 1e-12) * 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 2 * POINT
 EPS = float(np.finfo(float).eps)
 MOST_NODES = 100
 """Nodes up to which a mesh is halved once more: with 14 points an element, error falls by 2^-14."""
-
-
-class Solution(Protocol):
-    """A density p = T u of a process, T as the process gives it, by whatever solver."""
-
-    @property
-    def measured(self) -> Measured:
-        """What was measured on p."""
-        ...
-
-    def phase_space_density(self, energy: Array) -> Array:
-        """u at energies of any shape."""
-        ...
-
-    def phase_space_error(self, energy: Array) -> Array:
-        """Estimate of the error of u at energies of any shape."""
-        ...
 
 
 def log_unit_of_states(system: System, process: Process) -> float:

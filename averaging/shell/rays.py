@@ -29,10 +29,6 @@ NEAR = 0.01
 """Difference of overlap, relative to the overlap, below which that of the contact energy is taken
 from the force, as it would cancel: beyond a second stop, and next to the turning point."""
 NEWTON_STEPS = 100
-DIED_OUT = 1e-18
-"""Share of its value at the stop below which v^a is left out: of many masses it is narrow."""
-LEAST_LEFT = 0.005
-"""Share of v that is left by then for the cut to be worth a second root: from n = 10 on."""
 
 inner = njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
 
@@ -121,8 +117,6 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
         """
         c = stops.rows.shape[1]
         a = n - 0.5 * c - 1.0
-        share = DIED_OUT ** (1.0 / a) if a > 1.0 else 0.0
-        share = share if share > LEAST_LEFT else 0.0
         total = stops.clearance.size
         ray = Ray(
             np.empty(total), np.empty(total), np.empty(total), np.empty(total), stops.law.copy()
@@ -142,12 +136,7 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
                 if length <= 0.0:
                     continue
                 X = _turning_point(height, start, k, ray, U, g)
-                span, died = min(length, X), False
-                if share > 0.0:
-                    gone = _turning_point(height * (1.0 - share), start, k, ray, U, g)
-                    if gone < span:
-                        span, died = gone, True
-                _points(X, span, k, rules, first, work)
+                _points(X, min(length, X), k, rules, first, work)
                 _heights(H, start, X, k, ray, work, U, g)
                 if singular:
                     _lowest_degree(H, start, k, c, a, ray, work, U, g, bend)
@@ -156,8 +145,6 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
                 for m in range(out.shape[0]):
                     begin, stop = rules.first[rule + m] - first, rules.first[rule + m + 1] - first
                     _add(begin, stop, start, H, orders, work, out[m, i])
-                if died:
-                    break
         return sources
 
     return add_rays
