@@ -42,6 +42,13 @@ def gamma_sum(scales: Array, shape: float, errors: Array, x: Array) -> tuple[Arr
     return density.reshape(np.shape(x)), error.reshape(np.shape(x))
 
 
+def gamma_density(scales: Array, shape: float, x: Array) -> Array:
+    """Return the density that ``gamma_sum`` returns, at a third of the cost of its error."""
+    terms, *_ = _contour(scales, shape, np.ravel(x), NODES)
+    density: Array = terms.real.sum(axis=1).reshape(np.shape(x))
+    return density
+
+
 def _contour(scales: Array, shape: float, x: Array, nodes: int) -> tuple[Array, ...]:
     """Terms of the sum, their exponents, the factors 1 + λ_j s and λ_max s, (points, nodes, ...).
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr, solve_triangular
 
-from averaging.gamma_sum import gamma_sum
+from averaging.gamma_sum import gamma_density, gamma_sum
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
 from fpk.observable import Observable
@@ -90,17 +90,17 @@ class Gaussian:
         while nodes[-1] < end:
             nodes.append(nodes[-1] + min(max(2.0 * least, nodes[-1] / 3.0), 2.0 * largest))
 
-        def pdf_and_error(energy: Array) -> tuple[Array, Array]:
-            return gamma_sum(self.scales, self.shape, self.scale_errors, energy)
+        def error(energy: Array) -> Array:
+            return gamma_sum(self.scales, self.shape, self.scale_errors, energy)[1]
 
         return certified_density(
             observable,
             (np.array([*nodes[:-1], end]),),
-            lambda energy: pdf_and_error(energy)[0],
-            lambda energy: pdf_and_error(energy)[1],
+            lambda energy: gamma_density(self.scales, self.shape, energy),
+            error,
             measured=Measured(ENERGY_TAIL, np.nan, np.inf, self.residual, ENERGY_TAIL),
             tol=tol,
-            added_error=lambda energy: pdf_and_error(energy)[1],
+            added_error=error,
         )
 
 
