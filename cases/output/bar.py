@@ -44,18 +44,16 @@ class _Compiling(event.Listener):
     """Says on the bar that something is being compiled, which takes a while and happens once."""
 
     def __init__(self, bar: RichProgress) -> None:
-        """Nothing is compiled yet."""
-        self.bar, self.depth, self.tasks = bar, 0, list[TaskID]()
+        """Nothing is compiled yet; functions may be compiled within each other."""
+        self.bar, self.tasks = bar, list[TaskID]()
 
     def on_start(self, event: Any) -> None:
-        """Show a task when the outermost function begins."""
-        self.depth += 1
-        if self.depth == 1:
-            self.bar.start()
-            self.tasks = [self.bar.add_task("compiling, this once", total=None)]
+        """Show a task, as long as the outermost function takes."""
+        self.bar.start()
+        outermost = not self.tasks
+        words = "compiling, this once"
+        self.tasks.append(self.bar.add_task(words, total=None, visible=outermost))
 
     def on_end(self, event: Any) -> None:
         """Take it away when it is done."""
-        self.depth -= 1
-        if self.depth == 0:
-            self.bar.remove_task(self.tasks.pop())
+        self.bar.remove_task(self.tasks.pop())

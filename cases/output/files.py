@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import mkdtemp
+from tempfile import TemporaryDirectory
 
 from cases.scene.errors import BadInput
 
@@ -22,8 +22,8 @@ def write_by(path: Path, write: Callable[[Path], object]) -> None:
     Raises ``BadInput`` with one line when the folder or the disk does not allow it; what was at
     ``path`` is kept then.
     """
-    with _readable_errors(path), _folder_beside(path) as folder:
-        temporary = folder / path.name
+    with _readable_errors(path), TemporaryDirectory(prefix=".fpk-", dir=path.parent) as folder:
+        temporary = Path(folder) / path.name
         write(temporary)
         os.replace(temporary, path)
 
@@ -32,20 +32,9 @@ def make_folder(path: Path) -> Path:
     """Return the folder at ``path``, made where it is missing; ``BadInput`` where it cannot be."""
     with _readable_errors(path):
         path.mkdir(parents=True, exist_ok=True)
-        with _folder_beside(path / "x"):
+        with TemporaryDirectory(prefix=".fpk-", dir=path):
             pass
     return path
-
-
-@contextmanager
-def _folder_beside(path: Path) -> Iterator[Path]:
-    folder = Path(mkdtemp(prefix=".fpk-", dir=path.parent))
-    try:
-        yield folder
-    finally:
-        for left in folder.iterdir():
-            left.unlink()
-        folder.rmdir()
 
 
 @contextmanager

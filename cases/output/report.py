@@ -17,7 +17,7 @@ from cases.output.records import program_version
 from cases.output.svg import inline_svg, svg_text
 from cases.output.text import rendered
 
-LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "xarray")
+LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "h5netcdf")
 
 
 def write_report(outcome: Outcome, folder: Path) -> list[Path]:
