@@ -97,7 +97,7 @@ def shown(scene):
 
 
 @examples(20)
-@given(text=valid_scenes())
+@given(text=valid_scenes(one_law=True))
 def test_a_valid_scene_loads_and_is_shown(text, tmp_path):
     path = tmp_path / "any.toml"
     scene = loaded_or_refused(path, text.encode())
