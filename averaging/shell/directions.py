@@ -47,40 +47,25 @@ def hyperspherical(angles: Array) -> tuple[Array, Array]:
 def cut_angles(shell: EnergyShell, energy: Array) -> Array:
     """Return angles (energies, cuts) where a stop joins or leaves the shell; 0 for no cut."""
     fixed = [0.0, 0.5 * pi, *np.arctan2(shell.corners[:, 1], shell.corners[:, 0])]
-    crossings = [
-        angle
-        for row, clearance in zip(shell.stops.rows, shell.stops.clearance, strict=True)
-        for angle in _line_crossings(shell, row, clearance, energy)
-    ]
-    return np.stack([np.full(energy.size, angle) for angle in fixed] + crossings, axis=1)
+    touch, rows = shell.first_touch, shell.stops.rows
+    angles = np.zeros((2, len(touch), energy.size))
+    stop, level = np.nonzero(shell.potential(touch)[:, None] < energy)
+    if stop.size:
+        # On the line where a stop is just touched V is convex: H is met once on either side of the
+        # lowest point, no farther than where the springs alone reach it.
+        (x0, y0), H = touch[stop].T, energy[level]
+        dx, dy = np.array([-rows[stop, 1], rows[stop, 0]]) / np.linalg.norm(rows[stop], axis=1)
+        side = np.array([1.0, -1.0])[:, None]
+        end = side * (np.sqrt(2.0 * H) + np.hypot(x0, y0))
 
+        def excess(t: Array, *line: Array) -> Array:
+            x0, y0, dx, dy, H = line
+            return shell.potential(np.stack([x0 + t * dx, y0 + t * dy], axis=-1)) - H
 
-def _line_crossings(shell: EnergyShell, row: Array, clearance: float, energy: Array) -> list[Array]:
-    """Angles of the two points with V = H on the line where a stop is just touched."""
-    size = np.linalg.norm(row)
-    foot = clearance * row / size**2
-    along = np.array([-row[1], row[0]]) / size
-    # V is convex along the line; the springs alone reach H at |t| <= bound.
-    bound = np.sqrt(2.0 * energy)
+        from scipy.optimize import elementwise  # noqa: PLC0415  (it takes 0.2 s)
 
-    def points(t: Array) -> Array:
-        return np.asarray(foot + t[:, None] * along)
-
-    from scipy.optimize import elementwise  # noqa: PLC0415  (it takes 0.2 s)
-
-    find_root: Any = elementwise.find_root  # typed without further arguments
-    lowest = find_root(lambda t: shell.slope(points(t), along), (-bound, bound)).x
-    inside = shell.potential(points(lowest)) < energy
-    angles = []
-    for end in (bound, -bound):
-        angle = np.zeros(energy.size)
-        if inside.any():
-            t = find_root(
-                lambda t, energy: shell.potential(points(t)) - energy,
-                (lowest[inside], end[inside]),
-                args=(energy[inside],),
-            ).x
-            point = points(t)
-            angle[inside] = np.arctan2(point[:, 1], point[:, 0])
-        angles.append(angle)
-    return angles
+        find_root: Any = elementwise.find_root  # typed without further arguments
+        t = find_root(excess, (0.0 * end, end), args=(x0, y0, dx, dy, H)).x
+        angles[:, stop, level] = np.arctan2(y0 + t * dy, x0 + t * dx)
+    crossings = angles.reshape(-1, energy.size).T
+    return np.hstack([np.tile(fixed, (energy.size, 1)), crossings])

@@ -45,14 +45,6 @@ class EnergyShell:
             value = value + stop.energy(np.maximum(y @ row - stop.clearance, 0.0))
         return value
 
-    def slope(self, y: Array, direction: Array) -> Array:
-        """Derivative of V_red along ``direction`` (c,) at whitened coordinates (..., c)."""
-        slope: Array = y @ direction
-        for stop, row in zip(self.system.stops, self.stops.rows, strict=True):
-            overlap = np.maximum(y @ row - stop.clearance, 0.0)
-            slope = slope + (row @ direction) * stop.force(overlap)
-        return slope
-
     @property
     def count(self) -> int:
         """Number of masses with contact, c."""
@@ -73,7 +65,8 @@ class EnergyShell:
             for pair in combinations(range(clearance.size), 2)
             if self.count == 2 and stops[pair[0]].mass != stops[pair[1]].mass
         ]
-        return np.array([np.linalg.solve(rows[p], clearance[p]) for p in pairs]).reshape(-1, 2)
+        corners = [np.linalg.solve(rows[p], clearance[p]) for p in pairs]
+        return np.array(corners).reshape(-1, 2)
 
     @cached_property
     def contact_energies(self) -> tuple[float, ...]:
@@ -82,13 +75,7 @@ class EnergyShell:
         They are the minima of V_red where one stop is just touched, H_c = ½ k_eff δ² with no other
         in the way, and for two contact masses also where two are: each more adds half a derivative.
         """
-        rows = self.stops.rows
-        feet = (self.stops.clearance / (rows * rows).sum(axis=1))[:, None] * rows
-        energies = self.potential(feet).tolist()
-        if self.count > 1:
-            springs = 0.5 * (feet * feet).sum(axis=1) * (1.0 + SAME)
-            for k in np.flatnonzero(np.array(energies) > springs):
-                energies[k] = self._lowest(feet[k], rows[k])
+        energies = self.potential(self.first_touch).tolist()
         if self.count == 2:
             energies += self.potential(self.corners).tolist()
         distinct: list[float] = []
@@ -97,14 +84,26 @@ class EnergyShell:
                 distinct.append(H)
         return tuple(distinct)
 
-    def _lowest(self, foot: Array, row: Array) -> float:
-        """The minimum of V_red over the plane through ``foot`` across ``row``."""
+    @cached_property
+    def first_touch(self) -> Array:
+        """Points where V_red is least among those that just touch one stop, (stops, c)."""
+        rows = self.stops.rows
+        points = (self.stops.clearance / (rows * rows).sum(axis=1))[:, None] * rows
+        if self.count > 1:
+            springs = 0.5 * (points * points).sum(axis=1) * (1.0 + SAME)
+            for k in np.flatnonzero(self.potential(points) > springs):
+                points[k] = self._lowest(points[k], rows[k])
+        return points
+
+    def _lowest(self, foot: Array, row: Array) -> Array:
+        """Where V_red is least on the plane through ``foot`` with the normal ``row``."""
         free = np.linalg.svd(row[None])[2][1:].T
 
         def energy(t: Array) -> float:
             return float(self.potential(foot + free @ t))
 
-        return float(scipy.optimize.minimize(energy, np.zeros(free.shape[1]), tol=1e-12).fun)
+        lowest = scipy.optimize.minimize(energy, np.zeros(free.shape[1]), tol=1e-12).x
+        return np.asarray(foot + free @ lowest)
 
 
 def energy_shell(system: System) -> EnergyShell:
