@@ -88,7 +88,7 @@ class EnergyShell:
     def first_touch(self) -> Array:
         """Points where V_red is least among those that just touch one stop, (stops, c)."""
         rows = self.stops.rows
-        points = (self.stops.clearance / (rows * rows).sum(axis=1))[:, None] * rows
+        points: Array = (self.stops.clearance / (rows * rows).sum(axis=1))[:, None] * rows
         if self.count > 1:
             springs = 0.5 * (points * points).sum(axis=1) * (1.0 + SAME)
             for k in np.flatnonzero(self.potential(points) > springs):
