@@ -88,7 +88,7 @@ def lower_trapezoidal(factor: Array) -> Array:
     size = np.linalg.norm(factor, axis=1, keepdims=True)
     unit = np.divide(factor, size, out=np.zeros_like(factor), where=size > 0)
     upper: Array = np.asarray(np.linalg.qr(unit.T, mode="r"))
-    return upper.T * size
+    return np.asarray(upper.T * size)
 
 
 def exact_flow(system: System, dt: float) -> LinearMap:
