@@ -42,19 +42,15 @@ def watching(batch: Batch, *, bins: int, products: int) -> Batch:
     )
 
 
+Clock = tuple[int, int, int, int]
+"""Steps done and steps since ``watch`` before a call of the kernel, its steps and its stride."""
+
+
 def advanced(
-    batch: Batch,
-    *,
-    key: KernelKey,
-    step: StepArrays,
-    watch: WatchArrays,
-    seed: int,
-    done: int,
-    phase: int,
-    steps: int,
-    stride: int,
+    batch: Batch, *, key: KernelKey, step: StepArrays, watch: WatchArrays, seed: int, clock: Clock
 ) -> Batch:
-    """Advance a batch in place by ``steps`` and return it; see ``Ensemble.advance``."""
+    """Advance a batch in place and return it; see ``Ensemble.advance``."""
+    done, phase, steps, stride = clock
     arrays = (batch.states, batch.sums, batch.folded)
     flat = (a.reshape(a.shape[0], a.shape[1] * a.shape[2]) for a in arrays)
     compiled_kernel(key)(

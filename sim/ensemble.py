@@ -121,7 +121,7 @@ class Ensemble:
         """
         task = partial(
             advanced, key=self._key, step=self.step, watch=self._watch, seed=self.seed,
-            done=self.done, phase=self.phase, steps=steps, stride=stride,
+            clock=(self.done, self.phase, steps, stride),
         )  # fmt: skip
         self._replace(task, self._batches)
         if stride:
