@@ -11,7 +11,7 @@ from averaging.closed_form import averaged_density, log_gibbs_norm
 from averaging.conditional import bridge_covariance, conditionals, overlap_at
 from averaging.energy_process import energy_process
 from averaging.exact import Exact
-from averaging.hidden import HiddenIntegral
+from averaging.hidden import HiddenIntegral, gibbs_integral
 from averaging.nonintegrable import NonIntegrable
 from averaging.zero_flux import flux_residual
 from fpk.contact import Contact
@@ -102,7 +102,6 @@ def test_the_norm_over_two_tied_contact_masses(ratio):
     assert moment(p1, 2) == pytest.approx(1.0 / ALPHA, rel=1e-10)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("stiffness", [1.0, 1e4])
 def test_two_hidden_contact_masses(stiffness):
     # In the chain q1 - q2 - q3 with contact of 2 and 3, p(q1) hides both, q1 and q2 are tied.
@@ -144,6 +143,25 @@ def test_a_hidden_integral_of_a_gaussian_is_its_determinant():
     total = hidden(lambda E: np.exp(-2.0 * E), np.array([0.3]), np.zeros((0, 1)), points=10)[0]
     det = np.prod([law.precision for law in laws])
     assert total == pytest.approx(np.exp(-0.6) * np.pi / np.sqrt(det), rel=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("observed", "hidden"),
+    [([0], [1, 3]), ([1], [0, 3]), ([2], [0, 1]), ([0, 2], [1, 3]), ([3, 1], [0, 2]), ([], [0, 2])],
+)
+def test_passes_along_the_chain_are_the_integral_over_all_hidden_masses_at_once(observed, hidden):
+    contacts = tuple(Contact(i + 1, "right", 10.0, 0.3) for i in hidden)
+    system = System([1.0] * 4, [1.0, 3.0, 2.0, 5.0], [0.1] * 4, [0.1] * 4, contacts=contacts)
+    at = np.linspace(-0.5, 0.9, 3 * len(observed)).reshape(len(observed), 3)
+    laws = conditionals(system, [*observed, *hidden])[len(observed) :]
+    T = 0.5
+    direct = HiddenIntegral(laws, T, 40.0 * T)(
+        lambda V: np.exp(-V / T), np.zeros(at.shape[1]), at, points=12
+    )
+    scale = np.prod([np.sqrt(2.0 * np.pi * T / law.precision) for law in laws])
+    value, error = gibbs_integral(system, observed, at, temperature=T, points=12)
+    assert error < 1e-12
+    np.testing.assert_allclose(scale * value, direct, rtol=1e-10, atol=scale * 1e-12)
 
 
 def test_the_overlap_at_an_energy():
