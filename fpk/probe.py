@@ -77,8 +77,6 @@ class Probe:
             after = left * math.exp(-fall)
             bound += (left - after) / least
             rate, end, left = -slope, energy, after
-            if left == 0.0:
-                return density_at_end * bound
         return density_at_end * (bound + left / rate) if rate > 0.0 else math.inf
 
     def e_fold(self, end: float) -> float:

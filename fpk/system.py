@@ -86,8 +86,8 @@ class System:
                 key = f"contact[{k}].mass"
                 raise InvalidInput(key, contact.mass, f"is not a mass; use 1 to {n}")
         object.__setattr__(self, "damping_terms", terms)
-        k = np.append(stiffness, 0.0)
-        spring = np.diag(k[:-1] + k[1:]) - np.diag(k[1:-1], 1) - np.diag(k[1:-1], -1)
+        above = np.append(stiffness[1:], 0.0)
+        spring = np.diag(stiffness + above) - np.diag(above[:-1], 1) - np.diag(above[:-1], -1)
         derived = {
             "mass": mass,
             "stiffness": stiffness,
