@@ -138,15 +138,14 @@ def _integrals(
     points: int,
 ) -> Array:
     """∫_E^last u(H) (H − E)^(ν−1)/Γ(ν) dH at energies, each in its ``element`` of the mesh."""
-    total = np.zeros(energy.size)
     x, w = panel_rule(nodes, points)
     values = w * u(x)
-    for k in range(nodes.size - 1):
-        left, right = nodes[k], nodes[k + 1]
-        near = np.flatnonzero((element <= k) & (left - energy < right - left))
-        far = np.flatnonzero(left - energy >= right - left)
-        total[near] += _near(order, energy[near], left, right, u, points)
-        total[far] += (x[k] - energy[far, None]) ** (order - 1.0) @ values[k]
+    far = nodes[:-1, None] - energy >= np.diff(nodes)[:, None]
+    k, i = np.nonzero(~far & (element <= np.arange(nodes.size - 1)[:, None]))
+    near = _near(order, energy[i], nodes[k], nodes[k + 1], u, points)
+    total: Array = np.bincount(i, near, minlength=energy.size)
+    for k, i in enumerate(far):
+        total[i] += (x[k] - energy[i, None]) ** (order - 1.0) @ values[k]
     return total / gamma(order)
 
 
@@ -166,8 +165,8 @@ def continued(order: float, energy: Array, nodes: Array, u: Function) -> Array:
 def _near(
     order: float,
     energy: Array,
-    left: float,
-    right: float,
+    left: Array,
+    right: Array,
     u: Function,
     points: int,
 ) -> Array:
