@@ -102,7 +102,7 @@ def test_the_norm_over_two_tied_contact_masses(ratio):
     assert moment(p1, 2) == pytest.approx(1.0 / ALPHA, rel=1e-10)
 
 
-@pytest.mark.parametrize("stiffness", [1.0, 1e4])
+@pytest.mark.parametrize("stiffness", [pytest.param(1.0, marks=pytest.mark.slow), 1e4])
 def test_two_hidden_contact_masses(stiffness):
     # In the chain q1 - q2 - q3 with contact of 2 and 3, p(q1) hides both, q1 and q2 are tied.
     contacts = (Contact(2, "right", 10.0, 0.3), Contact(3, "both", 5.0, 0.5, "bilinear"))

@@ -253,7 +253,7 @@ def test_the_exact_scene_knows_its_moment_and_the_samples_their_slope():
 
 def test_weak_order_on_an_exact_scene_derives_its_sample():
     method = MonteCarlo(scheme="baoab", paths=4096, threads=2)
-    found = weak_order(load_scene("fig3a").system, method, seconds=2.0)
+    found = weak_order(load_scene("fig3a").system, method, seconds=0.5)
     assert found.known and found.limit_error < 1e-5 * found.levels[0].error
     assert found.verdict in ("as theory", "not resolved", "pre-asymptotic")
     low, high = found.order_error
