@@ -11,6 +11,9 @@ from fpk.quadrature import gauss_legendre
 
 Array = NDArray[np.float64]
 
+MARGIN = 1e-9
+"""Relative length beyond which the springs alone hold more than H, round-off or not."""
+
 
 def circle_rule(cuts: Array, nodes: int, *, mirror: bool) -> tuple[NDArray[np.intp], Array, Array]:
     """Two contact masses: Gauss panels over the angle between ``cuts`` (energies, cuts).
@@ -28,7 +31,7 @@ def circle_rule(cuts: Array, nodes: int, *, mirror: bool) -> tuple[NDArray[np.in
     length = np.diff(cuts, axis=1)
     angle = cuts[:, :-1, None] + length[:, :, None] * share
     weight = np.broadcast_to(length[:, :, None] * slope, angle.shape)
-    keep = weight > 0
+    keep = weight != 0.0  # a cut that is no number makes a sum that is none
     index = np.arange(len(cuts), dtype=np.intp)[:, None, None]
     which = np.broadcast_to(index, angle.shape)[keep]
     directions = np.stack([np.cos(angle[keep]), np.sin(angle[keep])], axis=1)
@@ -56,7 +59,7 @@ def cut_angles(shell: EnergyShell, energy: Array) -> Array:
         (x0, y0), H = touch[stop].T, energy[level]
         dx, dy = np.array([-rows[stop, 1], rows[stop, 0]]) / np.linalg.norm(rows[stop], axis=1)
         side = np.array([1.0, -1.0])[:, None]
-        end = side * (np.sqrt(2.0 * H) + np.hypot(x0, y0))
+        end = side * ((1.0 + MARGIN) * np.sqrt(2.0 * H) + np.hypot(x0, y0))
 
         def excess(t: Array, *line: Array) -> Array:
             x0, y0, dx, dy, H = line

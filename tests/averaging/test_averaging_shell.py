@@ -306,3 +306,25 @@ def test_linear_density_of_states_counts_phase_space(mass):
     assert np.exp(log_linear_states(one, energy)[0]) == pytest.approx(period, rel=1e-14)
     above = integral(lambda x: np.exp(log_linear_states(system, x)), [0.0, 2.0])
     assert above == pytest.approx(expected[1], rel=1e-13)  # Φ(2) = T(2)·2/2
+
+
+def test_two_contact_masses_of_which_one_touches_from_rest():
+    # Of a stop without clearance the springs alone end the shell where it is just touched: there
+    # the search for that point began on the root itself, and found it or not by a rounding.
+    contacts = (
+        Contact(1, "left", 2.5, 0.6, law="power", exponent=1.0),
+        Contact(2, "right", 0.9, 0.0),
+    )
+    system = System([1.0, 1.0], [1.0, 1.0], [0.1, 0.1], [0.1, 0.1], contacts=contacts)
+    energy = np.geomspace(0.01, 4.0, 200)
+    ratios = shell_ratios(system, energy)
+    # The phase volume of two masses is ∝ ∫(H − V) dq; a smooth integrand, but for its edge.
+    side = np.sqrt(2.0 * energy[-1] / 0.38) * np.linspace(-1.0, 1.0, 601)
+    q = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1)
+    V = system.potential(q)
+    free = 0.5 * np.einsum("...i,ij,...j->...", q, system.stiffness_matrix, q)
+    for k in (60, 100, 140, 199):
+        H = energy[k]
+        area, of_free = (np.sum(np.maximum(H - x, 0.0)) for x in (V, free))
+        assert ratios.volume[k] == pytest.approx(area / of_free, rel=5e-3)
+    assert np.all(np.abs(np.diff(ratios.states)) < 0.02)
