@@ -144,8 +144,8 @@ def _integrals(
     k, i = np.nonzero(~far & (element <= np.arange(nodes.size - 1)[:, None]))
     near = _near(order, energy[i], nodes[k], nodes[k + 1], u, points)
     total: Array = np.bincount(i, near, minlength=energy.size)
-    for k, i in enumerate(far):
-        total[i] += (x[k] - energy[i, None]) ** (order - 1.0) @ values[k]
+    for here, points_of, weighted in zip(far, x, values, strict=True):
+        total[here] += (points_of - energy[here, None]) ** (order - 1.0) @ weighted
     return total / gamma(order)
 
 
