@@ -143,7 +143,7 @@ def _integrals(
     far = nodes[:-1, None] - energy >= np.diff(nodes)[:, None]
     k, i = np.nonzero(~far & (element <= np.arange(nodes.size - 1)[:, None]))
     near = _near(order, energy[i], nodes[k], nodes[k + 1], u, points)
-    total: Array = np.bincount(i, near, minlength=energy.size)
+    total = np.bincount(i, near, minlength=energy.size).astype(float)
     for here, points_of, weighted in zip(far, x, values, strict=True):
         total[here] += (points_of - energy[here, None]) ** (order - 1.0) @ weighted
     return total / gamma(order)
