@@ -21,7 +21,7 @@ from fpk.system import System
 Array = NDArray[np.float64]
 Function = Callable[[Array], Array]
 Solution = StationarySolution | ZeroFluxDensity
-"""Of the averaged energy: p = T u, with T in the unit of its process."""
+"""Density of the energy by a solver: p = T u, T in the unit in which the process gives it."""
 
 POINTS = (14, 18)
 """Gauss points per element of a table and of its integrals, and of the finer table: the

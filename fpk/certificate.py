@@ -1,4 +1,4 @@
-"""What an answer is judged by, and the one place where it is judged."""
+"""Certificates of answers: the measured numbers, their limits, and the one place that compares."""
 
 from dataclasses import dataclass, replace
 
@@ -14,7 +14,7 @@ ROUNDING = 1e-14
 
 @dataclass(frozen=True)
 class Measured:
-    """What was measured on an answer; every number is computed from the answer, none is typed.
+    """Numbers measured on an answer; each is computed from the answer, none is typed.
 
     ``l1_error`` estimates ∫|p − p_exact| and holds all that the numerics contribute: truncation of
     the mesh, quadrature, interpolation, tails. ``mass_defect`` is |∫p − 1| over the support, before

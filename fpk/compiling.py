@@ -1,4 +1,4 @@
-"""What all compiled code shares: the liberties of its arithmetic and checksums of its sources."""
+"""Options and disk cache of compiled code: liberties of arithmetic, checksums of its sources."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ FLAGS = {"contract", "nsz", "arcp", "afn"}
 which would undo exact differences."""
 
 NO_FOLDER = "no locator available"
-"""What numba says where neither the folder of the source nor that of the user can be written."""
+"""Message of numba where neither the source's cache folder nor the user's can be written."""
 
 _njit: Any = numba.njit
 

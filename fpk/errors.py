@@ -1,4 +1,4 @@
-"""What can go wrong, in words a user can act on."""
+"""Exceptions of the program, each with a message that a user can act on."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""What every route from a system to densities has in common."""
+"""Base class of methods, their plans for a system, and their results."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -67,7 +67,7 @@ class Result:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a method makes of one system, prepared once.
+    """A method prepared for one system: what it refuses, and how it solves.
 
     ``refusal(observable)`` returns why the observable is not given, None where it is;
     ``solve(observables, progress)`` returns the result for observables that are.
@@ -131,7 +131,7 @@ class Method(ABC):
 
 @dataclass(frozen=True)
 class Source:
-    """What a density by a function follows from: solved again where its function is needed."""
+    """Method and system of a density: calling it solves again, after unpickling for instance."""
 
     method: Method
     system: System

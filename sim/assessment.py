@@ -1,4 +1,4 @@
-"""What a finished sample says: certified densities, moment identities and the report."""
+"""Certified densities, moment identities and the report, from the record of a sample."""
 
 from math import inf, nan
 

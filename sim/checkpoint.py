@@ -27,7 +27,7 @@ FIRST_PIECE = 256
 """Steps of the first piece, which shows how long a step takes."""
 
 DAMAGED = (BadZipFile, EOFError, KeyError, OSError, RuntimeError, ValueError)
-"""What NumPy and zipfile raise for bytes that are not the archive that was written."""
+"""Exceptions of NumPy and zipfile for bytes that are not the archive that was written."""
 
 
 def never() -> bool:

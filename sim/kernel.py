@@ -25,7 +25,7 @@ _COMPILING = Lock()
 
 @dataclass(frozen=True)
 class KernelKey:
-    """What a kernel is compiled for, and the only such record: effects, scheme, observations.
+    """Effects, scheme and observations that a kernel is compiled for: the only such record.
 
     ``laws`` are the contact laws that act; ``kick_first`` whether the scheme kicks before its map;
     ``damping`` and ``energy_damping`` whether there are damping terms, and some with H; then what

@@ -1,4 +1,4 @@
-"""What an integrator is: a contact kick, a random linear map, and how its states are observed."""
+"""Records of integrators: a contact kick, a random linear map, and how states are observed."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

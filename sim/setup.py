@@ -78,7 +78,7 @@ class Setup:
 
     @property
     def identity(self) -> tuple[Any, ...]:
-        """What a checkpoint must agree with; it may be resumed with another limit of wall time."""
+        """Values that a checkpoint must have been made with; the limit of wall time may differ."""
         m = self.method
         asked = (m.burn_in, self.time, m.moments, self.tol, isinf(self.seconds))
         steps = (self.scheme.name, self.scheme.small, self.dt, m.paths, m.seed)

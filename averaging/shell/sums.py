@@ -27,7 +27,7 @@ error is ε points²."""
 MANY = 5
 """Masses from which the first rule along a line would be refused, as v^a is narrow."""
 RADIAL_RULE = 2
-"""Its 24 points along a ray are enough for any contact stiffness; over the angle of a circle, where
+"""Index of the rule of 24 points, enough along a ray for any contact stiffness; over angles, where
 stiff contact leaves boundary layers, more are taken."""
 CUBATURE_TOLERANCE = 1e-6
 """Relative tolerance over the directions of three or more contact masses; the cubature's own

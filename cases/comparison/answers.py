@@ -53,7 +53,7 @@ class Answers(Mapping[Any, AnyDensity]):
 
     @cached_property
     def comparisons(self) -> tuple[Comparison, ...]:
-        """What separates any two answers to one question."""
+        """Distances of all pairs of densities of one observable, judged where that is possible."""
         return compared(self.results, averaging_is_exact=incompatibility(self.system) is None)
 
     def densities(self, observable: Observable) -> dict[Route, AnyDensity]:

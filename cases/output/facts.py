@@ -1,4 +1,4 @@
-"""What follows from a system, as plain records: effects, regime, boundaries, theories."""
+"""Facts of a system as plain records: its effects, regime, boundaries and applicable theories."""
 
 from contextlib import suppress
 from typing import Any

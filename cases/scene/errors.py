@@ -15,7 +15,7 @@ WIDTH = 60
 
 
 class BadInput(ValueError):
-    """What a user gave and cannot be used; the message is one line that says what would do."""
+    """Input of a user that cannot be used; the message is one line that says how to mend it."""
 
     def __init__(self, message: str) -> None:
         """Keep ``message`` on one line of bounded length, whatever was quoted in it."""

@@ -1,4 +1,4 @@
-"""What a source claims of its figure in words, from ``[expect]``."""
+"""Claims of a scene's source about its figure, read from the table ``[expect]``."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -31,7 +31,7 @@ VARIED = {
     "system.noise_intensity": "D",
     "system.damping": "c",
 }
-"""What ``[vary]`` may vary, with its symbol: a number of all contacts or a matrix of the system."""
+"""Keys that ``[vary]`` may vary, with their symbols: numbers of all contacts, or matrices."""
 
 
 def changed(system: System, key: str, value: Any) -> System:

@@ -111,7 +111,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Page:
-    """What a study shows: its title, tables, closing words, and a picture.
+    """The page of a study: its title, tables, closing words, and a picture.
 
     Tables without rows are left out. ``summary`` is all that is printed once the page is written,
     empty for the page itself. ``gridded`` are the variables of a map, which are written in the

@@ -15,7 +15,7 @@ from fpk.errors import InvalidInput
 from fpk.system import System
 
 KEYS = {"contact.stiffness": "contact stiffness $B$", "contact.clearance": "clearance $δ$"}
-"""What a map may vary, the numbers among ``VARIED``, with their words for an axis."""
+"""Keys of a scene that a map may vary, all of them numbers, with the label of their axis."""
 MAX_POINTS = 2000
 """Points of a map; each is a simulation of about a second."""
 LARGEST = 1e100
