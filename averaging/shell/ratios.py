@@ -56,10 +56,10 @@ def shell_ratios(system: System, energy: Array) -> ShellRatios:
     contact mass they are integrated afresh, for more they are interpolated.
     """
     shell = energy_shell(system)
-    rows = np.empty((5, energy.size))
-    rows[:2], rows[2], rows[3:] = 1.0, system.n - 1.0, 0.0
-    touching = energy > (shell.contact_energies[0] if shell.contact_energies else np.inf)
-    if touching.any():
+    rows = np.array([1.0, 1.0, system.n - 1.0, 0.0, 0.0])[:, None].repeat(energy.size, axis=1)
+    first = shell.contact_energies[0] if shell.contact_energies else np.inf
+    touching = (energy > first).nonzero()[0]
+    if touching.size:
         above = energy[touching]
         if shell.count == 1:
             rows[:, touching] = _integrated(shell, above)
@@ -83,16 +83,16 @@ def _table(system: System) -> ShellTable:
 def _integrated(shell: EnergyShell, energy: Array) -> Array:
     """The rows of ``ShellRatios`` above the first contact energy, by quadrature."""
     n, c = shell.system.n, shell.count
-    sums, errors = shell_integrals(shell, energy, _sizes)
+    sums, errors = (x.T for x in shell_integrals(shell, energy, _sizes))
     a = n - 0.5 * c - 1.0
     flat = (2.0 * pi) ** (0.5 * c) * float(beta(a + 1.0, 0.5 * c)) / gamma(0.5 * c)
-    error = np.maximum(errors[:, 0], errors[:, 1])
+    error = np.maximum(errors[0], errors[1])
     if n == 1:
         rises = energy[:, None] - shell.potential(shell.stops.clearance[:, None] / shell.stops.rows)
         least = np.where(rises > 0.0, rises, np.inf).min(axis=1)
         error = error + ROUNDED * np.sqrt(energy / least)
-    states, volume = sums[:, 0] / flat, sums[:, 1] / (flat * (a + 1.0) / n)
-    return np.array([states, volume, sums[:, 2] / sums[:, 0], error, errors[:, 2] + error])
+    states, volume = sums[0] / flat, sums[1] / (flat * (a + 1.0) / n)
+    return np.array([states, volume, sums[2] / sums[0], error, errors[2] + error])
 
 
 def _sizes(sums: Array) -> Array:

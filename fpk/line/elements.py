@@ -38,8 +38,9 @@ class Rule(NamedTuple):
     """Points of an element in [0, 1], and the Legendre polynomials P_j there.
 
     At the Gauss points ``share`` with ``weight`` the flux is tested, for the answer and for the
-    enriched solution; ``P`` (degree + 3, 2, points) are values and derivatives, and ``tested``
-    (2 · points, tests · (degree + 3)) those times each of the degree + 2 tests. The mass
+    enriched solution; ``P`` (degree + 3, points) are the values, and ``tested``
+    (2 · points, tests · (degree + 3)) these and the derivatives times each of the degree + 2 tests.
+    The mass
     of the enriched solution is the sum with ``enriched_weight``, an interpolation at all points but
     one: how far the two masses differ shows what T lacks of being a polynomial, and exceeds the
     error of the Gauss rule.
@@ -79,7 +80,7 @@ def element_rule(degree: int) -> Rule:
         share=share,
         weight=weight,
         enriched_weight=_without_one(share),
-        P=np.array([value.T, slope.T]).swapaxes(0, 1).copy(),
+        P=value.T.copy(),
         tested=np.concatenate(
             [(tests * f[:, None]).reshape(share.size, -1) for f in (value, slope)]
         ),
@@ -112,8 +113,8 @@ class Elements(NamedTuple):
     ``u`` (elements, degree + 1) and ``enriched`` (elements, degree + 3) are Legendre series of
     p e^(−log_factor), in the flux form of p e^(−log_factor)/T; ``values`` and ``enriched_values``
     (elements, points) are p at the same points, ``weights`` those of the points. ``residual`` is
-    relative to the terms that cancel in it; ``net_flux`` is the mean of J and ``one_way`` that of
-    its parts, each way. ``coefficient_error`` is the largest relative error of the coefficients,
+    relative to the terms that cancel in it; ``net_flux`` is the mean of J and ``one_way`` the terms
+    that cancel in that. ``coefficient_error`` is the largest relative error of the coefficients,
     ``at_end`` p at the right end.
     """
 
@@ -173,19 +174,15 @@ def solve_elements(
     factors[:, 0] *= h * F
     factors[:, 1] *= -0.5 * c.diffusion
     A = (factors.reshape(left.size, -1) @ rule.tested).reshape(left.size, -1, degree + 3)
-    A /= np.maximum(np.abs(A).max(axis=2, keepdims=True), TINY)
+    largest = np.maximum(np.abs(A).max(axis=2, keepdims=True), TINY)
+    A /= largest
     u, enriched = _null_vectors(A, degree), _null_vectors(A, degree + ENRICHMENT)
     equations, column = A[:, :degree], u[:, :, None]
-    residual = np.abs(equations @ column).max(axis=(1, 2))
+    left_over = np.abs(equations @ column)[:, :, 0]
+    terms = (np.abs(equations) @ np.abs(column))[:, :, 0]
     # All terms are zero where an element is so short that the damping in it underflows.
-    residual /= np.maximum((np.abs(equations) @ np.abs(column)).max(axis=(1, 2)), TINY)
-    value = (u @ rule.P.reshape(degree + 3, -1)).reshape(factors.shape)
-    net = (factors * value).sum(axis=(1, 2))
-    # In a short element both parts of J are small beside the terms that make up u'.
-    factors, sizes = np.abs(factors), np.abs(value)
-    sizes[:, 1] += sizes[:, 0]
-    parts = (factors * sizes).sum(axis=(1, 2))
-    p, better = T * value[:, 0], T * (enriched @ rule.P[:, 0])
+    residual = left_over.max(axis=1) / np.maximum(terms.max(axis=1), TINY)
+    p, better = T * (u @ rule.P), T * (enriched @ rule.P)
     enriched_mass = h[:, 0] * (better @ rule.enriched_weight)
     p, better = p[:, rule.padding], better[:, rule.padding]
     weights = h * rule.padded_weight
@@ -198,6 +195,7 @@ def solve_elements(
         inner_error = flat.relative_error[energy.size : -left.size].reshape(inner.shape)
         error[above] = np.maximum(error[above], inner_error.max(axis=1))
     mass = (weights * p).sum(axis=1)
+    flux_unit = np.abs(largest[:, 0, 0] / (mass * h[:, 0]))
     return Elements(
         left=left,
         right=right,
@@ -209,8 +207,9 @@ def solve_elements(
         enriched_values=better / enriched_mass[:, None],
         weights=weights,
         residual=residual,
-        net_flux=np.abs(net / mass) / h[:, 0],
-        one_way=np.abs(parts / mass) / h[:, 0],
+        # The first test is 1: its equation is the mean of J.
+        net_flux=left_over[:, 0] * flux_unit,
+        one_way=terms[:, 0] * flux_unit,
         at_end=T_end * u.sum(axis=1) / mass,
     )
 

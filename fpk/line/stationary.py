@@ -27,6 +27,7 @@ from fpk.line.elements import (
 from fpk.line.mesh import (
     DEEP_LAYERS,
     GRADED_LAYERS,
+    LOG_GROWTH,
     NATS_PER_ELEMENT,
     SMOOTH_NATS,
     initial_nodes,
@@ -189,7 +190,11 @@ def solve_stationary(
             "the coefficients leave the range of double precision: choose other units"
         )
     end = probe.extent(1e-2 * tol)
-    nats = SMOOTH_NATS if smooth else NATS_PER_ELEMENT
+    nats: Array | float = NATS_PER_ELEMENT
+    if smooth:
+        # The error of an element counts by its mass, and rises with the nats to this power.
+        fall = probe.log_mass.max() - probe.log_mass
+        nats = SMOOTH_NATS * np.exp(np.minimum(fall / (degree + 1), LOG_GROWTH))
     layers = 0 if smooth else DEEP_LAYERS if form == "drift-diffusion" else GRADED_LAYERS
     nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree, form)
