@@ -73,14 +73,14 @@ def element_rule(degree: int) -> Rule:
     share, weight = _gauss(degree + ENRICHMENT + 2)
     count, highest = degree + 2 + CONTACT_POINTS, degree + ENRICHMENT
     t, w = (np.concatenate(x) for x in zip(_gauss(count), _gauss(2 * count - 2), strict=True))
-    value = legvander(2.0 * share - 1.0, highest)
+    value = np.asarray(legvander(2.0 * share - 1.0, highest), dtype=float)
     slope = 2.0 * value[:, :-1] @ legder(np.eye(highest + 1))
     tests = value[:, :-1, None]
     return Rule(
         share=share,
         weight=weight,
         enriched_weight=_without_one(share),
-        P=value.T.copy(),
+        P=np.ascontiguousarray(value.T),
         tested=np.concatenate(
             [(tests * f[:, None]).reshape(share.size, -1) for f in (value, slope)]
         ),
