@@ -11,10 +11,8 @@ from typing import Any
 import click
 
 from cases.commands import parts
-from cases.commands.converge import converge
-from cases.commands.cost import cost
 from cases.commands.export import export
-from cases.commands.regime import regime
+from cases.commands.studies import converge, cost, regime
 from cases.commands.verify import verify
 from cases.scene.errors import LONGEST, BadInput, one_line, shortened
 from fpk.errors import InvalidInput, NotApplicable, NotCertified, Unavailable
@@ -68,13 +66,12 @@ def show(scene: str, as_json: bool) -> None:
 def run(scene: str, out: Path | None, as_json: bool, **settings: Any) -> None:
     """Run every applicable route of a scene, compare them, and write a report."""
     loaded = parts.checked(scene, tol=settings["tol"], out=out)
-    from cases.commands.checkpoints import checkpoint_folder
     from cases.comparison.routes import all_methods
     from cases.output.digest import digest_of
     from cases.output.text import run_text
 
     parts.check_cluster(settings["cluster"])
-    checkpoint_folder(loaded, {**settings, "tol": None})  # no simulation depends on it
+    parts.checkpoint_folder(loaded, {**settings, "tol": None})  # no simulation depends on it
     outcome = parts.outcome_of(loaded, all_methods(**settings, partial=True))
     written = []
     if out is not None:
@@ -102,7 +99,6 @@ def density(
     """Give one density at the points asked for."""
     loaded = parts.checked(scene, tol=settings["tol"])
     observable = parts.observable_of(of, loaded)
-    from cases.commands.checkpoints import checkpoint_folder
     from cases.comparison.routes import chosen
     from cases.output.density import density_record, density_text
     from cases.scene.points import parse_points
@@ -114,7 +110,7 @@ def density(
         plan = chosen(loaded.system, observable, method, solver, **settings, partial=True)
     except NotApplicable as reason:
         raise BadInput(f"{loaded.name}: {method} does not apply: {reason}") from None
-    checkpoint_folder(loaded, {**settings, "observable": of})
+    parts.checkpoint_folder(loaded, {**settings, "observable": of})
     with parts.progress_bar() as progress:
         result = solved(plan, loaded.system, [observable], progress=progress)
     record = density_record(loaded, result, points)

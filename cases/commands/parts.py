@@ -1,9 +1,8 @@
 """Options, exit statuses and JSON output shared by the commands of ``fpk``; light to import."""
 
 import json
-import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,13 +12,15 @@ import click
 if TYPE_CHECKING:
     from cases.comparison.run import Outcome
     from cases.scene.scene import Scene
-    from cases.studies.page import Page
     from fpk.method import Progress
     from fpk.observable import Observable
 
 Decorator = Callable[[Any], Any]
 
 FOLDER = click.Path(path_type=Path)
+
+STATE_SETTINGS = ("seed", "tol", "dt", "step_pair", "observable")
+"""Settings of a command that a saved state of its simulation depends on."""
 
 scene_name = click.argument("scene", metavar="SCENE")
 as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object alone.")
@@ -28,9 +29,6 @@ seed = click.option("--seed", type=click.IntRange(0, 2**64 - 1), help="Seed of t
 threads = click.option("--threads", type=click.IntRange(1), help="Threads of the simulation.")
 cluster = click.option(
     "--cluster", metavar="ADDRESS", help="Simulate on the Dask cluster there: tcp://HOST:PORT."
-)
-study_folder = click.option(
-    "--out", type=FOLDER, help="Folder for the study: tables (.md), numbers (.nc), picture (.svg)."
 )
 
 
@@ -86,29 +84,34 @@ def observable_of(name: str, scene: "Scene") -> "Observable":
         raise BadInput(f'--of "{name}": {error.remedy}') from None
 
 
-def given(settings: dict[str, Any]) -> dict[str, Any]:
-    """Return the options that were given; for the others the defaults of the work itself hold."""
-    return {key: value for key, value in settings.items() if value is not None}
+def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:
+    """Make the folder ``settings["checkpoint"]``, if it is asked for; ``run.json`` is of its run.
 
-
-def begin_study(scene: str, out: Path | None = None) -> "Scene":
-    """Load the scene and make the folder of a study.
-
-    Linear algebra takes one thread from here on: small matrices gain nothing from more, and times
-    of routes can be compared then and do not depend on load.
+    Raises ``BadInput`` where it holds states of another scene, other settings or another version.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    return checked(scene, out=out)
+    from cases.output.files import make_folder, write_text
+    from cases.output.records import hash_of, plain, program_version
+    from cases.scene.errors import BadInput
 
-
-def end_study(study: Any, page: "Page", out: Path | None, *, as_json: bool) -> None:
-    """Write a study's page to ``out``, print it or the JSON object, and say the problems."""
-    from cases.output.records import plain
-
-    written = [] if out is None else page.write(out)
-    short = page.summary if written and page.summary else None
-    record = plain(study.record()) if as_json else None
-    end(record, lambda: short or page.text().rstrip(), written, problems=study.problems)
+    folder = settings["checkpoint"]
+    if folder is None:
+        return
+    own = {key: settings[key] for key in STATE_SETTINGS if key in settings}
+    identity = {"scene": scene.text, "settings": own, "version": program_version()}
+    record = {"run": hash_of(identity), "identity": plain(identity)}
+    path = make_folder(folder) / "run.json"
+    try:
+        run = json.loads(path.read_text(encoding="utf-8"))["run"]
+    except FileNotFoundError:
+        write_text(path, json.dumps(record, ensure_ascii=False) + "\n")
+        return
+    except (OSError, ValueError, KeyError, TypeError):
+        raise BadInput(f"{path}: cannot be read; give another --checkpoint") from None
+    if run != record["run"]:
+        raise BadInput(
+            f"{folder}: holds states of another run (other scene, settings or version);"
+            " give another --checkpoint or remove it"
+        )
 
 
 def end(

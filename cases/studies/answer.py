@@ -7,6 +7,7 @@ import numpy as np
 
 from fpk.density import Array, gauss_grid, integral
 from fpk.line.stationary import StationarySolution, solve_on_mesh
+from fpk.plane.solution import graded
 from fpk.plane.stationary import PlaneSolution, solve_plane_on_mesh
 from fpk.process import Process
 
@@ -24,8 +25,8 @@ FUNCTIONALS = ("mean energy", "integral of p²")
 class Answer:
     """A density of one or two energies: smooth between ``panels``, zero beyond them.
 
-    ``l1_error`` is its own estimate of its L1 error; ``unknowns`` the degrees of freedom solved
-    for; ``variant`` says which of several ways a route took, empty where it has one.
+    ``l1_error`` is its own estimate of its L1 error; ``variant`` says which of several ways a
+    route took, empty where it has one.
     """
 
     panels: Nodes
@@ -71,28 +72,13 @@ def given_mesh(process: Process, ends: Sequence[float], degree: int, halvings: i
     """Return the nodes of each axis of the coarsest mesh of a degree, its elements then halved.
 
     Of one energy they are equidistant, with the contact energies among them; of two they are
-    graded.
+    equidistant in √H and are halved in it.
     """
     count = ELEMENTS[len(ends)][degree]
-    if len(ends) == 1:
-        inside = [H for H in process.nonsmooth if ends[0] > H]
-        nodes: Nodes = (np.union1d(np.linspace(0.0, ends[0], count + 1), inside),)
-    else:
-        axes = zip(ends, process.energy_scales, strict=True)
-        nodes = tuple(graded(end / scale, count, degree) * scale for end, scale in axes)
+    if len(ends) == 2:
+        return graded(ends, count * 2**halvings)
+    inside = [H for H in process.nonsmooth if ends[0] > H]
+    nodes = np.union1d(np.linspace(0.0, ends[0], count + 1), inside)
     for _ in range(halvings):
-        nodes = tuple(np.sort(np.append(x, 0.5 * (x[1:] + x[:-1]))) for x in nodes)
-    return nodes
-
-
-def graded(end: float, count: int, degree: int) -> Array:
-    """Return nodes from 0 to ``end``, for e^(−x) by elements of ``degree``.
-
-    Equal shares h^(p+2) |f^(p+1)| of the L1 error ask for h ~ e^(x/(p+2)); taken is half that
-    growth, h ~ e^(x/(2p+4)), so that every element is shorter than e^(−x) takes to fall: orders in
-    L1 of p = 1 in fig6b are 0.82, 1.53, 2.07 from 8 x 8 on with full growth and 1.86, 1.93, 1.97
-    with half of it.
-    """
-    c = 2.0 * (degree + 2.0)
-    share = np.linspace(0.0, 1.0, count + 1)
-    return np.asarray(-c * np.log1p(share * np.expm1(-end / c)))
+        nodes = np.sort(np.append(nodes, 0.5 * (nodes[1:] + nodes[:-1])))
+    return (nodes,)

@@ -25,9 +25,9 @@ SECONDS = 10.0
 class ConvergenceStudy:
     """All that was measured for a scene; ``refusals`` are routes that do not apply, with reason.
 
-    ``equations`` describe the averaged equations, each with its ``ladders``.
-    ``without_contact`` is the p-ladder of (24) of the same system with its contacts taken away: it
-    shows whether a kink at the contact energy costs the exponential convergence.
+    ``equations`` describe the averaged equations, each with its ``ladders``. ``without_contact`` is
+    the p-ladder of (24) of the same system without its contacts: it shows whether a kink at the
+    contact energy costs the exponential convergence.
     """
 
     scene: Scene
@@ -65,7 +65,7 @@ class ConvergenceStudy:
 def chosen_routes(route: str | None, of: str | None) -> tuple[str, ...]:
     """Return the routes asked for by name or by observable; raise ``BadInput`` for another."""
     known = (*EQUATIONS, SIMULATION)
-    if route is not None and route not in known:
+    if route not in (None, *known):
         raise BadInput(f"--route {route}: use one of {', '.join(known)}")
     if of is None:
         return (route,) if route else known

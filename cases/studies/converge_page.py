@@ -17,30 +17,22 @@ GCI_WORDS = (
     "GCI: safety factor 1.25 where the observed order is within 10 % of theory, else 3. " + LIMITS
 )
 ORDER_WORDS = (
-    "In h: powers of h. In p: nats a degree. By tol: nats a unit of √unknowns. Levels within ten"
-    " times the floor (error of the reference, end of the mesh) give no order.",
-    "In p: where the nats do not fall with the degree the error falls exponentially. The contact"
-    " energies are nodes of the mesh, but above them the coefficients have half-integer powers of"
-    " H - H_c: with contact a slower rate can take over at high degree, which hp elements, graded"
-    " there, do without.",
+    "Orders: in h powers of h; in p nats a degree; by tol nats a unit of √unknowns. Levels within"
+    " ten times the floor (error of the reference, end of the mesh) give none.",
+    "Where the nats do not fall with the degree the error falls exponentially. Above the contact"
+    " energies, which are nodes of the mesh, the coefficients have half-integer powers of H - H_c:"
+    " at high degree the rate can drop, except for hp elements, graded there.",
 )
 TWO_ENERGIES = (
     "Mean energy of (17): with constant damping the drift is linear in the energies, which are test"
-    " functions themselves, so that elements of any degree have E H right, and only the end of the"
-    " mesh is seen: at the floor.",
-    "Largest error of degree 1 of (17): it stands at H1 = H2 = 0, where b vanishes as the radial"
-    " part of a Laplacian in the plane does, and theory there is h² |ln h|: observed orders near 2"
-    " only as 1/|ln h|, which no affordable mesh ends (Eriksson and Thomée, Math. Comp. 42, 1984,"
-    " 345).",
+    " functions themselves: elements of any degree have E H right up to the end of the mesh."
 )
-"""Why two of the orders of (17) differ, and may differ, from the column of theory."""
 STEP_WORDS = (
-    f"Order: that of the best fit to all steps; order error: from and to one standard error;"
-    f" {ORDERS[0]:g} or {ORDERS[-1]:g} there: none is known. Unstable: no step is stable and cheap"
-    " enough. Orders: of consecutive resolved steps, each with its error. Chi² with the order of"
-    " theory. Limit: the closed form where there is one, else the intercept of the regression;"
-    " where a fit fails (pre-asymptotic) the step errors rest on that. Short: by how much the"
-    " standard errors are larger than wanted, in the time given."
+    f"Order: of the best fit to all steps; order error: from and to one standard error,"
+    f" {ORDERS[0]:g} or {ORDERS[-1]:g} where none is known. Orders: of consecutive resolved steps,"
+    " each with its error. Chi²: with the order of theory. Limit: the closed form where there is"
+    " one, else the intercept of that fit. Short: by how much the standard errors are larger than"
+    " wanted, in the time given. Unstable: no step is stable and cheap enough."
 )
 WEAK_COLUMNS = (
     "scheme", "theory", "order", "order_error", "verdict", "orders", "chi2", "freedom", "limit",
@@ -53,13 +45,8 @@ LIMITS_OF_AXIS = (1e-16, 10.0)
 
 def convergence_page(study: ConvergenceStudy) -> Page:
     """Return what ``fpk converge`` shows and writes."""
-    return Page(
-        "converge",
-        study.scene,
-        f"Convergence: {study.scene.title}",
-        study_tables(study),
-        lambda: study_figure(study_panels(study)),
-    )
+    title, tables = f"Convergence: {study.scene.title}", study_tables(study)
+    return Page("converge", study.scene, title, tables, lambda: study_figure(study_panels(study)))
 
 
 def study_tables(study: ConvergenceStudy) -> list[Table]:
@@ -99,7 +86,7 @@ def study_tables(study: ConvergenceStudy) -> list[Table]:
         samples = [{"paths x time": time, "standard error": error} for time, error in pairs]
         of, slope = s.observable, f"slope {s.slope:.3f} ± {s.slope_error:.3f}, theory -0.5"
     refusals = [{"route": route, "reason": why} for route, why in study.refusals.items()]
-    words = (*ORDER_WORDS, *(TWO_ENERGIES if plane else ()))
+    words = (*ORDER_WORDS, *([TWO_ENERGIES] if plane else []))
     return [
         Table("errors", "Averaged equations: errors", errors, tuple(about)),
         Table("orders", "Averaged equations: observed orders", orders, words),
@@ -117,7 +104,7 @@ def study_panels(study: ConvergenceStudy) -> list[Panel]:
     Dashed lines have the slope of theory, below the finest levels.
     """
     panels = [
-        _error_panel(e, "dashed: order of theory", map(_in_unknowns, e["ladders"]))
+        _error_panel(e, "unknowns $N$", "dashed: order of theory", map(_in_unknowns, e["ladders"]))
         for e in study.equations
     ]
     for e in study.equations:
@@ -126,7 +113,8 @@ def study_panels(study: ConvergenceStudy) -> list[Panel]:
             curves = [_in_degree("no contact", own)]
             if free := study.without_contact:
                 curves = [_in_degree("with contact", own), _in_degree("contacts taken away", free)]
-            panels.append(_error_panel(e, "exponential in $p$", curves, by_degree=True))
+            x = "degree $p$ on a fixed mesh"
+            panels.append(_error_panel(e, x, "exponential in $p$", curves, logarithmic=False))
     return [*panels, _step_panel(study.schemes)] if study.schemes else panels
 
 
@@ -147,30 +135,21 @@ def _in_degree(words: str, ladder: Ladder) -> Curve:
 
 
 def _error_panel(
-    e: Mapping[str, Any], words: str, curves: Iterable[Curve], *, by_degree: bool = False
+    e: Mapping[str, Any], x: str, words: str, curves: Iterable[Curve], *, logarithmic: bool = True
 ) -> Panel:
-    return Panel(
-        f"{e['equation']}; {words}",
-        "degree $p$ on a fixed mesh" if by_degree else "unknowns $N$",
-        f"$L_1$ error of p({e['observable']})",
-        list(curves),
-        floor=e["reference_error"] + ROUND_OFF,
-        logarithmic=not by_degree,
-        limits=LIMITS_OF_AXIS,
-    )
+    title, y = f"{e['equation']}; {words}", f"$L_1$ error of p({e['observable']})"
+    floor = e["reference_error"] + ROUND_OFF
+    return Panel(title, x, y, list(curves), floor, (), logarithmic, LIMITS_OF_AXIS)
 
 
 def _step_panel(schemes: Sequence[WeakOrder]) -> Panel:
     curves = []
     for s in schemes:
-        dt, line = np.array([level.dt for level in s.levels]), None
-        words = f"{s.verdict} (theory {s.theory})"
+        dt, words = np.array([level.dt for level in s.levels]), f"{s.verdict} (theory {s.theory})"
         if s.verdict in ("as theory", "pre-asymptotic") and not s.beyond:
             words = f"order {s.order:.1f} ± {np.ptp(s.order_error) / 2:.1f} (theory {s.theory})"
-        if dt.size:
-            line = dt, abs(s.slope) * dt**s.theory
+        line = (dt, abs(s.slope) * dt**s.theory) if dt.size else None
         label, bar = f"{s.scheme}: {words}", np.array(s.error_bars)
         curves.append(Curve(label, dt, s.errors, bar, dashed=line, style="none"))
-    y = f"step error of {schemes[0].observable}"
-    x = "step $dt$, in the scene's unit of time"
+    x, y = "step $dt$, in the scene's unit of time", f"step error of {schemes[0].observable}"
     return Panel("full system (6), simulation; lines: theory", x, y, curves)

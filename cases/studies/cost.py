@@ -1,6 +1,7 @@
 """The work-precision study of a scene: what each digit costs, by every route."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from time import perf_counter
@@ -8,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cases.comparison.compare import BINS_1D
+from cases.comparison.compare import distance_between
 from cases.scene.scene import Scene
 from cases.studies.equations import energy_equation, modal_equation
 from cases.studies.ladders import H_LEVELS
@@ -17,7 +18,6 @@ from cases.studies.levels import Discretisation, Equation, refined_levels
 from cases.studies.prices import NotTimed, Priced, crossovers, price_list
 from cases.studies.simulation import Reference, deterministic, full_reference
 from cases.studies.timing import timed_first, timing
-from fpk.density import Density
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.method import Progress, silent
 from fpk.observable import observable_name
@@ -73,6 +73,14 @@ class CostStudy:
             if n.wrong
         )
 
+    @contextmanager
+    def refusal_of(self, equation: str) -> Iterator[None]:
+        """Return a context in which an equation that does not apply is noted as not timed."""
+        try:
+            yield
+        except (NotApplicable, NotCertified) as reason:
+            self.not_timed.append(NotTimed("all", equation, reason=str(reason)))
+
     def add(self, results: Sequence[Priced | NotTimed]) -> None:
         """Add routes to those that are priced or to those that are not."""
         self.routes += [r for r in results if isinstance(r, Priced)]
@@ -81,8 +89,8 @@ class CostStudy:
     def record(self) -> dict[str, Any]:
         """Return the study as ``plain`` takes it, with the cheapest settings and crossings."""
         return {
+            **vars(self),
             "scene": self.scene.name,
-            **{key: value for key, value in vars(self).items() if key != "scene"},
             "crossings": crossovers(self.routes),
             "prices": price_list(self.routes),
             "promises": price_list(self.routes, promised=True),
@@ -94,33 +102,24 @@ def study_cost(
     scene: Scene, *, simulate: bool = True, seed: int = 1, progress: Progress = silent
 ) -> CostStudy:
     """Check and time every route of ``scene``, the sampling routes where ``simulate``."""
-    start, system = perf_counter(), scene.system
-    study = CostStudy(scene)
-
-    def averaged(make: Callable[[System], Equation]) -> None:
-        equation = make(system)
-        study.floors[equation.name] = equation.reference.l1_error
-        study.add(equation_routes(equation, candidates(equation), progress=progress))
-        if simulate and equation.dimension == 1:
-            study.add([averaged_route(system, equation, seed=seed)])
-
-    def full() -> None:
-        reference = full_reference(system, seed=seed)
-        study.full_reference, study.floors[FULL] = reference.words, reference.density.l1_error
-        results, study.laws = full_routes(system, reference, seed=seed, progress=progress)
-        study.add(results)
-        study.models += _models(system, reference)
-
-    parts: dict[str, Callable[[], None]] = {
-        "averaged equation (24)": partial(averaged, energy_equation),
-        "averaged equation (17)": partial(averaged, modal_equation),
-        **({FULL: full} if simulate else {}),
-    }
-    for name, part in parts.items():
-        try:
-            part()
-        except (NotApplicable, NotCertified) as reason:
-            study.not_timed.append(NotTimed("all", name, reason=str(reason)))
+    start, system, study = perf_counter(), scene.system, CostStudy(scene)
+    for name, make in (
+        ("averaged equation (24)", energy_equation),
+        ("averaged equation (17)", modal_equation),
+    ):
+        with study.refusal_of(name):
+            equation = make(system)
+            study.floors[name] = equation.reference.l1_error
+            study.add(equation_routes(equation, candidates(equation), progress=progress))
+            if simulate and equation.dimension == 1:
+                study.add([averaged_route(system, equation, seed=seed)])
+    if simulate:
+        with study.refusal_of(FULL):
+            reference = full_reference(system, seed=seed)
+            study.full_reference, study.floors[FULL] = reference.words, reference.density.l1_error
+            results, study.laws = full_routes(system, reference, seed=seed, progress=progress)
+            study.add(results)
+            study.models += _models(system, reference)
     study.seconds = perf_counter() - start
     return study
 
@@ -149,7 +148,7 @@ def _priced(equation: Equation, first: Discretisation) -> Priced | NotTimed:
     names, checked = (first.name, equation.name), []
     count = TOLERANCES if first.family == "tol" else H_LEVELS[equation.dimension]
     try:
-        _, compiling = timed_first(first.setting.solve)  # the levels themselves are timed warm
+        _, compiling = timed_first(first.solve)  # the levels themselves are timed warm
         for work, level in refined_levels(first, equation.reference, count):
             if not (level.honest and np.isfinite(level.stated)):
                 words = f"differs from the {equation.reference_words} by more than both state"
@@ -171,17 +170,13 @@ def _priced(equation: Equation, first: Discretisation) -> Priced | NotTimed:
 def _models(system: System, reference: Reference) -> list[Model]:
     """Averaging error of each theory in p(q_i), and the time of its fastest route."""
     models: dict[str, Model] = {}
-    full = reference.density
-    for method in deterministic(system, full.observable, "averaged"):
-        work = partial(method.solve, system, [full.observable])
-        result, first = timed_first(work)
-        (density,) = result.densities
-        assert isinstance(density, Density)
-        # Probabilities of bins: a long simulation is known no finer.
-        edges = np.linspace(density.panels[0][0], density.panels[0][-1], BINS_1D + 1)
-        difference = density.cell_averages(edges) - full.cell_averages(edges)
-        distance = float(np.abs(difference) @ np.diff(edges))
-        theory, seconds = method.route.method, timing(work, first).seconds
-        model = Model(theory, full.name, distance, full.l1_error + density.l1_error, seconds)
-        models[theory] = min(model, models.get(theory, model), key=lambda m: m.seconds)
+    of = reference.density.observable
+    for method in deterministic("averaged"):
+        if method.refusal(system, of) is None:
+            work = partial(method.solve, system, [of])
+            result, first = timed_first(work)
+            distance, error, _ = distance_between(result.densities[0], reference.given)
+            theory, seconds = method.route.method, timing(work, first).seconds
+            model = Model(theory, reference.density.name, distance, error, seconds)
+            models[theory] = min(model, models.get(theory, model), key=lambda m: m.seconds)
     return list(models.values())

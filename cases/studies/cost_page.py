@@ -1,5 +1,6 @@
 """A work-precision study as tables and panels of a picture."""
 
+from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
@@ -9,15 +10,14 @@ from cases.studies.cost import CostStudy
 from cases.studies.law import FULL
 from cases.studies.page import Page, Table
 from cases.studies.picture import Curve, Panel, study_figure
-from cases.studies.prices import Cheapest, by_equation, crossovers, price_list
+from cases.studies.prices import Cheapest, Priced, by_equation, crossovers, price_list
 
 MEANING = (
-    "Times are processor times on one thread: the wall time of a core that does nothing else, after"
-    " a warm-up, the median of 3 to 21 runs where one takes less than a second; simulations are run"
-    " once. Every error is that of the route's own equation: numerical for the averaged equations,"
-    " sampling and step for the full system. What averaging costs in accuracy is in a table of its"
-    " own. What a process remembers (integrals of two or more contact masses, of damping"
-    " that depends on the state) is in the first call, not in the median."
+    "Processor times on one thread after a warm-up, the median of 3 to 21 runs where one takes"
+    " less than a second; simulations are run once. What a process remembers (integrals of two or"
+    " more contact masses, of damping that depends on the state) is in the first call only. Every"
+    " error is that of the route's own equation: numerical for the averaged equations, sampling and"
+    " step for the full system."
 )
 PROMISE = (
     "Numbers of elements above are right for this scene. A tolerance is met on every scene, or the"
@@ -33,11 +33,12 @@ DRAWN, LONGEST = 1e-4, 3600.0
 
 def cost_page(study: CostStudy) -> Page:
     """Return what ``fpk cost`` shows and writes."""
+    title, tables = f"What accuracy costs: {study.scene.title}", cost_tables(study)
     return Page(
         "cost",
         study.scene,
-        f"What accuracy costs: {study.scene.title}",
-        cost_tables(study),
+        title,
+        tables,
         lambda: study_figure(cost_panels(study), width=5.2),
         MEANING,
     )
@@ -64,20 +65,20 @@ def cost_tables(study: CostStudy) -> list[Table]:
         if not point.modelled
         for t in [point.timing]
     ]
+    simulated = [r for r in study.routes if r.equation == FULL]
     models = [
-        {**asdict(m), "simulation to this": _simulated(study, max(m.distance, m.error))}
+        {**asdict(m), "simulation to this": _fastest(simulated, max(m.distance, m.error))}
         for m in study.models
     ]
     full = f"Averaging error: L1 to the full system ({study.full_reference}); no solver lowers it."
     axes = tuple(dict.fromkeys(f"{r.equation}: {r.axis}" for r in study.routes))
     lost = [{k: v for k, v in asdict(n).items() if k != "baseline"} for n in study.not_timed]
+    prices = [_price(c) for c in price_list(study.routes)]
     promised = [_price(c) for c in price_list(study.routes, promised=True) if c.point]
     crossings = [asdict(c) for c in crossovers(study.routes)]
     laws = [asdict(law) for law in study.laws]
     return [
-        Table(
-            "prices", "To get so many digits (L1)", [_price(c) for c in price_list(study.routes)]
-        ),
+        Table("prices", "To get so many digits (L1)", prices),
         Table("promises", "Settings that hold for other scenes", promised, (PROMISE,)),
         Table("crossings", "Where another route becomes the cheapest", crossings),
         Table("models", "What the theories are worth for the full system", models, (full,)),
@@ -88,18 +89,16 @@ def cost_tables(study: CostStudy) -> list[Table]:
 
 
 def _price(c: Cheapest) -> dict[str, Any]:
-    row = {"equation": c.equation, "digits": c.digits, "route": c.route or "reached by none here"}
-    if (p := c.point) is None:
-        return row | dict.fromkeys(("settings", "seconds", "memory", "priced by"))
-    by = "law of sampling" if p.modelled else "measurement"
-    settings = {"settings": p.settings, "seconds": p.seconds, "memory": p.timing.memory}
-    return row | settings | {"priced by": by}
+    p, route = c.point, c.route or "reached by none here"
+    by = p and ("law of sampling" if p.modelled else "measurement")
+    values = (p.settings, p.seconds, p.timing.memory) if p else (None, None, None)
+    price = dict(zip(("settings", "seconds", "memory"), values, strict=True))
+    return {"equation": c.equation, "digits": c.digits, "route": route, **price, "priced by": by}
 
 
-def _simulated(study: CostStudy, error: float) -> float:
-    """Seconds of the fastest simulation of the full system to ``error``."""
-    times = [float(r.seconds_for(np.array(error))) for r in study.routes if r.equation == FULL]
-    return min((t for t in times if t == t), default=np.nan)
+def _fastest(routes: Iterable[Priced], error: float) -> float:
+    """Seconds of the fastest of the routes to ``error``, not a number where none reaches it."""
+    return float(np.fmin.reduce([r.seconds_for(np.array(error)) for r in routes], initial=np.nan))
 
 
 def cost_panels(study: CostStudy) -> list[Panel]:
@@ -109,29 +108,22 @@ def cost_panels(study: CostStudy) -> list[Panel]:
     error, which no solver lowers.
     """
     panels = []
-    marks = [(m.distance, f"averaging error of the {m.theory} theory") for m in study.models]
+    models = [(m.distance, f"averaging error of the {m.theory} theory") for m in study.models]
     for equation, routes in by_equation(study.routes).items():
-        curves, full = [], equation == FULL
+        curves = []
         for route in routes:
-            points = [
-                p
+            drawn = [
+                (p.seconds, p.error)
                 for p in sorted(route.points, key=lambda p: -p.error)
-                if p.error > 0.0
-                and not (p.modelled and (p.error < 0.99 * DRAWN or p.seconds > LONGEST))
+                if p.error >= (0.99 * DRAWN if p.modelled else 1e-300)
+                and not (p.modelled and p.seconds > LONGEST)
             ]
-            if points:
-                times, errors = [p.seconds for p in points], [p.error for p in points]
-                style = ":" if points[-1].modelled else "-"
+            if drawn:
+                style = ":" if any(p.modelled for p in route.points) else "-"
+                times, errors = zip(*drawn, strict=True)
                 curves.append(Curve(route.route, times, errors, style=style))
-        panels.append(
-            Panel(
-                equation,
-                "processor time in seconds, one thread",
-                "$L_1$ error",
-                curves,
-                floor=max(study.floors.get(equation, 0.0), 2e-15),
-                marks=marks if full else (),
-                limits=(0.5 * DRAWN, 1.0) if full else (2e-16, 2.0),
-            )
-        )
+        x, floor = "processor time in seconds, one thread", study.floors.get(equation, 0.0)
+        marks, limits = (models, (0.5 * DRAWN, 1.0)) if equation == FULL else ((), (2e-16, 2.0))
+        panel = Panel(equation, x, "$L_1$ error", curves, max(floor, 2e-15), marks, limits=limits)
+        panels.append(panel)
     return panels

@@ -25,15 +25,11 @@ from fpk.process import Process
 from fpk.system import System
 
 BEYOND = {1: 1e-14, 2: 1e-9}
-"""Share of the probability beyond given meshes, by the number of energies: less than the errors
-that their levels reach; it is part of the floor."""
+"""Probability beyond given meshes, by the number of energies: below the errors of their levels."""
 REFERENCE_TOL = {1: 1e-12, 2: 1e-11}
-"""Tolerance of a numerical reference. Of two energies a tenth of it takes up to 10 s in the van der
-Pol scenes and brings no more, as round-off is most of the estimate."""
+"""Tolerance of a numerical reference by the number of energies; round-off is most of the rest."""
 REFERENCE_DEGREE = 12
 """Degree of the plain elements that are the reference of two energies."""
-GOOD = 1e-9
-"""L1 error of a reference by plain elements above which its description says so."""
 
 
 def energy_equation(system: System) -> Equation:
@@ -74,14 +70,11 @@ def energy_equation(system: System) -> Equation:
 
 
 def modal_equation(system: System) -> Equation:
-    """Return (17) for p(H1, H2) of the first two modes, with a reference by another way.
+    """Return (17) for p(H1, H2) of the first two modes; raise ``NotApplicable`` as the theory does.
 
-    Constant damping has (34). Where damping depends on the state it is the plain elements of one
-    degree (p itself is the polynomial, w = 1) on a mesh of their own, which share the coefficients
-    and the weak form with the route and nothing else: neither weight nor expansion, places nor
-    degree. ``l1_error`` is their own estimate, whether it meets the tolerance or not.
-
-    Raises ``NotApplicable`` where the theory does, or n < 2.
+    Constant damping has the closed form (34) as reference. Where damping depends on the state it is
+    plain elements of one degree (p itself is the polynomial, w = 1) on a mesh of their own, which
+    share with the route the coefficients and the weak form only.
     """
     modes = modal_analysis(system)
     if modes.n < 2:
@@ -102,8 +95,6 @@ def modal_equation(system: System) -> Equation:
         reference = answer_of(solution)
         count = " x ".join(str(nodes.size - 1) for nodes in solution.nodes)
         words = f"plain elements (w = 1), degree {solution.degree}, {count} on a mesh of their own"
-        if solution.l1_error > GOOD:
-            words += "; the floor: a finer one takes more unknowns than are affordable"
     ends = probed_plane(process).extent(BEYOND[2]) * process.energy_scales
     return Equation(
         theory="integrable",
@@ -116,10 +107,9 @@ def modal_equation(system: System) -> Equation:
         ends=ends.tolist(),
         by_tolerance={Integrable("fem").route: lambda p, tol: answer_of(solve_plane(p, tol=tol))},
         words=(
-            "p = w u with a positive weight w near p and u a polynomial of high degree on each of"
-            " few panels; where that does not reach the tolerance (levels marked w = 1) plain"
-            " elements take over. Where no probability flows, as with constant damping, w itself is"
-            " the density, (34)."
+            "p = w u with a positive weight w near p and u a polynomial of high degree on few"
+            " panels; plain elements (levels marked w = 1) where that misses the tolerance. With"
+            " constant damping w itself is the density, (34)."
         ),
     )
 

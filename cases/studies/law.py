@@ -98,7 +98,7 @@ def full_routes(
         else:
             law, level = measured
             laws.append(law)
-            points = (level, *(law.point(error) for error in ERRORS))
+            points = (level, *map(law.point, ERRORS))
             results.append(Priced(f"{scheme}, (dt, N)", FULL, axis, points, sampled=True))
         progress(len(results), len(SCHEMES), f"cost of {FULL}")
     return results, laws

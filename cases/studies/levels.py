@@ -1,14 +1,14 @@
-"""One averaged equation and the discretisations of it, which refine themselves level by level.
+"""One averaged equation and its discretisations, which refine themselves level by level.
 
 A study is a loop: ``refined_levels`` solves, measures the error against the reference, and goes on
-with ``refined()``. Convergence and cost differ in what they do with the levels only.
+with ``refined()``. Convergence and cost differ only in what they do with the levels.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from math import exp, inf, nan, sqrt
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal
 
 from cases.studies.answer import FUNCTIONALS, Answer, errors, given_mesh, sizes, solve_on
 from cases.studies.timing import Clock, Timing, timed_first
@@ -22,15 +22,13 @@ P_DEGREES = (1, 2, 3, 4, 6, 8, 10, 12)
 
 @dataclass(frozen=True)
 class Level:
-    """One level of refinement or one setting of a route.
+    """One level of refinement or one setting of a route, as it was measured.
 
-    ``settings`` in words; ``error`` is the L1 error, of a simulation the expected one, and
-    ``errors`` those by norm and moment; ``stated`` is the answer's own estimate of its L1 error.
-    ``distance`` is the L1 distance to the reference and ``estimate`` the largest that both errors
-    allow; ``size`` as in ``observed_orders``. ``promised`` is the tolerance of a route that is
-    given one: it holds for every scene, where a number of elements is right for this one.
-    ``modelled`` marks a setting priced by the law of sampling, not run; ``label`` names the level
-    in JSON.
+    ``error`` is the L1 error, of a simulation the expected one; ``errors`` are those by norm and
+    moment; ``stated`` is the answer's own estimate. ``distance`` is the L1 distance to the
+    reference and ``estimate`` the largest that both errors allow; ``size`` as in
+    ``observed_orders``. ``promised`` is the tolerance that was asked for, if any. ``modelled``:
+    priced by the law of sampling, not run.
     """
 
     settings: str
@@ -58,46 +56,32 @@ class Level:
         return self.distance <= self.estimate
 
 
-class Setting(NamedTuple):
-    """One level in words, what solves it, its ``size`` and the tolerance that it promises."""
-
-    words: str
-    solve: Callable[[], Answer]
-    size: float = nan
-    promised: float = inf
-
-
 @dataclass(frozen=True, eq=False)
 class Discretisation:
-    """One level of a family of discretisations, which gives the next finer one.
+    """One level of a family of discretisations of one equation.
 
     ``name`` is that of the family in tables and legends: in "h" elements of ``degree`` are halved,
-    in "p" the degree grows, in "tol" the tolerance falls. ``at`` returns the setting of a level.
+    in "p" the degree grows, in "tol" the tolerance falls. ``settings``, ``size`` and ``promised``
+    are those of ``Level``.
     """
 
     family: Literal["h", "p", "tol"]
     name: str
-    at: Callable[[int], Setting]
+    settings: str
+    solve: Callable[[], Answer]
+    refined: Callable[[], "Discretisation"]
+    size: float = nan
+    promised: float = inf
     degree: int | None = None
-    level: int = 0
-
-    @property
-    def setting(self) -> Setting:
-        """The setting of this level."""
-        return self.at(self.level)
-
-    def refined(self) -> Self:
-        """Return the next finer level."""
-        return replace(self, level=self.level + 1)
 
 
 @dataclass(frozen=True, eq=False)
 class Equation:
     """One averaged equation: its process, its reference, and the routes that solve it.
 
-    ``ends`` are the last energies of given meshes along each axis; ``by_tolerance`` are the
-    routes that are given a tolerance, elements first, which ``words`` are about; ``clock`` counts
-    the time in the coefficients of ``process``.
+    ``ends`` are the last energies of given meshes along each axis; ``by_tolerance`` are the routes
+    that are given a tolerance, elements first, which ``words`` are about; ``clock`` counts the time
+    in the coefficients of ``process``.
     """
 
     theory: str
@@ -128,36 +112,36 @@ class Equation:
             "by_tolerance": self.words,
         }
 
-    def elements(self, degree: int) -> Discretisation:
+    def elements(self, degree: int, halvings: int = 0) -> Discretisation:
         """Return elements of one degree, refined by bisection of the coarsest mesh."""
+        nodes = given_mesh(self.process, self.ends, degree, halvings)
+        return Discretisation(
+            "h",
+            f"elements of degree {degree}",
+            " x ".join(str(x.size - 1) for x in nodes) + " elements",
+            partial(solve_on, self.process, nodes, degree),
+            partial(self.elements, degree, halvings + 1),
+            size=2.0**-halvings,
+            degree=degree,
+        )
 
-        def at(level: int) -> Setting:
-            nodes = given_mesh(self.process, self.ends, degree, level)
-            words = " x ".join(str(x.size - 1) for x in nodes) + " elements"
-            return Setting(words, partial(solve_on, self.process, nodes, degree), 2.0**-level)
-
-        return Discretisation("h", f"elements of degree {degree}", at, degree)
-
-    def degrees(self) -> Discretisation:
-        """Return ``P_DEGREES`` on a mesh with the contact energies among its nodes."""
-        nodes = given_mesh(self.process, self.ends, 4, 1)
-
-        def at(level: int) -> Setting:
-            degree = P_DEGREES[level]
-            solve = partial(solve_on, self.process, nodes, degree)
-            return Setting(f"p = {degree}", solve, exp(-degree))
-
-        return Discretisation("p", "p on a fixed mesh", at)
+    def degrees(self, first: int = 0) -> Discretisation:
+        """Return ``P_DEGREES`` on one mesh with the contact energies among its nodes."""
+        degree, nodes = P_DEGREES[first], given_mesh(self.process, self.ends, 4, 1)
+        solve, finer = (
+            partial(solve_on, self.process, nodes, degree),
+            partial(self.degrees, first + 1),
+        )
+        return Discretisation(
+            "p", "p on a fixed mesh", f"p = {degree}", solve, finer, size=exp(-degree)
+        )
 
     def to_tolerance(self, route: Route, digits: int = 1, stride: int = 1) -> Discretisation:
         """Return a route at the tolerance 10^−``digits``, refined by ``stride`` digits."""
-
-        def at(level: int) -> Setting:
-            tol = 10.0 ** -(digits + stride * level)
-            solve = partial(self.by_tolerance[route], self.process, tol)
-            return Setting(f"tol = {tol:.0e}", solve, promised=tol)
-
-        return Discretisation("tol", route.label, at)
+        tol = 10.0**-digits
+        solve = partial(self.by_tolerance[route], self.process, tol)
+        finer = partial(self.to_tolerance, route, digits + stride, stride)
+        return Discretisation("tol", route.label, f"tol = {tol:.0e}", solve, finer, promised=tol)
 
 
 def refined_levels(
@@ -168,13 +152,12 @@ def refined_levels(
     Sizes are h; or, so that the order is a rate of exponential convergence, exp(−p) and
     exp(−√unknowns): nats of error a degree, or a unit of √unknowns. Raises what the solvers raise.
     """
-    discretisation = first
+    setting = first
     for k in range(count):
-        discretisation = discretisation.refined() if k else first
-        setting = discretisation.setting
+        setting = setting.refined() if k else first
         answer, seconds = timed_first(setting.solve)
         distances, moments = errors(answer, reference), sizes(answer)
-        words = ", ".join(filter(None, (setting.words, answer.variant)))
+        words = ", ".join(filter(None, (setting.settings, answer.variant)))
         level = Level(
             settings=words,
             error=distances["L1"],

@@ -30,17 +30,10 @@ def duration(seconds: float) -> str:
     return f"{value:.3g} {unit}" if value < 1e4 else f"{value:.1e} {unit}"
 
 
-def megabytes(size: float) -> str:
-    """Return a memory in MB."""
-    return f"{size / 1e6:.2g} MB"
-
-
+TIMES = ("seconds", "quartiles ±", "first call more", "coefficients", "simulation to this")
 FORMATS: Mapping[str, Callable[[Any], str]] = {
-    **dict.fromkeys(
-        ("seconds", "quartiles ±", "first call more", "coefficients", "simulation to this"),
-        duration,
-    ),
-    "memory": megabytes,
+    **dict.fromkeys(TIMES, duration),
+    "memory": lambda size: f"{size / 1e6:.2g} MB",
     **dict.fromkeys(("mean", "limit"), "{:.6g}".format),
     "value": "{:.10g}".format,
 }
@@ -113,9 +106,9 @@ class Table:
 class Page:
     """The page of a study: its title, tables, closing words, and a picture.
 
-    Tables without rows are left out. ``summary`` is all that is printed once the page is written,
-    empty for the page itself. ``gridded`` are the variables of a map, which are written in the
-    place of the tables, the first of them beside it as comma-separated values.
+    Tables without rows are left out. Of a map ``gridded`` are the variables that are written in the
+    place of the tables, the first of them beside it as comma-separated values; ``summary`` is all
+    that is printed once the page is written, empty for the page itself.
     """
 
     name: str
@@ -133,10 +126,13 @@ class Page:
         return "\n".join([f"# {self.title}", "", *tables, self.closing]).rstrip() + "\n"
 
     def write(self, folder: Path) -> list[Path]:
-        """Write files of the study's name: md, nc, svg and, of a map, csv."""
-        endings = ("md", "nc", "svg", "csv")[: 3 if self.gridded is None else 4]
-        paths = [folder / f"{self.name}.{ending}" for ending in endings]
-        columns = {k: v for t in self.tables if t.rows for k, v in t.variables().items()}
+        """Write files of the study's name: md, svg, nc and, of a map, csv."""
+        texts = {"md": self.text(), "svg": svg_text(self.figure(), salt=self.name)}
+        variables = self.gridded
+        if variables is None:
+            variables = {k: v for t in self.tables if t.rows for k, v in t.variables().items()}
+        else:
+            texts["csv"] = self.tables[0].csv()
         attributes = {
             "title": self.title,
             "scene": self.scene.name,
@@ -144,9 +140,8 @@ class Page:
             "program": f"vibro-fpk {program_version()}",
             "closing": self.closing,
         }
-        write_text(paths[0], self.text())
-        write_variables(columns if self.gridded is None else self.gridded, attributes, paths[1])
-        write_text(paths[2], svg_text(self.figure(), salt=self.name))
-        if self.gridded is not None:
-            write_text(paths[3], self.tables[0].csv())
-        return paths
+        paths = {ending: folder / f"{self.name}.{ending}" for ending in (*texts, "nc")}
+        for ending, text in texts.items():
+            write_text(paths[ending], text)
+        write_variables(variables, attributes, paths["nc"])
+        return list(paths.values())

@@ -24,8 +24,6 @@ LEGEND_COLUMNS, LEGEND_ROW = 2, 0.2
 """Columns of a legend, and the height of one of its rows in inches."""
 ALONE = 6.6
 """Width of a single panel in inches: that of its legend, too."""
-SMALL = 7.0
-"""Size of words inside a panel, in points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +59,8 @@ class Panel:
 
 def study_figure(panels: Sequence[Panel], *, width: float = 4.3) -> Figure:
     """Draw the panels, two in a row; the legend of each stands below it, where no curve passes."""
-    columns = 2 if len(panels) > 1 else 1
-    rows = max(1, ceil(len(panels) / columns))
+    columns = min(2, len(panels)) or 1
+    rows = ceil(len(panels) / columns) or 1
     entries = max((len(panel.curves) for panel in panels), default=0)
     height = 3.0 + LEGEND_ROW * ceil(entries / LEGEND_COLUMNS)
     with mpl.rc_context({**STYLE, "font.size": 8.5, "axes.titlesize": 8.5}):
@@ -82,34 +80,28 @@ def _draw(axes: Axes, panel: Panel) -> None:
     if panel.limits is not None:
         axes.set_ylim(panel.limits)
     for curve, colour, marker in zip(panel.curves, cycle(COLOURS), cycle(MARKERS), strict=False):
-        _draw_curve(axes, curve, colour, marker)
+        y = np.maximum(curve.y, ROUND_OFF)
+        bars = None if curve.bar is None else [np.minimum(curve.bar, 0.9 * y), curve.bar]
+        axes.errorbar(
+            curve.x, y, bars, color=colour, marker=marker, markersize=3.6, lw=1.2, elinewidth=0.8,
+            ls=curve.style, mfc="none" if curve.style == ":" else colour, label=curve.name,
+        )  # fmt: skip
+        if curve.dashed is not None:
+            axes.plot(*curve.dashed, color=colour, lw=0.9, ls=DASHES)
+    levels = [(level, words, 2, "bottom") for level, words in panel.marks]
+    for level, *_ in levels:
+        axes.axhline(level, color=INK, lw=0.9, ls=DASHES)
     if panel.floor is not None:
         axes.axhspan(axes.get_ylim()[0], panel.floor, color=INK, alpha=0.08, lw=0)
-        _words_at(axes, panel.floor, "floor: error of the reference", below=True)
-    for level, words in panel.marks:
-        axes.axhline(level, color=INK, lw=0.9, ls=DASHES)
-        _words_at(axes, level, words, below=False)
+        levels.append((panel.floor, "floor: error of the reference", -2, "top"))
+    for level, words, offset, side in levels:
+        axes.annotate(
+            words, (0.985, level), xycoords=axes.get_yaxis_transform(), annotation_clip=True,
+            xytext=(0, offset), textcoords="offset points", ha="right", va=side, fontsize=6.5,
+            bbox=HALO,
+        )  # fmt: skip
     if panel.curves:
         axes.legend(
-            loc="upper left", bbox_to_anchor=(-0.02, -0.19), ncols=LEGEND_COLUMNS,
-            fontsize=SMALL, columnspacing=1.2, handlelength=1.8, borderaxespad=0.0,
+            loc="upper left", bbox_to_anchor=(-0.02, -0.19), ncols=LEGEND_COLUMNS, fontsize=7.0,
+            columnspacing=1.2, handlelength=1.8, borderaxespad=0.0,
         )  # fmt: skip
-
-
-def _draw_curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:
-    x, y = np.asarray(curve.x, dtype=float), np.maximum(curve.y, ROUND_OFF)
-    bars = None if curve.bar is None else [np.minimum(curve.bar, 0.9 * y), curve.bar]
-    axes.errorbar(
-        x, y, bars, color=colour, marker=marker, markersize=3.6, lw=1.2, elinewidth=0.8,
-        ls=curve.style, mfc="none" if curve.style == ":" else colour, label=curve.name,
-    )  # fmt: skip
-    if curve.dashed is not None:
-        axes.plot(*curve.dashed, color=colour, lw=0.9, ls=DASHES)
-
-
-def _words_at(axes: Axes, level: float, words: str, *, below: bool) -> None:
-    axes.annotate(
-        words, (0.985, level), xycoords=axes.get_yaxis_transform(), annotation_clip=True,
-        xytext=(0, -2 if below else 2), textcoords="offset points", ha="right",
-        va="top" if below else "bottom", fontsize=6.5, bbox=HALO,
-    )  # fmt: skip

@@ -31,13 +31,11 @@ class Priced:
 
         Not a number where an error was not reached.
         """
-        front: list[Level] = []
-        for point in sorted(self.points, key=lambda p: (p.seconds, p.error)):
-            if not front or point.error < front[-1].error:
-                front.append(point)
-        e = np.log([max(p.error, 1e-300) for p in reversed(front)])
-        t = np.log([p.seconds for p in reversed(front)])
-        return np.exp(np.interp(np.log(error), e, t, left=nan))
+        points = sorted(self.points, key=lambda p: (p.seconds, p.error))
+        e = np.log([max(p.error, 1e-300) for p in points])
+        best = e < np.append(inf, np.minimum.accumulate(e)[:-1])
+        t = np.log([p.seconds for p in points])
+        return np.exp(np.interp(np.log(error), e[best][::-1], t[best][::-1], left=nan))
 
 
 @dataclass(frozen=True)
@@ -71,26 +69,6 @@ class Cheapest:
     point: Level | None
 
 
-def price_list(
-    routes: Sequence[Priced], digits: Sequence[int] = DIGITS, *, promised: bool = False
-) -> tuple[Cheapest, ...]:
-    """Return the cheapest measured or modelled point of each equation for errors 10^−digits.
-
-    ``promised``: the cheapest tolerance, which the routes keep for any scene, chosen for what it
-    promises, not for what it happened to reach.
-    """
-    if promised:
-        routes = [r for r in routes if any(p.promised < inf for p in r.points)]
-    prices = []
-    for equation, own in by_equation(routes).items():
-        points = [(r.route, p, p.promised if promised else p.error) for r in own for p in r.points]
-        for d in digits:
-            offers = [(route, p) for route, p, error in points if error <= 10.0**-d]
-            route, point = min(offers, key=lambda o: o[1].seconds, default=("", None))
-            prices.append(Cheapest(equation, d, route, point))
-    return tuple(prices)
-
-
 @dataclass(frozen=True)
 class Crossover:
     """Below ``error`` the route ``below`` is cheaper than ``above``, which was until then."""
@@ -99,6 +77,24 @@ class Crossover:
     error: float
     above: str
     below: str
+
+
+def price_list(
+    routes: Sequence[Priced], digits: Sequence[int] = DIGITS, *, promised: bool = False
+) -> tuple[Cheapest, ...]:
+    """Return the cheapest measured or modelled point of each equation for errors 10^−digits.
+
+    ``promised``: of the points that were given a tolerance, the cheapest by that, not by the error
+    that it happened to reach.
+    """
+    prices = []
+    for equation, own in by_equation(routes).items():
+        points = [(r.route, p, p.promised if promised else p.error) for r in own for p in r.points]
+        for d in digits if min(error for *_, error in points) < inf else ():
+            offers = [(route, p) for route, p, error in points if error <= 10.0**-d]
+            route, point = min(offers, key=lambda o: o[1].seconds, default=("", None))
+            prices.append(Cheapest(equation, d, route, point))
+    return tuple(prices)
 
 
 def crossovers(routes: Sequence[Priced]) -> tuple[Crossover, ...]:

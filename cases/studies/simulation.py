@@ -7,11 +7,12 @@ from math import inf, isfinite, nan, sqrt
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from cases.comparison.answers import answers_of
 from cases.comparison.compare import chance_l1, joined
 from cases.comparison.routes import listed_routes
 from cases.studies.timing import timed_first
 from fpk.certificate import Measured
-from fpk.density import Array, Density, SampledDensity, certified_density
+from fpk.density import AnyDensity, Array, Density, SampledDensity, certified_density
 from fpk.errors import InvalidInput, NotCertified
 from fpk.method import Method, Result
 from fpk.observable import Observable, parse_observable
@@ -25,13 +26,11 @@ LARGEST, SMALLEST = 4.0, 2.0**-10
 PATIENCE = 2.0
 """Seconds of a trial of a small step beyond which no smaller one is tried."""
 SMALL_STEP = 0.25
-"""Step, in units of the chosen one, that counts as small: a slow trial of it ends the search, and
-runs at such steps have fewer paths."""
+"""Step, in units of the chosen one, below which runs have fewer paths and a slow trial is final."""
 TRIAL = 0.4
 """Relaxation times of a trial, after one of burn-in: an unstable step is lost within one."""
 REFERENCE_RELAXATIONS = 200.0
-"""Sampled relaxation times of the simulation that is the reference where no other route solves (6):
-three times the longest run that is compared with it."""
+"""Sampled relaxation times of a simulation as reference: three times the longest compared run."""
 SEED_STEP = 7919
 """Added to the seed for the reference, which must be independent of what it judges."""
 
@@ -40,8 +39,8 @@ SEED_STEP = 7919
 class Run:
     """E q_i² of one simulation at the step ``dt``: its ``value`` with one standard ``error``.
 
-    ``sampled`` is the sampled time of all paths, ``seconds`` the processor time. Not a number where
-    trajectories were lost.
+    ``sampled`` is the sampled time of all paths, ``seconds`` the processor time. The value is not a
+    number where trajectories were lost.
     """
 
     dt: float
@@ -53,10 +52,11 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Reference density of the full system with its L1 error; ``words`` name its method."""
+    """Reference density of the full system, and as it was given; ``words`` name its method."""
 
     words: str
     density: Density
+    given: AnyDensity
 
 
 def observed_mass(system: System) -> int:
@@ -76,7 +76,6 @@ def run(
     result, seconds = timed_first(lambda: method.solve(system, observables))
     assert isinstance(result.report, Report)
     steps, moments = result.report.steps, result.report.moments
-    # Nothing is known of the means where trajectories were lost.
     mean = moments[observed_mass(system)] if moments else Moment("", nan, nan)
     return Run(steps.dt, mean.mean, mean.error, steps.paths * steps.time, seconds), result
 
@@ -94,33 +93,50 @@ def largest_stable(
     while factor > SMALLEST:
         try:
             tried, _ = run(system, replace(trial, step_factor=factor))
-        except InvalidInput as refusal:
+        except InvalidInput as refusal:  # beyond the limit of stability of the linear system
             if refusal.key != "dt":
                 raise
-            factor /= sqrt(2.0)  # at or above the stability limit, which the method itself refuses
-            continue
-        if isfinite(tried.value):
-            return factor
-        if factor < SMALL_STEP and tried.seconds > patience:
-            return None
+        else:
+            if isfinite(tried.value):
+                return factor
+            if factor < SMALL_STEP and tried.seconds > patience:
+                return None
         factor /= sqrt(2.0) if factor > 2.0 * SMALL_STEP else 2.0
     return None
 
 
-def deterministic(system: System, observable: Observable, solves: Solves) -> list[Method]:
-    """Return the methods, not sampled, that give ``observable``, in the order of registration."""
-    routes = [r for r in listed_routes() if r.solves == solves and not r.sampled]
-    methods = [route.make() for route in routes]
-    return [m for m in methods if m.refusal(system, observable) is None]
+def deterministic(solves: Solves) -> list[Method]:
+    """Return the methods, not sampled, that solve the full or an averaged equation."""
+    return [r.make() for r in listed_routes() if r.solves == solves and not r.sampled]
+
+
+def best_answer(
+    methods: Sequence[Method], system: System, observable: Observable, problems: list[str]
+) -> tuple[str, AnyDensity] | None:
+    """Return the label and density of the certified answer with the smallest stated error.
+
+    An answer that is not certified is taken where there is no other. Adds to ``problems`` what is
+    wrong with it; where there is none, which methods failed.
+    """
+    answers = answers_of(system, [observable], methods)
+    offers = [
+        (not d.certificate.certified, d.l1_error if isinstance(d, Density) else 0.0, route.label, d)
+        for route, d in answers.densities(observable).items()
+    ]
+    if not offers:
+        problems += [f"{r.route.label}: {r.reason}" for r in answers.refused if r.failed]
+        return None
+    *_, label, density = min(offers, key=lambda offer: offer[:2])
+    problems += [f"{label}: {failure}" for failure in density.certificate.failures]
+    return label, density
 
 
 def full_density(system: System, observable: Observable) -> Reference | None:
-    """Return the first certified density of the full system that is not sampled."""
-    for method in deterministic(system, observable, "full"):
-        (density,) = method.solve(system, [observable]).densities
-        if isinstance(density, Density) and density.certificate.certified:
-            return Reference(method.route.label, density)
-    return None
+    """Return a certified density of the full system that is not sampled, None without one."""
+    label, density = best_answer(deterministic("full"), system, observable, []) or ("", None)
+    if not isinstance(density, Density) or not density.certificate.certified:
+        return None
+    return Reference(label, density, density)
 
 
 def full_reference(
@@ -138,7 +154,7 @@ def full_reference(
     assert isinstance(sampled, SampledDensity)
     if not np.all(np.isfinite(sampled.values)):
         raise NotCertified("the long simulation that is the reference has no density")
-    edges = sampled.edges[0]
+    (edges,) = sampled.edges
     below = np.append(0.0, np.cumsum(sampled.values * np.diff(edges)))
     # Between the edges of 1024 bins the distribution function is smooth to far below the noise.
     slope = PchipInterpolator(edges, below).derivative()
@@ -151,4 +167,4 @@ def full_reference(
     density = certified_density(
         observable, (edges,), pdf, lambda q: sampled.at(q)[1], measured=measured, tol=inf
     )
-    return Reference("long simulation", density)
+    return Reference("long simulation", density, sampled)

@@ -1,7 +1,6 @@
 """Processor time after a warm-up, repeated, with the first call and the memory apart.
 
-On one thread it is the wall time of a machine that does nothing else; unlike wall time it can be
-compared where other work runs beside.
+On one thread it is the wall time of an idle machine, whatever else runs beside.
 """
 
 import tracemalloc
@@ -19,7 +18,7 @@ from fpk.process import Coefficients, Process
 T = TypeVar("T")
 
 MIN_REPEATS, MAX_REPEATS = 3, 21
-"""Runs of a timing, at the least and at the most."""
+"""Least and largest number of timed runs."""
 ENOUGH = 0.1
 """Seconds of repeats after which no more than ``MIN_REPEATS`` are made."""
 LONG = 1.0
@@ -45,10 +44,10 @@ class Clock:
 
 @dataclass(frozen=True)
 class Timing:
-    """Median and quartile spread in seconds; what the first call took beyond; peak memory.
+    """Median and quartile spread in seconds; what the first call took beyond; peak memory in bytes.
 
-    ``coefficients`` is the part spent in the process's coefficients; ``memory`` in bytes as
-    allocated by Python and NumPy during one call. Not a number where it was not measured.
+    ``coefficients`` is the part spent in the process's coefficients; ``memory`` is allocated by
+    Python and NumPy during one call. Not a number where it was not measured.
     """
 
     seconds: float
@@ -83,5 +82,5 @@ def timing(work: Callable[[], Any], first: float, clock: Clock | None = None) ->
         memory = float(tracemalloc.get_traced_memory()[1])
     finally:
         tracemalloc.stop()
-    spread = 0.5 * (upper - lower)
-    return Timing(middle, spread, len(times), max(0.0, first - middle), inside, memory)
+    first = max(0.0, first - middle)
+    return Timing(middle, 0.5 * (upper - lower), len(times), first, inside, memory)

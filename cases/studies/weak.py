@@ -40,7 +40,7 @@ ORDER_ERROR = 0.25
 UNRESOLVED = 0.5
 """Error of the order above which it is not judged: neighbouring orders are not distinguished."""
 ORDERS = np.linspace(0.25, 10.0, 391)
-"""Orders r of the profile of χ²."""
+"""Orders r at which χ² is evaluated."""
 KNOWN = 1e-6
 """Standard error given to a known limit, relative to the smallest of the levels: negligible."""
 
@@ -49,14 +49,13 @@ KNOWN = 1e-6
 class WeakOrder:
     """How E q_i² of one scheme depends on the step, from all steps in one regression.
 
-    ``limit`` ± ``limit_error`` is the value at dt → 0: of the closed form where there is one
-    (``known``), else the intercept of ``limit + slope dtʳ`` with r that of theory. ``order`` is the
-    r of the best fit, and ``order_error`` are the orders below and above it where χ² has risen by
-    one; ``chi2`` is that of the fit of theory with ``freedom`` degrees. ``errors`` with one
-    standard error, ``error_bars``, are |E q²(dt) − limit| of each level, and ``orders`` follow from
-    consecutive ones that are resolved, each with its standard error. ``wanted`` is the standard
-    error of the levels from which the order follows to ``ORDER_ERROR``, and ``short`` the factor by
-    which theirs is larger, at least 1.
+    ``limit`` is the value at dt → 0, of the closed form where there is one (``known``), else of the
+    fit ``limit + slope dtʳ`` with r that of theory, whose χ² with ``freedom`` degrees is ``chi2``.
+    ``order`` is the r of the best fit; between the two of ``order_error`` χ² has risen by less than
+    one. ``errors`` |E q²(dt) − limit| of each level have the standard errors ``error_bars``, and
+    ``orders`` are those of consecutive resolved errors, each with its standard error. ``wanted`` is
+    the standard error of the levels that gives the order to ``ORDER_ERROR``, and ``short`` the
+    factor by which theirs is larger, at least 1.
     """
 
     scheme: str
@@ -95,64 +94,49 @@ def known_square(system: System) -> float | None:
 def weak_order(system: System, method: MonteCarlo, *, seconds: float) -> WeakOrder:
     """Return the weak order of the scheme of ``method``, spending about ``seconds`` on its steps.
 
-    The sample is derived: the fit of a pilot says by which factor its standard errors are too large
-    for the order to be known to ``ORDER_ERROR``. The sample grows as the square of that, or until
-    ``seconds`` of processor time are spent.
+    A pilot says by which factor its standard errors are too large for the order to be known to
+    ``ORDER_ERROR``; the sample grows as the square of that, or until ``seconds`` of processor time
+    are spent.
     """
     theory = SCHEMES[method.scheme].weak_order
     unusable = WeakOrder(method.scheme, f"E q{observed_mass(system) + 1}²", theory)
     first = largest_stable(system, method, patience=SHARE_OF_A_TRIAL * seconds)
     if first is None:
         return unusable
-    count = LEVELS
+    count, truth = LEVELS, known_square(system)
     if first < SMALL_STEP:  # only a large bias asks for such steps: it needs few paths to be seen
         method, count = replace(method, paths=LEAST_PATHS), FEW_LEVELS
 
-    def runs(relaxations: float) -> list[Run]:
+    def result(relaxations: float) -> tuple[WeakOrder, float]:
         # Different seeds: the regression takes the values at different steps as independent.
         seed = method.seed + 1000 * ceil(relaxations)
         levels = [
             replace(method, relaxations=relaxations, step_factor=first / RATIO**k, seed=seed + k)
             for k in range(count)
         ]
-        return [run(system, level)[0] for level in levels]
+        runs = [run(system, level)[0] for level in levels]
+        stable = all(isfinite(r.value) for r in runs)
+        return judged(unusable, runs, truth) if stable else unusable, sum(r.seconds for r in runs)
 
-    levels, truth = runs(PILOT), known_square(system)
-    if all(isfinite(level.value) for level in levels):
-        # Burn-in costs once; where it takes all the time the pilot is all that there is.
-        cost = sum(level.seconds for level in levels) / (PILOT + method.burn_in)
-        affordable = (seconds / cost - method.burn_in) / PILOT
-        growth = min(judged(unusable, levels, truth).short ** 2, affordable)
-        if growth > 1.0:
-            levels = runs(PILOT * growth)
-    if not all(isfinite(level.value) for level in levels):
-        return unusable
-    return judged(unusable, levels, truth)
+    order, taken = result(PILOT)
+    # Burn-in costs once; where it takes all the time the pilot is all that there is.
+    affordable = (seconds * (PILOT + method.burn_in) / taken - method.burn_in) / PILOT
+    growth = min(order.short**2, affordable)
+    return result(PILOT * growth)[0] if growth > 1.0 else order
 
 
-def _fit(
-    dt: Array, value: Array, error: Array, truth: float | None, *, orders: ArrayLike
-) -> dict[str, Array]:
-    """Weighted fits of value = limit + slope dtʳ, with standard errors and χ², by the order r.
-
-    A known limit ``truth`` is a value at dt = 0 that has nearly no error.
-    """
-    if truth is not None:
-        dt, value = np.append(dt, 0.0), np.append(value, truth)
-        error = np.append(error, KNOWN * error.min())
-    share = error**-2.0 / np.sum(error**-2.0)
-    x = dt ** np.asarray(orders, dtype=float)[..., None]
-    x_mean, mean = x @ share, value @ share
-    x, y = x - x_mean[..., None], value - mean
-    slope = (x * y) @ share / (x * x @ share)
-    slope_error = np.sum((x / error) ** 2, axis=-1) ** -0.5
-    return {
-        "limit": mean - slope * x_mean,
-        "limit_error": np.hypot(np.sum(error**-2.0) ** -0.5, x_mean * slope_error),
-        "slope": slope,
-        "slope_error": slope_error,
-        "chi2": np.sum(((y - slope[..., None] * x) / error) ** 2, axis=-1),
-    }
+def _fit(points: Array, orders: ArrayLike) -> tuple[Array, Array, Array]:
+    """Slope and limit of value = slope dtʳ + limit by the order r, their errors, and χ²."""
+    dt, value, error = points
+    r, largest = np.asarray(orders, dtype=float), dt.max()
+    powers = (dt / largest)[:, None] ** np.stack([r, 0.0 * r], axis=-1)[..., None, :]
+    inverse = np.linalg.pinv(powers / error[:, None])
+    scale = np.stack([largest**-r, r**0.0], axis=-1)  # of dtʳ and (dt/largest)ʳ
+    origin = value[-1]  # which costs no digits of the others
+    line = inverse @ ((value - origin) / error)
+    residual = (powers @ line[..., None])[..., 0] - (value - origin)
+    chi2 = np.sum((residual / error) ** 2, axis=-1)
+    return scale * line + [0.0, origin], scale * np.sum(inverse**2, axis=-1) ** 0.5, chi2
 
 
 def judged(scheme: WeakOrder, levels: Sequence[Run], truth: float | None) -> WeakOrder:
@@ -162,18 +146,20 @@ def judged(scheme: WeakOrder, levels: Sequence[Run], truth: float | None) -> Wea
     they leave nearly every order, or no slope is resolved, the order is "not resolved".
     """
     dt, value, error = np.array([(run.dt, run.value, run.error) for run in levels]).T
-    theory = _fit(dt, value, error, truth, orders=scheme.theory)
-    line: dict[str, Any] = {key: float(x) for key, x in theory.items()}
-    profile = _fit(dt, value, error, truth, orders=ORDERS)["chi2"]
+    points = np.array([dt, value, error])
+    if truth is not None:  # a value at dt = 0 with nearly no error
+        points = np.column_stack([points, [0.0, truth, KNOWN * error.min()]])
+    line, line_error, chi2 = _fit(points, scheme.theory)
+    (slope, limit), (slope_error, limit_error) = line.tolist(), line_error.tolist()
+    profile = _fit(points, ORDERS)[2]
     best, inside = profile.argmin(), ORDERS[profile <= profile.min() + 1.0]
     order, low, high = float(ORDERS[best]), float(inside[0]), float(inside[-1])
-    flat = abs(line["slope"]) < 3.0 * line["slope_error"]
     verdict: Any = "as theory"
-    if line["chi2"] > profile[best] + 4.0:
+    if chi2 > profile[best] + 4.0:
         verdict = "pre-asymptotic"
-    elif flat or max(order - low, high - order) > UNRESOLVED:
+    elif abs(slope) < 3.0 * slope_error or max(order - low, high - order) > UNRESOLVED:
         verdict = "not resolved"
-    errors, bars = np.abs(value - line["limit"]), np.hypot(error, line["limit_error"])
+    errors, bars = np.abs(value - limit), np.hypot(error, limit_error)
     relative = bars / errors
     order_bars = np.hypot(relative[1:], relative[:-1]) / -np.diff(np.log(dt))
     resolved = relative < 1.0 / MIN_ORDER_SIGNAL
@@ -182,12 +168,16 @@ def judged(scheme: WeakOrder, levels: Sequence[Run], truth: float | None) -> Wea
     width = 0.5 * max(high - low, ORDERS[1] - ORDERS[0])
     return replace(
         scheme,
-        **line,
         levels=tuple(levels),
+        limit=limit,
+        limit_error=limit_error,
         known=truth is not None,
+        slope=slope,
+        slope_error=slope_error,
         order=order,
         order_error=(low, high),
-        freedom=len(levels) - (1 if truth is not None else 2),
+        chi2=float(chi2),
+        freedom=points.shape[1] - 2,
         errors=tuple(errors.tolist()),
         error_bars=tuple(bars.tolist()),
         orders=tuple(map(tuple, orders[resolved[1:] & resolved[:-1]].tolist())),
@@ -211,8 +201,7 @@ class SampleSlope:
 def sample_slope(system: System, method: MonteCarlo) -> SampleSlope:
     """Return how the standard error falls as the simulation is refined, from the chosen step on.
 
-    Each error comes from single paths and is good to 1/√(2·63) of itself at least, as errors from
-    64 batches would be: the bar of the slope.
+    Each error is good to 1/√(2·63) of itself at least, as errors from 64 batches would be.
     """
     levels = [replace(method, relaxations=1.0)]
     while len(levels) < SAMPLE_LEVELS:

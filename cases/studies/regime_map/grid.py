@@ -55,7 +55,7 @@ def parse_axes(texts: Sequence[str], system: System) -> tuple[Axis, ...]:
     for axis, text in zip(axes, texts, strict=True):
         for value in axis.values.tolist():
             try:
-                system_at(system, [axis], [value])
+                changed(system, axis.key, value)
             except InvalidInput as error:
                 raise _wrong(text, f"{value:g} {error.remedy}") from None
     return axes

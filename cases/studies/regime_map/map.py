@@ -1,29 +1,25 @@
-"""The whole map: every grid point once, finished ones taken from disk, and its page."""
+"""The whole map: every grid point once, finished ones taken from disk."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from math import nan
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-import numpy as np
-
-from cases.output.fields import Variables
-from cases.output.records import UNITS, program_version
+from cases.output.records import program_version
 from cases.scene.scene import Scene
 from cases.studies.regime_map.grid import Axis, system_at
-from cases.studies.regime_map.points import THEORIES, MapPoint, map_point
+from cases.studies.regime_map.points import MapPoint, map_point
 from cases.studies.regime_map.store import PointStore
 from fpk.method import Progress, silent
 from fpk.observable import Observable, observable_name
 from sim.cluster import as_finished, connected
 from sim.montecarlo import MonteCarlo
 
-MAP_RELAXATIONS = 38.0
-"""Relaxation times sampled on a path: chance moves L1 of one displacement by about 0.001."""
+SIMULATION = MonteCarlo(relaxations=38.0)
+"""So many relaxation times a path: chance moves L1 of one displacement by about 0.001."""
 
 
 @dataclass(frozen=True)
@@ -51,28 +47,6 @@ class RegimeMap:
             for words in p.problems
         )
 
-    def variables(self) -> Variables:
-        """Return ``L1`` and ``error`` (theory, parameters); by parameters what else is known."""
-        keys, name = tuple(axis.key for axis in self.axes), observable_name(self.observable)
-        shape = [axis.values.size for axis in self.axes]
-        variables: Variables = {"theory": (("theory",), np.array(THEORIES), {})}
-        for axis in self.axes:
-            words = {"units": UNITS, "symbol": axis.symbol}
-            variables[axis.key] = (axis.key,), axis.values, words
-        for key, meaning in (
-            ("L1", f"L1 distance of p({name}) to the full system"),
-            ("error", "how far chance and the solvers may have moved L1"),
-        ):
-            rows = [[getattr(p, key).get(theory, nan) for p in self.points] for theory in THEORIES]
-            table = np.reshape(rows, (-1, *shape))
-            variables[key] = ("theory", *keys), table, {"long_name": meaning}
-        ratios = [nan if p.rms_ratio is None else p.rms_ratio for p in self.points]
-        words = {"long_name": "smallest clearance over rms displacement without contact"}
-        variables["rms_ratio"] = keys, np.reshape(ratios, shape), words
-        for key in ("winner", "reference"):
-            variables[key] = keys, np.reshape([getattr(p, key) for p in self.points], shape), {}
-        return variables
-
     def record(self) -> dict[str, Any]:
         """Return the record of ``fpk regime`` as ``plain`` takes it."""
         return {
@@ -87,7 +61,7 @@ def build_map(
     scene: Scene,
     axes: Sequence[Axis],
     *,
-    simulation: MonteCarlo | None = None,
+    simulation: MonteCarlo = SIMULATION,
     folder: Path | None = None,
     progress: Progress = silent,
 ) -> RegimeMap:
@@ -96,15 +70,13 @@ def build_map(
     ``simulation`` is the reference where nothing solves the full system; its ``cluster`` takes
     whole points.
     """
-    start = perf_counter()
-    observable = first_displacement(scene)
-    method = simulation or MonteCarlo(relaxations=MAP_RELAXATIONS)
+    start, observable = perf_counter(), first_displacement(scene)
     # Where and by how many threads a simulation is run changes nothing.
     identity = {
         "scene": scene.text,
         "observable": observable_name(observable),
         "keys": [axis.key for axis in axes],
-        **{key: getattr(method, key) for key in ("paths", "time", "relaxations", "seed")},
+        **{key: getattr(simulation, key) for key in ("paths", "time", "relaxations", "seed")},
         "version": program_version(),
     }
     store = PointStore(folder, identity)
@@ -115,18 +87,12 @@ def build_map(
         if values not in store.points
     ]
     progress(0, len(todo), "points of the map")
-    for done, point in enumerate(_finished(todo, method), start=1):
+    for done, point in enumerate(_finished(todo, simulation), start=1):
         store.add(point)
         progress(done, len(todo), "points of the map")
-    return RegimeMap(
-        scene=scene,
-        observable=observable,
-        axes=tuple(axes),
-        points=tuple(store.points[values] for values in wanted),
-        reused=len(wanted) - len(todo),
-        seconds=perf_counter() - start,
-        note=store.note,
-    )
+    points, reused = tuple(store.points[values] for values in wanted), len(wanted) - len(todo)
+    seconds = perf_counter() - start
+    return RegimeMap(scene, observable, tuple(axes), points, reused, seconds, store.note)
 
 
 def _finished(todo: Sequence[Callable[..., MapPoint]], method: MonteCarlo) -> Iterator[MapPoint]:
@@ -140,7 +106,7 @@ def _finished(todo: Sequence[Callable[..., MapPoint]], method: MonteCarlo) -> It
 
 
 def first_displacement(scene: Scene) -> Observable:
-    """Return the first single displacement observed, else that of the first contact mass."""
+    """Return the first single displacement observed, else the first in a pair."""
     single = [o for o in scene.observables if len(o) == 1 and o[0].kind == "q"]
     pairs = [(c,) for o in scene.observables for c in o if c.kind == "q"]
     return [*single, *pairs, scene.observables[0]][0]

@@ -12,7 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from cases.output.fields import Variables
 from cases.output.pictures.style import COLOURS, INK, STYLE, symbol_of
+from cases.output.records import UNITS
 from cases.studies.page import Page, Table
 from cases.studies.picture import DASHES, Curve, Panel, study_figure
 from cases.studies.regime_map.grid import KEYS, Axis
@@ -49,24 +51,48 @@ def map_page(result: RegimeMap) -> Page:
         + ", ".join(f"{name} {counts[name]}" for name in names)
     )
     title = "L1 distance to the full system, rms_ratio the clearance over the rms without contact"
+    fields = map_variables(result, rows)
     return Page(
         "regime",
         result.scene,
         f"Map of regimes: {result.scene.title}",
         [Table("points", title, rows, (summary,))],
-        partial(regime_figure, result),
+        partial(regime_figure, result, fields),
         summary=summary,
-        gridded=result.variables(),
+        gridded=fields,
     )
 
 
-def regime_figure(result: RegimeMap) -> Figure:
+def map_variables(result: RegimeMap, rows: list[dict[str, Any]]) -> Variables:
+    """Return ``L1`` and ``error`` (theory, parameters); by parameters what else is known."""
+    keys, name = tuple(axis.key for axis in result.axes), observable_name(result.observable)
+
+    def field(key: str, kind: type = float) -> Any:
+        shape = [axis.values.size for axis in result.axes]
+        return np.array([row[key] for row in rows], dtype=kind).reshape(shape)
+
+    def by_theory(key: str, words: str) -> Any:
+        fields = np.stack([field(f"{key} {theory}") for theory in THEORIES])
+        return ("theory", *keys), fields, {"long_name": words}
+
+    ratio = "smallest clearance over rms displacement without contact"
+    return {
+        "theory": (("theory",), np.array(THEORIES), {}),
+        **{a.key: ((a.key,), a.values, {"units": UNITS, "symbol": a.symbol}) for a in result.axes},
+        "L1": by_theory("L1", f"L1 distance of p({name}) to the full system"),
+        "error": by_theory("error", "how far chance and the solvers may have moved L1"),
+        "rms_ratio": (keys, field("rms_ratio"), {"long_name": ratio}),
+        **{key: (keys, field(key, str), {}) for key in ("winner", "reference")},
+    }
+
+
+def regime_figure(result: RegimeMap, fields: Variables) -> Figure:
     """Draw a map over one parameter as curves, over two as fields."""
-    L1, error = (result.variables()[key][1] for key in ("L1", "error"))
+    L1, error, ratio, winner = (fields[key][1] for key in ("L1", "error", "rms_ratio", "winner"))
     words = f"L₁ distance of p({symbol_of(result.observable[0])}) to the full system"
     if len(result.axes) == 2:
         with mpl.rc_context(dict(STYLE)):
-            return _fields(result, L1, words)
+            return _fields(*result.axes, L1, ratio, winner, words)
     (axis,) = result.axes
     curves = [
         Curve(theory, axis.values, values, bar)
@@ -74,33 +100,25 @@ def regime_figure(result: RegimeMap) -> Figure:
         if not np.all(np.isnan(values))
     ]
     title, x = result.scene.title, KEYS[axis.key]
-    panel = Panel(title, x, words, curves, logarithmic=axis.logarithmic)
-    return study_figure([panel])
+    return study_figure([Panel(title, x, words, curves, logarithmic=axis.logarithmic)])
 
 
-def _fields(result: RegimeMap, L1: Array, words: str) -> Figure:
+def _fields(x: Axis, y: Axis, L1: Array, ratio: Array, winner: Any, words: str) -> Figure:
     low = max(np.nanmin(L1, initial=0.1), SMALLEST)
     norm = LogNorm(low, max(np.nanmax(L1, initial=SMALLEST), 2.0 * low))
     distances: dict[str, Any] = {"norm": norm, "cmap": "viridis_r"}
-    variables, names = result.variables(), (*THEORIES, UNDECIDED)
-    ratio, winner = variables["rms_ratio"][1], variables["winner"][1]
-    least, most = np.nanmin(ratio, initial=np.inf), np.nanmax(ratio, initial=-np.inf)
-    index = np.select([winner == name for name in names], [0.0, 1.0, 2.0], np.nan)
+    index = np.select([winner == name for name in (*THEORIES, UNDECIDED)], [0.0, 1.0, 2.0], np.nan)
     colours = (COLOURS[0], COLOURS[1], PALE)
     nearer: dict[str, Any] = {"vmin": -0.5, "vmax": 2.5, "cmap": ListedColormap(colours)}
-    fields = [
-        *((theory, field, distances) for theory, field in zip(THEORIES, L1, strict=True)),
-        ("nearer to the full system", index, nearer),
-    ]
     figure = Figure(figsize=(9.6, 3.9), layout="constrained")
     panels = figure.subplots(1, 3, sharex=True, sharey=True)
-    x, y = result.axes
-    for axes, (title, field, palette) in zip(panels, fields, strict=True):
+    titles, palettes = (*THEORIES, "nearer to the full system"), (distances, distances, nearer)
+    for axes, title, field, palette in zip(panels, titles, (*L1, index), palettes, strict=True):
         shown = np.ma.masked_invalid(field).T
         axes.pcolormesh(_edges(x), _edges(y), shown, rasterized=True, **palette)
         axes.set(title=title, xlabel=KEYS[x.key], xscale=x.scale, yscale=y.scale)
         axes.set(xlim=(x.values[0], x.values[-1]), ylim=(y.values[0], y.values[-1]))
-        if least < CLEARANCE_RULE < most:  # the rule of section 6.3
+        if np.nanmin(ratio, initial=np.inf) < CLEARANCE_RULE < np.nanmax(ratio, initial=-np.inf):
             axes.contour(
                 x.values, y.values, ratio.T, levels=[CLEARANCE_RULE], colors=[INK],
                 linestyles=[DASHES], linewidths=1.2,

@@ -1,15 +1,11 @@
 """One point of a map: the distance of each theory to the full system, and which is nearer."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from time import perf_counter
 
 from cases.comparison.compare import distance_between
-from cases.studies.simulation import deterministic
+from cases.studies.simulation import best_answer, deterministic
 from fpk.clearance import stop_clearances
-from fpk.density import AnyDensity, Density
-from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.method import Method
 from fpk.observable import Observable
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
@@ -45,18 +41,16 @@ def map_point(
 ) -> MapPoint:
     """Return what each theory is worth for ``observable`` of ``system``.
 
-    The reference is a route that solves the full system, ``simulation`` where none does. Of several
-    solvers the certified answer with the smallest stated error counts.
+    The reference is a route that solves the full system, ``simulation`` where none does.
     """
     start = perf_counter()
     problems: list[str] = []
-    exact = deterministic(system, observable, "full")
-    reference = _best(exact or [simulation], system, observable, problems)
-    averaged = deterministic(system, observable, "averaged")
+    reference = best_answer(deterministic("full"), system, observable, problems)
+    reference = reference or best_answer([simulation], system, observable, problems)
     distances = {}
     for theory in THEORIES:
-        own = [m for m in averaged if m.route.method == theory]
-        answer = _best(own, system, observable, problems)
+        own = [m for m in deterministic("averaged") if m.route.method == theory]
+        answer = best_answer(own, system, observable, problems)
         if answer is not None and reference is not None:
             distances[theory] = distance_between(answer[1], reference[1])[:2]
     ratios = [s.ratio for s in stop_clearances(system) if s.ratio is not None]
@@ -70,29 +64,6 @@ def map_point(
         problems=tuple(problems),
         seconds=perf_counter() - start,
     )
-
-
-def _best(
-    methods: Sequence[Method], system: System, observable: Observable, problems: list[str]
-) -> tuple[str, AnyDensity] | None:
-    """Return the best answer with its route's label; say in ``problems`` what is wrong with it."""
-    answers: list[tuple[bool, float, str, AnyDensity]] = []
-    refusals = []
-    for method in methods:
-        label = method.route.label
-        try:
-            (density,) = method.solve(system, [observable]).densities
-        except (NotApplicable, NotCertified, InvalidInput) as error:
-            refusals.append(f"{label}: {error}")
-        else:
-            stated = density.l1_error if isinstance(density, Density) else 0.0
-            answers.append((not density.certificate.certified, stated, label, density))
-    if not answers:
-        problems.extend(refusals)
-        return None
-    *_, label, density = min(answers, key=lambda answer: answer[:2])
-    problems.extend(f"{label}: {failure}" for failure in density.certificate.failures)
-    return label, density
 
 
 def winner_of(distances: dict[str, tuple[float, float]]) -> str:

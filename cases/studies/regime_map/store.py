@@ -23,10 +23,9 @@ MAX_BYTES = 64 << 20
 class PointStore:
     """The points of one map in ``folder``, or in memory only where there is no folder.
 
-    ``identity`` is everything that a point's numbers depend on beside its own values. Points of
-    another identity are refused, not mixed in, and so is a file of which any line is not what was
-    written. The one exception is a last line without its end, which is what a killed run leaves: it
-    is dropped, and ``note`` says so.
+    ``identity`` is everything that a point's numbers depend on beside its own values. A file of
+    another identity, or with any line that is not what was written, is refused. A last line without
+    its end, which a killed run leaves, is dropped, and ``note`` says so.
     """
 
     def __init__(self, folder: Path | None, identity: dict[str, Any]) -> None:
@@ -56,7 +55,7 @@ class PointStore:
     def _read(self, path: Path) -> bool:
         """Read the file's points; return whether it is whole, down to the end of its last line."""
         text = read_text(path, str(path), most=MAX_BYTES, what="the file of a map's points")
-        if not text:  # as a full disk leaves it, nothing can be wrong with it
+        if not text:  # as a full disk leaves it
             return False
         head, *lines, last = text.split("\n")
         if _record(head).get("map") != self._head["map"]:
