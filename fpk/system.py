@@ -166,16 +166,6 @@ class System:
         springs: Array = 0.5 * np.einsum("...i,ij,...j->...", q, self.stiffness_matrix, q)
         return springs + sum(self.contact_energy(i, q[..., i]) for i in self.contact_masses)
 
-    def damping_at(self, q: ArrayLike, p: ArrayLike) -> Array:
-        """Damping matrix c(q, p) of the state, (..., n, n); ``q`` and ``p`` have shape (..., n)."""
-        q, p = np.asarray(q, dtype=float), np.asarray(p, dtype=float)
-        c = np.broadcast_to(self.damping, (*q.shape[:-1], self.n, self.n)).copy()
-        if self.damping_terms:
-            energy, v = self.hamiltonian(q, p), p / self.mass
-            for term in self.damping_terms:
-                c[..., term.row, term.column] += term.value(q, v, energy)
-        return c
-
     def hamiltonian(self, q: ArrayLike, p: ArrayLike) -> Array:
         """Hamiltonian H(q, p) of Eq. (5); ``q`` and ``p`` have shape (..., n)."""
         p = np.asarray(p, dtype=float)

@@ -10,6 +10,7 @@ from modal_terms import (
     three_to_one,
     van_der_pol,
 )
+from state_damping import damping_at
 
 from averaging.integrable import Integrable
 from averaging.modal.analysis import modal_analysis
@@ -28,7 +29,7 @@ from fpk.system import System
 def flows(system, modes, Q, V):
     """F_m Q̇_k and 2 D*_mk Q̇_m Q̇_k at modal states (points, n), by the physical damping matrix."""
     q, v = Q @ modes.mode_shapes.T, V @ modes.mode_shapes.T
-    force = np.einsum("xij,xj->xi", system.damping_at(q, v * system.mass), v) @ modes.mode_shapes
+    force = np.einsum("xij,xj->xi", damping_at(system, q, v * system.mass), v) @ modes.mode_shapes
     return np.einsum("xm,xk->xmk", force, V), 2 * modes.modal_noise * np.einsum("xm,xk->xmk", V, V)
 
 

@@ -12,6 +12,7 @@ from hard_case import Check, HardCase
 from hard_plain import plain_elements
 from hard_units import in_units, mirrored
 from page import page_text
+from state_damping import damping_at
 
 from averaging.energy_process import energy_process
 from cases.scene.scene import load_scene
@@ -104,7 +105,7 @@ def test_units_are_those_of_the_equation_of_motion():
     energy = factors["mass"] * velocity**2
     np.testing.assert_allclose(other.hamiltonian(*moved), energy * system.hamiltonian(q, p))
     np.testing.assert_allclose(
-        other.damping_at(*moved), factors["mass"] / factors["time"] * system.damping_at(q, p)
+        damping_at(other, *moved), factors["mass"] / factors["time"] * damping_at(system, q, p)
     )
     # Noise: 2 D/m² dt is a velocity squared.
     np.testing.assert_allclose(

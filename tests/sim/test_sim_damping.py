@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from sim_systems import fig6, place
+from state_damping import damping_at
 
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
@@ -120,7 +121,7 @@ def test_euler_takes_the_terms_from_the_start_of_the_step() -> None:
     x = linear.propagator @ np.vstack([q, p]) + lower_trapezoidal(linear.factor) @ normals(
         5, paths, 0, linear.normals
     )
-    c = system.damping_at(q.T, p.T) - system.damping
+    c = damping_at(system, q.T, p.T) - system.damping
     x[2:] -= h * np.einsum("kij,kj->ik", c, (p / system.mass[:, None]).T)
     x[3] -= h * system.stops[0].force(np.maximum(q[1] - 0.3, 0.0))
     ensemble.advance(1)
