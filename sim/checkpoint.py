@@ -21,7 +21,10 @@ from fpk.errors import Unavailable, reason_of
 from sim.sources import program_checksum
 
 INTERVAL = 2.0
-"""Seconds that a piece of a simulation takes: between two saved states, and to notice Ctrl-C."""
+"""Seconds between two saved states."""
+
+PIECES = 4
+"""Pieces of a simulation in that time; Ctrl-C is noticed after each, within half a second."""
 
 FIRST_PIECE = 256
 """Steps of the first piece, which shows how long a step takes."""
@@ -37,9 +40,9 @@ def never() -> bool:
 
 @dataclass(eq=False)
 class Checkpoint:
-    """Advances an ensemble in pieces of about ``INTERVAL`` seconds and saves its state after each.
+    """Advances an ensemble in pieces and saves its state every ``INTERVAL`` seconds.
 
-    States are saved as NumPy's .npz at ``path``, or not at all where that is None; they hold
+    States are saved as NumPy's .npz at ``path``, or not at all where that is None, with
     ``identity``, a hash of all that the numbers depend on, and ``notes``, arrays that the caller
     needs to go on. ``stopped()`` says after every piece whether to stop.
     """
@@ -53,7 +56,7 @@ class Checkpoint:
     _saved: float = field(default_factory=perf_counter)
 
     def save(self, ensemble: Any) -> None:
-        """Write the state and the notes beside the file, to the disk, and move them there at once.
+        """Write the state and the notes to another file and move it to ``path``.
 
         Raises ``Unavailable`` where that is not possible; what was in the file stays.
         """
@@ -106,7 +109,7 @@ class Checkpoint:
             ensemble.advance(piece, stride=stride)
             now = perf_counter()
             # Pieces grow gently: the first ones may have been compiled.
-            in_time = int(piece * INTERVAL / max(now - start, 1e-9))
+            in_time = int(piece * INTERVAL / PIECES / max(now - start, 1e-9))
             self._piece = max(1, min(4 * self._piece, in_time))
             steps -= piece
             self.interrupted = self.stopped()
@@ -116,10 +119,9 @@ class Checkpoint:
 
 
 def checkpoint_of(folder: Path | None, settings: Any) -> Checkpoint:
-    """Return the checkpoint in ``folder`` of the simulation that has these settings.
+    """Return the checkpoint in ``folder`` of the simulation with these settings.
 
-    ``settings`` is anything made of records, arrays and numbers, of which every digit counts;
-    the program counts, too.
+    ``settings`` are records, arrays and numbers, every digit of which counts; so does the program.
     """
     if folder is None:
         return Checkpoint()

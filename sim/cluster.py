@@ -1,21 +1,20 @@
-"""Workers of ensembles on a Dask cluster: batches stay there, and their results add up.
+"""Workers of ensembles: threads of this process, or those of a Dask cluster.
 
-The state of a batch is a future, and every step forward a task that is a pure function of the
-future before. When a worker dies Dask computes what it held again from the tasks that led there:
-the answer is bitwise that of one machine (of the same kind of processor), however many workers
-there are. Dask belongs to the extra ``cluster`` and is imported when it is wanted: it takes a
-second.
+On a cluster every piece of time of a batch is a task that gets the arrays of the batch and returns
+them. When a worker dies, Dask gives its tasks to another: the answer is bitwise that of one machine
+with the same kind of processor. Dask is imported when it is wanted: it takes a second.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from typing import Any
 
 from fpk.errors import NotCertified, Unavailable
-from sim.batch import Threads
 from sim.sources import program_checksum
 
 PATIENCE = 10.0
@@ -24,13 +23,32 @@ PATIENCE = 10.0
 WORKERS_IN = 60.0
 """Seconds in which it must have a worker."""
 
+TASKS_PER_THREAD = 8
+"""Tasks into which the batches of a thread are divided: fewer cost less to hand out, more leave
+less to wait for at the end, and after Ctrl-C."""
+
+
+class Threads:
+    """Workers of an ensemble: ``threads`` of this process."""
+
+    def __init__(self, threads: int = 1) -> None:
+        """Begin no thread before there is work."""
+        self.threads, self._pool = threads, ThreadPoolExecutor(threads)
+
+    def map(self, task: Callable[..., Any], *columns: Iterable[Any]) -> list[Any]:
+        """Return what ``task`` makes of every row of ``columns``."""
+        rows = list(zip(*columns, strict=True))
+        size = -(-len(rows) // (TASKS_PER_THREAD * self.threads))
+        parts = [rows[k : k + size] for k in range(0, len(rows), size)]
+        answers = self._pool.map(lambda part: [task(*row) for row in part], parts)
+        return [answer for part in answers for answer in part]
+
 
 @contextmanager
 def connected(address: str) -> Iterator[Any]:
     """Yield a client of the Dask scheduler at ``address`` that has a worker.
 
-    Raises ``Unavailable`` where dask is missing, nothing answers, or no worker of the same
-    program is there.
+    Raises ``Unavailable`` without dask, an answer, or a worker with the same program.
     """
 
     def unavailable(words: str) -> Unavailable:
@@ -77,10 +95,7 @@ def as_finished(client: Any, tasks: Sequence[Callable[[], Any]]) -> Iterator[Any
 
 @dataclass(frozen=True, eq=False)
 class Cluster:
-    """Workers of an ensemble on a Dask cluster: a task uses one thread of a worker.
-
-    A worker with several threads works on as many batches at once; they stay where they are.
-    """
+    """Workers of an ensemble on a Dask cluster: a task uses one thread of a worker."""
 
     client: Any
 
@@ -89,23 +104,16 @@ class Cluster:
         """The threads of all workers."""
         return max(1, sum(map(int, self.client.nthreads().values())))
 
-    def map(self, task: Any, *columns: Any) -> list[Any]:
-        """Return futures of what ``task`` makes of every batch, and wait for them."""
+    def map(self, task: Callable[..., Any], *columns: Iterable[Any]) -> list[Any]:
+        """Return what ``task`` makes of copies of every row of ``columns``."""
         quiet = {"distributed.admin.large-graph-warning-threshold": "1PiB"}
         with import_module("dask").config.set(quiet):
-            rows = zip(*columns, strict=True)
-            futures = [self.client.submit(on_copies, task, *row, pure=False) for row in rows]
-        with self.client.as_current():
-            import_module("distributed").wait(futures)
-        return futures
-
-    def values(self, answers: list[Any]) -> list[Any]:
-        """Return the answers of ``map``, brought here."""
-        return gathered(self.client, answers)
+            futures = self.client.map(partial(on_copies, task), *columns, pure=False)
+        return gathered(self.client, futures)
 
 
-def on_copies(task: Any, *arguments: Any) -> Any:
-    """Return the answer of a task that may change its arguments, which stay as they are."""
+def on_copies(task: Callable[..., Any], *arguments: Any) -> Any:
+    """Return the answer of a task that changes its arguments: those of Dask are read-only."""
     return task(*deepcopy(arguments))
 
 

@@ -3,24 +3,29 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from operator import attrgetter
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fpk.system import System
-from sim.arrays import LANES, Array, Integers, StepArrays
-from sim.batch import Batch, Summary, Threads, advanced, copied, summary, watching
+from sim.arrays import LANES, Array, Integers, StepArrays, WatchArrays
+from sim.cluster import Threads
 from sim.flow import factored
 from sim.histogram import Histogram, starts
+from sim.kernel import KernelKey, compiled_kernel
+from sim.parts.observed import FOLDED
 from sim.plan import kernel_key, step_arrays, watch_arrays
-from sim.random import START, normals
+from sim.random import START, mixed_seed, normals
 from sim.scheme import Scheme
 from sim.statistics import Product
 from sim.step_size import temperature
 
 Saved = Mapping[str, NDArray[Any]]
+
+Clock = tuple[int, int, int, int]
+"""Steps done and steps since ``watch`` before a call of the kernel, its steps and its stride."""
 
 BATCHES = 64
 """Independent batches at most; a batch is made of whole blocks of lanes."""
@@ -28,18 +33,22 @@ BATCHES = 64
 PIECE = 64
 """Blocks whose starts are drawn together, beginning at its multiples."""
 
+APART = 512
+"""Blocks at most whose trajectories have sums of their own, 65536 of them: enough for the variance
+of path means to half a per cent. Of the others there are sums over each block."""
+
 
 def start_states(system: System, seed: int, piece: int) -> Array:
     """Return the states (PIECE, 2n, LANES) in which the blocks from ``piece`` on start.
 
     They are q = 0 and momenta of the temperature (covariance kT M). With damping terms the
-    displacements are drawn, too: on a limit cycle the noise alone mixes phases, and slowly.
-    Whole pieces: matrix products may round by the shape they come in.
+    displacements are drawn, too: on a limit cycle the noise alone mixes phases slowly.
     """
     n, kT = system.n, temperature(system)
     # A trajectory owns 2**40 words; so many lie before those of the piece's first one.
     words = START + ((piece * LANES) << 40)
     L = factored(np.diag((kT if np.isfinite(kT) else 0.0) * system.mass))
+    # Of whole pieces: matrix products may round by the shape they come in.
     p = L @ normals(seed, PIECE * LANES, words, n)[: L.shape[1]]
     q = np.zeros_like(p)
     if system.damping_terms:
@@ -64,15 +73,31 @@ def start_displacements(system: System, kT: float, z: Array) -> Array:
     return np.asarray(low * q)
 
 
+def advanced(
+    first: int, live: Integers, *arrays: Any, key: KernelKey, step: StepArrays, watch: WatchArrays,
+    seed: int, clock: Clock,
+) -> tuple[Any, ...]:  # fmt: skip
+    """Advance the blocks of one batch, ``first`` being the number of its first block.
+
+    ``arrays`` (states, sums, folded, counts) are changed in place and returned.
+    """
+    done, phase, steps, stride = clock
+    *blocks, counts = arrays
+    flat = (a.reshape(a.shape[0], a.shape[1] * a.shape[2]) for a in blocks)
+    compiled_kernel(key)(
+        *flat, live, first, np.uint64(done * step.words), steps, phase, stride, mixed_seed(seed),
+        step, watch, counts,
+    )  # fmt: skip
+    return arrays
+
+
 @dataclass(eq=False)
 class Ensemble:
     """States of ``paths`` trajectories, in blocks of lanes, and batches of blocks.
 
-    ``workers`` are threads of this process, or those of a cluster (``sim.cluster``). Streams are
-    keyed by trajectory, all counts are integers, and sums grow in the order of samples: the result
-    is bitwise the same for any workers and any division of the steps into calls of ``advance``.
-    Lanes beyond ``paths`` run but are not counted. The first ``APART`` blocks have ``sums`` for
-    each trajectory; in the others, ``folded``, every ``FOLDED``-th lane of a block shares one.
+    ``workers`` (None: ``threads`` of this process) may be those of a cluster. The result is bitwise
+    the same for any workers and any division of the steps into calls of ``advance``: streams are
+    keyed by trajectory, counts are integers, and sums grow in the order of samples.
     """
 
     system: System
@@ -81,10 +106,14 @@ class Ensemble:
     paths: int
     seed: int
     threads: int = 1
-    workers: Any = None  # None: so many threads of this process
+    workers: Any = None
     step: StepArrays = field(init=False)
     edges: Integers = field(init=False)  # first block of each batch, and the number of blocks
-    live: Integers = field(init=False)  # (blocks,), lanes that are trajectories
+    live: Integers = field(init=False)  # (blocks,), lanes that are trajectories; all lanes run
+    states: Array = field(init=False)  # (blocks, 2n, LANES), just before the next kick
+    sums: Array = field(init=False)  # (first blocks, products, LANES)
+    folded: Array = field(init=False)  # (other blocks, products, FOLDED)
+    counts: Integers = field(init=False)  # (batches, bins), one more bin a histogram for outside
     done: int = 0
     samples: int = 0
     phase: int = 0  # steps since ``watch`` that might have been observed
@@ -98,21 +127,32 @@ class Ensemble:
         batches = min(BATCHES, blocks)
         self.edges = np.arange(batches + 1, dtype=np.int64) * blocks // batches
         self.live = np.minimum(LANES, self.paths - LANES * np.arange(blocks))
-        states = np.empty((blocks, 2 * self.system.n, LANES))
+        self.states = np.empty((blocks, 2 * self.system.n, LANES))
         for piece in range(0, blocks, PIECE):
             drawn = start_states(self.system, self.seed, piece)
-            states[piece : piece + PIECE] = drawn[: blocks - piece]
-        parts = (np.split(array, self.edges[1:-1]) for array in (self.live, states))
-        self._batches = self.workers.map(Batch, self.edges[:-1].tolist(), *parts)
+            self.states[piece : piece + PIECE] = drawn[: blocks - piece]
         self.watch()
 
     def watch(self, histograms: Sequence[Histogram] = (), products: Sequence[Product] = ()) -> None:
         """Observe these from now on, all counts and sums starting from zero."""
         asked = (self.system, self.scheme, self.step, histograms, products)
         self._watch, self._key = watch_arrays(*asked), kernel_key(*asked)
-        task = partial(watching, bins=int(starts(histograms)[-1]), products=len(products))
-        self._replace(task, self._batches)
+        apart = min(self.live.size, APART)
+        self.sums = np.zeros((apart, len(products), LANES))
+        self.folded = np.zeros((self.live.size - apart, len(products), FOLDED))
+        self.counts = np.zeros((self.edges.size - 1, starts(histograms)[-1]), dtype=np.int64)
         self.samples = self.phase = 0
+
+    def batches(self) -> list[tuple[Any, ...]]:
+        """Return number of the first block, live lanes, and views of the arrays of every batch."""
+        apart = len(self.sums)
+        return [
+            (
+                a, self.live[a:b], self.states[a:b], self.sums[a:b],
+                self.folded[max(0, a - apart) : max(0, b - apart)], self.counts[k],
+            )
+            for k, (a, b) in enumerate(pairwise(self.edges.tolist()))
+        ]  # fmt: skip
 
     def advance(self, steps: int, *, stride: int = 1) -> None:
         """Advance all trajectories; every ``stride``-th step since ``watch`` is observed, or none.
@@ -123,30 +163,20 @@ class Ensemble:
             advanced, key=self._key, step=self.step, watch=self._watch, seed=self.seed,
             clock=(self.done, self.phase, steps, stride),
         )  # fmt: skip
-        self._replace(task, self._batches)
+        rows = self.batches()
+        answers = self.workers.map(task, *zip(*rows, strict=True))
+        for (_, _, *own), arrays in zip(rows, answers, strict=True):
+            for view, array in zip(own, arrays, strict=True):
+                if view is not array:  # it comes from another process
+                    view[...] = array
         if stride:
             self.samples += -(-(self.phase + steps) // stride) - -(-self.phase // stride)
             self.phase += steps
         self.done += steps
 
-    @property
-    def states(self) -> Array:
-        """States (blocks, 2n, LANES) just before the next kick."""
-        return self._joined("states")
-
-    @property
-    def sums(self) -> Array:
-        """Sums (first blocks, products, LANES) of each trajectory."""
-        return self._joined("sums")
-
-    @property
-    def counts(self) -> Integers:
-        """Counts (batches, bins) of all histograms, one more bin each for outside."""
-        return np.stack([part.counts for part in self._summaries()])
-
     def lost(self) -> int:
         """Return how many trajectories have left the finite range."""
-        return sum(part.lost for part in self._summaries())
+        return int(np.sum(~np.isfinite(self.states).all(axis=1) & self._alive()))
 
     def batch_paths(self) -> Integers:
         """Return the number of trajectories of each batch."""
@@ -154,48 +184,28 @@ class Ensemble:
 
     def batch_means(self) -> Array:
         """Return (batches, products) means over the samples of each batch, in fixed order."""
-        blocks = np.concatenate([part.sums for part in self._summaries()])
+        apart = np.where(self._alive()[: len(self.sums), None, :], self.sums, 0.0).sum(axis=2)
+        blocks = np.concatenate([apart, self.folded.sum(axis=2)])
         sums = np.add.reduceat(blocks, self.edges[:-1], axis=0)
         return np.asarray(sums / (self.batch_paths()[:, None] * max(1, self.samples)))
 
     def phase_points(self, most: int | None = None) -> tuple[Array, Array]:
         """Return q and p (paths, n) just before the next kick, of the first ``most`` paths."""
         n, paths = self.system.n, self.paths if most is None else min(self.paths, most)
-        states = self._joined("states", int(np.searchsorted(LANES * self.edges, paths)))
-        lanes = states.transpose(1, 0, 2).reshape(2 * n, -1)[:, :paths].T
-        return lanes[:, :n], lanes[:, n:]
+        lanes = self.states[: -(-paths // LANES)].transpose(1, 0, 2).reshape(2 * n, -1)
+        return lanes[:n, :paths].T, lanes[n:, :paths].T
 
     def saved(self) -> Saved:
         """Return all that changes: what ``restore`` needs to go on as if never stopped."""
-        return {
-            **{name: self._joined(name) for name in ("states", "sums", "folded")},
-            "counts": self.counts,
-            "clock": np.array([self.done, self.samples, self.phase], dtype=np.int64),
-        }
+        arrays = {name: getattr(self, name) for name in ("states", "sums", "folded", "counts")}
+        return {**arrays, "clock": np.array([self.done, self.samples, self.phase], dtype=np.int64)}
 
     def restore(self, saved: Saved) -> None:
         """Go on from what ``saved`` returned, by any workers, after the same calls of ``watch``."""
         self.done, self.samples, self.phase = (int(number) for number in saved["clock"])
-        first, cuts = self.edges[:-1].tolist(), self.edges[1:-1]
-        others = np.maximum(0, cuts - saved["sums"].shape[0])
-        parts = [np.split(array, cuts) for array in (self.live, saved["states"], saved["sums"])]
-        parts.append(np.split(saved["folded"], others))
-        self._replace(copied, first, *parts, list(saved["counts"]))
+        for name in ("states", "sums", "folded", "counts"):
+            getattr(self, name)[...] = saved[name]
 
-    def _replace(self, task: Any, *columns: Any) -> None:
-        """Let the batches be what ``task`` makes of ``columns``."""
-        self._batches = self.workers.map(task, *columns)
-        self._summary: list[Summary] = []
-
-    def _summaries(self) -> list[Summary]:
-        """Return losses, sums and counts, computed once a step: a cluster answers slowly."""
-        if not self._summary:
-            self._summary = self.workers.values(self.workers.map(summary, self._batches))
-        return self._summary
-
-    def _joined(self, name: str, batches: int | None = None) -> Array:
-        """Return one array of the first ``batches`` (None: of all), joined along the blocks."""
-        answers = self.workers.map(attrgetter(name), self._batches[:batches])
-        joined = np.concatenate(self.workers.values(answers))
-        joined.flags.writeable = False  # a copy: what is written to it would be lost
-        return joined
+    def _alive(self) -> NDArray[np.bool_]:
+        """Which lanes (blocks, LANES) are trajectories."""
+        return np.arange(LANES) < self.live[:, None]

@@ -23,10 +23,10 @@ from sim.substeps import cost, with_long_steps
 class Setup:
     """Everything that the numbers of one simulation of Eq. (6) depend on; times of the system.
 
-    ``dt`` is the step in which the ensemble advances, the long one where ``scheme`` makes small
-    ones. Each trajectory is sampled for ``time``, unless the method has a ``tol`` or ``seconds``.
-    ``histograms`` None: bins that cover what a pilot reaches. ``division`` and ``limited_by`` are
-    for the report, see ``sim.report.Steps``; ``failures`` are reasons not to certify an answer.
+    ``dt`` is the long step where ``scheme`` makes small ones. Each trajectory is sampled for
+    ``time``, unless the method has a ``tol`` or ``seconds``. ``histograms`` None: bins that cover
+    what a pilot reaches. ``division`` and ``limited_by`` are those of ``sim.report.Steps``,
+    ``failures`` reasons not to certify an answer.
     """
 
     method: MonteCarlo
@@ -65,16 +65,16 @@ class Setup:
         """Steps before the sampling begins."""
         return ceil(self.method.burn_in * relaxation_time(self.system) / self.dt)
 
-    @cached_property
-    def mirror(self) -> bool:
-        """Whether mirror images of samples are samples, too."""
-        return effects_of(self.system).mirror
-
     @property
     def products(self) -> tuple[Product, ...]:
         """The products whose means are observed."""
         terms = bool(self.system.damping_terms)
         return moment_products(self.system.n, terms=terms) if self.method.moments else ()
+
+    @cached_property
+    def mirror(self) -> bool:
+        """Whether mirror images of samples are samples, too."""
+        return effects_of(self.system).mirror
 
     @property
     def identity(self) -> tuple[Any, ...]:
@@ -87,10 +87,7 @@ class Setup:
 
 
 def setup_of(method: MonteCarlo, system: System, observables: Sequence[Observable]) -> Setup:
-    """Return the setup that ``method`` asks for.
-
-    Raises ``InvalidInput`` for a step at or above the stability limit, unless it is allowed.
-    """
+    """Return the setup that ``method`` asks for; raise ``InvalidInput`` for an unstable step."""
     scheme, failures = SCHEMES[method.scheme], list[str]()
     dt = method.dt or method.step_factor * chosen_step(system)
     try:
@@ -104,13 +101,6 @@ def setup_of(method: MonteCarlo, system: System, observables: Sequence[Observabl
     if method.time is None:
         time = min(wanted, method.most_steps * dt / cost(system, dt, scheme.small))
     return Setup(
-        method=method,
-        system=system,
-        observables=tuple(observables),
-        scheme=scheme,
-        dt=long,
-        time=time,
-        division=division,
-        limited_by="most_steps" if time < wanted else "",
-        failures=tuple(failures),
-    )
+        method, system, tuple(observables), scheme, dt=long, time=time, division=division,
+        limited_by="most_steps" if time < wanted else "", failures=tuple(failures),
+    )  # fmt: skip

@@ -27,8 +27,8 @@ PILOT_PATHS = 65536
 """Trajectories at most that the pilot reads: the extremes of more lie within the margin."""
 
 CHUNKS = 20
-"""Chunks into which the sampled time is divided; after each progress is reported and trajectories
-that left the finite range are counted."""
+"""Chunks into which the sampled time is divided; after each, progress is reported and lost
+trajectories are counted."""
 
 FIRST_CHUNK = 32
 """Divisor of the length of a chunk at the beginning of a run without a known end. Whenever such a
@@ -42,12 +42,11 @@ CHECK_AT = 0.95
 
 
 def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) -> Answer:
-    """Sample the stationary state of Eq. (6) as ``setup`` says.
+    """Sample the stationary state of Eq. (6) as ``setup`` says, by ``workers`` (None: one thread).
 
-    ``workers`` do the work (None: one thread here). The state is saved at intervals where the
-    method has a folder for ``checkpoint``, and a simulation of the same setup goes on from there.
-    Where its answer may be ``partial`` Ctrl-C ends the sampling, and what there is by then is the
-    result, not certified.
+    Where the method has a folder for ``checkpoint`` the state is saved at intervals, and a
+    simulation of the same setup goes on from there. Where it may be ``partial`` Ctrl-C ends the
+    sampling, and what there is by then is the result, not certified.
     """
     begin, method = perf_counter(), setup.method
     ensemble = Ensemble(
@@ -68,18 +67,16 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
     with interruptible() if method.partial else nullcontext(never) as checkpoint.stopped:
         _sample(ensemble, record, setup, begin=begin, checkpoint=checkpoint, progress=progress)
     checkpoint.save(ensemble)
-    interrupted = ""
-    if checkpoint.interrupted:
-        chunks = f"{record.chunks} chunks" if setup.open else f"{record.chunks} of {CHUNKS} chunks"
-        interrupted = f"partial: interrupted after {chunks}"
-    return assessed(setup, ensemble, record, interrupted=interrupted)
+    of = "" if setup.open else f" of {CHUNKS}"
+    words = f"partial: interrupted after {record.chunks}{of} chunks"
+    return assessed(setup, ensemble, record, interrupted=words if checkpoint.interrupted else "")
 
 
 def _burnt_in(setup: Setup, ensemble: Ensemble, checkpoint: Checkpoint, saved: Any) -> Array:
     """Advance to the end of the burn-in, from the state in ``saved`` if there is one.
 
-    Returns the extremes (coordinates, 2) of what the trajectories then reach in ``PILOT_STATES``
-    states, to choose the histograms by where they are not given.
+    Returns the extremes (coordinates, 2) of ``PILOT_STATES`` states that follow, from which the
+    histograms are chosen where they are not given.
     """
     coordinates = sum(map(len, setup.observables))
     # Any ranges: with the kinds of observables as later there is one kernel for all.
@@ -94,9 +91,8 @@ def _burnt_in(setup: Setup, ensemble: Ensemble, checkpoint: Checkpoint, saved: A
             ensemble.advance(PILOT_STEPS * setup.stride, stride=0)
             states = ensemble.phase_points(PILOT_PATHS)
             low, high = extremes(setup.system, setup.observables, *states).T
-            reached = np.stack(
-                [np.minimum(reached[:, 0], low), np.maximum(reached[:, 1], high)], axis=1
-            )
+            reached[:, 0] = np.minimum(reached[:, 0], low)
+            reached[:, 1] = np.maximum(reached[:, 1], high)
     return reached
 
 
@@ -111,10 +107,9 @@ def _sample(
 ) -> None:
     """Advance until ``setup`` is met, a trajectory is lost or ``checkpoint`` is interrupted.
 
-    ``record`` gets what the diagnosis needs: the sums at the end of every chunk, and single
-    samples of all trajectories at the beginning of some. Where it was restored, as ``ensemble``
-    was, the sampling goes on from there. A chunk that was interrupted is not recorded. ``begin`` is
-    the time of the clock at which the simulation began.
+    ``record`` gets the sums at the end of every chunk, and single samples of all trajectories at
+    the beginning of some; a chunk that was interrupted is not recorded. ``begin`` is the time of
+    the clock at which the simulation began.
     """
     stride, tol = setup.stride, setup.tol
     chunks = CHUNKS * (FIRST_CHUNK if setup.open else 1)
@@ -124,7 +119,7 @@ def _sample(
         start, length = perf_counter(), record.chunk_samples * stride
         begun = len(record.ends) * length
         if ensemble.phase == begun and record.squares and record.chunks in SNAPSHOTS:
-            before = ensemble.sums
+            before = ensemble.sums.copy()
             ensemble.advance(stride, stride=stride)
             with np.errstate(over="ignore", invalid="ignore"):  # lost trajectories count below
                 record.snapshot(before, ensemble.sums, ensemble.live)

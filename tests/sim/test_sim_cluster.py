@@ -16,8 +16,7 @@ import sim.schemes  # noqa: F401
 from fpk.errors import NotCertified, Unavailable
 from fpk.observable import parse_observable
 from sim.arrays import LANES
-from sim.batch import Threads
-from sim.cluster import Cluster, connected, gathered, on_copies
+from sim.cluster import Cluster, Threads, connected, on_copies
 from sim.ensemble import Ensemble
 from sim.histogram import Histogram
 from sim.scheme import SCHEMES
@@ -92,7 +91,7 @@ def kill_one(client: Any) -> Callable[[], None]:
 def test_what_was_saved_goes_on_in_another_ensemble(
     apart: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim.batch.APART", apart)
+    monkeypatch.setattr("sim.ensemble.APART", apart)
     one, other = here(MANY), here(MANY)
     for ensemble in (one, other):
         ensemble.watch(histograms(), moment_products(2))
@@ -149,9 +148,8 @@ def fail_with_the_system(share: int) -> int:
 @pytest.mark.slow
 def test_a_task_that_kills_every_worker_ends_in_one_line() -> None:
     with cluster(2) as client:
-        future = client.submit(fail_with_the_system, 1)
         with pytest.raises(NotCertified, match="lost on the way") as end:
-            gathered(client, [future])
+            Cluster(client).map(fail_with_the_system, [1])
         assert "\n" not in str(end.value)
 
 

@@ -81,7 +81,7 @@ def test_a_stop_equal_on_both_sides_is_evaluated_once() -> None:
 def test_sums_of_blocks_are_those_of_their_trajectories(monkeypatch: pytest.MonkeyPatch) -> None:
     """To 1e-12: the same numbers added in another order; and bitwise for any threads and chunks."""
     apart = run(1, (60,))
-    monkeypatch.setattr("sim.batch.APART", 2)
+    monkeypatch.setattr("sim.ensemble.APART", 2)
     folded, other = run(1, (60,)), run(2, (1, 7, 20, 32))
     assert folded.sums.shape[0] == 2 and folded.saved()["folded"].shape[0] == 3
     np.testing.assert_array_equal(folded.sums, apart.sums[:2])

@@ -18,7 +18,7 @@ from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.method import Result
 from fpk.observable import parse_observable
 from fpk.system import System
-from sim.batch import Threads
+from sim.cluster import Threads
 from sim.kernel import WatchArrays
 from sim.montecarlo import MonteCarlo
 from sim.plan import watch_arrays
