@@ -21,9 +21,9 @@ from report import machine, markdown_table
 
 from averaging.energy_process import energy_process
 from cases.scene.scene import load_scene
-from cases.studies.answer import errors, solve_on
-from cases.studies.equations import energy_equation, modal_equation
+from cases.studies.equations import energy_equation, modal_equation, solve_on
 from cases.studies.ladders import degree_ladder
+from cases.studies.levels import errors
 from cases.studies.timing import timed_first, timing
 from fpk.contact import Contact
 from fpk.process import Process

@@ -11,10 +11,10 @@ import numpy as np
 
 from cases.comparison.compare import distance_between
 from cases.scene.scene import Scene
-from cases.studies.equations import energy_equation, modal_equation
+from cases.studies.equations import Equation, energy_equation, modal_equation
 from cases.studies.ladders import H_LEVELS
 from cases.studies.law import FULL, Law, averaged_route, full_routes
-from cases.studies.levels import Discretisation, Equation, refined_levels
+from cases.studies.levels import Discretisation, refined_levels
 from cases.studies.prices import NotTimed, Priced, crossovers, price_list
 from cases.studies.simulation import Reference, deterministic, full_reference
 from cases.studies.timing import timed_first, timing
@@ -149,18 +149,18 @@ def _priced(equation: Equation, first: Discretisation) -> Priced | NotTimed:
     count = TOLERANCES if first.family == "tol" else H_LEVELS[equation.dimension]
     try:
         _, compiling = timed_first(first.solve)  # the levels themselves are timed warm
-        for work, level in refined_levels(first, equation.reference, count):
+        for setting, level in refined_levels(first, equation.reference, count):
             if not (level.honest and np.isfinite(level.stated)):
                 words = f"differs from the {equation.reference_words} by more than both state"
                 if level.honest:
                     words = "states no finite error of its own: its density does not fall off"
                 return NotTimed(*names, level.settings, level.distance, level.estimate, words)
-            checked.append((work, level))
+            checked.append((setting, level))
             if level.seconds > LONGEST:
                 break
     except (NotCertified, NotApplicable, InvalidInput, np.linalg.LinAlgError) as error:
         return NotTimed(*names, reason=str(error))
-    timings = [timing(work, level.seconds, equation.clock) for work, level in checked]
+    timings = [timing(s.solve, level.seconds, equation.clock) for s, level in checked]
     timings[0] = replace(timings[0], first=max(0.0, compiling - timings[0].seconds))
     points = tuple(replace(p, timing=t) for (_, p), t in zip(checked, timings, strict=True))
     axis = f"numerical: L1 of p({observable_name(equation.observable)}), {equation.name}"

@@ -1,6 +1,10 @@
 """The averaged equations (24) of one energy and (17) of two modal energies, to be studied."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from math import exp
+from typing import Any
 
 import numpy as np
 
@@ -12,24 +16,124 @@ from averaging.modal.observables import modal_densities
 from averaging.modal.resonance import require_no_resonance
 from averaging.nonintegrable import NonIntegrable
 from averaging.quadrature import POINTS, solve_by_quadrature
-from cases.studies.answer import Answer, answer_of
-from cases.studies.levels import Equation
+from cases.studies.levels import Answer, Discretisation
 from cases.studies.timing import Clock
+from fpk.density import Array
 from fpk.errors import NotApplicable, NotCertified
-from fpk.line.stationary import solve_stationary
-from fpk.observable import parse_observable
+from fpk.line.stationary import StationarySolution, solve_on_mesh, solve_stationary
+from fpk.observable import Observable, observable_name, parse_observable
 from fpk.plane.probe import probed as probed_plane
-from fpk.plane.stationary import solve_plane
+from fpk.plane.solution import graded
+from fpk.plane.stationary import PlaneSolution, solve_plane, solve_plane_on_mesh
 from fpk.probe import probed
 from fpk.process import Process
+from fpk.route import Route
 from fpk.system import System
 
+ELEMENTS = {1: {1: 8, 2: 8, 4: 8, 8: 2}, 2: {1: 4, 2: 3, 3: 3, 4: 2, 8: 1}}
+"""Elements an axis of the coarsest mesh, by the number of energies and the degree."""
+P_DEGREES = (1, 2, 3, 4, 6, 8, 10, 12)
+"""Degrees of a sweep in p on one mesh."""
 BEYOND = {1: 1e-14, 2: 1e-9}
 """Probability beyond given meshes, by the number of energies: below the errors of their levels."""
 REFERENCE_TOL = {1: 1e-12, 2: 1e-11}
 """Tolerance of a numerical reference by the number of energies; round-off is most of the rest."""
 REFERENCE_DEGREE = 12
 """Degree of the plain elements that are the reference of two energies."""
+
+
+@dataclass(frozen=True, eq=False)
+class Equation:
+    """One averaged equation: its process, its reference, and the routes that solve it.
+
+    ``ends`` are the last energies of given meshes along each axis; ``by_tolerance`` are the routes
+    that are given a tolerance, elements first, which ``words`` are about; ``clock`` counts the time
+    in the coefficients of ``process``.
+    """
+
+    theory: str
+    name: str
+    observable: Observable
+    process: Process
+    clock: Clock
+    reference: Answer
+    reference_words: str
+    ends: Sequence[float]
+    by_tolerance: Mapping[Route, Callable[[Process, float], Answer]]
+    words: str
+
+    @property
+    def dimension(self) -> int:
+        """Number of energies."""
+        return len(self.observable)
+
+    def description(self) -> dict[str, Any]:
+        """Return the equation and its reference in words and numbers."""
+        return {
+            "theory": self.theory,
+            "equation": self.name,
+            "observable": observable_name(self.observable),
+            "dimension": self.dimension,
+            "reference": self.reference_words,
+            "reference_error": self.reference.l1_error,
+            "by_tolerance": self.words,
+        }
+
+    def elements(self, degree: int, halvings: int = 0) -> Discretisation:
+        """Return elements of one degree, refined by bisection of the coarsest mesh."""
+        nodes = self.mesh(degree, halvings)
+        return Discretisation(
+            "h",
+            f"elements of degree {degree}",
+            " x ".join(str(x.size - 1) for x in nodes) + " elements",
+            partial(solve_on, self.process, nodes, degree),
+            partial(self.elements, degree, halvings + 1),
+            size=2.0**-halvings,
+            degree=degree,
+        )
+
+    def degrees(self, first: int = 0) -> Discretisation:
+        """Return ``P_DEGREES`` on one mesh with the contact energies among its nodes."""
+        degree, finer = P_DEGREES[first], partial(self.degrees, first + 1)
+        solve = partial(solve_on, self.process, self.mesh(4, 1), degree)
+        name, words = "p on a fixed mesh", f"p = {degree}"
+        return Discretisation("p", name, words, solve, finer, size=exp(-degree))
+
+    def to_tolerance(self, route: Route, digits: int = 1, stride: int = 1) -> Discretisation:
+        """Return a route at the tolerance 10^−``digits``, refined by ``stride`` digits."""
+        tol = 10.0**-digits
+        solve = partial(self.by_tolerance[route], self.process, tol)
+        finer = partial(self.to_tolerance, route, digits + stride, stride)
+        return Discretisation("tol", route.label, f"tol = {tol:.0e}", solve, finer, promised=tol)
+
+    def mesh(self, degree: int, halvings: int) -> tuple[Array, ...]:
+        """Return the nodes of each axis of the coarsest mesh of a degree, its elements then halved.
+
+        Of one energy they are equidistant, with the contact energies among them; of two they are
+        equidistant in √H and are halved in it.
+        """
+        count = ELEMENTS[self.dimension][degree]
+        if self.dimension == 2:
+            return graded(self.ends, count * 2**halvings)
+        inside = [H for H in self.process.nonsmooth if self.ends[0] > H]
+        nodes = np.union1d(np.linspace(0.0, self.ends[0], count + 1), inside)
+        for _ in range(halvings):
+            nodes = np.sort(np.append(nodes, 0.5 * (nodes[1:] + nodes[:-1])))
+        return (nodes,)
+
+
+def answer_of(s: StationarySolution | PlaneSolution) -> Answer:
+    """Return the answer of a solver of one or two energies."""
+    if isinstance(s, StationarySolution):
+        return Answer((s.nodes,), s.density, s.l1_error, s.unknowns)
+    return Answer(s.nodes, s.density, s.l1_error, s.unknowns, "w = 1" if s.weight is None else "")
+
+
+def solve_on(process: Process, nodes: tuple[Array, ...], degree: int) -> Answer:
+    """Return the answer by elements of one degree on a given mesh."""
+    if len(nodes) == 1:
+        return answer_of(solve_on_mesh(process, nodes[0], degree))
+    return answer_of(solve_plane_on_mesh(process, (nodes[0], nodes[1]), degree))
 
 
 def energy_equation(system: System) -> Equation:

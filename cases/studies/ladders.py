@@ -5,8 +5,16 @@ from functools import reduce
 
 import numpy as np
 
-from cases.studies.answer import FUNCTIONALS, NORMS, errors, sizes
-from cases.studies.levels import P_DEGREES, Discretisation, Equation, Level, refined_levels
+from cases.studies.equations import P_DEGREES, Equation
+from cases.studies.levels import (
+    FUNCTIONALS,
+    NORMS,
+    Discretisation,
+    Level,
+    errors,
+    refined_levels,
+    sizes,
+)
 from cases.studies.orders import Convergence, GridConvergence, convergence, grid_convergence
 from fpk.density import Array
 from fpk.method import Progress, silent

@@ -7,7 +7,8 @@ import numpy as np
 
 from cases.comparison.averaged import AveragedSimulation
 from cases.comparison.compare import distance_between
-from cases.studies.levels import Equation, Level
+from cases.studies.equations import Equation
+from cases.studies.levels import Level
 from cases.studies.prices import NotTimed, Priced
 from cases.studies.simulation import SMALL_STEP, SMALLEST, Reference, largest_stable, run
 from cases.studies.timing import Timing, timed_first

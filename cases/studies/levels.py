@@ -1,34 +1,46 @@
-"""One averaged equation and its discretisations, which refine themselves level by level.
+"""Levels of refinement of one averaged equation, each measured against a reference.
 
-A study is a loop: ``refined_levels`` solves, measures the error against the reference, and goes on
-with ``refined()``. Convergence and cost differ only in what they do with the levels.
+A study is a loop: ``refined_levels`` solves, measures the error, and goes on with ``refined()``.
+Convergence and cost differ only in what they do with the levels.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from math import exp, inf, nan, sqrt
-from typing import Any, Literal
+from typing import Literal
 
-from cases.studies.answer import FUNCTIONALS, Answer, errors, given_mesh, sizes, solve_on
-from cases.studies.timing import Clock, Timing, timed_first
-from fpk.observable import Observable, observable_name
-from fpk.process import Process
-from fpk.route import Route
+import numpy as np
 
-P_DEGREES = (1, 2, 3, 4, 6, 8, 10, 12)
-"""Degrees of a sweep in p on one mesh."""
+from cases.studies.timing import Timing, timed_first
+from fpk.density import Array, gauss_grid, integral
+
+NORMS = ("L1", "L2", "max")
+FUNCTIONALS = ("mean energy", "integral of p²")
+"""Moments of a density: E H (of two energies, E H1 + E H2), and ∫p²."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """A density of one or two energies: smooth between ``panels``, zero beyond them.
+
+    ``l1_error`` is its own estimate; ``variant`` says which of several ways a route took.
+    """
+
+    panels: tuple[Array, ...]
+    density: Callable[..., Array]
+    l1_error: float
+    unknowns: int = 0
+    variant: str = ""
 
 
 @dataclass(frozen=True)
 class Level:
     """One level of refinement or one setting of a route, as it was measured.
 
-    ``error`` is the L1 error, of a simulation the expected one; ``errors`` are those by norm and
-    moment; ``stated`` is the answer's own estimate. ``distance`` is the L1 distance to the
-    reference and ``estimate`` the largest that both errors allow; ``size`` as in
-    ``observed_orders``. ``promised`` is the tolerance that was asked for, if any. ``modelled``:
-    priced by the law of sampling, not run.
+    ``error`` is the L1 error, of a simulation the expected one; ``errors`` those by norm and
+    moment; ``stated`` the answer's own estimate. ``distance`` is the L1 distance to the reference,
+    ``estimate`` the largest that both errors allow; ``size`` as in ``observed_orders``.
+    ``promised`` is the tolerance asked for, if any; ``modelled``: computed by the law of sampling.
     """
 
     settings: str
@@ -60,9 +72,8 @@ class Level:
 class Discretisation:
     """One level of a family of discretisations of one equation.
 
-    ``name`` is that of the family in tables and legends: in "h" elements of ``degree`` are halved,
-    in "p" the degree grows, in "tol" the tolerance falls. ``settings``, ``size`` and ``promised``
-    are those of ``Level``.
+    ``name`` is the family's: in "h" elements of ``degree`` are halved, in "p" the degree grows, in
+    "tol" the tolerance falls. ``settings``, ``size`` and ``promised`` are those of ``Level``.
     """
 
     family: Literal["h", "p", "tol"]
@@ -75,79 +86,28 @@ class Discretisation:
     degree: int | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Equation:
-    """One averaged equation: its process, its reference, and the routes that solve it.
+def errors(answer: Answer, reference: Answer) -> dict[str, float]:
+    """Return the L1, L2 and largest distance of two densities, and the errors of the moments.
 
-    ``ends`` are the last energies of given meshes along each axis; ``by_tolerance`` are the routes
-    that are given a tolerance, elements first, which ``words`` are about; ``clock`` counts the time
-    in the coefficients of ``process``.
+    L1 is ∫|p_h − p| over all energies at which either is known.
     """
+    mesh, grids = gauss_grid(list(map(np.union1d, answer.panels, reference.panels)))
+    p, q = answer.density(*mesh), reference.density(*mesh)
+    values = np.abs(p - q), (p - q) ** 2, (p - q) * sum(mesh), (p - q) * (p + q)
+    L1, square, *moments = (integral(v, grids) for v in values)
+    norms = dict(zip(NORMS, (L1, square**0.5, float(np.max(values[0]))), strict=True))
+    return norms | dict(zip(FUNCTIONALS, map(abs, moments), strict=True))
 
-    theory: str
-    name: str
-    observable: Observable
-    process: Process
-    clock: Clock
-    reference: Answer
-    reference_words: str
-    ends: Sequence[float]
-    by_tolerance: Mapping[Route, Callable[[Process, float], Answer]]
-    words: str
 
-    @property
-    def dimension(self) -> int:
-        """Number of energies."""
-        return len(self.observable)
-
-    def description(self) -> dict[str, Any]:
-        """Return the equation and its reference in words and numbers."""
-        return {
-            "theory": self.theory,
-            "equation": self.name,
-            "observable": observable_name(self.observable),
-            "dimension": self.dimension,
-            "reference": self.reference_words,
-            "reference_error": self.reference.l1_error,
-            "by_tolerance": self.words,
-        }
-
-    def elements(self, degree: int, halvings: int = 0) -> Discretisation:
-        """Return elements of one degree, refined by bisection of the coarsest mesh."""
-        nodes = given_mesh(self.process, self.ends, degree, halvings)
-        return Discretisation(
-            "h",
-            f"elements of degree {degree}",
-            " x ".join(str(x.size - 1) for x in nodes) + " elements",
-            partial(solve_on, self.process, nodes, degree),
-            partial(self.elements, degree, halvings + 1),
-            size=2.0**-halvings,
-            degree=degree,
-        )
-
-    def degrees(self, first: int = 0) -> Discretisation:
-        """Return ``P_DEGREES`` on one mesh with the contact energies among its nodes."""
-        degree, nodes = P_DEGREES[first], given_mesh(self.process, self.ends, 4, 1)
-        solve, finer = (
-            partial(solve_on, self.process, nodes, degree),
-            partial(self.degrees, first + 1),
-        )
-        return Discretisation(
-            "p", "p on a fixed mesh", f"p = {degree}", solve, finer, size=exp(-degree)
-        )
-
-    def to_tolerance(self, route: Route, digits: int = 1, stride: int = 1) -> Discretisation:
-        """Return a route at the tolerance 10^−``digits``, refined by ``stride`` digits."""
-        tol = 10.0**-digits
-        solve = partial(self.by_tolerance[route], self.process, tol)
-        finer = partial(self.to_tolerance, route, digits + stride, stride)
-        return Discretisation("tol", route.label, f"tol = {tol:.0e}", solve, finer, promised=tol)
+def sizes(answer: Answer) -> dict[str, float]:
+    """Return the norms and moments of a density itself: its distances from zero."""
+    return errors(replace(answer, density=lambda *H: 0.0 * sum(H)), answer)
 
 
 def refined_levels(
     first: Discretisation, reference: Answer, count: int
-) -> Iterator[tuple[Callable[[], Any], Level]]:
-    """Yield ``count`` levels from coarse to fine, each with what solves it again.
+) -> Iterator[tuple[Discretisation, Level]]:
+    """Yield ``count`` discretisations from coarse to fine, each with what was measured.
 
     Sizes are h; or, so that the order is a rate of exponential convergence, exp(−p) and
     exp(−√unknowns): nats of error a degree, or a unit of √unknowns. Raises what the solvers raise.
@@ -172,4 +132,4 @@ def refined_levels(
             promised=setting.promised,
             label=words,
         )
-        yield setting.solve, level
+        yield setting, level

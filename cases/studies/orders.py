@@ -20,13 +20,12 @@ NEAR = 0.15
 STEADY = 0.25
 """Share by which the rate of exponential convergence may drop from one level to the next."""
 ABOVE_FLOOR = 10.0
-"""Times the floor above which an error gives an order: the floor moves it by 10 % at most, which
-is 0.14 of an order at a bisection."""
+"""Times the floor above which an error gives an order: the floor moves it by 0.14 at most."""
 TRUSTED = 0.1
 """Relative distance of the observed order from theory up to which the safety factor is 1.25."""
 LIMITS = (
     "The index is an error bar, not a bound: it rests on three levels, on a constant ratio of their"
-    " sizes and on one leading power of h; where the solution is not smooth, or the levels have not"
+    " sizes and on one leading power of h. Where the solution is not smooth, or the levels have not"
     " reached that power, the true error may lie outside it, factor 3 or not."
 )
 
@@ -63,31 +62,27 @@ def convergence(
     """Classify errors of levels from coarse to fine; ``floor`` is what cannot be resolved.
 
     "at the floor": the finest error is within ``ABOVE_FLOOR`` of it. "diverging": the last error
-    above the floor is not below the first. "oscillating": errors rise between the last four levels.
-    "asymptotic": the last two orders are within ``NEAR`` of theory; without one (exponential
-    convergence), the rate does not drop by more than ``STEADY``. Else "pre-asymptotic".
+    is not below the first. "oscillating": errors rise between the last four levels. "asymptotic":
+    the last two orders are within ``NEAR`` of theory; without one (exponential convergence), the
+    rate does not drop by more than ``STEADY``. Else "pre-asymptotic".
     """
     low = np.flatnonzero(np.asarray(errors) <= ABOVE_FLOOR * floor)
     above = int(low[0]) if low.size else len(errors)
     orders = observed_orders(sizes[:above], errors[:above])
     last = orders[-3:]
     order, spread = (np.median(last), 0.5 * np.ptp(last)) if last.size else (nan, nan)
-    kind: Kind = "at the floor" if low.size else _kind(errors, orders, theory)
+    kind: Kind = "pre-asymptotic"
+    if low.size:
+        kind = "at the floor"
+    elif not np.all(np.isfinite(errors)) or errors[-1] >= errors[0]:
+        kind = "diverging"
+    elif np.any(last < 0.0):
+        kind = "oscillating"
+    elif orders.size > 1:
+        steady = theory is None and orders[-1] >= (1.0 - STEADY) * orders[-2]
+        if steady or (theory is not None and np.all(np.abs(orders[-2:] - theory) <= NEAR)):
+            kind = "asymptotic"
     return Convergence(tuple(orders.tolist()), float(order), float(spread), theory, kind)
-
-
-def _kind(errors: Sequence[float], orders: Array, theory: float | None) -> Kind:
-    if not np.all(np.isfinite(errors)) or errors[-1] >= errors[0]:
-        return "diverging"
-    if np.any(orders[-3:] < 0.0):
-        return "oscillating"
-    if orders.size < 2:
-        return "pre-asymptotic"
-    if theory is None:
-        reached = orders[-1] >= (1.0 - STEADY) * orders[-2]
-    else:
-        reached = np.all(np.abs(orders[-2:] - theory) <= NEAR)
-    return "asymptotic" if reached else "pre-asymptotic"
 
 
 @dataclass(frozen=True)
@@ -113,9 +108,8 @@ def grid_convergence(
 
     F = 1.25 and p that of theory where the observed order is within ``TRUSTED`` of it
     ("asymptotic"); else F = 3 and p the observed order, between 0.5 and theory (Oberkampf and Roy,
-    Table 8.1). Differences that grow are "diverging", those that change sign "oscillating": they
-    have no order, and p = 0.5. Differences within ``floor`` are no differences: the index then is
-    3 times the floor.
+    Table 8.1). Differences that grow are "diverging"; those that change sign, "oscillating", have
+    no order, and p = 0.5. Where they are within ``floor`` the index is 3 times the floor.
 
     Raises ``ValueError`` for fewer than three levels, or unequal ratios of their sizes.
     """
@@ -128,13 +122,13 @@ def grid_convergence(
     coarse, fine = values[-3] - values[-2], values[-2] - values[-1]
     if abs(fine) <= floor:
         return GridConvergence(values[-1], nan, theory, 3.0, 3.0 * floor, "at the floor")
+    kind: Kind = "asymptotic"
     observed = log(coarse / fine) / log(ratio) if coarse / fine > 0 else nan
-    trusted = abs(observed - theory) <= TRUSTED * theory
     used, safety = theory, 1.25
-    if not trusted:
+    if not abs(observed - theory) <= TRUSTED * theory:
         used, safety = (0.5 if isnan(observed) else float(np.clip(observed, 0.5, theory))), 3.0
-    step = fine / (ratio**used - 1.0)
-    kind: Kind = "asymptotic" if trusted else "diverging" if observed < 0.0 else "pre-asymptotic"
+        kind = "diverging" if observed < 0.0 else "pre-asymptotic"
     if isnan(observed):
         kind = "oscillating"
+    step = fine / (ratio**used - 1.0)
     return GridConvergence(values[-1] - step, observed, used, safety, safety * abs(step), kind)

@@ -8,11 +8,10 @@ import pytest
 
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
-from cases.studies.answer import FUNCTIONALS, NORMS, errors
 from cases.studies.converge import chosen_routes
-from cases.studies.equations import energy_equation, modal_equation
+from cases.studies.equations import P_DEGREES, energy_equation, modal_equation
 from cases.studies.ladders import H_LEVELS, ROUND_OFF, degree_ladder, ladders
-from cases.studies.levels import P_DEGREES, refined_levels
+from cases.studies.levels import FUNCTIONALS, NORMS, errors, refined_levels
 from cases.studies.orders import NEAR, convergence, grid_convergence, observed_orders
 from cases.studies.picture import Curve, Panel, study_figure
 from cases.studies.simulation import Run

@@ -10,12 +10,11 @@ from averaging.back_transformation import back_transformed
 from averaging.closed_form import averaged_density
 from averaging.nonintegrable import NonIntegrable
 from cases.scene.scene import load_scene
-from cases.studies.answer import Answer, errors
 from cases.studies.cost import CostStudy, candidates, equation_routes, study_cost
 from cases.studies.cost_page import cost_page, cost_tables
 from cases.studies.equations import energy_equation
 from cases.studies.law import FULL, Law, full_routes
-from cases.studies.levels import Level
+from cases.studies.levels import Answer, Level, errors
 from cases.studies.page import Table, cell, duration
 from cases.studies.prices import NotTimed, Priced, crossovers, price_list
 from cases.studies.simulation import full_reference
