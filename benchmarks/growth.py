@@ -21,9 +21,8 @@ from report import machine, markdown_table
 
 from averaging.energy_process import energy_process
 from cases.scene.scene import load_scene
+from cases.studies.converge import measured_ladder
 from cases.studies.equations import energy_equation, modal_equation, solve_on
-from cases.studies.ladders import degree_ladder
-from cases.studies.levels import errors
 from cases.studies.timing import timed_first, timing
 from fpk.contact import Contact
 from fpk.process import Process
@@ -52,7 +51,7 @@ def one_energy() -> str:
         equation = energy_equation(own)
         solve = next(iter(equation.by_tolerance.values()))
         answers = [solve(equation.process, tol) for tol in TOLERANCES]
-        distance = [errors(a, equation.reference)["L1"] for a in answers]
+        distance = [a.errors(equation.reference)["L1"] for a in answers]
         rows += [
             [
                 words,
@@ -71,7 +70,8 @@ def one_energy() -> str:
 def in_degree() -> str:
     """Return error by degree on one mesh, with contact and without."""
     system = load_scene("fig6b").system
-    ladders = [degree_ladder(energy_equation(s)) for s in (system, replace(system, contacts=()))]
+    equations = map(energy_equation, (system, replace(system, contacts=())))
+    ladders = [measured_ladder(equation, equation.degrees()) for equation in equations]
     rows = [[level.settings] for level in ladders[0].levels]
     for ladder in ladders:
         nats = ["–", *(f"{order:.2f}" for order in ladder.verdicts["L1"].orders)]

@@ -1,24 +1,63 @@
-"""The convergence study of a scene: every averaged equation, and the simulation."""
+"""The convergence study of a scene: every averaged equation, and the simulation.
+
+An averaged equation is studied in h and p on given meshes and by tolerance, each a ``Ladder``.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from time import perf_counter
 from typing import Any
 
+import numpy as np
+
 from cases.scene.errors import BadInput
 from cases.scene.scene import Scene
-from cases.studies.equations import EQUATIONS
-from cases.studies.ladders import Ladder, degree_ladder, ladders
-from cases.studies.orders import LIMITS
+from cases.studies.equations import EQUATIONS, P_DEGREES, Equation
+from cases.studies.levels import FUNCTIONALS, NORMS, Discretisation, Level, refined_levels
+from cases.studies.orders import (
+    LIMITS,
+    Convergence,
+    GridConvergence,
+    convergence,
+    grid_convergence,
+)
 from cases.studies.weak import SampleSlope, WeakOrder, sample_slope, weak_order
+from fpk.density import Array
 from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Progress, silent
 from sim.montecarlo import MonteCarlo
 
+H_DEGREES = {1: (1, 2, 4), 2: (1, 2, 3)}
+"""Degrees in h, by the number of energies."""
+H_LEVELS = {1: 7, 2: 5}
+"""Meshes, each the bisection of the one before, by the number of energies."""
+DIGITS = 12
+"""Tolerances are 1e-1 to 1e-12."""
+ROUND_OFF = 1e-15
+"""Relative floor of any answer: a few rounding errors of its largest values."""
 SIMULATION = MonteCarlo().route.method
 SCHEMES_STUDIED = ("exact_flow", "baoab", "euler_maruyama")
 SECONDS = 10.0
 """Processor time that the steps of one scheme may take where the resolution wanted needs more."""
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """Levels from coarse to fine of one family, with their orders by norm and moment.
+
+    ``degree`` is that of the elements in h, None else; ``grid`` holds Richardson's value and the
+    grid convergence index by moment, in h only.
+    """
+
+    name: str
+    equation: str
+    dimension: int
+    family: str
+    degree: int | None
+    levels: tuple[Level, ...]
+    verdicts: dict[str, Convergence]
+    grid: dict[str, GridConvergence]
 
 
 @dataclass
@@ -40,11 +79,9 @@ class ConvergenceStudy:
 
     @property
     def ladders(self) -> list[Ladder]:
-        """Every ladder; the one without contacts has that in the name of its equation."""
+        """Every ladder."""
         ladders = [ladder for e in self.equations for ladder in e["ladders"]]
-        if free := self.without_contact:
-            ladders.append(replace(free, equation=f"{free.equation} without contact"))
-        return ladders
+        return ladders if self.without_contact is None else [*ladders, self.without_contact]
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -69,7 +106,7 @@ def chosen_routes(route: str | None, of: str | None) -> tuple[str, ...]:
         raise BadInput(f"--route {route}: use one of {', '.join(known)}")
     if of is None:
         return (route,) if route else known
-    theories = tuple(name for name, (observable, _) in EQUATIONS.items() if observable == of)
+    theories = tuple(name for name, (_, observable, _) in EQUATIONS.items() if observable == of)
     if not theories:
         raise BadInput(f'--of "{of}": use H for (24) or H1,H2 for (17)')
     if route not in (None, *theories):
@@ -102,15 +139,75 @@ def study_convergence(
                     progress(len(study.schemes), len(SCHEMES_STUDIED), f"steps of {scheme}")
                 study.samples = sample_slope(system, method)
                 continue
-            _, make = EQUATIONS[route]
+            *_, make = EQUATIONS[route]
             equation = make(system)
             families = ladders(equation, progress=progress)
             study.equations.append({**equation.description(), "ladders": families})
             if equation.dimension == 1 and system.contacts:
-                study.without_contact = degree_ladder(make(replace(system, contacts=())))
+                free = make(replace(system, contacts=()))
+                free = replace(free, name=f"{free.name} without contact")
+                study.without_contact = measured_ladder(free, free.degrees())
         except (NotApplicable, NotCertified) as reason:
             if len(routes) == 1:  # it was asked for, and there is nothing else to show
                 raise
             study.refusals[route] = str(reason)
     study.seconds = perf_counter() - start
     return study
+
+
+def ladders(equation: Equation, *, progress: Progress = silent) -> tuple[Ladder, ...]:
+    """Return the h-ladders, a p-ladder, and one by tolerance of the route by elements."""
+    route, results = next(iter(equation.by_tolerance)), []
+    by_degree = map(equation.elements, H_DEGREES[equation.dimension])
+    families = [*by_degree, equation.degrees(), equation.to_tolerance(route)]
+    for k, first in enumerate(families, start=1):
+        results.append(measured_ladder(equation, first))
+        progress(k, len(families), f"convergence of {equation.name}")
+    return tuple(results)
+
+
+def measured_ladder(equation: Equation, first: Discretisation) -> Ladder:
+    """Return the levels from ``first`` on, with their observed orders."""
+    count = {"h": H_LEVELS[equation.dimension], "p": len(P_DEGREES), "tol": DIGITS}[first.family]
+    levels = [v for _, v in refined_levels(first, equation.reference, count)]
+    if first.family == "tol":  # two tolerances with the same answer are one level
+        most = np.maximum.accumulate([0, *(level.unknowns for level in levels)])
+        levels = [level for level, n in zip(levels, most, strict=False) if level.unknowns > n]
+    floor = floors(equation, given_mesh=first.family != "tol")
+    h, degree, theory = [level.size for level in levels], first.degree, dict[str, float]()
+    if degree:  # Galerkin duality doubles the order of moments
+        theory = dict.fromkeys(NORMS, degree + 1.0) | dict.fromkeys(FUNCTIONALS, 2.0 * degree)
+    verdicts = {
+        key: convergence(h, [v.errors[key] for v in levels], theory=theory.get(key), floor=low)
+        for key, low in floor.items()
+    }
+    grid = {
+        key: grid_convergence(
+            h, [v.functionals[key] for v in levels], theory=theory[key], floor=floor[key]
+        )
+        for key in FUNCTIONALS
+        if theory
+    }
+    name = f"h, p = {degree}" if degree else first.name
+    of = equation.name, equation.dimension, first.family, degree
+    return Ladder(name, *of, tuple(levels), verdicts, grid)
+
+
+def floors(equation: Equation, *, given_mesh: bool) -> dict[str, float]:
+    """Return what cannot be resolved in each norm: the reference's own error, relative to p.
+
+    On a ``given_mesh`` also what its end cuts off: the mass is missing there, and scales up what is
+    left; ∫p² takes twice that.
+    """
+    p, ends = equation.reference, equation.ends
+    relative, sizes = p.l1_error + ROUND_OFF, p.sizes()
+    if not given_mesh:
+        return {key: relative * size for key, size in sizes.items()}
+
+    def inside(*H: Array) -> Array:
+        within = [x <= end for x, end in zip(H, ends, strict=True)]
+        return np.where(reduce(np.logical_and, within), p.density(*H), 0.0)
+
+    panels = tuple(map(np.union1d, p.panels, ends))
+    cut = replace(p, panels=panels, density=inside).errors(p)
+    return {key: (relative + 2.0 * cut["L1"]) * size + cut[key] for key, size in sizes.items()}

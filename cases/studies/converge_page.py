@@ -1,31 +1,25 @@
 """A convergence study as tables and panels of a picture."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
-from cases.studies.converge import ConvergenceStudy
-from cases.studies.ladders import ROUND_OFF, Ladder
+from cases.studies.converge import ROUND_OFF, ConvergenceStudy, Ladder
 from cases.studies.orders import LIMITS
 from cases.studies.page import Page, Table
 from cases.studies.picture import Curve, Panel, study_figure
 from cases.studies.weak import ORDERS, WeakOrder
 
 GCI_WORDS = (
-    "GCI: safety factor 1.25 where the observed order is within 10 % of theory, else 3. " + LIMITS
+    f"Safety factor 1.25 where the observed order is within 10 % of theory, else 3. {LIMITS}"
 )
 ORDER_WORDS = (
     "Orders: in h powers of h; in p nats a degree; by tol nats a unit of √unknowns. Levels within"
-    " ten times the floor (error of the reference, end of the mesh) give none.",
-    "Where the nats do not fall with the degree the error falls exponentially. Above the contact"
-    " energies, which are nodes of the mesh, the coefficients have half-integer powers of H - H_c:"
-    " at high degree the rate can drop, except for hp elements, graded there.",
-)
-TWO_ENERGIES = (
-    "Mean energy of (17): with constant damping the drift is linear in the energies, which are test"
-    " functions themselves: elements of any degree have E H right up to the end of the mesh."
+    " ten times the floor (reference, end of the mesh) give none. Where the nats do not fall"
+    " with the degree the error falls exponentially; above contact energies the coefficients have"
+    " half-integer powers of H - H_c, and at high degree the rate on a fixed mesh can drop."
 )
 STEP_WORDS = (
     f"Order: of the best fit to all steps; order error: from and to one standard error,"
@@ -34,11 +28,6 @@ STEP_WORDS = (
     " one, else the intercept of that fit. Short: by how much the standard errors are larger than"
     " wanted, in the time given. Unstable: no step is stable and cheap enough."
 )
-WEAK_COLUMNS = (
-    "scheme", "theory", "order", "order_error", "verdict", "orders", "chi2", "freedom", "limit",
-    "limit_error", "wanted", "short",
-)  # fmt: skip
-"""Fields of ``WeakOrder`` that its table shows."""
 LIMITS_OF_AXIS = (1e-16, 10.0)
 """Ends of the axis of L1 errors: round-off of one, and more than the largest distance, 2."""
 
@@ -72,13 +61,13 @@ def study_tables(study: ConvergenceStudy) -> list[Table]:
         for s in study.schemes
         for run, error, bar in zip(s.levels, s.errors, s.error_bars, strict=True)
     ]
-    weak = [{key: getattr(s, key) for key in WEAK_COLUMNS} for s in study.schemes]
+    listed = ("levels", "errors", "error_bars")
+    weak = [{k: v for k, v in vars(s).items() if k not in listed} for s in study.schemes]
     about = [
         "{equation}: p({observable}) against {reference}, itself within {reference_error:.1e} in"
         " L1. By tolerance: {by_tolerance}".format(**e)
         for e in study.equations
     ]
-    plane = any(e["dimension"] == 2 for e in study.equations)
     samples: list[dict[str, Any]] = []
     slope = of = ""
     if s := study.samples:
@@ -86,10 +75,9 @@ def study_tables(study: ConvergenceStudy) -> list[Table]:
         samples = [{"paths x time": time, "standard error": error} for time, error in pairs]
         of, slope = s.observable, f"slope {s.slope:.3f} ± {s.slope_error:.3f}, theory -0.5"
     refusals = [{"route": route, "reason": why} for route, why in study.refusals.items()]
-    words = (*ORDER_WORDS, *([TWO_ENERGIES] if plane else []))
     return [
         Table("errors", "Averaged equations: errors", errors, tuple(about)),
-        Table("orders", "Averaged equations: observed orders", orders, words),
+        Table("orders", "Averaged equations: observed orders", orders, (ORDER_WORDS,)),
         Table("index", "Richardson and grid convergence index (GCI)", index, (GCI_WORDS,)),
         Table("steps", f"Simulation: errors of the step in {of}", steps),
         Table("weak", "Simulation: weak order in the step", weak, (STEP_WORDS,)),
@@ -103,18 +91,17 @@ def study_panels(study: ConvergenceStudy) -> list[Panel]:
 
     Dashed lines have the slope of theory, below the finest levels.
     """
-    panels = [
-        _error_panel(e, "unknowns $N$", "dashed: order of theory", map(_in_unknowns, e["ladders"]))
-        for e in study.equations
-    ]
-    for e in study.equations:
-        if e["dimension"] == 1:
-            (own,) = (ladder for ladder in e["ladders"] if ladder.family == "p")
-            curves = [_in_degree("no contact", own)]
-            if free := study.without_contact:
-                curves = [_in_degree("with contact", own), _in_degree("contacts taken away", free)]
-            x = "degree $p$ on a fixed mesh"
-            panels.append(_error_panel(e, x, "exponential in $p$", curves, logarithmic=False))
+    panels = []
+    in_degree = [e for e in study.equations if e["dimension"] == 1]
+    for e, by_degree in [(e, False) for e in study.equations] + [(e, True) for e in in_degree]:
+        title, x = f"{e['equation']}; dashed: order of theory", "unknowns $N$"
+        curves = [_in_unknowns(ladder) for ladder in e["ladders"]]
+        if by_degree:
+            title, x = f"{e['equation']}; exponential in $p$", "degree $p$ on a fixed mesh"
+            ladders = [*(own for own in e["ladders"] if own.family == "p"), study.without_contact]
+            curves = [_in_degree(ladder) for ladder in ladders if ladder is not None]
+        y, floor = f"$L_1$ error of p({e['observable']})", e["reference_error"] + ROUND_OFF
+        panels.append(Panel(title, x, y, curves, floor, (), not by_degree, LIMITS_OF_AXIS))
     return [*panels, _step_panel(study.schemes)] if study.schemes else panels
 
 
@@ -128,18 +115,10 @@ def _in_unknowns(ladder: Ladder) -> Curve:
     return Curve(f"{ladder.name}: order {ladder.verdicts['L1'].order:.2f}", N, e, dashed=dashed)
 
 
-def _in_degree(words: str, ladder: Ladder) -> Curve:
+def _in_degree(ladder: Ladder) -> Curve:
     degrees = [-np.log(level.size) for level in ladder.levels]
-    label = f"{words}: $e^{{-{ladder.verdicts['L1'].order:.1f} p}}$"
+    label = f"{ladder.equation}: $e^{{-{ladder.verdicts['L1'].order:.1f} p}}$"
     return Curve(label, degrees, [level.error for level in ladder.levels])
-
-
-def _error_panel(
-    e: Mapping[str, Any], x: str, words: str, curves: Iterable[Curve], *, logarithmic: bool = True
-) -> Panel:
-    title, y = f"{e['equation']}; {words}", f"$L_1$ error of p({e['observable']})"
-    floor = e["reference_error"] + ROUND_OFF
-    return Panel(title, x, y, list(curves), floor, (), logarithmic, LIMITS_OF_AXIS)
 
 
 def _step_panel(schemes: Sequence[WeakOrder]) -> Panel:

@@ -11,8 +11,8 @@ import numpy as np
 
 from cases.comparison.compare import distance_between
 from cases.scene.scene import Scene
-from cases.studies.equations import Equation, energy_equation, modal_equation
-from cases.studies.ladders import H_LEVELS
+from cases.studies.converge import H_LEVELS
+from cases.studies.equations import EQUATIONS, Equation
 from cases.studies.law import FULL, Law, averaged_route, full_routes
 from cases.studies.levels import Discretisation, refined_levels
 from cases.studies.prices import NotTimed, Priced, crossovers, price_list
@@ -103,10 +103,7 @@ def study_cost(
 ) -> CostStudy:
     """Check and time every route of ``scene``, the sampling routes where ``simulate``."""
     start, system, study = perf_counter(), scene.system, CostStudy(scene)
-    for name, make in (
-        ("averaged equation (24)", energy_equation),
-        ("averaged equation (17)", modal_equation),
-    ):
+    for name, _, make in EQUATIONS.values():
         with study.refusal_of(name):
             equation = make(system)
             study.floors[name] = equation.reference.l1_error

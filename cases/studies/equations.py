@@ -30,6 +30,7 @@ from fpk.process import Process
 from fpk.route import Route
 from fpk.system import System
 
+OF_ENERGY, OF_MODES = "averaged equation (24)", "averaged equation (17)"
 ELEMENTS = {1: {1: 8, 2: 8, 4: 8, 8: 2}, 2: {1: 4, 2: 3, 3: 3, 4: 2, 8: 1}}
 """Elements an axis of the coarsest mesh, by the number of energies and the degree."""
 P_DEGREES = (1, 2, 3, 4, 6, 8, 10, 12)
@@ -158,7 +159,7 @@ def energy_equation(system: System) -> Equation:
 
     return Equation(
         theory="nonintegrable",
-        name="averaged equation (24)",
+        name=OF_ENERGY,
         observable=parse_observable("H", system.n),
         process=clock.timed(process),
         clock=clock,
@@ -202,7 +203,7 @@ def modal_equation(system: System) -> Equation:
     ends = probed_plane(process).extent(BEYOND[2]) * process.energy_scales
     return Equation(
         theory="integrable",
-        name="averaged equation (17)",
+        name=OF_MODES,
         observable=observable,
         process=clock.timed(process),
         clock=clock,
@@ -218,8 +219,8 @@ def modal_equation(system: System) -> Equation:
     )
 
 
-EQUATIONS: Mapping[str, tuple[str, Callable[[System], Equation]]] = {
-    "nonintegrable": ("H", energy_equation),
-    "integrable": ("H1,H2", modal_equation),
+EQUATIONS: Mapping[str, tuple[str, str, Callable[[System], Equation]]] = {
+    "nonintegrable": (OF_ENERGY, "H", energy_equation),
+    "integrable": (OF_MODES, "H1,H2", modal_equation),
 }
-"""By theory: the observable that its equation is studied for, and what makes the equation."""
+"""By theory: its equation, the observable that this is studied for, and what makes it."""

@@ -32,16 +32,15 @@ ERRORS = tuple(10.0**-k for k in (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8
 MAX_PATHS = 2.0**20
 """Paths of a modelled run at most; beyond, each is sampled for longer."""
 BYTES_A_PATH = 48.0
-"""Memory of a path in bytes: a few numbers of eight bytes; histograms are small beside it."""
+"""Memory of a path in bytes: a few numbers of eight bytes."""
 
 
 @dataclass(frozen=True)
 class Law:
     """Error of one scheme, L1 = A/√(paths x time) + B dtʳ, and seconds = c (paths x time)/dt.
 
-    ``noise`` A, ``bias`` B with the ``order`` r of theory, ``bias_resolved`` False where B is an
-    upper bound; ``step`` c in seconds; ``largest`` the largest stable step; ``relaxation`` the time
-    that burn-in counts in.
+    ``noise`` is A, ``bias`` B (an upper bound if not ``bias_resolved``), ``order`` r of theory,
+    ``step`` c in seconds, ``largest`` the largest stable step, ``relaxation`` the relaxation time.
     """
 
     scheme: str
@@ -84,41 +83,35 @@ class Law:
 def full_routes(
     system: System, reference: Reference, *, seed: int, progress: Progress = silent
 ) -> tuple[list[Priced | NotTimed], list[Law]]:
-    """Measure the schemes: one run of each, and by the law the cheapest (dt, N) for ``ERRORS``.
-
-    A baseline without a step at which its law holds is named and not timed: it is no failure.
-    """
+    """Measure the schemes: one run of each, and by the law the cheapest (dt, N) for ``ERRORS``."""
     results: list[Priced | NotTimed] = []
     laws: list[Law] = []
-    axis = f"sampling and step error: expected L1 of p({reference.density.name}) of the full system"
     for scheme in sorted(SCHEMES, key=lambda s: -SCHEMES[s].weak_order):
-        method = MonteCarlo(scheme=scheme, seed=seed, threads=1)
-        measured = _law_at_some_step(system, method, reference)
-        if isinstance(measured, NotTimed):
-            results.append(replace(measured, baseline=scheme != MonteCarlo.scheme))
-        else:
-            law, level = measured
-            laws.append(law)
-            points = (level, *map(law.point, ERRORS))
-            results.append(Priced(f"{scheme}, (dt, N)", FULL, axis, points, sampled=True))
+        route, own = _route(system, MonteCarlo(scheme=scheme, seed=seed, threads=1), reference)
+        results.append(route)
+        laws += own
         progress(len(results), len(SCHEMES), f"cost of {FULL}")
     return results, laws
 
 
-def _law_at_some_step(
+def _route(
     system: System, method: MonteCarlo, reference: Reference
-) -> tuple[Law, Level] | NotTimed:
-    """The law from the largest step at which it holds, and a run: at most ``HALVINGS`` halvings."""
-    factor = largest_stable(system, method)
+) -> tuple[Priced | NotTimed, list[Law]]:
+    """A scheme with its law, from the largest step at which it holds; a baseline may have none."""
+    scheme, factor = method.scheme, largest_stable(system, method)
+    baseline = scheme != MonteCarlo.scheme
     if factor is None:
         words = f"no usable step: none down to {SMALLEST:g} of the chosen one is stable and cheap"
-        return NotTimed(method.scheme, FULL, reason=words)
+        return NotTimed(scheme, FULL, reason=words, baseline=baseline), []
     for k in range(HALVINGS + 1):  # next to its limit of stability a scheme has no order yet
         law, level = _law(system, method, factor * 0.5**k, reference.density)
         if level.honest:
-            return law, level
+            of = f"expected L1 of p({reference.density.name}) of the full system"
+            points, axis = (level, *map(law.point, ERRORS)), f"sampling and step error: {of}"
+            return Priced(f"{scheme}, (dt, N)", FULL, axis, points, sampled=True), [law]
     words = f"differs from the {reference.words} by more than chance and its order explain"
-    return NotTimed(method.scheme, FULL, level.settings, level.distance, level.estimate, words)
+    measured = level.settings, level.distance, level.estimate
+    return NotTimed(scheme, FULL, *measured, reason=words, baseline=baseline), []
 
 
 def _law(

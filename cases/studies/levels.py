@@ -32,6 +32,22 @@ class Answer:
     unknowns: int = 0
     variant: str = ""
 
+    def errors(self, reference: "Answer") -> dict[str, float]:
+        """Return the L1, L2 and largest distance to ``reference``, and the errors of the moments.
+
+        L1 is ∫|p_h − p| over all energies at which either is known.
+        """
+        mesh, grids = gauss_grid(list(map(np.union1d, self.panels, reference.panels)))
+        p, q = self.density(*mesh), reference.density(*mesh)
+        values = np.abs(p - q), (p - q) ** 2, (p - q) * sum(mesh), (p - q) * (p + q)
+        L1, square, *moments = (integral(v, grids) for v in values)
+        norms = dict(zip(NORMS, (L1, square**0.5, float(np.max(values[0]))), strict=True))
+        return norms | dict(zip(FUNCTIONALS, map(abs, moments), strict=True))
+
+    def sizes(self) -> dict[str, float]:
+        """Return the norms and moments of the density itself: its distances from zero."""
+        return replace(self, density=lambda *H: 0.0 * sum(H)).errors(self)
+
 
 @dataclass(frozen=True)
 class Level:
@@ -86,24 +102,6 @@ class Discretisation:
     degree: int | None = None
 
 
-def errors(answer: Answer, reference: Answer) -> dict[str, float]:
-    """Return the L1, L2 and largest distance of two densities, and the errors of the moments.
-
-    L1 is ∫|p_h − p| over all energies at which either is known.
-    """
-    mesh, grids = gauss_grid(list(map(np.union1d, answer.panels, reference.panels)))
-    p, q = answer.density(*mesh), reference.density(*mesh)
-    values = np.abs(p - q), (p - q) ** 2, (p - q) * sum(mesh), (p - q) * (p + q)
-    L1, square, *moments = (integral(v, grids) for v in values)
-    norms = dict(zip(NORMS, (L1, square**0.5, float(np.max(values[0]))), strict=True))
-    return norms | dict(zip(FUNCTIONALS, map(abs, moments), strict=True))
-
-
-def sizes(answer: Answer) -> dict[str, float]:
-    """Return the norms and moments of a density itself: its distances from zero."""
-    return errors(replace(answer, density=lambda *H: 0.0 * sum(H)), answer)
-
-
 def refined_levels(
     first: Discretisation, reference: Answer, count: int
 ) -> Iterator[tuple[Discretisation, Level]]:
@@ -116,7 +114,7 @@ def refined_levels(
     for k in range(count):
         setting = setting.refined() if k else first
         answer, seconds = timed_first(setting.solve)
-        distances, moments = errors(answer, reference), sizes(answer)
+        distances, moments = answer.errors(reference), answer.sizes()
         words = ", ".join(filter(None, (setting.settings, answer.variant)))
         level = Level(
             settings=words,

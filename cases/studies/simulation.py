@@ -15,7 +15,7 @@ from fpk.certificate import Measured
 from fpk.density import AnyDensity, Array, Density, SampledDensity, certified_density
 from fpk.errors import InvalidInput, NotCertified
 from fpk.method import Method, Result
-from fpk.observable import Observable, parse_observable
+from fpk.observable import Coordinate, Observable, observable_name
 from fpk.route import Solves
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
@@ -59,25 +59,26 @@ class Reference:
     given: AnyDensity
 
 
-def observed_mass(system: System) -> int:
-    """Return the index of the mass that is studied: the first that touches, else the last."""
-    return system.contact_masses[0] if system.contact_masses else system.n - 1
+def observed(system: System) -> Observable:
+    """Return the displacement that is studied: of the first mass that touches, else of the last."""
+    index = system.contact_masses[0] if system.contact_masses else system.n - 1
+    return (Coordinate("q", index),)
 
 
-def observed_displacement(system: System) -> Observable:
-    """Return the displacement of that mass."""
-    return parse_observable(f"q{observed_mass(system) + 1}", system.n)
+def squared(system: System) -> str:
+    """Return the name of its square, such as ``q2²``."""
+    return f"{observable_name(observed(system))}²"
 
 
 def run(
     system: System, method: MonteCarlo, observables: Sequence[Observable] = ()
 ) -> tuple[Run, Result]:
-    """Run ``method``; E q² is that of ``observed_mass``."""
+    """Run ``method``; E q² is that of the ``observed`` displacement."""
     result, seconds = timed_first(lambda: method.solve(system, observables))
     assert isinstance(result.report, Report)
     steps, moments = result.report.steps, result.report.moments
-    mean = moments[observed_mass(system)] if moments else Moment("", nan, nan)
-    return Run(steps.dt, mean.mean, mean.error, steps.paths * steps.time, seconds), result
+    (square,) = [m for m in moments if m.name == squared(system)] or [Moment("", nan, nan)]
+    return Run(steps.dt, square.mean, square.error, steps.paths * steps.time, seconds), result
 
 
 def largest_stable(
@@ -146,7 +147,7 @@ def full_reference(
 
     Raises ``NotCertified`` where that simulation has no density.
     """
-    observable = observed_displacement(system)
+    observable = observed(system)
     if known := full_density(system, observable):
         return known
     method = MonteCarlo(relaxations=relaxations, seed=seed + SEED_STEP, step_factor=sqrt(0.5))

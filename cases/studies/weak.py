@@ -14,9 +14,9 @@ from cases.studies.simulation import (
     Run,
     full_density,
     largest_stable,
-    observed_displacement,
-    observed_mass,
+    observed,
     run,
+    squared,
 )
 from fpk.density import Array, moment
 from fpk.system import System
@@ -87,7 +87,7 @@ class WeakOrder:
 
 def known_square(system: System) -> float | None:
     """Return E q_i² of the full system where a route that is not sampled gives it."""
-    answer = full_density(system, observed_displacement(system))
+    answer = full_density(system, observed(system))
     return None if answer is None else moment(answer.density, 2)
 
 
@@ -99,7 +99,7 @@ def weak_order(system: System, method: MonteCarlo, *, seconds: float) -> WeakOrd
     are spent.
     """
     theory = SCHEMES[method.scheme].weak_order
-    unusable = WeakOrder(method.scheme, f"E q{observed_mass(system) + 1}²", theory)
+    unusable = WeakOrder(method.scheme, f"E {squared(system)}", theory)
     first = largest_stable(system, method, patience=SHARE_OF_A_TRIAL * seconds)
     if first is None:
         return unusable
@@ -210,5 +210,5 @@ def sample_slope(system: System, method: MonteCarlo) -> SampleSlope:
     sampled, errors = tuple(r.sampled for r in runs), tuple(r.error for r in runs)
     weights = np.full(len(runs), sqrt(2.0 * 63.0))
     line, covariance = np.polyfit(np.log(sampled), np.log(errors), 1, w=weights, cov="unscaled")
-    of = f"E q{observed_mass(system) + 1}²"
+    of = f"E {squared(system)}"
     return SampleSlope(of, sampled, errors, float(line[0]), sqrt(covariance[0, 0]))

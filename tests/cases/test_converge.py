@@ -8,10 +8,9 @@ import pytest
 
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
-from cases.studies.converge import chosen_routes
+from cases.studies.converge import H_LEVELS, ROUND_OFF, chosen_routes, ladders, measured_ladder
 from cases.studies.equations import P_DEGREES, energy_equation, modal_equation
-from cases.studies.ladders import H_LEVELS, ROUND_OFF, degree_ladder, ladders
-from cases.studies.levels import FUNCTIONALS, NORMS, errors, refined_levels
+from cases.studies.levels import FUNCTIONALS, NORMS, refined_levels
 from cases.studies.orders import NEAR, convergence, grid_convergence, observed_orders
 from cases.studies.picture import Curve, Panel, study_figure
 from cases.studies.simulation import Run
@@ -103,7 +102,8 @@ def test_convergence_in_p_is_exponential_with_contact_and_without(energy_ladders
     system = load_scene("fig6b").system
     found = energy_ladders["p on a fixed mesh"]
     if not contacts:
-        found = degree_ladder(energy_equation(replace(system, contacts=())))
+        free = energy_equation(replace(system, contacts=()))
+        found = measured_ladder(free, free.degrees())
     rates = found.verdicts["L1"].orders
     assert len(rates) >= 4
     # A straight line on log-lin paper: what a degree takes off does not shrink. Of an algebraic
@@ -224,7 +224,7 @@ def test_damping_terms_have_a_reference_by_another_method(scene):
         assert answer.variant == ""  # weighted, on a mesh of its own
         meshes = (answer.panels, equation.reference.panels)
         assert [x.size for x in meshes[0]] != [x.size for x in meshes[1]]
-        true = errors(answer, equation.reference)["L1"]
+        true = answer.errors(equation.reference)["L1"]
         assert true <= answer.l1_error + equation.reference.l1_error
         assert true > equation.reference.l1_error  # what is seen is the answer's error
 

@@ -14,7 +14,7 @@ from cases.studies.cost import CostStudy, candidates, equation_routes, study_cos
 from cases.studies.cost_page import cost_page, cost_tables
 from cases.studies.equations import energy_equation
 from cases.studies.law import FULL, Law, full_routes
-from cases.studies.levels import Answer, Level, errors
+from cases.studies.levels import Answer, Level
 from cases.studies.page import Table, cell, duration
 from cases.studies.prices import NotTimed, Priced, crossovers, price_list
 from cases.studies.simulation import full_reference
@@ -193,7 +193,7 @@ def test_settings_of_one_scene_keep_their_digits_on_three_others(table_of_fig6b,
         settings[c.route, c.point.promised].append(c.digits)
     for (name, tol), digits in settings.items():
         answer = routes[name](equation.process, tol)
-        true = errors(answer, equation.reference)["L1"]
+        true = answer.errors(equation.reference)["L1"]
         assert true <= 10.0 ** -max(digits)
         assert true <= answer.l1_error + equation.reference.l1_error
 

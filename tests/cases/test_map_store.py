@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 
 from cases.scene.errors import BadInput
-from cases.studies.regime_map.points import MapPoint
-from cases.studies.regime_map.store import NAME, PointStore
+from cases.studies.regime_map.points import NAME, MapPoint, PointStore
 
 IDENTITY = {
     "scene": "a\u2028b\u0085c\n", "observable": "q2", "keys": ["contact.stiffness"], "paths": 4096,

@@ -11,8 +11,7 @@ from typing import Any
 from cases.output.records import program_version
 from cases.scene.scene import Scene
 from cases.studies.regime_map.grid import Axis, system_at
-from cases.studies.regime_map.points import MapPoint, map_point
-from cases.studies.regime_map.store import PointStore
+from cases.studies.regime_map.points import MapPoint, PointStore, map_point
 from fpk.method import Progress, silent
 from fpk.observable import Observable, observable_name
 from sim.cluster import as_finished, connected
