@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
+from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
 Array = NDArray[np.float64]
@@ -14,8 +14,12 @@ Integers = NDArray[np.int64]
 PIVOT = 0.01
 """Least diagonal pivot relative to its column: lower than 1 keeps the symmetric ordering; the
 residual is measured on every solution."""
+MASS_SCALE = 1e-6
+"""Largest entry of the equation of the mass relative to that of the others: as a pivot before the
+last one it would cost digits."""
 DWARFED = 1e-3
-"""Least size of the unknown set to 1 relative to the largest: smaller costs as many digits."""
+"""Least value at the vertex whose equation is left out, relative to that of the largest vertex:
+smaller costs as many digits."""
 
 
 @lru_cache
@@ -28,29 +32,39 @@ def local_order(degree: int) -> tuple[Integers, int]:
 
 
 class Skeleton(NamedTuple):
-    """Unknowns on the boundaries of elements, counted from 0 to ``size``.
+    """Unknowns on the boundaries of elements, and the pattern of their matrix by columns.
 
-    ``numbers`` (elements, boundary unknowns of one); ``vertices`` those of all vertices.
+    ``numbers`` (elements, boundary unknowns of one) of the unknowns and ``vertices`` those of the
+    vertices. ``indices`` and ``starts`` are those of scipy's CSC format, every column with its row
+    0; ``places`` (entries of all element matrices) are theirs in it.
     """
 
     numbers: Integers
-    size: int
     vertices: Integers
+    indices: Integers
+    starts: Integers
+    places: Integers
 
 
 @lru_cache(maxsize=32)
-def skeleton(counts: tuple[int, int], degree: int) -> Skeleton:
-    """Return the skeleton of a mesh of ``counts`` elements along each axis."""
-    first, second = (_axis_numbers(count, degree) for count in counts)
+def skeleton(counts: tuple[int, int], degree: int, first: int = 0) -> Skeleton:
+    """Return the skeleton of ``counts`` elements along each axis; vertex ``first`` is unknown 0."""
+    along = [_axis_numbers(count, degree) for count in counts]
     width = counts[1] * degree + 1
-    flat = first[:, None, :, None] * width + second[None, :, None, :]
+    flat = along[0][:, None, :, None] * width + along[1][None, :, None, :]
     order, boundary = local_order(degree)
-    used, numbers = np.unique(
-        flat.reshape(counts[0] * counts[1], -1)[:, order[:boundary]], return_inverse=True
-    )
-    vertices = (np.arange(counts[0] + 1)[:, None] * width + np.arange(counts[1] + 1)).ravel()
-    numbers = numbers.reshape(counts[0] * counts[1], -1)
-    return Skeleton(numbers, used.size, np.searchsorted(used, vertices))
+    local = flat.reshape(counts[0] * counts[1], -1)[:, order[:boundary]]
+    corners = (np.arange(counts[0] + 1)[:, None] * width + np.arange(counts[1] + 1)).ravel()
+    local[local == corners[first]] = -1
+    corners[first] = -1
+    used, numbers = np.unique(local, return_inverse=True)
+    size, numbers = used.size, numbers.reshape(local.shape)
+    keys = numbers[:, None, :] * size + numbers[:, :, None]
+    pattern = np.union1d(keys, np.arange(size) * size)
+    columns, indices = np.divmod(pattern, size)
+    starts = np.searchsorted(columns, np.arange(size + 1))
+    places = np.searchsorted(pattern, keys.ravel())
+    return Skeleton(numbers, np.searchsorted(used, corners), indices, starts, places)
 
 
 def _axis_numbers(elements: int, degree: int) -> Integers:
@@ -68,8 +82,9 @@ def null_vector(
     ``masses`` (elements, m) are the integrals of the shape functions; these and the matrices come
     in ``local_order``, coefficients (elements, m) are returned in that of their products. The
     residual is the largest of the global system relative to the terms that cancel in it. The
-    unknowns inside every element are eliminated first. Raises ``LinAlgError`` where the rest is
-    singular.
+    unknowns inside every element are eliminated first. The vertex functions sum to one, so that
+    their equations add up to 0 = 0 and one of them gives way to the mass. Raises ``LinAlgError``
+    where the rest is singular.
     """
     order, n = local_order(degree)
     outer, mass = matrices[:, :n, :n], masses[:, :n]
@@ -79,8 +94,12 @@ def null_vector(
         outer = np.asarray(outer + matrices[:, :n, n:] @ fold)
         mass = np.asarray(mass + (masses[:, None, n:] @ fold)[:, 0])
     edges = skeleton(counts, degree)
-    local = _solve(outer, edges)[edges.numbers]
-    local = local / np.sum(mass * local)
+    x = _solve(outer, mass, edges)
+    largest = int(np.argmax(np.abs(x[edges.vertices])))
+    if np.abs(x[0]) < DWARFED * np.abs(x[edges.vertices[largest]]):
+        edges = skeleton(counts, degree, largest)
+        x = _solve(outer, mass, edges)
+    local = x[edges.numbers]
     coefficients = np.empty(masses.shape)
     coefficients[:, order[:n]] = local
     coefficients[:, order[n:]] = (fold @ local[:, :, None])[:, :, 0]
@@ -90,31 +109,20 @@ def null_vector(
     return coefficients, float(np.max(np.abs(total)) / np.max(terms))
 
 
-def _solve(outer: Array, edges: Skeleton) -> Array:
-    """The null vector up to a factor: one vertex is set to 1 and its equation left out.
-
-    The vertex functions sum to one, so that their equations add up to 0 = 0 and each is redundant.
-    Solved again with the largest vertex set to 1 where the first one turns out too small.
-    """
-    numbers, size = edges.numbers, edges.size
-    rows = np.repeat(numbers, numbers.shape[1], axis=1).ravel()
-    columns = np.tile(numbers, (1, numbers.shape[1])).ravel()
-    matrix = coo_array((outer.ravel(), (rows, columns)), shape=(size, size)).tocsr()
-    vertex = int(edges.vertices[0])
-    for _ in range(2):
-        rest = np.delete(np.arange(size), vertex)
-        x = np.ones(size)
-        try:
-            factors = splu(
-                matrix[rest][:, rest].tocsc(),
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=PIVOT,
-                options={"SymmetricMode": True},
-            )
-        except RuntimeError as error:  # what SuperLU raises for a singular matrix
-            raise np.linalg.LinAlgError(str(error)) from None
-        x[rest] = factors.solve(-matrix[rest][:, [vertex]].toarray()[:, 0])
-        vertex = int(edges.vertices[np.argmax(np.abs(x[edges.vertices]))])
-        if np.abs(x[vertex]) * DWARFED <= 1.0:
-            break
-    return x
+def _solve(outer: Array, mass: Array, edges: Skeleton) -> Array:
+    """The null vector of ``mass`` 1, which takes the place of the equation of unknown 0."""
+    size = edges.starts.size - 1
+    entries = np.bincount(edges.places, outer.ravel())
+    shares = np.bincount(edges.numbers.ravel(), mass.ravel())
+    scale = MASS_SCALE * np.abs(entries).max() / np.abs(shares).max()
+    entries[edges.starts[:-1]] = scale * shares
+    try:
+        factors = splu(
+            csc_array((entries, edges.indices, edges.starts), shape=(size, size)),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=PIVOT,
+            options={"SymmetricMode": True},
+        )
+    except RuntimeError as error:  # what SuperLU raises for a singular matrix
+        raise np.linalg.LinAlgError(str(error)) from None
+    return np.asarray(factors.solve(np.append(scale, np.zeros(size - 1))))

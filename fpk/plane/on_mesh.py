@@ -33,9 +33,9 @@ ENRICHMENT = 2
 """Degrees by which the enriched solution exceeds the answer along both axes."""
 MORE_POINTS = 2
 """Gauss points along each axis of integrals, beyond the degree."""
-WEIGHT_POINTS = 4
-"""Further points of integrals with a weight, which is no polynomial; the enriched solution has two
-more, so that the error estimate contains what they miss."""
+WEIGHT_POINTS = 20
+"""Further points of integrals with a weight, which is no polynomial, shared by the panels; the
+enriched solution has two more on each, so that the error estimate contains what they miss."""
 
 
 def solve_plane_on_mesh(
@@ -55,7 +55,9 @@ def solve_plane_on_mesh(
 
     Raises ``NotCertified`` where the equations have no unique solution.
     """
-    points = degree + MORE_POINTS + (0 if weight is None else WEIGHT_POINTS)
+    points = degree + MORE_POINTS
+    if weight is not None:
+        points += WEIGHT_POINTS // min(x.size - 1 for x in nodes)
     u, residual = _solved(process, nodes, degree, points, weight)
     mesh = nodes if longer is None else longer
     enriched, _ = _solved(process, mesh, degree + ENRICHMENT, points + ENRICHMENT, weight)

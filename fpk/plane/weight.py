@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.polynomial.polynomial import polyder, polygrid2d, polyval2d
+from numpy.polynomial.polynomial import polyder, polyval2d
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
@@ -73,11 +73,13 @@ class Weight:
     def on_grid(self, H1: Array, H2: Array) -> tuple[Array, Array, Array]:
         """w and the slopes of −ln w along H1 and H2 on the grid (H1.size, H2.size)."""
         x, y = H1 / self.scales[0], H2 / self.scales[1]
-        w = np.exp(-polygrid2d(x, y, self.coefficients))
+        w = np.exp(-on_grid(x, y, self.coefficients))
         # Where w underflows without a floor its slope is that of nothing.
         share = w / np.maximum(w + self.floor, TINY)
         first, second = (
-            polygrid2d(x, y, polyder(self.coefficients, axis=axis)) * share / self.scales[axis]
+            on_grid(x, y, np.asarray(polyder(self.coefficients, axis=axis), float))
+            * share
+            / self.scales[axis]
             for axis in (0, 1)
         )
         return w + self.floor, first, second
@@ -92,7 +94,7 @@ class Weight:
 
         Raises ``NotCertified`` where Φ does not rise so far within ``REACH``.
         """
-        inside = polygrid2d(RAYS, RAYS, self.coefficients) < rise
+        inside = on_grid(RAYS, RAYS, self.coefficients) < rise
         if inside[-1].any() or inside[:, -1].any():
             raise NotCertified(f"the weight falls by less than exp(−{rise:.0f})")
         first, second = (
@@ -133,12 +135,18 @@ def flux_free_weight(probe: Probe, scales: tuple[float, ...]) -> Weight | None:
 
 
 def fitted_weight(
-    grid: tuple[Array, Array], log_p: Array, known: Flags, rise: float
+    grid: tuple[Array, Array],
+    log_p: Array,
+    known: Flags,
+    rise: float,
+    *,
+    present: Weight | None = None,
 ) -> Weight | None:
     """Return w fitted to ``log_p`` where it is ``known`` on a grid, None where no fit falls off.
 
     Beyond the grid, and where Φ exceeds ``rise``, how far ln p is known to fall, Φ must rise along
-    every ray from the origin.
+    every ray from the origin. The misfit must be less than ``GAIN`` times that of the ``present``
+    weight.
     """
     if not known.any():
         return None
@@ -158,12 +166,27 @@ def fitted_weight(
     first, second = powers.T
     x, y = grid[0][i] / scales[0], grid[1][j] / scales[1]
     columns = root[:, None] * _monomials(x, first) * _monomials(y, second)
-    return _chosen(fits(columns, root * target, powers), scales, lambda phi: OUTSIDE | (phi > rise))
+    least = np.inf
+    if present is not None:
+        misfit = target - present.exponent(grid[0][i], grid[1][j])
+        misfit -= np.average(misfit, weights=root**2)
+        least = float(np.linalg.norm(root * misfit) / np.linalg.norm(root * target))
+    return _chosen(
+        fits(columns, root * target, powers), scales, lambda phi: OUTSIDE | (phi > rise), least
+    )
+
+
+def on_grid(x: Array, y: Array, coefficients: Array) -> Array:
+    """Return Σ c_ij x^i y^j on the grid (x.size, y.size)."""
+    first, second = (
+        np.vander(z, n, increasing=True) for z, n in zip((x, y), coefficients.shape, strict=True)
+    )
+    return np.asarray(first @ coefficients @ second.T)
 
 
 def _values(coefficients: Array, x: Array, y: Array) -> Array:
     if x.ndim == 2 and x.shape[1] == 1 and y.ndim == 1:
-        return np.asarray(polygrid2d(x[:, 0], y, coefficients))
+        return np.asarray(on_grid(x[:, 0], y, coefficients))
     first, second = np.broadcast_arrays(x, y)
     return np.asarray(polyval2d(first, second, coefficients))
 
@@ -206,17 +229,18 @@ def _chosen(
     fits: Iterator[tuple[Array, float]],
     scales: tuple[float, float],
     unknown: Callable[[Array], Flags],
+    least: float = np.inf,
 ) -> Weight | None:
     """The best of the fits that rise along every ray where the density is ``unknown``."""
-    best, least = None, np.inf
+    best = None
     for phi, misfit in fits:
         if misfit < GAIN * least:
             raised = phi.copy()
-            raised[0, 0] -= polygrid2d(UNIT, UNIT, phi).min()
-            values = polygrid2d(RAYS, RAYS, raised)
+            raised[0, 0] -= on_grid(UNIT, UNIT, phi).min()
+            values = on_grid(RAYS, RAYS, raised)
             # (i + j) Φ_ij are the coefficients of x ∂Φ/∂x + y ∂Φ/∂y, the slope along a ray.
             powers = np.arange(len(phi))
-            along = polygrid2d(RAYS, RAYS, (powers[:, None] + powers) * raised)
+            along = on_grid(RAYS, RAYS, (powers[:, None] + powers) * raised)
             far = unknown(values)
             if np.all(along[far] > 0.0) and np.all(values[far] > 0.0):
                 best, least = Weight(raised, scales), misfit

@@ -333,7 +333,7 @@ def test_what_misses_the_rule_is_returned_without_a_certificate(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # Few panels of low degree and no plain elements: inaccurate, and said so in words.
-    monkeypatch.setattr(spectral, "LIMITS", (4, 8))
+    monkeypatch.setattr(spectral, "LIMITS", (2, 6))
     monkeypatch.setattr(plain, "MAX_ENTRIES", 0)
     solution = solve_plane(one_sided(0.3, 0.05), tol=1e-10)
     assert not solution.certificate.certified
