@@ -5,7 +5,7 @@ from datetime import date, time
 from itertools import islice
 from typing import Any
 
-from fpk.errors import shown
+from fpk.errors import InvalidInput, shown
 
 LONGEST = 600
 """Characters of a message; what is quoted in a longer one is cut out of its middle."""
@@ -22,9 +22,12 @@ class BadInput(ValueError):
         super().__init__(shortened(one_line(message), LONGEST))
 
 
-def refused(where: str, key: str, value: Any, remedy: str) -> BadInput:
-    """Return the refusal of ``key = value`` in the file or option ``where``."""
-    return BadInput(f"{where}: {key} = {toml_value(value)}: {remedy}")
+def refused(label: str, error: InvalidInput) -> BadInput:
+    """Return the refusal of a value, or of a missing one, in the file ``label``."""
+    key, value = error.key or "scene", f"= {toml_value(error.value)}"
+    return BadInput(
+        f"{label}: {key} {'is missing' if error.value is None else value}: {error.remedy}"
+    )
 
 
 def toml_value(value: Any) -> str:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from operator import ge, gt, le, lt
 from typing import Any, Literal
 
-from cases.scene.errors import BadInput, refused
+from fpk.errors import InvalidInput
 from fpk.observable import Observable, observable_name
 
 Theory = Literal["nonintegrable", "integrable"]
@@ -58,15 +58,11 @@ class Expect:
 
 
 def expect_of(
-    table: Mapping[str, Any] | None,
-    observables: Sequence[Observable],
-    label: str,
-    *,
-    curves: int,
+    table: Mapping[str, Any] | None, observables: Sequence[Observable], *, curves: int
 ) -> Expect | None:
-    """Return the claims of the table; raise ``BadInput`` for one that the scene cannot test.
+    """Return the claims of the table about a figure of so many ``curves``.
 
-    ``curves`` is the number of curves in the scene.
+    Raises ``InvalidInput`` for a claim that the scene cannot test.
     """
     if table is None:
         return None
@@ -75,11 +71,17 @@ def expect_of(
     name = ",".join(part.strip() for part in given.split(","))
     if name not in by_name:
         remedy = f"is not observed here; use {', '.join(by_name)}"
-        raise refused(label, "expect.of", given, remedy)
-    ranges = [key for key in ("non_gaussian", "almost_gaussian") if key in table]
-    for key in [*ranges, "nonintegrable_better_with"]:
-        if key in table and curves < 2:
-            raise BadInput(f"{label}: expect.{key}: is about the curves of [vary]; add it")
-    if ranges and len(by_name[name]) > 1:
-        raise BadInput(f"{label}: expect.{ranges[0]}: is for one coordinate, not a pair")
-    return Expect(**{**table, "of": by_name[name]})
+        raise InvalidInput("expect.of", given, remedy)
+    claims = {**table, "of": by_name[name]}
+    for key in table.keys() & {"non_gaussian", "almost_gaussian"}:
+        if len(table[key]) != 1:
+            remedy = f"must have exactly one of {', '.join(RELATIONS)}"
+            raise InvalidInput(f"expect.{key}", table[key], remedy)
+        if len(by_name[name]) > 1:
+            raise InvalidInput(f"expect.{key}", table[key], "is for one coordinate, not a pair")
+        claims[key] = Range(*next(iter(table[key].items())))
+    for key in table.keys() & {"non_gaussian", "almost_gaussian", "nonintegrable_better_with"}:
+        if curves < 2:
+            remedy = "is about the curves of [vary]; add it"
+            raise InvalidInput(f"expect.{key}", table[key], remedy)
+    return Expect(**claims)

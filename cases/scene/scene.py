@@ -8,7 +8,7 @@ from typing import Any
 from cases.scene.errors import BadInput, refused, shortened, toml_value
 from cases.scene.expect import Expect, expect_of
 from cases.scene.reading import read_toml
-from cases.scene.schema import refused_value, validated
+from cases.scene.schema import validated
 from cases.scene.vary import Curve, curves_of
 from fpk.errors import InvalidInput
 from fpk.observable import Observable, parse_observable
@@ -73,46 +73,39 @@ def _exists(path: Path) -> bool:
 
 def _scene(path: Path, label: str) -> Scene:
     data, text = read_toml(path, label)
-    tables = validated(data, label)
-    system = _system(tables, label)
-    observables = _observables(tables.get("observe"), system, label)
-    curves = curves_of(system, tables.get("vary"), label)
-    return Scene(
-        name=path.stem,
-        title=tables.get("title") or path.stem,
-        source=tables.get("source", ""),
-        text=text,
-        system=system,
-        observables=observables,
-        curves=curves,
-        expect=expect_of(tables.get("expect"), observables, label, curves=len(curves)),
-    )
+    try:
+        tables = validated(data)
+        system = _system(tables)
+        observables = _observables(tables.get("observe"), system)
+        curves = curves_of(system, tables.get("vary"))
+        expect = expect_of(tables.get("expect"), observables, curves=len(curves))
+    except InvalidInput as error:
+        raise refused(label, error) from None
+    title, source = tables.get("title") or path.stem, tables.get("source", "")
+    return Scene(path.stem, title, source, text, system, observables, curves, expect)
 
 
-def _system(tables: dict[str, Any], label: str) -> System:
+def _system(tables: dict[str, Any]) -> System:
     contacts, terms = (tuple(tables.get(key, ())) for key in ("contact", "damping_term"))
     try:
         return System(**tables["system"], contacts=contacts, damping_terms=terms)
     except InvalidInput as error:
-        place = "system" if error.key in tables["system"] else ""
-        raise refused_value(label, place, error) from None
+        place = "system." if error.key in tables["system"] else ""
+        raise InvalidInput(place + error.key, error.value, error.remedy) from None
 
 
-def _observables(
-    table: dict[str, Any] | None, system: System, label: str
-) -> tuple[Observable, ...]:
+def _observables(table: dict[str, list[str]] | None, system: System) -> tuple[Observable, ...]:
     if table is None:
         touching = system.contact_masses or (system.n - 1,)
         names = [*(f"q{i + 1}" for i in touching[:15]), "H"]
         return tuple(parse_observable(name, system.n) for name in names)
     observables: list[Observable] = []
     for k, name in enumerate(table["densities"], start=1):
-        key = f"observe.densities[{k}]"
         try:
             observable = parse_observable(name, system.n)
         except InvalidInput as error:
-            raise refused(label, key, name, error.remedy) from None
+            raise InvalidInput(f"observe.densities[{k}]", name, error.remedy) from None
         if observable in observables:
-            raise refused(label, key, name, "is asked for twice; leave one out")
+            raise InvalidInput(f"observe.densities[{k}]", name, "is asked for twice; leave one out")
         observables.append(observable)
     return tuple(observables)

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cases.scene.errors import BadInput, refused
 from fpk.errors import InvalidInput
 from fpk.system import System
 
@@ -50,12 +49,10 @@ def _read(system: System, key: str) -> NDArray[np.float64]:
     return np.array([getattr(contact, name) for contact in system.contacts])
 
 
-def curves_of(
-    system: System, vary: Mapping[str, Mapping[str, Any]] | None, label: str
-) -> tuple[Curve, ...]:
+def curves_of(system: System, vary: Mapping[str, Mapping[str, Any]] | None) -> tuple[Curve, ...]:
     """Return the curves, the system's own first; values equal to its own are not doubled.
 
-    Raises ``BadInput`` for a value that the system cannot take.
+    Raises ``InvalidInput`` for a value that the system cannot take.
     """
     if vary is None:
         return (Curve("", system),)
@@ -63,18 +60,18 @@ def curves_of(
         (f"{table}.{key}", values) for table, part in vary.items() for key, values in part.items()
     ]
     if len(given) != 1:
-        raise BadInput(f"{label}: vary: must have exactly one of {', '.join(VARIED)}")
+        raise InvalidInput("vary", vary, f"must have exactly one of {', '.join(VARIED)}")
     key, values = given[0]
     if key.startswith("contact.") and not system.contacts:
-        raise BadInput(f"{label}: vary.{key}: the scene has no [[contact]] to vary")
+        raise InvalidInput(f"vary.{key}", values, "the scene has no [[contact]] to vary")
     systems = [system]
-    for i, value in enumerate(values):
+    for i, value in enumerate(values, start=1):
         try:
             other = changed(system, key, value)
         except InvalidInput as error:
-            raise refused(label, f"vary.{key}[{i + 1}]", value, error.remedy) from None
+            raise InvalidInput(f"vary.{key}[{i}]", value, error.remedy) from None
         if other.n != system.n:
-            raise refused(label, f"vary.{key}[{i + 1}]", value, f"must fit {system.n} masses")
+            raise InvalidInput(f"vary.{key}[{i}]", value, f"must fit {system.n} masses")
         if not any(np.array_equal(_read(other, key), _read(s, key)) for s in systems):
             systems.append(other)
     if key == "system.damping" and all(_common_ratio(s) is not None for s in systems):
