@@ -52,10 +52,10 @@ def show(scene: str, as_json: bool) -> None:
     """Show the system, its effects, frequencies, and which theories apply and why."""
     loaded = parts.checked(scene)
     from cases.output.facts import show_record
-    from cases.output.text import show_text
+    from cases.output.text import rendered
 
     record = show_record(loaded)
-    parts.end(record if as_json else None, lambda: show_text(record))
+    parts.end(record if as_json else None, lambda: rendered("show.txt", record))
 
 
 @app.command()
@@ -100,7 +100,7 @@ def density(
     loaded = parts.checked(scene, tol=settings["tol"])
     observable = parts.observable_of(of, loaded)
     from cases.comparison.routes import chosen
-    from cases.output.density import density_record, density_text
+    from cases.output.records import density_record, density_text
     from cases.scene.points import parse_points
     from fpk.method import solved
 

@@ -142,21 +142,20 @@ def answers_of(
     results: list[Result] = []
     refused: list[Refusal] = []
     for method in methods:
-        route, given = method.route, list(observables)
-        by_reason: dict[str, list[str]] = {}
+        route, asked = method.route, {observable_name(o): o for o in observables}
         try:
             plan = method.prepare(system)
+            by_reason: dict[str, list[str]] = {}
+            for name, observable in asked.items():
+                if reason := plan.refusal(observable):
+                    by_reason.setdefault(reason, []).append(name)
         except NotApplicable as error:
-            refused.append(Refusal(route, tuple(map(observable_name, given)), str(error)))
+            refused.append(Refusal(route, tuple(asked), str(error)))
             continue
-        for observable in observables:
-            if (reason := plan.refusal(observable)) is not None:
-                given.remove(observable)
-                by_reason.setdefault(reason, []).append(observable_name(observable))
         refused += [Refusal(route, tuple(names), reason) for reason, names in by_reason.items()]
+        given = {k: o for k, o in asked.items() if all(k not in n for n in by_reason.values())}
         try:
-            results += [solved(plan, system, given, progress=progress)] if given else []
+            results += [solved(plan, system, [*given.values()], progress=progress)] if given else []
         except (NotApplicable, NotCertified, InvalidInput) as error:
-            names = tuple(map(observable_name, given))
-            refused.append(Refusal(route, names, str(error), failed=True))
+            refused.append(Refusal(route, tuple(given), str(error), failed=True))
     return Answers(system, tuple(results), tuple(refused))

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf, isfinite
-from typing import TYPE_CHECKING, Literal, Self, get_args
+from typing import TYPE_CHECKING, Literal, Self
 
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput
@@ -36,6 +36,8 @@ class AveragedSimulation(Method):
     to sample where steps are exact. Two wells with rare passages relax more slowly than that.
     ``paths`` in all; ``threads`` None: all that there are, the answer does not depend on it.
     ``tol``: the expected L1 error by chance above which an answer is not certified.
+
+    Raises ``InvalidInput`` naming the field that cannot be used.
     """
 
     theory: Theory
@@ -48,13 +50,9 @@ class AveragedSimulation(Method):
 
     def __post_init__(self) -> None:
         """Check every field."""
-        if self.theory not in get_args(Theory):
-            raise InvalidInput("theory", self.theory, f"use one of {sorted(get_args(Theory))}")
         if not 0 <= self.seed < 2**64:
             raise InvalidInput("seed", self.seed, "use an integer from 0 to 2**64 - 1")
-        if self.threads is not None and self.threads < 1:
-            raise InvalidInput("threads", self.threads, "use 1 or more")
-        for key in ("time", "step", "tol"):
+        for key in ("time", "step", "threads", "tol"):
             value = getattr(self, key)
             if value is not None and not (isfinite(value) and value > 0):
                 raise InvalidInput(key, value, "must be a finite number > 0")
@@ -66,8 +64,8 @@ class AveragedSimulation(Method):
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
-        process = (_total if self.theory == "nonintegrable" else _modal)(system)
-        return Plan(self._unknown, lambda o, progress: self._sampled(process, o, progress))
+        process = _process(self.theory, system)
+        return Plan(self._unknown, partial(self._sampled, process))
 
     def _unknown(self, observable: Observable) -> str | None:
         """Why the averaged energies do not give the observable, None where they do."""
@@ -88,8 +86,8 @@ class AveragedSimulation(Method):
         from sim.averaged.square_root import square_root_form
 
         form = (line_form if self.theory == "nonintegrable" else square_root_form)(process)
-        slowest, fastest = float(form.times.max()), float(form.times.min())
-        dt, interval = inf if form.damping is None else self.step * fastest, 0.5 * slowest
+        slowest, exact = float(form.times.max()), form.damping is None
+        dt, interval = inf if exact else self.step * float(form.times.min()), 0.5 * slowest
         time = SAMPLED_TIMES * slowest if self.time is None else self.time
         densities = simulate_energies(
             form,
@@ -108,7 +106,7 @@ class AveragedSimulation(Method):
             "equation": self.route.equation,
             "relaxation time": slowest,
             "dt": steps_between(interval, dt)[1],
-            "steps": "exact" if form.damping is None else "Strang splitting",
+            "steps": "exact" if exact else "Strang splitting",
             "paths": self.paths,
             "time": time,
             "seed": self.seed,
@@ -120,30 +118,28 @@ class AveragedSimulation(Method):
         return replace(self, paths=4 * self.paths, step=0.5 * self.step)
 
 
-def _total(system: System) -> "Process":
+def _process(theory: Theory, system: System) -> "Process":
+    """The averaged energies of a theory; raises ``NotApplicable`` where it does not hold."""
     from averaging.energy_process import energy_process
-
-    return energy_process(system)
-
-
-def _modal(system: System) -> "Process":
     from averaging.modal.analysis import modal_analysis
     from averaging.modal.resonance import require_no_resonance
 
-    analysis = system.fact(modal_analysis)
-    require_no_resonance(system, analysis)
-    return analysis.process()
+    if theory == "nonintegrable":
+        return energy_process(system)
+    modes = system.fact(modal_analysis)
+    require_no_resonance(system, modes)
+    return modes.process()
 
 
-def worth_running(system: System) -> bool:
-    """Whether ``fpk run`` samples averaged equations unasked: where no closed form knows better."""
+def _unasked(system: System) -> bool:
+    """Whether ``fpk run`` samples averaged equations: where no closed form knows better."""
     return bool(system.damping_terms)
 
 
-for _names in (
-    ("nonintegrable", "simulation", "energy averaging, simulated", "(24)"),
-    ("integrable", "simulation", "modal averaging, simulated", "(17)"),
-):
-    _make = partial(AveragedSimulation, _names[0])
-    _colour = {"nonintegrable": "#a8577e", "integrable": "#9a6fc0"}[_names[0]]
-    register(Route(*_names, "averaged", True, _colour, _make, worth_running))
+def _register(theory: Theory, words: str, equation: str, colour: str) -> None:
+    make = partial(AveragedSimulation, theory)
+    register(Route(theory, "simulation", words, equation, "averaged", True, colour, make, _unasked))
+
+
+_register("nonintegrable", "energy averaging, simulated", "(24)", "#a8577e")
+_register("integrable", "modal averaging, simulated", "(17)", "#9a6fc0")

@@ -1,9 +1,10 @@
 """Claims held against numbers: findings about a source, never failures of the program."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
-from math import erfc, sqrt
+from math import erfc, pi, sqrt
 from typing import Literal
 
 import numpy as np
@@ -14,7 +15,6 @@ from cases.scene.expect import Expect
 from fpk.certificate import ROUNDING, Measured
 from fpk.density import (
     AnyDensity,
-    Array,
     Density,
     SampledDensity,
     certified_density,
@@ -25,8 +25,12 @@ from fpk.observable import Observable, observable_name
 
 Verdict = Literal["holds", "does not hold", "undecided", "not checked"]
 
-Bounded = tuple[float, float]
-"""An L1 distance, and how far chance and the solvers may have moved it."""
+VERDICTS: dict[bool | None, Verdict] = {
+    True: "holds",
+    False: "does not hold",
+    None: "undecided",
+}
+"""Verdicts on a claim that was checked; None where the errors leave it open."""
 
 ALMOST_L1 = 0.05
 """L1 distance to the fitted Gaussian up to which a density is called almost Gaussian: no
@@ -105,13 +109,13 @@ def shape_of(density: AnyDensity) -> Shape:
     mean = moment(density, 1)
     variance = moment(density, 2) - mean * mean
     kurtosis = _kurtosis(density)
-    distance = l1_distance(density, _gaussian_density(density, mean, variance))
+    distance = l1_distance(density, _gaussian_density(density, mean, sqrt(variance)))
     if not isinstance(density, SampledDensity):
         # A relative error of the fourth moment is at most that of the mass far out: a bound by
         # the support, which ends where the density has died out.
-        reach = max(abs(density.panels[0][0] - mean), abs(density.panels[0][-1] - mean))
-        slack = density.l1_error * (reach**4 / variance**2)
-        return Shape(distance, 2.0 * density.l1_error, kurtosis, float(slack))
+        reach = float(np.abs(density.panels[0] - mean).max())
+        slack = density.l1_error * reach**4 / variance**2
+        return Shape(distance, 2.0 * density.l1_error, kurtosis, slack)
     batches = [_kurtosis(replace(density, values=v)) for v in density.batch_values]
     spread = float(np.std(batches, ddof=1) / np.sqrt(len(batches)))
     chance = float(np.sum(density.standard_error * np.diff(density.edges[0])))
@@ -132,47 +136,47 @@ def _gaussian(claim: str, curve: Answers, of: Observable, *, wanted: bool) -> Fi
     measured = f"L1 to the fitted Gaussian {shape.l1:.3f}, excess kurtosis {shape.kurtosis:+.3f}"
     almost = shape.almost_gaussian
     return Finding(
-        claim, curve.label, measured, _verdict(None if almost is None else almost == wanted)
+        claim, curve.label, measured, VERDICTS[None if almost is None else almost == wanted]
     )
 
 
-def _theories(expect: Expect, curve: Answers) -> list[Finding]:
-    verdicts = []
+def _theories(expect: Expect, curve: Answers) -> Iterator[Finding]:
+    """The claims about the theories of one curve."""
+    distance = partial(_distance, curve, expect.of)
     if expect.better is not None:
-        pair = [_distance(curve, expect.of, name) for name in expect.better]
         claim = "{} theory better than {}".format(*expect.better)
-        verdicts.append(_nearer(claim, curve.label, *pair))
-    acceptable = {f"{name} theory acceptable": name for name in expect.acceptable}
+        yield _nearer(claim, curve.label, *map(distance, expect.better))
     if (rule := expect.clearance_rule) is not None:
         claim = f"integrable theory acceptable for clearance > {rule:g} rms"
         ratios = [stop.ratio for stop in curve.stops if stop.ratio is not None]
         if len(ratios) < max(len(curve.stops), 1):
-            verdicts.append(Finding(claim, curve.label, "the rms is not known", "not checked"))
+            yield Finding(claim, curve.label, "the rms is not known", "not checked")
         elif min(ratios) <= rule:
             measured = f"clearance is {min(ratios):.3g} rms: the rule says nothing here"
-            verdicts.append(Finding(claim, curve.label, measured, "not checked"))
+            yield Finding(claim, curve.label, measured, "not checked")
         else:
-            acceptable[claim] = "integrable"
-    limit = (ACCEPTABLE_L1, 0.0)
-    return verdicts + [
-        _nearer(claim, curve.label, _distance(curve, expect.of, name), limit)
-        for claim, name in acceptable.items()
-    ]
+            yield _nearer(claim, curve.label, distance("integrable"), (ACCEPTABLE_L1, 0.0))
+    for name in expect.acceptable:
+        claim = f"{name} theory acceptable"
+        yield _nearer(claim, curve.label, distance(name), (ACCEPTABLE_L1, 0.0))
 
 
-def _nearer(claim: str, where: str, near: Bounded | None, far: Bounded | None) -> Finding:
-    """Whether ``near`` is the smaller of two distances to the full system."""
+def _nearer(
+    claim: str, where: str, near: tuple[float, float] | None, far: tuple[float, float] | None
+) -> Finding:
+    """Whether ``near`` is the smaller of two distances to the full system, with their errors."""
     if near is None or far is None:
         return Finding(claim, where, "no answer to compare with", "not checked")
     limit = f"{far[0]:.4f} ± {far[1]:.4f}" if far[1] else f"{far[0]:g}"
-    holds = _below(near[0], far[0], near[1] + far[1])
-    return Finding(
-        claim, where, f"L1 {near[0]:.4f} ± {near[1]:.4f} against {limit}", _verdict(holds)
-    )
+    measured = f"L1 {near[0]:.4f} ± {near[1]:.4f} against {limit}"
+    return Finding(claim, where, measured, VERDICTS[_below(near[0], far[0], near[1] + far[1])])
 
 
-def _distance(curve: Answers, of: Observable, name: str) -> Bounded | None:
-    """Distance of the first deterministic answer of the averaged method ``name``, None without."""
+def _distance(curve: Answers, of: Observable, name: str) -> tuple[float, float] | None:
+    """L1 distance of an averaged method's first deterministic answer to the full system.
+
+    With how far chance and the solvers may have moved it; None where there is none.
+    """
     own = (d for r, d in curve.densities(of).items() if r.method == name and not r.sampled)
     theory, reference = next(own, None), _reference(curve, of)
     if theory is None or reference is None:
@@ -185,26 +189,21 @@ def _below(value: float, limit: float, slack: float) -> bool | None:
     return None if abs(value - limit) <= slack else value < limit
 
 
-def _verdict(holds: bool | None) -> Verdict:
-    return "undecided" if holds is None else "holds" if holds else "does not hold"
-
-
 def _kurtosis(density: AnyDensity) -> float:
     m1, m2, m3, m4 = (moment(density, k) for k in (1, 2, 3, 4))
     fourth = m4 - 4.0 * m1 * m3 + 6.0 * m1**2 * m2 - 3.0 * m1**4
     return fourth / (m2 - m1 * m1) ** 2 - 3.0
 
 
-def _gaussian_density(density: AnyDensity, mean: float, variance: float) -> Density:
-    scale = sqrt(variance)
+def _gaussian_density(density: AnyDensity, mean: float, scale: float) -> Density:
     panels = mean + scale * np.linspace(-GAUSSIAN_REACH, GAUSSIAN_REACH, 19)
-    nodes = np.unique(np.concatenate([density.panels[0], panels]))
-
-    def pdf(x: Array) -> Array:
-        return np.asarray(np.exp(-0.5 * ((x - mean) / scale) ** 2) / (np.sqrt(2 * np.pi) * scale))
-
+    nodes = np.union1d(density.panels[0], panels)
     tail = erfc(GAUSSIAN_REACH / sqrt(2.0))
-    measured = Measured(tail + ROUNDING, 0.0, 0.0, 0.0, tail)
     return certified_density(
-        density.observable, (nodes,), pdf, np.zeros_like, measured=measured, tol=np.inf
+        density.observable,
+        (nodes,),
+        lambda x: np.exp(-0.5 * ((x - mean) / scale) ** 2) / (sqrt(2.0 * pi) * scale),
+        np.zeros_like,
+        measured=Measured(tail + ROUNDING, 0.0, 0.0, 0.0, tail),
+        tol=np.inf,
     )

@@ -69,20 +69,18 @@ def chosen(
         method = _made(route, settings)
         try:
             plan = method.prepare(system)
-        except NotApplicable as reason:
-            refusals.append(str(reason))
-            continue
-        if reason_why_not := plan.refusal(observable):
-            refusals.append(reason_why_not)
+            if reason := plan.refusal(observable):
+                raise NotApplicable(reason)
+        except NotApplicable as refusal:
+            refusals.append(refusal)
             continue
         known = {*_settings_of(method), "partial", "tol"}
-        unused = {k for k, v in settings.items() if v not in (None, False)} - known
-        for setting in sorted(unused):
-            option = f"--{setting.replace('_', '-')}"
-            no_option = f"is not an option of {name} by {method.solver}; leave it out"
-            raise InvalidInput(option, settings[setting], no_option)
+        for setting, value in sorted(settings.items()):
+            if value not in (None, False) and setting not in known:
+                remedy = f"is not an option of {name} by {method.solver}; leave it out"
+                raise InvalidInput(f"--{setting.replace('_', '-')}", value, remedy)
         return plan
-    raise NotApplicable(refusals[0])
+    raise refusals[0]
 
 
 def _routes_of(name: str, solver: str | None) -> list[Route]:

@@ -50,9 +50,8 @@ class _Compiling(event.Listener):
     def on_start(self, event: Any) -> None:
         """Show a task, as long as the outermost function takes."""
         self.bar.start()
-        outermost = not self.tasks
-        words = "compiling, this once"
-        self.tasks.append(self.bar.add_task(words, total=None, visible=outermost))
+        first = not self.tasks
+        self.tasks.append(self.bar.add_task("compiling, this once", total=None, visible=first))
 
     def on_end(self, event: Any) -> None:
         """Take it away when it is done."""

@@ -1,19 +1,16 @@
 """One record of a run's results, from which text, report and ``--json`` are written."""
 
 from collections.abc import Iterable
-from typing import Any
 
 from cases.comparison.answers import Answers, Refusal
 from cases.comparison.compare import Comparison
 from cases.comparison.run import Outcome
 from cases.output.facts import facts_record
-from cases.output.records import certificate_record, plain
+from cases.output.records import Record, certificate_record, plain
 from fpk.density import Density
 from fpk.method import Result
 from fpk.route import Route, solvers_of
 from sim.report import Report
-
-Record = dict[str, Any]
 
 
 def digest_of(outcome: Outcome) -> Record:
@@ -84,7 +81,7 @@ def _curve(curve: Answers) -> Record:
     return {
         "label": curve.label,
         **facts_record(curve.system),
-        "methods": [*map(_method, curve.results), *map(refusal_record, curve.refused)],
+        "methods": [*map(method_record, curve.results), *map(refusal_record, curve.refused)],
         "comparisons": comparison_rows(curve.comparisons),
         "errors": [e for r in curve.results for e in _three_errors(r, curve.comparisons)],
         "identities": [
@@ -99,7 +96,8 @@ def _names(route: Route) -> Record:
     return {"route": route.label, "method": route.method, "solver": route.solver}
 
 
-def _method(result: Result) -> Record:
+def method_record(result: Result) -> Record:
+    """Return the entry of a route that was taken."""
     report = result.report if isinstance(result.report, Report) else None
     return {
         **_names(result.method.route),

@@ -1,16 +1,14 @@
 """Facts of a system as plain records: its effects, regime, boundaries and applicable theories."""
 
 from contextlib import suppress
-from typing import Any
 
 from averaging.energy_process import energy_process
 from averaging.modal.analysis import modal_analysis
 from cases.comparison.answers import incompatibility
 from cases.comparison.routes import listed_routes
-from cases.output.records import plain
+from cases.output.records import Record, plain
 from cases.scene.scene import Scene
 from fpk.clearance import stop_clearances
-from fpk.damping import DampingTerm
 from fpk.effects import effects_of
 from fpk.ends import BoundaryClass, classify
 from fpk.errors import NotApplicable
@@ -19,8 +17,6 @@ from fpk.method import Method
 from fpk.observable import observable_name
 from fpk.route import ROUTES, solvers_of
 from fpk.system import System
-
-Record = dict[str, Any]
 
 MODES_SHOWN = 4
 """Modes whose boundaries are shown; with constant damping they are alike in all."""
@@ -61,7 +57,10 @@ def facts_record(system: System) -> Record:
         "system": {
             **{key: getattr(system, key) for key in given},
             "contacts": system.contacts,
-            "damping_terms": [_term_record(term) for term in system.damping_terms],
+            "damping_terms": [
+                {**plain(term), "q": dict(term.q), "v": dict(term.v)}
+                for term in system.damping_terms
+            ],
         },
         "effects": {**plain(effects), "contact_masses": masses, "contact": effects.contact},
         "regime": {
@@ -114,9 +113,3 @@ def _boundaries(system: System) -> list[Record]:
         for axis in range(min(process.dimension, MODES_SHOWN)):
             ends += [("integrable", end) for end in classify(process, axis)]
     return [{"process": theory, **plain(end)} for theory, end in ends]
-
-
-def _term_record(term: DampingTerm) -> Record:
-    powers = {key: {str(mass): power for mass, power in getattr(term, key)} for key in ("q", "v")}
-    entry = {"i": term.i, "j": term.j, "coefficient": term.coefficient}
-    return {**entry, **powers, "energy": term.energy}

@@ -13,15 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cases.comparison.run import Outcome
+from cases.output.digest import method_record
 from cases.output.files import write_by, write_text
-from cases.output.grids import common_grid, values_on
-from cases.output.records import UNITS, certificate_record, plain, program_version
-from fpk.density import AnyDensity, Array, Density
+from cases.output.grids import common_grid
+from cases.output.records import UNITS, plain, program_version
+from cases.scene.scene import Scene
+from fpk.density import AnyDensity, Array
 from fpk.observable import Observable, observable_name
 
 Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]]
 """Dimensions, values and attributes by name, as ``xarray.Dataset`` takes them."""
-
 
 OnGrid = dict[tuple[str, str], tuple[AnyDensity, Array, Array]]
 """By curve and route, a density with its values and errors on the grid of its observable."""
@@ -32,22 +33,31 @@ def write_netcdf(outcome: Outcome, path: Path) -> list[Path]:
 
     ``p_q2`` (curve, route, q2) is the density and ``error_q2`` its error: an estimate of the
     numerical error or one standard error, as ``error_kind_q2`` says. A route that does not apply is
-    not a number. Provenance and certificates are JSON in the attribute ``provenance``.
+    not a number. Settings and certificates are JSON in the attribute ``provenance``.
     """
     variables: Variables = {}
     for observable in outcome.scene.observables:
         variables |= _variables(outcome, observable)
-    attributes = {
-        "title": outcome.scene.title,
-        "scene": outcome.scene.name,
-        "source": outcome.scene.source,
-        "scene_file": outcome.scene.text,
-        "program": f"vibro-fpk {program_version()}",
-        "units": UNITS,
-        "provenance": json.dumps(plain(_provenance(outcome)), ensure_ascii=False),
-    }
+    answers = [
+        {"curve": curve.label, **method_record(result)}
+        for curve in outcome.curves
+        for result in curve.results
+    ]
+    provenance = json.dumps(plain(answers), ensure_ascii=False)
+    attributes = {**attributes_of(outcome.scene), "units": UNITS, "provenance": provenance}
     write_variables(variables, attributes, path)
     return [path]
+
+
+def attributes_of(scene: Scene) -> dict[str, str]:
+    """Return what every file of results says of its origin."""
+    return {
+        "title": scene.title,
+        "scene": scene.name,
+        "source": scene.source,
+        "scene_file": scene.text,
+        "program": f"vibro-fpk {program_version()}",
+    }
 
 
 def write_variables(variables: Variables, attributes: Mapping[str, str], path: Path) -> None:
@@ -92,11 +102,9 @@ def _on_grid(outcome: Outcome, observable: Observable) -> tuple[tuple[Array, ...
         for curve in outcome.curves
         for route, density in curve.densities(observable).items()
     }
-    if not densities:
-        return (), {}
-    grid = common_grid(densities.values())
+    grid = common_grid(densities.values()) if densities else ()
     mesh = np.meshgrid(*grid, indexing="ij")
-    return grid, {key: (density, *values_on(density, *mesh)) for key, density in densities.items()}
+    return grid, {key: (density, *density.at(*mesh)) for key, density in densities.items()}
 
 
 def _variables(outcome: Outcome, observable: Observable) -> Variables:
@@ -116,31 +124,14 @@ def _variables(outcome: Outcome, observable: Observable) -> Variables:
     points = [f"{axis}_of_{name}" if len(axes) == 2 else axis for axis in axes]
     first = ("curve", f"route_{name}")
     words = {"long_name": f"probability density of {name}", "units": UNITS}
-    return {
+    coordinates: Variables = {
+        point: ((point,), g, {"long_name": axis, "units": UNITS})
+        for point, axis, g in zip(points, axes, grid, strict=True)
+    }
+    return coordinates | {
         "curve": (first[:1], np.array(curves), {}),
         first[1]: (first[1:], np.array(routes), {}),
-        **{
-            point: ((point,), g, {"long_name": axis, "units": UNITS})
-            for point, axis, g in zip(points, axes, grid, strict=True)
-        },
         f"p_{name}": ((*first, *points), values, words),
         f"error_{name}": ((*first, *points), errors, {**words, "long_name": f"error of p_{name}"}),
         f"error_kind_{name}": (first, kinds, {}),
     }
-
-
-def _provenance(outcome: Outcome) -> list[dict[str, Any]]:
-    return [
-        {
-            "curve": curve.label,
-            "route": result.method.route.label,
-            "observable": density.name,
-            "l1_error": density.l1_error if isinstance(density, Density) else None,
-            "certificate": certificate_record(density),
-            **result.settings,
-            **density.provenance,
-        }
-        for curve in outcome.curves
-        for result in curve.results
-        for density in result.densities
-    ]

@@ -1,20 +1,25 @@
 """The report of a run: one self-contained page, the pictures beside it, the fields as netCDF."""
 
 import platform
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
 
 from cases.comparison.claims import ACCEPTABLE_L1, ALMOST_KURTOSIS, ALMOST_L1
 from cases.comparison.run import Outcome
 from cases.output.digest import curves_of, digest_of, verdict_of
 from cases.output.facts import theories
 from cases.output.fields import write_netcdf
-from cases.output.figures import figures
 from cases.output.files import write_text
+from cases.output.pictures.joint import joint_pictures
+from cases.output.pictures.lines import line_pictures
+from cases.output.pictures.style import STYLE, inline_svg, svg_text
 from cases.output.records import program_version
-from cases.output.svg import inline_svg, svg_text
 from cases.output.text import rendered
 
 LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "h5netcdf")
@@ -34,6 +39,17 @@ def write_report(outcome: Outcome, folder: Path) -> list[Path]:
     write_netcdf(outcome, folder / "result.nc")
     write_text(folder / "report.html", report_html(outcome, pictures))
     return [folder / "report.html", folder / "result.nc", *written]
+
+
+def figures(outcome: Outcome) -> Iterator[tuple[str, str, Figure]]:
+    """Yield file stem, caption and figure of everything that an outcome can show."""
+    with mpl.rc_context(dict(STYLE)):
+        for observable in outcome.scene.observables:
+            curves = [c for c in outcome.curves if c.densities(observable)]
+            if curves and len(observable) == 1:
+                yield from line_pictures(curves, observable)
+            elif curves:
+                yield from joint_pictures(curves[0], observable)
 
 
 def report_html(outcome: Outcome, pictures: list[dict[str, Any]]) -> str:

@@ -7,7 +7,8 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from cases.output.digest import Record, curves_of, refusals_of, verdict_of
+from cases.output.digest import curves_of, refusals_of, verdict_of
+from cases.output.records import Record
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -16,11 +17,6 @@ def run_text(digest: Record) -> str:
     """Return the comparisons of every curve and the verdict, for a terminal."""
     curves, verdict = curves_of(digest), verdict_of(digest)
     return rendered("run.txt", {"digest": digest, "curves": curves, "verdict": verdict})
-
-
-def show_text(record: Record) -> str:
-    """Return the record of ``fpk show`` for a terminal."""
-    return rendered("show.txt", record)
 
 
 def rendered(template: str, record: Mapping[str, Any]) -> str:

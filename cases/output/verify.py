@@ -2,10 +2,11 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any, get_args
+from typing import get_args
 
 from cases.comparison.claims import Verdict
-from cases.output.digest import Record, curves_of
+from cases.output.digest import curves_of
+from cases.output.records import Record
 from cases.output.text import rendered
 
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
@@ -57,9 +58,8 @@ def verify_line(row: Record, width: int) -> str:
 
 def verify_table(rows: Sequence[Record]) -> str:
     """Return the final table, the claims that do not hold, and the verdict."""
-    numbers = [_numbers(row) for row in rows]
-    names = [*(row["scene"] for row in rows), "every scene"]
-    table = dict(zip(names, [*numbers, list(map(sum, zip(*numbers, strict=True)))], strict=True))
+    table = {row["scene"]: _numbers(row) for row in rows}
+    table["every scene"] = [sum(column) for column in zip(*table.values(), strict=True)]
     claims = [(row["scene"], claim) for row in rows for claim in row["claims"]]
     record = {
         "columns": COLUMNS,
@@ -71,9 +71,11 @@ def verify_table(rows: Sequence[Record]) -> str:
     return rendered("verify.txt", record)
 
 
-def _numbers(row: Record) -> list[Any]:
+def _numbers(row: Record) -> list[float]:
+    """The entries of one row, in the order of ``COLUMNS``."""
     verdicts = Counter(claim["verdict"] for claim in row["claims"])
-    unknown = verdicts["undecided"] + verdicts["not checked"]
-    claims = [len(row["claims"]), verdicts["holds"], verdicts["does not hold"], unknown]
-    failing = len(row["problems"])
-    return [row["curves"], row["judged"], row["certificates"], failing, *claims, row["seconds"]]
+    counts = [row[key] for key in ("curves", "judged", "certificates")]
+    lengths = [len(row["problems"]), len(row["claims"])]
+    open_claims = verdicts["undecided"] + verdicts["not checked"]
+    claims = [verdicts["holds"], verdicts["does not hold"], open_claims]
+    return [*counts, *lengths, *claims, row["seconds"]]

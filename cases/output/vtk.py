@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from cases.comparison.answers import Answers
 from cases.comparison.run import Outcome
+from cases.output.fields import attributes_of
 from cases.output.files import write_by
-from cases.output.grids import common_grid, value_on, values_on
-from cases.output.records import UNITS, program_version
+from cases.output.grids import common_grid
+from cases.output.records import UNITS
 from cases.scene.errors import BadInput
 from fpk.density import AnyDensity, Array
 from fpk.observable import Observable, observable_name
@@ -91,7 +92,7 @@ def field_of(densities: Mapping[str, AnyDensity]) -> Field:
     cells, subdivision, allowed = 0, np.inf, 0.0
     while subdivision > allowed and cells <= MOST_CELLS[len(ends)]:
         nodes = tuple(_with_middles(e) for e in ends)
-        values = _values(density, nodes)
+        values = density(*np.ix_(*nodes))
         misses = [_misses(density, nodes, values, axis) for axis in range(len(nodes))]
         subdivision = max(float(m.max()) for m in misses)
         allowed = SUBDIVISION * float(values.max())
@@ -100,7 +101,7 @@ def field_of(densities: Mapping[str, AnyDensity]) -> Field:
     mesh = np.meshgrid(*nodes, indexing="ij")
     points: dict[str, Array] = {}
     for name, other in named.items():
-        points[name], points[f"error of {name}"] = values_on(other, *mesh)
+        points[name], points[f"error of {name}"] = other.at(*mesh)
     differences = {f"{first} - {k}": points[first] - points[k] for k in named if k != first}
     return Field(nodes, {"density": points[first], **points, **differences}, subdivision)
 
@@ -111,19 +112,15 @@ def _write(outcome: Outcome, curve: Answers, observable: Observable, path: Path)
         curve.densities(observable).items(), key=lambda a: (a[0].sampled, a[0].solves != "averaged")
     )
     field = field_of({route.label: density for route, density in densities})
-    scene, name = outcome.scene, observable_name(observable)
+    name = observable_name(observable)
     data: dict[str, str | float] = {
-        "scene": scene.name,
-        "title": scene.title,
-        "source": scene.source,
+        **{key.replace("_", " "): text for key, text in attributes_of(outcome.scene).items()},
         "curve": curve.label,
         "observable": name,
         "axes": ", ".join(map(str, observable)),
         "quantity": f"probability density of {name}",
         "units": UNITS,
         "first route": densities[0][0].label,
-        "scene file": scene.text,
-        "program": f"vibro-fpk {program_version()}",
         "subdivision error": field.subdivision,
         "largest density": field.largest,
     }
@@ -171,15 +168,11 @@ def _with_middles(ends: Array, only: NDArray[np.bool_] | None = None) -> Array:
     return np.sort(np.concatenate([ends, middles if only is None else middles[only]]))
 
 
-def _values(density: AnyDensity, nodes: Sequence[Array]) -> Array:
-    return value_on(density, *np.meshgrid(*nodes, indexing="ij"))
-
-
 def _misses(density: AnyDensity, nodes: Sequence[Array], values: Array, axis: int) -> Array:
     """Per cell along an axis, the largest |interpolant − density| halfway between its nodes."""
     x = nodes[axis]
     between = [0.5 * (x[1:] + x[:-1]) if a == axis else n for a, n in enumerate(nodes)]
-    truth = np.moveaxis(_values(density, between), axis, 0)
+    truth = np.moveaxis(density(*np.ix_(*between)), axis, 0)
     along = np.moveaxis(values, axis, 0)
     low, middle, high = along[:-1:2], along[1::2], along[2::2]
     # The parabola through three nodes at a quarter and at three quarters of the cell.

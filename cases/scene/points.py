@@ -43,11 +43,9 @@ def _list(part: str, text: str) -> Array:
 
 def _range(start: Decimal, end: Decimal, step: Decimal, text: str) -> list[float]:
     """Decimal arithmetic, so that the points are the ones that were written and reach the end."""
-    if step == 0 or (end - start) * step < 0:
-        raise _wrong(text, f"a step of {step} does not lead from {start} to {end}")
-    if start != end and abs(step) > abs(end - start):
-        longer = f"a step of {step} is longer than from {start} to {end}"
-        raise _wrong(text, f"{longer}; a list is start:end:step")
+    if step == 0 or (start != end and (end - start) / step < 1):
+        remedy = f"a step of {step} does not lead from {start} to {end}"
+        raise _wrong(text, f"{remedy}; a list is start:end:step")
     _require_few(abs(float(end - start)) / abs(float(step)), text)
     return [float(start + i * step) for i in range(int((end - start) / step) + 1)]
 

@@ -55,25 +55,21 @@ def read_text(path: Path, label: str, *, most: int, what: str) -> str:
     end. Raises ``BadInput`` with one line that begins with ``label``.
     """
     try:
-        mode, size = path.stat().st_mode, path.stat().st_size
+        mode = path.stat().st_mode
         if stat.S_ISDIR(mode):
             raise BadInput(f"{label}: is a folder; {what} is a file in it")
         if not stat.S_ISREG(mode):
             raise BadInput(f"{label}: is not a regular file; {what} is one")
-        if size > most:
-            few = f"{what} has at most {most} ({most >> 20} MiB)"
-            raise BadInput(f"{label}: has {size} bytes; {few}")
         with path.open("rb") as stream:
             content = stream.read(most + 1)
-    except OSError as error:
-        words = error.strerror or error
-        raise BadInput(f"{label}: cannot be read: {words}; give another file") from None
     except BadInput:
         raise
-    except ValueError as error:  # a NUL character in the name
-        raise BadInput(f"{label}: cannot be read: {error}; give another name") from None
+    except (OSError, ValueError) as error:  # the latter: a NUL character in the name
+        words = getattr(error, "strerror", None) or error
+        raise BadInput(f"{label}: cannot be read: {words}; give another file") from None
     if len(content) > most:
-        raise BadInput(f"{label}: grew beyond {most} bytes while it was read; {what} has fewer")
+        few = f"{what} has at most {most} ({most >> 20} MiB)"
+        raise BadInput(f"{label}: has more than {most} bytes; {few}")
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from difflib import get_close_matches
+from os.path import lexists
 from pathlib import Path
 from typing import Any
 
@@ -57,18 +58,11 @@ def load_scene(name: str) -> Scene:
         return _scene(shipped[name], f"{name}.toml")
     path = Path(name)
     looks_like_path = path.suffix or len(path.parts) > 1
-    if not looks_like_path and not _exists(path):
+    if not looks_like_path and not lexists(path):
         close = get_close_matches(name, shipped, n=1)
         hint = f'did you mean "{close[0]}"?' if close else "fpk list names the shipped scenes"
         raise BadInput(f"scene {toml_value(name)}: neither a shipped scene nor a file; {hint}")
     return _scene(path, shortened(name, LONGEST_NAME))
-
-
-def _exists(path: Path) -> bool:
-    try:
-        return path.exists() or path.is_symlink()
-    except (OSError, ValueError):
-        return False
 
 
 def _scene(path: Path, label: str) -> Scene:

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from cases.output.fields import Variables, write_variables
+from cases.output.fields import Variables, attributes_of, write_variables
 from cases.output.files import write_text
-from cases.output.records import program_version
-from cases.output.svg import svg_text
+from cases.output.pictures.style import svg_text
 from cases.scene.scene import Scene
 
 UNITS = ((3.156e7, "a"), (86400.0, "d"), (3600.0, "h"), (60.0, "min"), (1.0, "s"), (1e-3, "ms"))
@@ -134,10 +133,8 @@ class Page:
         else:
             texts["csv"] = self.tables[0].csv()
         attributes = {
+            **attributes_of(self.scene),
             "title": self.title,
-            "scene": self.scene.name,
-            "scene_file": self.scene.text,
-            "program": f"vibro-fpk {program_version()}",
             "closing": self.closing,
         }
         paths = {ending: folder / f"{self.name}.{ending}" for ending in (*texts, "nc")}

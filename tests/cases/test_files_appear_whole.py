@@ -15,8 +15,8 @@ from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
 from cases.output.fields import write_csv, write_netcdf
 from cases.output.files import make_folder, write_by, write_text
+from cases.output.pictures.style import svg_text
 from cases.output.report import write_report
-from cases.output.svg import svg_text
 from cases.output.vtk import write_pvd, write_vtu
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene

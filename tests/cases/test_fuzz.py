@@ -12,7 +12,7 @@ from scenes_drawn import mutated_scenes, valid_scenes
 from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
 from cases.output.facts import show_record
-from cases.output.text import show_text
+from cases.output.text import rendered
 from cases.scene.errors import LONGEST, BadInput
 from cases.scene.scene import load_scene
 
@@ -91,7 +91,7 @@ def shown(scene):
     """The record of ``fpk show`` is JSON without NaN, and text without anything unprintable."""
     record = show_record(scene)
     json.dumps(record, allow_nan=False)
-    text = show_text(record)
+    text = rendered("show.txt", record)
     assert "nan" not in json.dumps(record["natural_frequencies"])
     return text
 

@@ -10,9 +10,9 @@ from mpl_toolkits.mplot3d import Axes3D
 
 from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
-from cases.output.grids import common_grid, value_on, values_on
+from cases.output.grids import common_grid
 from cases.output.pictures.choice import lines_of, samples_of, two_solvers
-from cases.output.pictures.style import FOOT, LEFT, SHOWN, SOLVER_WORDS, density_words, words_of
+from cases.output.pictures.style import SHOWN, SOLVER_WORDS, density_words, words_of
 from fpk.density import AnyDensity, Array, SampledDensity
 from fpk.observable import Observable, observable_name
 from fpk.route import Route
@@ -23,9 +23,8 @@ LOWEST = 1e-3
 SHEET = 72
 """Points an axis of a surface, and bins an axis, about, where it is sampled."""
 
-PANEL, HEIGHT, SPACE, HEAD, BAR, WORDS = 2.7, 2.5, 0.2, 0.3, 0.12, 0.85
-"""Width and height of a panel, the space between two and above them, and the widths of the bar of
-colours and of its words, in inches."""
+PANEL, HEIGHT, BAR = 2.9, 3.3, 1.4
+"""Width and height of a panel with its words, and the width of the bar of colours, in inches."""
 
 
 def joint_pictures(curve: Answers, observable: Observable) -> Iterator[tuple[str, str, Figure]]:
@@ -48,7 +47,7 @@ def pair_figure(curve: Answers, observable: Observable) -> Figure:
     drawn |= samples_of(curve, observable)
     grid = common_grid(drawn.values(), cut=SHOWN)
     mesh = np.meshgrid(*grid, indexing="ij")
-    panels = {r.words: value_on(d, *mesh) for r, d in drawn.items()}
+    panels = {r.words: d(*mesh) for r, d in drawn.items()}
     # A density of energies falls exponentially from its corner: decades, not equal steps.
     decades = all(c.kind == "H" for c in observable)
     return _panels(panels, grid, observable, density_words(observable), decades=decades)
@@ -59,7 +58,7 @@ def pair_solver_figure(curve: Answers, observable: Observable) -> Figure:
     (a, first), (b, second) = two_solvers(curve, observable)
     grid = common_grid([first, second], cut=SHOWN)
     mesh = np.meshgrid(*grid, indexing="ij")
-    (value, stated), (other, also_stated) = (values_on(d, *mesh) for d in (first, second))
+    (value, stated), (other, also_stated) = (d.at(*mesh) for d in (first, second))
     panels = {
         f"|{a.solver} − {b.solver}|": np.abs(value - other),
         "errors that both state, added": stated + also_stated,
@@ -107,7 +106,7 @@ def _sheet(density: AnyDensity, ends: tuple[Array, ...]) -> tuple[Array, Array, 
     """Points and values of one surface; a sampled one has its own, joined bins."""
     if not isinstance(density, SampledDensity):
         x, y = np.meshgrid(*(np.linspace(e[0], e[-1], SHEET) for e in ends), indexing="ij")
-        return x, y, value_on(density, x, y)
+        return x, y, density(x, y)
     few = joined(density, SHEET)
     middles = [0.5 * (e[1:] + e[:-1]) for e in few.edges]
     inside = [(m >= e[0]) & (m <= e[-1]) for m, e in zip(middles, ends, strict=True)]
@@ -126,13 +125,9 @@ def _panels(
     top = max(float(v.max()) for v in panels.values())
     levels = top * (np.geomspace(LOWEST, 1.0, 13) if decades else np.linspace(0.0, 1.0, 13))
     norm = LogNorm(levels[0], top) if decades else Normalize(0.0, top)
-    count = len(panels)
-    width = LEFT + count * (PANEL + SPACE) + BAR + WORDS
-    height = FOOT + HEIGHT + HEAD
-    figure = Figure(figsize=(width, height))
-    edges = {"left": LEFT / width, "right": (LEFT + count * (PANEL + SPACE) - SPACE) / width}
-    edges |= {"bottom": FOOT / height, "top": 1.0 - HEAD / height, "wspace": SPACE / PANEL}
-    row = figure.subplots(1, count, sharex=True, sharey=True, squeeze=False, gridspec_kw=edges)[0]
+    width = len(panels) * PANEL + BAR
+    figure = Figure(figsize=(width, HEIGHT), layout="constrained")
+    row = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     for axes, (words, values) in zip(row, panels.items(), strict=True):
         # Below the lowest level nothing is drawn; a logarithm needs a value there all the same.
         drawn = np.maximum(values, 0.1 * levels[0])
@@ -140,8 +135,5 @@ def _panels(
         axes.set_title(words)
         axes.set_xlabel(words_of(observable[0]))
     row[0].set_ylabel(words_of(observable[1]))
-    bar = figure.add_axes(
-        (edges["right"] + 0.15 / width, edges["bottom"], BAR / width, HEIGHT / height)
-    )
-    figure.colorbar(filled, cax=bar, format="%.2g").set_label(label)
+    figure.colorbar(filled, ax=row, format="%.2g", aspect=22).set_label(label)
     return figure

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 
 from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
-from cases.output.grids import common_grid, value_on, values_on
+from cases.output.grids import common_grid
 from cases.output.pictures.choice import lines_of, samples_of, two_solvers
 from cases.output.pictures.style import (
     COLOURS,
@@ -63,25 +63,13 @@ def line_pictures(
     curves = sorted(curves, key=lambda c: c.value or 0.0)
     densities = [d for c in curves for d in c.densities(observable).values()]
     (x,) = common_grid(densities, cut=SHOWN, count=POINTS)
-    ends = float(x[0]), float(x[-1])
-    yield (
-        f"density_{name}",
-        f"Density of {name}: theory as lines, simulation as points with two standard errors.",
-        density_figure(curves, observable, x),
-    )
-    rows = {c.label: solver_difference(c, observable, x) for c in curves}
-    if any(rows.values()):
-        words = SOLVER_WORDS.format(name)
-        band = "±the errors that both state"
-        yield f"solver_{name}", words, difference_figure(rows, observable, band=band, ends=ends)
-    rows = {c.label: theory_differences(c, observable, x) for c in curves}
-    if any(rows.values()):
-        words = (
-            f"Simulation minus theory for {name}. Inside the grey band the difference is chance; a"
-            " curve that leaves it shows the averaging error where the theory is an averaged one."
-        )
-        band = "±2 standard errors"
-        yield f"left_{name}", words, difference_figure(rows, observable, band=band, ends=ends)
+    words = "theory as lines, simulation as points with two standard errors."
+    yield f"density_{name}", f"Density of {name}: {words}", density_figure(curves, observable, x)
+    for stem, words, band, differences in DIFFERENCES:
+        rows = {c.label: row for c in curves if (row := differences(c, observable, x))}
+        if rows:
+            figure = difference_figure(rows, observable, x, band=band)
+            yield f"{stem}_{name}", words.format(name), figure
 
 
 def density_figure(curves: Sequence[Answers], observable: Observable, x: Array) -> Figure:
@@ -101,7 +89,7 @@ def density_figure(curves: Sequence[Answers], observable: Observable, x: Array) 
         functions = lines_of(curve, observable).items()
         for (route, density), dashes in zip(functions, LINES, strict=False):
             colour, ink = (route.colour,) * 2 if alone else (colours[curve.label], INK)
-            axes.plot(x, value_on(density, x), linestyle=dashes, color=colour)
+            axes.plot(x, density(x), linestyle=dashes, color=colour)
             legend.setdefault(route.words, Line2D([], [], color=ink, linestyle=dashes))
         for route, sampled in samples_of(curve, observable).items():
             colour, ink = (route.colour,) * 2 if alone else (colours[curve.label], INK)
@@ -122,7 +110,7 @@ def solver_difference(curve: Answers, observable: Observable, x: Array) -> list[
     answers = two_solvers(curve, observable)
     if not answers:
         return []
-    (first, stated), (second, also_stated) = (values_on(d, x) for _, d in answers)
+    (first, stated), (second, also_stated) = (d.at(x) for _, d in answers)
     words = " − ".join(route.solver for route, _ in answers)
     return [(words, x, first - second, stated + also_stated)]
 
@@ -140,38 +128,48 @@ def theory_differences(curve: Answers, observable: Observable, x: Array) -> list
     ]
 
 
+DIFFERENCES = (
+    ("solver", SOLVER_WORDS, "±the errors that both state", solver_difference),
+    (
+        "left",
+        "Simulation minus theory for {}. Inside the grey band the difference is chance; a curve"
+        " that leaves it shows the averaging error where the theory is an averaged one.",
+        "±2 standard errors",
+        theory_differences,
+    ),
+)
+"""Pictures of differences: file stem, caption, what the band is, and the differences of a curve."""
+
+
 def difference_figure(
-    rows: Mapping[str, Sequence[Difference]],
-    observable: Observable,
-    *,
-    band: str,
-    ends: tuple[float, float],
+    rows: Mapping[str, Sequence[Difference]], observable: Observable, x: Array, *, band: str
 ) -> Figure:
-    """Draw the differences of each curve, by its label, in a row between ``ends``.
+    """Draw the differences of each curve, by its label, in a row over the extent of ``x``.
 
     ``band`` says in words what the band is.
     """
-    rows = {label: differences for label, differences in rows.items() if differences}
     figure = Figure()
     panels = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
     legend: dict[str, Artist] = {}
     for axes, (label, differences), colour in zip(
         panels, rows.items(), cycle(COLOURS), strict=False
     ):
-        _, x, _, allowed = differences[0]
+        _, points, _, allowed = differences[0]
         unit, words = unit_of(max(np.abs([allowed, *(d[2] for d in differences)]).ravel()))
         axes.axhline(0.0, color=INK, linewidth=0.7)
-        axes.fill_between(x, -allowed / unit, allowed / unit, color=INK, alpha=0.16, linewidth=0)
+        axes.fill_between(
+            points, -allowed / unit, allowed / unit, color=INK, alpha=0.16, linewidth=0
+        )
         for (name, _, values, _), dashes in zip(differences, LINES, strict=False):
             style: Any = {"linewidth": 1.2, "linestyle": dashes}
-            axes.plot(x, values / unit, color=colour, **style)
+            axes.plot(points, values / unit, color=colour, **style)
             legend.setdefault(name, Line2D([], [], color=INK, **style))
         axes.set_title(f"{label}   {words}".strip())
         axes.locator_params(axis="y", nbins=4)
     legend[band] = Line2D([], [], color=INK, alpha=0.16, linewidth=6)
     words = f"difference of p({symbol_of(observable[0])})"
     figure.supylabel(words, fontsize=9.5, x=0.005, ha="left")
-    panels[-1].set(xlim=ends, xlabel=words_of(observable[0]))
+    panels[-1].set(xlim=(x[0], x[-1]), xlabel=words_of(observable[0]))
     arrange(figure, ROW if len(rows) > 1 else ALONE, legend, head=GAP)
     return figure
 

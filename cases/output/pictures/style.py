@@ -1,9 +1,13 @@
-"""Style of all pictures: ink and colours, words for axes, figures with fixed margins."""
+"""Style of all pictures: ink and colours, words for axes, fixed margins, and figures as SVG."""
 
+import re
 from collections.abc import Mapping
+from io import StringIO
 from math import floor, log10
 from typing import Any
 
+from markupsafe import Markup
+from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
@@ -108,3 +112,21 @@ def words_of(coordinate: Coordinate) -> str:
     words = {"q": "displacement", "p": "momentum", "H": "energy"}[coordinate.kind]
     modal = "modal " if coordinate.kind == "H" and coordinate.index is not None else ""
     return f"{modal}{words} {symbol_of(coordinate)}"
+
+
+def svg_text(figure: Figure, *, salt: str) -> str:
+    """Return the figure as SVG that is the same every time, with identifiers of its own."""
+    stream = StringIO()
+    with rc_context({**STYLE, "svg.hashsalt": salt}):
+        nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+        figure.savefig(stream, format="svg", metadata=nothing)
+    return stream.getvalue()
+
+
+def inline_svg(svg: str, words: str) -> Markup:
+    """Return SVG to stand inside a page: ink takes the page's colour, no background."""
+    body = svg[svg.index("<svg") :].replace(INK, "currentColor")
+    body = re.sub(r'(<g id="patch_1">\s*<path [^>]*?)fill: #ffffff', r"\1fill: none", body)
+    body = re.sub(r' (?:width|height)="[\d.]+pt"', "", body, count=2)
+    label = Markup('<svg role="img" aria-label="{}" ').format(words)
+    return label + Markup(body.removeprefix("<svg "))  # drawn by this program
