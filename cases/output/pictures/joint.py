@@ -135,5 +135,5 @@ def _panels(
         axes.set_title(words)
         axes.set_xlabel(words_of(observable[0]))
     row[0].set_ylabel(words_of(observable[1]))
-    figure.colorbar(filled, ax=row, format="%.2g", aspect=22).set_label(label)
+    figure.colorbar(filled, ax=row, format="%.2g", aspect=22, pad=0.02).set_label(label)
     return figure
