@@ -85,29 +85,24 @@ def observable_of(name: str, scene: "Scene") -> "Observable":
 
 
 def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:
-    """Make the folder ``settings["checkpoint"]``, if it is asked for; ``run.json`` is of its run.
+    """Make the folder ``settings["checkpoint"]``, if it is asked for; ``run.json`` names its run.
 
     Raises ``BadInput`` where it holds states of another scene, other settings or another version.
     """
     from cases.output.files import make_folder, write_text
     from cases.output.records import hash_of, plain, program_version
     from cases.scene.errors import BadInput
+    from cases.scene.reading import read_text
 
-    folder = settings["checkpoint"]
-    if folder is None:
+    if (folder := settings["checkpoint"]) is None:
         return
     own = {key: settings[key] for key in STATE_SETTINGS if key in settings}
     identity = {"scene": scene.text, "settings": own, "version": program_version()}
     record = {"run": hash_of(identity), "identity": plain(identity)}
-    path = make_folder(folder) / "run.json"
-    try:
-        run = json.loads(path.read_text(encoding="utf-8"))["run"]
-    except FileNotFoundError:
-        write_text(path, json.dumps(record, ensure_ascii=False) + "\n")
-        return
-    except (OSError, ValueError, KeyError, TypeError):
-        raise BadInput(f"{path}: cannot be read; give another --checkpoint") from None
-    if run != record["run"]:
+    path, text = make_folder(folder) / "run.json", json.dumps(record, ensure_ascii=False) + "\n"
+    if not path.exists():
+        write_text(path, text)
+    elif read_text(path, str(path), most=1 << 24, what="the run's identity") != text:
         raise BadInput(
             f"{folder}: holds states of another run (other scene, settings or version);"
             " give another --checkpoint or remove it"

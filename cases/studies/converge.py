@@ -100,18 +100,16 @@ class ConvergenceStudy:
 
 
 def chosen_routes(route: str | None, of: str | None) -> tuple[str, ...]:
-    """Return the routes asked for by name or by observable; raise ``BadInput`` for another."""
-    known = (*EQUATIONS, SIMULATION)
-    if route not in (None, *known):
-        raise BadInput(f"--route {route}: use one of {', '.join(known)}")
-    if of is None:
-        return (route,) if route else known
-    theories = tuple(name for name, (_, observable, _) in EQUATIONS.items() if observable == of)
-    if not theories:
-        raise BadInput(f'--of "{of}": use H for (24) or H1,H2 for (17)')
-    if route not in (None, *theories):
-        raise BadInput(f'--of "{of}": not what --route {route} solves')
-    return theories
+    """Return the routes asked for by name, by observable or by both; ``BadInput`` for none."""
+    known = {name: observable for name, (_, observable, _) in EQUATIONS.items()}
+    known |= {SIMULATION: ""}
+    chosen = tuple(n for n, o in known.items() if route in (None, n) and of in (None, o))
+    if not chosen:
+        asked = " ".join(f"--{k} {v}" for k, v in (("route", route), ("of", of)) if v is not None)
+        raise BadInput(
+            f"{asked}: use --route {', '.join(known)}, or --of H for (24), H1,H2 for (17)"
+        )
+    return chosen
 
 
 def study_convergence(

@@ -2,9 +2,11 @@
 
 from collections.abc import Iterable
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from cases.studies.cost import CostStudy
 from cases.studies.law import FULL
@@ -34,14 +36,7 @@ DRAWN, LONGEST = 1e-4, 3600.0
 def cost_page(study: CostStudy) -> Page:
     """Return what ``fpk cost`` shows and writes."""
     title, tables = f"What accuracy costs: {study.scene.title}", cost_tables(study)
-    return Page(
-        "cost",
-        study.scene,
-        title,
-        tables,
-        lambda: study_figure(cost_panels(study), width=5.2),
-        MEANING,
-    )
+    return Page("cost", study.scene, title, tables, partial(_figure, study))
 
 
 def cost_tables(study: CostStudy) -> list[Table]:
@@ -84,7 +79,7 @@ def cost_tables(study: CostStudy) -> list[Table]:
         Table("models", "What the theories are worth for the full system", models, (full,)),
         Table("not_timed", "Routes that are not timed", lost),
         Table("laws", f"{FULL}: law of sampling", laws, (LAW,)),
-        Table("measurements", "Measurements", measured, axes),
+        Table("measurements", "Measurements", measured, (*axes, MEANING)),
     ]
 
 
@@ -101,8 +96,8 @@ def _fastest(routes: Iterable[Priced], error: float) -> float:
     return float(np.fmin.reduce([r.seconds_for(np.array(error)) for r in routes], initial=np.nan))
 
 
-def cost_panels(study: CostStudy) -> list[Panel]:
-    """Return a panel for each equation: error against time of every route.
+def _figure(study: CostStudy) -> Figure:
+    """Draw a panel for each equation: error against time of every route.
 
     Open markers and dotted lines are prices by the law of sampling; dashed levels are the averaging
     error, which no solver lowers.
@@ -113,17 +108,17 @@ def cost_panels(study: CostStudy) -> list[Panel]:
         curves = []
         for route in routes:
             drawn = [
-                (p.seconds, p.error)
+                p
                 for p in sorted(route.points, key=lambda p: -p.error)
                 if p.error >= (0.99 * DRAWN if p.modelled else 1e-300)
                 and not (p.modelled and p.seconds > LONGEST)
             ]
             if drawn:
-                style = ":" if any(p.modelled for p in route.points) else "-"
-                times, errors = zip(*drawn, strict=True)
+                style = ":" if drawn[-1].modelled else "-"
+                times, errors = [p.seconds for p in drawn], [p.error for p in drawn]
                 curves.append(Curve(route.route, times, errors, style=style))
         x, floor = "processor time in seconds, one thread", study.floors.get(equation, 0.0)
         marks, limits = (models, (0.5 * DRAWN, 1.0)) if equation == FULL else ((), (2e-16, 2.0))
         panel = Panel(equation, x, "$L_1$ error", curves, max(floor, 2e-15), marks, limits=limits)
         panels.append(panel)
-    return panels
+    return study_figure(panels, width=5.2)

@@ -103,7 +103,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Page:
-    """The page of a study: its title, tables, closing words, and a picture.
+    """The page of a study: its title, tables, and a picture.
 
     Tables without rows are left out. Of a map ``gridded`` are the variables that are written in the
     place of the tables, the first of them beside it as comma-separated values; ``summary`` is all
@@ -115,14 +115,13 @@ class Page:
     title: str
     tables: Sequence[Table]
     figure: Callable[[], Figure]
-    closing: str = ""
     summary: str = ""
     gridded: Variables | None = None
 
     def text(self) -> str:
         """Return the page as Markdown, which a terminal shows as it is."""
         tables = [line for t in self.tables if t.rows for line in t.markdown()]
-        return "\n".join([f"# {self.title}", "", *tables, self.closing]).rstrip() + "\n"
+        return "\n".join([f"# {self.title}", "", *tables]).rstrip() + "\n"
 
     def write(self, folder: Path) -> list[Path]:
         """Write files of the study's name: md, svg, nc and, of a map, csv."""
@@ -132,11 +131,7 @@ class Page:
             variables = {k: v for t in self.tables if t.rows for k, v in t.variables().items()}
         else:
             texts["csv"] = self.tables[0].csv()
-        attributes = {
-            **attributes_of(self.scene),
-            "title": self.title,
-            "closing": self.closing,
-        }
+        attributes = {**attributes_of(self.scene), "title": self.title}
         paths = {ending: folder / f"{self.name}.{ending}" for ending in (*texts, "nc")}
         for ending, text in texts.items():
             write_text(paths[ending], text)

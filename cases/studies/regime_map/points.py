@@ -1,7 +1,7 @@
 """The points of a map: what each theory is worth at one, and the finished ones on disk."""
 
 import json
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from os.path import lexists
 from pathlib import Path
 from time import perf_counter
@@ -128,17 +128,14 @@ class PointStore:
         if not text:  # as a full disk leaves it
             return False
         head, *lines, last = text.split("\n")
-        if _record(head).get("map") != self._head["map"]:
+        if f"{head}\n" != _line(self._head):
             raise BadInput(
                 f"{path}: holds points of another map (other scene, observable, settings or"
                 " version); give another --out or remove the file"
             )
-        names = {field.name for field in fields(MapPoint)}
         for number, line in enumerate(lines, start=2):
-            record, words = _record(line), "is not what was written"
-            if record.keys() == names:
-                tuples = {key: tuple(record[key]) for key in ("values", "problems")}
-                point = MapPoint(**{**record, **tuples})
+            words = "is not what was written"
+            if point := _point(line):
                 known = self.points.setdefault(point.values, point)
                 if replace(known, seconds=point.seconds) == point:  # two runs at once write twice
                     continue
@@ -159,11 +156,12 @@ def _line(content: Any) -> str:
     return json.dumps({**record, "hash": hash_of(record)}, allow_nan=False) + "\n"
 
 
-def _record(line: str) -> dict[str, Any]:
-    """Return the record of one line, or nothing where it is not as ``_line`` wrote it."""
+def _point(line: str) -> MapPoint | None:
+    """Return the point of one line, None where it is not as ``_line`` wrote it."""
     try:
         record = json.loads(line)
-        stated = record.pop("hash")
-        return record if stated == hash_of(record) else {}
+        intact = record.pop("hash") == hash_of(record)
+        tuples = {key: tuple(record[key]) for key in ("values", "problems")}
+        return MapPoint(**{**record, **tuples}) if intact else None
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        return {}
+        return None
