@@ -140,7 +140,8 @@ def study_convergence(
             *_, make = EQUATIONS[route]
             equation = make(system)
             families = ladders(equation, progress=progress)
-            study.equations.append({**equation.description(), "ladders": families})
+            words = {"theory": route, **equation.description()}
+            study.equations.append({**words, "ladders": families})
             if equation.dimension == 1 and system.contacts:
                 free = make(replace(system, contacts=()))
                 free = replace(free, name=f"{free.name} without contact")

@@ -40,22 +40,16 @@ def convergence_page(study: ConvergenceStudy) -> Page:
 
 def study_tables(study: ConvergenceStudy) -> list[Table]:
     """Return errors and orders of every ladder, the functionals, the steps and the samples."""
-    ladders = [({"equation": x.equation, "family": x.name}, x) for x in study.ladders]
-    errors = [
-        {**names, "level": v.settings, "unknowns": v.unknowns, **v.errors, "estimate": v.estimate}
-        for names, ladder in ladders
-        for v in ladder.levels
-    ]
-    orders = [
-        {**names, "error": key, **asdict(verdict)}
-        for names, ladder in ladders
-        for key, verdict in ladder.verdicts.items()
-    ]
-    index = [
-        {**names, "functional": key, "true error": ladder.levels[-1].errors[key], **asdict(grid)}
-        for names, ladder in ladders
-        for key, grid in ladder.grid.items()
-    ]
+    errors: list[dict[str, Any]] = []
+    orders, index = errors.copy(), errors.copy()
+    for x in study.ladders:
+        names, finest = {"equation": x.equation, "family": x.name}, x.levels[-1].errors
+        for v in x.levels:
+            level = {"level": v.settings, "unknowns": v.unknowns, **v.errors}
+            errors.append({**names, **level, "estimate": v.estimate})
+        orders += [{**names, "error": key, **asdict(of)} for key, of in x.verdicts.items()]
+        for key, grid in x.grid.items():
+            index.append({**names, "functional": key, "true error": finest[key], **asdict(grid)})
     steps = [
         {"scheme": s.scheme, **asdict(run), "step error": error, "its error": bar}
         for s in study.schemes

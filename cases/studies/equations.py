@@ -49,10 +49,9 @@ class Equation:
 
     ``ends`` are the last energies of given meshes along each axis; ``by_tolerance`` are the routes
     that are given a tolerance, elements first, which ``words`` are about; ``clock`` counts the time
-    in the coefficients of ``process``.
+    that these spend in the coefficients of ``process``.
     """
 
-    theory: str
     name: str
     observable: Observable
     process: Process
@@ -71,7 +70,6 @@ class Equation:
     def description(self) -> dict[str, Any]:
         """Return the equation and its reference in words and numbers."""
         return {
-            "theory": self.theory,
             "equation": self.name,
             "observable": observable_name(self.observable),
             "dimension": self.dimension,
@@ -158,7 +156,6 @@ def energy_equation(system: System) -> Equation:
         return Answer((s.nodes,), s.density, s.l1_error, POINTS * (s.nodes.size - 1))
 
     return Equation(
-        theory="nonintegrable",
         name=OF_ENERGY,
         observable=parse_observable("H", system.n),
         process=clock.timed(process),
@@ -202,7 +199,6 @@ def modal_equation(system: System) -> Equation:
         words = f"plain elements (w = 1), degree {solution.degree}, {count} on a mesh of their own"
     ends = probed_plane(process).extent(BEYOND[2]) * process.energy_scales
     return Equation(
-        theory="integrable",
         name=OF_MODES,
         observable=observable,
         process=clock.timed(process),

@@ -4,7 +4,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan, prod
-from typing import Literal
 
 import numpy as np
 
@@ -34,11 +33,6 @@ class Axis:
     def symbol(self) -> str:
         """The parameter's letter, such as B."""
         return VARIED[self.key]
-
-    @property
-    def scale(self) -> Literal["log", "linear"]:
-        """How a picture spaces the values."""
-        return "log" if self.logarithmic else "linear"
 
 
 def parse_axes(texts: Sequence[str], system: System) -> tuple[Axis, ...]:

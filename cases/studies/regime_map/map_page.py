@@ -112,11 +112,12 @@ def _fields(x: Axis, y: Axis, L1: Array, ratio: Array, winner: Any, words: str) 
     nearer: dict[str, Any] = {"vmin": -0.5, "vmax": 2.5, "cmap": ListedColormap(colours)}
     figure = Figure(figsize=(9.6, 3.9), layout="constrained")
     panels = figure.subplots(1, 3, sharex=True, sharey=True)
+    scales = ["log" if axis.logarithmic else "linear" for axis in (x, y)]
     titles, palettes = (*THEORIES, "nearer to the full system"), (distances, distances, nearer)
     for axes, title, field, palette in zip(panels, titles, (*L1, index), palettes, strict=True):
         shown = np.ma.masked_invalid(field).T
         axes.pcolormesh(_edges(x), _edges(y), shown, rasterized=True, **palette)
-        axes.set(title=title, xlabel=KEYS[x.key], xscale=x.scale, yscale=y.scale)
+        axes.set(title=title, xlabel=KEYS[x.key], xscale=scales[0], yscale=scales[1])
         axes.set(xlim=(x.values[0], x.values[-1]), ylim=(y.values[0], y.values[-1]))
         if np.nanmin(ratio, initial=np.inf) < CLEARANCE_RULE < np.nanmax(ratio, initial=-np.inf):
             axes.contour(
