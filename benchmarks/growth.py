@@ -23,7 +23,7 @@ from averaging.energy_process import energy_process
 from cases.scene.scene import load_scene
 from cases.studies.converge import measured_ladder
 from cases.studies.equations import energy_equation, modal_equation, solve_on
-from cases.studies.timing import timed_first, timing
+from cases.studies.levels import timed_first, timing
 from fpk.contact import Contact
 from fpk.process import Process
 from fpk.system import System

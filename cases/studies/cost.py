@@ -14,10 +14,9 @@ from cases.scene.scene import Scene
 from cases.studies.converge import H_LEVELS
 from cases.studies.equations import EQUATIONS, Equation
 from cases.studies.law import FULL, Law, averaged_route, full_routes
-from cases.studies.levels import Discretisation, refined_levels
+from cases.studies.levels import Discretisation, refined_levels, timed_first, timing
 from cases.studies.prices import NotTimed, Priced, crossovers, price_list
 from cases.studies.simulation import Reference, deterministic, full_reference
-from cases.studies.timing import timed_first, timing
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.method import Progress, silent
 from fpk.observable import observable_name

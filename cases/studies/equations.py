@@ -16,8 +16,7 @@ from averaging.modal.observables import modal_densities
 from averaging.modal.resonance import require_no_resonance
 from averaging.nonintegrable import NonIntegrable
 from averaging.quadrature import POINTS, solve_by_quadrature
-from cases.studies.levels import Answer, Discretisation
-from cases.studies.timing import Clock
+from cases.studies.levels import Answer, Clock, Discretisation
 from fpk.density import Array
 from fpk.errors import NotApplicable, NotCertified
 from fpk.line.stationary import StationarySolution, solve_on_mesh, solve_stationary

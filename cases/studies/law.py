@@ -8,10 +8,9 @@ import numpy as np
 from cases.comparison.averaged import AveragedSimulation
 from cases.comparison.compare import distance_between
 from cases.studies.equations import Equation
-from cases.studies.levels import Level
+from cases.studies.levels import Level, Timing, timed_first
 from cases.studies.prices import NotTimed, Priced
 from cases.studies.simulation import SMALL_STEP, SMALLEST, Reference, largest_stable, run
-from cases.studies.timing import Timing, timed_first
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
 from fpk.method import Progress, silent

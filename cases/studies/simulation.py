@@ -10,7 +10,7 @@ from scipy.interpolate import PchipInterpolator
 from cases.comparison.answers import answers_of
 from cases.comparison.compare import chance_l1, joined
 from cases.comparison.routes import listed_routes
-from cases.studies.timing import timed_first
+from cases.studies.levels import timed_first
 from fpk.certificate import Measured
 from fpk.density import AnyDensity, Array, Density, SampledDensity, certified_density
 from fpk.errors import InvalidInput, NotCertified
@@ -140,9 +140,7 @@ def full_density(system: System, observable: Observable) -> Reference | None:
     return Reference(label, density, density)
 
 
-def full_reference(
-    system: System, *, seed: int, relaxations: float = REFERENCE_RELAXATIONS
-) -> Reference:
+def full_reference(system: System, *, seed: int) -> Reference:
     """Return the full system's p(q_i); where none solves (6), a long simulation at 0.7 of the step.
 
     Raises ``NotCertified`` where that simulation has no density.
@@ -150,7 +148,8 @@ def full_reference(
     observable = observed(system)
     if known := full_density(system, observable):
         return known
-    method = MonteCarlo(relaxations=relaxations, seed=seed + SEED_STEP, step_factor=sqrt(0.5))
+    long = MonteCarlo(relaxations=REFERENCE_RELAXATIONS, seed=seed + SEED_STEP)
+    method = replace(long, step_factor=sqrt(0.5))
     (sampled,) = method.solve(system, [observable]).densities
     assert isinstance(sampled, SampledDensity)
     if not np.all(np.isfinite(sampled.values)):
