@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from averaging.conditional import conditionals, overlap_at, side_sign
-from averaging.energy_density import EnergyDensity, Part
+from averaging.energy_density import density_of_energies
 from averaging.hidden import RULES, HiddenIntegral, gibbs_integral, overlaps
 from averaging.shell.energy_shell import energy_shell
+from averaging.shell.ratios import log_linear_states, shell_ratios
+from averaging.weyl import Part, StateDensity
 from fpk.density import Density, certified_density
 from fpk.line.mesh import DEEP_LAYERS, with_layers
 from fpk.observable import Observable
@@ -25,16 +27,22 @@ SAME = 1e-10
 """Distance of two nodes, relative to the support, below which they are one."""
 
 
-def back_transformed(source: EnergyDensity, observable: Observable, *, tol: float) -> Density:
+def back_transformed(source: StateDensity, observable: Observable, *, tol: float) -> Density:
     """Return the density of ``observable``, H or one or two of (q, p), from u(H).
 
     Momenta and masses without contact are quadratic in H and integrated out exactly (Weyl
     integrals of u); contact masses that are not observed, two at the most, by quadrature on grids
     that follow their law given the observed ones. ``tol`` is the L1 tolerance that was asked for.
     """
+    system, solution = source.system, source.solution
     if observable[0].kind == "H":
-        return _energy_density(source, observable, tol)
-    system = source.system
+        # Without clearance T is a series in H^(1/4) at H = 0, which one panel does not integrate.
+        touching = tuple(H for H in energy_shell(system).contact_energies if H == 0.0)
+        panels = (with_layers(solution.panels, touching, count=DEEP_LAYERS),)
+        # T is evaluated at the points themselves: at a contact energy it may be worse than on the
+        # mesh, where the solver estimated the error of u.
+        own = partial(_states_error, system)
+        return density_of_energies(observable, solution, panels, own, tol=tol, added=source.closed)
     q = tuple(c.index for c in observable if c.kind == "q" and c.index is not None)
     hidden = len(set(system.contact_masses) - set(q))
     marginal = _marginal(source, observable)
@@ -46,7 +54,7 @@ def back_transformed(source: EnergyDensity, observable: Observable, *, tol: floa
             error = error + np.abs(marginal(*x) - marginal(*x, points=RULES[hidden][0]))
         return error
 
-    end = float(source.nodes[-1])
+    end = float(solution.nodes[-1])
     panels = tuple(
         displacement_panels(system, c.index, temperature=source.temperature, end=end)
         if c.kind == "q"
@@ -59,14 +67,14 @@ def back_transformed(source: EnergyDensity, observable: Observable, *, tol: floa
         panels,
         marginal,
         lambda *x: marginal(*x, part="error") + added(*x),
-        measured=source.measured,
+        measured=solution.measured,
         tol=tol,
         added_error=added,
         frame=_ridge(system, q, source.temperature, end) if len(q) == 2 else None,
     )
 
 
-def _marginal(source: EnergyDensity, observable: Observable) -> Callable[..., Array]:
+def _marginal(source: StateDensity, observable: Observable) -> Callable[..., Array]:
     """Return the integral of u(H) over everything but the observed displacements and momenta.
 
     It is a function of these, broadcast together, of ``part`` of u and of the number of ``points``
@@ -77,7 +85,9 @@ def _marginal(source: EnergyDensity, observable: Observable) -> Callable[..., Ar
     p = [c.index for c in observable if c.kind == "p" and c.index is not None]
     hidden = [i for i in system.contact_masses if i not in q]
     laws = conditionals(system, [*q, *hidden])
-    over_hidden = HiddenIntegral(laws[len(q) :], source.temperature, float(source.nodes[-1]))
+    over_hidden = HiddenIntegral(
+        laws[len(q) :], source.temperature, float(source.solution.nodes[-1])
+    )
     order = system.n - 0.5 * (len(p) + len(laws))
     # det K of the masses integrated out exactly is det K over det K_red, a product each.
     log_factor = order * np.log(2.0 * pi) + 0.5 * (
@@ -85,6 +95,8 @@ def _marginal(source: EnergyDensity, observable: Observable) -> Callable[..., Ar
         + np.sum(np.log([law.precision for law in laws]))
         - np.sum(np.log(system.stiffness))
     )
+    # u is in the unit of T of the process.
+    log_factor -= log_linear_states(system, source.solution.process.energy_scale)
 
     def marginal(*x: Array, part: Part = "value", points: int = RULES[len(hidden)][1]) -> Array:
         arrays = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in x))
@@ -114,31 +126,10 @@ def _marginal(source: EnergyDensity, observable: Observable) -> Callable[..., Ar
     return marginal
 
 
-def _energy_density(source: EnergyDensity, observable: Observable, tol: float) -> Density:
-    # p falls beyond the last node, where some solvers drop it: its value there bounds the loss.
-    last = source.nodes[-1]
-    dropped = source.energy_pdf(np.array([last * (1.0 - 1e-9)]))[0]
-
-    def pointwise(energy: Array) -> Array:
-        energy = np.asarray(energy)
-        error = np.exp(source.log_states(energy)) * source.u_error(energy)
-        error = np.where((energy > last) & (source.u(energy) == 0.0), dropped, error)
-        # T is evaluated at the points themselves: at a contact energy it may be worse than on the
-        # mesh, where the solver estimated the error of u.
-        error = error + source.states_error(energy)
-        return np.where(energy >= 0.0, error, 0.0)
-
-    # Without clearance T is a series in H^(1/4) at H = 0, which one panel does not integrate.
-    touching = [H for H in energy_shell(source.system).contact_energies if H == 0.0]
-    return certified_density(
-        observable,
-        (with_layers(source.nodes, tuple(touching), count=DEEP_LAYERS),),
-        source.energy_pdf,
-        pointwise,
-        measured=source.measured,
-        tol=tol,
-        added_error=source.states_error if source.closed else None,
-    )
+def _states_error(system: System, energy: Array) -> Array:
+    """Relative error of T at energies of any shape."""
+    positive = np.maximum(energy, np.finfo(float).tiny)
+    return shell_ratios(system, positive.ravel()).error.reshape(positive.shape)
 
 
 def displacement_panels(system: System, mass: int, *, temperature: float, end: float) -> Array:

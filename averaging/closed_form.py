@@ -1,16 +1,15 @@
 """Closed forms p = C T exp(−∫h dH) for damping that depends on the energy only, (7), (29), (34)."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from averaging.energy_density import EnergyDensity, Part
 from averaging.energy_process import damping_and_noise, energy_process
 from averaging.hidden import RULES, gibbs_integral
-from averaging.weyl import log_unit_of_states, tabulated
+from averaging.shell.ratios import log_linear_states
+from averaging.weyl import StateDensity, gibbs_density, tabulated
 from averaging.zero_flux import ZeroFluxDensity, flux_residual
 from fpk.certificate import Measured
 from fpk.errors import NotApplicable
@@ -84,27 +83,26 @@ def _round_off(exponent: Array, energy: Array) -> Array:
 
 def energy_closed_form(
     system: System, rate: Array, *, residual: float | None = None
-) -> EnergyDensity:
-    """Return u = C exp(−∫_0^H h dH) of the full state, h(H) = Σ rate_e H^e, Eqs. (7), (22), (29).
+) -> ZeroFluxDensity:
+    """Return p(H) = C T exp(−∫_0^H h dH), h(H) = Σ rate_e H^e, of ``system``, Eqs. (7), (22), (29).
 
-    With a constant h the norm is the configuration integral and Weyl integrals are elementary;
-    otherwise the norm is an integral over the shells and Weyl integrals are tabulated, twice.
+    With a constant h the norm is the configuration integral, otherwise an integral over the shells.
     """
-    process = energy_process(system)
+    process, norm = energy_process(system), None
+    if rate.size == 1:
+        log_norm, error = log_gibbs_norm(system, float(rate[0]))
+        norm = log_norm + float(log_linear_states(system, process.energy_scale)), error
+    return closed_form(process, rate, norm=norm, residual=residual)
+
+
+def state_closed_form(
+    system: System, rate: Array, *, residual: float | None = None
+) -> StateDensity:
+    """Return the density of the full state that ``energy_closed_form`` belongs to."""
+    solution = energy_closed_form(system, rate, residual=residual)
     if rate.size > 1:
-        p = closed_form(process, rate, residual=residual)
-        return tabulated(system, process, p.nodes, p, closed=True)
-    unit = log_unit_of_states(system, process)
-    alpha = float(rate[0])
-    log_norm, error = log_gibbs_norm(system, alpha)
-    p = closed_form(process, rate, norm=(log_norm + unit, error), residual=residual)
-
-    def weyl(order: float, energy: Array, part: Part = "value") -> Array:
-        factor = {"value": 1.0, "error": p.relative_error(energy), "table": 0.0}[part]
-        return np.asarray(factor * np.exp(log_norm - order * np.log(alpha) - alpha * energy))
-
-    of_u, of_error = partial(weyl, 0.0), partial(weyl, 0.0, part="error")
-    return EnergyDensity(system, p.nodes, 1.0 / alpha, of_u, of_error, weyl, p.measured, True, True)
+        return tabulated(system, solution, closed=True)
+    return gibbs_density(system, solution, float(rate[0]))
 
 
 def log_gibbs_norm(system: System, alpha: float) -> tuple[float, float]:
@@ -146,7 +144,7 @@ def averaged_rate(system: System) -> Array:
     return rate / noise
 
 
-def averaged_density(system: System) -> EnergyDensity:
+def averaged_density(system: System) -> ZeroFluxDensity:
     """Return p(H) = C T(H) exp(−∫α dH): (29) for any n and masses and for c(H).
 
     The printed (29) holds for two unit masses.

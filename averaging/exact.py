@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from averaging.back_transformation import back_transformed
-from averaging.closed_form import energy_closed_form
+from averaging.closed_form import state_closed_form
 from averaging.energy_process import energy_process
 from averaging.nonintegrable import energy_only_refusal
 from fpk.errors import NotApplicable
@@ -101,7 +101,7 @@ class Exact(Method):
             # u solves the full equation where (8) holds: what is left of (8) is the residual.
             constant, D = _by_energy(system)[0], h[0] * system.noise_matrix
             left = float(np.max(np.abs(constant - D)) / np.max(np.abs(D)))
-            source = energy_closed_form(system, h, residual=None if h.size > 1 else left)
+            source = state_closed_form(system, h, residual=None if h.size > 1 else left)
             densities = tuple(back_transformed(source, o, tol=self.tol) for o in observables)
             return Result(self, densities, settings=settings)
 

@@ -6,11 +6,10 @@ from functools import partial
 from typing import Literal, Self, get_args
 
 from averaging.back_transformation import back_transformed
-from averaging.closed_form import averaged_density, averaged_rate
-from averaging.energy_density import EnergyDensity
+from averaging.closed_form import averaged_rate, state_closed_form
 from averaging.energy_process import energy_process
 from averaging.quadrature import solve_by_quadrature
-from averaging.weyl import Solution, tabulated
+from averaging.weyl import StateDensity, tabulated
 from fpk.line.elements import Form
 from fpk.line.stationary import solve_stationary
 from fpk.method import Method, Plan, Progress, Result, check_solver
@@ -53,7 +52,7 @@ class NonIntegrable(Method):
             averaged_rate(system)
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
-            source, settings = self._energy_density(system)
+            source, settings = self._state_density(system)
             densities = tuple(back_transformed(source, o, tol=self.tol) for o in observables)
             return Result(self, densities, settings=settings)
 
@@ -63,19 +62,16 @@ class NonIntegrable(Method):
         """Return the method with a tolerance ten times smaller, down to 1e-12."""
         return replace(self, tol=max(0.1 * self.tol, 1e-12))
 
-    def _energy_density(self, system: System) -> tuple[EnergyDensity, Settings]:
-        process = energy_process(system)
+    def _state_density(self, system: System) -> tuple[StateDensity, Settings]:
         if self.solver == "closed-form":
-            return averaged_density(system), {"equation": "(29)"}
-        solution: Solution
-        settings: Settings = {"equation": "(11)"}
+            return state_closed_form(system, averaged_rate(system)), {"equation": "(29)"}
+        process = energy_process(system)
         if self.solver == "quadrature":
-            solution = solve_by_quadrature(process, tol=self.tol)
-            panels = solution.nodes
-            settings["panels"] = panels.size - 1
+            by_quadrature = solve_by_quadrature(process, tol=self.tol)
+            settings: Settings = {"equation": "(11)", "panels": by_quadrature.nodes.size - 1}
+            source = tabulated(system, by_quadrature)
         else:
             solution = solve_stationary(process, tol=self.tol, form=self.form)
-            panels = solution.panels
             settings = {
                 "equation": "FPK of (24)",
                 "form": self.form,
@@ -83,8 +79,9 @@ class NonIntegrable(Method):
                 "elements": solution.nodes.size - 1,
                 "unknowns": solution.unknowns,
             }
-        settings |= {"last energy": float(solution.nodes[-1]), "tol": self.tol}
-        return tabulated(system, process, panels, solution), settings
+            source = tabulated(system, solution)
+        settings |= {"last energy": float(source.solution.nodes[-1]), "tol": self.tol}
+        return source, settings
 
 
 def energy_only_refusal(system: System, observable: Observable) -> str | None:

@@ -1,20 +1,19 @@
-"""Densities u(H) that are known between nodes, and their Weyl integrals."""
+"""Densities u(H) of the full state, behind those of the energy, and their Weyl integrals."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from math import gamma
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincc
 
-from averaging.energy_density import EnergyDensity, Part
-from averaging.shell.ratios import log_linear_states
 from averaging.zero_flux import ZeroFluxDensity
 from fpk.line.stationary import StationarySolution
 from fpk.piecewise import Piecewise, interpolated
 from fpk.probe import probed
-from fpk.process import Process
 from fpk.quadrature import gauss_legendre, panel_rule
 from fpk.system import System
 
@@ -22,6 +21,7 @@ Array = NDArray[np.float64]
 Function = Callable[[Array], Array]
 Solution = StationarySolution | ZeroFluxDensity
 """Density of the energy by a solver: p = T u, T in the unit in which the process gives it."""
+Part = Literal["value", "error", "table"]
 
 POINTS = (14, 18)
 """Gauss points per element of a table and of its integrals, and of the finer table: the
@@ -33,15 +33,39 @@ MOST_NODES = 100
 """Nodes up to which a mesh is halved once more: with 14 points an element, error falls by 2^-14."""
 
 
-def log_unit_of_states(system: System, process: Process) -> float:
-    """Return ln of T over what the process gives for it, T of the chain at its energy scale."""
-    return float(log_linear_states(system, np.array([process.energy_scale]))[0])
+@dataclass(frozen=True, eq=False)
+class StateDensity:
+    """Stationary density of the full state, ρ(q, p) = u(H(q, p)), p(H) = T u, Eqs. (22), (30).
+
+    ``solution`` gives p and u, in the unit of T of its process. ``weyl(ν, E, part)`` is
+    Ψ_ν(E) = ∫_0^∞ u(E + x) x^(ν−1)/Γ(ν) dx, what is left of u where 2ν quadratic coordinates are
+    integrated out, a factor (2π)^ν/√det aside; ``part`` is "value" when left out, "error" what the
+    error of u leaves in it, and "table" the error of interpolating it. ``temperature`` is an energy
+    over which u falls by about 1/e. Integrating out increases no L1 distance: the L1 error of p
+    holds for all marginals but for that of the tables and of quadrature. ``closed`` says that u is
+    a closed form, whose error is not that of T; ``gibbs`` that it is C exp(−H/temperature).
+    """
+
+    system: System
+    solution: Solution
+    weyl: Callable[..., Array]
+    temperature: float
+    closed: bool = False
+    gibbs: bool = False
 
 
-def tabulated(
-    system: System, process: Process, nodes: Array, solution: Solution, *, closed: bool = False
-) -> EnergyDensity:
-    """Return the density whose u and error of u are smooth between ``nodes``.
+def gibbs_density(system: System, solution: ZeroFluxDensity, alpha: float) -> StateDensity:
+    """Return the density u = C exp(−αH), whose Weyl integrals are Ψ_ν = u/α^ν."""
+
+    def weyl(order: float, energy: Array, part: Part = "value") -> Array:
+        factor = {"value": 1.0, "error": solution.relative_error(energy), "table": 0.0}[part]
+        return np.asarray(factor * np.exp(solution.log_u(energy) - order * np.log(alpha)))
+
+    return StateDensity(system, solution, weyl, 1.0 / alpha, closed=True, gibbs=True)
+
+
+def tabulated(system: System, solution: Solution, *, closed: bool = False) -> StateDensity:
+    """Return the density whose u and error of u are smooth between the panels of ``solution``.
 
     Weyl integrals are tabulated twice: the finer table is the answer, the largest distance to the
     other one in each element its error (the distance itself has zeros where the error has none).
@@ -49,14 +73,8 @@ def tabulated(
     has elements half as long, too, and the error gains all that u was continued by beyond the last
     node, where it falls ever faster.
     """
-    unit = np.exp(-log_unit_of_states(system, process))
-
-    def u(energy: Array) -> Array:
-        return np.asarray(unit * solution.phase_space_density(energy))
-
-    def u_error(energy: Array) -> Array:
-        return np.asarray(unit * solution.phase_space_error(energy))
-
+    process, nodes = solution.process, solution.panels
+    u, u_error = solution.phase_space_density, solution.phase_space_error
     varying = process.state_damping
     coarse = halved(nodes) if varying and nodes.size < MOST_NODES else nodes
     fine = halved(coarse) if varying else nodes
@@ -99,7 +117,7 @@ def tabulated(
     if varying:
         # u need not fall from H = 0, and may change much faster than over the scale of the energy.
         temperature = min(temperature, probed(process).e_fold(float(nodes[-1])))
-    return EnergyDensity(system, nodes, temperature, u, u_error, weyl, solution.measured, closed)
+    return StateDensity(system, solution, weyl, temperature, closed)
 
 
 def halved(nodes: Array) -> Array:

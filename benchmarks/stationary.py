@@ -74,7 +74,7 @@ def l1_error(density: Callable[[Array], Array], system: System, nodes: Array) ->
     """Return ∫|p − p_(29)| over the panels of both."""
     reference = averaged_density(system)
     x, w = panel_rule(np.unique(np.concatenate([nodes, reference.nodes])), 24)
-    return float(np.sum(w * np.abs(density(x) - reference.energy_pdf(x))))
+    return float(np.sum(w * np.abs(density(x) - reference.density(x))))
 
 
 def rows(tol: float) -> list[list[str]]:

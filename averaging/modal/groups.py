@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from averaging.closed_form import closed_form
+from averaging.energy_density import density_of_energies
 from averaging.modal.analysis import ModalAnalysis
 from averaging.quadrature import solve_by_quadrature
 from averaging.zero_flux import ZeroFluxDensity
 from fpk.certificate import Measured
-from fpk.density import Density, certified_density
+from fpk.density import Density
 from fpk.line.stationary import StationarySolution, solve_stationary
 from fpk.observable import Coordinate
 from fpk.plane.solution import PlaneSolution
@@ -52,27 +53,14 @@ def solved_group(
         p = closed_form(process, modes.averaged.powers(*group) / modes.noise[group])
     else:
         p = (solve_stationary if solver == "fem" else solve_by_quadrature)(process, tol=share)
-    panels = p.nodes if isinstance(p.nodes, tuple) else (p.nodes,)
 
     def of_modes(*energies: Array) -> Array:
         reach = sum(1.0 + H / scale for H, scale in zip(energies, theta, strict=True))
-        return np.asarray(modes.relative_error * reach * np.abs(p.density(*energies)))
+        return np.asarray(modes.relative_error * reach)
 
-    def pointwise(*energies: Array) -> Array:
-        # Beyond the last energy, where p is 0, the error is what was dropped: less than at the end.
-        within = [np.minimum(H, x[-1]) for H, x in zip(energies, panels, strict=True)]
-        dropped = np.abs(p.density(*within) - p.density(*energies))
-        return np.asarray(np.abs(p.pointwise_error(*energies)) + of_modes(*energies) + dropped)
-
-    return certified_density(
-        tuple(Coordinate("H", m) for m in group),
-        panels,
-        p.density,
-        pointwise,
-        measured=p.measured,
-        tol=tol,
-        added_error=of_modes,
-    )
+    observable = tuple(Coordinate("H", m) for m in group)
+    panels = p.nodes if isinstance(p.nodes, tuple) else (p.nodes,)
+    return density_of_energies(observable, p, panels, of_modes, tol=tol, added=True)
 
 
 def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:

@@ -40,7 +40,7 @@ class ShellRatios(NamedTuple):
     slope_error: Array
 
 
-def log_linear_states(system: System, energy: Array) -> Array:
+def log_linear_states(system: System, energy: Array | float) -> Array:
     """Return ln T_lin(H) of the chain without contacts, (2π)^n √(Π m / det K) H^(n−1)/Γ(n)."""
     n = system.n
     # det K of a chain that is fixed at one end is the product of its springs.

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from vanderpol import Averaged
 
 from averaging.closed_form import averaged_density
-from averaging.energy_density import EnergyDensity
 from averaging.modal.analysis import modal_analysis
+from averaging.zero_flux import ZeroFluxDensity
 from fpk.contact import Contact
 from fpk.process import Process
 from fpk.quadrature import gauss_legendre, panel_rule
@@ -80,21 +80,21 @@ class Line:
         return tuple(part.reshape(np.shape(energy)) for part in found)  # type: ignore[return-value]
 
     @cached_property
-    def closed_form(self) -> EnergyDensity:
+    def closed_form(self) -> ZeroFluxDensity:
         """The closed form (29)."""
         system = self.system
         return averaged_density(system)
 
     def exact(self, points: Array) -> Array:
         """p(H) of (29) at points (1, ...)."""
-        return self.closed_form.energy_pdf(points[0])
+        return self.closed_form.density(points[0])
 
     def tail(self, ends: tuple[float, ...]) -> float:
         """Return the probability beyond ``ends``."""
         nodes = self.closed_form.nodes
         beyond = np.unique([ends[0], *nodes[nodes > ends[0]], max(ends[0], nodes[-1])])
         x, w = panel_rule(beyond, 24)
-        return float(np.sum(w * self.closed_form.energy_pdf(x))) if beyond.size > 1 else 0.0
+        return float(np.sum(w * self.closed_form.density(x))) if beyond.size > 1 else 0.0
 
 
 @dataclass(frozen=True)

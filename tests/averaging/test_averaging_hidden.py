@@ -209,7 +209,7 @@ def test_the_residual_of_a_closed_form_sees_a_wrong_temperature():
     assert right.measured.residual < 1e-13
 
     def wrong(energy):
-        return np.log(right.energy_pdf(energy)) - 1e-9 * energy
+        return np.log(right.density(energy)) - 1e-9 * energy
 
     assert 1e-11 < flux_residual(process, right.nodes, wrong) < 1e-8
 

@@ -157,7 +157,7 @@ def test_units_do_not_matter():
         np.testing.assert_allclose(d.diffusion, c.diffusion * E**2 / t, rtol=1e-10)
         np.testing.assert_allclose(d.divergence, c.divergence * E / t, rtol=1e-10)
         u, v = averaged_density(one), averaged_density(two)
-        np.testing.assert_allclose(v.energy_pdf(E * energy) * E, u.energy_pdf(energy), rtol=1e-10)
+        np.testing.assert_allclose(v.density(E * energy) * E, u.density(energy), rtol=1e-10)
 
 
 def eq_11(process, nodes, sign):
@@ -180,7 +180,7 @@ def test_the_printed_sign_of_eq_11_fails(name):
     process = energy_process(system)
     nodes = process.energy_scale * np.geomspace(1e-3, 10.0, 1500)
     nodes = np.union1d(nodes, process.nonsmooth)
-    reference = averaged_density(system).energy_pdf(nodes)
+    reference = averaged_density(system).density(nodes)
     reference = reference / np.trapezoid(reference, nodes)
     # Gauss panels of 0.6 % width: 1e-12 each, graded to contact by the density of the nodes.
     np.testing.assert_allclose(eq_11(process, nodes, +1.0), reference, rtol=1e-8)
@@ -210,11 +210,12 @@ def test_eq_29_needs_the_masses():
     printed = np.trace(system.damping) / np.trace(system.noise_intensity)
 
     def as_printed(H):
-        return np.exp(reference.log_states(H) - printed * H)
+        log_states = process.coefficients(H.ravel()).log_density_of_states.reshape(H.shape)
+        return np.exp(log_states - printed * H)
 
     norm = integral(as_printed, np.append(reference.nodes, 40.0))
     nodes = np.union1d(reference.nodes, solution.nodes)
-    right = integral(lambda H: abs(solution.density(H) - reference.energy_pdf(H)), nodes)
+    right = integral(lambda H: abs(solution.density(H) - reference.density(H)), nodes)
     wrong = integral(lambda H: abs(solution.density(H) - as_printed(H) / norm), nodes)
     assert right < 1e-10 < 0.1 < wrong
 
@@ -230,7 +231,7 @@ def test_quadrature_of_eq_11_meets_its_estimate(name):
         nodes = np.union1d(solution.nodes, reference.nodes)
         nodes = np.union1d(nodes, nodes[1] * 0.15 ** np.arange(1.0, 13.0))
         error = integral(
-            lambda H, s=solution: abs(np.exp(s.log_density(H)) - reference.energy_pdf(H)), nodes
+            lambda H, s=solution: abs(np.exp(s.log_density(H)) - reference.density(H)), nodes
         )
         assert error <= solution.l1_error + reference.l1_error
         assert solution.l1_error <= max(10.0 * tol, 1e-9)
@@ -243,7 +244,7 @@ def test_the_closed_form_has_mass_one(name):
     density = averaged_density(system)
     low, *cuts = density.nodes
     mass = sum(
-        quad(lambda H: float(density.energy_pdf(np.array(H))), a, b, epsrel=1e-11, epsabs=1e-13)[0]
+        quad(lambda H: float(density.density(np.array(H))), a, b, epsrel=1e-11, epsabs=1e-13)[0]
         for a, b in zip([low, *cuts[:-1]], cuts, strict=True)
     )
     # quad reaches 1e-10 where T starts as a root.

@@ -58,7 +58,7 @@ def averaged(request):
 
 def true_error(solution, reference):
     nodes = refined_nodes(solution.nodes, reference.nodes)
-    return integral(lambda x: np.abs(solution.density(x) - reference.energy_pdf(x)), nodes)
+    return integral(lambda x: np.abs(solution.density(x) - reference.density(x)), nodes)
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -139,7 +139,7 @@ def test_the_pointwise_estimate_covers_the_pointwise_error(averaged, form):
     for tol in TOLERANCES[:3]:
         solution = solve_stationary(process, tol=tol, form=form)
         x = np.linspace(0.0, solution.nodes[-1], 4001)[1:]
-        difference = np.abs(solution.density(x) - reference.energy_pdf(x))
+        difference = np.abs(solution.density(x) - reference.density(x))
         estimate = solution.pointwise_error(x)
         uncovered = difference > estimate
         assert uncovered.mean() <= share
