@@ -38,11 +38,13 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
     if observable[0].kind == "H":
         # Without clearance T is a series in H^(1/4) at H = 0, which one panel does not integrate.
         touching = tuple(H for H in energy_shell(system).contact_energies if H == 0.0)
-        panels = (with_layers(solution.panels, touching, count=DEEP_LAYERS),)
+        nodes = with_layers(solution.panels, touching, count=DEEP_LAYERS)
         # T is evaluated at the points themselves: at a contact energy it may be worse than on the
         # mesh, where the solver estimated the error of u.
         own = partial(_states_error, system)
-        return density_of_energies(observable, solution, panels, own, tol=tol, added=source.closed)
+        return density_of_energies(
+            observable, solution, (nodes,), own, tol=tol, added=source.closed
+        )
     q = tuple(c.index for c in observable if c.kind == "q" and c.index is not None)
     hidden = len(set(system.contact_masses) - set(q))
     marginal = _marginal(source, observable)

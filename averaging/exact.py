@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,10 @@ from averaging.back_transformation import back_transformed
 from averaging.closed_form import state_closed_form
 from averaging.energy_process import energy_process
 from averaging.nonintegrable import energy_only_refusal
+from averaging.theory import Theory
 from fpk.errors import NotApplicable
-from fpk.method import Method, Plan, Progress, Result, check_solver
+from fpk.method import Plan, Progress, Result
 from fpk.observable import Observable
-from fpk.route import ROUTES, Route, register
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -70,7 +70,7 @@ def _by_energy(system: System) -> Array:
 
 
 @dataclass(frozen=True)
-class Exact(Method):
+class Exact(Theory):
     """Exact stationary density C exp(−∫h dH) of the full system, Eqs. (7), (22), (23).
 
     It exists where (8) holds; with constant damping h is a constant, and the normalisation the
@@ -78,16 +78,9 @@ class Exact(Method):
     ``tol`` is the L1 tolerance that the answers are judged by.
     """
 
-    tol: float = 1e-10
-
-    def __post_init__(self) -> None:
-        """Refuse a tolerance that double precision cannot meet."""
-        check_solver("closed-form", ("closed-form",), self.tol)
-
-    @property
-    def route(self) -> Route:
-        """The route that the method follows."""
-        return ROUTES["exact", "closed-form"]
+    theory = "exact"
+    solvers = (("closed-form", "exact", "(7)"),)
+    colour = "#2878b5"
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where (8) does not hold."""
@@ -107,11 +100,5 @@ class Exact(Method):
 
         return Plan(lambda observable: energy_only_refusal(system, observable), solve)
 
-    def refined(self) -> Self:
-        """Return itself: there is nothing to refine."""
-        return self
 
-
-register(
-    Route("exact", "closed-form", "exact", "(7)", "full", False, "#2878b5", make=Exact),
-)
+Exact.register()

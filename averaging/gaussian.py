@@ -1,39 +1,130 @@
-"""The Gaussian stationary density of a system without contacts, exact for any damping and noise."""
+"""Gaussian states: densities of energy, displacements and momenta, and the linear chain's own."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
+from numpy.typing import NDArray
+from scipy.linalg import block_diag, qr, solve_triangular
 
-from averaging.gaussian_state import Gaussian
+from averaging.gamma_sum import gamma_density, gamma_sum
+from averaging.theory import Theory
+from fpk.certificate import Measured
+from fpk.density import Density, certified_density
 from fpk.errors import NotApplicable
-from fpk.linear import LinearCovariance, linear_covariance
-from fpk.method import Method, Plan, Progress, Result, check_solver
+from fpk.linear import linear_covariance
+from fpk.method import Plan, Progress, Result
 from fpk.observable import Observable, observable_name
-from fpk.route import ROUTES, Route, register
 from fpk.system import System
+
+Array = NDArray[np.float64]
+
+REACH = 8.5
+"""Half-width of the support in standard deviations."""
+TAIL = 1.9e-17
+"""Probability of one coordinate beyond ``REACH`` on both sides, erfc(8.5/√2)."""
+WIDTH = 3.0
+"""Largest width of a panel in standard deviations of one coordinate given the other."""
+PANELS = (17, 120)
+"""Least and largest number of panels along an axis; correlations above 0.999 would need more."""
+ENERGY_TAIL = 4e-18
+"""Bound of the probability beyond the last energy of the support."""
+EPS = float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussian:
+    """Gaussian state (q, p) = F ξ, ξ independent standard normal, whose energy is Σ λ_j G_j.
+
+    ``factor`` F (2n, k), so that F Fᵀ is the covariance; nothing of it is lost between strongly
+    correlated coordinates. ``relative_error`` is that of the covariance as a quadratic form.
+    ``scales`` λ_j, known to ``scale_errors``, of independent gamma variables G_j of the ``shape``.
+    ``residual`` is that of the equation which the covariance solves.
+    """
+
+    factor: Array
+    relative_error: float
+    scales: Array
+    shape: float
+    scale_errors: Array
+    residual: float
+
+    def density(self, observable: Observable, *, tol: float) -> Density:
+        """Return the density of the energy H, or of one or two of (q, p)."""
+        if observable[0].kind == "H":
+            return self._energy_density(observable, tol)
+        count = len(observable)
+        rows = self.factor[state_rows(observable, self.factor.shape[0] // 2)]
+        scale = np.linalg.norm(rows, axis=1)
+        # x/scale = L y with independent standard y: L of the rows' QR.
+        L = np.asarray(qr((rows / scale[:, None]).T, mode="r")[0][:count].T)
+        # Round-off of the rows counts by the condition of L.
+        relative = self.relative_error + 8.0 * EPS * rows.shape[1] * float(np.linalg.cond(L))
+        height = (2.0 * np.pi) ** (-0.5 * count) / abs(float(np.prod(np.diag(L)) * np.prod(scale)))
+        width = WIDTH * float(np.min(np.abs(np.diag(L))))
+        panels = int(np.clip(np.ceil(2.0 * REACH / width), *PANELS))
+
+        def half_square(x: Sequence[Array]) -> Array:
+            z = np.stack(np.broadcast_arrays(*x))
+            y = solve_triangular(L, z.reshape(count, -1) / scale[:, None], lower=True)
+            return np.asarray(0.5 * np.sum(y * y, axis=0).reshape(z.shape[1:]))
+
+        def pointwise(*x: Array) -> Array:
+            # d ln p = ½ yᵀ E y − ½ tr E, where E = L⁻¹ dR L⁻ᵀ is at most ``relative`` in norm.
+            exponent = half_square(x)
+            return np.asarray(relative * (exponent + 0.5 * count) * height * np.exp(-exponent))
+
+        tail = TAIL * count
+        return certified_density(
+            observable,
+            tuple(np.linspace(-REACH * s, REACH * s, panels + 1) for s in scale),
+            lambda *x: height * np.exp(-half_square(x)),
+            pointwise,
+            measured=Measured(count * relative + tail, np.nan, np.inf, self.residual, tail),
+            tol=tol,
+            # The mass is measured at x = scale L y, where no correlation makes a ridge.
+            frame=(scale[:, None] * L, (np.linspace(-REACH, REACH, PANELS[0] + 1),) * count),
+        )
+
+    def _energy_density(self, observable: Observable, tol: float) -> Density:
+        largest = float(np.max(self.scales))
+        # Chernoff's bound at s = 7/8 of the least rate: P(X > E) <= e^(−sE) Π (1 − s λ_j)^−shape.
+        s = 0.875 / largest
+        end = float(-np.log(ENERGY_TAIL) - self.shape * np.sum(np.log1p(-s * self.scales))) / s
+        nodes, least = [0.0], max(float(np.min(self.scales)), EPS * end)
+        while nodes[-1] < end:
+            nodes.append(nodes[-1] + min(max(2.0 * least, nodes[-1] / 3.0), 2.0 * largest))
+
+        def error(energy: Array) -> Array:
+            return gamma_sum(self.scales, self.shape, self.scale_errors, energy)[1]
+
+        return certified_density(
+            observable,
+            (np.array([*nodes[:-1], end]),),
+            lambda energy: gamma_density(self.scales, self.shape, energy),
+            error,
+            measured=Measured(ENERGY_TAIL, np.nan, np.inf, self.residual, ENERGY_TAIL),
+            tol=tol,
+            added_error=error,
+        )
+
+
+def state_rows(observable: Observable, n: int) -> list[int]:
+    """Return where the coordinates of ``observable`` stand in (q, p) of n masses."""
+    return [(c.index or 0) + (n if c.kind == "p" else 0) for c in observable]
 
 
 @dataclass(frozen=True)
-class Linear(Method):
+class Linear(Theory):
     """Gaussian density with the covariance of the Lyapunov equation, for a scene without contact.
 
     It is the exact stationary density of the full linear system; averaging does not reproduce it
-    unless (8) holds, and the difference is the averaging error. ``tol`` is the L1 tolerance.
+    unless (8) holds, and the difference is the averaging error.
     """
 
-    tol: float = 1e-10
-
-    def __post_init__(self) -> None:
-        """Refuse a tolerance that double precision cannot meet."""
-        check_solver(self.solver, (self.solver,), self.tol)
-
-    @property
-    def route(self) -> Route:
-        """The route that the method follows."""
-        return ROUTES["linear", "closed-form"]
+    theory = "linear"
+    solvers = (("closed-form", "Gaussian, exact without contact", "(6)"),)
+    colour = "#5b8def"
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it is not Gaussian."""
@@ -53,29 +144,21 @@ class Linear(Method):
             return None
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
-            gaussian = _stationary(system, modes)
+            variance = np.maximum(modes.variance, 0.0)
+            # H = ½ |x|² of x = (ω Q, P).
+            to_state = block_diag(modes.shapes / modes.omega, system.mass[:, None] * modes.shapes)
+            gaussian = Gaussian(
+                factor=to_state @ modes.axes * np.sqrt(variance),
+                relative_error=modes.relative_error,
+                scales=variance,
+                shape=0.5,
+                scale_errors=modes.variance_error,
+                residual=modes.residual,
+            )
             densities = tuple(gaussian.density(o, tol=self.tol) for o in observables)
             return Result(self, densities, settings={"equation": "Lyapunov"})
 
         return Plan(refusal, solve)
 
-    def refined(self) -> Self:
-        """Return the method with a tolerance ten times smaller, down to 1e-12."""
-        return replace(self, tol=max(0.1 * self.tol, 1e-12))
 
-
-def _stationary(system: System, modes: LinearCovariance) -> Gaussian:
-    to_state = block_diag(modes.shapes / modes.omega, system.mass[:, None] * modes.shapes)
-    return Gaussian(
-        factor=to_state @ modes.axes * np.sqrt(np.maximum(modes.variance, 0.0)),
-        relative_error=modes.relative_error,
-        # H = ½ |x|² of x = (ω Q, P).
-        scales=np.maximum(modes.variance, 0.0),
-        shape=0.5,
-        scale_errors=modes.variance_error,
-        residual=modes.residual,
-    )
-
-
-WORDS = "Gaussian, exact without contact"
-register(Route("linear", "closed-form", WORDS, "(6)", "full", False, "#5b8def", make=Linear))
+Linear.register()

@@ -1,26 +1,24 @@
 """Stochastic averaging of quasi-integrable Hamiltonian systems as a method, sections 5 and 6.3."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import Self, get_args
+from dataclasses import dataclass
 
 import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
-from averaging.modal.groups import Solver, unsolved
+from averaging.modal.groups import unsolved
 from averaging.modal.observables import gaussian_modes, modal_densities
 from averaging.modal.resonance import correlations, nearest_resonance, require_no_resonance
+from averaging.theory import Theory
 from fpk.clearance import CLEARANCE_RULE
 from fpk.errors import NotApplicable
-from fpk.method import Method, Plan, Progress, Result, check_solver
+from fpk.method import Plan, Progress, Result
 from fpk.observable import Observable, observable_name
-from fpk.route import ROUTES, Route, register
 from fpk.system import System
 
 
 @dataclass(frozen=True)
-class Integrable(Method):
+class Integrable(Theory):
     """Averaged modal energies (17), (33), their stationary density (34) and (35), (36).
 
     Contacts are left out: ``neglected`` says so, with the rule clearance > 2 rms of section 6.3
@@ -35,17 +33,14 @@ class Integrable(Method):
     observable: displacements and momenta by the characteristic function of the energies.
     """
 
-    solver: Solver = "closed-form"
-    tol: float = 1e-10
-
-    def __post_init__(self) -> None:
-        """Refuse an unknown solver, or a tolerance that double precision cannot meet."""
-        check_solver(self.solver, get_args(Solver), self.tol)
-
-    @property
-    def route(self) -> Route:
-        """The route that the method follows."""
-        return ROUTES["integrable", self.solver]
+    theory = "integrable"
+    solvers = (
+        ("closed-form", "modal averaging, closed form", "(34)"),
+        ("fem", "modal averaging, finite elements", "(19)"),
+        ("quadrature", "modal averaging, quadrature", "(11)"),
+    )
+    solves = "averaged"
+    colour = "#2a9d6f"
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
@@ -71,10 +66,6 @@ class Integrable(Method):
 
         return Plan(lambda observable: self._refusal(observable, modes), solve)
 
-    def refined(self) -> Self:
-        """Return the method with a tolerance ten times smaller, down to 1e-12."""
-        return replace(self, tol=max(0.1 * self.tol, 1e-12))
-
     def _refusal(self, observable: Observable, modes: ModalAnalysis) -> str | None:
         """Why the solver does not give this observable."""
         name, kinds = observable_name(observable), [c.kind for c in observable]
@@ -99,10 +90,4 @@ def _contacts_left_out(system: System, modes: ModalAnalysis) -> str:
     )
 
 
-for _solver, _words, _equation in (
-    ("closed-form", "modal averaging, closed form", "(34)"),
-    ("fem", "modal averaging, finite elements", "(19)"),
-    ("quadrature", "modal averaging, quadrature", "(11)"),
-):
-    _make = partial(Integrable, solver=_solver)  # type: ignore[arg-type]
-    register(Route("integrable", _solver, _words, _equation, "averaged", False, "#2a9d6f", _make))
+Integrable.register()

@@ -1,28 +1,25 @@
 """Stochastic averaging of quasi-non-integrable Hamiltonian systems as a method, section 4."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import Literal, Self, get_args
+from dataclasses import dataclass
 
 from averaging.back_transformation import back_transformed
 from averaging.closed_form import averaged_rate, state_closed_form
 from averaging.energy_process import energy_process
 from averaging.quadrature import solve_by_quadrature
+from averaging.theory import Theory
 from averaging.weyl import StateDensity, tabulated
 from fpk.line.elements import Form
 from fpk.line.stationary import solve_stationary
-from fpk.method import Method, Plan, Progress, Result, check_solver
+from fpk.method import Plan, Progress, Result
 from fpk.observable import Observable, observable_name
-from fpk.route import ROUTES, Route, register
 from fpk.system import System
 
-Solver = Literal["fem", "quadrature", "closed-form"]
 Settings = dict[str, str | float | int]
 
 
 @dataclass(frozen=True)
-class NonIntegrable(Method):
+class NonIntegrable(Theory):
     """Averaged energy process (24)-(28), its stationary density and what follows from it, (30).
 
     ``solver``: "fem" solves the FPK equation of the process by finite elements, in the given
@@ -32,18 +29,16 @@ class NonIntegrable(Method):
     contacts matter.
     """
 
-    solver: Solver = "fem"
+    solver: str = "fem"
     form: Form = "flux"
-    tol: float = 1e-10
-
-    def __post_init__(self) -> None:
-        """Refuse an unknown solver, or a tolerance that double precision cannot meet."""
-        check_solver(self.solver, get_args(Solver), self.tol)
-
-    @property
-    def route(self) -> Route:
-        """The route that the method follows."""
-        return ROUTES["nonintegrable", self.solver]
+    theory = "nonintegrable"
+    solvers = (
+        ("fem", "energy averaging, finite elements", "(24)"),
+        ("closed-form", "energy averaging, closed form", "(29)"),
+        ("quadrature", "energy averaging, quadrature", "(11)"),
+    )
+    solves = "averaged"
+    colour = "#d1603d"
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
@@ -57,10 +52,6 @@ class NonIntegrable(Method):
             return Result(self, densities, settings=settings)
 
         return Plan(lambda observable: energy_only_refusal(system, observable), solve)
-
-    def refined(self) -> Self:
-        """Return the method with a tolerance ten times smaller, down to 1e-12."""
-        return replace(self, tol=max(0.1 * self.tol, 1e-12))
 
     def _state_density(self, system: System) -> tuple[StateDensity, Settings]:
         if self.solver == "closed-form":
@@ -102,20 +93,4 @@ def energy_only_refusal(system: System, observable: Observable) -> str | None:
     return None
 
 
-for _solver, _words, _equation in (
-    ("fem", "energy averaging, finite elements", "(24)"),
-    ("closed-form", "energy averaging, closed form", "(29)"),
-    ("quadrature", "energy averaging, quadrature", "(11)"),
-):
-    register(
-        Route(
-            "nonintegrable",
-            _solver,
-            _words,
-            _equation,
-            "averaged",
-            False,
-            "#d1603d",
-            make=partial(NonIntegrable, solver=_solver),  # type: ignore[arg-type]
-        )
-    )
+NonIntegrable.register()

@@ -7,7 +7,7 @@ from time import perf_counter
 from typing import Self
 
 from fpk.density import AnyDensity, Density
-from fpk.errors import InvalidInput, NotApplicable
+from fpk.errors import NotApplicable
 from fpk.observable import Observable
 from fpk.route import Route
 from fpk.system import System
@@ -160,11 +160,3 @@ def solved(
         for d in result.densities
     )
     return replace(result, densities=densities, seconds=perf_counter() - start)
-
-
-def check_solver(solver: str, known: Sequence[str], tol: float) -> None:
-    """Raise ``InvalidInput`` for an unknown solver or a tolerance outside 1e-12 to 0.1."""
-    if solver not in known:
-        raise InvalidInput("solver", solver, f"use one of {sorted(known)}")
-    if not 1e-12 <= tol <= 0.1:
-        raise InvalidInput("tol", tol, "must lie between 1e-12 and 0.1")

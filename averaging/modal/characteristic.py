@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j0
 
-from averaging.gaussian_state import state_rows
+from averaging.gaussian import state_rows
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.groups import POINTS, joined
 from fpk.density import Density, certified_density, moment

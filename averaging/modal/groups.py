@@ -1,7 +1,6 @@
 """Densities of the energies of one mode, or of two that damping couples, Eqs. (11), (19), (34)."""
 
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +19,12 @@ from fpk.plane.stationary import solve_plane
 
 Array = NDArray[np.float64]
 Group = tuple[int, ...]
-Solver = Literal["closed-form", "fem", "quadrature"]
 
 POINTS = 24
 """Gauss points per panel where an energy is integrated out: over three e-folds they miss 1e-30."""
 
 
-def unsolved(modes: ModalAnalysis, solver: Solver) -> str | None:
+def unsolved(modes: ModalAnalysis, solver: str) -> str | None:
     """Return why the energies of the modes cannot be solved for, or None where they can."""
     largest = max(modes.averaged.groups, key=len)
     names = " and ".join(f"H{m + 1}" for m in largest)
@@ -38,7 +36,7 @@ def unsolved(modes: ModalAnalysis, solver: Solver) -> str | None:
 
 
 def solved_group(
-    modes: ModalAnalysis, group: Group, solver: Solver, *, share: float, tol: float
+    modes: ModalAnalysis, group: Group, solver: str, *, share: float, tol: float
 ) -> Density:
     """Return the density of the energies of one or two modes on which no other acts.
 

@@ -6,10 +6,10 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from averaging.gaussian_state import Gaussian
+from averaging.gaussian import Gaussian
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
-from averaging.modal.groups import POINTS, Group, Solver, joined, solved_group
+from averaging.modal.groups import POINTS, Group, joined, solved_group
 from averaging.modal.total import total_energy
 from averaging.zero_flux import flux_residual
 from fpk.density import Density, certified_density
@@ -28,7 +28,7 @@ the error."""
 
 
 def modal_densities(
-    modes: ModalAnalysis, observables: Sequence[Observable], solver: Solver, *, tol: float
+    modes: ModalAnalysis, observables: Sequence[Observable], solver: str, *, tol: float
 ) -> tuple[Density, ...]:
     """Return the densities of modal energies, their sum, displacements and momenta.
 
@@ -61,7 +61,7 @@ def _energies(observable: Observable) -> bool:
     return all(c.kind == "H" and c.index is not None for c in observable)
 
 
-def _groups_behind(modes: ModalAnalysis, observable: Observable, solver: Solver) -> list[Group]:
+def _groups_behind(modes: ModalAnalysis, observable: Observable, solver: str) -> list[Group]:
     """The groups of modes whose energies an observable depends on, in its own order."""
     groups = modes.averaged.groups
     if not _energies(observable):

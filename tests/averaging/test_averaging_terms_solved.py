@@ -56,7 +56,7 @@ def test_every_route_gives_the_exact_density_where_8_holds(noise, contacts):
     for method in (
         NonIntegrable("closed-form"),
         NonIntegrable("fem"),
-        NonIntegrable("fem", "drift-diffusion"),
+        NonIntegrable("fem", form="drift-diffusion"),
         NonIntegrable("quadrature"),
     ):
         for a, b in zip(exact, densities(method, system, *NAMES), strict=True):

@@ -1,0 +1,54 @@
+"""What the methods by theory share: solvers by name, each a route, and the tolerance they meet."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import ClassVar, Self
+
+from fpk.errors import InvalidInput
+from fpk.method import Method
+from fpk.route import ROUTES, Route, Solves, register
+
+SMALLEST, LARGEST = 1e-12, 0.1
+"""Tolerances that can be asked for: double precision meets none smaller, none larger says much."""
+
+
+@dataclass(frozen=True)
+class Theory(Method):
+    """Method whose answers one of several ``solvers`` gives, to the L1 tolerance ``tol``.
+
+    A subclass names its solvers, the default first: (name, words for legends, equation). Raises
+    ``InvalidInput`` for an unknown solver or a tolerance outside 1e-12 to 0.1.
+    """
+
+    solver: str = "closed-form"
+    tol: float = 1e-10
+    theory: ClassVar[str]
+    solvers: ClassVar[tuple[tuple[str, str, str], ...]]
+    solves: ClassVar[Solves] = "full"
+    colour: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown solver, or a tolerance that cannot be met."""
+        names = sorted(name for name, *_ in self.solvers)
+        if self.solver not in names:
+            raise InvalidInput("solver", self.solver, f"use one of {names}")
+        if not SMALLEST <= self.tol <= LARGEST:
+            raise InvalidInput("tol", self.tol, f"must lie between {SMALLEST:g} and {LARGEST:g}")
+
+    @property
+    def route(self) -> Route:
+        """The route that the method follows."""
+        return ROUTES[self.theory, self.solver]
+
+    def refined(self) -> Self:
+        """Return the method with a tolerance ten times smaller, down to ``SMALLEST``."""
+        return replace(self, tol=max(0.1 * self.tol, SMALLEST))
+
+    @classmethod
+    def register(cls) -> None:
+        """Register a route for each solver."""
+        for solver, words, equation in cls.solvers:
+            make = partial(cls, solver=solver)
+            register(
+                Route(cls.theory, solver, words, equation, cls.solves, False, cls.colour, make)
+            )
