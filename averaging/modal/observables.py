@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from averaging.gaussian import Gaussian
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
-from averaging.modal.groups import POINTS, Group, joined, solved_group
-from averaging.modal.total import total_energy
+from averaging.modal.groups import POINTS, Group, joined, solved_group, total_energy
 from averaging.zero_flux import flux_residual
 from fpk.density import Density, certified_density
 from fpk.observable import Coordinate, Observable

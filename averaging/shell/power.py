@@ -1,8 +1,6 @@
 """Microcanonical average of the power that state-dependent damping takes out, Eq. (10)."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
 from itertools import product
 from math import comb, exp, lgamma, prod
 from typing import NamedTuple
@@ -19,7 +17,7 @@ from fpk.system import System
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-Averages = Callable[[Array], tuple[Array, Array]]
+Power = Callable[[Array], tuple[Array, Array]]
 
 TARGETS = (8e-13, 3e-14)
 """Disagreement of two levels, for n = 1 and more, that ends the refinement for one contact mass:
@@ -43,36 +41,10 @@ class Parts(NamedTuple):
     follow: Array  # (n, c)
 
 
-@dataclass(frozen=True, eq=False)
-class TermPower:
-    """⟨Σ c_ij v_i v_j⟩_H of the damping terms of one system, without the constant matrix.
+def term_power(system: System) -> Power:
+    """Return ⟨Σ c_ij v_i v_j⟩_H of the damping terms alone, Eq. (10) for c_ij(q, v).
 
-    It is Σ_d g_d(H) H^(1 + d/2) over the ``degrees`` d of the terms; below the first contact
-    energy ``begins`` g_d is the constant ``free``. ``size`` bounds the like of Σ|c_ij v_i v_j|.
-    ``integrals`` gives g_d and their errors, both (energies, degrees), above ``begins``.
-    """
-
-    degrees: Array
-    free: Array
-    size: Array
-    begins: float
-    integrals: Averages
-
-    def __call__(self, energy: Array) -> tuple[Array, Array]:
-        """The power and its error at energies > 0 of shape (energies,), in energy/time."""
-        g = np.tile(self.free, (energy.size, 1))
-        error = np.zeros_like(g)
-        touching = np.flatnonzero(energy > self.begins)
-        if touching.size and self.degrees.size:
-            g[touching], error[touching] = self.integrals(energy[touching])
-        error = error + ROUND_OFF * self.size
-        powers = energy[:, None] ** (1.0 + 0.5 * self.degrees)
-        return np.sum(g * powers, axis=1), np.sum(error * powers, axis=1)
-
-
-def term_power(system: System) -> TermPower:
-    """Return the averaged power of the damping terms of ``system``, Eq. (10) for c_ij(q, v).
-
+    What is returned takes energies > 0 (energies,) to the power and its error, in energy/time.
     Momenta and displacements without contact are averaged in closed form; what is left are
     integrals of polynomials over the contact masses, along rays and over directions, refined until
     two rules agree. V and the polynomial look the same at −y where ``EnergyShell.mirror`` holds, as
@@ -81,7 +53,8 @@ def term_power(system: System) -> TermPower:
     return system.fact(_term_power)
 
 
-def _term_power(system: System) -> TermPower:
+def _term_power(system: System) -> Power:
+    """The power is Σ_d g_d(H) H^(1 + d/2) over the degrees d; without contact g_d is constant."""
     shell = energy_shell(system)
     parts = _parts(shell)
     degrees, row = np.unique(parts.degree, return_inverse=True)
@@ -91,11 +64,24 @@ def _term_power(system: System) -> TermPower:
         size[k] += bound
     # What cancels between two terms is their round-off.
     free[np.abs(free) <= ROUND_OFF * size] = 0.0
-    integrals: Averages = partial(_averages, shell, parts)
-    if shell.count > 1 and degrees.size:
-        integrals = _tabulated(integrals, size, shell)
     begins = min(shell.contact_energies, default=np.inf)
-    return TermPower(degrees.astype(float), free, size, begins, integrals)
+
+    def relative(energy: Array) -> Array:
+        g, error = _averages(shell, parts, energy)
+        return np.column_stack([g / size, np.max(error / size, axis=1)])
+
+    integrals = ShellTable(relative, shell) if shell.count > 1 else relative
+
+    def power(energy: Array) -> tuple[Array, Array]:
+        g, error = np.tile(free, (energy.size, 1)), np.zeros((energy.size, 1))
+        touching = np.flatnonzero(energy > begins)
+        if touching.size and degrees.size:
+            values = integrals(energy[touching])
+            g[touching], error[touching] = values[:, :-1] * size, values[:, -1:]
+        powers = energy[:, None] ** (1.0 + 0.5 * degrees)
+        return np.sum(g * powers, axis=1), np.sum((error + ROUND_OFF) * size * powers, axis=1)
+
+    return power
 
 
 def _parts(shell: EnergyShell) -> Parts:
@@ -181,19 +167,3 @@ def _averages(shell: EnergyShell, parts: Parts, energy: Array) -> tuple[Array, A
     states, shifted, most = np.split(sums, [1, 1 + of_degree.shape[1]], axis=1)
     # The errors of shifted (at most 3 of most), of 2 most and of states (g is at most most).
     return (shifted - 2.0 * most) / states, 6.0 * errors.max(axis=1)[:, None] * most / states
-
-
-def _tabulated(direct: Averages, size: Array, shell: EnergyShell) -> Averages:
-    """Piecewise polynomials of g_d/size, for two or more contact masses."""
-
-    def evaluate(energy: Array) -> Array:
-        g, error = direct(energy)
-        return np.column_stack([g / size, np.max(error / size, axis=1)])
-
-    table = ShellTable(evaluate, shell)
-
-    def integrals(energy: Array) -> tuple[Array, Array]:
-        values = table(energy)
-        return values[:, :-1] * size, values[:, -1:] * size
-
-    return integrals

@@ -12,11 +12,10 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from fpk.compiled_laws import compiled_laws, law_files, of_law
-from fpk.compiling import FLAGS, cached_njit, checksum
+from fpk.compiling import cached_njit, checksum, inlined
 from fpk.quadrature import gauss_legendre
 
 Array = NDArray[np.float64]
@@ -30,8 +29,6 @@ NEAR = 0.01
 from the force, as it would cancel: beyond a second stop, and next to the turning point."""
 NEWTON_STEPS = 100
 
-inner = njit(fastmath=FLAGS, error_model="numpy", forceinline=True)
-
 
 class Stops(NamedTuple):
     """One-sided stops of a system: the overlap at y is ``rows @ y − clearance``."""
@@ -44,13 +41,12 @@ class Stops(NamedTuple):
 
 
 class Ray(NamedTuple):
-    """The stops that one ray reaches, by distance, in arrays long enough for all stops."""
+    """The stops that one ray reaches, nearest first, in arrays long enough for all stops."""
 
     at: Array  # distance r at which each is touched
     reach: Array  # overlap gained per length r
-    stiffness: Array
-    exponent: Array
-    law: Integers
+    which: Integers  # its row in ``stops``
+    stops: Stops
 
 
 class Rules(NamedTuple):
@@ -115,18 +111,14 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
         w = a + 1 + V ((c−1)/(r V_r) − V_rr/V_r²) comes from differentiating with V as the
         variable. Returns the checksum of the sources.
         """
-        c = stops.rows.shape[1]
-        a = n - 0.5 * c - 1.0
-        total = stops.clearance.size
-        ray = Ray(
-            np.empty(total), np.empty(total), np.empty(total), np.empty(total), stops.law.copy()
-        )
+        c, total = stops.rows.shape[1], stops.clearance.size
+        ray = Ray(np.empty(total), np.empty(total), np.empty(total, dtype=np.int64), stops)
         first, last = rules.first[rule], rules.first[rule + out.shape[0]]
         w = np.empty((6, last - first))
         work = Work(w[0], w[1], w[2], w[3], w[4], w[5])
         for i in range(energy.size):
             H = energy[i]
-            count = _along(np.sqrt(2.0 * H), directions[i], stops, ray)
+            count = _along(np.sqrt(2.0 * H), directions[i], ray)
             for k in range(count + 1):  # stops engaged
                 start = ray.at[k - 1] if k > 0 else 0.0
                 length = ray.at[k] - start if k < count else np.inf
@@ -139,7 +131,7 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
                 _points(X, min(length, X), k, rules, first, work)
                 _heights(H, start, X, k, ray, work, U, g)
                 if singular:
-                    _lowest_degree(H, start, k, c, a, ray, work, U, g, bend)
+                    _lowest_degree(H, start, k, ray, work, U, g, bend)
                 else:
                     _degrees(H, start, n, c, work)
                 for m in range(out.shape[0]):
@@ -150,10 +142,10 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
     return add_rays
 
 
-@inner
-def _along(span: float, direction: Array, stops: Stops, ray: Ray) -> int:
+@inlined
+def _along(span: float, direction: Array, ray: Ray) -> int:
     """Write the stops that the ray touches within ``span`` to ``ray``; return their number."""
-    count = 0
+    count, stops = 0, ray.stops
     for s in range(stops.clearance.size):
         reach = 0.0
         for j in range(direction.size):
@@ -162,42 +154,50 @@ def _along(span: float, direction: Array, stops: Stops, ray: Ray) -> int:
             continue
         at, k = stops.clearance[s] / reach, count
         while k > 0 and ray.at[k - 1] > at:
-            ray.at[k], ray.reach[k] = ray.at[k - 1], ray.reach[k - 1]
-            ray.stiffness[k], ray.exponent[k] = ray.stiffness[k - 1], ray.exponent[k - 1]
-            ray.law[k] = ray.law[k - 1]
+            ray.at[k], ray.reach[k], ray.which[k] = (
+                ray.at[k - 1],
+                ray.reach[k - 1],
+                ray.which[k - 1],
+            )
             k -= 1
-        ray.at[k], ray.reach[k], ray.stiffness[k] = at, reach, stops.stiffness[s]
-        ray.exponent[k], ray.law[k] = stops.exponent[s], stops.law[s]
+        ray.at[k], ray.reach[k], ray.which[k] = at, reach, s
         count += 1
     return count
 
 
-@inner
+@inlined
+def _of_stop(part: Any, ray: Ray, s: int, overlap: float) -> float:
+    """Energy, force or slope of stop s of the ray, whichever ``part`` of the laws is given."""
+    stops, i = ray.stops, ray.which[s]
+    value: float = stops.stiffness[i] * of_law(part, stops.law[i], overlap, stops.exponent[i])
+    return value
+
+
+@inlined
 def _level(start: float, k: int, ray: Ray, U: Any) -> float:
     """V at the distance ``start`` where k stops are engaged."""
     V: float = 0.5 * start * start
     for s in range(k):
-        overlap = ray.reach[s] * (start - ray.at[s])
-        V += ray.stiffness[s] * of_law(U, ray.law[s], overlap, ray.exponent[s])
+        V += _of_stop(U, ray, s, ray.reach[s] * (start - ray.at[s]))
     return V
 
 
-@inner
-def _gain(low: float, width: float, top: float, law: int, e: float, U: Any, g: Any) -> float:
-    """U(low + width) − U(low) without cancellation, ``top`` being the first of the two.
+@inlined
+def _gain(low: float, width: float, top: float, ray: Ray, s: int, U: Any, g: Any) -> float:
+    """U(low + width) − U(low) of stop s without cancellation, ``top`` being the first of the two.
 
     A small width is that times the mean force, for which three Gauss points are exact.
     """
     if width > NEAR * low:
-        difference: float = top - of_law(U, law, low, e)
+        difference: float = top - _of_stop(U, ray, s, low)
         return difference
     middle, shift = low + 0.5 * width, 0.5 * np.sqrt(0.6) * width
-    ends = of_law(g, law, middle - shift, e) + of_law(g, law, middle + shift, e)
-    mean: float = (5.0 * ends + 8.0 * of_law(g, law, middle, e)) / 18.0
+    ends = _of_stop(g, ray, s, middle - shift) + _of_stop(g, ray, s, middle + shift)
+    mean: float = (5.0 * ends + 8.0 * _of_stop(g, ray, s, middle)) / 18.0
     return width * mean
 
 
-@inner
+@inlined
 def _turning_point(height: float, start: float, k: int, ray: Ray, U: Any, g: Any) -> float:
     """The x > 0 where V has risen by ``height`` from ``start`` on; NaN where the iteration fails.
 
@@ -211,9 +211,8 @@ def _turning_point(height: float, start: float, k: int, ray: Ray, U: Any, g: Any
         rise, steepness = x * (start + 0.5 * x), start + x
         for s in range(k):
             begun, gained = ray.reach[s] * (start - ray.at[s]), ray.reach[s] * x
-            B, e, law = ray.stiffness[s], ray.exponent[s], ray.law[s]
-            rise += B * _gain(begun, gained, of_law(U, law, begun + gained, e), law, e, U, g)
-            steepness += ray.reach[s] * B * of_law(g, law, begun + gained, e)
+            rise += _gain(begun, gained, _of_stop(U, ray, s, begun + gained), ray, s, U, g)
+            steepness += ray.reach[s] * _of_stop(g, ray, s, begun + gained)
         # Where the rise is x^m, x (height/rise)^(1/m) is the root: near it by a Padé approximant.
         ratio, m = height / rise, x * steepness / rise
         if ratio > 0.5:
@@ -229,7 +228,7 @@ def _turning_point(height: float, start: float, k: int, ray: Ray, U: Any, g: Any
     return np.nan
 
 
-@inner
+@inlined
 def _points(X: float, span: float, k: int, rules: Rules, i: int, work: Work) -> None:
     """Write x, what is left to X, and dx at the points from i on, of a panel of length ``span``."""
     x, left, dx = work.x, work.left, work.dx
@@ -255,7 +254,7 @@ def _points(X: float, span: float, k: int, rules: Rules, i: int, work: Work) -> 
             dx[j] = 2.0 * X * end * sine * cosine * rules.weight[i + j]
 
 
-@inner
+@inlined
 def _heights(
     H: float, start: float, X: float, k: int, ray: Ray, work: Work, U: Any, g: Any
 ) -> None:
@@ -265,15 +264,14 @@ def _heights(
         v[j] = left[j] * (start + 0.5 * (X + x[j]))
     for s in range(k):
         reach, begun = ray.reach[s], ray.reach[s] * (start - ray.at[s])
-        B, e, law = ray.stiffness[s], ray.exponent[s], ray.law[s]
-        last = of_law(U, law, begun + reach * X, e)
+        last = _of_stop(U, ray, s, begun + reach * X)
         for j in range(x.size):
-            v[j] += B * _gain(begun + reach * x[j], reach * left[j], last, law, e, U, g)
+            v[j] += _gain(begun + reach * x[j], reach * left[j], last, ray, s, U, g)
     for j in range(x.size):
         v[j] *= 1.0 / H
 
 
-@inner
+@inlined
 def _degrees(H: float, start: float, n: int, c: int, work: Work) -> None:
     """Write v^a r^(c−1) dx and a v^(a−1) r^(c−1) dx for a >= ½, a multiple of ½."""
     v, states, change = work.v, work.states, work.change
@@ -293,40 +291,31 @@ def _degrees(H: float, start: float, n: int, c: int, work: Work) -> None:
         states[j] = change[j] * v[j] / a
 
 
-@inner
+@inlined
 def _lowest_degree(
-    H: float,
-    start: float,
-    k: int,
-    c: int,
-    a: float,
-    ray: Ray,
-    work: Work,
-    U: Any,
-    g: Any,
-    bend: Any,
+    H: float, start: float, k: int, ray: Ray, work: Work, U: Any, g: Any, bend: Any
 ) -> None:
     """Write v^a r^(c−1) dx and w times that for a = −½ (c = 1) and a = 0 (c = 2)."""
+    c = ray.stops.rows.shape[1]
     for j in range(work.x.size):
         r = start + work.x[j]
         # Not H (1 − v), which cancels near rest.
         V, steepness, curvature = 0.5 * r * r, r, 1.0
         for s in range(k):
-            overlap, L = ray.reach[s] * (r - ray.at[s]), ray.reach[s]
-            B, e, law = ray.stiffness[s], ray.exponent[s], ray.law[s]
-            V += B * of_law(U, law, overlap, e)
-            steepness += L * B * of_law(g, law, overlap, e)
-            curvature += L * L * B * of_law(bend, law, overlap, e)
+            reach, overlap = ray.reach[s], ray.reach[s] * (r - ray.at[s])
+            V += _of_stop(U, ray, s, overlap)
+            steepness += reach * _of_stop(g, ray, s, overlap)
+            curvature += reach * reach * _of_stop(bend, ray, s, overlap)
         work.states[j] = work.dx[j]
-        if a < 0.0:
+        if c == 1:
             work.states[j] /= np.sqrt(work.v[j])
         if c == 2:
             work.states[j] *= r / np.sqrt(H)
         bent = (c - 1) / (r * steepness) - curvature / (steepness * steepness)
-        work.change[j] = work.states[j] * (a + 1.0 + V * bent)
+        work.change[j] = work.states[j] * (0.5 * c + V * bent)
 
 
-@inner
+@inlined
 def _add(
     first: int, last: int, start: float, H: float, orders: Integers, work: Work, out: Array
 ) -> None:
