@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from averaging.energy_process import damping_and_noise, energy_process
 from averaging.hidden import RULES, gibbs_integral
 from averaging.shell.ratios import log_linear_states
-from averaging.weyl import StateDensity, gibbs_density, tabulated
+from averaging.weyl import Solution, StateDensity, gibbs_density, tabulated
 from averaging.zero_flux import ZeroFluxDensity, flux_residual
 from fpk.certificate import Measured
 from fpk.errors import NotApplicable
@@ -81,28 +81,21 @@ def _round_off(exponent: Array, energy: Array) -> Array:
     return np.asarray(2.0 * EPS * polynomial.polyval(np.abs(energy), np.abs(exponent)))
 
 
-def energy_closed_form(
-    system: System, rate: Array, *, residual: float | None = None
-) -> ZeroFluxDensity:
-    """Return p(H) = C T exp(−∫_0^H h dH), h(H) = Σ rate_e H^e, of ``system``, Eqs. (7), (22), (29).
-
-    With a constant h the norm is the configuration integral, otherwise an integral over the shells.
-    """
-    process, norm = energy_process(system), None
-    if rate.size == 1:
-        log_norm, error = log_gibbs_norm(system, float(rate[0]))
-        norm = log_norm + float(log_linear_states(system, process.energy_scale)), error
-    return closed_form(process, rate, norm=norm, residual=residual)
-
-
 def state_closed_form(
     system: System, rate: Array, *, residual: float | None = None
 ) -> StateDensity:
-    """Return the density of the full state that ``energy_closed_form`` belongs to."""
-    solution = energy_closed_form(system, rate, residual=residual)
+    """Return u = C exp(−∫_0^H h dH) of the full state, h(H) = Σ rate_e H^e, Eqs. (7), (22), (29).
+
+    With a constant h the norm is the configuration integral, otherwise an integral over the shells.
+    """
+    process = energy_process(system)
     if rate.size > 1:
-        return tabulated(system, solution, closed=True)
-    return gibbs_density(system, solution, float(rate[0]))
+        return tabulated(system, closed_form(process, rate, residual=residual), closed=True)
+    alpha = float(rate[0])
+    log_norm, error = log_gibbs_norm(system, alpha)
+    norm = log_norm + float(log_linear_states(system, process.energy_scale)), error
+    solution = closed_form(process, rate, norm=norm, residual=residual)
+    return gibbs_density(system, solution, alpha)
 
 
 def log_gibbs_norm(system: System, alpha: float) -> tuple[float, float]:
@@ -144,9 +137,9 @@ def averaged_rate(system: System) -> Array:
     return rate / noise
 
 
-def averaged_density(system: System) -> ZeroFluxDensity:
+def averaged_density(system: System) -> Solution:
     """Return p(H) = C T(H) exp(−∫α dH): (29) for any n and masses and for c(H).
 
     The printed (29) holds for two unit masses.
     """
-    return energy_closed_form(system, averaged_rate(system))
+    return state_closed_form(system, averaged_rate(system)).solution

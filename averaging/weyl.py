@@ -28,7 +28,7 @@ POINTS = (14, 18)
 distance between the two is the error of both."""
 COMPARED = (1.0 - 1e-12) * 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 2 * POINTS[1])))
 """Where two tables are compared, in [0, 1) of an element: dense at its ends, where they part."""
-EPS = float(np.finfo(float).eps)
+EPS, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
 MOST_NODES = 100
 """Nodes up to which a mesh is halved once more: with 14 points an element, error falls by 2^-14."""
 
@@ -76,8 +76,8 @@ def tabulated(system: System, solution: Solution, *, closed: bool = False) -> St
     process, nodes = solution.process, solution.panels
     u, u_error = solution.phase_space_density, solution.phase_space_error
     varying = process.state_damping
-    coarse = halved(nodes) if varying and nodes.size < MOST_NODES else nodes
-    fine = halved(coarse) if varying else nodes
+    coarse = _halved(nodes) if varying and nodes.size < MOST_NODES else nodes
+    fine = _halved(coarse) if varying else nodes
     tables = {"coarse": (coarse, u, POINTS[0]), "value": (fine, u, POINTS[1])}
     tables["error"] = (fine, u_error, POINTS[1])
 
@@ -120,51 +120,31 @@ def tabulated(system: System, solution: Solution, *, closed: bool = False) -> St
     return StateDensity(system, solution, weyl, temperature, closed)
 
 
-def halved(nodes: Array) -> Array:
-    """Return the nodes of a mesh with elements half as long."""
-    return np.sort(np.concatenate([nodes, 0.5 * (nodes[1:] + nodes[:-1])]))
-
-
 def weyl_table(order: float, nodes: Array, u: Function, *, points: int = POINTS[1]) -> Piecewise:
     """Return ln Ψ_ν(E), Ψ_ν = ∫_E u(H) (H − E)^(ν−1)/Γ(ν) dH for ν = ``order`` = 0, ½, 1, ...
 
-    Ψ_0 is u, which a solver may be slow to evaluate.
-    Ψ falls exponentially, so its logarithm is what is smooth; it is −∞ beyond the last node. There
-    u, smooth between ``nodes``, is continued exponentially at the rate of the last element: Ψ then
-    keeps its relative accuracy up to that node.
+    Ψ_0 is u. Ψ falls exponentially, so its logarithm is what is smooth; it is −∞ beyond the last
+    node. There u, smooth between ``nodes``, is continued exponentially at the rate of the last
+    element: Ψ then keeps its relative accuracy up to that node.
     """
-    element = np.repeat(np.arange(nodes.size - 1), points)
+    left, right = nodes[:-1, None], nodes[1:, None]
+    x, w = panel_rule(nodes, points)
 
     def log_weyl(energy: Array) -> Array:
         if order == 0.0:
-            total = u(energy)
-        else:
-            total = continued(order, energy, nodes, u)
-            total += _integrals(order, energy, element, nodes, u, points)
-        return np.log(np.maximum(total, np.finfo(float).tiny))
+            return np.log(np.maximum(u(energy), TINY))
+        values, total = w * u(x), np.zeros(energy.size)
+        far = left - energy >= right - left
+        k, i = np.nonzero(~far & (energy < right))
+        near = _near(order, energy[i], nodes[k], nodes[k + 1], u, points)
+        total += np.bincount(i, near, minlength=energy.size)
+        for here, points_of, weighted in zip(far, x, values, strict=True):
+            total[here] += (points_of - energy[here, None]) ** (order - 1.0) @ weighted
+        beyond = continued(order, energy, nodes, u)
+        return np.log(np.maximum(beyond + total / gamma(order), TINY))
 
     coefficients = interpolated(log_weyl, nodes[:-1], nodes[1:], points - 1)
     return Piecewise(nodes, coefficients, outside=-np.inf)
-
-
-def _integrals(
-    order: float,
-    energy: Array,
-    element: NDArray[np.intp],
-    nodes: Array,
-    u: Function,
-    points: int,
-) -> Array:
-    """∫_E^last u(H) (H − E)^(ν−1)/Γ(ν) dH at energies, each in its ``element`` of the mesh."""
-    x, w = panel_rule(nodes, points)
-    values = w * u(x)
-    far = nodes[:-1, None] - energy >= np.diff(nodes)[:, None]
-    k, i = np.nonzero(~far & (element <= np.arange(nodes.size - 1)[:, None]))
-    near = _near(order, energy[i], nodes[k], nodes[k + 1], u, points)
-    total = np.bincount(i, near, minlength=energy.size).astype(float)
-    for here, points_of, weighted in zip(far, x, values, strict=True):
-        total[here] += (points_of - energy[here, None]) ** (order - 1.0) @ weighted
-    return total / gamma(order)
 
 
 def continued(order: float, energy: Array, nodes: Array, u: Function) -> Array:
@@ -195,3 +175,8 @@ def _near(
     s = 0.5 * (low + high) + 0.5 * (high - low) * t
     inner = u(energy[:, None] + s * s) * 2.0 * s ** (2.0 * order - 1.0)
     return np.asarray((0.5 * (high - low) * inner) @ w)
+
+
+def _halved(nodes: Array) -> Array:
+    """The nodes of a mesh with elements half as long."""
+    return np.sort(np.concatenate([nodes, 0.5 * (nodes[1:] + nodes[:-1])]))

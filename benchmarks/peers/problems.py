@@ -18,7 +18,7 @@ from vanderpol import Averaged
 
 from averaging.closed_form import averaged_density
 from averaging.modal.analysis import modal_analysis
-from averaging.zero_flux import ZeroFluxDensity
+from averaging.weyl import Solution
 from fpk.contact import Contact
 from fpk.process import Process
 from fpk.quadrature import gauss_legendre, panel_rule
@@ -80,7 +80,7 @@ class Line:
         return tuple(part.reshape(np.shape(energy)) for part in found)  # type: ignore[return-value]
 
     @cached_property
-    def closed_form(self) -> ZeroFluxDensity:
+    def closed_form(self) -> Solution:
         """The closed form (29)."""
         system = self.system
         return averaged_density(system)
