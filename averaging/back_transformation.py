@@ -15,7 +15,7 @@ from averaging.shell.ratios import log_linear_states, shell_ratios
 from averaging.weyl import Part, StateDensity
 from fpk.density import Density, certified_density
 from fpk.line.mesh import DEEP_LAYERS, with_layers
-from fpk.observable import Observable
+from fpk.observable import Coordinate, Observable
 from fpk.system import System
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
         return density_of_energies(
             observable, solution, (nodes,), own, tol=tol, added=source.closed
         )
-    q = tuple(c.index for c in observable if c.kind == "q" and c.index is not None)
+    q = tuple(c.index or 0 for c in observable if c.kind == "q")
     hidden = len(set(system.contact_masses) - set(q))
     marginal = _marginal(source, observable)
 
@@ -56,23 +56,24 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
             error = error + np.abs(marginal(*x) - marginal(*x, points=RULES[hidden][0]))
         return error
 
-    end = float(solution.nodes[-1])
-    panels = tuple(
-        displacement_panels(system, c.index, temperature=source.temperature, end=end)
-        if c.kind == "q"
-        else _momentum_panels(system.mass[c.index], end, source.temperature)
-        for c in observable
-        if c.index is not None
-    )
+    T, end = source.temperature, float(solution.nodes[-1])
+
+    def panels(c: Coordinate) -> Array:
+        if c.kind == "q":
+            return displacement_panels(system, c.index or 0, temperature=T, end=end)
+        # At the most two thermal momenta each, 16 or more.
+        reach = np.sqrt(2.0 * system.mass[c.index or 0] * end)
+        return np.linspace(-reach, reach, max(16, ceil(np.sqrt(2.0 * end / T))) + 1)
+
     return certified_density(
         observable,
-        panels,
+        tuple(map(panels, observable)),
         marginal,
         lambda *x: marginal(*x, part="error") + added(*x),
         measured=solution.measured,
         tol=tol,
         added_error=added,
-        frame=_ridge(system, q, source.temperature, end) if len(q) == 2 else None,
+        frame=_ridge(system, q, T, end) if len(q) == 2 else None,
     )
 
 
@@ -83,8 +84,7 @@ def _marginal(source: StateDensity, observable: Observable) -> Callable[..., Arr
     of the rule over hidden contact masses. All else is quadratic in H and integrated exactly.
     """
     system = source.system
-    q = [c.index for c in observable if c.kind == "q" and c.index is not None]
-    p = [c.index for c in observable if c.kind == "p" and c.index is not None]
+    q, p = ([c.index or 0 for c in observable if c.kind == kind] for kind in "qp")
     hidden = [i for i in system.contact_masses if i not in q]
     laws = conditionals(system, [*q, *hidden])
     over_hidden = HiddenIntegral(
@@ -102,15 +102,13 @@ def _marginal(source: StateDensity, observable: Observable) -> Callable[..., Arr
 
     def marginal(*x: Array, part: Part = "value", points: int = RULES[len(hidden)][1]) -> Array:
         arrays = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in x))
-        flat: dict[str, list[Array]] = {c.kind: [] for c in observable}
-        for c, a in zip(observable, arrays, strict=True):
-            flat[c.kind].append(a.ravel())
-        Q = np.array(flat.get("q", [])).reshape(len(q), arrays[0].size)
+        at = {c: a.ravel() for c, a in zip(observable, arrays, strict=True)}
+        Q = np.array([at[Coordinate("q", i)] for i in q]).reshape(len(q), arrays[0].size)
         energy = np.zeros(arrays[0].size)
         for k, law in enumerate(laws[: len(q)]):
             energy = energy + law.energy(Q[k], law.weights @ Q[:k])
-        for i, momentum in zip(p, flat.get("p", []), strict=True):
-            energy = energy + momentum**2 / (2.0 * system.mass[i])
+        for i in p:
+            energy = energy + at[Coordinate("p", i)] ** 2 / (2.0 * system.mass[i])
 
         weyl = partial(source.weyl, order)
         if source.gibbs:
@@ -184,10 +182,3 @@ def _ridge(
     along = displacement_panels(system, first.mass, temperature=temperature, end=end)
     frame = np.array([[1.0, 0.0], [second.weights[0], 1.0]])
     return frame[::-1] if swapped else frame, (along, parted)
-
-
-def _momentum_panels(mass: float, end: float, temperature: float) -> Array:
-    """Panels of at the most two thermal momenta, 16 or more."""
-    reach = float(np.sqrt(2.0 * mass * end))
-    panels = max(16, int(np.ceil(np.sqrt(2.0 * end / temperature))))
-    return np.linspace(-reach, reach, panels + 1)

@@ -1,12 +1,12 @@
 """Laws of the displacements of a chain given those of some other masses.
 
-A chain conditioned on some displacements falls apart at them: a mass depends on its neighbours
-among them alone, through the springs in between in series. Its law given those is
-½ a (q − μ)² + U(q), and nothing in a or μ cancels at any ratio of the springs.
+A mass depends on its nearest neighbours among these alone, through the springs in between in
+series: nothing in its law ½ a (q − μ)² + U(q) cancels at any ratio of the springs.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,19 +45,15 @@ class Conditional:
 
 def conditional(system: System, mass: int, given: Sequence[int]) -> Conditional:
     """Return the law of q_mass given the displacements of ``given`` (masses from 0)."""
-    flexibility = 1.0 / system.stiffness
-    weights = np.zeros(len(given))
+    flexibility, weights = 1.0 / system.stiffness, np.zeros(len(given))
     below = max((k for k in given if k < mass), default=-1)
-    left = 1.0 / float(flexibility[below + 1 : mass + 1].sum())
-    precision = left
     above = min((k for k in given if k > mass), default=None)
-    if above is not None:
-        right = 1.0 / float(flexibility[mass + 1 : above + 1].sum())
-        precision = left + right
-        weights[list(given).index(above)] = right / precision
-    if below >= 0:
-        weights[list(given).index(below)] = left / precision
-    return Conditional(system, mass, precision, weights)
+    left = 1.0 / float(flexibility[below + 1 : mass + 1].sum())
+    right = 0.0 if above is None else 1.0 / float(flexibility[mass + 1 : above + 1].sum())
+    for neighbour, stiffness in ((below, left), (above, right)):
+        if neighbour in given:
+            weights[list(given).index(neighbour)] = stiffness / (left + right)
+    return Conditional(system, mass, left + right, weights)
 
 
 def conditionals(system: System, masses: Sequence[int]) -> tuple[Conditional, ...]:
@@ -65,34 +61,26 @@ def conditionals(system: System, masses: Sequence[int]) -> tuple[Conditional, ..
     return tuple(conditional(system, mass, masses[:k]) for k, mass in enumerate(masses))
 
 
-def bridge_covariance(system: System, free: Sequence[int], given: Sequence[int]) -> Array:
-    """Return the covariance at temperature 1 of the displacements of ``free`` masses given others.
+def bridge_covariance(system: System, given: Sequence[int]) -> Array:
+    """Return the covariance (n, n) at temperature 1 of displacements given those of some masses.
 
-    Two masses share what lies between them and their common neighbours among ``given``: with the
-    flexibilities a up to the nearer, b from the farther on and s in all it is a b / s, and a where
-    nothing above is given. Masses with one of ``given`` in between are independent.
+    ``given`` ascends. Masses with one of these in between are independent. Between two of them the
+    chain is a bridge: with the flexibilities a from the lower one up to the nearer of two masses, b
+    from the farther one on and s in all the covariance is a b / s, and a where none is above.
     """
-    flexibility = 1.0 / system.stiffness
-    covariance = np.zeros((len(free), len(free)))
-    for row, i in enumerate(free):
-        for column, j in enumerate(free):
-            low, high = min(i, j), max(i, j)
-            below = max((k for k in given if k < low), default=-1)
-            above = min((k for k in given if k > low), default=None)
-            if above is not None and above < high:
-                continue
-            covariance[row, column] = np.sum(flexibility[below + 1 : low + 1])
-            if above is not None:
-                left, total = flexibility[high + 1 : above + 1], flexibility[below + 1 : above + 1]
-                covariance[row, column] *= np.sum(left) / np.sum(total)
+    flexibility, covariance = 1.0 / system.stiffness, np.zeros((system.n, system.n))
+    for below, above in pairwise([-1, *given, system.n]):
+        a = np.cumsum(flexibility[below + 1 : above])
+        block = np.minimum.outer(a, a)
+        if above < system.n:
+            b = np.cumsum(flexibility[below + 1 : above + 1][::-1])[::-1]  # b[0] is s
+            block = block * np.minimum.outer(b[1:], b[1:]) / b[0]
+        covariance[below + 1 : above, below + 1 : above] = block
     return covariance
 
 
 def overlap_at(stop: Contact, energy: float) -> float:
-    """Return about the overlap of one stop at a contact energy > 0, to place panels by.
-
-    It is exact for a power law; for another one it is off by 1e-5 of itself or so.
-    """
+    """Return the overlap of one stop at a contact energy > 0, to about 1e-5 unless a power law."""
     high = 1.0
     while stop.energy(high) < energy:
         high *= 2.0

@@ -16,11 +16,10 @@ Array = NDArray[np.float64]
 SEARCHED = 4.0 ** np.arange(25)
 """Energies, in units of the one where |damping| would balance the noise, searched for balance."""
 MOST_CONTACT_MASSES = 4
-"""Contact masses over which shells are integrated: the cubature takes 21 points along each of one
-angle less, and rules of fewer points miss where the integrand is without their estimate saying so
-(one did, by half of the norm of three contact masses)."""
+"""Contact masses over which shells are integrated: the cubature takes 21 points along each angle,
+and the error estimate of rules of fewer points is not reliable."""
 MOST_SEARCHED = 2
-"""Contact masses up to which the balance is searched on the shells; one energy of more is dear."""
+"""Contact masses up to which the balance is searched on the shells; more take seconds."""
 
 
 def damping_and_noise(system: System) -> tuple[float, float]:
@@ -103,7 +102,7 @@ def _energy_scale(system: System, damping: float, noise: float) -> float:
 
 
 def _last_balance(system: System, damping: float, noise: float) -> float:
-    """The highest energy at which damping and noise balance, contacts and all, about."""
+    """About the highest energy at which damping and noise balance, with contacts."""
     sizes = np.abs(dissipated_power(system))
     sizes[1] = abs(damping)
     roots = np.roots([*sizes[:0:-1], -noise])

@@ -36,8 +36,7 @@ EPS = float(np.finfo(float).eps)
 class Gaussian:
     """Gaussian state (q, p) = F ξ, ξ independent standard normal, whose energy is Σ λ_j G_j.
 
-    ``factor`` F (2n, k), so that F Fᵀ is the covariance; nothing of it is lost between strongly
-    correlated coordinates. ``relative_error`` is that of the covariance as a quadratic form.
+    ``factor`` F (2n, k): F Fᵀ is the covariance, known to ``relative_error`` as a quadratic form.
     ``scales`` λ_j, known to ``scale_errors``, of independent gamma variables G_j of the ``shape``.
     ``residual`` is that of the equation which the covariance solves.
     """

@@ -117,9 +117,9 @@ def gibbs_integral(
 ) -> tuple[Array, float]:
     """Return ∫exp(−V(hidden | observed)/T) Π √(a_k/2πT) over all contact masses not ``observed``.
 
-    ``at`` (observed, N) are the displacements of the observed masses. On either side of them the
-    hidden ones are a chain; up to two between them are integrated at once. With it comes the error
-    of interpolation, beside which there is that of the rule of ``points``.
+    With it comes the error of interpolation, to which that of the rule of ``points`` adds. ``at``
+    (observed, N) are the displacements of the observed masses. On either side of them the hidden
+    ones are a chain; up to two between them are integrated at once.
     """
     hidden = [i for i in system.contact_masses if i not in observed]
     low, high = min(observed, default=-1), max(observed, default=-1)
@@ -129,9 +129,8 @@ def gibbs_integral(
         (low, [i for i in reversed(hidden) if i < low]),
         (high, [i for i in hidden if i > high]),
     ):
-        order = [first, *others] if observed else others
-        laws = [conditional(system, i, order[max(k - 1, 0) : k]) for k, i in enumerate(order)]
-        laws = laws[len(order) - len(others) :]
+        neighbours = [[first] if observed else [], *([i] for i in others)]
+        laws = [conditional(system, *pair) for pair in zip(others, neighbours, strict=False)]
         x = at[observed.index(first)] if observed else np.zeros(at.shape[1])
         distinct, index = np.unique(x, return_inverse=True)
         part, added = chain_integral(laws, distinct, temperature=temperature, points=points)
@@ -149,13 +148,12 @@ def gibbs_integral(
 def chain_integral(
     laws: Sequence[Conditional], x: Array, *, temperature: float, points: int
 ) -> tuple[Array, float]:
-    """Return ∫exp(−V/T) Π √(a_k/2πT) dq_k over masses of which each hangs on the one before it.
-
-    With it comes the error of interpolation, beside which there is that of the rule of ``points``.
+    """Return ∫exp(−V/T) Π √(a_k/2πT) dq_k over a chain, and its error by interpolation.
 
     ``laws`` are those of each mass given the one before it, ``x`` (N,) displacements of the mass
     that the first one hangs on, if any. One pass from the last mass to the first: the integral over
-    all that lies beyond a mass is a smooth function of its displacement, between 0 and 1.
+    all that lies beyond a mass is a smooth function of its displacement, between 0 and 1. The error
+    of the rule of ``points`` comes on top.
     """
     beyond, error = None, 0.0
     reach = np.cumsum([np.sqrt(2.0 * DEPTH * temperature / law.precision) for law in laws])

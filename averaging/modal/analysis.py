@@ -9,7 +9,6 @@ from scipy.linalg import block_diag
 
 from averaging.modal.damping import NEGLIGIBLE, AveragedDamping, averaged_damping, balanced_energies
 from fpk.ends import require_confined
-from fpk.equivalent import equivalent_temperature
 from fpk.errors import NotApplicable, NotCertified
 from fpk.modes import natural_modes
 from fpk.probe import probed
@@ -70,9 +69,8 @@ class ModalAnalysis:
         ``s_i = d_i − γ_i(H) H_i``, ``b_ii = 2 d_i H_i``, ``b_ij = 0``, Eqs. (17), (33), with
         γ_i = c*_ii where the damping is constant. Corrections: (33) prints s_i without noise and
         mass, b_ii without H_i and with D₂ for D₁ in b₂₂; (18) prints P_i/M_j P_j and a noise term
-        without masses. The density of states is the period, a constant, and H = 0 is the critical
-        case 2 s(0)/b' = 1: an entrance, p(0) finite and positive. Internal resonance is not looked
-        for: see ``averaging.modal.resonance``.
+        without masses. The density of states is the period, a constant; at the entrance H = 0,
+        where 2 s(0)/b' = 1, p is finite and positive. Resonance: ``averaging.modal.resonance``.
         """
         index = list(range(self.n) if modes is None else modes)
         d, rates = self.noise[index], self.averaged.rates(index)
@@ -112,7 +110,7 @@ def modal_analysis(system: System) -> ModalAnalysis:
         raise NotApplicable(
             f"{names[i]} gets no noise, so its energy has no density: b_ii of (17) vanishes"
         )
-    theta = noise / np.diag(c) if constant else _balance(system, averaged, noise)
+    theta = noise / np.diag(c) if constant else balanced_energies(system, averaged, noise)
     damping, damping_size = averaged.mean(theta)
     # Round-off is relative to what cancels in the damping and in the noise of a mode.
     cancelling = np.max(np.diag(damping_size) * theta / noise) + np.max(np.diag(size) / noise)
@@ -130,14 +128,6 @@ def modal_analysis(system: System) -> ModalAnalysis:
     if not constant:
         _require_confined(modes)
     return modes
-
-
-def _balance(system: System, averaged: AveragedDamping, noise: Array) -> Array:
-    try:
-        guess = equivalent_temperature(system)
-    except NotApplicable:
-        guess = float(np.max(noise / np.diag(averaged.sizes[0])))
-    return balanced_energies(averaged, noise, guess)
 
 
 def _require_confined(modes: ModalAnalysis) -> None:

@@ -83,10 +83,9 @@ def state_density(
     An observed x is Σ_m √H_m (U_m cos φ_m + W_m sin φ_m), with X = T Q (14) and p_i = m_i Ẋ_i, and
     the phases are independent and uniform:
     ``E e^{i s·x} = Π_groups E Π_m J0(√H_m |(s·U_m, s·W_m)|)``, smooth at H = 0 as J0 is even.
-    The support is bounded, so a sum over waves of that period has no aliasing error at all; what
-    lies beyond the band is estimated from its outermost ring, by Parseval's equation. The
-    transform itself does not increase an L1 error.
-    Coordinates are made uncorrelated first, so that one band does for both.
+    As the support is bounded, a Fourier series on it has no aliasing error; what lies beyond the
+    band is estimated from its outermost ring, by Parseval's equation. The transform does not
+    increase an L1 error. Coordinates are made uncorrelated first: one band does for both.
     """
     count = len(observable)
     rows = np.sqrt(2.0) * modes.state_shapes[state_rows(observable, modes.n)]

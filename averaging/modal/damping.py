@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.damping import DampingTerm
+from fpk.equivalent import equivalent_temperature
 from fpk.errors import NotApplicable
 from fpk.system import System
 
@@ -115,12 +116,11 @@ def _averaged(
     terms: Sequence[DampingTerm], damping: Array, shapes: Array, omega: Array
 ) -> Polynomial:
     """Γ_mk (n, n): c*_mk of the constant damping and what each damping term adds."""
-    n = omega.size
-    total: Polynomial = defaultdict(lambda: np.zeros((n, n)))
+    total: Polynomial = defaultdict(lambda: np.zeros_like(damping))
     total[()] = shapes.T @ damping @ shapes
     for term in terms:
-        for modes, value in _velocity_average(term, shapes, omega).items():
-            total[modes] = total[modes] + term.coefficient * np.outer(shapes[term.row], value)
+        force = {(): term.coefficient * shapes[term.row][:, None]}
+        _add_product(total, force, _velocity_average(term, shapes, omega))
     return total
 
 
@@ -171,15 +171,18 @@ def _add_product(total: Polynomial, first: Polynomial, second: Polynomial) -> No
         total[modes] = total[modes] + x * y
 
 
-def balanced_energies(damping: AveragedDamping, noise: Array, guess: float) -> Array:
+def balanced_energies(system: System, damping: AveragedDamping, noise: Array) -> Array:
     """Return the means (n,) at which independent exponential energies balance: E γ_m H_m = d_m.
 
-    The iteration starts from ten times ``guess``, so that of several balances a high one is
-    reached. A scale for meshes and bandwidths where damping depends on the state: no answer rests
-    on it.
+    The iteration starts from ten times the equivalent temperature, so that of several balances a
+    high one is reached. A scale for meshes and bandwidths: no answer rests on it.
 
     Raises ``NotApplicable`` for a mode whose energy grows for ever.
     """
+    try:
+        guess = equivalent_temperature(system)
+    except NotApplicable:
+        guess = float(np.max(noise / np.diag(damping.sizes[0])))
     theta = np.full(noise.size, 10.0 * guess)
     for _ in range(MAX_STEPS):
         rate, size = (np.diag(x) for x in damping.mean(theta))

@@ -19,8 +19,7 @@ Array = NDArray[np.float64]
 Function = Callable[..., Array]
 
 RESIDUAL_PANELS = np.linspace(0.0, 40.0, 21)
-"""Panels, in units of the mean energy, on which the flux of a modal density is measured: e^−40 of
-the mass lies beyond, and a panel of two means is integrated to round-off."""
+"""Panels, in units of the mean energy, on which the flux of a modal density is measured."""
 FINE_POINTS = 2 * POINTS
 """Gauss points per panel where an energy is integrated out; the distance to ``POINTS`` of them is
 the error."""
@@ -32,8 +31,7 @@ def modal_densities(
     """Return the densities of modal energies, their sum, displacements and momenta.
 
     Each group of modes that the damping couples is solved once, to a share of ``tol`` such that
-    what rests on all of them meets it. With constant damping the closed forms of the sum,
-    displacements and momenta are those of a Gaussian with independent modes.
+    what rests on all of them meets it. With constant damping the closed forms are Gaussian.
     """
     closed = modes.constant and solver == "closed-form"
     groups = {o: _groups_behind(modes, o, solver) for o in observables}

@@ -33,11 +33,9 @@ swing would be below 0.1 even where what oscillates is twice as large as what av
 def require_no_resonance(system: System, modes: ModalAnalysis) -> None:
     """Raise ``NotApplicable`` where a resonance forbids to average over the phases of the modes.
 
-    With constant damping only pairs of modes matter, and only by the correlation that is neglected:
-    a resonance of higher order, or of modes that nothing drives together, does no harm. Damping
-    terms excite resonances of higher order: the part of the energy flow into mode m that goes with
-    the phase Σ l_i φ_i makes H_m swing by twice its amplitude over the detuning, and relative to
-    the energy that must be small.
+    With constant damping only the correlation of two modes that is neglected matters. Damping terms
+    excite resonances of higher order: the part of the energy flow into mode m that goes with the
+    phase Σ l_i φ_i makes H_m swing by twice its amplitude over the detuning.
     """
     correlation = correlations(modes)
     i, j = np.unravel_index(np.argmax(correlation), correlation.shape)
@@ -65,20 +63,19 @@ def require_no_resonance(system: System, modes: ModalAnalysis) -> None:
 def correlations(modes: ModalAnalysis) -> Array:
     """Return the largest stationary correlation of each two modes that averaging neglects (n, n).
 
-    It is that between displacement or velocity of one mode and those of the other. The cross terms
-    of the Lyapunov equation are driven by ``S = 2 D_ij − c_ij θ_j − c_ji θ_i``. With
-    Δ = ω_i² − ω_j², w = c_ii ω_j² + c_jj ω_i² and N = Δ² + (c_ii + c_jj) w they are, to first order
-    in S, ``E Q_i V_j = S Δ/N``, ``E Q_i Q_j = S (c_ii + c_jj)/N``, ``E V_i V_j = S w/N``: of
-    relative order bandwidth/detuning between displacement and velocity and its square otherwise.
-    S vanishes for equal temperatures with D_ij = θ c_ij (symmetric part), where a resonance is
-    therefore harmless; equal temperatures alone do not make it so.
+    Displacements and velocities count. ``S = 2 D_ij − c_ij θ_j − c_ji θ_i`` drives the cross terms
+    of the Lyapunov equation. With Δ = ω_i² − ω_j², w = c_ii ω_j² + c_jj ω_i² and
+    N = Δ² + (c_ii + c_jj) w they are, to first order in S, ``E Q_i V_j = S Δ/N``,
+    ``E Q_i Q_j = S (c_ii + c_jj)/N`` and ``E V_i V_j = S w/N``: of relative order
+    bandwidth/detuning between displacement and velocity, its square otherwise. For equal
+    temperatures with D_ij = θ c_ij (symmetric part) S vanishes and a resonance is harmless.
     """
     c, theta, omega = modes.modal_damping, modes.temperature, modes.natural_frequency
+    rate = np.diag(c)
     source = np.abs(2.0 * modes.modal_noise - c * theta - (c * theta).T)
     gap = np.abs(np.subtract.outer(omega, omega)) * np.add.outer(omega, omega)
-    width = np.add.outer(np.diag(c), np.diag(c))
-    weight = np.outer(np.diag(c), omega**2)
-    weight = weight + weight.T
+    width = np.add.outer(rate, rate)
+    weight = np.outer(rate, omega**2) + np.outer(omega**2, rate)
     displacements, mixed = np.outer(omega, omega) * width, np.maximum.outer(omega, omega) * gap
     largest = np.maximum(mixed, np.maximum(displacements, weight)) / (gap**2 + width * weight)
     return np.asarray(np.triu(source / np.sqrt(np.outer(theta, theta)) * largest, 1))
@@ -116,11 +113,9 @@ def resonances(
     Σ|l_i| is one of ``sizes``, at most the even ``order``. Every such l is the difference of two
     vectors of half that order, whose frequencies are sorted, so that many modes cost little.
     """
-    n = omega.size
-    units = np.vstack(
-        [np.eye(n, dtype=np.int64), -np.eye(n, dtype=np.int64), np.zeros((1, n), int)]
-    )
-    chosen = combinations_with_replacement(range(2 * n + 1), order // 2)
+    unit = np.eye(omega.size, dtype=np.int64)
+    units = np.vstack([unit, -unit, 0 * unit[:1]])
+    chosen = combinations_with_replacement(range(len(units)), order // 2)
     halves = np.unique([units[list(c)].sum(axis=0) for c in chosen], axis=0)
     frequency = halves @ omega
     ranked = np.argsort(frequency, kind="stable")

@@ -25,11 +25,11 @@ by what their search leaves; a mesh between them would have no room."""
 class EnergyShell:
     """Shells of constant energy of one system, over the c masses that have a contact.
 
-    A mass without contact enters V quadratically, so integrating it out of the phase space is
-    exact and leaves V_red = ½ q_cᵀ K_red q_c + Σ U_i(q_i) with ``K_red`` the Schur complement of
-    the stiffness matrix. With q_c = L y and L Lᵀ = K_red⁻¹ the springs become ½|y|². ``masses`` are
-    those with contact, from 0; ``L`` has shape (c, c); ``stops`` are the one-sided contacts in
-    these whitened coordinates; ``mirror`` says whether V(−q) = V(q).
+    Masses without contact are integrated out exactly, which leaves
+    V_red = ½ q_cᵀ K_red q_c + Σ U_i(q_i) with ``K_red`` the Schur complement of the stiffness
+    matrix. With q_c = L y and L Lᵀ = K_red⁻¹ the springs become ½|y|². ``masses`` are those with
+    contact, from 0; ``L`` has shape (c, c); ``stops`` are the one-sided contacts in y; ``mirror``
+    says whether V(−q) = V(q).
     """
 
     system: System
@@ -112,11 +112,10 @@ def energy_shell(system: System) -> EnergyShell:
 
 
 def _energy_shell(system: System) -> EnergyShell:
-    """Lay out the coordinates: whitened extensions of the chain of contact masses.
+    """Lay out the coordinates: each contact mass hangs on the one before it by springs in series.
 
-    Integrating masses out of a chain leaves a chain: each mass that stays hangs on the one before
-    it by the springs between them in series. In the extensions of these springs, times the root of
-    their stiffness, ½ qᵀ K_red q is ½|y|², and nothing cancels at any ratio of the springs.
+    In the extensions of these springs, times the root of their stiffness, ½ qᵀ K_red q is ½|y|²,
+    and nothing cancels at any ratio of the springs.
     """
     masses, stops = system.contact_masses, system.stops
     reach = [law.precision**-0.5 for law in conditionals(system, masses)]

@@ -92,11 +92,9 @@ def _parts(shell: EnergyShell) -> Parts:
     (H − V_red)^j Γ(N/2)/Γ(N/2 + j) times that of Gaussian ones.
     """
     system, n, masses = shell.system, shell.system.n, list(shell.masses)
-    free = [i for i in range(n) if i not in masses]
-    follow, covariance = np.zeros((n, shell.count)), np.zeros((n, n))
+    follow, covariance = np.zeros((n, shell.count)), bridge_covariance(system, masses)
     follow[masses] = shell.L
-    covariance[np.ix_(free, free)] = bridge_covariance(system, free, masses)
-    for i in free:
+    for i in set(range(n)) - set(masses):
         follow[i] = conditional(system, i, masses).weights @ shell.L
     half_n = n - 0.5 * shell.count
     rows = []

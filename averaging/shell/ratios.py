@@ -1,8 +1,7 @@
 """Density of states and phase volume of a system with contacts, relative to the one without.
 
 Without contact ``T ~ H^(n−1)`` and the phase volume is ``T H / n``. Contact multiplies both by
-ratios between 0 and 1 that depend on H only; they are all that quadrature is needed for, they are
-well scaled for any number of masses, and they are exactly 1 below the energy where contact begins.
+ratios between 0 and 1, exactly 1 below the energy where contact begins.
 """
 
 from math import gamma, lgamma, pi

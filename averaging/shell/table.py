@@ -1,8 +1,7 @@
-"""Piecewise polynomials of shell integrals, for systems whose shells are dear to integrate.
+"""Piecewise polynomials of shell integrals over two or more contact masses.
 
-With two or more contact masses one energy costs milliseconds to seconds, and a solver asks for
-thousands. Between contact energies the integrals are smooth: a panel is fitted when a solver first
-asks for as many energies in it as a fit needs.
+One energy takes milliseconds to seconds, and a solver asks for thousands. Between contact energies
+the integrals are smooth: a panel is fitted once as many energies are asked for as a fit needs.
 """
 
 from collections.abc import Callable

@@ -230,8 +230,10 @@ def test_what_lies_between_given_masses_is_a_bridge():
     for given in ([], [2], [1, 3], [0, 4]):
         free = [i for i in range(5) if i not in given]
         K = system.stiffness_matrix[np.ix_(free, free)]
+        expected = np.zeros((5, 5))
+        expected[np.ix_(free, free)] = np.linalg.inv(K)
         np.testing.assert_allclose(
-            bridge_covariance(system, free, given), np.linalg.inv(K), rtol=1e-12, atol=1e-14
+            bridge_covariance(system, given), expected, rtol=1e-12, atol=1e-14
         )
 
 
