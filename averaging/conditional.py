@@ -51,7 +51,7 @@ def conditional(system: System, mass: int, given: Sequence[int]) -> Conditional:
     left = 1.0 / float(flexibility[below + 1 : mass + 1].sum())
     right = 0.0 if above is None else 1.0 / float(flexibility[mass + 1 : above + 1].sum())
     for neighbour, stiffness in ((below, left), (above, right)):
-        if neighbour in given:
+        if neighbour is not None and neighbour in given:
             weights[list(given).index(neighbour)] = stiffness / (left + right)
     return Conditional(system, mass, left + right, weights)
 

@@ -119,7 +119,7 @@ def _averaged(
     total: Polynomial = defaultdict(lambda: np.zeros_like(damping))
     total[()] = shapes.T @ damping @ shapes
     for term in terms:
-        force = {(): term.coefficient * shapes[term.row][:, None]}
+        force: Polynomial = {(): term.coefficient * shapes[term.row][:, None]}
         _add_product(total, force, _velocity_average(term, shapes, omega))
     return total
 
