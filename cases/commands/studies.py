@@ -65,11 +65,7 @@ def cost(scene: str, out: Path | None, as_json: bool, **settings: Any) -> None:
 @click.command()
 @parts.scene_name
 @click.option(
-    "--vary",
-    multiple=True,
-    required=True,
-    metavar="KEY=LOW:HIGH:COUNT",
-    help="Once or twice; logCOUNT: equal ratios.",
+    "--vary", multiple=True, required=True, metavar="KEY=LOW:HIGH:[log]COUNT", help="Once or twice."
 )
 @click.option("--out", type=parts.FOLDER, help="Folder for all files; a map goes on there.")
 @parts.seed
@@ -80,26 +76,21 @@ def cost(scene: str, out: Path | None, as_json: bool, **settings: Any) -> None:
 @click.option("--checkpoint", type=parts.FOLDER, help="Folder for finished points, if not --out.")
 @parts.as_json
 def regime(
-    scene: str,
-    vary: tuple[str, ...],
-    out: Path | None,
-    checkpoint: Path | None,
-    as_json: bool,
-    **settings: Any,
+    scene: str, vary: tuple[str, ...], out: Path | None, as_json: bool, **settings: Any
 ) -> None:
     """Map the distance of each theory to the full system over one or two parameters."""
     loaded = _begun(scene)
     from cases.output.files import make_folder
-    from cases.studies.regime_map.grid import parse_axes
+    from cases.studies.regime_map.map import SIMULATION, build_map, parse_axes
 
     axes = parse_axes(vary, loaded.system)
-    for folder in filter(None, (out, checkpoint)):
+    store = settings.pop("checkpoint") or out
+    for folder in filter(None, (out, store)):
         make_folder(folder)
     parts.check_cluster(settings["cluster"])
-    from cases.studies.regime_map.map import SIMULATION, build_map
     from cases.studies.regime_map.map_page import map_page
 
-    method, store = replace(SIMULATION, **_given(settings)), checkpoint or out
+    method = replace(SIMULATION, **_given(settings))
     with parts.progress_bar() as progress:
         result = build_map(loaded, axes, simulation=method, folder=store, progress=progress)
     if result.note is not None:

@@ -129,7 +129,7 @@ def candidates(equation: Equation) -> tuple[Discretisation, ...]:
 def equation_routes(
     equation: Equation, offered: Sequence[Discretisation], *, progress: Progress = silent
 ) -> list[Priced | NotTimed]:
-    """Check every level of every route against the reference; time routes that agree at all.
+    """Check every level of every route against the reference and time it.
 
     A route with one answer that disagrees, or with none at all, is named and not timed.
     """
@@ -141,7 +141,7 @@ def equation_routes(
 
 
 def _priced(equation: Equation, first: Discretisation) -> Priced | NotTimed:
-    names, checked = (first.name, equation.name), []
+    names, points = (first.name, equation.name), []
     count = TOLERANCES if first.family == "tol" else H_LEVELS[equation.dimension]
     try:
         _, compiling = timed_first(first.solve)  # the levels themselves are timed warm
@@ -151,16 +151,16 @@ def _priced(equation: Equation, first: Discretisation) -> Priced | NotTimed:
                 if level.honest:
                     words = "states no finite error of its own: its density does not fall off"
                 return NotTimed(*names, level.settings, level.distance, level.estimate, words)
-            checked.append((setting, level))
+            timed = timing(setting.solve, level.seconds, equation.clock)
+            points.append(replace(level, timing=timed))
             if level.seconds > LONGEST:
                 break
     except (NotCertified, NotApplicable, InvalidInput, np.linalg.LinAlgError) as error:
         return NotTimed(*names, reason=str(error))
-    timings = [timing(s.solve, level.seconds, equation.clock) for s, level in checked]
-    timings[0] = replace(timings[0], first=max(0.0, compiling - timings[0].seconds))
-    points = tuple(replace(p, timing=t) for (_, p), t in zip(checked, timings, strict=True))
+    coarsest = replace(points[0].timing, first=max(0.0, compiling - points[0].seconds))
+    points[0] = replace(points[0], timing=coarsest)
     axis = f"numerical: L1 of p({observable_name(equation.observable)}), {equation.name}"
-    return Priced(*names, axis, points)
+    return Priced(*names, axis, tuple(points))
 
 
 def _models(system: System, reference: Reference) -> list[Model]:

@@ -8,8 +8,7 @@ import xarray as xr
 
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
-from cases.studies.regime_map.grid import parse_axes
-from cases.studies.regime_map.map import build_map
+from cases.studies.regime_map.map import build_map, parse_axes
 from cases.studies.regime_map.points import winner_of
 
 GRID = ["--vary", "contact.stiffness=0.01:100:log2", "--vary", "contact.clearance=0.5:2:2"]

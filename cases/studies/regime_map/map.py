@@ -1,24 +1,55 @@
-"""The whole map: every grid point once, finished ones taken from disk."""
+"""The map: a grid of parameters, each point computed once, finished ones taken from disk.
 
+A grid on the command line is ``contact.stiffness=0.01:1000:log25``.
+"""
+
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
+from math import nan, prod
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import numpy as np
+
 from cases.output.records import program_version
+from cases.scene.errors import BadInput, toml_value
 from cases.scene.scene import Scene
-from cases.studies.regime_map.grid import Axis, system_at
+from cases.scene.vary import VARIED, changed
 from cases.studies.regime_map.points import MapPoint, PointStore, map_point
+from fpk.density import Array
+from fpk.errors import InvalidInput
 from fpk.method import Progress, silent
 from fpk.observable import Observable, observable_name
+from fpk.system import System
 from sim.cluster import as_finished, connected
 from sim.montecarlo import MonteCarlo
 
+KEYS = {"contact.stiffness": "contact stiffness $B$", "contact.clearance": "clearance $δ$"}
+"""Keys of a scene that a map may vary, all of them numbers, with the label of their axis."""
+MAX_POINTS = 2000
+"""Points of a map; each is a simulation of about a second."""
+LARGEST = 1e100
+"""Largest size of an end of a grid: its square is still a number."""
 SIMULATION = MonteCarlo(relaxations=38.0)
 """So many relaxation times a path: chance moves L1 of one displacement by about 0.001."""
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """One parameter and the values that it takes."""
+
+    key: str
+    values: Array
+    logarithmic: bool
+
+    @property
+    def symbol(self) -> str:
+        """The parameter's letter, such as B."""
+        return VARIED[self.key]
 
 
 @dataclass(frozen=True)
@@ -80,11 +111,12 @@ def build_map(
     }
     store = PointStore(folder, identity)
     wanted = list(product(*(axis.values.tolist() for axis in axes)))
-    todo = [
-        partial(map_point, system_at(scene.system, axes, values), observable, values)
-        for values in wanted
-        if values not in store.points
-    ]
+    todo = []
+    for values in [v for v in wanted if v not in store.points]:
+        system = scene.system
+        for axis, value in zip(axes, values, strict=True):
+            system = changed(system, axis.key, value)
+        todo.append(partial(map_point, system, observable, values))
     progress(0, len(todo), "points of the map")
     for done, point in enumerate(_finished(todo, simulation), start=1):
         store.add(point)
@@ -109,3 +141,52 @@ def first_displacement(scene: Scene) -> Observable:
     single = [o for o in scene.observables if len(o) == 1 and o[0].kind == "q"]
     pairs = [(c,) for o in scene.observables for c in o if c.kind == "q"]
     return [*single, *pairs, scene.observables[0]][0]
+
+
+def parse_axes(texts: Sequence[str], system: System) -> tuple[Axis, ...]:
+    """Return one or two axes; raise ``BadInput`` for what cannot be used of them."""
+    if not 1 <= len(texts) <= 2:
+        raise BadInput(f"--vary is given {len(texts)} times; give one parameter or two")
+    axes = tuple(map(_axis, texts))
+    if len({a.key for a in axes}) != len(axes):
+        raise BadInput(f'--vary "{texts[1]}": {axes[0].key} is varied already')
+    if (count := prod(a.values.size for a in axes)) > MAX_POINTS:
+        raise BadInput(f"--vary: the grid has {count} points; at most {MAX_POINTS}")
+    if not system.contacts:
+        raise BadInput(f"--vary {axes[0].key}: the scene has no [[contact]] to vary")
+    for axis, text in zip(axes, texts, strict=True):
+        for value in axis.values.tolist():
+            try:
+                changed(system, axis.key, value)
+            except InvalidInput as error:
+                raise _wrong(text, f"{value:g} {error.remedy}") from None
+    return axes
+
+
+def _axis(text: str) -> Axis:
+    key, _, grid = (part.strip() for part in text.partition("="))
+    if not grid or key not in KEYS:
+        raise _wrong(text, f"write one of {', '.join(KEYS)}, then =low:high:count")
+    match = re.fullmatch(r"([^:]+):([^:]+):(log)?([0-9]{1,5})", grid)
+    if match is None:
+        raise _wrong(text, "a grid is low:high:count, or low:high:logCOUNT for equal ratios")
+    try:
+        low, high = float(match[1]), float(match[2])
+    except ValueError:
+        low = high = nan
+    logarithmic, count = match[3] is not None, int(match[4])
+    for holds, remedy in (
+        (abs(low) <= LARGEST and abs(high) <= LARGEST, "both ends must be finite numbers"),
+        (low < high, f"{low:g} is not below {high:g}"),
+        (2 <= count <= MAX_POINTS, f"a count of {count} cannot be used; use 2 to {MAX_POINTS}"),
+        (low > 0 or not logarithmic, "equal ratios need a low end > 0"),
+    ):
+        if not holds:
+            raise _wrong(text, remedy)
+    values = np.geomspace(low, high, count) if logarithmic else np.linspace(low, high, count)
+    # Twelve digits: the same grid point has the same value on any grid that contains it.
+    return Axis(key, np.array([float(f"{v:.12g}") for v in values]), logarithmic)
+
+
+def _wrong(text: str, remedy: str) -> BadInput:
+    return BadInput(f"--vary {toml_value(text)}: {remedy}")

@@ -17,8 +17,7 @@ from cases.output.pictures.style import COLOURS, INK, STYLE, symbol_of
 from cases.output.records import UNITS
 from cases.studies.page import Page, Table
 from cases.studies.picture import DASHES, Curve, Panel, study_figure
-from cases.studies.regime_map.grid import KEYS, Axis
-from cases.studies.regime_map.map import RegimeMap
+from cases.studies.regime_map.map import KEYS, Axis, RegimeMap
 from cases.studies.regime_map.points import NEITHER, THEORIES, UNDECIDED
 from fpk.clearance import CLEARANCE_RULE
 from fpk.density import Array
