@@ -1,58 +1,53 @@
 """A bar of progress on a terminal, and a word where something is being compiled."""
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter
 from typing import Any
 
+import click
 from numba.core import event
-from rich.console import Console
-from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as RichProgress
 
 from fpk.method import Progress
 
 PATIENCE = 1.0
 """Seconds before a bar appears."""
 
+CLEAR = "\r\x1b[K"
+"""Moves the cursor of a terminal to the beginning of its line, and empties the line."""
+
+CURSOR = "\x1b[?25h"
+"""Shows the cursor again, which a bar hides."""
+
 
 @contextmanager
 def drawn_progress() -> Iterator[Progress]:
-    """Yield a progress callback that draws one bar a task on standard error."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
-    bar = RichProgress(*columns, TimeRemainingColumn(), console=console, transient=True)
-    start, tasks = perf_counter(), {}
+    """Yield a progress callback that draws the bar of the present task on standard error."""
+    start, bars = perf_counter(), dict[str, Any]()
 
     def report(done: int, total: int, what: str) -> None:
         if perf_counter() - start < PATIENCE:
             return
-        if not bar.live.is_started:
-            bar.start()
-        if what not in tasks:
-            tasks[what] = bar.add_task(what, total=total)
-        bar.update(tasks[what], completed=done, total=total)
+        if what not in bars:
+            bars[what] = click.progressbar(length=total, label=what, file=sys.stderr)
+        bars[what].length = total
+        bars[what].update(done - bars[what].pos)
 
     try:
-        with event.install_listener("numba:compile", _Compiling(bar)):
+        with event.install_listener("numba:compile", _Compiling()):
             yield report
     finally:
-        bar.stop()
+        sys.stderr.write(f"{CLEAR}{CURSOR}")
 
 
 class _Compiling(event.Listener):
-    """Says on the bar that something is being compiled, which takes a while and happens once."""
-
-    def __init__(self, bar: RichProgress) -> None:
-        """Nothing is compiled yet; functions may be compiled within each other."""
-        self.bar, self.tasks = bar, list[TaskID]()
+    """Says that something is being compiled, which takes a while and happens once."""
 
     def on_start(self, event: Any) -> None:
-        """Show a task, as long as the outermost function takes."""
-        self.bar.start()
-        first = not self.tasks
-        self.tasks.append(self.bar.add_task("compiling, this once", total=None, visible=first))
+        """Say so in the line of the bar."""
+        sys.stderr.write(f"{CLEAR}compiling, this once")
+        sys.stderr.flush()
 
     def on_end(self, event: Any) -> None:
-        """Take it away when it is done."""
-        self.bar.remove_task(self.tasks.pop())
+        """Leave the words to the next bar, which is drawn over them."""

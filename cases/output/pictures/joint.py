@@ -12,7 +12,7 @@ from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
 from cases.output.grids import common_grid
 from cases.output.pictures.choice import lines_of, samples_of, two_solvers
-from cases.output.pictures.style import SHOWN, SOLVER_WORDS, density_words, words_of
+from cases.output.pictures.style import FOOT, LEFT, SHOWN, SOLVER_WORDS, density_words, words_of
 from fpk.density import AnyDensity, Array, SampledDensity
 from fpk.observable import Observable, observable_name
 from fpk.route import Route
@@ -21,9 +21,9 @@ LOWEST = 1e-3
 """Lowest level of a picture in decades, relative to the largest."""
 
 SHEET = 72
-"""Points an axis of a surface, and bins an axis, about, where it is sampled."""
+"""Points an axis of a surface, and about as many bins where it is sampled."""
 
-PANEL, HEIGHT, BAR = 2.9, 3.3, 1.4
+PANEL, HEIGHT, BAR = 2.9, 3.3, 0.4
 """Width and height of a panel with its words, and the width of the bar of colours, in inches."""
 
 
@@ -37,7 +37,7 @@ def joint_pictures(curve: Answers, observable: Observable) -> Iterator[tuple[str
         words = SOLVER_WORDS.format(name)
         yield f"solver_{stem}", words, pair_solver_figure(curve, observable)
     if all(c.kind != "H" for c in observable):  # energies pile up in a corner
-        words = f"Joint density of {name} as a surface: theory, and simulation in its own bins."
+        words = f"Joint density of {name} as a surface: theory, and simulation in joined bins."
         yield f"surface_{stem}", words, surface_figure(curve, observable)
 
 
@@ -76,11 +76,14 @@ def surface_figure(curve: Answers, observable: Observable) -> Figure:
     full = [a for a in samples_of(curve, observable).items() if a[0].solves == "full"]
     drawn: dict[Route, AnyDensity] = dict([*theories[:1], *full])
     drawn = drawn or dict(list(curve.densities(observable).items())[:1])
-    ends = common_grid(drawn.values(), cut=SHOWN)
-    sheets = {route.words: _sheet(density, ends) for route, density in drawn.items()}
-    top = max(float(values.max()) for *_, values in sheets.values())
+    x, y = np.meshgrid(*common_grid(drawn.values(), cut=SHOWN, count=SHEET), indexing="ij")
+    sheets = {
+        route.words: (joined(d, SHEET) if isinstance(d, SampledDensity) else d)(x, y)
+        for route, d in drawn.items()
+    }
+    top = max(float(values.max()) for values in sheets.values())
     figure = Figure(figsize=(4.3 * len(sheets), 4.0))
-    for place, (words, (x, y, values)) in enumerate(sheets.items(), start=1):
+    for place, (words, values) in enumerate(sheets.items(), start=1):
         axes = figure.add_subplot(1, len(sheets), place, projection="3d", proj_type="ortho")
         assert isinstance(axes, Axes3D)
         axes.view_init(elev=28.0, azim=-58.0)
@@ -102,18 +105,6 @@ def surface_figure(curve: Answers, observable: Observable) -> Figure:
     return figure
 
 
-def _sheet(density: AnyDensity, ends: tuple[Array, ...]) -> tuple[Array, Array, Array]:
-    """Points and values of one surface; a sampled one has its own, joined bins."""
-    if not isinstance(density, SampledDensity):
-        x, y = np.meshgrid(*(np.linspace(e[0], e[-1], SHEET) for e in ends), indexing="ij")
-        return x, y, density(x, y)
-    few = joined(density, SHEET)
-    middles = [0.5 * (e[1:] + e[:-1]) for e in few.edges]
-    inside = [(m >= e[0]) & (m <= e[-1]) for m, e in zip(middles, ends, strict=True)]
-    x, y = np.meshgrid(*(m[i] for m, i in zip(middles, inside, strict=True)), indexing="ij")
-    return x, y, few.values[np.ix_(*inside)]
-
-
 def _panels(
     panels: Mapping[str, Array],
     grid: tuple[Array, ...],
@@ -125,8 +116,9 @@ def _panels(
     top = max(float(v.max()) for v in panels.values())
     levels = top * (np.geomspace(LOWEST, 1.0, 13) if decades else np.linspace(0.0, 1.0, 13))
     norm = LogNorm(levels[0], top) if decades else Normalize(0.0, top)
-    width = len(panels) * PANEL + BAR
-    figure = Figure(figsize=(width, HEIGHT), layout="constrained")
+    width = LEFT + len(panels) * PANEL + BAR
+    figure = Figure(figsize=(width, HEIGHT))
+    figure.subplots_adjust(LEFT / width, FOOT / HEIGHT, 1.0 - LEFT / width, 0.91, wspace=0.07)
     row = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     for axes, (words, values) in zip(row, panels.items(), strict=True):
         # Below the lowest level nothing is drawn; a logarithm needs a value there all the same.
@@ -135,5 +127,7 @@ def _panels(
         axes.set_title(words)
         axes.set_xlabel(words_of(observable[0]))
     row[0].set_ylabel(words_of(observable[1]))
-    figure.colorbar(filled, ax=row, format="%.2g", aspect=22, pad=0.02).set_label(label)
+    figure.colorbar(
+        filled, ax=row, format="%.2g", aspect=22, fraction=0.3 / width, pad=0.15 / width
+    ).set_label(label)
     return figure
