@@ -149,12 +149,10 @@ def _one_line_errors() -> Iterator[None]:
         context = error.ctx if isinstance(error, click.UsageError) else None
         command = context.command_path if context else "fpk"
         _fail(f"{error.format_message()} ({command} --help says more)", 2)
-    except Exception as error:
-        if isinstance(error, NotCertified):
-            _fail(str(error), 1)
-        if isinstance(error, (BadInput, InvalidInput, NotApplicable, Unavailable)):
-            _fail(str(error), 2)
-        raise
+    except NotCertified as error:
+        _fail(str(error), 1)
+    except (BadInput, InvalidInput, NotApplicable, Unavailable) as error:
+        _fail(str(error), 2)
 
 
 def _fail(message: str, status: int) -> None:

@@ -45,6 +45,8 @@ def export(scene: str, out: Path, of: str | None, tol: float | None, as_json: bo
     loaded = replace(loaded, expect=None)  # without the simulation nothing can be claimed
     methods = [m for m in all_methods(tol=tol) if not m.route.sampled or m.route.solves != "full"]
     outcome = parts.outcome_of(loaded, methods)
+    if not any(map(len, outcome.curves)):
+        raise BadInput(f"{loaded.name}: {outcome.problems[0]}")
     write = dict(zip(ENDINGS, (write_vtu, write_pvd, write_netcdf, write_csv), strict=True))
     files = [str(path) for path in write[out.suffix](outcome, out)]
     record = {"scene": loaded.name, "file": str(out), "files": files, "seconds": outcome.seconds}

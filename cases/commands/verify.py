@@ -27,8 +27,8 @@ def verify(scenes: tuple[str, ...], coarse: bool, as_json: bool, **settings: Any
     shipped = [name for name, path in shipped_scenes().items() if path.parent.name != "hard"]
     loaded = [load_scene(name) for name in dict.fromkeys(scenes or shipped)]
     from cases.comparison.routes import all_methods
-    from cases.output.digest import digest_of
-    from cases.output.verify import verify_line, verify_record, verify_row, verify_table
+    from cases.output.digest import digest_of, verify_record, verify_row
+    from cases.output.text import verify_line, verify_table
 
     if coarse:
         settings |= {"paths": COARSE_PATHS}

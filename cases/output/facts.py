@@ -13,7 +13,6 @@ from fpk.effects import effects_of
 from fpk.ends import BoundaryClass, classify
 from fpk.errors import NotApplicable
 from fpk.linear import natural_frequencies
-from fpk.method import Method
 from fpk.observable import observable_name
 from fpk.route import ROUTES, solvers_of
 from fpk.system import System
@@ -78,29 +77,23 @@ def theories(scene: Scene) -> list[Record]:
     records = []
     for name in dict.fromkeys(route.method for route in listed_routes()):
         routes = [ROUTES[name, solver] for solver in solvers_of(name)]
-        by_solver = [_refusals(route.make(), scene) for route in routes]
-        # An observable is refused where every solver refuses it: the default's reason is shown.
-        refused = [column for column in zip(*by_solver, strict=True) if None not in column]
+        reasons = []
+        for observable in scene.observables:
+            by_solver = [route.make().refusal(scene.system, observable) for route in routes]
+            # Refused where every solver refuses it: the default's reason is shown.
+            if None not in by_solver:
+                prefix = f"{observable_name(observable)}: "
+                reasons.append(str(by_solver[0]).removeprefix(prefix))
         records.append(
             {
                 "method": name,
                 "meaning": f"{routes[0].words}, Eq. {routes[0].equation}",
                 "solvers": solvers_of(name),
-                "applies": len(refused) < len(scene.observables),
-                "reason": "; ".join(dict.fromkeys(str(column[0]) for column in refused)) or None,
+                "applies": len(reasons) < len(scene.observables),
+                "reason": "; ".join(dict.fromkeys(reasons)) or None,
             }
         )
     return records
-
-
-def _refusals(method: Method, scene: Scene) -> list[str | None]:
-    """Why the method does not give each observable of the scene, None where it does."""
-    try:
-        plan = method.prepare(scene.system)
-    except NotApplicable as reason:
-        return [str(reason)] * len(scene.observables)
-    pairs = [(observable_name(o), plan.refusal(o)) for o in scene.observables]
-    return [reason and reason.removeprefix(f"{name}: ") for name, reason in pairs]
 
 
 def _boundaries(system: System) -> list[Record]:

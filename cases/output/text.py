@@ -1,6 +1,7 @@
 """Records as text and as HTML, by templates; numbers, damping terms and claims in words."""
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,9 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from cases.output.digest import curves_of, refusals_of, verdict_of
 from cases.output.records import Record
 
+COLUMNS = ("curves", "judged", "certified", "failing", "claims", "hold", "do not", "open", "s")
+"""Columns of the table of ``fpk verify``."""
+
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -17,6 +21,40 @@ def run_text(digest: Record) -> str:
     """Return the comparisons of every curve and the verdict, for a terminal."""
     curves, verdict = curves_of(digest), verdict_of(digest)
     return rendered("run.txt", {"digest": digest, "curves": curves, "verdict": verdict})
+
+
+def verify_line(row: Record, width: int) -> str:
+    """Return the line of one scene, printed as soon as it is done."""
+    verdict = "holds" if row["holds"] else f"{len(row['problems'])} FAIL"
+    return (
+        f"{row['scene']:{width}}  {verdict:8} {row['judged']:4} comparisons judged,"
+        f" {row['certificates']:3} certificates, {row['seconds']:5.1f} s"
+    )
+
+
+def verify_table(rows: Sequence[Record]) -> str:
+    """Return the final table, the claims that do not hold, and the verdict."""
+    table = {row["scene"]: _numbers(row) for row in rows}
+    table["every scene"] = [sum(column) for column in zip(*table.values(), strict=True)]
+    claims = [(row["scene"], claim) for row in rows for claim in row["claims"]]
+    record = {
+        "columns": COLUMNS,
+        "table": table,
+        "width": max(map(len, table)),
+        "against": [(name, c) for name, c in claims if c["verdict"] == "does not hold"],
+        "failing": [row["scene"] for row in rows if not row["holds"]],
+    }
+    return rendered("verify.txt", record)
+
+
+def _numbers(row: Record) -> list[float]:
+    """The entries of one row, in the order of ``COLUMNS``."""
+    verdicts = Counter(claim["verdict"] for claim in row["claims"])
+    counts = [row[key] for key in ("curves", "judged", "certificates")]
+    lengths = [len(row["problems"]), len(row["claims"])]
+    open_claims = verdicts["undecided"] + verdicts["not checked"]
+    claims = [verdicts["holds"], verdicts["does not hold"], open_claims]
+    return [*counts, *lengths, *claims, row["seconds"]]
 
 
 def rendered(template: str, record: Mapping[str, Any]) -> str:

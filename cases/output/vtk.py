@@ -15,7 +15,6 @@ from cases.output.fields import attributes_of
 from cases.output.files import write_by
 from cases.output.grids import common_grid
 from cases.output.records import UNITS
-from cases.scene.errors import BadInput
 from fpk.density import AnyDensity, Array
 from fpk.observable import Observable, observable_name
 
@@ -46,12 +45,7 @@ class Field:
 
 def write_vtu(outcome: Outcome, path: Path) -> list[Path]:
     """Write the first observable of the scene's own system as a grid of quadratic cells."""
-    curve, observable = outcome.curves[0], outcome.scene.observables[0]
-    if not curve.densities(observable):
-        reasons = [r.reason for r in curve.refused if observable_name(observable) in r.observables]
-        why = f": {reasons[0]}" if reasons else ""
-        raise BadInput(f"{outcome.scene.name}: no theory gives {observable_name(observable)}{why}")
-    _write(outcome, curve, observable, path)
+    _write(outcome, outcome.curves[0], outcome.scene.observables[0], path)
     return [path]
 
 

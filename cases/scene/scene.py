@@ -51,14 +51,12 @@ def load_scene(name: str) -> Scene:
 
     Raises ``BadInput``: one line that names file, key, value and what would be right.
     """
-    if not name.strip():
-        raise BadInput(f"scene {toml_value(name)}: is no name; fpk list names the shipped scenes")
     shipped = shipped_scenes()
     if name in shipped:
         return _scene(shipped[name], f"{name}.toml")
     path = Path(name)
     looks_like_path = path.suffix or len(path.parts) > 1
-    if not looks_like_path and not lexists(path):
+    if not looks_like_path and not lexists(name):
         close = get_close_matches(name, shipped, n=1)
         hint = f'did you mean "{close[0]}"?' if close else "fpk list names the shipped scenes"
         raise BadInput(f"scene {toml_value(name)}: neither a shipped scene nor a file; {hint}")

@@ -2,13 +2,14 @@
 
 import json
 from dataclasses import dataclass, replace
+from typing import get_args
 
 import pytest
 
 import cases.comparison.routes
 from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
-from cases.output.verify import VERDICTS
+from cases.comparison.claims import Verdict
 from cases.scene.scene import shipped_scenes
 
 SCENES = ("fig3c", "sdof")
@@ -32,7 +33,7 @@ def test_the_gate_holds_on_shipped_scenes(fpk):
     assert [s["scene"] for s in record["scenes"]] == list(SCENES)
     for scene in record["scenes"]:
         assert scene.keys() == KEYS and scene["judged"] > 0 and scene["certificates"] > 0
-    assert list(record["claims"]) == list(VERDICTS)
+    assert list(record["claims"]) == list(get_args(Verdict))
     assert record["claims"]["does not hold"] >= 2  # h = 10 and 20 of Fig. 3(c) are not Gaussian
 
 
