@@ -13,7 +13,8 @@ averaging
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations, compress
+from functools import reduce
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -88,8 +89,8 @@ def compared(results: Sequence[Result], *, averaging_is_exact: bool) -> tuple[Co
         kind = what_is_measured(*routes, averaging_is_exact=averaging_is_exact and whole)
         distance, expected, band = _distance(first, second)
         allowed = None if kind == "averaging" else band
-        doubtful = [not d.certificate.certified for d in (a, b)]
-        uncertified = tuple(compress(routes, doubtful))
+        pairs = zip(routes, (a, b), strict=True)
+        uncertified = tuple(route for route, d in pairs if not d.certificate.certified)
         comparisons.append(
             Comparison(a.name, *routes, kind, distance, allowed, expected, uncertified)
         )
@@ -172,9 +173,7 @@ def chance_l1(sampled: SampledDensity) -> tuple[float, float]:
     """
     batches = sampled.batch_values.reshape(sampled.batch_values.shape[0], -1)
     count = batches.shape[0]
-    areas = np.ones(1)
-    for edges in sampled.edges:
-        areas = np.multiply.outer(areas, np.diff(edges)).ravel()
+    areas = reduce(np.multiply.outer, map(np.diff, sampled.edges)).ravel()
     weighted = (batches - batches.mean(axis=0)) * areas / np.sqrt(count * (count - 1.0))
     signs = np.random.default_rng(SIGN_SEED).choice([-1.0, 1.0], size=(SIGN_DRAWS, count))
     shares = signs @ weighted

@@ -9,7 +9,7 @@ from cases.comparison.claims import Verdict
 from cases.comparison.compare import Comparison
 from cases.comparison.run import Outcome
 from cases.output.facts import facts_record
-from cases.output.records import Record, certificate_record, plain
+from cases.output.records import Record, certificate_record, plain, record_of
 from fpk.density import Density
 from fpk.method import Result
 from fpk.route import Route, solvers_of
@@ -20,19 +20,16 @@ def digest_of(outcome: Outcome) -> Record:
     """Return the record of ``fpk run``: the scene's own system, and beside it the other curves."""
     base, *others = outcome.curves
     judged = [c for curve in outcome.curves for c in curve.comparisons if c.band is not None]
-    record: Record = plain(
-        {
-            "scene": outcome.scene.name,
-            "title": outcome.scene.title,
-            **_curve(base),
-            "curves": [_curve(c) for c in others],
-            "judged": len(judged),
-            "problems": outcome.problems,
-            "claims": outcome.findings,
-            "seconds": outcome.seconds,
-        }
+    return record_of(
+        scene=outcome.scene.name,
+        title=outcome.scene.title,
+        **_curve(base),
+        curves=[_curve(c) for c in others],
+        judged=len(judged),
+        problems=outcome.problems,
+        claims=outcome.findings,
+        seconds=outcome.seconds,
     )
-    return record
 
 
 def curves_of(digest: Record) -> list[Record]:

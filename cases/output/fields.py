@@ -1,8 +1,8 @@
-"""Densities on common grids as files: netCDF and comma-separated values."""
+"""Densities on common grids, and these as files: netCDF and comma-separated values."""
 
 import csv
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from cases.comparison.run import Outcome
 from cases.output.digest import method_record
 from cases.output.files import write_by, write_text
-from cases.output.grids import common_grid
 from cases.output.records import UNITS, plain, program_version
 from cases.scene.scene import Scene
 from fpk.density import AnyDensity, Array
@@ -26,6 +25,15 @@ Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]]
 
 OnGrid = dict[tuple[str, str], tuple[AnyDensity, Array, Array]]
 """By curve and route, a density with its values and errors on the grid of its observable."""
+
+POINTS = {1: 401, 2: 101}
+"""Points an axis of a grid, by the number of axes."""
+
+CUT = 1e-9
+"""Share of the largest value below which a density no longer widens the grid."""
+
+COARSE = {1: 200, 2: 60}
+"""Cells an axis on which the extent of a density is measured, by the number of axes."""
 
 
 def write_netcdf(outcome: Outcome, path: Path) -> list[Path]:
@@ -135,3 +143,25 @@ def _variables(outcome: Outcome, observable: Observable) -> Variables:
         f"error_{name}": ((*first, *points), errors, {**words, "long_name": f"error of p_{name}"}),
         f"error_kind_{name}": (first, kinds, {}),
     }
+
+
+def common_grid(
+    densities: Iterable[AnyDensity], *, cut: float = CUT, count: int | None = None
+) -> tuple[Array, ...]:
+    """Return one ascending array per axis: where any density exceeds ``cut`` of its largest.
+
+    ``count`` points an axis; None: as many as in ``POINTS``.
+    """
+    reach = np.array([_reach(density, cut) for density in densities])
+    count = count or POINTS[reach.shape[1]]
+    ends = zip(reach[..., 0].min(axis=0), reach[..., 1].max(axis=0), strict=True)
+    return tuple(np.linspace(low, high, count) for low, high in ends)
+
+
+def _reach(density: AnyDensity, cut: float) -> list[tuple[float, float]]:
+    """Per axis, the interval in which the density exceeds ``cut`` of its largest value."""
+    cells = COARSE[len(density.panels)]
+    edges = [np.linspace(nodes[0], nodes[-1], cells + 1) for nodes in density.panels]
+    values = density(*np.ix_(*(0.5 * (e[1:] + e[:-1]) for e in edges)))
+    above = np.nonzero(values > cut * values.max())
+    return [(e[i.min()], e[i.max() + 1]) for e, i in zip(edges, above, strict=True)]

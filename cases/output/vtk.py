@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from cases.comparison.answers import Answers
 from cases.comparison.run import Outcome
-from cases.output.fields import attributes_of
+from cases.output.fields import attributes_of, common_grid
 from cases.output.files import write_by
-from cases.output.grids import common_grid
 from cases.output.records import UNITS
 from fpk.density import AnyDensity, Array
 from fpk.observable import Observable, observable_name

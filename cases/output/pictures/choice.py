@@ -1,7 +1,7 @@
 """Which answers of a curve are drawn: lines, samples, two solvers of one equation."""
 
 from cases.comparison.answers import Answers
-from fpk.density import Density, SampledDensity
+from fpk.density import Array, Density, SampledDensity
 from fpk.observable import Observable
 from fpk.route import Route
 
@@ -29,14 +29,21 @@ def samples_of(curve: Answers, observable: Observable) -> dict[Route, SampledDen
     return dict(sorted(sampled.items(), key=lambda answer: answer[0].solves != "full"))
 
 
-def two_solvers(curve: Answers, observable: Observable) -> list[tuple[Route, Density]]:
-    """Return two deterministic answers to the same averaged equation, empty where there are none.
+def solver_difference(
+    curve: Answers, observable: Observable, *points: Array
+) -> tuple[str, Array, Array] | None:
+    """Return how far two solvers of one averaged equation differ, and the errors that both state.
 
-    The one that states the larger error comes first.
+    The difference at ``points`` in words, its values, and the stated errors added; None where no
+    equation has two deterministic answers. The one that states the larger error comes first.
     """
     answers: dict[str, list[tuple[Route, Density]]] = {}
     for route, density in curve.densities(observable).items():
         if route.solves == "averaged" and isinstance(density, Density):
             answers.setdefault(route.method, []).append((route, density))
-    pair = next((pair[:2] for pair in answers.values() if len(pair) > 1), [])
-    return sorted(pair, key=lambda answer: -answer[1].l1_error)
+    pair = next((pair[:2] for pair in answers.values() if len(pair) > 1), None)
+    if pair is None:
+        return None
+    (a, first), (b, second) = sorted(pair, key=lambda answer: -answer[1].l1_error)
+    (value, stated), (other, also_stated) = first.at(*points), second.at(*points)
+    return f"{a.solver} − {b.solver}", value - other, stated + also_stated

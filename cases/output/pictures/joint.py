@@ -10,8 +10,8 @@ from mpl_toolkits.mplot3d import Axes3D
 
 from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
-from cases.output.grids import common_grid
-from cases.output.pictures.choice import lines_of, samples_of, two_solvers
+from cases.output.fields import common_grid
+from cases.output.pictures.choice import lines_of, samples_of, solver_difference
 from cases.output.pictures.style import FOOT, LEFT, SHOWN, SOLVER_WORDS, density_words, words_of
 from fpk.density import AnyDensity, Array, SampledDensity
 from fpk.observable import Observable, observable_name
@@ -31,39 +31,23 @@ def joint_pictures(curve: Answers, observable: Observable) -> Iterator[tuple[str
     """Yield file stem, caption and figure of everything to be seen of a pair of coordinates."""
     name = observable_name(observable)
     stem = name.replace(",", "_")
-    words = f"Joint density of {name}, on common levels."
-    yield f"density_{stem}", words, pair_figure(curve, observable)
-    if two_solvers(curve, observable):
-        words = SOLVER_WORDS.format(name)
-        yield f"solver_{stem}", words, pair_solver_figure(curve, observable)
-    if all(c.kind != "H" for c in observable):  # energies pile up in a corner
-        words = f"Joint density of {name} as a surface: theory, and simulation in joined bins."
-        yield f"surface_{stem}", words, surface_figure(curve, observable)
-
-
-def pair_figure(curve: Answers, observable: Observable) -> Figure:
-    """Draw a joint density by every route that is drawn, side by side on common levels."""
+    energies = all(c.kind == "H" for c in observable)
     drawn: dict[Route, AnyDensity] = {**lines_of(curve, observable)}
     drawn |= samples_of(curve, observable)
     grid = common_grid(drawn.values(), cut=SHOWN)
     mesh = np.meshgrid(*grid, indexing="ij")
-    panels = {r.words: d(*mesh) for r, d in drawn.items()}
+    panels = {route.words: density(*mesh) for route, density in drawn.items()}
     # A density of energies falls exponentially from its corner: decades, not equal steps.
-    decades = all(c.kind == "H" for c in observable)
-    return _panels(panels, grid, observable, density_words(observable), decades=decades)
-
-
-def pair_solver_figure(curve: Answers, observable: Observable) -> Figure:
-    """Draw the difference of two solvers of a joint density beside the errors that both state."""
-    (a, first), (b, second) = two_solvers(curve, observable)
-    grid = common_grid([first, second], cut=SHOWN)
-    mesh = np.meshgrid(*grid, indexing="ij")
-    (value, stated), (other, also_stated) = (d.at(*mesh) for d in (first, second))
-    panels = {
-        f"|{a.solver} − {b.solver}|": np.abs(value - other),
-        "errors that both state, added": stated + also_stated,
-    }
-    return _panels(panels, grid, observable, "difference of p", decades=True)
+    figure = _panels(panels, grid, observable, density_words(observable), decades=energies)
+    yield f"density_{stem}", f"Joint density of {name}, on common levels.", figure
+    if (pair := solver_difference(curve, observable, *mesh)) is not None:
+        words, difference, stated = pair
+        panels = {f"|{words}|": np.abs(difference), "errors that both state, added": stated}
+        figure = _panels(panels, grid, observable, "difference of p", decades=True)
+        yield f"solver_{stem}", SOLVER_WORDS.format(name), figure
+    if not energies:  # they pile up in a corner
+        words = f"Joint density of {name} as a surface: theory, and simulation in joined bins."
+        yield f"surface_{stem}", words, surface_figure(curve, observable)
 
 
 def surface_figure(curve: Answers, observable: Observable) -> Figure:

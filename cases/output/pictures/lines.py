@@ -11,8 +11,8 @@ from matplotlib.lines import Line2D
 
 from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
-from cases.output.grids import common_grid
-from cases.output.pictures.choice import lines_of, samples_of, two_solvers
+from cases.output.fields import common_grid
+from cases.output.pictures.choice import lines_of, samples_of, solver_difference
 from cases.output.pictures.style import (
     COLOURS,
     GAP,
@@ -105,14 +105,10 @@ def density_figure(curves: Sequence[Answers], observable: Observable, x: Array) 
     return figure
 
 
-def solver_difference(curve: Answers, observable: Observable, x: Array) -> list[Difference]:
+def solver_differences(curve: Answers, observable: Observable, x: Array) -> list[Difference]:
     """Return the difference of two solvers of one equation, in the errors that both state."""
-    answers = two_solvers(curve, observable)
-    if not answers:
-        return []
-    (first, stated), (second, also_stated) = (d.at(x) for _, d in answers)
-    words = " − ".join(route.solver for route, _ in answers)
-    return [(words, x, first - second, stated + also_stated)]
+    pair = solver_difference(curve, observable, x)
+    return [] if pair is None else [(pair[0], x, *pair[1:])]
 
 
 def theory_differences(curve: Answers, observable: Observable, x: Array) -> list[Difference]:
@@ -129,7 +125,7 @@ def theory_differences(curve: Answers, observable: Observable, x: Array) -> list
 
 
 DIFFERENCES = (
-    ("solver", SOLVER_WORDS, "±the errors that both state", solver_difference),
+    ("solver", SOLVER_WORDS, "±the errors that both state", solver_differences),
     (
         "left",
         "Simulation minus theory for {}. Inside the grey band the difference is chance; a curve"
