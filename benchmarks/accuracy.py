@@ -7,13 +7,12 @@ from time import perf_counter
 import numpy as np
 from scipy.integrate import quad
 
-import sim.schemes  # noqa: F401  (its modules register the integrators)
 from fpk.contact import Contact
 from fpk.observable import parse_observable
 from fpk.system import System
 from sim.ensemble import Ensemble
 from sim.histogram import Histogram
-from sim.scheme import SCHEMES
+from sim.schemes import SCHEMES
 from sim.step_size import chosen_step
 
 Row = dict[str, str | int | float]

@@ -22,14 +22,13 @@ import numpy as np
 from accuracy import error_against_time
 from report import machine, markdown_table
 
-import sim.schemes  # noqa: F401  (its modules register the integrators)
 from fpk.contact import Contact
 from fpk.observable import parse_observable
 from fpk.system import System
 from sim.ensemble import Ensemble
 from sim.histogram import covering
 from sim.plan import step_arrays
-from sim.scheme import SCHEMES
+from sim.schemes import SCHEMES
 from sim.statistics import moment_products
 from sim.step_size import chosen_step
 from sim.substeps import with_long_steps

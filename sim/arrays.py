@@ -19,9 +19,9 @@ MAX_TRAJECTORIES = 1 << 24
 
 
 class Rows(NamedTuple):
-    """First row of each group in the workspace of a block; the state (q, p) begins at row 0.
+    """First row of each group in the workspace of a block.
 
-    Behind the columns of the linear map come its results (2n), then these groups.
+    Before them lie the state (q, p), the other columns of the linear map, and its results (2n).
     """
 
     contact: int  # (2 slots), g and g' of each slot

@@ -1,6 +1,7 @@
 """Certified densities, moment identities and the report, from the record of a sample."""
 
 from math import inf, nan
+from typing import TYPE_CHECKING
 
 from fpk.density import SampledDensity
 from fpk.method import Identity
@@ -10,29 +11,29 @@ from sim.ensemble import Ensemble
 from sim.histogram import sampled_density, starts
 from sim.record import Record
 from sim.relaxation import relaxation_time
-from sim.report import DensityError, Report, Steps
-from sim.setup import Setup
+from sim.report import DensityError, Report, Settings, Steps
 from sim.statistics import Moments, sampling_error
 from sim.step_size import temperature
 
+if TYPE_CHECKING:
+    from sim.run import Setup
+
 LARGEST_Z = 5.0
-"""|z| of a moment identity that chance explains: by Student's t 2e-5 each of 32 batches (4096
-paths), 5e-6 of 64 (8192 and more)."""
+"""|z| of a moment identity that chance explains: by Student's t 2e-5 of 32 batches, 5e-6 of 64."""
 
 STEP_BIAS = 1e-3
 """Defect of a moment identity, relative to its right side (a virial: to kT), that the step may
-leave beyond chance; a long run resolves less than this, and ``residual`` then is the |z| of it."""
+leave beyond chance."""
 
 Answer = tuple[tuple[SampledDensity, ...], tuple[Identity, ...], Report]
 """The densities, the moment identities (none without moments), and the report."""
 
 
-def assessed(setup: Setup, ensemble: Ensemble, record: Record, *, interrupted: str) -> Answer:
+def assessed(setup: "Setup", ensemble: Ensemble, record: Record, *, interrupted: str) -> Answer:
     """Return the certified densities, the moment identities and the report.
 
-    ``interrupted``, in words and empty if it was not, stands against a certificate. Where
-    trajectories were lost, or the sampling was interrupted, there is nothing to diagnose. Where the
-    system has the mirror symmetry, mirror images of samples count as samples.
+    ``interrupted``, in words and empty if it was not, stands against a certificate, as lost
+    trajectories do. Of a system with mirror symmetry mirror images of samples count as samples.
     """
     steps = _steps(setup, ensemble, record.stepping)
     failures, lost = [interrupted] if interrupted else [], ensemble.lost()
@@ -88,24 +89,25 @@ def _defect(system: System, identity: Identity) -> str:
     return ""
 
 
-def _steps(setup: Setup, ensemble: Ensemble, seconds: float) -> Steps:
+def _steps(setup: "Setup", ensemble: Ensemble, seconds: float) -> Steps:
     steps = ensemble.samples * setup.stride
+    others: Settings = {
+        "scheme": setup.scheme.name,
+        "steps": steps,
+        "stride": setup.stride,
+        "batches": ensemble.edges.size - 1,
+        "seed": ensemble.seed,
+        "threads": ensemble.threads,
+        "kT": temperature(setup.system),
+        "long_step": setup.dt,
+        "ns_per_particle_step": 1e9 * seconds * ensemble.threads / (ensemble.paths * steps),
+    }
     return Steps(
-        scheme=setup.scheme.name,
         dt=setup.dt / setup.scheme.small,
         paths=ensemble.paths,
-        steps=steps,
         time=steps * setup.dt,
         burn_in=setup.burn_in_steps * setup.dt,
-        stride=setup.stride,
-        batches=ensemble.edges.size - 1,
-        seed=ensemble.seed,
-        threads=ensemble.threads,
-        temperature=temperature(setup.system),
-        long_step=setup.dt,
-        nanoseconds=1e9 * seconds * ensemble.threads / (ensemble.paths * steps),
         relaxation_time=relaxation_time(setup.system),
-        small=setup.scheme.small,
-        division=setup.division,
         limited_by=setup.limited_by,
+        others=others | ({"small_steps": setup.division} if setup.division else {}),
     )

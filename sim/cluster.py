@@ -77,7 +77,7 @@ def connected(address: str) -> Iterator[Any]:
 
 
 def gathered(client: Any, futures: Sequence[Any]) -> list[Any]:
-    """Return the results of ``futures``; ``NotCertified`` when the cluster is lost on the way."""
+    """Return the results of ``futures``; raise ``NotCertified`` when the cluster is lost."""
     distributed = import_module("distributed")
     try:
         return list(client.gather(list(futures)))

@@ -1,10 +1,9 @@
 """Can the sample be trusted: autocorrelation times, effective samples, split R-hat, drift.
 
-τ is the integrated autocorrelation time ∫₀^∞ ρ(t) dt of a quantity. Its mean over a time T on a
-trajectory has the variance ``2 σ² τ/T · (1 − O(τ/T))``, σ² the variance of the quantity itself, so
-that independent trajectories show τ without any correlogram: ``τ = T var(path means)/(2 σ²)``. One
-independent sample is worth 2τ of sampled time: N trajectories have ``N T/(2τ)`` effective samples,
-``N σ²/var(path means)`` of them for any T, also below τ (τ is then a lower bound).
+τ is the integrated autocorrelation time ∫₀^∞ ρ(t) dt of a quantity with the variance σ². Its mean
+over a time T on a trajectory has the variance ``2 σ² τ/T · (1 − O(τ/T))``, so that independent
+trajectories show τ without any correlogram: ``τ = T var(path means)/(2 σ²)``. N trajectories have
+``N T/(2τ)`` effective samples, ``N σ²/var(path means)`` for any T, also below τ.
 """
 
 from collections.abc import Sequence
@@ -41,8 +40,7 @@ class Diagnosis:
 
     ``autocorrelation_time`` τ is the longest of all quantities, that of ``slowest``, of which there
     are ``effective_samples`` with a ``relative_error``; a trajectory is ``times_per_path`` τ long.
-    ``r_hat`` is the largest split R-hat; ``drift`` the largest |z| of the first chunk against the
-    others and of the first half against the second, ``drift_limit`` what chance explains of it.
+    ``r_hat`` is the largest split R-hat, ``drift`` the largest |z| of ``drifts``.
     """
 
     autocorrelation_time: float
@@ -72,10 +70,10 @@ class Diagnosis:
 def effective_of_paths(
     means: Array, variance: Array, relative_error: Array, *, whole: int
 ) -> tuple[Array, Array]:
-    """Return effective samples and their relative errors from ``means`` (quantities, paths).
+    """Return effective samples of ``whole`` trajectories and their relative errors.
 
-    There are ``whole`` trajectories, of which these are some, or all. ``variance`` is the σ² of
-    single samples and ``relative_error`` one standard error of that over itself.
+    ``means`` (quantities, paths) are those of some trajectories, or all; ``variance`` is the σ² of
+    single samples, known to ``relative_error``.
     """
     of_means = means.var(axis=1, ddof=1)
     samples = np.full_like(of_means, inf)
@@ -86,9 +84,8 @@ def effective_of_paths(
 def effective_of_shares(shares: Array) -> tuple[float, float]:
     """Return effective samples of a distribution function, and the relative error of the number.
 
-    ``shares`` (batches, levels) are those of samples below each level. The variances of the means
-    of n independent samples sum to Σ s(1 − s)/n. Levels vary together: the relative error is that
-    of one variance from the batches, √(2/(batches − 1)).
+    ``shares`` (batches, levels) are those of samples below each level; of n independent samples
+    their variances sum to Σ s(1 − s)/n. Levels vary together: the error is that of one variance.
     """
     batches, s = shares.shape[0], shares.mean(axis=0)
     variance = float(np.sum(shares.var(axis=0, ddof=1))) / batches
@@ -97,10 +94,7 @@ def effective_of_shares(shares: Array) -> tuple[float, float]:
 
 
 def variance_error(samples: Array) -> Array:
-    """Return one standard error of the variance of ``samples`` (..., paths), over the variance.
-
-    It is √((kurtosis − 1)/paths).
-    """
+    """Return √((kurtosis − 1)/paths), the relative error of the variance of (..., paths)."""
     squares = (samples - samples.mean(axis=-1, keepdims=True)) ** 2
     second = np.mean(squares, axis=-1)
     # kurtosis − 1 as a variance: of two values alone it is 0, never below.
@@ -112,9 +106,8 @@ def variance_error(samples: Array) -> Array:
 def split_r_hat(draws: Array) -> float:
     """Return the split R-hat of ``draws`` (chains, draws); not a number below four draws.
 
-    Each chain is cut into halves (a middle draw of an odd number is left out), m chains of n draws:
-    ``R = √((n − 1)/n + B/(n W))``, W the mean of their variances, B n times the variance of their
-    means (Gelman et al., BDA3, section 11.4; Vehtari et al. 2021, Eqs. (1)-(4), not ranked).
+    Of the halves of the chains, n draws each: ``R = √((n − 1)/n + B/(n W))``, W the mean of their
+    variances, B n times the variance of their means (Gelman et al., BDA3, section 11.4).
     """
     half = draws.shape[1] // 2
     if half < 2:
@@ -130,8 +123,7 @@ def split_r_hat(draws: Array) -> float:
 def drifts(means: Array) -> Array:
     """Return z of (first chunk − others) and (first half − second), (quantities, 2).
 
-    ``means`` (quantities, batches, chunks). Batches are independent, so that the difference has the
-    standard error that they show, whatever the correlation of the chunks.
+    ``means`` (quantities, batches, chunks); the standard errors are those of independent batches.
     """
     half = means.shape[2] // 2
     first, others = means[:, :, 0], means[:, :, 1:].mean(axis=2)

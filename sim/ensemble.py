@@ -18,14 +18,15 @@ from sim.kernel import KernelKey, compiled_kernel
 from sim.parts.observed import FOLDED
 from sim.plan import kernel_key, step_arrays, watch_arrays
 from sim.random import START, mixed_seed, normals
-from sim.scheme import Scheme
+from sim.schemes import Scheme
 from sim.statistics import Product
 from sim.step_size import temperature
 
-Saved = Mapping[str, NDArray[Any]]
-
 Clock = tuple[int, int, int, int]
 """Steps done and steps since ``watch`` before a call of the kernel, its steps and its stride."""
+
+CHANGING = ("states", "sums", "folded", "counts")
+"""Arrays of an ensemble that a step changes."""
 
 BATCHES = 64
 """Independent batches at most; a batch is made of whole blocks of lanes."""
@@ -77,10 +78,7 @@ def advanced(
     first: int, live: Integers, *arrays: Any, key: KernelKey, step: StepArrays, watch: WatchArrays,
     seed: int, clock: Clock,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Advance the blocks of one batch, ``first`` being the number of its first block.
-
-    ``arrays`` (states, sums, folded, counts) are changed in place and returned.
-    """
+    """Advance the batch that begins with block ``first``; ``CHANGING`` arrays change in place."""
     done, phase, steps, stride = clock
     *blocks, counts = arrays
     flat = (a.reshape(a.shape[0], a.shape[1] * a.shape[2]) for a in blocks)
@@ -195,15 +193,15 @@ class Ensemble:
         lanes = self.states[: -(-paths // LANES)].transpose(1, 0, 2).reshape(2 * n, -1)
         return lanes[:n, :paths].T, lanes[n:, :paths].T
 
-    def saved(self) -> Saved:
+    def saved(self) -> dict[str, NDArray[Any]]:
         """Return all that changes: what ``restore`` needs to go on as if never stopped."""
-        arrays = {name: getattr(self, name) for name in ("states", "sums", "folded", "counts")}
+        arrays = {name: getattr(self, name) for name in CHANGING}
         return {**arrays, "clock": np.array([self.done, self.samples, self.phase], dtype=np.int64)}
 
-    def restore(self, saved: Saved) -> None:
+    def restore(self, saved: Mapping[str, NDArray[Any]]) -> None:
         """Go on from what ``saved`` returned, by any workers, after the same calls of ``watch``."""
         self.done, self.samples, self.phase = (int(number) for number in saved["clock"])
-        for name in ("states", "sums", "folded", "counts"):
+        for name in CHANGING:
             getattr(self, name)[...] = saved[name]
 
     def _alive(self) -> NDArray[np.bool_]:

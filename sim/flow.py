@@ -42,9 +42,8 @@ def padded(rows: Array) -> Array:
 def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, Array]:
     """Return ``exp(A dt)`` and ``∫ exp(A s) b exp(Aᵀ s) ds`` over 0..dt.
 
-    Van Loan's block exponential (IEEE Trans. Automat. Control 23, 1978, 395) holds for a short
-    step, ``|A| h <= ½``, only, since it contains exp(−A h); doubling ``h`` then adds covariances,
-    all positive, so that nothing cancels however long the step is.
+    Van Loan's block exponential (IEEE Trans. Automat. Control 23, 1978, 395), which contains
+    exp(−A h), for ``|A| h <= ½``; doubling ``h`` then adds positive covariances: nothing cancels.
     """
     doublings = max(0, int(np.ceil(np.log2(2.0 * np.linalg.norm(drift, 2) * dt + 1e-300))))
     h = dt / 2**doublings
@@ -62,8 +61,7 @@ def factored(covariance: Array) -> Array:
     """Return a factor L (m, rank) with L Lᵀ = ``covariance``, which may be singular.
 
     Cholesky with pivoting of the matrix scaled to unit diagonal, so that variances of different
-    units and powers of the step (h, h³, h⁵ ...) count alike; what is left at a pivot of round-off
-    is dropped.
+    units and powers of the step count alike; what is left at a pivot of round-off is dropped.
     """
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)

@@ -48,8 +48,7 @@ class Histogram:
 def extremes(system: System, observables: Sequence[Observable], q: Array, p: Array) -> Array:
     """Return the least and the largest finite value of each coordinate, (coordinates, 2).
 
-    Where there is none, infinity and minus infinity: extremes of several sets of states are those
-    of all together.
+    Where there is none, infinity and minus infinity.
     """
     # One layout: sums over the masses may round by it.
     q, p = np.ascontiguousarray(q), np.ascontiguousarray(p)
@@ -63,10 +62,7 @@ def extremes(system: System, observables: Sequence[Observable], q: Array, p: Arr
 
 
 def _values(system: System, coordinate: Coordinate, q: Array, p: Array) -> Array:
-    """One coordinate of states ``q``, ``p`` (samples, n), uncorrected for the step.
-
-    H_m is the energy of a mode of the springs alone: nothing of a contact is in it.
-    """
+    """One coordinate of states ``q``, ``p`` (samples, n); H_m is the energy of a springs' mode."""
     if coordinate.kind == "H" and coordinate.index is not None:
         shapes, frequency = natural_modes(system)
         shape, omega = shapes[:, coordinate.index], frequency[coordinate.index]
@@ -84,10 +80,7 @@ def covering(
     mirror: bool,
     bins: tuple[int, int] = BINS,
 ) -> tuple[Histogram, ...]:
-    """Return histograms that cover the ``extremes`` with a margin; energies start at 0.
-
-    ``bins`` are those of each axis of a histogram of one and of two coordinates.
-    """
+    """Return histograms that cover the ``extremes`` with a margin; energies start at 0."""
     histograms, pairs = [], iter(reached.tolist())
     for observable in observables:
         edges = []
@@ -117,8 +110,7 @@ def mirrored(histogram: Histogram, counts: Integers) -> Integers:
     """Return ``counts`` (batches, bins + 1) plus the counts of the mirrored states, (−q, −p).
 
     Of a system with mirror symmetry both are samples of the same stationary state. Energies do not
-    change sign; the edges of all else lie symmetrically about zero. The total doubles, and so does
-    what lies outside; batch by batch the same, so that errors shrink by what is truly gained.
+    change sign; the edges of all else lie symmetrically about zero.
     """
     axes = tuple(a for a, c in enumerate(histogram.observable, start=1) if c.kind != "H")
     reflected = np.flip(counts[:, :-1].reshape(-1, *histogram.shape), axis=axes)
@@ -135,11 +127,11 @@ def sampled_density(
     tol: float = inf,
     failures: Sequence[str] = (),
 ) -> SampledDensity:
-    """Return the density of ``counts`` (batches, bins + 1), certified; nothing is rescaled.
+    """Return the density of ``counts`` (batches, bins + 1) of ``taken`` samples, certified.
 
-    ``taken`` is the number of samples that were taken; with ``mirror`` each counts as its mirror
-    image, too. ``residual`` is the largest |z| of the moment identities, ``tol`` the tolerance of
-    the expected L1 sampling error, and ``failures`` say what is wrong with the sample itself.
+    With ``mirror`` each sample counts as its mirror image, too. ``residual`` is the largest |z| of
+    the moment identities, ``tol`` the tolerance of the expected L1 sampling error, and ``failures``
+    say what is wrong with the sample itself.
     """
     total = counts.sum(axis=0)
     tail, words = float(total[-1]) / max(1, taken), list(failures)

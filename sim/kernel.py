@@ -27,10 +27,9 @@ _COMPILING = Lock()
 class KernelKey:
     """Effects, scheme and observations that a kernel is compiled for: the only such record.
 
-    ``laws`` are the contact laws that act; ``kick_first`` whether the scheme kicks before its map;
-    ``damping`` and ``energy_damping`` whether there are damping terms, and some with H; then what
-    is ``observed``. A step draws ``pairs`` of normals, ``kicked`` are the masses (from 0) whose
-    kick is fused with the map, ``substeps`` whether some trajectories make small steps.
+    ``laws`` are the contact laws that act; ``damping`` and ``energy_damping`` say whether there are
+    damping terms, and some with H. A step draws ``pairs`` of normals, ``kicked`` are the masses
+    (from 0) whose kick is fused with the map, ``substeps`` whether there are small steps.
     """
 
     laws: tuple[str, ...] = ()
@@ -84,11 +83,9 @@ def _compiled(key: KernelKey) -> Any:
         """Advance blocks ``x`` (blocks, 2n·W), the first being block ``first`` of the ensemble.
 
         Observes at the start of a step where ``(phase + step number) % stride == 0``, never with
-        ``stride`` 0; adds to ``sums`` (first blocks, moments·W), lane by lane, to ``folded`` (other
-        blocks, moments·FOLDED) and ``counts`` (all bins, one more a histogram for outside).
-
-        Returns the checksum of the files that it was compiled from: numba's disk cache reads this
-        file alone, and compiles anew where a constant of the kernel has changed.
+        ``stride`` 0: adds to ``sums`` (first blocks, moments·W), ``folded`` (other blocks,
+        moments·FOLDED) and ``counts`` (bins). Returns the checksum of its sources, a constant of
+        the kernel: where it has changed, numba's disk cache compiles anew.
         """
         n, at, terms = step.matrix.shape[0] // 2, watch.at, step.terms
         matrix = step.substeps.matrix if substeps else step.matrix

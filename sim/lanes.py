@@ -1,9 +1,8 @@
 """Loops over lanes that every step is made of; rows of a block lie one after the other.
 
-A loop is over ``width`` lanes, a constant at each call: by default a whole block. Each works on
-views of neighbouring rows, one group that is read and one that is written: an index into a view
-cannot be negative, and two groups need one overlap check, so that the compiler turns the loop into
-vector instructions whatever the number of masses.
+A loop is over ``width`` lanes, a constant at each call: by default a whole block. It reads one view
+of neighbouring rows and writes another: an index into a view cannot be negative, and two views need
+one overlap check, so that the compiler makes vector instructions of the loop.
 """
 
 from typing import Any
@@ -65,13 +64,6 @@ def add_matrix(s: Array, to: int, source: int, matrix: Array, factor: float) -> 
     for i in range(matrix.shape[0]):
         for j in range(matrix.shape[1]):
             add(row(s, to + i), row(s, source + j), factor * matrix[i, j])
-
-
-@inlined
-def grow(target: Array, source: Array, factor: float) -> None:
-    """Multiply one row by ``1 + factor · source``."""
-    for k in range(W):
-        target[k] *= 1.0 + factor * source[k]
 
 
 @inlined

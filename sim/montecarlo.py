@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-import sim.schemes  # noqa: F401  (its modules register the integrators)
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import Method, Plan, Progress, Result
 from fpk.observable import Observable
@@ -17,7 +16,7 @@ from fpk.route import ROUTES, Route, register
 from fpk.system import System
 from sim.arrays import LANES, MAX_TRAJECTORIES
 from sim.relaxation import relaxation_time, undamped_mode
-from sim.scheme import SCHEMES
+from sim.schemes import SCHEMES
 
 LEAST_PATHS = 32 * LANES
 """Paths below which there are fewer than 32 independent batches to take errors from."""
@@ -41,17 +40,14 @@ class MonteCarlo(Method):
 
     ``paths`` trajectories are sampled for ``time`` each, after ``burn_in`` relaxation times.
     ``time`` None: ``relaxations`` relaxation times, but no more than the cost of ``most_steps``
-    uniform steps, as ``limited_by`` in the report then says. ``dt`` None: ``step_factor`` times the
-    step chosen from the stiffest contact that is reached and the rates of the damping terms.
+    uniform steps. ``dt`` None: ``step_factor`` times the step chosen for the system.
     ``tol``: go on until the expected L1 error of the first observable is below it, at most
-    ``longest`` seconds. ``seconds``: go on for so long instead; it takes the place of ``longest``.
-    ``step_pair``: run a second simulation at dt/2, its seed another, on the same bins; the report
-    then has the difference of each density and moment, apart from sampling errors.
-    ``moments``: evaluate the moment identities, too; the report then has the means of q_i², v_i².
-    ``threads`` None: all that there are; the answer does not depend on it. ``cluster``: the address
-    of a Dask scheduler whose workers do it, with bitwise the same answer. ``checkpoint``: a folder
-    where the state is saved at intervals and read again. ``partial``: Ctrl-C ends the sampling with
-    what there is, not certified.
+    ``longest`` seconds. ``seconds``: go on for so long instead.
+    ``step_pair``: run a second simulation at dt/2 and report the difference of each density and
+    moment. ``moments``: evaluate the moment identities and the means of q_i², v_i², too.
+    ``threads`` None: all that there are. ``cluster``: the address of a Dask scheduler; the answer
+    depends on neither. ``checkpoint``: a folder where the state is saved at intervals and read
+    again. ``partial``: Ctrl-C ends the sampling with what there is, not certified.
     ``allow_unstable``: take a ``dt`` at or above the stability limit; nothing is certified then.
 
     Raises ``InvalidInput`` naming the field that cannot be used.
@@ -81,17 +77,17 @@ class MonteCarlo(Method):
         """Check every field."""
         if self.scheme not in SCHEMES:
             raise InvalidInput("scheme", self.scheme, f"is none; use one of {sorted(SCHEMES)}")
-        if not LEAST_PATHS <= self.paths <= MAX_TRAJECTORIES:
-            raise InvalidInput("paths", self.paths, f"use {LEAST_PATHS} to {MAX_TRAJECTORIES}")
-        if not 0 <= self.seed < 2**64:
-            raise InvalidInput("seed", self.seed, "use an integer from 0 to 2**64 - 1")
         most = THREADS_PER_CORE * (os.cpu_count() or 1)
-        if self.threads is not None and not 1 <= self.threads <= most:
-            raise InvalidInput("threads", self.threads, f"use 1 to {most}")
-        if self.most_steps < 1:
-            raise InvalidInput("most_steps", self.most_steps, "use 1 or more")
-        times = ("time", "relaxations", "burn_in", "dt", "step_factor")
-        for key in (*times, "tol", "longest", "seconds"):
+        for key, low, high in (
+            ("paths", LEAST_PATHS, MAX_TRAJECTORIES),
+            ("seed", 0, 2**64 - 1),
+            ("threads", 1, most),
+        ):
+            value = getattr(self, key)
+            if value is not None and not low <= value <= high:
+                raise InvalidInput(key, value, f"use {low} to {high}")
+        times = ("time", "relaxations", "burn_in", "dt", "step_factor", "longest", "seconds")
+        for key in (*times, "tol", "most_steps"):
             value = getattr(self, key)
             if value is not None and not (isfinite(value) and value > 0):
                 raise InvalidInput(key, value, "must be a finite number > 0")

@@ -13,7 +13,7 @@ from sim.arrays import Array, StepArrays, TermArrays, WatchArrays, workspace
 from sim.histogram import Histogram, starts
 from sim.kernel import KernelKey
 from sim.parts.linear import ONE_LOOP
-from sim.scheme import Scheme
+from sim.schemes import Scheme
 from sim.statistics import Product
 from sim.substeps import substep_arrays
 

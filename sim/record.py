@@ -24,12 +24,12 @@ LEVELS = 8
 
 @dataclass(eq=False)
 class Record:
-    """Cumulative means of every batch at the ends of chunks of ``chunk_samples`` samples.
+    """Cumulative sums of every batch at the ends of chunks of ``chunk_samples`` samples.
 
     Quantities are the squares of q and v among the ``products`` of ``masses`` (n,) and the shares
     of samples below the octiles of every coordinate in the first chunk, bins ``cuts`` of its axis.
-    ``chunks`` were sampled, which took ``stepping`` of the ``elapsed`` seconds; at ``target``
-    samples the ``error`` of the first density is computed again.
+    ``stepping`` of the ``elapsed`` seconds were spent on samples; at ``target`` samples the
+    ``error`` of the first density is computed again.
     """
 
     histograms: Sequence[Histogram]
@@ -49,13 +49,10 @@ class Record:
 
     def __post_init__(self) -> None:
         """Name, product number and factor of every q_i² and v_i²; label and fold of every axis."""
-        asked = [(f"q{i}²", "q", i - 1, 1.0) for i in range(1, self.masses.size + 1)]
-        asked += [(f"v{i}²", "p", i - 1, 1.0 / float(m) ** 2) for i, m in enumerate(self.masses, 1)]
-        self.squares = [
-            (name, self.products.index((kind, i, kind, i)), factor)
-            for name, kind, i, factor in asked
-            if (kind, i, kind, i) in self.products
-        ]
+        masses = self.masses.tolist() if self.products else []
+        asked = [(f"q{i}²", ("q", i - 1, "q", i - 1), 1.0) for i, _ in enumerate(masses, 1)]
+        asked += [(f"v{i}²", ("p", i - 1, "p", i - 1), 1.0 / m**2) for i, m in enumerate(masses, 1)]
+        self.squares = [(name, self.products.index(p), factor) for name, p, factor in asked]
         coordinates = [c for histogram in self.histograms for c in histogram.observable]
         self.folds = [self.mirror and c.kind != "H" for c in coordinates]
         self.axes = [
@@ -69,10 +66,7 @@ class Record:
         return [name for name, _, _ in self.squares] + [self.axes[axis] for axis, _ in self.cuts]
 
     def snapshot(self, before: Array, after: Array, live: Integers) -> None:
-        """Note the variance of one sample: the difference of two ``sums`` of an ensemble.
-
-        They cover the trajectories that have sums of their own.
-        """
+        """Note the variance of one sample, the difference of two ``sums`` of an ensemble."""
         samples = self._of_paths(after - before, live)
         self.variances.append(samples.var(axis=1, ddof=1))
         self.errors.append(variance_error(samples))
@@ -94,7 +88,6 @@ class Record:
 
     def join_pairs(self) -> None:
         """Make one chunk of every two; their number must be even."""
-        assert len(self.ends) % 2 == 0, "an odd number of chunks cannot be joined in pairs"
         self.ends, self.chunk_samples = self.ends[1::2], 2 * self.chunk_samples
 
     def means(self) -> Array:
@@ -122,10 +115,7 @@ class Record:
         return effective
 
     def moments(self, ensemble: Any, effective: Sequence[Effective]) -> tuple[Moment, ...]:
-        """Return E q_i² and E v_i² over all trajectories, with errors from those of single ones.
-
-        These are the trajectories of the first blocks; see ``sim.batch.APART``.
-        """
+        """Return E q_i² and E v_i², with errors from the means of single trajectories."""
         each = self._of_paths(ensemble.sums, ensemble.live) / ensemble.samples
         errors = np.sqrt(each.var(axis=1, ddof=1) / ensemble.paths)
         means = ensemble.batch_paths() @ ensemble.batch_means() / ensemble.paths
@@ -137,16 +127,12 @@ class Record:
 
     def saved(self) -> dict[str, NDArray[Any]]:
         """Return all that changes, as arrays: what ``restore`` needs."""
-        return {f"record_{name}": np.array(getattr(self, name)) for name in self._changes()}
+        return {f"record_{f.name}": np.array(getattr(self, f.name)) for f in fields(self)[4:]}
 
     def restore(self, saved: Any) -> None:
         """Go on from what ``saved`` returned."""
-        for name in self._changes():
+        for name in (f.name for f in fields(self)[4:]):
             setattr(self, name, type(getattr(self, name))(saved[f"record_{name}"]))
-
-    def _changes(self) -> list[str]:
-        """Names of the fields that have a value at the beginning, and others later."""
-        return [f.name for f in fields(self)[4:]]
 
     def _of_paths(self, sums: Array, live: Integers) -> Array:
         """Squares (squares, paths) of the trajectories from ``sums`` (blocks, products, LANES)."""
@@ -167,10 +153,7 @@ class Record:
 
 
 def octiles(below: Integers) -> Integers:
-    """Return the bins up to which 1/8, 2/8 ... of the samples lie, each once.
-
-    ``below`` (bins,) is the number of samples up to the end of each bin.
-    """
+    """Return the bins up to which 1/8, 2/8 ... of the samples lie, each once; ``below`` counts."""
     cuts = np.unique(np.searchsorted(LEVELS * below, np.arange(1, LEVELS) * int(below[-1])))
     # A cut below which all samples lie says nothing.
     return np.asarray(cuts[(below[cuts] > 0) & (below[cuts] < below[-1])], dtype=np.int64)

@@ -19,12 +19,10 @@ def relaxation_time(system: System) -> float:
 
     With damping terms modes are taken for Gaussian at temperatures θ_m that balance,
     ``dθ_m/dt = S_m − P_m(θ)``: S_m the power of the noise, P_m that of all damping. An eigenvalue λ
-    of ∂P/∂θ there is the decay rate of an energy, and ½ λ that of the amplitude (of a van der Pol
-    cycle at weak noise: the rate at which amplitudes return to the cycle); a mode whose λ exceeds
-    2 ω_1 creeps and has the slow root of ``r² − λ r + ω_1²``. The same with one temperature for
-    all modes, 2n/P'(θ), is a second estimate, and the longer one counts; with constant damping both
-    are those of the modes. Rare passages between two coexisting states, as of a subcritical
-    bifurcation, take longer than this, and it is for ``burn_in`` and ``time`` to allow for them.
+    of ∂P/∂θ there is the decay rate of an energy, and ½ λ that of the amplitude; a mode whose λ
+    exceeds 2 ω_1 creeps and has the slow root of ``r² − λ r + ω_1²``. One temperature for all modes
+    gives a second estimate, 2n/P'(θ), and the longer one counts. Rare passages between coexisting
+    states take longer than this: it is for ``burn_in`` and ``time`` to allow for them.
     """
     if not system.damping_terms:
         return decay_time(system)
@@ -69,8 +67,8 @@ def modal_powers(system: System, temperatures: Array) -> Array:
 def undamped_mode(system: System) -> bool:
     """Return whether neither the constant damping nor any term acts on some mode.
 
-    This is necessary for growth for ever, not sufficient: where terms act, whether they suffice is
-    left to ``equivalent_temperature``, to lost trajectories and to the moment identities.
+    Where terms act, whether they suffice is left to ``equivalent_temperature``, to lost
+    trajectories and to the moment identities.
     """
     shapes, omega = natural_modes(system)
     constant = np.abs(np.einsum("im,ij,jm->m", shapes, system.damping, shapes))

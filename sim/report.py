@@ -1,6 +1,6 @@
 """The report of a simulation, as typed records; tables and JSON show it as ``settings``."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import nan
 from typing import Literal
 
@@ -9,43 +9,29 @@ from sim.diagnostics import Diagnosis
 
 Settings = dict[str, str | float | int]
 
-SHOWN_AS = {
-    "temperature": "kT",
-    "nanoseconds": "ns_per_particle_step",
-    "division": "small_steps",
-}
-"""Keys of ``Steps`` in tables and JSON, where they differ from the names of its fields."""
-
 
 @dataclass(frozen=True)
 class Steps:
-    """How the states were advanced and sampled; times in the unit of time of the system.
+    """How far the states were advanced; times in the unit of time of the system.
 
-    ``dt`` is the step of the integrator; ``long_step`` holds ``small`` of them, which only
-    trajectories near a stop make one by one, and ``division`` says why so many. ``steps`` long
-    steps of each of ``paths`` trajectories, together ``time``, were sampled every ``stride``-th
-    after ``burn_in``. ``temperature`` is kT, ``relaxation_time`` the longest decay time without
-    contact, ``nanoseconds`` the processor time per trajectory and long step. ``limited_by`` names
-    the limit that cut the sampled time short of what was asked for.
+    ``dt`` is the step of the integrator; ``paths`` were sampled for ``time`` after ``burn_in``.
+    ``relaxation_time`` is the longest decay time without contact. ``limited_by`` names the limit
+    that cut ``time`` short of what was asked for. ``others`` are more settings for readers.
     """
 
-    scheme: str
     dt: float
     paths: int
-    steps: int
     time: float
     burn_in: float
-    stride: int
-    batches: int
-    seed: int
-    threads: int
-    temperature: float
-    long_step: float
-    nanoseconds: float
     relaxation_time: float
-    small: int = 1
-    division: str = ""
-    limited_by: Literal["", "most_steps"] = ""
+    limited_by: Literal["", "most_steps"]
+    others: Settings
+
+    def settings(self) -> Settings:
+        """Return the same for readers, by the names that tables and JSON have."""
+        own: Settings = {"dt": self.dt, "paths": self.paths, "time": self.time}
+        own |= {"burn_in": self.burn_in, "relaxation_time": self.relaxation_time} | self.others
+        return own | ({"limited_by": self.limited_by} if self.limited_by else {})
 
 
 @dataclass(frozen=True)
@@ -53,8 +39,7 @@ class StepBias:
     """The difference between the runs at dt and dt/2, and what sampling alone makes of it.
 
     Of a density: the L1 distance, and its mean were both densities the same. Of a moment: the
-    difference, and one standard error of it. With weak order w it is ``1 − 2^−w`` of the bias at
-    dt: 15/16 of it for ``exact_flow``.
+    difference, and its standard error. With weak order w it is ``1 − 2^−w`` of the bias at dt.
     """
 
     difference: float
@@ -77,10 +62,9 @@ class DensityError:
 
 @dataclass(frozen=True)
 class Moment:
-    """The mean of ``name`` over the sampled states, such as ``q2²``, in the unit of the system.
+    """The mean of ``name`` over the sampled states, such as ``q2²``, and its standard error.
 
-    ``error`` is one standard error, from the means of single trajectories; ``effective_samples``
-    the number of independent samples of equal worth, not a number where it was not estimated.
+    ``effective_samples`` is the number of independent samples of equal worth, NaN if unknown.
     """
 
     name: str
@@ -94,10 +78,9 @@ class Moment:
 class Report:
     """Everything a simulation says of itself beside its densities.
 
-    ``errors`` are in the order of the densities. ``diagnosis`` is None where there was nothing to
-    diagnose: trajectories were ``lost`` (left the finite range), or Ctrl-C ended the sampling, as
-    ``interrupted`` then says. ``step_pair`` says whether a second simulation at half the step could
-    be compared.
+    ``errors`` are in the order of the densities. ``diagnosis`` is None where trajectories were
+    ``lost`` (left the finite range) or Ctrl-C ended the sampling, as ``interrupted`` then says.
+    ``step_pair`` says whether a second simulation at half the step could be compared.
     """
 
     steps: Steps
@@ -114,8 +97,7 @@ class Report:
 
     def settings(self) -> Settings:
         """Return everything for readers, by the names that tables and JSON have."""
-        steps = asdict(self.steps) | {"small": ""}  # ``division`` has it in words
-        settings: Settings = {SHOWN_AS.get(k, k): v for k, v in steps.items() if v != ""}
+        settings = self.steps.settings()
         if self.interrupted:
             settings["partial"] = self.interrupted
         if self.diagnosis is not None:

@@ -3,7 +3,7 @@
 from contextlib import nullcontext
 from math import ceil, inf
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,8 +14,10 @@ from sim.checkpoint import Checkpoint, checkpoint_of, interruptible, never
 from sim.ensemble import Ensemble
 from sim.histogram import covering, extremes, sampled_density, starts
 from sim.record import SNAPSHOTS, Record
-from sim.setup import Setup
 from sim.statistics import sampling_error
+
+if TYPE_CHECKING:
+    from sim.run import Setup
 
 PILOT_STATES = 16
 """States of the ensemble from which the pilot takes the ranges of the histograms."""
@@ -27,12 +29,11 @@ PILOT_PATHS = 65536
 """Trajectories at most that the pilot reads: the extremes of more lie within the margin."""
 
 CHUNKS = 20
-"""Chunks into which the sampled time is divided; after each, progress is reported and lost
-trajectories are counted."""
+"""Chunks into which the sampled time is divided."""
 
 FIRST_CHUNK = 32
-"""Divisor of the length of a chunk at the beginning of a run without a known end. Whenever such a
-run has 2 ``CHUNKS``, they are joined in pairs, and those that follow are twice as long."""
+"""Divisor of the length of a chunk at the beginning of a run without a known end. Whenever it has
+2 ``CHUNKS``, they are joined in pairs, and those that follow are twice as long."""
 
 LEAST_CHUNKS = 8
 """Chunks before which a target error is not trusted: halves of four can be compared."""
@@ -41,7 +42,7 @@ CHECK_AT = 0.95
 """Share of the samples wanted, as 1/error² predicts them, at which the error is computed again."""
 
 
-def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) -> Answer:
+def simulate(setup: "Setup", *, workers: Any = None, progress: Progress = silent) -> Answer:
     """Sample the stationary state of Eq. (6) as ``setup`` says, by ``workers`` (None: one thread).
 
     Where the method has a folder for ``checkpoint`` the state is saved at intervals, and a
@@ -72,7 +73,7 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
     return assessed(setup, ensemble, record, interrupted=words if checkpoint.interrupted else "")
 
 
-def _burnt_in(setup: Setup, ensemble: Ensemble, checkpoint: Checkpoint, saved: Any) -> Array:
+def _burnt_in(setup: "Setup", ensemble: Ensemble, checkpoint: Checkpoint, saved: Any) -> Array:
     """Advance to the end of the burn-in, from the state in ``saved`` if there is one.
 
     Returns the extremes (coordinates, 2) of ``PILOT_STATES`` states that follow, from which the
@@ -99,7 +100,7 @@ def _burnt_in(setup: Setup, ensemble: Ensemble, checkpoint: Checkpoint, saved: A
 def _sample(
     ensemble: Ensemble,
     record: Record,
-    setup: Setup,
+    setup: "Setup",
     *,
     begin: float,
     checkpoint: Checkpoint,
@@ -138,21 +139,17 @@ def _sample(
         if tol is not None and (late or (enough and ensemble.samples >= record.target)):
             record.error = _first_error(ensemble, record)
             record.target = CHECK_AT * ensemble.samples * (record.error / tol) ** 2
-        done = _share_done(ensemble, record, setup)
+        done = record.chunks / CHUNKS
+        if setup.open:
+            wanted = record.target / CHECK_AT if tol is not None else inf
+            sampled = ensemble.samples / wanted if wanted else 0.0
+            done = max(sampled, record.elapsed / setup.seconds)
         progress(min(CHUNKS, int(CHUNKS * done)), CHUNKS, "simulation")
         met = tol is not None and record.error <= tol and enough
         if met or late or (not setup.open and record.chunks == CHUNKS):
             return
         if setup.open and len(record.ends) == 2 * CHUNKS:
             record.join_pairs()
-
-
-def _share_done(ensemble: Ensemble, record: Record, setup: Setup) -> float:
-    """Return how much of the sampling is done; beyond 1 where it took longer than predicted."""
-    if not setup.open:
-        return record.chunks / CHUNKS
-    wanted = record.target / CHECK_AT if setup.tol is not None else inf
-    return max(ensemble.samples / wanted if wanted else 0.0, record.elapsed / setup.seconds)
 
 
 def _first_error(ensemble: Ensemble, record: Record) -> float:

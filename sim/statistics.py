@@ -21,7 +21,7 @@ of the histogram itself it would show the counting noise of each, which any smoo
 def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
     """Return the products that are summed: p p, q p, q F, p F and q q, F = K q + g(q).
 
-    With damping ``terms``, whose forces are D_i = Σ_j c̃_ij v_j, also p D and q D.
+    With damping ``terms`` of the forces D_i = Σ_j c̃_ij v_j also p D and q D.
     """
     masses = range(n)
     products: list[Product] = [("p", i, "p", j) for i in masses for j in range(i, n)]

@@ -9,23 +9,22 @@ from fpk.equivalent import balance_energy, equivalent_temperature
 from fpk.errors import InvalidInput
 from fpk.modes import natural_modes
 from fpk.system import System
-from sim.scheme import Scheme
+from sim.schemes import Scheme
 
 REACHED = 5.0
 """Potential energy, in units of kT, up to which a mass is expected to push into its stop."""
 
 BEYOND_BALANCE = 1.5
 """Energy, in units of the last at which damping and noise balance, up to which a step is to be
-stable: of two humps of the energy the upper one is there, whatever kT says."""
+stable: kT says nothing of the upper of two humps of its density."""
 
 STEP_PER_FREQUENCY = 0.45
 """Step times the frequency in contact, springs included. The bias grows with the fourth power: at
 0.65 the L1 of p(q2) shows it beside a sampling error of 3e-4 (B = 1, 10); at 0.45 it does not."""
 
 STEP_WITH_TERMS = 0.22
-"""Step times the frequency in contact where damping terms act, too: with contact, their bias grows
-with the square of the step. At 0.45 it is 4e-3 of the kinetic balance of a mass that both act on,
-at 0.22 a quarter of that."""
+"""Step times the frequency in contact where damping terms act, too: their bias then grows with the
+square of the step, and is 1e-3 of the kinetic balance of a mass that both act on."""
 
 STEP_PER_RATE = 0.1
 """Step times the steepest rate of the damping terms that is reached, see ``term_rate``."""
@@ -47,9 +46,9 @@ def temperature(system: System) -> float:
 
 
 def contact_frequency(system: System, *, springs: bool = False) -> float:
-    """Return the largest √(g'/m) that is reached, with ``springs`` √((g' + K_ii)/m_i).
+    """Return the largest √(g'/m) that is reached, with ``springs`` √((g' + K_ii)/m_i); 0 if none.
 
-    0 without contact. A mass that moves alone, the others following statically, has the potential
+    A mass that moves alone, the others following statically, has the potential
     ``½ k_eff q² + U(q)`` with k_eff the Schur complement of K. It reaches ``REACHED`` kT, or one kT
     of contact energy where the stop is too far for that.
     """
@@ -108,8 +107,7 @@ def sampling_interval(system: System) -> float:
 def chosen_step(system: System) -> float:
     """Return the step of ``exact_flow``; of a linear system any is exact: the sampling interval.
 
-    Terms need it short beside their own rates and, since the oscillation does not commute with
-    them, beside the natural periods.
+    Damping terms need it short beside their own rates and the natural periods.
     """
     frequency, steps = contact_frequency(system, springs=True), [sampling_interval(system)]
     share = STEP_PER_FREQUENCY
@@ -123,10 +121,7 @@ def chosen_step(system: System) -> float:
 
 
 def check_step(system: System, scheme: Scheme, dt: float) -> None:
-    """Refuse a step at or above 2/ω, where a kick amplifies what it should turn back.
-
-    ω is the contact frequency, with the springs where the scheme kicks by them.
-    """
+    """Refuse a step at or above 2/ω, ω the contact frequency, with the springs if they kick."""
     square = contact_frequency(system) ** 2
     if scheme.springs_kicked or not scheme.kick_first:
         square += highest_frequency(system) ** 2

@@ -1,30 +1,13 @@
 """Which trajectories may touch a stop within a long step, and how long a step is worth while.
 
-Far from its stops a trajectory needs no small steps: the linear flow is exact in law over any
-step, and many small steps without a kick are one long step. A long step ``H = small · h`` therefore
-divides the trajectories by their state at its start, and by nothing else, so that the process stays
-Markov: *far* ones, which cannot touch within it, make it at once, *near* ones make ``small`` steps
-``h`` with kicks. Its law is that of the small steps everywhere, but for far ones that would have
-touched after all. Those are excluded as follows (``d`` the side, ``q`` the mass's displacement).
+A long step ``H = small · h`` divides the trajectories by their state x at its start: *near* ones
+make ``small`` steps ``h`` with kicks; *far* ones make it at once, which is exact in law unless they
+touch. With q the displacement of the mass and d the side, a trajectory is far if
 
-* Mean motion. From the state x it is ``q(s) = (e^{As} x)_i``, and lies within
-  ``H²/8 max |q''|`` of the chord; ``|q''| <= Σ_j max_s |(q''-row of e^{As})_j| |x_j|``:
-  b(x).
-* Noise. Its displacement Y(s) has the deviation σ(s); at the end ``|Y(H)| <= a`` with certainty,
-  since each pair of normals lies in a disc (``LARGEST_NORMAL``, 6.66). A trajectory is far if
+    max(d q(0), d q(H) + a) + b(x) < clearance ,
 
-      max(d q(0), d q(H) + a) + b(x) < clearance ,
-
-  so that Y may reach ``a s/H`` at least before it touches. At its end it does not touch, with
-  certainty: whoever feels a force at an observed time is near, made small steps before it and makes
-  them after it, and the processor's h is theirs. Within the step, Rice's formula for crossings of
-  a s/H, with σ² = κ s³ and covariance of Y and Y' 3/2 σ²/s as short steps have, is
-
-      ∫ φ(a s/(H σ)) (a/(2H σ)) ds = ∫_{a/σ(H)}^∞ φ(u) du ,
-
-  u = a s/(H σ), plus 1e-5 of itself from the deviation of Y' about its mean: at ``a >= 6.66 σ(H)``
-  1.4e-11 a long step, for a trajectory that starts at the very border. Noise that reaches a mass
-  through springs only has a steeper σ(s), for which it is less still.
+q(H) its mean motion, b(x) the ``bends`` of that, and a the ``noise_reach``. It then touches with a
+probability of 1.4e-11 at most: docs/theory.md, "The step of the simulation".
 """
 
 from dataclasses import replace
@@ -38,7 +21,7 @@ from fpk.system import System
 from sim.arrays import LANES, Array, Integers, SubstepArrays
 from sim.flow import exact_flow, flow_covariance, lower_trapezoidal, padded
 from sim.parts.substeps import NARROW
-from sim.scheme import Scheme
+from sim.schemes import Scheme
 from sim.step_size import sampling_interval, temperature
 
 LARGEST_NORMAL = sqrt(2.0 * 32.0 * log(2.0)) * (1.0 + 3e-6)
@@ -63,10 +46,9 @@ def noise_reach(system: System, H: float, masses: Integers) -> Array:
 
 
 def bends(system: System, H: float, masses: Integers) -> Array:
-    """Return b of the module's docstring as rows (masses, 2n) that ``|x|`` is multiplied by.
+    """Return rows (masses, 2n) whose product with ``|x|`` is b(x), how far paths leave the chord.
 
-    The largest is that on a grid of times, and half an interval times the largest slope on it: what
-    is left out is of second order in an interval.
+    The largest curvature is that on a grid of times, and half an interval times the largest slope.
     """
     drift, step = drift_matrix(system), H / TIMES
     across = flow_covariance(drift, diffusion_matrix(system), step)[0]

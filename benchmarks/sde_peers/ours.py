@@ -27,11 +27,10 @@ from trial import (  # first: it knows the way to ``installed``
 
 from installed import version_of
 
-import sim.schemes  # noqa: F401  (its modules register the integrators)
 from fpk.observable import parse_observable
 from sim.ensemble import Ensemble
 from sim.histogram import Histogram
-from sim.scheme import SCHEMES
+from sim.schemes import SCHEMES
 
 SETTINGS = (
     Setting("exact_flow", 0.45, 4, 8192, 1.0),

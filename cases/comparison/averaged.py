@@ -81,9 +81,8 @@ class AveragedSimulation(Method):
     def _sampled(
         self, process: "Process", observables: Sequence[Observable], progress: Progress
     ) -> Result:
-        from sim.averaged.line import line_form
         from sim.averaged.paths import simulate_energies, steps_between
-        from sim.averaged.square_root import square_root_form
+        from sim.averaged.square_root import line_form, square_root_form
 
         form = (line_form if self.theory == "nonintegrable" else square_root_form)(process)
         slowest, exact = float(form.times.max()), form.damping is None

@@ -17,7 +17,7 @@ from fpk.method import Progress, silent
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
 from sim.report import Report
-from sim.scheme import SCHEMES
+from sim.schemes import SCHEMES
 
 FULL = "full system (6)"
 RELAXATIONS = 4.0

@@ -21,7 +21,7 @@ from cases.studies.simulation import (
 from fpk.density import Array, moment
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
-from sim.scheme import SCHEMES
+from sim.schemes import SCHEMES
 
 LEVELS, FEW_LEVELS = 5, 4
 """Number of steps of a study; the second where they are small, as each then takes long."""

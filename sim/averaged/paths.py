@@ -52,9 +52,7 @@ def simulate_energies(
 
     ``paths`` in all are sampled every ``interval`` for ``time`` after ``burn_in``, in steps of
     ``dt`` at most, infinity for one from sample to sample. Streams belong to batches of paths: the
-    answer does not depend on ``threads``. A density whose expected L1 error by chance exceeds
-    ``tol`` is not certified. Ranges are those of a pilot with a stream of its own, and a margin;
-    what falls outside is counted as such.
+    answer does not depend on ``threads``. Ranges come from a pilot with a stream of its own.
 
     Raises ``InvalidInput`` for times that are not positive, and paths that fill no batches.
     """

@@ -105,17 +105,6 @@ def damping_forces(s: Array, first: int, H: Array, to: int, work: int, step: Ste
 
 
 @inlined
-def change_by_springs(s: Array, state: int, to: int, step: StepArrays) -> None:
-    """Write (M⁻¹ p, −K q) of the state from row ``state`` on, the flow of the springs alone."""
-    n = step.half_inverse_mass.size
-    for i in range(2 * n):
-        fill(row(s, to + i), 0.0)
-    for i in range(n):
-        add(row(s, to + i), row(s, state + n + i), 2.0 * step.half_inverse_mass[i])
-    add_matrix(s, to + n, state, step.stiffness_matrix, -1.0)
-
-
-@inlined
 def change_of_term(
     change: Array, one: Array, s: Array, state: int, rates: int, terms: TermArrays, k: int
 ) -> None:
@@ -142,7 +131,12 @@ def processed_by_terms(s: Array, H: Array, at: Rows, shift: float, step: StepArr
     """
     terms = step.terms
     n, work = step.half_inverse_mass.size, at.work
-    change_by_springs(s, at.q, at.change, step)
+    # (M⁻¹ p, −K q), the flow of the springs alone.
+    for i in range(n):
+        fill(row(s, at.change + i), 0.0)
+        fill(row(s, at.change + n + i), 0.0)
+        add(row(s, at.change + i), row(s, at.p + i), 2.0 * step.half_inverse_mass[i])
+    add_matrix(s, at.change + n, at.q, step.stiffness_matrix, -1.0)
     for slot in range(step.slot_mass.size):
         force = row(s, at.change + n + step.slot_mass[slot])
         add(force, row(s, at.contact + 2 * slot), 1.0)

@@ -1,9 +1,8 @@
 """The random linear map ``x <- matrix @ (x, z)`` of a block; z are rows of normals.
 
-Pair j of z is a row of cosines from ``j · pair`` on, and one of sines ``sines`` behind it; they are
-the columns 2j and 2j + 1. These columns are lower trapezoidal: row i takes the normals 0..i only.
-One or two masses are one loop each, in place: every number of a lane is read and written once. More
-masses go by pairs of rows and ``COLUMNS`` columns at a time through scratch rows.
+Pair j of z is a row of cosines at ``j · pair`` and one of sines ``sines`` behind it, for columns 2j
+and 2j + 1. These are lower trapezoidal: row i takes the normals 0..i only. One or two masses are
+one loop each, in place; more go by pairs of rows and ``COLUMNS`` columns through scratch rows.
 """
 
 from typing import Any

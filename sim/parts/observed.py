@@ -8,7 +8,7 @@ from numba import njit
 from fpk.compiling import inlined
 from sim.arrays import LANES as W
 from sim.arrays import Array, Integers, StepArrays, WatchArrays
-from sim.lanes import add, add_matrix, add_product, copy, fill, grow, kick, row
+from sim.lanes import add, add_matrix, add_product, copy, fill, kick, row
 from sim.parts.contact import add_contact
 from sim.parts.damping import damping_forces, processed_by_terms, whole_energy
 
@@ -17,30 +17,27 @@ FOLDED = 16
 
 
 @inlined
-def observed_displacements(s: Array, step: StepArrays, watch: WatchArrays) -> None:
-    """Write q*, corrected by the processor; without contact it is q."""
-    q0, g0 = watch.at.q, watch.at.contact
-    for i in range(step.matrix.shape[0] // 2):
-        copy(row(s, q0 + i), row(s, i))
-    for slot in range(step.slot_mass.size):
-        add(row(s, q0 + step.slot_mass[slot]), row(s, g0 + 2 * slot), -step.slot_shift[slot])
-
-
-@inlined
-def observed_momenta(s: Array, step: StepArrays, watch: WatchArrays) -> None:
-    """Write p*, in the middle of the kicks and corrected by the processor."""
-    p0, g0 = watch.at.p, watch.at.contact
+def observed_state(s: Array, step: StepArrays, watch: WatchArrays, momenta: bool) -> None:
+    """Write q*, and p* in the middle of the kicks if ``momenta``, corrected by the processor."""
+    q0, p0, g0 = watch.at.q, watch.at.p, watch.at.contact
     n, slots = step.matrix.shape[0] // 2, step.slot_mass.size
     for i in range(n):
-        copy(row(s, p0 + i), row(s, n + i))
-    add_matrix(s, p0, 0, watch.half_springs, -1.0)
+        copy(row(s, q0 + i), row(s, i))
     for slot in range(slots):
-        p, g = row(s, p0 + step.slot_mass[slot]), row(s, g0 + 2 * slot, 2)
-        kick(p, g, watch.half_kick, step.slot_shift[slot])
-        grow(p, g[W:], step.slot_shift[slot])
-    for i in range(n):
+        add(row(s, q0 + step.slot_mass[slot]), row(s, g0 + 2 * slot), -step.slot_shift[slot])
+    if momenta:
+        for i in range(n):
+            copy(row(s, p0 + i), row(s, n + i))
+        add_matrix(s, p0, 0, watch.half_springs, -1.0)
         for slot in range(slots):
-            add(row(s, p0 + i), row(s, g0 + 2 * slot), watch.cross[i, slot])
+            shift = step.slot_shift[slot]
+            p, g = row(s, p0 + step.slot_mass[slot]), row(s, g0 + 2 * slot, 2)
+            kick(p, g, watch.half_kick, shift)
+            for k in range(W):
+                p[k] *= 1.0 + shift * g[W + k]
+        for i in range(n):
+            for slot in range(slots):
+                add(row(s, p0 + i), row(s, g0 + 2 * slot), watch.cross[i, slot])
 
 
 @inlined
@@ -83,9 +80,7 @@ def observe(
     before types are inferred, so that nothing is compiled for a flag that is a constant False.
     """
     at = watch.at
-    observed_displacements(s, step, watch)
-    if momenta:
-        observed_momenta(s, step, watch)
+    observed_state(s, step, watch, momenta)
     if damping and watch.term_shift != 0.0:
         if energy_damping:
             whole_energy(s, H, V, step)

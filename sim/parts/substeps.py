@@ -1,10 +1,9 @@
 """Small steps of the lanes near a stop only, side by side in narrow groups.
 
-A block makes one long step: the lanes that may touch a stop within it are chosen from the state at
-its start (``sim.substeps``) and gathered, ``NARROW`` to a group; all lanes are mapped over the long
-step; then those that were gathered make the small steps from where they were and overwrite what the
-map gave. Their normals belong to the trajectory, the long step and the small one, wherever a
-lane comes to lie in its group: the word's lower half is the radius, the upper the angle.
+The lanes that may touch a stop within a long step (``sim.substeps``) are gathered, ``NARROW`` to a
+group; all lanes are mapped over the long step; then those gathered make the small steps from where
+they were and overwrite what the map gave. Their normals belong to the trajectory and the step,
+wherever a lane lies in its group: a word's lower half is the radius, the upper the angle.
 """
 
 from typing import Any

@@ -8,7 +8,7 @@ import numpy as np
 
 from fpk.system import System
 from sim.flow import LinearMap, factored, flow_covariance
-from sim.scheme import Scheme, register
+from sim.schemes import Scheme, register
 
 
 def drift_damp_drift(system: System, dt: float) -> LinearMap:

@@ -9,7 +9,7 @@ import numpy as np
 from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.system import System
 from sim.flow import LinearMap, factored
-from sim.scheme import Scheme, register
+from sim.schemes import Scheme, register
 
 
 def euler_step(system: System, dt: float) -> LinearMap:

@@ -12,7 +12,7 @@ from fpk.system import System
 from sim.arrays import LANES
 from sim.ensemble import Ensemble
 from sim.montecarlo import MonteCarlo
-from sim.scheme import SCHEMES
+from sim.schemes import SCHEMES
 from sim.step_size import chosen_step
 
 Array = NDArray[np.float64]

@@ -20,7 +20,7 @@ from fpk.system import System
 from sim.arrays import MAX_TRAJECTORIES
 from sim.ensemble import Ensemble
 from sim.montecarlo import MonteCarlo
-from sim.scheme import SCHEMES
+from sim.schemes import SCHEMES
 from sim.step_size import chosen_step
 
 SHORT = MonteCarlo(paths=4096, relaxations=10.0, burn_in=5.0)

@@ -24,7 +24,7 @@ from sim.checkpoint import Checkpoint, checkpoint_of, interruptible
 from sim.ensemble import Ensemble
 from sim.montecarlo import MonteCarlo
 from sim.report import Report
-from sim.scheme import SCHEMES
+from sim.schemes import SCHEMES
 
 METHOD = MonteCarlo(paths=4096, time=2000.0, dt=0.2, seed=17, threads=1)
 OBSERVABLES = [parse_observable(name, 2) for name in ("q2", "p1", "q2,p2")]

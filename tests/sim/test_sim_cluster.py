@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 from sim_systems import fig6, ranged
 
-import sim.schemes  # noqa: F401
 from fpk.errors import NotCertified, Unavailable
 from fpk.observable import parse_observable
 from sim.arrays import LANES
 from sim.cluster import Cluster, Threads, connected, on_copies
 from sim.ensemble import Ensemble
 from sim.histogram import Histogram
-from sim.scheme import SCHEMES
+from sim.schemes import SCHEMES
 from sim.statistics import moment_products
 
 dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")

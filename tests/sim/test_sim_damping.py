@@ -22,7 +22,7 @@ from sim.histogram import Histogram
 from sim.montecarlo import MonteCarlo
 from sim.random import normals
 from sim.relaxation import relaxation_time
-from sim.scheme import SCHEMES
+from sim.schemes import SCHEMES
 from sim.statistics import Moments, moment_products
 from sim.step_size import temperature
 

@@ -25,7 +25,7 @@ from sim.ensemble import Ensemble
 from sim.histogram import mirrored, sampled_density
 from sim.montecarlo import MonteCarlo
 from sim.record import Record, octiles
-from sim.scheme import SCHEMES
+from sim.schemes import SCHEMES
 from sim.statistics import joined_bins, moment_products, sampling_error
 
 

@@ -19,9 +19,8 @@ from fpk.line.stationary import solve_stationary
 from fpk.observable import Coordinate
 from fpk.plane.stationary import solve_plane
 from fpk.process import Coefficients, Process
-from sim.averaged.line import line_form
 from sim.averaged.paths import simulate_energies, steps_between
-from sim.averaged.square_root import square_root_form, square_root_step
+from sim.averaged.square_root import line_form, square_root_form, square_root_step
 
 SAMPLING: Any = {"dt": 0.2, "time": 10.0, "burn_in": 10.0, "interval": 1.0, "paths": 4096}
 """Modes that decay at the rate 0.4 or faster: e⁻⁴ of the start's deviation is left at first, and a

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 from sim_systems import fig6, linear, mixed, ranged
 
-import sim.schemes  # noqa: F401
 from fpk.compiling import ROOT
 from fpk.observable import parse_observable
 from sim.arrays import LANES
 from sim.ensemble import Ensemble
 from sim.kernel import KernelKey
 from sim.plan import kernel_key, step_arrays
-from sim.scheme import SCHEMES
+from sim.schemes import SCHEMES
 from sim.sources import KERNEL, kernel_checksum, program_checksum
 from sim.statistics import moment_products
 
@@ -131,10 +130,9 @@ def test_whatever_is_compiled_is_in_the_checksum() -> None:
 
 
 SECOND_PROCESS = """
-import sim.schemes
 from sim.ensemble import Ensemble
 from sim.kernel import compiled_kernel
-from sim.scheme import SCHEMES
+from sim.schemes import SCHEMES
 from sim_systems import fig6
 e = Ensemble(fig6(), SCHEMES["exact_flow"], 0.2, 128, 1, 1)
 e.advance(2)

@@ -23,8 +23,8 @@ from sim.kernel import WatchArrays
 from sim.montecarlo import MonteCarlo
 from sim.plan import watch_arrays
 from sim.report import Report
-from sim.scheme import SCHEMES
-from sim.setup import Setup
+from sim.run import Setup
+from sim.schemes import SCHEMES
 from sim.simulation import simulate
 from sim.step_size import chosen_step, contact_frequency
 

@@ -21,7 +21,7 @@ from sim.montecarlo import MonteCarlo
 from sim.record import Record
 from sim.relaxation import relaxation_time
 from sim.report import Moment, Report
-from sim.scheme import SCHEMES
+from sim.schemes import SCHEMES
 from sim.statistics import Moments, moment_products
 from sim.step_size import chosen_step
 

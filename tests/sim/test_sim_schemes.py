@@ -8,14 +8,13 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from sim_systems import exact, fig6, linear, mixed, place
 
-import sim.schemes
 from fpk.contact import Contact
 from fpk.contact_law import LAWS, ContactLaw
 from fpk.system import System
 from sim.ensemble import Ensemble
 from sim.flow import exact_flow, factored, flow_covariance, lower_trapezoidal
 from sim.random import normals
-from sim.scheme import SCHEMES
+from sim.schemes import SCHEMES
 
 Array = NDArray[np.float64]
 Step = Callable[[System, float, Array, Array, Callable[[int], Array]], tuple[Array, Array]]
@@ -96,7 +95,6 @@ def test_kernel_of_three_masses_equals_its_twin(name: str) -> None:
 
 def test_every_scheme_of_the_folder_has_a_twin() -> None:
     assert set(SCHEMES) == set(TWINS)
-    assert sim.schemes.__path__
 
 
 def test_a_law_registered_by_someone_else_is_simulated(monkeypatch: pytest.MonkeyPatch) -> None:

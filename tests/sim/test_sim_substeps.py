@@ -10,7 +10,6 @@ from sim_systems import fig6, linear, mixed, place
 from test_sim_random import word
 from test_sim_schemes import contact
 
-import sim.schemes  # noqa: F401
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.linear import diffusion_matrix, drift_matrix
@@ -23,7 +22,7 @@ from sim.histogram import Histogram
 from sim.montecarlo import MonteCarlo
 from sim.plan import kernel_key, step_arrays
 from sim.random import normals
-from sim.scheme import SCHEMES, Scheme
+from sim.schemes import SCHEMES, Scheme
 from sim.statistics import Moments, moment_products
 from sim.step_size import chosen_step, sampling_interval
 from sim.substeps import (
