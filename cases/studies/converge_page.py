@@ -92,8 +92,10 @@ def study_panels(study: ConvergenceStudy) -> list[Panel]:
         curves = [_in_unknowns(ladder) for ladder in e["ladders"]]
         if by_degree:
             title, x = f"{e['equation']}; exponential in $p$", "degree $p$ on a fixed mesh"
-            ladders = [*(own for own in e["ladders"] if own.family == "p"), study.without_contact]
-            curves = [_in_degree(ladder) for ladder in ladders if ladder is not None]
+            (own,) = (ladder for ladder in e["ladders"] if ladder.family == "p")
+            curves = [_in_degree("no contact", own)]
+            if free := study.without_contact:
+                curves = [_in_degree("with contact", own), _in_degree("without contact", free)]
         y, floor = f"$L_1$ error of p({e['observable']})", e["reference_error"] + ROUND_OFF
         panels.append(Panel(title, x, y, curves, floor, (), not by_degree, LIMITS_OF_AXIS))
     return [*panels, _step_panel(study.schemes)] if study.schemes else panels
@@ -109,9 +111,9 @@ def _in_unknowns(ladder: Ladder) -> Curve:
     return Curve(f"{ladder.name}: order {ladder.verdicts['L1'].order:.2f}", N, e, dashed=dashed)
 
 
-def _in_degree(ladder: Ladder) -> Curve:
+def _in_degree(words: str, ladder: Ladder) -> Curve:
     degrees = [-np.log(level.size) for level in ladder.levels]
-    label = f"{ladder.equation}: $e^{{-{ladder.verdicts['L1'].order:.1f} p}}$"
+    label = f"{words}: $e^{{-{ladder.verdicts['L1'].order:.1f} p}}$"
     return Curve(label, degrees, [level.error for level in ladder.levels])
 
 
