@@ -195,7 +195,7 @@ def solve_elements(
         inner_error = flat.relative_error[energy.size : -left.size].reshape(inner.shape)
         error[above] = np.maximum(error[above], inner_error.max(axis=1))
     mass = (weights * p).sum(axis=1)
-    flux_unit = np.abs(largest[:, 0, 0] / (mass * h[:, 0]))
+    unit = np.abs(largest[:, 0, 0] / mass)
     return Elements(
         left=left,
         right=right,
@@ -208,8 +208,8 @@ def solve_elements(
         weights=weights,
         residual=residual,
         # The first test is 1: its equation is the mean of J.
-        net_flux=left_over[:, 0] * flux_unit,
-        one_way=terms[:, 0] * flux_unit,
+        net_flux=left_over[:, 0] * unit / h[:, 0],
+        one_way=terms[:, 0] * unit / h[:, 0],
         at_end=T_end * u.sum(axis=1) / mass,
     )
 
