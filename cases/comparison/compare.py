@@ -67,11 +67,6 @@ class Comparison:
         """Whether the difference is allowed; one that is not judged is."""
         return self.band is None or bool(self.band >= self.L1)
 
-    @property
-    def independent(self) -> bool:
-        """Whether just one of the two is sampled: then no step of the calculation is shared."""
-        return self.a.sampled != self.b.sampled
-
 
 def compared(results: Sequence[Result], *, averaging_is_exact: bool) -> tuple[Comparison, ...]:
     """Return the comparison of every pair of results in every observable they share.
@@ -123,7 +118,9 @@ def _doubt(difference: Comparison, comparisons: Sequence[Comparison]) -> str:
         (route.label, (c.b if c.a == route else c.a).label)
         for route in routes
         for c in comparisons
-        if c.observable == difference.observable and c.independent and route in (c.a, c.b)
+        if c.observable == difference.observable and route in (c.a, c.b)
+        # Where just one of the two is sampled, no step of the calculation is shared.
+        if c.a.sampled != c.b.sampled
         if c.band is not None and c.holds and not c.uncertified
     ]
     if len({route for route, _ in agreeing}) != 1:

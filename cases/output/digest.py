@@ -135,15 +135,13 @@ def comparison_rows(comparisons: Iterable[Comparison]) -> list[Record]:
 
     It is the same by every solver of a theory, as the numerical rows show.
     """
-    shown: set[tuple[str, ...]] = set()
+    first: dict[tuple[str, ...], Comparison] = {}
     rows = []
     for c in comparisons:
         pair = (c.observable, _theory(c.a), _theory(c.b))
-        repeats = c.measures == "averaging" and pair in shown
+        repeats = c.measures == "averaging" and first.setdefault(pair, c) is not c
         row = {key: getattr(c, key) for key in ("observable", "measures", "L1", "band", "error")}
         rows.append(row | {"a": c.a.label, "b": c.b.label, "holds": c.holds, "repeats": repeats})
-        if c.measures == "averaging":
-            shown.add(pair)
     return rows
 
 

@@ -11,9 +11,6 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from cases.output.digest import curves_of, refusals_of, verdict_of
 from cases.output.records import Record
 
-COLUMNS = ("curves", "judged", "certified", "failing", "claims", "hold", "do not", "open", "s")
-"""Columns of the table of ``fpk verify``."""
-
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -34,11 +31,11 @@ def verify_line(row: Record, width: int) -> str:
 
 def verify_table(rows: Sequence[Record]) -> str:
     """Return the final table, the claims that do not hold, and the verdict."""
-    table = {row["scene"]: _numbers(row) for row in rows}
-    table["every scene"] = [sum(column) for column in zip(*table.values(), strict=True)]
+    table = {row["scene"]: _counts(row) for row in rows}
+    sums = {column: sum(row[column] for row in table.values()) for column in _counts(rows[0])}
+    table["every scene"] = sums
     claims = [(row["scene"], claim) for row in rows for claim in row["claims"]]
     record = {
-        "columns": COLUMNS,
         "table": table,
         "width": max(map(len, table)),
         "against": [(name, c) for name, c in claims if c["verdict"] == "does not hold"],
@@ -47,14 +44,20 @@ def verify_table(rows: Sequence[Record]) -> str:
     return rendered("verify.txt", record)
 
 
-def _numbers(row: Record) -> list[float]:
-    """The entries of one row, in the order of ``COLUMNS``."""
+def _counts(row: Record) -> dict[str, float]:
+    """The entries of one row of the table by their columns."""
     verdicts = Counter(claim["verdict"] for claim in row["claims"])
-    counts = [row[key] for key in ("curves", "judged", "certificates")]
-    lengths = [len(row["problems"]), len(row["claims"])]
-    open_claims = verdicts["undecided"] + verdicts["not checked"]
-    claims = [verdicts["holds"], verdicts["does not hold"], open_claims]
-    return [*counts, *lengths, *claims, row["seconds"]]
+    return {
+        "curves": row["curves"],
+        "judged": row["judged"],
+        "certified": row["certificates"],
+        "failing": len(row["problems"]),
+        "claims": len(row["claims"]),
+        "hold": verdicts["holds"],
+        "do not": verdicts["does not hold"],
+        "open": verdicts["undecided"] + verdicts["not checked"],
+        "s": row["seconds"],
+    }
 
 
 def rendered(template: str, record: Mapping[str, Any]) -> str:

@@ -6,7 +6,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from cases.scene.errors import BadInput, shortened
+from cases.scene.errors import BadInput
 
 MAX_BYTES = 1 << 20
 """A scene is a page of text; what is larger than this is something else."""
@@ -41,8 +41,7 @@ def read_toml(path: Path, label: str) -> tuple[dict[str, Any], str]:
     except RecursionError:
         raise too_deep from None
     except ValueError as error:  # TOMLDecodeError and numbers of thousands of digits
-        words = shortened(str(error), 160)
-        raise BadInput(f"{label}: is not valid TOML: {words}; correct it there") from None
+        raise BadInput(f"{label}: is not valid TOML: {error}; correct it there") from None
     if depth > MAX_DEPTH:
         raise too_deep
     return tables, text

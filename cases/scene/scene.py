@@ -6,7 +6,7 @@ from os.path import lexists
 from pathlib import Path
 from typing import Any
 
-from cases.scene.errors import BadInput, refused, shortened, toml_value
+from cases.scene.errors import BadInput, refused, toml_value
 from cases.scene.expect import Expect, expect_of
 from cases.scene.reading import read_toml
 from cases.scene.schema import validated
@@ -17,9 +17,6 @@ from fpk.system import System
 
 SHIPPED = ("paper", "hard", "more")
 """The folders of the shipped scenes, in the order in which they are listed."""
-
-LONGEST_NAME = 200
-"""Characters of a path in messages."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +57,7 @@ def load_scene(name: str) -> Scene:
         close = get_close_matches(name, shipped, n=1)
         hint = f'did you mean "{close[0]}"?' if close else "fpk list names the shipped scenes"
         raise BadInput(f"scene {toml_value(name)}: neither a shipped scene nor a file; {hint}")
-    return _scene(path, shortened(name, LONGEST_NAME))
+    return _scene(path, name)
 
 
 def _scene(path: Path, label: str) -> Scene:

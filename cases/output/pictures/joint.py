@@ -59,7 +59,6 @@ def surface_figure(curve: Answers, observable: Observable) -> Figure:
     theories = sorted(lines_of(curve, observable).items(), key=lambda a: curve.neglects(a[0]))
     full = [a for a in samples_of(curve, observable).items() if a[0].solves == "full"]
     drawn: dict[Route, AnyDensity] = dict([*theories[:1], *full])
-    drawn = drawn or dict(list(curve.densities(observable).items())[:1])
     x, y = np.meshgrid(*common_grid(drawn.values(), cut=SHOWN, count=SHEET), indexing="ij")
     sheets = {
         route.words: (joined(d, SHEET) if isinstance(d, SampledDensity) else d)(x, y)

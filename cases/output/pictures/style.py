@@ -4,46 +4,27 @@ import re
 from collections.abc import Mapping
 from io import StringIO
 from math import floor, log10
+from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
-from matplotlib import rc_context
+from matplotlib import rc_context, rc_params_from_file
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
 from cases.output.text import power_of_ten
 from fpk.observable import Coordinate, Observable
 
-INK = "#1a1b1e"
+STYLE: Any = rc_params_from_file(
+    Path(__file__).with_name("fpk.mplstyle"), use_default_template=False
+)
+"""Settings of matplotlib in all pictures."""
+
+INK: str = STYLE["text.color"]
 """Colour of text and axes; the report replaces it by that of the page's text."""
 
 COLOURS = ("#2878b5", "#d1603d", "#2a9d6f", "#9a6fc0", "#c08a1e", "#5b8def", "#a8577e")
 """Colours of curves: distinct for colour-blind readers, and legible on white and on black."""
-
-STYLE: Any = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9.5,
-    "mathtext.fontset": "dejavusans",
-    "axes.facecolor": "none",
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "axes.titlecolor": INK,
-    "axes.titlesize": 9.5,
-    "axes.titlelocation": "left",
-    "axes.titley": 1.0,
-    "axes.linewidth": 0.7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "text.color": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "xtick.direction": "in",
-    "ytick.direction": "in",
-    "legend.frameon": False,
-    "legend.fontsize": 8.5,
-    "lines.linewidth": 1.6,
-    "svg.fonttype": "path",
-}
 
 SHOWN = 1e-3
 """Share of the largest value below which a linear axis shows nothing."""
