@@ -23,9 +23,6 @@ from fpk.observable import Observable, observable_name
 Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]]
 """Dimensions, values and attributes by name, as ``xarray.Dataset`` takes them."""
 
-OnGrid = dict[tuple[str, str], tuple[AnyDensity, Array, Array]]
-"""By curve and route, a density with its values and errors on the grid of its observable."""
-
 POINTS = {1: 401, 2: 101}
 """Points an axis of a grid, by the number of axes."""
 
@@ -90,43 +87,42 @@ def write_csv(outcome: Outcome, path: Path) -> list[Path]:
     lines = csv.writer(stream, lineterminator="\n")
     lines.writerow(["curve", "observable", "route", "x", "y", "density", "error"])
     for observable in outcome.scene.observables:
-        grid, answers = _on_grid(outcome, observable)
-        if not answers:
+        if not (variables := _variables(outcome, observable)):
             continue
+        name = observable_name(observable)
+        dimensions, values, _ = variables[f"p_{name}"]
+        errors, kinds = variables[f"error_{name}"][1], variables[f"error_kind_{name}"][1]
+        curves, routes, *grid = (variables[dimension][1] for dimension in dimensions)
         x, *others = (m.ravel().tolist() for m in np.meshgrid(*grid, indexing="ij"))
         y = others[0] if others else [""] * len(x)
-        for (curve, route), (density, value, error) in answers.items():
-            columns = x, y, value.ravel().tolist(), error.ravel().tolist()
-            names = curve, density.name, route
+        for i, j in np.argwhere(kinds != ""):
+            columns = x, y, values[i, j].ravel().tolist(), errors[i, j].ravel().tolist()
+            names = curves[i], name, routes[j]
             lines.writerows([*names, *row] for row in zip(*columns, strict=True))
     write_text(path, stream.getvalue())
     return [path]
 
 
-def _on_grid(outcome: Outcome, observable: Observable) -> tuple[tuple[Array, ...], OnGrid]:
-    """The grid of an observable and the answers on it, both empty where no route gives it."""
-    densities = {
-        (curve.label, route.label): density
-        for curve in outcome.curves
+def _variables(outcome: Outcome, observable: Observable) -> Variables:
+    """The densities of an observable on a common grid, empty where no route gives it."""
+    answers = {
+        (i, route.label): density
+        for i, curve in enumerate(outcome.curves)
         for route, density in curve.densities(observable).items()
     }
-    grid = common_grid(densities.values()) if densities else ()
-    mesh = np.meshgrid(*grid, indexing="ij")
-    return grid, {key: (density, *density.at(*mesh)) for key, density in densities.items()}
-
-
-def _variables(outcome: Outcome, observable: Observable) -> Variables:
-    grid, answers = _on_grid(outcome, observable)
     if not answers:
         return {}
+    grid = common_grid(answers.values())
+    mesh = np.meshgrid(*grid, indexing="ij")
     name = observable_name(observable)
     curves = [c.label for c in outcome.curves]
     routes = list(dict.fromkeys(route for _, route in answers))
-    values = np.full((len(curves), len(routes), *(g.size for g in grid)), np.nan)
+    values = np.full((len(curves), len(routes), *mesh[0].shape), np.nan)
     errors, kinds = values.copy(), np.full(values.shape[:2], "", dtype=object)
-    for (curve, route), (density, value, error) in answers.items():
-        where = (curves.index(curve), routes.index(route))
-        values[where], errors[where], kinds[where] = value, error, density.error_kind
+    for (i, route), density in answers.items():
+        where = i, routes.index(route)
+        values[where], errors[where] = density.at(*mesh)
+        kinds[where] = density.error_kind
     # Each observable has its own grid and routes: a coordinate of another must not realign it.
     axes = [str(c) for c in observable]
     points = [f"{axis}_of_{name}" if len(axes) == 2 else axis for axis in axes]
