@@ -40,8 +40,7 @@ def convergence_page(study: ConvergenceStudy) -> Page:
 
 def study_tables(study: ConvergenceStudy) -> list[Table]:
     """Return errors and orders of every ladder, the functionals, the steps and the samples."""
-    errors: list[dict[str, Any]] = []
-    orders, index = errors.copy(), errors.copy()
+    errors, orders, index, samples = (list[dict[str, Any]]() for _ in range(4))
     for x in study.ladders:
         names, finest = {"equation": x.equation, "family": x.name}, x.levels[-1].errors
         for v in x.levels:
@@ -62,7 +61,6 @@ def study_tables(study: ConvergenceStudy) -> list[Table]:
         " L1. By tolerance: {by_tolerance}".format(**e)
         for e in study.equations
     ]
-    samples: list[dict[str, Any]] = []
     slope = of = ""
     if s := study.samples:
         pairs = zip(s.sampled, s.errors, strict=True)
@@ -97,7 +95,8 @@ def study_panels(study: ConvergenceStudy) -> list[Panel]:
             if free := study.without_contact:
                 curves = [_in_degree("with contact", own), _in_degree("without contact", free)]
         y, floor = f"$L_1$ error of p({e['observable']})", e["reference_error"] + ROUND_OFF
-        panels.append(Panel(title, x, y, curves, floor, (), not by_degree, LIMITS_OF_AXIS))
+        scale: dict[str, Any] = {"logarithmic": not by_degree, "limits": LIMITS_OF_AXIS}
+        panels.append(Panel(title, x, y, curves, floor, **scale))
     return [*panels, _step_panel(study.schemes)] if study.schemes else panels
 
 

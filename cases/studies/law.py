@@ -22,6 +22,8 @@ from sim.schemes import SCHEMES
 FULL = "full system (6)"
 RELAXATIONS = 4.0
 """Sampled relaxation times of a run at a small step; four times as many at any other."""
+PATIENCE = 2.0
+"""Seconds of a trial of a small step beyond which no smaller one is tried."""
 HALVINGS = 2
 """Halvings of the step while a scheme disagrees with its order of theory, at most."""
 FEWEST = 256
@@ -97,7 +99,7 @@ def _route(
     system: System, method: MonteCarlo, reference: Reference
 ) -> tuple[Priced | NotTimed, list[Law]]:
     """A scheme with its law, from the largest step at which it holds; a baseline may have none."""
-    scheme, factor = method.scheme, largest_stable(system, method)
+    scheme, factor = method.scheme, largest_stable(system, method, patience=PATIENCE)
     baseline = scheme != MonteCarlo.scheme
     if factor is None:
         words = f"no usable step: none down to {SMALLEST:g} of the chosen one is stable and cheap"

@@ -23,8 +23,6 @@ from sim.report import Moment, Report
 
 LARGEST, SMALLEST = 4.0, 2.0**-10
 """Steps tried, in units of the chosen one: beyond the largest no scheme is stable in contact."""
-PATIENCE = 2.0
-"""Seconds of a trial of a small step beyond which no smaller one is tried."""
 SMALL_STEP = 0.25
 """Step, in units of the chosen one, below which runs have fewer paths and a slow trial is final."""
 TRIAL = 0.4
@@ -81,9 +79,7 @@ def run(
     return Run(steps.dt, square.mean, square.error, steps.paths * steps.time, seconds), result
 
 
-def largest_stable(
-    system: System, method: MonteCarlo, *, patience: float = PATIENCE
-) -> float | None:
+def largest_stable(system: System, method: MonteCarlo, *, patience: float) -> float | None:
     """Return the largest step, in units of the chosen one, that loses no trajectory.
 
     None where there is none down to ``SMALLEST``, or a trial of a small step takes more than
