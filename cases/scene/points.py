@@ -28,26 +28,22 @@ def parse_points(text: str, axes: int) -> tuple[Array, ...]:
 
 
 def _list(part: str, text: str) -> Array:
-    points: list[float] = []
+    """Decimal arithmetic, so that the points are the ones that were written and reach the end."""
+    points: list[Decimal] = []
     for item in part.split(","):
         match [_number(n, text) for n in item.split(":")]:
             case [number]:
-                points.append(float(number))
+                points.append(number)
+            case [start, end, step] if step and (start == end or (end - start) / step >= 1):
+                _require_few(float((end - start) / step), text)
+                points += [start + i * step for i in range(int((end - start) / step) + 1)]
             case [start, end, step]:
-                points += _range(start, end, step, text)
+                remedy = f"a step of {step} does not lead from {start} to {end}"
+                raise _wrong(text, f"{remedy}; a list is start:end:step")
             case _:
                 raise _wrong(text, f"{toml_value(item)} is not start:end:step")
         _require_few(len(points), text)
-    return np.array(points)
-
-
-def _range(start: Decimal, end: Decimal, step: Decimal, text: str) -> list[float]:
-    """Decimal arithmetic, so that the points are the ones that were written and reach the end."""
-    if step == 0 or (start != end and (end - start) / step < 1):
-        remedy = f"a step of {step} does not lead from {start} to {end}"
-        raise _wrong(text, f"{remedy}; a list is start:end:step")
-    _require_few(abs(float(end - start)) / abs(float(step)), text)
-    return [float(start + i * step) for i in range(int((end - start) / step) + 1)]
+    return np.array(points, dtype=float)
 
 
 def _require_few(count: float, text: str) -> None:

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import cycle
 from typing import Any
 
-import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -22,7 +21,6 @@ from cases.output.pictures.style import (
     arrange,
     density_words,
     symbol_of,
-    unit_of,
     words_of,
 )
 from fpk.density import Array, SampledDensity, bin_differences
@@ -151,16 +149,14 @@ def difference_figure(
         panels, rows.items(), cycle(COLOURS), strict=False
     ):
         _, points, _, allowed = differences[0]
-        unit, words = unit_of(max(np.abs([allowed, *(d[2] for d in differences)]).ravel()))
         axes.axhline(0.0, color=INK, linewidth=0.7)
-        axes.fill_between(
-            points, -allowed / unit, allowed / unit, color=INK, alpha=0.16, linewidth=0
-        )
+        axes.fill_between(points, -allowed, allowed, color=INK, alpha=0.16, linewidth=0)
         for (name, _, values, _), dashes in zip(differences, LINES, strict=False):
             style: Any = {"linewidth": 1.2, "linestyle": dashes}
-            axes.plot(points, values / unit, color=colour, **style)
+            axes.plot(points, values, color=colour, **style)
             legend.setdefault(name, Line2D([], [], color=INK, **style))
-        axes.set_title(f"{label}   {words}".strip())
+        axes.set_title(label, loc="right")  # on the left stands the power of ten of the axis
+        axes.ticklabel_format(axis="y", scilimits=(-3, 3), useMathText=True)
         axes.locator_params(axis="y", nbins=4)
     legend[band] = Line2D([], [], color=INK, alpha=0.16, linewidth=6)
     words = f"difference of p({symbol_of(observable[0])})"

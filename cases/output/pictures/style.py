@@ -3,7 +3,6 @@
 import re
 from collections.abc import Mapping
 from io import StringIO
-from math import floor, log10
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ from matplotlib import rc_context, rc_params_from_file
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
-from cases.output.text import power_of_ten
 from fpk.observable import Coordinate, Observable
 
 STYLE: Any = rc_params_from_file(
@@ -65,17 +63,6 @@ def arrange(figure: Figure, height: float, legend: Mapping[str, Artist], *, head
         list(legend.values()), list(legend), loc="upper left", ncols=columns, columnspacing=1.6,
         borderaxespad=0.2,
     )  # fmt: skip
-
-
-def unit_of(largest: float) -> tuple[float, str]:
-    """Return a power of ten that makes ``largest`` a short number, and words for it.
-
-    1 and no words where the number is short already: 0.01 to 1000.
-    """
-    exponent = floor(log10(largest)) if largest > 0.0 else 0
-    if -2 <= exponent < 3:
-        return 1.0, ""
-    return 10.0**exponent, f"(in units of {power_of_ten(exponent)})"
 
 
 def density_words(observable: Observable) -> str:
