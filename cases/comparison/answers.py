@@ -82,9 +82,7 @@ class Answers(Mapping[Any, AnyDensity]):
 
     def __iter__(self) -> Iterator[tuple[str, str]]:
         """Iterate over the pairs (observable, method)."""
-        for result in self.results:
-            for density in result.densities:
-                yield density.name, result.method.route.label
+        return ((d.name, r.method.route.label) for r in self.results for d in r.densities)
 
     def __len__(self) -> int:
         """Return the number of densities."""

@@ -25,13 +25,6 @@ from fpk.observable import Observable, observable_name
 
 Verdict = Literal["holds", "does not hold", "undecided", "not checked"]
 
-VERDICTS: dict[bool | None, Verdict] = {
-    True: "holds",
-    False: "does not hold",
-    None: "undecided",
-}
-"""Verdicts on a claim that was checked; None where the errors leave it open."""
-
 ALMOST_L1 = 0.05
 """L1 distance to the fitted Gaussian up to which a density is called almost Gaussian: no
 probability is wrong by more than 2.5 %, about what the width of a printed line hides."""
@@ -135,9 +128,8 @@ def _gaussian(claim: str, curve: Answers, of: Observable, *, wanted: bool) -> Fi
     shape = shape_of(density)
     measured = f"L1 to the fitted Gaussian {shape.l1:.3f}, excess kurtosis {shape.kurtosis:+.3f}"
     almost = shape.almost_gaussian
-    return Finding(
-        claim, curve.label, measured, VERDICTS[None if almost is None else almost == wanted]
-    )
+    holds = None if almost is None else almost == wanted
+    return Finding(claim, curve.label, measured, _verdict(holds))
 
 
 def _theories(expect: Expect, curve: Answers) -> Iterator[Finding]:
@@ -169,7 +161,7 @@ def _nearer(
         return Finding(claim, where, "no answer to compare with", "not checked")
     limit = f"{far[0]:.4f} ± {far[1]:.4f}" if far[1] else f"{far[0]:g}"
     measured = f"L1 {near[0]:.4f} ± {near[1]:.4f} against {limit}"
-    return Finding(claim, where, measured, VERDICTS[_below(near[0], far[0], near[1] + far[1])])
+    return Finding(claim, where, measured, _verdict(_below(near[0], far[0], near[1] + far[1])))
 
 
 def _distance(curve: Answers, of: Observable, name: str) -> tuple[float, float] | None:
@@ -187,6 +179,10 @@ def _distance(curve: Answers, of: Observable, name: str) -> tuple[float, float] 
 def _below(value: float, limit: float, slack: float) -> bool | None:
     """Whether value < limit; None where the difference does not exceed what both may be off."""
     return None if abs(value - limit) <= slack else value < limit
+
+
+def _verdict(holds: bool | None) -> Verdict:
+    return "undecided" if holds is None else "holds" if holds else "does not hold"
 
 
 def _kurtosis(density: AnyDensity) -> float:

@@ -14,11 +14,8 @@ from fpk.method import Progress
 PATIENCE = 1.0
 """Seconds before a bar appears."""
 
-CLEAR = "\r\x1b[K"
-"""Moves the cursor of a terminal to the beginning of its line, and empties the line."""
-
-CURSOR = "\x1b[?25h"
-"""Shows the cursor again, which a bar hides."""
+CLEAR = "\r\x1b[K\x1b[?25h"
+"""Empties the line of a terminal, and shows the cursor, which a bar hides."""
 
 
 @contextmanager
@@ -38,7 +35,7 @@ def drawn_progress() -> Iterator[Progress]:
         with event.install_listener("numba:compile", _Compiling()):
             yield report
     finally:
-        sys.stderr.write(f"{CLEAR}{CURSOR}")
+        sys.stderr.write(CLEAR)
 
 
 class _Compiling(event.Listener):
