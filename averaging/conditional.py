@@ -73,8 +73,8 @@ def bridge_covariance(system: System, given: Sequence[int]) -> Array:
         a = np.cumsum(flexibility[below + 1 : above])
         block = np.minimum.outer(a, a)
         if above < system.n:
-            b = np.cumsum(flexibility[below + 1 : above + 1][::-1])[::-1]  # b[0] is s
-            block = block * np.minimum.outer(b[1:], b[1:]) / b[0]
+            s, *b = (flexibility[k : above + 1].sum() for k in range(below + 1, above + 1))
+            block = block * (np.minimum.outer(b, b) / s)
         covariance[below + 1 : above, below + 1 : above] = block
     return covariance
 

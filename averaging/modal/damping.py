@@ -119,8 +119,8 @@ def _averaged(
     total: Polynomial = defaultdict(lambda: np.zeros_like(damping))
     total[()] = shapes.T @ damping @ shapes
     for term in terms:
-        force: Polynomial = {(): term.coefficient * shapes[term.row][:, None]}
-        _add_product(total, force, _velocity_average(term, shapes, omega))
+        for modes, value in _velocity_average(term, shapes, omega).items():
+            total[modes] = total[modes] + term.coefficient * np.outer(shapes[term.row], value)
     return total
 
 

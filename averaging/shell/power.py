@@ -70,14 +70,18 @@ def _term_power(system: System) -> Power:
         g, error = _averages(shell, parts, energy)
         return np.column_stack([g / size, np.max(error / size, axis=1)])
 
-    integrals = ShellTable(relative, shell) if shell.count > 1 else relative
+    table = ShellTable(relative, shell) if shell.count > 1 else None
 
     def power(energy: Array) -> tuple[Array, Array]:
         g, error = np.tile(free, (energy.size, 1)), np.zeros((energy.size, 1))
         touching = np.flatnonzero(energy > begins)
         if touching.size and degrees.size:
-            values = integrals(energy[touching])
-            g[touching], error[touching] = values[:, :-1] * size, values[:, -1:]
+            if table is None:
+                g[touching], own = _averages(shell, parts, energy[touching])
+                error[touching] = np.max(own / size, axis=1, keepdims=True)
+            else:
+                values = table(energy[touching])
+                g[touching], error[touching] = values[:, :-1] * size, values[:, -1:]
         powers = energy[:, None] ** (1.0 + 0.5 * degrees)
         return np.sum(g * powers, axis=1), np.sum((error + ROUND_OFF) * size * powers, axis=1)
 

@@ -167,9 +167,9 @@ def _along(span: float, direction: Array, ray: Ray) -> int:
 
 @inlined
 def _of_stop(part: Any, ray: Ray, s: int, overlap: float) -> float:
-    """Energy, force or slope of stop s of the ray, whichever ``part`` of the laws is given."""
-    stops, i = ray.stops, ray.which[s]
-    value: float = stops.stiffness[i] * of_law(part, stops.law[i], overlap, stops.exponent[i])
+    """Energy, force or slope, by ``part`` of the laws, of stop s of the ray over its stiffness."""
+    i = ray.which[s]
+    value: float = of_law(part, ray.stops.law[i], overlap, ray.stops.exponent[i])
     return value
 
 
@@ -178,7 +178,8 @@ def _level(start: float, k: int, ray: Ray, U: Any) -> float:
     """V at the distance ``start`` where k stops are engaged."""
     V: float = 0.5 * start * start
     for s in range(k):
-        V += _of_stop(U, ray, s, ray.reach[s] * (start - ray.at[s]))
+        B = ray.stops.stiffness[ray.which[s]]
+        V += B * _of_stop(U, ray, s, ray.reach[s] * (start - ray.at[s]))
     return V
 
 
@@ -210,9 +211,10 @@ def _turning_point(height: float, start: float, k: int, ray: Ray, U: Any, g: Any
     for _ in range(NEWTON_STEPS):
         rise, steepness = x * (start + 0.5 * x), start + x
         for s in range(k):
+            B = ray.stops.stiffness[ray.which[s]]
             begun, gained = ray.reach[s] * (start - ray.at[s]), ray.reach[s] * x
-            rise += _gain(begun, gained, _of_stop(U, ray, s, begun + gained), ray, s, U, g)
-            steepness += ray.reach[s] * _of_stop(g, ray, s, begun + gained)
+            rise += B * _gain(begun, gained, _of_stop(U, ray, s, begun + gained), ray, s, U, g)
+            steepness += ray.reach[s] * B * _of_stop(g, ray, s, begun + gained)
         # Where the rise is x^m, x (height/rise)^(1/m) is the root: near it by a Padé approximant.
         ratio, m = height / rise, x * steepness / rise
         if ratio > 0.5:
@@ -264,9 +266,9 @@ def _heights(
         v[j] = left[j] * (start + 0.5 * (X + x[j]))
     for s in range(k):
         reach, begun = ray.reach[s], ray.reach[s] * (start - ray.at[s])
-        last = _of_stop(U, ray, s, begun + reach * X)
+        last, B = _of_stop(U, ray, s, begun + reach * X), ray.stops.stiffness[ray.which[s]]
         for j in range(x.size):
-            v[j] += _gain(begun + reach * x[j], reach * left[j], last, ray, s, U, g)
+            v[j] += B * _gain(begun + reach * x[j], reach * left[j], last, ray, s, U, g)
     for j in range(x.size):
         v[j] *= 1.0 / H
 
@@ -297,22 +299,24 @@ def _lowest_degree(
 ) -> None:
     """Write v^a r^(c−1) dx and w times that for a = −½ (c = 1) and a = 0 (c = 2)."""
     c = ray.stops.rows.shape[1]
+    a = 0.5 * c - 1.0
     for j in range(work.x.size):
         r = start + work.x[j]
         # Not H (1 − v), which cancels near rest.
         V, steepness, curvature = 0.5 * r * r, r, 1.0
         for s in range(k):
             reach, overlap = ray.reach[s], ray.reach[s] * (r - ray.at[s])
-            V += _of_stop(U, ray, s, overlap)
-            steepness += reach * _of_stop(g, ray, s, overlap)
-            curvature += reach * reach * _of_stop(bend, ray, s, overlap)
+            B = ray.stops.stiffness[ray.which[s]]
+            V += B * _of_stop(U, ray, s, overlap)
+            steepness += reach * B * _of_stop(g, ray, s, overlap)
+            curvature += reach * reach * B * _of_stop(bend, ray, s, overlap)
         work.states[j] = work.dx[j]
-        if c == 1:
+        if a < 0.0:
             work.states[j] /= np.sqrt(work.v[j])
         if c == 2:
             work.states[j] *= r / np.sqrt(H)
         bent = (c - 1) / (r * steepness) - curvature / (steepness * steepness)
-        work.change[j] = work.states[j] * (0.5 * c + V * bent)
+        work.change[j] = work.states[j] * (a + 1.0 + V * bent)
 
 
 @inlined
