@@ -75,7 +75,6 @@ class Exact(Theory):
 
     It exists where (8) holds; with constant damping h is a constant, and the normalisation the
     configuration integral over the contact masses; otherwise it is an integral over the shells.
-    ``tol`` is the L1 tolerance that the answers are judged by.
     """
 
     theory = "exact"

@@ -23,19 +23,18 @@ to 1e-15."""
 DEPTH = 40.0
 """Least height above rest, in units of T, that a grid reaches: e^−40 = 4e-18."""
 LEVELS = (1e-5, 1e-3, 0.1, 1.0)
-"""Contact energies in units of T between which panels lie beyond a stop, where the potential has a
-half-integer power; higher ones follow by ``RISE`` as far as energies go."""
+"""Contact energies in units of T between which panels lie beyond a stop, then by ``RISE``."""
 RISE = 2.0
 """Ratio of neighbouring levels: over [x, 2x] a Gauss rule of ten points misses at most 2e-12 of
 exp(−x), at x = 16."""
 FIT_TOLERANCE = 1e-13
-"""Largest error of the integral over all masses beyond one, a number between 0 and 1: round-off
-leaves a tenth of it in the last coefficients of a panel."""
+"""Largest error of the integral over all masses beyond one, a number between 0 and 1; round-off is
+a tenth of it."""
 FIT_ROUNDS = 20
 """Bisections of a panel of that integral, at the most."""
 RULES = {0: (1, 1), 1: (10, 14), 2: (8, 10)}
-"""Gauss points per panel over 0, 1 or 2 contact masses that are not observed, and of a finer rule:
-the answer is that of the finer one, the distance between the two its error."""
+"""Gauss points per panel over 0, 1 or 2 hidden contact masses, and of the finer rule of the answer:
+the distance between the two is its error."""
 CHUNK = 400_000
 """Points of the innermost integral evaluated at once, to bound memory."""
 
@@ -70,8 +69,7 @@ class HiddenIntegral:
     def beyond(self, f: Function, energy: Array) -> Array:
         """Return a bound of what the grids leave out: V is above ``end``, and ``DEPTH`` above E.
 
-        Contact only adds to V, so that it is less than what springs alone leave there: f at that
-        energy, times a width for each mass. Far out, where contact holds p down, p itself is less.
+        As contact only adds to V, it is less than f at that energy times a width for each mass.
         """
         if not self.laws:
             return np.zeros_like(energy)

@@ -24,9 +24,8 @@ class Integrable(Theory):
     Contacts are left out: ``neglected`` says so, with the rule clearance > 2 rms of section 6.3
     evaluated. ``solver``: "closed-form" is (34), Π e^(−H_i/θ_i)/θ_i with the modal temperatures
     θ_i = d_i/c*_ii, whose back-transform is Gaussian; "quadrature" evaluates (11) and "fem" solves
-    the FPK equation, for the modal energies alone. ``tol`` is the L1 tolerance. The theory needs
-    light damping and is refused where the modes are in a resonance that matters; without contacts
-    it is exact where the damping and noise meet (8).
+    the FPK equation, for the modal energies alone. The theory needs light damping and is refused
+    where a resonance matters; without contacts it is exact where damping and noise meet (8).
 
     Damping that depends on the state is averaged over the phases; it may couple the energies of
     two modes, which "fem" solves for together, and no more. Every solver then gives every

@@ -7,7 +7,7 @@ from averaging.back_transformation import back_transformed
 from averaging.closed_form import averaged_rate, state_closed_form
 from averaging.energy_process import energy_process
 from averaging.theory import Theory
-from averaging.weyl import StateDensity, tabulated
+from averaging.weyl import Solution, StateDensity, tabulated
 from averaging.zero_flux import solve_by_quadrature
 from fpk.line.elements import Form
 from fpk.line.stationary import solve_stationary
@@ -24,9 +24,8 @@ class NonIntegrable(Theory):
 
     ``solver``: "fem" solves the FPK equation of the process by finite elements, in the given
     ``form``; "quadrature" evaluates (11); "closed-form" is (29) in its general form, for damping
-    that is constant or depends on the energy only. ``tol`` is the L1 tolerance. The theory is exact
-    where the damping and noise meet (8), an approximation otherwise, and the better the more the
-    contacts matter.
+    that is constant or depends on the energy only. The theory is exact where the damping and noise
+    meet (8), an approximation otherwise, and the better the more the contacts matter.
     """
 
     solver: str = "fem"
@@ -56,13 +55,12 @@ class NonIntegrable(Theory):
     def _state_density(self, system: System) -> tuple[StateDensity, Settings]:
         if self.solver == "closed-form":
             return state_closed_form(system, averaged_rate(system)), {"equation": "(29)"}
-        process = energy_process(system)
+        solution: Solution
         if self.solver == "quadrature":
-            by_quadrature = solve_by_quadrature(process, tol=self.tol)
-            settings: Settings = {"equation": "(11)", "panels": by_quadrature.nodes.size - 1}
-            source = tabulated(system, by_quadrature)
+            solution = solve_by_quadrature(energy_process(system), tol=self.tol)
+            settings: Settings = {"equation": "(11)", "panels": solution.nodes.size - 1}
         else:
-            solution = solve_stationary(process, tol=self.tol, form=self.form)
+            solution = solve_stationary(energy_process(system), tol=self.tol, form=self.form)
             settings = {
                 "equation": "FPK of (24)",
                 "form": self.form,
@@ -70,9 +68,8 @@ class NonIntegrable(Theory):
                 "elements": solution.nodes.size - 1,
                 "unknowns": solution.unknowns,
             }
-            source = tabulated(system, solution)
-        settings |= {"last energy": float(source.solution.nodes[-1]), "tol": self.tol}
-        return source, settings
+        settings |= {"last energy": float(solution.nodes[-1]), "tol": self.tol}
+        return tabulated(system, solution), settings
 
 
 def energy_only_refusal(system: System, observable: Observable) -> str | None:

@@ -24,8 +24,7 @@ Solution = StationarySolution | ZeroFluxDensity
 Part = Literal["value", "error", "table"]
 
 POINTS = (14, 18)
-"""Gauss points per element of a table and of its integrals, and of the finer table: the
-distance between the two is the error of both."""
+"""Gauss points per element of a table and of its integrals, and of the finer table."""
 COMPARED = (1.0 - 1e-12) * 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 2 * POINTS[1])))
 """Where two tables are compared, in [0, 1) of an element: dense at its ends, where they part."""
 EPS, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
@@ -68,10 +67,9 @@ def tabulated(system: System, solution: Solution, *, closed: bool = False) -> St
     """Return the density whose u and error of u are smooth between the panels of ``solution``.
 
     Weyl integrals are tabulated twice: the finer table is the answer, the largest distance to the
-    other one in each element its error (the distance itself has zeros where the error has none).
-    Where the damping depends on the state u is no exponential: the finer table then
-    has elements half as long, too, and the error gains all that u was continued by beyond the last
-    node, where it falls ever faster.
+    other one in each element its error. Where the damping depends on the state u is no exponential:
+    the finer table then has elements half as long, too, and all that u was continued by beyond the
+    last node, where it falls ever faster, is part of the error.
     """
     process, nodes = solution.process, solution.panels
     u, u_error = solution.phase_space_density, solution.phase_space_error
@@ -93,9 +91,8 @@ def tabulated(system: System, solution: Solution, *, closed: bool = False) -> St
         relative = np.abs(np.expm1(other(x) - value(x))).max(axis=1)
         return Piecewise(fine, relative[:, None])
 
-    # Short of the last node, beyond which the tables end. u falls from there on, as p does at the
-    # end of every mesh, so that Ψ falls too, at any order, wherever u rises below: its value here
-    # bounds what is dropped at any higher energy.
+    # Short of the last node, beyond which the tables end. u falls from there on, so that Ψ falls at
+    # any order: its value here bounds what is dropped at any higher energy.
     last = nodes[-1] * (1.0 - 1e-9)
 
     def weyl(order: float, energy: Array, part: Part = "value") -> Array:

@@ -88,8 +88,7 @@ def flux_residual(process: Process, nodes: Array, log_density: Callable[[Array],
     """Return how far ln p is from zero flux, d ln(σ² p) = 2s/σ² dH, on the panels of ``nodes``.
 
     The largest |Δ ln(σ² p) − ∫2s/σ² dH| of a panel beyond what the stated errors of s and σ² and
-    those of the integral explain, relative to ∫2(|s_damping| + |s_noise|)/σ² dH. Coefficients that
-    are known to 1e-6 only make no residual: their error is in the stated error of p. ``nodes`` are
+    those of the integral explain, relative to ∫2(|s_damping| + |s_noise|)/σ² dH. ``nodes`` are
     energies >= 0 between which the coefficients are smooth; n/H, the singular part of 2s/σ² at
     H = 0, is integrated in closed form.
     """

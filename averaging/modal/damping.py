@@ -38,8 +38,7 @@ class AveragedDamping:
 
     The damping rate of mode m is γ_m = Γ_mm. Row r is the monomial Π_j H_factors[r, j] with the
     energies counted from 1 and H_0 = 1; row 0 is the constant. ``factors`` (rows, degree),
-    ``values`` (rows, n, n) the coefficients of Γ_mk, and ``sizes`` (rows, n, n) the sums of the
-    absolute values of all that was added up in them.
+    ``values`` (rows, n, n) the coefficients, ``sizes`` the sums of absolute values behind them.
     """
 
     factors: Integers
@@ -127,10 +126,10 @@ def _averaged(
 def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> Polynomial:
     """⟨Π q_a^. Π v_a^. v_j H^energy Q̇_k⟩/H_k as a polynomial in the energies, values (n,).
 
-    The phases are those of Q_m = √(2 H_m)/ω_m cos φ_m and Q̇_m = −√(2 H_m) sin φ_m. Energies that
-    are exponential with means θ_m make the modes Gaussian, and E Π H_m^α_m = Π α_m! θ_m^α_m: so
-    the phase average has the coefficients of the Gaussian moment, a polynomial in θ by Isserlis'
-    theorem, divided by Π α_m!. Of the Gaussian state E[Q̇_k f(v)] = Σ_b T_bk θ_k E ∂f/∂v_b.
+    With Q_m = √(2 H_m)/ω_m cos φ_m and Q̇_m = −√(2 H_m) sin φ_m, exponential energies of means θ_m
+    make the modes Gaussian, and E Π H_m^α_m = Π α_m! θ_m^α_m: the phase average has the
+    coefficients of the Gaussian moment, a polynomial in θ by Isserlis' theorem, divided by Π α_m!.
+    Of the Gaussian state E[Q̇_k f(v)] = Σ_b T_bk θ_k E ∂f/∂v_b.
     """
     n = omega.size
     rms = np.vstack([shapes / omega, shapes])  # of q and v of the masses where θ_m = 1

@@ -20,9 +20,8 @@ Integers = NDArray[np.int64]
 Power = Callable[[Array], tuple[Array, Array]]
 
 TARGETS = (8e-13, 3e-14)
-"""Disagreement of two levels, for n = 1 and more, that ends the refinement for one contact mass:
-the power cancels against the noise, so that its error adds up in ln p. Twice and ten times what
-round-off leaves (``averaging.shell.sums``)."""
+"""Disagreement of two rules, for n = 1 and more, that ends the refinement for one contact mass,
+near round-off: the power cancels against the noise, so that its error adds up in ln p."""
 ROUND_OFF = 1e-14
 """Relative error, to the sum of absolute values, of some dozens of Gaussian moments and factors."""
 
@@ -46,9 +45,7 @@ def term_power(system: System) -> Power:
 
     What is returned takes energies > 0 (energies,) to the power and its error, in energy/time.
     Momenta and displacements without contact are averaged in closed form; what is left are
-    integrals of polynomials over the contact masses, along rays and over directions, refined until
-    two rules agree. V and the polynomial look the same at −y where ``EnergyShell.mirror`` holds, as
-    terms of odd degree end it.
+    integrals of polynomials over the contact masses, along rays and over directions.
     """
     return system.fact(_term_power)
 

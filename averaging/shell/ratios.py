@@ -82,7 +82,10 @@ def _table(system: System) -> ShellTable:
 def _integrated(shell: EnergyShell, energy: Array) -> Array:
     """The rows of ``ShellRatios`` above the first contact energy, by quadrature."""
     n, c = shell.system.n, shell.count
-    sums, errors = (x.T for x in shell_integrals(shell, energy, _sizes))
+    # H T' may vanish where T does not: its error is relative to T there.
+    last = np.array([0.0, 0.0, 1.0])
+    both = shell_integrals(shell, energy, lambda x: np.maximum(np.abs(x), x[:, :1] * last))
+    sums, errors = (x.T for x in both)
     a = n - 0.5 * c - 1.0
     flat = (2.0 * pi) ** (0.5 * c) * float(beta(a + 1.0, 0.5 * c)) / gamma(0.5 * c)
     error = np.maximum(errors[0], errors[1])
@@ -92,13 +95,3 @@ def _integrated(shell: EnergyShell, energy: Array) -> Array:
         error = error + ROUNDED * np.sqrt(energy / least)
     states, volume = sums[0] / flat, sums[1] / (flat * (a + 1.0) / n)
     return np.array([states, volume, sums[2] / sums[0], error, errors[2] + error])
-
-
-def _sizes(sums: Array) -> Array:
-    """Return the sizes (energies, 3) that relative errors of T, Φ and H T' refer to.
-
-    H T' may vanish where T does not: its error is relative to T there.
-    """
-    sizes = np.abs(sums)
-    np.maximum(sizes[:, 2], sizes[:, 0], out=sizes[:, 2])
-    return sizes

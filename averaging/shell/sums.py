@@ -17,22 +17,19 @@ Integers = NDArray[np.int64]
 
 NO_ORDERS: Integers = np.empty((0, 2), dtype=np.int64)
 TARGET = 3e-12
-"""Relative disagreement of two rules that ends the refinement and is reported as the error; as the
-convergence is geometric down to round-off, the finer of the two is better than that."""
+"""Relative disagreement of two rules that ends the refinement and is reported as the error."""
 ROUND_OFF = 2e-15
 """Relative error of a sum of some dozens of positive terms."""
 ROOT_ROUND_OFF = 4e-13
-"""Relative error of a sum of a system of one mass, whose integrand is 1/√v, v = 1 − V/H: at the
-Gauss point next to the turning point, where v ~ 1/points² cancels terms of order one, the relative
-error is ε points²."""
+"""Relative error of a sum of a system of one mass, ε points²: its integrand is 1/√v, v = 1 − V/H,
+where v ~ 1/points² at the Gauss point next to the turning point."""
 MANY = 5
 """Masses from which the first rule along a line would be refused, as v^a is narrow."""
 RADIAL_RULE = 2
-"""Index of the rule of 24 points, enough along a ray for any contact stiffness; over angles, where
-stiff contact leaves boundary layers, more are taken."""
+"""Index of the rule of 24 points, enough along a ray for any contact stiffness, not over angles."""
 CUBATURE_TOLERANCE = 1e-6
-"""Relative tolerance over the directions of three or more contact masses; the cubature's own
-estimate, which the true error stays below by two orders of magnitude."""
+"""Relative tolerance over the directions of three or more contact masses, of the cubature's own
+estimate: the true error is a hundredth of it."""
 MARGIN = 1e-9
 """Relative length beyond which the springs alone hold more than H, round-off or not."""
 
