@@ -58,6 +58,8 @@ class Integrable(Theory):
             }
             if modes.n > 1:
                 settings["neglected correlation of modes"] = float(correlations(modes).max())
+            if neglected:
+                settings["contacts left out"] = neglected
             densities = modal_densities(modes, observables, self.solver, tol=self.tol)
             return Result(self, densities, settings=settings, neglected=neglected)
 
