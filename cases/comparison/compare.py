@@ -39,9 +39,9 @@ WithError = tuple[AnyDensity, float, float]
 """A density as it is compared, a histogram in joined bins; its expected and its largest L1 error by
 chance or by numerics, the latter exceeded in 1e-4."""
 
-ROUND_OFF = -2.0 * float(np.log(np.finfo(float).eps) * np.finfo(float).eps)
-"""Floor of a numerical band: both densities are exponentials, the exponent reaches −log(eps)
-before they stop to count, and an exponential is off by eps times its exponent: 1.6e-14."""
+ROUND_OFF = -float(np.log(np.finfo(float).eps) * np.finfo(float).eps)
+"""Least L1 error of a function: it is an exponential, whose exponent reaches −log(eps) before it
+stops to count, and it is off by eps times its exponent: 8e-15."""
 
 
 @dataclass(frozen=True)
@@ -150,15 +150,13 @@ def distance_between(a: AnyDensity, b: AnyDensity) -> tuple[float, float, float]
 
 def _with_error(density: AnyDensity) -> WithError:
     if isinstance(density, Density):
-        return density, density.l1_error, density.l1_error
+        return density, density.l1_error + ROUND_OFF, density.l1_error + ROUND_OFF
     few = joined(density)
     return few, *chance_l1(few)
 
 
 def _distance(a: WithError, b: WithError) -> tuple[float, float, float]:
-    sampled = any(isinstance(density, SampledDensity) for density, *_ in (a, b))
-    least = 0.0 if sampled else ROUND_OFF
-    return l1_distance(a[0], b[0]), a[1] + b[1] + least, a[2] + b[2] + least
+    return l1_distance(a[0], b[0]), a[1] + b[1], a[2] + b[2]
 
 
 def chance_l1(sampled: SampledDensity) -> tuple[float, float]:
