@@ -14,7 +14,7 @@ from cases.commands import parts
 from cases.commands.export import export
 from cases.commands.studies import converge, cost, regime
 from cases.commands.verify import verify
-from cases.scene.errors import LONGEST, BadInput, one_line, shortened
+from cases.scene.errors import BadInput, one_line
 from fpk.errors import InvalidInput, NotApplicable, NotCertified, Unavailable
 
 LIST = '"-1.5:1.5:0.1", "-1,0,0.3", a pair "A x B".'
@@ -156,6 +156,5 @@ def _one_line_errors() -> Iterator[None]:
 
 
 def _fail(message: str, status: int) -> None:
-    line = shortened(one_line(" ".join(message.split())), LONGEST)
-    click.echo(f"fpk: {line}", err=True)
+    click.echo(f"fpk: {one_line(' '.join(message.split()))}", err=True)
     sys.exit(status)

@@ -41,10 +41,8 @@ def make_folder(path: Path) -> Path:
 def _readable_errors(path: Path) -> Iterator[None]:
     try:
         yield
-    except OSError as error:
-        words = error.strerror or error
-        raise BadInput(f"{path}: cannot be written: {words}; {REMEDY}") from None
-    except ValueError as error:
-        if "null" not in str(error):
+    except (OSError, ValueError) as error:
+        if isinstance(error, ValueError) and "null" not in str(error):
             raise
-        raise BadInput(f"{path}: cannot be written: {error}; {REMEDY}") from None
+        words = getattr(error, "strerror", None) or error
+        raise BadInput(f"{path}: cannot be written: {words}; {REMEDY}") from None

@@ -19,7 +19,7 @@ class BadInput(ValueError):
 
     def __init__(self, message: str) -> None:
         """Keep ``message`` on one line of bounded length, whatever was quoted in it."""
-        super().__init__(shortened(one_line(message), LONGEST))
+        super().__init__(one_line(message))
 
 
 def refused(label: str, error: InvalidInput) -> BadInput:
@@ -51,12 +51,8 @@ def toml_value(value: Any) -> str:
     return text if len(text) <= WIDTH else text[: WIDTH - 1] + "…"
 
 
-def shortened(text: str, most: int) -> str:
-    """Return ``text`` with as much of its middle left out as makes it ``most`` characters long."""
-    half = (most - 1) // 2
-    return text if len(text) <= most else f"{text[:half]}…{text[-half:]}"
-
-
 def one_line(text: str) -> str:
-    """Return ``text`` with every character that would break or hide the line written out."""
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+    """Return ``text`` without its middle where it is long, and with hidden characters spelt out."""
+    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+    half = (LONGEST - 1) // 2
+    return line if len(line) <= LONGEST else f"{line[:half]}…{line[-half:]}"
