@@ -255,7 +255,8 @@ def l1_distance(a: AnyDensity, b: AnyDensity) -> float:
     if isinstance(a, SampledDensity) or isinstance(b, SampledDensity):
         first, second = (a, b) if isinstance(a, SampledDensity) else (b, a)
         assert isinstance(first, SampledDensity)
-        shares = bin_differences(first, second) * _cell_areas(first.edges)
+        areas = reduce(np.multiply.outer, map(np.diff, first.edges))
+        shares = bin_differences(first, second) * areas
         # All that lies outside is one more bin; as both masses are one, its share is minus the sum.
         return float(np.sum(np.abs(shares)) + abs(np.sum(shares)))
     mesh, grids = gauss_grid(list(map(np.union1d, a.panels, b.panels)))
@@ -331,10 +332,6 @@ def _joined(values: Array, axis: int, bins: int) -> Array:
     shape = (*values.shape[:axis], bins, -1, *values.shape[axis + 1 :])
     joined: Array = values.reshape(shape).mean(axis=axis + 1)
     return joined
-
-
-def _cell_areas(edges: tuple[Array, ...]) -> Array:
-    return np.asarray(reduce(np.multiply.outer, map(np.diff, edges)))
 
 
 def _refined_by(nodes: Array, others: Array) -> Array:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,14 +32,19 @@ PROBE_ROUNDS = 20
 class Probe:
     """Where a process is sampled first to learn its scales; the answer does not rest on it.
 
-    ``slope`` is d ln p/dH, ``roughness`` |d ln(p/T)/dH| and ``log_mass`` ln of p H up to a constant
-    at ``energy``, all (points,).
+    ``slope`` is d ln p/dH and ``roughness`` |d ln(p/T)/dH| at ``energy``, all (points,).
     """
 
     energy: Array
     slope: Array
     roughness: Array
-    log_mass: Array
+
+    @cached_property
+    def log_mass(self) -> Array:
+        """ln(p H) up to a constant; its slope in ln H, 1 + H d ln p/dH, is linear in between."""
+        rate, log_energy = 1.0 + self.energy * self.slope, np.log(self.energy)
+        steps = 0.5 * (rate[1:] + rate[:-1]) * (log_energy[1:] - log_energy[:-1])
+        return np.concatenate([[0.0], steps.cumsum()])
 
     def extent(self, tail: float) -> float:
         """Return an energy beyond which about the share ``tail`` of the probability lies.
@@ -53,7 +59,7 @@ class Probe:
             raise NotCertified(
                 "the density does not fall off: damping does not balance the noise at high energy"
             )
-        # As in ``_probe`` the rate is linear in ln H between two points.
+        # As in ``log_mass`` the rate is linear in ln H between two points.
         length = math.log(energy[i] / energy[i - 1])
         bend = (rate[i] - rate[i - 1]) / length
         fall = self.log_mass[i - 1] - wanted
@@ -103,21 +109,12 @@ def probed(process: Process) -> Probe:
             c = Coefficients(*(np.broadcast_to(a, GRID.shape)[finite] for a in c))
             energy, slope, roughness = energy[finite], slope[finite], roughness[finite]
         require_falling(energy, c, slope)
-    probe = _probe(energy, slope, roughness)
+    probe = Probe(energy, slope, roughness)
     return _closer(process, probe) if process.state_damping else probe
 
 
 def _slopes(c: Coefficients) -> tuple[Array, Array]:
     return log_density_slope(c), np.abs(2.0 * c.dissipation / c.diffusion)
-
-
-def _probe(energy: Array, slope: Array, roughness: Array) -> Probe:
-    # In the variable ln H, where the slope varies slowly: d ln(p H)/d ln H = 1 + H d ln p/dH.
-    rate = 1.0 + energy * slope
-    log_energy, log_mass = np.log(energy), np.zeros(energy.size)
-    steps = 0.5 * (rate[1:] + rate[:-1]) * (log_energy[1:] - log_energy[:-1])
-    steps.cumsum(out=log_mass[1:])
-    return Probe(energy, slope, roughness, log_mass)
 
 
 def _closer(process: Process, probe: Probe) -> Probe:
@@ -132,7 +129,7 @@ def _closer(process: Process, probe: Probe) -> Probe:
             break
         energy = np.sqrt(probe.energy[i] * probe.energy[i + 1])
         slope, roughness = _slopes(process.coefficients(energy))
-        probe = _probe(
+        probe = Probe(
             np.insert(probe.energy, i + 1, energy),
             np.insert(probe.slope, i + 1, slope),
             np.insert(probe.roughness, i + 1, roughness),

@@ -31,14 +31,6 @@ class Probe:
     log_density: Array
     slopes: Array
 
-    @property
-    def falls(self) -> bool:
-        """Whether p H1 H2, the density of the logarithms of the energies, falls by ``EXTENT``."""
-        log = np.log(np.maximum(PROBE, PROBE[1]))
-        log_mass = self.log_density + log[:, None] + log
-        edges = max(log_mass[-1].max(), log_mass[:, -1].max())
-        return bool(edges < log_mass.max() - EXTENT)
-
     def extent(self, tail: float) -> Array:
         """Return the energies (2,), in units of the scales, with the share ``tail`` beyond each."""
         width = np.gradient(PROBE)
@@ -68,10 +60,13 @@ def probed(process: Process) -> Probe:
     first, second = (slopes * process.energy_scales).T.reshape(2, PROBE.size, PROBE.size)
     along = _integral(first), _integral(second.T).T
     paths = along[0][:, :1] + along[1] + along[1][:1] + along[0]
-    probe = Probe(0.5 * paths, np.stack([first, second]))
-    if probe.falls:
-        return probe
-    return Probe(-PROBE[:, None] - PROBE, np.full_like(probe.slopes, -1.0))
+    log_density, slopes = 0.5 * paths, np.stack([first, second])
+    # p H1 H2, the density of the logarithms of the energies.
+    log = np.log(np.maximum(PROBE, PROBE[1]))
+    log_mass = log_density + log[:, None] + log
+    if max(log_mass[-1].max(), log_mass[:, -1].max()) < log_mass.max() - EXTENT:
+        return Probe(log_density, slopes)
+    return Probe(-PROBE[:, None] - PROBE, np.full_like(slopes, -1.0))
 
 
 def divided_by_diffusion(flow: Array, b: Array) -> Array:

@@ -90,19 +90,15 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
         stalled = 0 if halved else stalled + 1
 
 
-def _missing_digits(solution: PlaneSolution, tol: float) -> float:
-    """Digits by which the error must fall for a certificate.
+def _finer(panels: int, degree: int, solution: PlaneSolution, tol: float) -> tuple[int, int]:
+    """The next panels and degree: as many degrees more as the missing digits take.
 
     An error ε in the norm weighted by w ≈ p is one of ε √p of p: p turns negative below ε² of its
     maximum, so that a negative minimum counts half its digits.
     """
     negative = max(solution.measured.minimum / NEGATIVE, 1.0)
-    return float(np.log10(max(solution.l1_error / tol, negative**0.5, 1.0)))
-
-
-def _finer(panels: int, degree: int, solution: PlaneSolution, tol: float) -> tuple[int, int]:
-    """The next panels and degree: as many degrees more as the missing digits take."""
-    missing, coarse = _missing_digits(solution, tol), solution.l1_error > COARSE
+    missing = float(np.log10(max(solution.l1_error / tol, negative**0.5, 1.0)))
+    coarse = solution.l1_error > COARSE
     if panels == FIRST[0]:
         if degree == FIRST[1] and missing <= STEP * DIGITS[0]:
             return panels, degree + STEP

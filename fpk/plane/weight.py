@@ -148,8 +148,6 @@ def fitted_weight(
     every ray from the origin. The misfit must be less than ``GAIN`` times that of the ``present``
     weight.
     """
-    if not known.any():
-        return None
     scales = float(grid[0][-1]), float(grid[1][-1])
     i, j = np.nonzero(known)
     target = log_p[known].max() - log_p[known]
