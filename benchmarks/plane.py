@@ -23,7 +23,7 @@ from report import machine, markdown_table
 from averaging.modal.analysis import modal_analysis
 from cases.scene.scene import load_scene
 from fpk.plane.stationary import PlaneSolution, solve_plane
-from fpk.process import Process
+from fpk.process import Coefficients, Process
 from fpk.quadrature import panel_rule
 
 REPEATS = 5
@@ -57,10 +57,12 @@ def coupled_process(gamma, own, cross, noise):
     """Return the process of s_i = d_i − (γ_i + α_i H_i + c_i H_j) H_i, b_ii = 2 d_i H_i."""
     g, a, d = np.array(gamma), np.array(own), np.array(noise)
     coupling = np.diag(a) + np.array([[0.0, cross[0]], [cross[1], 0.0]])
-    return Process.of_functions(
-        lambda H: d - (g + H @ coupling.T) * H,
-        lambda H: 2.0 * d * H[:, :, None] * np.eye(2),
-        lambda H: np.broadcast_to(2.0 * d, H.shape),
+    return Process(
+        lambda H: Coefficients(
+            d - (g + H @ coupling.T) * H,
+            2.0 * d * H[:, :, None] * np.eye(2),
+            np.broadcast_to(2.0 * d, H.shape),
+        ),
         tuple((np.sqrt(g**2 + 4.0 * a * d) - g) / (2.0 * a)),
     )
 
@@ -92,10 +94,8 @@ def circulating_process():
             axis=1,
         )
 
-    process = Process.of_functions(
-        drift,
-        lambda H: 2.0 * H[:, :, None] * np.eye(2),
-        lambda H: np.full(H.shape, 2.0),
+    process = Process(
+        lambda H: Coefficients(drift(H), 2.0 * H[:, :, None] * np.eye(2), np.full(H.shape, 2.0)),
         (1.0, 0.7),
     )
     return process, closed_form((1.0, 1.5), (0.0, 0.0), 0.3)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,25 +53,6 @@ class Process:
     nonsmooth: tuple[float, ...] = ()
     degrees_of_freedom: int = 1
     state_damping: bool = False
-
-    @classmethod
-    def of_functions(
-        cls,
-        drift: Callable[[Array], Array],
-        diffusion: Callable[[Array], Array],
-        divergence: Callable[[Array], Array],
-        energy_scales: tuple[float, ...],
-    ) -> Self:
-        """Return the process of s, b and Σ_j ∂b_ij/∂H_j as functions of energies (points, d)."""
-
-        def coefficients(energies: Array) -> Coefficients:
-            if len(energy_scales) > 1:
-                return Coefficients(drift(energies), diffusion(energies), divergence(energies))
-            functions = (drift, diffusion, divergence)
-            column = energies.reshape(-1, 1)
-            return Coefficients(*(f(column).reshape(energies.shape) for f in functions))
-
-        return cls(coefficients, energy_scales)
 
     def at(self, energies: Array) -> Coefficients:
         """Return s, b and Σ_j ∂b_ij/∂H_j at (points, d) in the shapes of d energies, d = 1 too."""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from fpk.process import Process
+from fpk.process import Coefficients, Process
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,9 @@ class Mixture:
         def drift(energies: Array) -> Array:
             return self.coefficients(energies.T)[0].T
 
-        return Process.of_functions(drift, diffusion, divergence, tuple(SHARES @ MEANS))
+        return Process(
+            lambda H: Coefficients(drift(H), diffusion(H), divergence(H)), tuple(SHARES @ MEANS)
+        )
 
     def written(self, x, y, sigmoid):
         """Return (s_1, s_2), (b_11, b_22), Σ_j ∂b_ij/∂H_j and b_12, of arrays or symbols."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from fpk_processes import both, by_hand, chain
+from fpk_processes import both, by_hand, chain, process_of
 
 from averaging.energy_process import energy_process
 from averaging.zero_flux import solve_by_quadrature
@@ -68,7 +68,7 @@ def pair(coupling, *, scales=(1.0, 1.0)) -> Process:
     def drift(H):
         return 0.1 - H * (0.1 + H @ A.T)
 
-    return Process.of_functions(
+    return process_of(
         drift, lambda H: 0.2 * H[:, :, None] * np.eye(2), lambda H: np.full(H.shape, 0.2), scales
     )
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fpk_processes import process_of
 
 from fpk.ends import classify
 from fpk.process import Process
@@ -20,7 +21,7 @@ def process(start: float, power: float = 1.0) -> Process:
     def diffusion(H):
         return 2.0 * H[:, :, None] * np.eye(2)
 
-    return Process.of_functions(drift, diffusion, lambda H: np.full(H.shape, 2.0), (1.0, 1.0))
+    return process_of(drift, diffusion, lambda H: np.full(H.shape, 2.0), (1.0, 1.0))
 
 
 @pytest.mark.parametrize(

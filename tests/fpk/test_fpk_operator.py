@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fpk_processes import both, chain, cox_ingersoll_ross
+from fpk_processes import both, chain, cox_ingersoll_ross, process_of
 from scipy.linalg import eig
 
 from averaging.energy_process import energy_process
@@ -55,7 +55,7 @@ def coupled(cross: float = 0.3) -> Process:
         slope = np.stack([-1.0 - 0.3 * H[:, 1], -1.5 - 0.3 * H[:, 0]], axis=1)
         return 0.5 * divergence(H) + 0.5 * np.einsum("nij,nj->ni", diffusion(H), slope)
 
-    return Process.of_functions(drift, diffusion, divergence, (1.0, 0.7))
+    return process_of(drift, diffusion, divergence, (1.0, 0.7))
 
 
 @pytest.mark.parametrize("degree", [2, 4, 5])

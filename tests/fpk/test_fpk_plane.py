@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fpk_processes import process_of
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
@@ -24,7 +25,7 @@ def square_root_process(c: tuple[float, float], d: tuple[float, float]) -> Proce
     def diffusion(H: Array) -> Array:
         return 2.0 * noise * H[:, :, None] * np.eye(2)
 
-    return Process.of_functions(
+    return process_of(
         lambda H: noise - damping * H,
         diffusion,
         lambda H: np.broadcast_to(2.0 * noise, H.shape),
@@ -68,7 +69,7 @@ def manufactured(cross: float, swirl: float) -> tuple[Process, Log]:
         s[:, 1] -= swirl * y * (1.0 + x * g[:, 0])
         return s
 
-    return Process.of_functions(drift, diffusion, divergence, (1.0, 0.7)), log_p
+    return process_of(drift, diffusion, divergence, (1.0, 0.7)), log_p
 
 
 def l1_error(solution: PlaneSolution, log_p: Log, *, beyond: float = 1.5) -> float:
@@ -96,7 +97,7 @@ def van_der_pol(
         first, second = ((g[i] * H + 0.5 * own[i] * H**2) / d[i] for i, H in enumerate((x, y)))
         return -first - second - cross * x * y
 
-    process = Process.of_functions(
+    process = process_of(
         lambda H: d - (g + H @ coupling.T) * H,
         lambda H: 2.0 * d * H[:, :, None] * np.eye(2),
         lambda H: np.broadcast_to(2.0 * d, H.shape),
@@ -216,6 +217,6 @@ def test_drift_outwards_is_not_certified() -> None:
 
 
 def test_one_energy_is_refused() -> None:
-    process = Process.of_functions(lambda H: -H, lambda H: H[:, :, None], np.ones_like, (1.0,))
+    process = process_of(lambda H: -H, lambda H: H[:, :, None], np.ones_like, (1.0,))
     with pytest.raises(InvalidInput, match="two energies"):
         solve_plane(process)

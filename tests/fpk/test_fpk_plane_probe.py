@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from fpk_processes import process_of
 from numpy.testing import assert_allclose
 from test_fpk_plane import manufactured
 
@@ -9,7 +10,6 @@ from fpk.errors import NotCertified
 from fpk.plane.elements import by_element, coefficients_on_grid
 from fpk.plane.probe import AXIS, PROBE, probed
 from fpk.plane.weight import Weight, fits
-from fpk.process import Process
 
 PROCESS, LOG_P = manufactured(0.4, 0.2)
 X, Y = np.linspace(0.1, 3.0, 7), np.linspace(0.2, 2.0, 5)
@@ -53,7 +53,7 @@ def test_noise_that_leaves_a_combination_alone_is_refused() -> None:
     def diffusion(H: np.ndarray) -> np.ndarray:
         return np.asarray(2.0 * H[:, :, None] * H[:, None])
 
-    process = Process.of_functions(lambda H: 1.0 - H, diffusion, lambda H: 6.0 * H, (1.0, 1.0))
+    process = process_of(lambda H: 1.0 - H, diffusion, lambda H: 6.0 * H, (1.0, 1.0))
     with pytest.raises(NotCertified, match="gets no noise"):
         probed(process)
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fpk_processes import process_of
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 from test_fpk_plane import (
@@ -42,7 +43,7 @@ def one_sided(first: float, second: float) -> Process:
     """s_i = d − (γ_i + α H_i + c_i H_j) H_i with c_1 ≠ c_2: probability circulates."""
     d, g = 0.1, np.array([0.1, 0.2])
     coupling = np.array([[0.1, first], [second, 0.1]])
-    return Process.of_functions(
+    return process_of(
         lambda H: d - (g + H @ coupling.T) * H,
         lambda H: 2.0 * d * H[:, :, None] * np.eye(2),
         lambda H: np.full(H.shape, 2.0 * d),
@@ -247,7 +248,7 @@ def mixture(
         return np.asarray(s + swirl * turned)
 
     scales = np.array(shares) @ np.array(means)
-    return Process.of_functions(drift, diffusion, divergence, (scales[0], scales[1])), log_p
+    return process_of(drift, diffusion, divergence, (scales[0], scales[1])), log_p
 
 
 THREE = (
