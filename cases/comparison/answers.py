@@ -140,20 +140,19 @@ def answers_of(
     results: list[Result] = []
     refused: list[Refusal] = []
     for method in methods:
-        route, asked = method.route, {observable_name(o): o for o in observables}
+        reasons: dict[Observable, str | None]
         try:
             plan = method.prepare(system)
-            by_reason: dict[str, list[str]] = {}
-            for name, observable in asked.items():
-                if reason := plan.refusal(observable):
-                    by_reason.setdefault(reason, []).append(name)
+            reasons = {observable: plan.refusal(observable) for observable in observables}
         except NotApplicable as error:
-            refused.append(Refusal(route, tuple(asked), str(error)))
-            continue
-        refused += [Refusal(route, tuple(names), reason) for reason, names in by_reason.items()]
-        given = {k: o for k, o in asked.items() if all(k not in n for n in by_reason.values())}
+            reasons = dict.fromkeys(observables, str(error))
+        for reason in dict.fromkeys(filter(None, reasons.values())):
+            names = tuple(observable_name(o) for o, r in reasons.items() if r == reason)
+            refused.append(Refusal(method.route, names, reason))
+        given = [observable for observable, reason in reasons.items() if not reason]
         try:
-            results += [solved(plan, system, [*given.values()], progress=progress)] if given else []
+            results += [solved(plan, system, given, progress=progress)] if given else []
         except (NotApplicable, NotCertified, InvalidInput) as error:
-            refused.append(Refusal(route, tuple(given), str(error), failed=True))
+            names = tuple(map(observable_name, given))
+            refused.append(Refusal(method.route, names, str(error), failed=True))
     return Answers(system, tuple(results), tuple(refused))
