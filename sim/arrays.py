@@ -94,12 +94,3 @@ class WatchArrays(NamedTuple):
     bins: Integers  # (histograms, 2)
     start: Integers  # (histograms,), first bin of each in the counts
     products: Integers  # (moments, 2), rows whose products are summed
-
-
-def workspace(n: int, slots: int, columns: int, *, modes: int = 0, terms: bool = False) -> Rows:
-    """Return where the rows lie; groups that are not needed take no space."""
-    sizes = (
-        2 * slots, n, n, n, 1, modes, n if terms else 0, 3 * n if terms else 0,
-        5 if terms else int(modes > 0),
-    )  # fmt: skip
-    return Rows(*np.cumsum([columns + 2 * n, *sizes]).tolist())

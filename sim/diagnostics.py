@@ -150,7 +150,7 @@ def diagnosis(
 ) -> Diagnosis:
     """Return the diagnosis of ``paths`` trajectories of ``time`` after ``burn_in`` (a time).
 
-    ``means`` (quantities, batches, chunks) belong to the ``names``, in chunks of equal length.
+    ``means`` (quantities, batches, chunks) belong to the ``names``.
     """
     worst = min(effective, key=lambda e: e.samples)
     tau = paths * time / (2.0 * worst.samples)

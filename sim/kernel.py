@@ -55,10 +55,7 @@ def compiled_kernel(key: KernelKey) -> Any:
 
 @lru_cache
 def _compiled(key: KernelKey) -> Any:
-    """Return a new kernel; laws that it does not need are not compiled.
-
-    Flags are constants of ``advance``: what a flag that is False guards is not compiled.
-    """
+    """Return a new kernel; what a flag guards that is False, and so a constant, is not compiled."""
     contact, observed, kick_first = bool(key.laws), key.observed, key.kick_first
     damping, energy_damping = key.damping, key.energy_damping
     momenta, energy, modes, moments = key.momenta, key.energy, key.modes, key.moments

@@ -9,7 +9,7 @@ from fpk.effects import effects_of
 from fpk.modes import natural_modes
 from fpk.observable import Coordinate
 from fpk.system import System
-from sim.arrays import Array, StepArrays, TermArrays, WatchArrays, workspace
+from sim.arrays import Array, Rows, StepArrays, TermArrays, WatchArrays
 from sim.histogram import Histogram, starts
 from sim.kernel import KernelKey
 from sim.parts.linear import ONE_LOOP
@@ -93,9 +93,10 @@ def watch_arrays(
 ) -> WatchArrays:
     """Return what the kernel reads to observe: processor, histograms, products of moments."""
     n, slots, modes = system.n, step.slot_mass, modes_of(histograms)
-    at = workspace(
-        n, slots.size, step.matrix.shape[1], modes=len(modes), terms=step.terms is not None
-    )
+    forces = 0 if step.terms is None else n
+    work = 5 if forces else int(bool(modes))
+    sizes = [2 * slots.size, n, n, n, 1, len(modes), forces, 3 * forces, work]
+    at = Rows(*np.cumsum([step.matrix.shape[1] + 2 * n, *sizes]).tolist())
     first = {"q": at.q, "p": at.p, "f": at.force, "d": at.damping}
 
     def row_of(c: Coordinate) -> int:

@@ -1,23 +1,13 @@
 """Counter-based normal numbers: one stream keyed by (seed, trajectory, step).
 
-The word of counter ``t`` is the SplitMix64 finaliser (Stafford's mix 13; Steele, Lea, Flood,
-OOPSLA 2014) of ``t · GOLDEN + mix(seed)`` with ``t = (trajectory << 40) + step · pairs + pair``: a
-trajectory owns 2**40 consecutive words of one sequence of period 2**64, two trajectories never
-share a word, and any number is computed without those before it. SplitMix64 passes TestU01
-BigCrush; two seeds are two places of the same sequence.
+The word of counter ``t = (trajectory << 40) + step · pairs + pair`` is the SplitMix64 finaliser
+(Steele, Lea, Flood, OOPSLA 2014) of ``t · GOLDEN + mix(seed)``: no two trajectories share a word,
+and any number is computed without those before it.
 
-One word holds the 64 bits of one Box-Muller pair ``√(−2 log u) (cos θ, sin θ)``. The words of a
-block of lanes are read as 32-bit halves, in the order of memory: half ``k`` is the radius of lane
-k, half ``LANES + k`` its angle, so that 16 lanes share one vector without unpacking.
-
-* Radius: ``u = (2j + 1) / 2**32`` from 31 bits. The tail is cut at ``√(−2 log 2**-32)`` = 6.66,
-  beyond which lie 2.8e-11 of the normal law, one draw in 4e10; E r² is low by 3e-10 of itself.
-* Angle: 24 bits. 2**24 equidistant angles are a trapezoid rule, exact for every moment of order
-  below 2**24; the opposite of every angle is one, so that odd moments vanish.
-
-Logarithm, sine and cosine are polynomials in single precision: a normal is within 2e-6 plus 5e-7
-of itself of the exact one, the mean square of the radius low by 1.7e-7 of itself (sampling resolves
-1e-5 of it with 2e10 numbers). What is done with the numbers is in double precision.
+The 64 bits of a word make one Box-Muller pair ``√(−2 log u) (cos θ, sin θ)``. The words of a block
+of lanes are read as 32-bit halves, in the order of memory: half ``k`` is the radius of lane k
+(``u = (2j + 1) / 2**32``), half ``LANES + k`` its angle (24 bits). How good the numbers are is in
+docs/theory.md, "The step of the simulation".
 """
 
 import numpy as np

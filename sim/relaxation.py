@@ -18,11 +18,10 @@ def relaxation_time(system: System) -> float:
     """Return the longest decay time of the motion without contact; inf if some never decays.
 
     With damping terms modes are taken for Gaussian at temperatures θ_m that balance,
-    ``dθ_m/dt = S_m − P_m(θ)``: S_m the power of the noise, P_m that of all damping. An eigenvalue λ
-    of ∂P/∂θ there is the decay rate of an energy, and ½ λ that of the amplitude; a mode whose λ
-    exceeds 2 ω_1 creeps and has the slow root of ``r² − λ r + ω_1²``. One temperature for all modes
-    gives a second estimate, 2n/P'(θ), and the longer one counts. Rare passages between coexisting
-    states take longer than this: it is for ``burn_in`` and ``time`` to allow for them.
+    ``dθ_m/dt = S_m − P_m(θ)``: S_m the power of the noise, P_m that of all damping; an eigenvalue
+    of ∂P/∂θ there is the decay rate of an energy. One temperature for all modes gives a second
+    estimate, 2n/P'(θ), and the longer one counts. Rare passages between coexisting states take
+    longer than this: it is for ``burn_in`` and ``time`` to allow for them.
     """
     if not system.damping_terms:
         return decay_time(system)

@@ -80,14 +80,12 @@ def highest_frequency(system: System) -> float:
 
 
 def term_rate(system: System) -> float:
-    """Return the largest rate, per unit time, of a mass by its damping terms; 0 without any.
+    """Return the largest rate, per unit time, of a mass by its damping terms.
 
     It is Σ (1 + power of v_i) |c̃_ij| v_j/(m_i v_i) where each coordinate alone, and H, has the
     energy E = ``REACHED`` kT, or ``BEYOND_BALANCE`` times the last one at which damping and noise
     balance: ``q_a² = 2 E (K⁻¹)_aa``, ``v_a² = 2 E/m_a``.
     """
-    if not system.damping_terms:
-        return 0.0
     level = max(REACHED * temperature(system), BEYOND_BALANCE * balance_energy(system))
     q = np.sqrt(2.0 * level * np.diag(system.compliance))
     v = np.sqrt(2.0 * level / system.mass)

@@ -14,12 +14,13 @@ from dataclasses import replace
 from math import isfinite, log, sqrt
 
 import numpy as np
+from scipy.linalg import expm
 from scipy.special import comb, ndtr
 
-from fpk.linear import diffusion_matrix, drift_matrix
+from fpk.linear import drift_matrix
 from fpk.system import System
 from sim.arrays import LANES, Array, Integers, SubstepArrays
-from sim.flow import exact_flow, flow_covariance, lower_trapezoidal, padded
+from sim.flow import exact_flow, lower_trapezoidal, padded
 from sim.parts.substeps import NARROW
 from sim.schemes import Scheme
 from sim.step_size import sampling_interval, temperature
@@ -51,7 +52,7 @@ def bends(system: System, H: float, masses: Integers) -> Array:
     The largest curvature is that on a grid of times, and half an interval times the largest slope.
     """
     drift, step = drift_matrix(system), H / TIMES
-    across = flow_covariance(drift, diffusion_matrix(system), step)[0]
+    across = expm(drift * step)
     value = drift[system.n + masses] / system.mass[masses, None]
     largest, slope = np.zeros_like(value), np.zeros_like(value)
     for _ in range(TIMES + 1):

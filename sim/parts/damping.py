@@ -1,10 +1,9 @@
 """Damping that depends on the state: each term's flow at fixed q, and the forces of all.
 
-A term changes one momentum only, ``p_i' = −κ p_i^N`` with κ constant unless H is in it, so that its
-flow is elementary: a shift, an exponential, or ``p/(1 + (N−1) κ p^(N−1) t)^(1/(N−1))``. Where that
-base is not positive the flow has blown up within the step: the momentum becomes NaN and the
-trajectory counts as lost. With H the rate is that in the middle of the step, from a predictor.
-Terms forward, kicks, terms backward are symmetric, hence of second order in the step.
+A term changes one momentum only, ``p_i' = −κ p_i^N`` with κ constant unless H is in it: a shift, an
+exponential, or ``p/(1 + (N−1) κ p^(N−1) t)^(1/(N−1))``. Where that base is not positive the flow
+has blown up: the momentum becomes NaN and the trajectory counts as lost. With H the rate is that in
+the middle of the step, from a predictor.
 """
 
 import numpy as np
@@ -122,12 +121,8 @@ def change_of_term(
 def processed_by_terms(s: Array, H: Array, at: Rows, shift: float, step: StepArrays) -> None:
     """Change the observed (q*, p*) by the processor of the terms; ``H`` is that of the state.
 
-    The step is that of A + N + (h²/12) [A, [A, N]] to first order in the terms N = −D_i ∂/∂p_i,
-    which ``x* = x − (h²/12) [A, N] x`` removes as it does for contact:
-    ``q_i* = q_i − (h²/12) D_i/m_i``, ``p_i* = p_i + (h²/12) dD_i/dt`` along the flow of the
-    springs, which leaves H as it is. What is left is of second order in the damping.
-    With contact B, C = [A, N] − [B, N] removes what it can, so that its force counts with the other
-    sign; [B, [A, N]] and [B, [B, N]] stay, of first order in the terms: steps are shorter then.
+    ``q_i* = q_i − (h²/12) D_i/m_i``, ``p_i* = p_i + (h²/12) dD_i/dt`` along the flow of the springs
+    and of the contact with the other sign: docs/theory.md, "The step of the simulation".
     """
     terms = step.terms
     n, work = step.half_inverse_mass.size, at.work

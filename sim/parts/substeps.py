@@ -83,7 +83,7 @@ def scatter(s: Array, groups: Array, index: Integers, count: int, rows: int, str
 
 @inlined
 def places(start: Words, index: Integers, count: int, pairs: int) -> None:
-    """Write where a lane's words lie, behind the first one of its block: ``AT_ONCE`` small steps.
+    """Write where the words of ``AT_ONCE`` small steps of a lane lie, behind its block's first one.
 
     ``start``: (groups, AT_ONCE · pairs, NARROW), as the words of one draw are.
     """
