@@ -273,7 +273,7 @@ def bin_differences(sampled: SampledDensity, other: AnyDensity) -> Array:
 
 
 def moment(density: AnyDensity, *powers: int) -> float:
-    """Return E[x^a y^b ...] for one non-negative power per axis, over the support."""
+    """Return E[x^a y^b ...] over the support, one power >= 0 per axis; for none the mass."""
     if isinstance(density, SampledDensity):
         # The midpoint of a bin stands for its samples: bias h²/12 times the second derivative.
         values, grids = (
@@ -283,12 +283,8 @@ def moment(density: AnyDensity, *powers: int) -> float:
     else:
         mesh, grids = gauss_grid(density.panels)
         values = density.pdf(*mesh)
-    return integral(values, [(x, w * x**k) for (x, w), k in zip(grids, powers, strict=True)])
-
-
-def mass(density: AnyDensity) -> float:
-    """Return ∫p over the support."""
-    return moment(density, *(0 for _ in density.panels))
+    exponents = powers or (0,) * len(grids)
+    return integral(values, [(x, w * x**k) for (x, w), k in zip(grids, exponents, strict=True)])
 
 
 def _standard_error(batch_values: Array) -> Array:

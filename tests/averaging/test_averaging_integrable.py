@@ -23,7 +23,7 @@ from averaging.modal.resonance import (
 )
 from averaging.nonintegrable import NonIntegrable
 from fpk.clearance import stop_clearances
-from fpk.density import l1_distance, mass, moment
+from fpk.density import l1_distance, moment
 from fpk.ends import classify
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.linear import stationary_covariance
@@ -148,7 +148,7 @@ def test_moments_of_the_square_root_process(solver, system):
         strict=True,
     ):
         assert density.certificate.certified and density.l1_error < 1e-10
-        assert mass(density) == pytest.approx(1.0, abs=1e-11)
+        assert moment(density) == pytest.approx(1.0, abs=1e-11)
         for k, factorial in ((1, 1.0), (2, 2.0), (3, 6.0)):
             assert moment(density, k) == pytest.approx(factorial * theta**k, rel=1e-8)
         H = theta * np.linspace(0.0, 12.0, 31)
@@ -170,7 +170,7 @@ def test_solvers_agree_with_the_closed_form_within_their_estimates(solver):
 def test_modal_energies_are_independent(solver):
     system = SYSTEMS["three, full"]
     joint, single = solved(Integrable(solver=solver), system, "H3,H1", "H3")
-    assert mass(joint) == pytest.approx(1.0, abs=1e-11) and joint.certificate.certified
+    assert moment(joint) == pytest.approx(1.0, abs=1e-11) and joint.certificate.certified
     for H in single.panels[0][[0, 1, 4]]:
         marginal = integral(lambda x, H=H: joint.pdf(np.full_like(x, H), x), joint.panels[1])
         assert marginal == pytest.approx(single.pdf(np.array([H]))[0], rel=2e-9)
@@ -226,7 +226,7 @@ def test_total_energy_has_the_moments_of_the_sum(system):
     (density,) = solved(Integrable(), system, "H")
     theta = modal_analysis(system).temperature
     mean = moment(density, 1)
-    assert mass(density) == pytest.approx(1.0, abs=1e-13)
+    assert moment(density) == pytest.approx(1.0, abs=1e-13)
     assert mean == pytest.approx(theta.sum(), rel=1e-13)
     assert moment(density, 2) - mean**2 == pytest.approx(np.sum(theta**2), rel=1e-12)
 
@@ -239,7 +239,7 @@ def test_total_energy_of_very_different_modes():
     theta = modal_analysis(system).temperature
     assert theta.max() / theta.min() > 50
     (density,) = solved(Integrable(), system, "H")
-    assert mass(density) == pytest.approx(1.0, abs=1e-12)
+    assert moment(density) == pytest.approx(1.0, abs=1e-12)
     assert moment(density, 1) == pytest.approx(theta.sum(), rel=1e-12)
 
 

@@ -17,7 +17,7 @@ from averaging.gaussian import Linear
 from averaging.nonintegrable import NonIntegrable
 from averaging.weyl import weyl_table
 from fpk.contact import Contact
-from fpk.density import l1_distance, mass, moment
+from fpk.density import l1_distance, moment
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.linear import stationary_covariance
 from fpk.observable import parse_observable
@@ -184,7 +184,7 @@ def test_gaussian_density_of_the_energy(system):
     G[:2, :2], G[2:, 2:] = system.stiffness_matrix, np.diag(1.0 / system.mass)
     GS = G @ stationary_covariance(system)
     mean, variance = 0.5 * np.trace(GS), 0.5 * np.trace(GS @ GS)
-    assert mass(density) == pytest.approx(1.0, abs=1e-12)
+    assert moment(density) == pytest.approx(1.0, abs=1e-12)
     assert moment(density, 1) == pytest.approx(mean, rel=1e-11)
     assert moment(density, 2) == pytest.approx(variance + mean**2, rel=1e-11)
     assert eigvalsh(system.stiffness_matrix)[0] > 0
@@ -236,7 +236,7 @@ def test_kinetic_energy_is_shared_equally(name, solver):
         nodes,
     ) / (2.0 * noise)
     for density, m in zip(momenta, system.mass, strict=True):
-        assert mass(density) == pytest.approx(1.0, abs=1e-9)
+        assert moment(density) == pytest.approx(1.0, abs=1e-9)
         # An L1 error of 1e-10 with weights up to the last energy, some 10 mean energies.
         assert moment(density, 2) / m == pytest.approx(tau, rel=2e-9)
         assert moment(density, 1) == pytest.approx(0.0, abs=1e-9)
@@ -248,7 +248,7 @@ def test_joint_densities_have_their_marginals(name, solver):
     system = BACK[name]
     i = system.contact_masses[0] + 1
     joint, single = solved(NonIntegrable(solver=solver), system, f"q{i},p{i}", f"q{i}")
-    assert mass(single) == pytest.approx(1.0, abs=1e-9)
+    assert moment(single) == pytest.approx(1.0, abs=1e-9)
     low, high = single.panels[0][[0, -1]]
     for q in np.linspace(0.4 * low, 0.4 * high, 5):
         marginal = integral(lambda p, q=q: joint.pdf(np.full_like(p, q), p), joint.panels[1])

@@ -10,7 +10,6 @@ from fpk.density import (
     SampledDensity,
     bin_differences,
     l1_distance,
-    mass,
     moment,
 )
 from fpk.observable import parse_observable
@@ -64,7 +63,7 @@ def test_moments_of_a_normal_density(power, expected):
 
 def test_moments_of_two_coordinates():
     density = correlated(0.6)
-    assert mass(density) == pytest.approx(1.0, rel=1e-13)
+    assert moment(density) == pytest.approx(1.0, rel=1e-13)
     assert moment(density, 1, 1) == pytest.approx(0.6, rel=1e-13)
     assert moment(density, 2, 2) == pytest.approx(1.0 + 2.0 * 0.36, rel=1e-13)
     assert density.name == "q1,p1"
@@ -156,7 +155,7 @@ def test_outside_the_bins_is_nothing():
 def test_coarser_bins_hold_the_same_mass(factor):
     sampled = histogram()
     coarse = sampled.coarsened(factor)
-    assert mass(coarse) == pytest.approx(mass(sampled), rel=1e-14)
+    assert moment(coarse) == pytest.approx(moment(sampled), rel=1e-14)
     assert coarse.values.size * factor == sampled.values.size
     # The errors are those of the joined counts, and the differences stay linear.
     np.testing.assert_allclose(coarse.batch_values.mean(axis=0), coarse.values, rtol=1e-12)
@@ -178,7 +177,7 @@ def test_coarser_bins_of_two_coordinates():
     )
     coarse = two.coarsened(3)
     assert coarse.values[1, 0] == pytest.approx(values[3:, :3].mean(), rel=1e-14)
-    assert mass(coarse) == pytest.approx(mass(two), rel=1e-14)
+    assert moment(coarse) == pytest.approx(moment(two), rel=1e-14)
 
 
 def test_distance_to_a_histogram_is_that_of_the_bins():
