@@ -78,11 +78,8 @@ class EnergyShell:
         energies = self.potential(self.first_touch).tolist()
         if self.count == 2:
             energies += self.potential(self.corners).tolist()
-        distinct: list[float] = []
-        for H in sorted(energies):
-            if not distinct or H - distinct[-1] > SAME * H:
-                distinct.append(H)
-        return tuple(distinct)
+        H = np.sort(energies)
+        return tuple(H[np.diff(H, prepend=-1.0) > SAME * H].tolist())
 
     @cached_property
     def first_touch(self) -> Array:
