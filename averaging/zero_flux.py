@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,11 +123,12 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
     nodes, lengths = rate.nodes, np.diff(rate.nodes)
     smooth = replace(rate, coefficients=rate.coefficients[..., 0], error=None).antiderivative()
 
-    def log_p(energy: Array) -> Array:
-        diffusion = process.coefficients(energy.ravel()).diffusion.reshape(energy.shape)
-        return np.asarray(
-            smooth(energy) + process.degrees_of_freedom * np.log(energy) - np.log(diffusion)
-        )
+    def log_p(energy: Array, *, over_states: bool = False) -> Array:
+        c = process.coefficients(energy.ravel())
+        log_n = process.degrees_of_freedom * np.log(energy)
+        value = smooth(energy) + log_n - np.log(c.diffusion).reshape(energy.shape)
+        states = c.log_density_of_states.reshape(energy.shape) if over_states else 0.0
+        return np.asarray(value - states)
 
     x, w = panel_rule(nodes, POINTS)
     top = log_p(x).max()
@@ -154,16 +156,13 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
         l1_error, defect, float(p.min() / p.max()), flux_residual(process, nodes, log_p), tail_mass
     )
 
-    def log_u(energy: Array) -> Array:
-        log_states = process.coefficients(energy.ravel()).log_density_of_states
-        return np.asarray(log_p(energy) - log_states.reshape(energy.shape))
-
     def relative_error(energy: Array) -> Array:
         panel = np.searchsorted(nodes, energy, side="right") - 1
         # ln p is formed with ln H and ln b, which cancel.
         rounded = 4.0 * EPS * np.abs(np.log(energy))
         return np.asarray(l1_error + outwards[np.clip(panel, 0, nodes.size - 2)] + rounded)
 
+    log_u = partial(log_p, over_states=True)
     return ZeroFluxDensity(process, nodes, log_u, relative_error, measured)
 
 
