@@ -206,13 +206,11 @@ class SampledDensity:
             bins = (e.size - 1) // factor
             values = _joined(values, axis, bins)
             batches = _joined(batches, axis + 1, bins)
-        return SampledDensity(
-            self.observable,
-            tuple(e[::factor] for e in self.edges),
-            values,
-            batches,
-            self.certificate,
-            self.provenance,
+        return replace(
+            self,
+            edges=tuple(e[::factor] for e in self.edges),
+            values=values,
+            batch_values=batches,
             one_sample=self.one_sample / factor ** len(self.edges),
         )
 
