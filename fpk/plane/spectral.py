@@ -106,8 +106,9 @@ def _finer(panels: int, degree: int, solution: PlaneSolution, tol: float) -> tup
         return SECOND[0], int(np.clip(least + (missing - DIGITS[1]) / DIGITS[2] + 0.5, least, most))
     if degree >= LIMITS[1]:
         return panels + 1, degree
-    step = max(int(np.ceil(missing / DIGITS[2])), 1)
-    return panels, min(degree + (min(step, STEP) if coarse else step), LIMITS[1])
+    # Where the density does not fall off at the edges infinitely many digits are missing.
+    step = int(np.clip(np.ceil(missing / DIGITS[2]), 1, STEP if coarse else LIMITS[1]))
+    return panels, min(degree + step, LIMITS[1])
 
 
 def weight_of(solution: PlaneSolution) -> Weight | None:

@@ -342,3 +342,12 @@ def test_what_misses_the_rule_is_returned_without_a_certificate(
     solution = solve_plane(one_sided(0.3, 0.05), tol=1e-10)
     assert not solution.certificate.certified
     assert any("exceeds the tolerance" in words for words in solution.certificate.failures)
+
+
+def test_a_density_that_does_not_fall_off_at_the_edges_takes_one_step_more() -> None:
+    process = one_sided(0.3, 0.05)
+    solution = next(solve_with_weight(process, Weight(np.eye(2)[::-1], (0.6, 0.4)), tol=1e-8))
+    measured = replace(solution.measured, l1_error=np.inf)
+    at_end = replace(solution, measured=measured)
+    for panels, degree in ((2, 6), (2, 10), (4, 8)):
+        assert spectral._finer(panels, degree, at_end, 1e-8) > (panels, degree)
