@@ -1,21 +1,22 @@
-"""The scene format: every key with the check of its value.
+"""The scene format as data for pydantic-core, and its errors in the user's own words.
 
-A check takes a value and its key, ``contact[1].clearance`` say, counted from 1. It returns the
-value in the form that the program uses or raises ``InvalidInput`` with what would be right.
+The core alone is used: to import pydantic itself takes longer than many an answer. A refusal names
+its key as the user would look for it, ``contact[1].clearance`` say, counted from 1.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 from unicodedata import category
+
+from pydantic_core import ErrorDetails, PydanticCustomError, SchemaValidator, ValidationError
 
 from cases.scene.expect import RELATIONS
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput
 
-Check = Callable[[Any, str], Any]
-Checks = Mapping[str, Check]
+Schema = dict[str, Any]
 
 MAX_MASSES = 500
 """Matrices are full: a chain longer than this is not what they are for."""
@@ -23,179 +24,187 @@ MAX_MASSES = 500
 MAX_TERMS = 200
 """A van der Pol damping of four modes has a hundred monomials."""
 
-LONGEST_TEXT = 1000
-"""Characters of a title, a source or a name."""
-
 LARGEST, SMALLEST = 1e100, 1e-100
 """Beyond these a product of three inputs leaves the range of double precision."""
 
 
-def validated(data: dict[str, Any]) -> dict[str, Any]:
-    """Return the checked tables of a scene; raise ``InvalidInput`` with what is wrong first."""
-    tables: dict[str, Any] = SCENE(data, "")
-    if "system" not in tables:
-        raise InvalidInput("[system]", None, "give mass, stiffness, damping, noise_intensity")
-    return tables
+def _then(schema: Schema, function: Callable[[Any], Any]) -> Schema:
+    """The schema followed by a check or conversion in Python."""
+    after = {"type": "no-info", "function": function}
+    return {"type": "function-after", "schema": schema, "function": after}
 
 
-def _rules(*rules: tuple[Callable[[Any], bool], str], make: Callable[[Any], Any]) -> Check:
-    """Every rule must hold, or its remedy is given; ``make`` converts the value."""
-
-    def check(value: Any, key: str) -> Any:
-        for holds, remedy in rules:
-            if not holds(value):
-                raise InvalidInput(key, value, remedy)
-        return make(value)
-
-    return check
+def _list(items: Schema, *, least: int = 1, most: int = MAX_MASSES) -> Schema:
+    lengths = {"min_length": least, "max_length": most}
+    return {"type": "list", "strict": True, "items_schema": items, **lengths}
 
 
-def _one_of(*names: str) -> Check:
-    quoted = " or ".join(f'"{name}"' for name in names)
-    return _rules((lambda value: value in names, f"use {quoted}"), make=str)
+def _table(required: Mapping[str, Schema], optional: Mapping[str, Schema]) -> Schema:
+    """A table that refuses keys it does not know; what is left out is not in it."""
+    fields = {
+        key: {"type": "typed-dict-field", "schema": schema, "required": key in required}
+        for key, schema in {**required, **optional}.items()
+    }
+    return {"type": "typed-dict", "fields": fields, "extra_behavior": "forbid"}
 
 
-def _list(
-    item: Check,
-    *,
-    least: int = 1,
-    most: int = MAX_MASSES,
-    distinct: bool = False,
-    remedy: str = "must be a list, in square brackets",
-) -> Check:
-    lengths = _rules(
-        (lambda value: isinstance(value, list), remedy),
-        (lambda value: len(value) >= least, f"must have at least {least} entries"),
-        (lambda value: len(value) <= most, f"must have at most {most} entries"),
-        (lambda value: not distinct or value[0] not in value[1:], "names the same theory twice"),
-        make=list,
-    )
-    return lambda value, key: [
-        item(entry, f"{key}[{i}]") for i, entry in enumerate(lengths(value, key), start=1)
-    ]
-
-
-def _table(required: Checks, optional: Checks, make: Callable[..., Any] = dict) -> Check:
-    """A table with these keys and no others, which are the keyword arguments of ``make``."""
-    checks = {**required, **optional}
-
-    def check(value: Any, key: str) -> Any:
-        if not isinstance(value, dict):
-            raise InvalidInput(key, value, "must be a table")
-        dot = f"{key}." if key else ""
-        # A misspelt key is also a missing one: the cause comes first, then the consequence.
-        for name in value:
-            if name not in checks:
-                raise InvalidInput(dot + name, value[name], _known_keys(name, checks))
-        for name in required:
-            if name not in value:
-                raise InvalidInput(dot + name, None, "add it")
-        entries = {name: checks[name](entry, dot + name) for name, entry in value.items()}
-        try:
-            return make(**entries)
-        except InvalidInput as error:
-            raise InvalidInput(dot + error.key, error.value, error.remedy) from None
-
-    return check
-
-
-def _known_keys(name: str, checks: Checks) -> str:
-    if close := get_close_matches(name, checks, n=1):
-        return f'is not a key of a scene; did you mean "{close[0]}"?'
-    return f"is not a key of a scene; here are known: {', '.join(checks)}"
-
-
-def _text(value: Any, key: str) -> str:
-    if not isinstance(value, str):
-        raise InvalidInput(key, value, "must be text in quotes")
-    if len(value) > LONGEST_TEXT:
-        raise InvalidInput(key, value, f"is too long; at most {LONGEST_TEXT} characters")
-    for c in value:  # a control character acts on a terminal and cannot stand in XML or netCDF
-        if (category(c) == "Cc" and c not in "\t\n") or c in "\ufffe\uffff":
-            raise InvalidInput(key, value, f"holds the character U+{ord(c):04X}; leave it out")
+def _in_range(value: float) -> float:
+    if value != 0 and not SMALLEST <= abs(value) <= LARGEST:
+        raise PydanticCustomError("finite_number", "out of range")
     return value
 
 
-def _powers(value: Any, key: str) -> tuple[tuple[int, int], ...]:
-    """The powers of a damping term as pairs (mass, power)."""
-    if not isinstance(value, dict):
-        raise InvalidInput(key, value, "must be a table")
-    for mass in value:
-        if not (mass.isascii() and mass.isdigit() and len(mass) < 10 and mass[0] != "0"):
-            raise InvalidInput(key, mass, "is not the number of a mass; masses are counted from 1")
-    return tuple((int(mass), _whole(power, f"{key}.{mass}")) for mass, power in value.items())
+def _legible(text: str) -> str:
+    for c in text:  # a control character acts on a terminal and cannot stand in XML or netCDF
+        if (category(c) == "Cc" and c not in "\t\n") or c in "\ufffe\uffff":
+            code = {"character": f"U+{ord(c):04X}"}
+            raise PydanticCustomError(
+                "hidden", "holds the character {character}; leave it out", code
+            )
+    return text
 
 
-def _numbers_or_matrix(value: Any, key: str) -> Any:
+def _distinct(names: list[str]) -> list[str]:
+    if len(set(names)) != len(names):
+        raise PydanticCustomError("twice", "names the same theory twice")
+    return names
+
+
+def _list_or_matrix(value: Any) -> str:
     nested = isinstance(value, list) and value and isinstance(value[0], list)
-    return (_matrix if nested else _numbers)(value, key)
+    return "<matrix>" if nested else "<list>"
 
 
-_NUMBER = (
-    (lambda value: type(value) in (int, float), "must be a number"),
-    (
-        lambda value: value == 0 or SMALLEST <= abs(value) <= LARGEST,
-        "must be a finite number, 0 or between 1e-100 and 1e100 in size",
-    ),
+WHOLE = {"type": "int", "strict": True}
+MASS = {"type": "int", "strict": True, "ge": 1}
+FINITE = {"type": "float", "strict": True, "allow_inf_nan": False}
+NUMBER = _then(FINITE, _in_range)
+TEXT = _then({"type": "str", "strict": True, "max_length": 1000}, _legible)
+NUMBERS = _list(NUMBER)
+MATRIX = _list(NUMBERS)
+NUMBERS_OR_MATRIX = {
+    "type": "tagged-union",
+    "choices": {"<list>": NUMBERS, "<matrix>": MATRIX},
+    "discriminator": _list_or_matrix,
+}
+POWERS = _then(
+    {
+        "type": "dict",
+        "keys_schema": {"type": "str", "pattern": r"^[1-9][0-9]{0,8}$"},
+        "values_schema": WHOLE,
+        "max_length": MAX_MASSES,
+    },
+    lambda powers: tuple((int(mass), power) for mass, power in powers.items()),
 )
-_WHOLE = (lambda value: type(value) is int, "must be a whole number, written without a point")
-_number = _rules(*_NUMBER, make=float)
-_positive = _rules(*_NUMBER, (lambda value: value > 0, "must be > 0"), make=float)
-_whole = _rules(_WHOLE, make=int)
-_mass = _rules(
-    _WHOLE, (lambda value: value >= 1, "must be 1 or more; masses are counted from 1"), make=int
-)
-_numbers = _list(_number)
-_matrix = _list(_numbers)
-_theory = _one_of("nonintegrable", "integrable")
-_range = _table({}, dict.fromkeys(RELATIONS, _number))
-_values, _matrices = _list(_number, most=12), _list(_numbers_or_matrix, most=12)
+VALUES = _list(NUMBER, most=12)
+MATRICES = _list(NUMBERS_OR_MATRIX, most=12)
+RANGE = _table({}, dict.fromkeys(RELATIONS, NUMBER))
+THEORY = {"type": "literal", "expected": ["nonintegrable", "integrable"]}
 
 SYSTEM = _table(
     {
-        "mass": _numbers,
-        "stiffness": _numbers,
-        "damping": _numbers_or_matrix,
-        "noise_intensity": _numbers_or_matrix,
+        "mass": NUMBERS,
+        "stiffness": NUMBERS,
+        "damping": NUMBERS_OR_MATRIX,
+        "noise_intensity": NUMBERS_OR_MATRIX,
     },
-    {"noise_gain": _matrix},
+    {"noise_gain": MATRIX},
 )
 CONTACT = _table(
-    {"mass": _mass, "side": _text, "stiffness": _number, "clearance": _number},
-    {"law": _text, "exponent": _number},
-    make=Contact,
+    {"mass": MASS, "side": TEXT, "stiffness": NUMBER, "clearance": NUMBER},
+    {"law": TEXT, "exponent": NUMBER},
 )
-TERM = _table(
-    {"i": _mass, "j": _mass, "coefficient": _number},
-    {"q": _powers, "v": _powers, "energy": _whole},
-    make=DampingTerm,
+DAMPING_TERM = _table(
+    {"i": MASS, "j": MASS, "coefficient": NUMBER}, {"q": POWERS, "v": POWERS, "energy": WHOLE}
 )
 VARY = {
-    "contact": _table({}, {"stiffness": _values, "clearance": _values}),
-    "system": _table({}, {"noise_intensity": _matrices, "damping": _matrices}),
+    "contact": _table({}, {"stiffness": VALUES, "clearance": VALUES}),
+    "system": _table({}, {"noise_intensity": MATRICES, "damping": MATRICES}),
 }
 EXPECT = {
-    "of": _text,
-    "non_gaussian": _range,
-    "almost_gaussian": _range,
-    "nonintegrable_better_with": _one_of("larger", "smaller"),
-    "better": _list(_theory, least=2, most=2, distinct=True),
-    "acceptable": _list(_theory, most=2, distinct=True),
-    "clearance_rule": _positive,
+    "of": TEXT,
+    "non_gaussian": RANGE,
+    "almost_gaussian": RANGE,
+    "nonintegrable_better_with": {"type": "literal", "expected": ["larger", "smaller"]},
+    "better": _then(_list(THEORY, least=2, most=2), _distinct),
+    "acceptable": _then(_list(THEORY, most=2), _distinct),
+    "clearance_rule": _then({**FINITE, "gt": 0}, _in_range),
 }
 SCENE = _table(
-    {},
+    {"system": SYSTEM},
     {
-        "system": SYSTEM,
-        "title": _text,
-        "source": _text,
-        "contact": _list(CONTACT, least=0, remedy="must be written as [[contact]]"),
+        "title": TEXT,
+        "source": TEXT,
+        "contact": _list(_then(CONTACT, lambda keys: Contact(**keys)), least=0),
         "damping_term": _list(
-            TERM, least=0, most=MAX_TERMS, remedy="must be written as [[damping_term]]"
+            _then(DAMPING_TERM, lambda keys: DampingTerm(**keys)), least=0, most=MAX_TERMS
         ),
-        "observe": _table({"densities": _list(_text, most=16)}, {}),
+        "observe": _table({"densities": _list(TEXT, most=16)}, {}),
         "vary": _table({}, VARY),
         "expect": _table({}, EXPECT),
     },
 )
 """The whole file."""
+
+_VALIDATOR = SchemaValidator(SCENE)  # it checks the schema itself
+
+REMEDIES = {
+    "float_type": "must be a number",
+    "finite_number": "must be a finite number, 0 or between 1e-100 and 1e100 in size",
+    "int_type": "must be a whole number, written without a point",
+    "int_from_float": "must be a whole number, written without a point",
+    "string_type": "must be text in quotes",
+    "list_type": "must be a list, in square brackets",
+    "dict_type": "must be a table",
+    "greater_than": "must be > 0",
+    "greater_than_equal": "must be 1 or more; masses are counted from 1",
+    "string_pattern_mismatch": "is not the number of a mass; masses are counted from 1",
+    "string_too_long": "is too long; at most 1000 characters",
+    "too_short": "must have at least {min_length} entries",
+    "too_long": "must have at most {max_length} entries",
+    "literal_error": "use {expected}",
+}
+
+
+def validated(data: dict[str, Any]) -> dict[str, Any]:
+    """Return the checked tables of a scene; raise ``InvalidInput`` with what is wrong first."""
+    try:
+        tables: dict[str, Any] = _VALIDATOR.validate_python(data)
+    except ValidationError as error:
+        errors = error.errors(include_url=False)
+        # A misspelt key is also a missing one: say the cause, not the consequence.
+        raise _refusal(min(errors, key=lambda e: e["type"] != "extra_forbidden")) from None
+    return tables
+
+
+def _refusal(error: ErrorDetails) -> InvalidInput:
+    kind, place = error["type"], [p for p in error["loc"] if not str(p).startswith(("<", "[key"))]
+    key, context = _toml_key(place), error.get("ctx", {})
+    if isinstance(inner := context.get("error"), InvalidInput):
+        return InvalidInput(f"{key}.{inner.key}", inner.value, inner.remedy)
+    if kind == "missing":
+        if place == ["system"]:
+            return InvalidInput("[system]", None, "give mass, stiffness, damping, noise_intensity")
+        return InvalidInput(key, None, "add it")
+    remedy = REMEDIES.get(kind, error["msg"]).format(**context).replace("'", '"')
+    if kind == "extra_forbidden":
+        remedy = _known_keys(place)
+    if key in ("contact", "damping_term") and kind == "list_type":
+        remedy = f"must be written as [[{key}]]"
+    return InvalidInput(key, error["input"], remedy)
+
+
+def _toml_key(place: Sequence[int | str]) -> str:
+    parts = (f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in place)
+    return "".join(parts).removeprefix(".")
+
+
+def _known_keys(place: Sequence[int | str]) -> str:
+    table: Schema = SCENE
+    for part in place[:-1]:
+        table = table["items_schema"] if isinstance(part, int) else table["fields"][part]
+        while "schema" in table:
+            table = table["schema"]
+    if close := get_close_matches(str(place[-1]), table["fields"], n=1):
+        return f'is not a key of a scene; did you mean "{close[0]}"?'
+    return f"is not a key of a scene; here are known: {', '.join(table['fields'])}"
