@@ -5,7 +5,6 @@ from functools import partial
 from math import ceil, pi
 
 import numpy as np
-from numpy.typing import NDArray
 
 from averaging.conditional import conditionals, overlap_at, side_sign
 from averaging.energy_density import density_of_energies
@@ -13,12 +12,11 @@ from averaging.hidden import RULES, HiddenIntegral, gibbs_integral, overlaps
 from averaging.shell.energy_shell import energy_shell
 from averaging.shell.ratios import log_linear_states, shell_ratios
 from averaging.weyl import Part, StateDensity
+from fpk.arrays import Array
 from fpk.density import Density, certified_density
 from fpk.line.mesh import DEEP_LAYERS, with_layers
 from fpk.observable import Coordinate, Observable
 from fpk.system import System
-
-Array = NDArray[np.float64]
 
 TIED = 0.2
 """Width of a displacement given another one, relative to its own, below which the joint density is

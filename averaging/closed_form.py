@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.polynomial import polynomial
-from numpy.typing import NDArray
 
 from averaging.energy_process import damping_and_noise, energy_process
 from averaging.hidden import RULES, gibbs_integral
 from averaging.shell.ratios import log_linear_states
 from averaging.weyl import Solution, StateDensity, gibbs_density, tabulated
 from averaging.zero_flux import ZeroFluxDensity, flux_residual
+from fpk.arrays import Array
 from fpk.certificate import Measured
 from fpk.errors import NotApplicable
 from fpk.line.mesh import DEEP_LAYERS, GRADING, initial_nodes, with_layers
@@ -18,8 +18,6 @@ from fpk.probe import probed
 from fpk.process import Process
 from fpk.quadrature import panel_rule
 from fpk.system import System
-
-Array = NDArray[np.float64]
 
 TAIL = 1e-17
 """Share of the probability beyond the last energy of a closed form."""

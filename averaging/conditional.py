@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fpk.arrays import Array
 from fpk.contact import Contact
 from fpk.system import System
-
-Array = NDArray[np.float64]
 
 BETWEEN = 65
 """Overlaps within a factor of two among which that of an energy is interpolated."""

@@ -3,15 +3,13 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from averaging.zero_flux import ZeroFluxDensity
+from fpk.arrays import Array
 from fpk.density import Density, certified_density
 from fpk.line.stationary import StationarySolution
 from fpk.observable import Observable
 from fpk.plane.solution import PlaneSolution
-
-Array = NDArray[np.float64]
 
 
 def density_of_energies(

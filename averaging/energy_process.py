@@ -1,17 +1,15 @@
 """Averaged energy process of a quasi-non-integrable Hamiltonian system, Eqs. (9), (24)."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from averaging.shell.energy_shell import energy_shell
 from averaging.shell.power import term_power
 from averaging.shell.ratios import shell_ratios
+from fpk.arrays import Array
 from fpk.equivalent import dissipated_power, equivalent_temperature
 from fpk.errors import NotApplicable
 from fpk.process import Coefficients, Process
 from fpk.system import System
-
-Array = NDArray[np.float64]
 
 SEARCHED = 4.0 ** np.arange(25)
 """Energies, in units of the one where |damping| would balance the noise, searched for balance."""

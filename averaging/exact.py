@@ -6,19 +6,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from averaging.back_transformation import back_transformed
 from averaging.closed_form import state_closed_form
 from averaging.energy_process import energy_process
 from averaging.nonintegrable import energy_only_refusal
 from averaging.theory import Theory
+from fpk.arrays import Array
 from fpk.errors import NotApplicable
 from fpk.method import Plan, Progress, Result
 from fpk.observable import Observable
 from fpk.system import System
-
-Array = NDArray[np.float64]
 
 PROPORTION_SLACK = 1e-12
 """Relative departure from 2 c = h b that counts as round-off of the input."""

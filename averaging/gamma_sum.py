@@ -1,9 +1,8 @@
 """The density of a sum of independent gamma variables: of an energy that is a quadratic form."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fpk.arrays import Array
 
 NODES, COARSE_NODES = 40, 30
 """Nodes on half of the contour, and of the coarser sum for the error: 32 reach round-off."""

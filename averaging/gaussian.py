@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, qr, solve_triangular
 
 from averaging.gamma_sum import gamma_density, gamma_sum
 from averaging.theory import Theory
+from fpk.arrays import Array
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
 from fpk.errors import NotApplicable
@@ -16,8 +16,6 @@ from fpk.linear import linear_covariance
 from fpk.method import Plan, Progress, Result
 from fpk.observable import Observable, observable_name
 from fpk.system import System
-
-Array = NDArray[np.float64]
 
 REACH = 8.5
 """Half-width of the support in standard deviations."""

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from averaging.conditional import Conditional, conditional, conditionals, overlap_at, side_sign
+from fpk.arrays import Array
 from fpk.contact import Contact
 from fpk.piecewise import Piecewise, fit
 from fpk.quadrature import gauss_legendre
 from fpk.system import System
 
-Array = NDArray[np.float64]
 Function = Callable[[Array], Array]
 
 WIDTHS_PER_PANEL = 1.8

@@ -7,17 +7,16 @@ from math import gamma
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincc
 
 from averaging.zero_flux import ZeroFluxDensity
+from fpk.arrays import Array
 from fpk.line.stationary import StationarySolution
 from fpk.piecewise import Piecewise, interpolated
 from fpk.probe import probed
 from fpk.quadrature import gauss_legendre, panel_rule
 from fpk.system import System
 
-Array = NDArray[np.float64]
 Function = Callable[[Array], Array]
 Solution = StationarySolution | ZeroFluxDensity
 """Density of the energy by a solver: p = T u, T in the unit in which the process gives it."""

@@ -5,16 +5,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fpk.arrays import Array
 from fpk.certificate import Measured
 from fpk.line.mesh import initial_nodes, split_points
 from fpk.piecewise import Piecewise, fit
 from fpk.probe import probed
 from fpk.process import Coefficients, Process, log_density_slope_error
 from fpk.quadrature import panel_rule
-
-Array = NDArray[np.float64]
 
 FLUX_POINTS = (16, 20)
 """Gauss points per panel of ∫2s/σ² dH, and of the finer rule whose distance is its error."""

@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 from math import isfinite
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fpk.arrays import Array
 from fpk.errors import InvalidInput
 
-Array = NDArray[np.float64]
 Powers = tuple[tuple[int, int], ...]
 
 MOST_POWERS = 8

@@ -7,14 +7,14 @@ from itertools import product
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import lstsq
 
+from fpk.arrays import Array
 from fpk.certificate import Certificate, Measured, certify
 from fpk.observable import Observable, observable_name
 from fpk.quadrature import panel_rule
 
-Array = NDArray[np.float64]
 ErrorKind = Literal["numerical", "sampling"]
 
 GAUSS_POINTS = {1: 20, 2: 12}

@@ -3,12 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fpk.arrays import Array
 from fpk.errors import NotCertified
 from fpk.process import Coefficients, Process, log_density_slope_error
-
-Array = NDArray[np.float64]
 
 NEAR, FAR = 1e-6, 1e4
 """Energies, in units of the process's scale, at which the limits at both ends are read off."""

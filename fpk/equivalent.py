@@ -3,14 +3,12 @@
 from math import exp, lgamma
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fpk.arrays import Array
 from fpk.damping import DampingTerm
 from fpk.errors import NotApplicable
 from fpk.moments import gaussian_moment
 from fpk.system import System
-
-Array = NDArray[np.float64]
 
 ROUND_OFF = 1e-12
 """A power below this share of the terms that cancel in it is their round-off, so zero."""

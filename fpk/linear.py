@@ -4,14 +4,12 @@ from dataclasses import dataclass
 from math import inf
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_lyapunov
 
+from fpk.arrays import Array
 from fpk.errors import NotApplicable
 from fpk.modes import natural_modes
 from fpk.system import System
-
-Array = NDArray[np.float64]
 
 EPS = float(np.finfo(float).eps)
 CORRECTIONS = 2

@@ -1,11 +1,9 @@
 """Natural modes of the chain without its contacts, Eq. (13)."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fpk.arrays import Array
 from fpk.system import System
-
-Array = NDArray[np.float64]
 
 
 def natural_modes(system: System) -> tuple[Array, Array]:

@@ -2,10 +2,7 @@
 
 from functools import cache
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from fpk.arrays import Array
 
 
 def gaussian_moment(covariance: Array, powers: tuple[int, ...]) -> float:

@@ -9,17 +9,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import splu
 from skfem import Basis, BilinearForm, LinearForm, MeshLine, MeshQuad
 from skfem.element import ElementLineP1, ElementLineP2, ElementLinePp, ElementQuadP
 from skfem.helpers import dot, grad, mul
 
+from fpk.arrays import Array, Integers
 from fpk.errors import NotCertified
 from fpk.process import Process
-
-Array = NDArray[np.float64]
 
 
 @BilinearForm
@@ -106,7 +104,7 @@ class Operator:
         }
 
     @cached_property
-    def free(self) -> NDArray[np.int64]:
+    def free(self) -> Integers:
         """Unknowns that are not held at zero by an absorbing end."""
         held = [
             self.basis.get_dofs(lambda x, k=k: np.isclose(x[k], self.nodes[k][-1])).all()

@@ -10,12 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fpk.arrays import Array, Integers
 from fpk.quadrature import gauss_legendre
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 DEGREE = 15
 """Degree of a fit: with 16 Gauss points a panel, e^(−x) is met to round-off over five e-folds."""

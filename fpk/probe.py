@@ -5,13 +5,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fpk.arrays import Array
 from fpk.ends import FAR_OUT, require_falling
 from fpk.errors import NotCertified
 from fpk.process import Coefficients, Process, log_density_slope
-
-Array = NDArray[np.float64]
 
 GRID = np.concatenate(
     [np.logspace(-3.0, 0.0, 10), np.logspace(0.1, 2.0, 20), np.logspace(2.25, 4.0, 8), FAR_OUT[1:]]

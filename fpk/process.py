@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fpk.arrays import Array
 
 UNKNOWN: Array = np.array(np.nan)
 """A coefficient that a process does not give: whatever is computed from it is not a number."""

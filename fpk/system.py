@@ -6,13 +6,13 @@ from functools import cached_property
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fpk.arrays import Array
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput
 
-Array = NDArray[np.float64]
 Fact = TypeVar("Fact")
 
 SEMIDEFINITE_SLACK = 1e-12

@@ -2,11 +2,7 @@
 
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from fpk.arrays import Array, Integers
 
 LANES = 128
 """Trajectories that run side by side in one block; a constant of compilation."""

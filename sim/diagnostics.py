@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-from sim.arrays import Array
+from fpk.arrays import Array
 
 LEAST_TIMES = 50.0
 """Autocorrelation times, of 2τ as emcee counts them, below which a run is refused."""

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fpk.arrays import Array, Flags, Integers
 from fpk.system import System
-from sim.arrays import LANES, Array, Integers, StepArrays, WatchArrays
+from sim.arrays import LANES, StepArrays, WatchArrays
 from sim.cluster import Threads
 from sim.flow import factored
 from sim.histogram import Histogram, starts
@@ -204,6 +205,6 @@ class Ensemble:
         for name in CHANGING:
             getattr(self, name)[...] = saved[name]
 
-    def _alive(self) -> NDArray[np.bool_]:
+    def _alive(self) -> Flags:
         """Which lanes (blocks, LANES) are trajectories."""
         return np.arange(LANES) < self.live[:, None]

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
+from fpk.arrays import Array
 from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.system import System
-from sim.arrays import COLUMNS, Array
+from sim.arrays import COLUMNS
 
 RANK_SLACK = 1e-13
 """A pivot below this share of its own variance is round-off: no normal number is drawn for it."""

@@ -6,12 +6,12 @@ from math import inf, nan
 
 import numpy as np
 
+from fpk.arrays import Array, Integers
 from fpk.certificate import Measured, certify
 from fpk.density import SampledDensity
 from fpk.modes import natural_modes
 from fpk.observable import Coordinate, Observable
 from fpk.system import System
-from sim.arrays import Array, Integers
 from sim.statistics import sampling_error
 
 BINS = (1024, 128)

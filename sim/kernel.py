@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from fpk.arrays import Array, Integers
 from fpk.compiled_laws import compiled_laws
 from fpk.compiling import cached_njit
 from sim.arrays import LANES as W
-from sim.arrays import Array, Integers, StepArrays, WatchArrays
+from sim.arrays import StepArrays, WatchArrays
 from sim.lanes import add, add_matrix, aligned_rows, row
 from sim.parts.contact import add_contact, contact_forces, kick_by_contact
 from sim.parts.damping import damping_forces, spring_energy, term_flow, whole_energy

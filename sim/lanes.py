@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fpk.arrays import Array
 from fpk.compiling import inlined
 from sim.arrays import LANES as W
-from sim.arrays import Array
 
 
 @inlined

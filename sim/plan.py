@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from fpk.arrays import Array
 from fpk.effects import effects_of
 from fpk.modes import natural_modes
 from fpk.observable import Coordinate
 from fpk.system import System
-from sim.arrays import Array, Rows, StepArrays, TermArrays, WatchArrays
+from sim.arrays import Rows, StepArrays, TermArrays, WatchArrays
 from sim.histogram import Histogram, starts
 from sim.kernel import KernelKey
 from sim.parts.linear import ONE_LOOP

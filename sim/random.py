@@ -13,8 +13,9 @@ docs/theory.md, "The step of the simulation".
 import numpy as np
 from numpy.typing import NDArray
 
+from fpk.arrays import Array
 from fpk.compiling import cached_njit, inlined
-from sim.arrays import LANES, Array
+from sim.arrays import LANES
 
 Singles = NDArray[np.float32]
 Words = NDArray[np.uint64]

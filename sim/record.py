@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.arrays import LANES, Array, Integers
+from fpk.arrays import Array, Integers
+from sim.arrays import LANES
 from sim.diagnostics import Effective, effective_of_paths, effective_of_shares, variance_error
 from sim.histogram import Histogram, starts
 from sim.report import Moment

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
+from fpk.arrays import Array
 from fpk.equivalent import dissipated_power, equivalent_temperature
 from fpk.linear import UNDAMPED, decay_time
 from fpk.modes import natural_modes
 from fpk.moments import gaussian_moment
 from fpk.system import System
-from sim.arrays import Array
 
 
 def relaxation_time(system: System) -> float:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fpk.arrays import Array
 from fpk.method import Progress, silent
-from sim.arrays import Array
 from sim.assessment import Answer, assessed
 from sim.checkpoint import Checkpoint, checkpoint_of, interruptible, never
 from sim.ensemble import Ensemble

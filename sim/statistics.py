@@ -5,10 +5,10 @@ from math import pi, sqrt
 
 import numpy as np
 
+from fpk.arrays import Array
 from fpk.density import SampledDensity, bin_differences
 from fpk.method import Identity
 from fpk.system import System
-from sim.arrays import Array
 
 Product = tuple[str, int, str, int]
 """Two coordinates whose product is summed, each a kind (q, p, f or d) and a mass from 0."""

@@ -17,9 +17,10 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.special import comb, ndtr
 
+from fpk.arrays import Array, Integers
 from fpk.linear import drift_matrix
 from fpk.system import System
-from sim.arrays import LANES, Array, Integers, SubstepArrays
+from sim.arrays import LANES, SubstepArrays
 from sim.flow import exact_flow, lower_trapezoidal, padded
 from sim.parts.substeps import NARROW
 from sim.schemes import Scheme

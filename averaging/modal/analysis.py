@@ -4,18 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from averaging.modal.damping import NEGLIGIBLE, AveragedDamping, averaged_damping, balanced_energies
+from fpk.arrays import Array
 from fpk.ends import require_confined
 from fpk.errors import NotApplicable, NotCertified
 from fpk.modes import natural_modes
 from fpk.probe import probed
 from fpk.process import Coefficients, Process
 from fpk.system import System
-
-Array = NDArray[np.float64]
 
 EPS = float(np.finfo(float).eps)
 

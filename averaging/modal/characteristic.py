@@ -6,17 +6,15 @@ from functools import reduce
 from math import prod
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import j0
 
 from averaging.gaussian import state_rows
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.groups import POINTS, joined
+from fpk.arrays import Array
 from fpk.density import Density, certified_density, moment
 from fpk.observable import Observable
 from fpk.quadrature import panel_rule
-
-Array = NDArray[np.float64]
 
 FIRST_BAND = 8.0
 """Highest wave number of the first attempt, in units of 1/rms: φ of a Gaussian is e^-32 there."""

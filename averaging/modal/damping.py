@@ -8,15 +8,13 @@ from itertools import product
 from math import comb, factorial, prod
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fpk.arrays import Array, Integers
 from fpk.damping import DampingTerm
 from fpk.equivalent import equivalent_temperature
 from fpk.errors import NotApplicable
 from fpk.system import System
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 Polynomial = dict[tuple[int, ...], Array]
 """Σ value · Π H_m over the modes m in each key, counted from 0, ascending, one for each power."""
 

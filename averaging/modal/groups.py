@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from functools import partial, reduce
 
 import numpy as np
-from numpy.typing import NDArray
 
 from averaging.closed_form import closed_form
 from averaging.energy_density import density_of_energies
 from averaging.modal.analysis import ModalAnalysis
 from averaging.zero_flux import ZeroFluxDensity, solve_by_quadrature
+from fpk.arrays import Array
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
 from fpk.line.stationary import StationarySolution, solve_stationary
@@ -19,7 +19,6 @@ from fpk.plane.solution import PlaneSolution
 from fpk.plane.stationary import solve_plane
 from fpk.quadrature import panel_rule
 
-Array = NDArray[np.float64]
 Group = tuple[int, ...]
 
 POINTS = 24

@@ -4,18 +4,17 @@ from collections.abc import Callable, Mapping, Sequence
 from math import prod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from averaging.gaussian import Gaussian
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
 from averaging.modal.groups import POINTS, Group, joined, solved_group, total_energy
 from averaging.zero_flux import flux_residual
+from fpk.arrays import Array
 from fpk.density import Density, certified_density
 from fpk.observable import Coordinate, Observable
 from fpk.quadrature import panel_rule
 
-Array = NDArray[np.float64]
 Function = Callable[..., Array]
 
 RESIDUAL_PANELS = np.linspace(0.0, 40.0, 21)

@@ -5,16 +5,13 @@ from itertools import combinations_with_replacement
 from math import factorial, prod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from averaging.modal.analysis import ModalAnalysis
+from fpk.arrays import Array, Integers
 from fpk.damping import DampingTerm
 from fpk.errors import NotApplicable
 from fpk.moments import gaussian_moment
 from fpk.system import System
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 ORDER = 4
 """Σ|l_i| up to which resonances are searched. Averages of v_i v_j hold the frequencies

@@ -7,14 +7,12 @@ from itertools import combinations
 
 import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
-from numpy.typing import NDArray
 
 from averaging.conditional import conditionals, side_sign
 from averaging.shell.rays import Stops, ray_integrals
+from fpk.arrays import Array
 from fpk.effects import looks_the_same_mirrored
 from fpk.system import System
-
-Array = NDArray[np.float64]
 
 SAME = 1e-11
 """Relative distance below which two energies are one: mirror images differ by roundings, minima

@@ -6,17 +6,15 @@ from math import comb, exp, lgamma, prod
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from averaging.conditional import bridge_covariance, conditional
 from averaging.shell.energy_shell import EnergyShell, energy_shell
 from averaging.shell.sums import TARGET, shell_integrals
 from averaging.shell.table import ShellTable
+from fpk.arrays import Array, Integers
 from fpk.moments import gaussian_moment
 from fpk.system import System
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 Power = Callable[[Array], tuple[Array, Array]]
 
 TARGETS = (8e-13, 3e-14)

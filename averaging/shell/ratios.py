@@ -8,15 +8,13 @@ from math import gamma, lgamma, pi
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import beta
 
 from averaging.shell.energy_shell import EnergyShell, energy_shell
 from averaging.shell.sums import shell_integrals
 from averaging.shell.table import ShellTable
+from fpk.arrays import Array
 from fpk.system import System
-
-Array = NDArray[np.float64]
 
 ROUNDED = 0.5 * float(np.finfo(float).eps)
 """For n = 1 the part beyond a stop is ~ √(H − V), V at the stop: a rounding of H is relative to T

@@ -12,14 +12,11 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fpk.arrays import Array, Integers
 from fpk.compiled_laws import compiled_laws, law_files, of_law
 from fpk.compiling import cached_njit, checksum, inlined
 from fpk.quadrature import gauss_legendre
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 RULES = (14, 18, 24, 48, 96, 192)
 """Gauss points per panel of a ray, in the order in which an integral is refined. The first two are

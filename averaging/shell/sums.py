@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.rays import RULES, gauss_rules
+from fpk.arrays import Array, Integers
 from fpk.quadrature import gauss_legendre
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 NO_ORDERS: Integers = np.empty((0, 2), dtype=np.int64)
 TARGET = 3e-12

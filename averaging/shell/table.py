@@ -8,13 +8,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from averaging.shell.energy_shell import EnergyShell
+from fpk.arrays import Array
 from fpk.piecewise import Piecewise, fit
 from fpk.quadrature import panel_rule
-
-Array = NDArray[np.float64]
 
 GRADING = 0.2
 """Panels shrink towards each contact energy from above, where (H − H_c)³ or rougher terms begin."""

@@ -20,7 +20,8 @@ from typing import Literal
 import numpy as np
 from scipy.special import stdtrit
 
-from fpk.density import AnyDensity, Array, Density, SampledDensity, l1_distance
+from fpk.arrays import Array
+from fpk.density import AnyDensity, Density, SampledDensity, l1_distance
 from fpk.method import Result
 from fpk.route import Route
 

@@ -17,7 +17,8 @@ from cases.output.digest import method_record
 from cases.output.files import write_by, write_text
 from cases.output.records import UNITS, plain, program_version
 from cases.scene.scene import Scene
-from fpk.density import AnyDensity, Array
+from fpk.arrays import Array
+from fpk.density import AnyDensity
 from fpk.observable import Observable, observable_name
 
 Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]]

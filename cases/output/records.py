@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from cases.scene.scene import Scene
-from fpk.density import AnyDensity, Array
+from fpk.arrays import Array
+from fpk.density import AnyDensity
 from fpk.method import Result
 
 Record = dict[str, Any]

@@ -7,14 +7,14 @@ from xml.etree import ElementTree
 
 import meshio
 import numpy as np
-from numpy.typing import NDArray
 
 from cases.comparison.answers import Answers
 from cases.comparison.run import Outcome
 from cases.output.fields import attributes_of, common_grid
 from cases.output.files import write_by
 from cases.output.records import UNITS
-from fpk.density import AnyDensity, Array
+from fpk.arrays import Array, Flags
+from fpk.density import AnyDensity
 from fpk.observable import Observable, observable_name
 
 SUBDIVISION = 1e-5
@@ -155,7 +155,7 @@ def _field_data(data: Mapping[str, str | float]) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _with_middles(ends: Array, only: NDArray[np.bool_] | None = None) -> Array:
+def _with_middles(ends: Array, only: Flags | None = None) -> Array:
     """The ends of cells with the middles of all of them, or of those in ``only``."""
     middles = 0.5 * (ends[1:] + ends[:-1])
     return np.sort(np.concatenate([ends, middles if only is None else middles[only]]))

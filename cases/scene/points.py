@@ -7,7 +7,7 @@ from math import isfinite
 import numpy as np
 
 from cases.scene.errors import BadInput, toml_value
-from fpk.density import Array
+from fpk.arrays import Array
 
 MAX_POINTS = 200_000
 """More than a picture or a table can use; a typing error in a step is caught by it."""

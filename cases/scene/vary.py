@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fpk.arrays import Array
 from fpk.errors import InvalidInput
 from fpk.system import System
 
@@ -41,7 +41,7 @@ def changed(system: System, key: str, value: Any) -> System:
     return replace(system, contacts=tuple(replace(c, **{name: value}) for c in system.contacts))
 
 
-def _read(system: System, key: str) -> NDArray[np.float64]:
+def _read(system: System, key: str) -> Array:
     """The matrix of the system, or the number of every contact."""
     part, _, name = key.partition(".")
     if part == "system":
@@ -91,7 +91,7 @@ def _common_ratio(system: System) -> float | None:
     return float(ratios[0]) if np.allclose(ratios, ratios[0], rtol=1e-12) else None
 
 
-def _words(value: NDArray[np.float64]) -> str:
+def _words(value: Array) -> str:
     if value.ndim == 2 and np.array_equal(value, np.diag(np.diag(value))):
         value = np.diag(value)
     elif value.ndim == 1 and np.ptp(value) == 0:  # the same value at every contact

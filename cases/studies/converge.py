@@ -23,7 +23,7 @@ from cases.studies.orders import (
     grid_convergence,
 )
 from cases.studies.weak import SampleSlope, WeakOrder, sample_slope, weak_order
-from fpk.density import Array
+from fpk.arrays import Array
 from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Progress, silent
 from sim.montecarlo import MonteCarlo

@@ -17,7 +17,7 @@ from averaging.modal.resonance import require_no_resonance
 from averaging.nonintegrable import NonIntegrable
 from averaging.zero_flux import POINTS, solve_by_quadrature
 from cases.studies.levels import Answer, Clock, Discretisation
-from fpk.density import Array
+from fpk.arrays import Array
 from fpk.errors import NotApplicable, NotCertified
 from fpk.line.stationary import StationarySolution, solve_on_mesh, solve_stationary
 from fpk.observable import Observable, observable_name, parse_observable

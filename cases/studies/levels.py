@@ -16,7 +16,8 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from fpk.density import Array, gauss_grid, integral
+from fpk.arrays import Array
+from fpk.density import gauss_grid, integral
 from fpk.process import Coefficients, Process
 
 T = TypeVar("T")

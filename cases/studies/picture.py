@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cases.output.pictures.style import COLOURS, INK, STYLE
-from fpk.density import Array
+from fpk.arrays import Array
 
 MARKERS = "osD^vXPh"
 DASHES: Any = (0, (4, 2))

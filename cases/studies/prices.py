@@ -7,7 +7,7 @@ from math import inf, isnan, nan
 import numpy as np
 
 from cases.studies.levels import Level
-from fpk.density import Array
+from fpk.arrays import Array
 
 DIGITS = tuple(range(1, 11))
 """Digits that are priced."""

@@ -11,8 +11,9 @@ from cases.comparison.answers import answers_of
 from cases.comparison.compare import chance_l1, joined
 from cases.comparison.routes import listed_routes
 from cases.studies.levels import timed_first
+from fpk.arrays import Array
 from fpk.certificate import Measured
-from fpk.density import AnyDensity, Array, Density, SampledDensity, certified_density
+from fpk.density import AnyDensity, Density, SampledDensity, certified_density
 from fpk.errors import InvalidInput, NotCertified
 from fpk.method import Method, Result
 from fpk.observable import Coordinate, Observable, observable_name

@@ -18,7 +18,8 @@ from cases.studies.simulation import (
     run,
     squared,
 )
-from fpk.density import Array, moment
+from fpk.arrays import Array
+from fpk.density import moment
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
 from sim.schemes import SCHEMES

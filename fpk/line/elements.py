@@ -16,10 +16,10 @@ import numpy as np
 from numpy.polynomial.legendre import legder, legvander
 from numpy.typing import NDArray
 
+from fpk.arrays import Array
 from fpk.process import Coefficients, Process
 from fpk.quadrature import gauss_legendre
 
-Array = NDArray[np.float64]
 Form = Literal["flux", "drift-diffusion"]
 
 ENRICHMENT = 2

@@ -3,11 +3,9 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fpk.arrays import Array
 from fpk.probe import Probe
-
-Array = NDArray[np.float64]
 
 NATS_PER_ELEMENT = 3.0
 """Fall of ln(p/T) over one element: exp(−3 t) is met by degree 10 to 1e-11."""

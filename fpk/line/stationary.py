@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fpk.arrays import Array, Flags
 from fpk.certificate import NEGATIVE, Certificate, Measured, certify
 from fpk.errors import NotCertified
 from fpk.line.elements import (
@@ -38,8 +38,6 @@ from fpk.piecewise import Piecewise
 from fpk.probe import Probe, probed
 from fpk.process import Process, log_density_slope_error
 from fpk.quadrature import panel_rule
-
-Array = NDArray[np.float64]
 
 SAFETY = 2.0
 """Factor on the distance to the enriched solution: at an algebraic singularity of order r of u it
@@ -223,7 +221,7 @@ def solve_on_mesh(
 
 def _assembled(
     process: Process, probe: Probe, e: Elements, degree: int, form: Form, tol: float
-) -> tuple[StationarySolution, NDArray[np.bool_]]:
+) -> tuple[StationarySolution, Flags]:
     """Return the elements scaled to one density, judged, and which of them to cut in two."""
     nodes = np.concatenate([e.left, e.right[-1:]])
     sign, log_scale, log_mass, share = _chained([e.u, e.enriched], e.log_factor)

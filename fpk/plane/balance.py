@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fpk.certificate import Measured, certify
 from fpk.errors import NotCertified
@@ -12,8 +11,6 @@ from fpk.plane.probe import divided_by_diffusion
 from fpk.plane.solution import ROUND_OFF, PlaneSolution, gauss_grid, graded, tails
 from fpk.plane.weight import Weight
 from fpk.process import Process
-
-Array = NDArray[np.float64]
 
 RISE = 36.0
 """Least rise of −ln w up to the far edges: e^−36 = 2e-16."""

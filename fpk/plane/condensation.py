@@ -4,12 +4,10 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from fpk.arrays import Array, Integers
 
 PIVOT = 0.01
 """Least diagonal pivot relative to its column: lower than 1 keeps the symmetric ordering; the

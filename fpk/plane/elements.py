@@ -9,14 +9,12 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
-from numpy.typing import NDArray
 
+from fpk.arrays import Array, Integers
 from fpk.plane.condensation import local_order
 from fpk.plane.weight import Weight
 from fpk.process import Process
 from fpk.quadrature import gauss_legendre
-
-Array = NDArray[np.float64]
 
 
 def shape_functions(degree: int, t: Array) -> tuple[Array, Array]:
@@ -84,7 +82,7 @@ def _products(degree: int, points: int) -> tuple[Array, Array, Array, Array]:
 
 
 @lru_cache
-def _places(degree: int) -> NDArray[np.int64]:
+def _places(degree: int) -> Integers:
     """Positions of the entries of an element matrix in ``local_order`` in the sum factorisation.
 
     There rows are pairs (i, j) of test and trial functions along H1, columns those along H2.

@@ -3,12 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fpk.arrays import Array
 from fpk.errors import NotCertified
 from fpk.process import Process
-
-Array = NDArray[np.float64]
 
 PROBE = np.concatenate([[0.0], np.logspace(-2.0, 3.0, 52)])
 """Energies of a probe along each axis, in units of the process's scales; ten per decade resolve

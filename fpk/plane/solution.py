@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
-from numpy.typing import NDArray
 
+from fpk.arrays import Array
 from fpk.certificate import Certificate, Measured, certify
 from fpk.errors import NotCertified
 from fpk.piecewise import PiecewiseTensor
@@ -21,7 +21,6 @@ from fpk.plane.weight import Weight
 from fpk.process import Process
 from fpk.quadrature import gauss_legendre, panel_rule
 
-Array = NDArray[np.float64]
 Nodes = tuple[Array, Array]
 
 SAFETY = 2.0

@@ -7,15 +7,12 @@ positive far below the tolerance: what plain elements need many unknowns for.
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fpk.certificate import NEGATIVE
 from fpk.errors import NotCertified
 from fpk.plane.solution import PlaneSolution, graded, solve_plane_on_mesh
 from fpk.plane.weight import Weight, fitted_weight
 from fpk.process import Process
-
-Array = NDArray[np.float64]
 
 FIRST = (2, 6)
 """Panels along each axis and degree of the first attempts: they cost little, and give the weight.

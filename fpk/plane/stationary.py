@@ -9,8 +9,8 @@ that neither rests on a guess.
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fpk.arrays import Array, Flags
 from fpk.certificate import NEGATIVE
 from fpk.ends import require_confined
 from fpk.errors import InvalidInput, NotCertified
@@ -32,8 +32,6 @@ from fpk.process import Process
 
 __all__ = ["PlaneSolution", "solve_plane", "solve_plane_on_mesh"]
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 DEGREE_PER_DIGIT = 1.6
 """Degree of the elements per digit asked for, between ``DEGREES``: the cheapest in fig8b."""

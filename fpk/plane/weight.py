@@ -10,15 +10,13 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval2d
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from fpk.arrays import Array, Flags, Integers
 from fpk.errors import NotCertified
 from fpk.plane.probe import PROBE, Probe
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Powers = NDArray[np.int64]
+Powers = Integers
 
 DEGREES = range(1, 7)
 """Total degrees of Φ. Damping of degree k in the energies gives k + 1 under detailed balance."""

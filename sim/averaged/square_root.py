@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fpk.arrays import Array
 from fpk.errors import NotApplicable
 from fpk.process import Process, log_density_slope
 from fpk.quadrature import panel_rule
-from sim.arrays import Array
 
 Function = Callable[[Array], Array]
 

@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 
+from fpk.arrays import Array
 from fpk.compiled_laws import of_law
 from fpk.compiling import inlined
 from sim.arrays import LANES as W
-from sim.arrays import Array, StepArrays
+from sim.arrays import StepArrays
 from sim.lanes import fill, kick, row
 
 Stop = tuple[float, float, float, float, Any, float]

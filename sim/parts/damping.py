@@ -8,9 +8,10 @@ the middle of the step, from a predictor.
 
 import numpy as np
 
+from fpk.arrays import Array
 from fpk.compiling import inlined
 from sim.arrays import LANES as W
-from sim.arrays import Array, Rows, StepArrays, TermArrays
+from sim.arrays import Rows, StepArrays, TermArrays
 from sim.lanes import add, add_matrix, add_product, copy, fill, multiply, row
 
 

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from fpk.arrays import Array
 from fpk.compiling import inlined
-from sim.arrays import COLUMNS, Array, StepArrays
+from sim.arrays import COLUMNS, StepArrays
 from sim.arrays import LANES as W
 from sim.lanes import copy, row
 from sim.parts.contact import modified_force, only_stop

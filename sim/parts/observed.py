@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from fpk.arrays import Array, Integers
 from fpk.compiling import inlined
 from sim.arrays import LANES as W
-from sim.arrays import Array, Integers, StepArrays, WatchArrays
+from sim.arrays import StepArrays, WatchArrays
 from sim.lanes import add, add_matrix, add_product, copy, fill, kick, row
 from sim.parts.contact import add_contact
 from sim.parts.damping import damping_forces, processed_by_terms, whole_energy

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from fpk.arrays import Array, Integers
 from fpk.compiling import inlined
-from sim.arrays import COLUMNS, Array, Integers, StepArrays
+from sim.arrays import COLUMNS, StepArrays
 from sim.arrays import LANES as W
 from sim.lanes import fill, row
 from sim.parts.contact import contact_forces, kick_by_contact

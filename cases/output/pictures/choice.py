@@ -1,7 +1,8 @@
 """Which answers of a curve are drawn: lines, samples, two solvers of one equation."""
 
 from cases.comparison.answers import Answers
-from fpk.density import Array, Density, SampledDensity
+from fpk.arrays import Array
+from fpk.density import Density, SampledDensity
 from fpk.observable import Observable
 from fpk.route import Route
 

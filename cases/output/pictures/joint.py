@@ -13,7 +13,8 @@ from cases.comparison.compare import joined
 from cases.output.fields import common_grid
 from cases.output.pictures.choice import lines_of, samples_of, solver_difference
 from cases.output.pictures.style import FOOT, LEFT, SHOWN, SOLVER_WORDS, density_words, words_of
-from fpk.density import AnyDensity, Array, SampledDensity
+from fpk.arrays import Array
+from fpk.density import AnyDensity, SampledDensity
 from fpk.observable import Observable, observable_name
 from fpk.route import Route
 

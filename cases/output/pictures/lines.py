@@ -23,7 +23,8 @@ from cases.output.pictures.style import (
     symbol_of,
     words_of,
 )
-from fpk.density import Array, SampledDensity, bin_differences
+from fpk.arrays import Array
+from fpk.density import SampledDensity, bin_differences
 from fpk.observable import Observable, observable_name
 
 POINTS = 600

@@ -20,7 +20,7 @@ from cases.scene.errors import BadInput, toml_value
 from cases.scene.scene import Scene
 from cases.scene.vary import VARIED, changed
 from cases.studies.regime_map.points import MapPoint, PointStore, map_point
-from fpk.density import Array
+from fpk.arrays import Array
 from fpk.errors import InvalidInput
 from fpk.method import Progress, silent
 from fpk.observable import Observable, observable_name

@@ -19,8 +19,8 @@ from cases.studies.page import Page, Table
 from cases.studies.picture import DASHES, Curve, Panel, study_figure
 from cases.studies.regime_map.map import KEYS, Axis, RegimeMap
 from cases.studies.regime_map.points import NEITHER, THEORIES, UNDECIDED
+from fpk.arrays import Array
 from fpk.clearance import CLEARANCE_RULE
-from fpk.density import Array
 from fpk.observable import observable_name
 
 PALE = "#d9d9d4"
