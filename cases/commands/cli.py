@@ -3,8 +3,6 @@
 import atexit
 import gc
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +66,7 @@ def run(scene: str, out: Path | None, as_json: bool, **settings: Any) -> None:
     loaded = parts.checked(scene, tol=settings["tol"], out=out)
     from cases.comparison.routes import all_methods
     from cases.output.digest import digest_of
-    from cases.output.text import run_text
+    from cases.output.text import rendered
 
     parts.check_cluster(settings["cluster"])
     parts.checkpoint_folder(loaded, {**settings, "tol": None})  # no simulation depends on it
@@ -80,7 +78,9 @@ def run(scene: str, out: Path | None, as_json: bool, **settings: Any) -> None:
         written = write_report(outcome, out)
     digest = digest_of(outcome)
     record = digest if as_json else None
-    parts.end(record, lambda: run_text(digest), written, problems=outcome.problems)
+    parts.end(
+        record, lambda: rendered("run.txt", {"digest": digest}), written, problems=outcome.problems
+    )
 
 
 @app.command()
@@ -128,15 +128,9 @@ def main() -> None:
     # imported, and once more at the end, takes a fifth of the time of a short command.
     gc.set_threshold(100_000, 50, 50)
     atexit.register(gc.freeze)
-    with _one_line_errors():
+    try:
         # Outside standalone mode click hands usage errors over instead of printing four lines.
         sys.exit(app.main(prog_name="fpk", standalone_mode=False) or 0)
-
-
-@contextmanager
-def _one_line_errors() -> Iterator[None]:
-    try:
-        yield
     except (KeyboardInterrupt, click.Abort):
         _fail("stopped; nothing half-written was left", 130)
     except BrokenPipeError:

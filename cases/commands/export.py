@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from cases.commands import parts
+from cases.scene.errors import BadInput
 
 ENDINGS = (".vtu", ".pvd", ".nc", ".csv")
 
@@ -26,7 +27,6 @@ def export(scene: str, out: Path, of: str | None, tol: float | None, as_json: bo
     """
     loaded = parts.checked(scene, tol=tol)
     from cases.output.files import make_folder
-    from cases.scene.errors import BadInput
 
     if out.suffix not in ENDINGS:
         raise BadInput(f"--out {out}: the ending says the format; use {', '.join(ENDINGS)}")

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cases.scene.errors import BadInput
+from fpk.errors import InvalidInput
+
 if TYPE_CHECKING:
-    from cases.comparison.run import Outcome
+    from cases.comparison.answers import Outcome
     from cases.scene.scene import Scene
     from fpk.method import Progress
     from fpk.observable import Observable
-
-Decorator = Callable[[Any], Any]
 
 FOLDER = click.Path(path_type=Path)
 
@@ -32,7 +33,7 @@ cluster = click.option(
 )
 
 
-def observable_option(help: str, *, required: bool = False) -> Decorator:
+def observable_option(help: str, *, required: bool = False) -> Callable[[Any], Any]:
     """Return the option ``--of``."""
     return click.option("--of", metavar="OBS", required=required, help=help)
 
@@ -59,7 +60,6 @@ def simulation_options(command: Any) -> Any:
 
 def checked(scene: str, *, tol: float | None = None, out: Path | None = None) -> "Scene":
     """Load the scene, check the tolerance, make the folder: a refusal comes before any work."""
-    from cases.scene.errors import BadInput
     from cases.scene.scene import load_scene
 
     loaded = load_scene(scene)
@@ -74,8 +74,6 @@ def checked(scene: str, *, tol: float | None = None, out: Path | None = None) ->
 
 def observable_of(name: str, scene: "Scene") -> "Observable":
     """Return what ``--of`` names; raise ``BadInput`` where it is no observable of the scene."""
-    from cases.scene.errors import BadInput
-    from fpk.errors import InvalidInput
     from fpk.observable import parse_observable
 
     try:
@@ -91,7 +89,6 @@ def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:
     """
     from cases.output.files import make_folder, write_text
     from cases.output.records import hash_of, plain, program_version
-    from cases.scene.errors import BadInput
     from cases.scene.reading import read_text
 
     if (folder := settings["checkpoint"]) is None:
@@ -143,7 +140,7 @@ def progress_bar() -> "AbstractContextManager[Progress]":
 
 def outcome_of(scene: "Scene", methods: Any) -> "Outcome":
     """Run ``scene`` by ``methods`` under a progress bar."""
-    from cases.comparison.run import run_scene
+    from cases.comparison.answers import run_scene
 
     with progress_bar() as progress:
         return run_scene(scene, methods, progress=progress)

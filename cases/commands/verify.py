@@ -28,7 +28,7 @@ def verify(scenes: tuple[str, ...], coarse: bool, as_json: bool, **settings: Any
     loaded = [load_scene(name) for name in dict.fromkeys(scenes or shipped)]
     from cases.comparison.routes import all_methods
     from cases.output.digest import digest_of, verify_record, verify_row
-    from cases.output.text import verify_line, verify_table
+    from cases.output.text import rendered, verify_line
 
     if coarse:
         settings |= {"paths": COARSE_PATHS}
@@ -41,6 +41,6 @@ def verify(scenes: tuple[str, ...], coarse: bool, as_json: bool, **settings: Any
             click.echo(verify_line(rows[-1], width))
     end(
         verify_record(rows) if as_json else None,
-        lambda: verify_table(rows),
+        lambda: rendered("verify.txt", {"rows": rows}),
         problems=[f"{row['scene']}: {problem}" for row in rows for problem in row["problems"]],
     )

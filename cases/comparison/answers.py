@@ -1,13 +1,14 @@
-"""The answers to one system by several methods, what separates them, and what is wrong."""
+"""The answers to the systems of a scene by several methods, and what is wrong with them."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from time import perf_counter
 from typing import Any
 
 from averaging.exact import compatibility
 from cases.comparison.compare import Comparison, compared, discrepancies
-from fpk.clearance import StopClearance, stop_clearances
+from cases.scene.scene import Scene
 from fpk.density import AnyDensity
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.method import Method, Progress, Result, silent, solved
@@ -45,11 +46,6 @@ class Answers(Mapping[Any, AnyDensity]):
     def refusals(self) -> dict[str, str]:
         """By the label of a method, why it gives not all that was asked for."""
         return {refusal.route.label: refusal.reason for refusal in self.refused}
-
-    @property
-    def stops(self) -> tuple[StopClearance, ...]:
-        """Every stop with its clearance over the rms displacement."""
-        return self.system.fact(stop_clearances)
 
     @cached_property
     def comparisons(self) -> tuple[Comparison, ...]:
@@ -156,3 +152,32 @@ def answers_of(
             names = tuple(map(observable_name, given))
             refused.append(Refusal(method.route, names, str(error), failed=True))
     return Answers(system, tuple(results), tuple(refused))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The curves of a scene, the scene's own first, and the seconds that their answers took."""
+
+    scene: Scene
+    curves: tuple[Answers, ...]
+    seconds: float
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Every check that does not hold, in words; empty when all do."""
+        return tuple(text for curve in self.curves for text in curve.problems)
+
+
+def run_scene(scene: Scene, methods: Sequence[Method], *, progress: Progress = silent) -> Outcome:
+    """Return the answers of ``methods`` for every curve of ``scene``.
+
+    Once a simulation was interrupted, the curves that follow are not run.
+    """
+    start = perf_counter()
+    curves: list[Answers] = []
+    for curve in scene.curves:
+        interrupted = any(r.partial for c in curves for r in c.results)
+        wanted = [m for m in methods if not interrupted and m.route.unasked(curve.system)]
+        answers = answers_of(curve.system, scene.observables, wanted, progress=progress)
+        curves.append(replace(answers, label=curve.label, value=curve.value))
+    return Outcome(scene, tuple(curves), perf_counter() - start)

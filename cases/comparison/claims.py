@@ -13,6 +13,7 @@ from cases.comparison.answers import Answers
 from cases.comparison.compare import distance_between
 from cases.scene.expect import Expect
 from fpk.certificate import ROUNDING, Measured
+from fpk.clearance import stop_clearances
 from fpk.density import (
     AnyDensity,
     Density,
@@ -140,8 +141,9 @@ def _theories(expect: Expect, curve: Answers) -> Iterator[Finding]:
         yield _nearer(claim, curve.label, *map(distance, expect.better))
     if (rule := expect.clearance_rule) is not None:
         claim = f"integrable theory acceptable for clearance > {rule:g} rms"
-        ratios = [stop.ratio for stop in curve.stops if stop.ratio is not None]
-        if len(ratios) < max(len(curve.stops), 1):
+        stops = curve.system.fact(stop_clearances)
+        ratios = [stop.ratio for stop in stops if stop.ratio is not None]
+        if len(ratios) < max(len(stops), 1):
             yield Finding(claim, curve.label, "the rms is not known", "not checked")
         elif min(ratios) <= rule:
             measured = f"clearance is {min(ratios):.3g} rms: the rule says nothing here"

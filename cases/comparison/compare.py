@@ -78,8 +78,11 @@ def compared(results: Sequence[Result], *, averaging_is_exact: bool) -> tuple[Co
     comparisons = []
     answers = [(r, d, _with_error(d)) for r in results for d in r.densities]
     for (of_a, a, first), (of_b, b, second) in combinations(answers, 2):
-        if a.observable != b.observable or _on_different_bins(a, b):
+        if a.observable != b.observable:
             continue
+        both_sampled = isinstance(a, SampledDensity) and isinstance(b, SampledDensity)
+        if both_sampled and not all(map(np.array_equal, a.panels, b.panels)):
+            continue  # bin by bin; a function between them is compared with both
         routes = (of_a.method.route, of_b.method.route)
         whole = not (of_a.neglected or of_b.neglected)
         kind = what_is_measured(*routes, averaging_is_exact=averaging_is_exact and whole)
@@ -128,12 +131,6 @@ def _doubt(difference: Comparison, comparisons: Sequence[Comparison]) -> str:
         return ""
     route, other = agreeing[0]
     return f"; {route} agrees with {other}, which is calculated independently"
-
-
-def _on_different_bins(a: AnyDensity, b: AnyDensity) -> bool:
-    """Whether two histograms cannot be compared: a function between them can be, with both."""
-    both = isinstance(a, SampledDensity) and isinstance(b, SampledDensity)
-    return both and not all(map(np.array_equal, a.panels, b.panels))
 
 
 def what_is_measured(a: Route, b: Route, *, averaging_is_exact: bool) -> Measures:

@@ -4,12 +4,11 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import get_args
 
-from cases.comparison.answers import Answers, Refusal
-from cases.comparison.claims import Verdict
+from cases.comparison.answers import Answers, Outcome, Refusal
+from cases.comparison.claims import Verdict, findings
 from cases.comparison.compare import Comparison
-from cases.comparison.run import Outcome
 from cases.output.facts import facts_record
-from cases.output.records import Record, certificate_record, plain, record_of
+from cases.output.records import Record, certificate_record, plain
 from fpk.density import Density
 from fpk.method import Result
 from fpk.route import Route, solvers_of
@@ -20,16 +19,19 @@ def digest_of(outcome: Outcome) -> Record:
     """Return the record of ``fpk run``: the scene's own system, and beside it the other curves."""
     base, *others = outcome.curves
     judged = [c for curve in outcome.curves for c in curve.comparisons if c.band is not None]
-    return record_of(
-        scene=outcome.scene.name,
-        title=outcome.scene.title,
-        **_curve(base),
-        curves=[_curve(c) for c in others],
-        judged=len(judged),
-        problems=outcome.problems,
-        claims=outcome.findings,
-        seconds=outcome.seconds,
+    record: Record = plain(
+        {
+            "scene": outcome.scene.name,
+            "title": outcome.scene.title,
+            **_curve(base),
+            "curves": [_curve(c) for c in others],
+            "judged": len(judged),
+            "problems": outcome.problems,
+            "claims": findings(outcome.scene.expect, outcome.curves),
+            "seconds": outcome.seconds,
+        }
     )
+    return record
 
 
 def curves_of(digest: Record) -> list[Record]:

@@ -6,7 +6,7 @@ from averaging.energy_process import energy_process
 from averaging.modal.analysis import modal_analysis
 from cases.comparison.answers import incompatibility
 from cases.comparison.routes import listed_routes
-from cases.output.records import Record, plain, record_of
+from cases.output.records import Record, plain
 from cases.scene.scene import Scene
 from fpk.clearance import stop_clearances
 from fpk.effects import effects_of
@@ -25,17 +25,20 @@ def show_record(scene: Scene) -> Record:
     """Return the record of ``fpk show``."""
     facts = facts_record(scene.system)
     regime = facts["regime"]
-    return record_of(
-        scene=scene.name,
-        title=scene.title,
-        source=scene.source,
-        **facts,
-        observables=[observable_name(o) for o in scene.observables],
-        curves=[curve.label for curve in scene.curves],
-        natural_frequencies=regime["natural_frequencies"],
-        theories=theories(scene),
-        boundaries=regime["boundaries"],
+    record: Record = plain(
+        {
+            "scene": scene.name,
+            "title": scene.title,
+            "source": scene.source,
+            **facts,
+            "observables": [observable_name(o) for o in scene.observables],
+            "curves": [curve.label for curve in scene.curves],
+            "natural_frequencies": regime["natural_frequencies"],
+            "theories": theories(scene),
+            "boundaries": regime["boundaries"],
+        }
     )
+    return record
 
 
 def facts_record(system: System) -> Record:

@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from cases.comparison.run import Outcome
+from cases.comparison.answers import Outcome
 from cases.output.digest import method_record
 from cases.output.files import write_by, write_text
 from cases.output.records import UNITS, plain, program_version

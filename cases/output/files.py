@@ -1,14 +1,13 @@
 """Files appear under their names whole or not at all."""
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from cases.scene.errors import BadInput
+from cases.scene.errors import readable_errors
 
-REMEDY = "what was there is kept; make room or give another --out"
+NOT_WRITTEN = "cannot be written", "what was there is kept; make room or give another --out"
 
 
 def write_text(path: Path, text: str) -> None:
@@ -22,7 +21,8 @@ def write_by(path: Path, write: Callable[[Path], object]) -> None:
     Raises ``BadInput`` with one line when the folder or the disk does not allow it; what was at
     ``path`` is kept then.
     """
-    with _readable_errors(path), TemporaryDirectory(prefix=".fpk-", dir=path.parent) as folder:
+    refusal = readable_errors(path, *NOT_WRITTEN)
+    with refusal, TemporaryDirectory(prefix=".fpk-", dir=path.parent) as folder:
         temporary = Path(folder) / path.name
         write(temporary)
         os.replace(temporary, path)
@@ -30,19 +30,8 @@ def write_by(path: Path, write: Callable[[Path], object]) -> None:
 
 def make_folder(path: Path) -> Path:
     """Return the folder at ``path``, made where it is missing; ``BadInput`` where it cannot be."""
-    with _readable_errors(path):
+    with readable_errors(path, *NOT_WRITTEN):
         path.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=".fpk-", dir=path):
             pass
     return path
-
-
-@contextmanager
-def _readable_errors(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except (OSError, ValueError) as error:
-        if isinstance(error, ValueError) and "null" not in str(error):
-            raise
-        words = getattr(error, "strerror", None) or error
-        raise BadInput(f"{path}: cannot be written: {words}; {REMEDY}") from None

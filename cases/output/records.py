@@ -45,11 +45,6 @@ def plain(value: Any) -> Any:
     return value
 
 
-def record_of(**entries: Any) -> Record:
-    """Return the record with these entries as JSON has them."""
-    return {key: plain(entry) for key, entry in entries.items()}
-
-
 def hash_of(record: dict[str, Any]) -> str:
     """Return a short hash of everything in ``record``."""
     text = json.dumps(plain(record), sort_keys=True, ensure_ascii=False)
@@ -65,19 +60,22 @@ def density_record(scene: Scene, result: Result, points: tuple[Array, ...]) -> R
     """Return the record of ``fpk density`` at ``points``, one array per axis."""
     density = result.densities[0]
     values, errors = density.at(*points)
-    return record_of(
-        scene=scene.name,
-        method=result.method.name,
-        solver=result.method.solver,
-        observable=density.name,
-        points=points[0] if len(points) == 1 else np.stack(points, axis=-1),
-        density=values,
-        error=errors,
-        error_kind=density.error_kind,
-        certificate=certificate_record(density),
-        settings=dict(result.settings),
-        seconds=result.seconds,
+    record: Record = plain(
+        {
+            "scene": scene.name,
+            "method": result.method.name,
+            "solver": result.method.solver,
+            "observable": density.name,
+            "points": points[0] if len(points) == 1 else np.stack(points, axis=-1),
+            "density": values,
+            "error": errors,
+            "error_kind": density.error_kind,
+            "certificate": certificate_record(density),
+            "settings": dict(result.settings),
+            "seconds": result.seconds,
+        }
     )
+    return record
 
 
 def density_text(record: Record) -> str:

@@ -10,9 +10,9 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from cases.comparison.answers import Outcome
 from cases.comparison.claims import ACCEPTABLE_L1, ALMOST_KURTOSIS, ALMOST_L1
-from cases.comparison.run import Outcome
-from cases.output.digest import curves_of, digest_of, verdict_of
+from cases.output.digest import digest_of
 from cases.output.facts import theories
 from cases.output.fields import write_netcdf
 from cases.output.files import write_text
@@ -54,12 +54,9 @@ def figures(outcome: Outcome) -> Iterator[tuple[str, str, Figure]]:
 
 def report_html(outcome: Outcome, pictures: list[dict[str, Any]]) -> str:
     """Return the page; every text that comes from a scene is escaped by the template."""
-    digest = digest_of(outcome)
     record = {
         "scene": outcome.scene,
-        "digest": digest,
-        "curves": curves_of(digest),
-        "verdict": verdict_of(digest),
+        "digest": digest_of(outcome),
         "theories": theories(outcome.scene),
         "pictures": pictures,
         "limits": {

@@ -1,7 +1,6 @@
 """Records as text and as HTML, by templates; numbers, damping terms and claims in words."""
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,12 +13,6 @@ from cases.output.records import Record
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def run_text(digest: Record) -> str:
-    """Return the comparisons of every curve and the verdict, for a terminal."""
-    curves, verdict = curves_of(digest), verdict_of(digest)
-    return rendered("run.txt", {"digest": digest, "curves": curves, "verdict": verdict})
-
-
 def verify_line(row: Record, width: int) -> str:
     """Return the line of one scene, printed as soon as it is done."""
     verdict = "holds" if row["holds"] else f"{len(row['problems'])} FAIL"
@@ -27,37 +20,6 @@ def verify_line(row: Record, width: int) -> str:
         f"{row['scene']:{width}}  {verdict:8} {row['judged']:4} comparisons judged,"
         f" {row['certificates']:3} certificates, {row['seconds']:5.1f} s"
     )
-
-
-def verify_table(rows: Sequence[Record]) -> str:
-    """Return the final table, the claims that do not hold, and the verdict."""
-    table = {row["scene"]: _counts(row) for row in rows}
-    sums = {column: sum(row[column] for row in table.values()) for column in _counts(rows[0])}
-    table["every scene"] = sums
-    claims = [(row["scene"], claim) for row in rows for claim in row["claims"]]
-    record = {
-        "table": table,
-        "width": max(map(len, table)),
-        "against": [(name, c) for name, c in claims if c["verdict"] == "does not hold"],
-        "failing": [row["scene"] for row in rows if not row["holds"]],
-    }
-    return rendered("verify.txt", record)
-
-
-def _counts(row: Record) -> dict[str, float]:
-    """The entries of one row of the table by their columns."""
-    verdicts = Counter(claim["verdict"] for claim in row["claims"])
-    return {
-        "curves": row["curves"],
-        "judged": row["judged"],
-        "certified": row["certificates"],
-        "failing": len(row["problems"]),
-        "claims": len(row["claims"]),
-        "hold": verdicts["holds"],
-        "do not": verdicts["does not hold"],
-        "open": verdicts["undecided"] + verdicts["not checked"],
-        "s": row["seconds"],
-    }
 
 
 def rendered(template: str, record: Mapping[str, Any]) -> str:
@@ -81,13 +43,10 @@ def _templates() -> Environment:
         "term": _term,
         "claim": _claim,
         "reasons": refusals_of,
+        "curves": curves_of,
+        "verdict": verdict_of,
     }
     return environment
-
-
-def power_of_ten(exponent: int) -> str:
-    """Return 10 to the power ``exponent`` in plain characters."""
-    return f"10{str(exponent).translate(SUPERSCRIPTS)}"
 
 
 def number(value: Any, digits: int = 3) -> str:
@@ -101,7 +60,7 @@ def number(value: Any, digits: int = 3) -> str:
     mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
     if value == 0 or -3 <= int(exponent or 0) < 5:
         return f"{value:.{digits + 1}g}"
-    return f"{mantissa} × {power_of_ten(int(exponent))}"
+    return f"{mantissa} × 10{str(int(exponent)).translate(SUPERSCRIPTS)}"
 
 
 def _claim(claim: Record) -> str:

@@ -8,8 +8,7 @@ from xml.etree import ElementTree
 import meshio
 import numpy as np
 
-from cases.comparison.answers import Answers
-from cases.comparison.run import Outcome
+from cases.comparison.answers import Answers, Outcome
 from cases.output.fields import attributes_of, common_grid
 from cases.output.files import write_by
 from cases.output.records import UNITS

@@ -1,6 +1,8 @@
 """Input that is refused: the one exception that the command line turns into exit status 2."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import date, time
 from itertools import islice
 from typing import Any
@@ -28,6 +30,18 @@ def refused(label: str, error: InvalidInput) -> BadInput:
     return BadInput(
         f"{label}: {key} {'is missing' if error.value is None else value}: {error.remedy}"
     )
+
+
+@contextmanager
+def readable_errors(label: object, words: str, remedy: str) -> Iterator[None]:
+    """Return a context in which an error of the system becomes ``BadInput`` with ``words``."""
+    try:
+        yield
+    except (OSError, ValueError) as error:  # the latter: a NUL character in the name of a file
+        if isinstance(error, ValueError) and not str(error).startswith("embedded null"):
+            raise
+        reason = getattr(error, "strerror", None) or error
+        raise BadInput(f"{label}: {words}: {reason}; {remedy}") from None
 
 
 def toml_value(value: Any) -> str:

@@ -6,7 +6,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from cases.scene.errors import BadInput
+from cases.scene.errors import BadInput, readable_errors
 
 MAX_BYTES = 1 << 20
 """A scene is a page of text; what is larger than this is something else."""
@@ -53,7 +53,7 @@ def read_text(path: Path, label: str, *, most: int, what: str) -> str:
     Nothing is read of a file that is larger, of a folder, a pipe or a device, which may have no
     end. Raises ``BadInput`` with one line that begins with ``label``.
     """
-    try:
+    with readable_errors(label, "cannot be read", "give another file"):
         mode = path.stat().st_mode
         if stat.S_ISDIR(mode):
             raise BadInput(f"{label}: is a folder; {what} is a file in it")
@@ -61,11 +61,6 @@ def read_text(path: Path, label: str, *, most: int, what: str) -> str:
             raise BadInput(f"{label}: is not a regular file; {what} is one")
         with path.open("rb") as stream:
             content = stream.read(most + 1)
-    except BadInput:
-        raise
-    except (OSError, ValueError) as error:  # the latter: a NUL character in the name
-        words = getattr(error, "strerror", None) or error
-        raise BadInput(f"{label}: cannot be read: {words}; give another file") from None
     if len(content) > most:
         few = f"{what} has at most {most} ({most >> 20} MiB)"
         raise BadInput(f"{label}: has more than {most} bytes; {few}")

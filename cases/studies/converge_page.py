@@ -34,12 +34,6 @@ LIMITS_OF_AXIS = (1e-16, 10.0)
 
 def convergence_page(study: ConvergenceStudy) -> Page:
     """Return what ``fpk converge`` shows and writes."""
-    title, tables = f"Convergence: {study.scene.title}", study_tables(study)
-    return Page("converge", study.scene, title, tables, lambda: study_figure(study_panels(study)))
-
-
-def study_tables(study: ConvergenceStudy) -> list[Table]:
-    """Return errors and orders of every ladder, the functionals, the steps and the samples."""
     errors, orders, index, samples = (list[dict[str, Any]]() for _ in range(4))
     for x in study.ladders:
         names, finest = {"equation": x.equation, "family": x.name}, x.levels[-1].errors
@@ -67,7 +61,7 @@ def study_tables(study: ConvergenceStudy) -> list[Table]:
         samples = [{"paths x time": time, "standard error": error} for time, error in pairs]
         of, slope = s.observable, f"slope {s.slope:.3f} ± {s.slope_error:.3f}, theory -0.5"
     refusals = [{"route": route, "reason": why} for route, why in study.refusals.items()]
-    return [
+    tables = [
         Table("errors", "Averaged equations: errors", errors, tuple(about)),
         Table("orders", "Averaged equations: observed orders", orders, (ORDER_WORDS,)),
         Table("index", "Richardson and grid convergence index (GCI)", index, (GCI_WORDS,)),
@@ -76,6 +70,8 @@ def study_tables(study: ConvergenceStudy) -> list[Table]:
         Table("samples", f"Simulation: standard error of {of} in samples", samples, (slope,)),
         Table("refusals", "Routes that do not apply", refusals),
     ]
+    title = f"Convergence: {study.scene.title}"
+    return Page("converge", study.scene, title, tables, lambda: study_figure(study_panels(study)))
 
 
 def study_panels(study: ConvergenceStudy) -> list[Panel]:

@@ -72,19 +72,6 @@ class CostStudy:
             if n.wrong
         )
 
-    @contextmanager
-    def refusal_of(self, equation: str) -> Iterator[None]:
-        """Return a context in which an equation that does not apply is noted as not timed."""
-        try:
-            yield
-        except (NotApplicable, NotCertified) as reason:
-            self.not_timed.append(NotTimed("all", equation, reason=str(reason)))
-
-    def add(self, results: Sequence[Priced | NotTimed]) -> None:
-        """Add routes to those that are priced or to those that are not."""
-        self.routes += [r for r in results if isinstance(r, Priced)]
-        self.not_timed += [r for r in results if isinstance(r, NotTimed)]
-
     def record(self) -> dict[str, Any]:
         """Return the study as ``plain`` takes it, with the cheapest settings and crossings."""
         return {
@@ -102,22 +89,33 @@ def study_cost(
 ) -> CostStudy:
     """Check and time every route of ``scene``, the sampling routes where ``simulate``."""
     start, system, study = perf_counter(), scene.system, CostStudy(scene)
+    tried: list[Priced | NotTimed] = []
     for name, _, make in EQUATIONS.values():
-        with study.refusal_of(name):
+        with _refusal_in(tried, name):
             equation = make(system)
             study.floors[name] = equation.reference.l1_error
-            study.add(equation_routes(equation, candidates(equation), progress=progress))
+            tried += equation_routes(equation, candidates(equation), progress=progress)
             if simulate and equation.dimension == 1:
-                study.add([averaged_route(system, equation, seed=seed)])
+                tried.append(averaged_route(system, equation, seed=seed))
     if simulate:
-        with study.refusal_of(FULL):
+        with _refusal_in(tried, FULL):
             reference = full_reference(system, seed=seed)
             study.full_reference, study.floors[FULL] = reference.words, reference.density.l1_error
             results, study.laws = full_routes(system, reference, seed=seed, progress=progress)
-            study.add(results)
+            tried += results
             study.models += _models(system, reference)
+    study.routes = [r for r in tried if isinstance(r, Priced)]
+    study.not_timed = [r for r in tried if isinstance(r, NotTimed)]
     study.seconds = perf_counter() - start
     return study
+
+
+@contextmanager
+def _refusal_in(tried: list[Priced | NotTimed], equation: str) -> Iterator[None]:
+    try:
+        yield
+    except (NotApplicable, NotCertified) as reason:
+        tried.append(NotTimed("all", equation, reason=str(reason)))
 
 
 def candidates(equation: Equation) -> tuple[Discretisation, ...]:

@@ -1,6 +1,7 @@
 """Claims of a source: judged by numbers known beforehand, undecided within the noise."""
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -51,8 +52,9 @@ class Found:
     ratio: float | None = 1.0
 
     @property
-    def stops(self):
-        return (StopClearance(1, "right", 1.0, 1.0, self.ratio),)
+    def system(self):
+        stops = (StopClearance(1, "right", 1.0, 1.0, self.ratio),)
+        return SimpleNamespace(fact=lambda _: stops)
 
     def densities(self, observable):
         answers = {ROUTES[ROUTE[name]]: d for name, d in self.answers.items()}

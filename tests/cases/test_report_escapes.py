@@ -8,8 +8,8 @@ from xml.etree import ElementTree
 
 import pytest
 
+from cases.comparison.answers import run_scene
 from cases.comparison.routes import method_for
-from cases.comparison.run import run_scene
 from cases.output.report import report_html, write_report
 from cases.scene.scene import load_scene
 

@@ -10,7 +10,7 @@ from typing import Any
 from cases.comparison.compare import distance_between
 from cases.output.files import write_text
 from cases.output.records import hash_of, plain
-from cases.scene.errors import BadInput
+from cases.scene.errors import BadInput, readable_errors
 from cases.scene.reading import read_text
 from cases.studies.simulation import best_answer, deterministic
 from fpk.clearance import stop_clearances
@@ -113,14 +113,10 @@ class PointStore:
         self.points[point.values] = point
         if self._path is None:
             return
-        try:
-            with self._path.open("a", encoding="utf-8", newline="\n") as stream:
-                stream.write(_line(point))
-        except OSError as error:
-            raise BadInput(
-                f"{self._path}: cannot be written: {error.strerror or error}; make room, then start"
-                " again: the points before this one are kept"
-            ) from None
+        remedy = "make room, then start again: the points before this one are kept"
+        refusal = readable_errors(self._path, "cannot be written", remedy)
+        with refusal, self._path.open("a", encoding="utf-8", newline="\n") as stream:
+            stream.write(_line(point))
 
     def _read(self, path: Path) -> bool:
         """Read the file's points; return whether it is whole, down to the end of its last line."""
