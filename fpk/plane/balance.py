@@ -68,7 +68,7 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
     u = PiecewiseTensor(
         graded(ends, QUARTERS * panels), np.full((QUARTERS * panels,) * 2 + (1, 1), 1.0 / mass)
     )
-    tail = float(tails(w / mass, (x, y), (v, area), POINTS).sum())
+    tail = float(tails(w / mass, (x, y), (v, area), POINTS)[0].sum())
     sizes = p * weight.terms(fewer_x[:, None], fewer_y)
     rounding = ROUND_OFF * float(fewer[0] @ sizes @ fewer[1])
     terms = np.abs(flow) * w.reshape(-1, 1)

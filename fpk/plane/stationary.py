@@ -133,7 +133,7 @@ def _refined(solution: PlaneSolution, tol: float) -> Nodes:
     points = solution.degree + 2
     energies, weights = gauss_grid(solution.nodes, points)
     p = solution.density(energies[0][:, None], energies[1])
-    beyond = tails(p, energies, weights, points) > 0.1 * tol
+    beyond = tails(p, energies, weights, points)[0] > 0.1 * tol
     area = np.multiply.outer(*(np.diff(x) for x in solution.nodes))
     size = np.abs(solution.u.coefficients) * area[:, :, None, None]
     highest = size[:, :, -2:].sum(axis=(1, 2, 3)), size[..., -2:].sum(axis=(0, 2, 3))

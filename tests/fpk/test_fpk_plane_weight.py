@@ -351,3 +351,21 @@ def test_a_density_that_does_not_fall_off_at_the_edges_takes_one_step_more() -> 
     at_end = replace(solution, measured=measured)
     for panels, degree in ((2, 6), (2, 10), (4, 8)):
         assert spectral._finer(panels, degree, at_end, 1e-8) > (panels, degree)
+
+
+@pytest.mark.parametrize("tol", [1e-6, 1e-7, 1e-8])
+def test_the_estimate_holds_it_where_p_falls_more_slowly_than_its_weight(tol: float) -> None:
+    process, log_p = mixture(
+        (0.20693550393107532, 0.6396998779291954, 0.15336461813972935),
+        (
+            (1.075103304842027, 1.4302296839805433),
+            (1.0231767238442393, 0.3984859624877532),
+            (1.1925693846240069, 0.448921001317787),
+        ),
+        (0.5350871019099219, 1.117031888282538),
+        common=0.25,
+        swirl=0.24937340842652359,
+    )
+    solution = solve_plane(process, tol=tol)
+    assert solution.certificate.certified
+    assert l1_error(solution, log_p) <= solution.l1_error <= tol
