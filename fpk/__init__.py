@@ -23,25 +23,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cases.api import compare, load, solve
-    from fpk.contact import Contact
-    from fpk.damping import DampingTerm
-    from fpk.density import Density
-    from fpk.errors import InvalidInput, NotApplicable, NotCertified
-    from fpk.system import System
-
-__all__ = [
-    "Contact",
-    "DampingTerm",
-    "Density",
-    "InvalidInput",
-    "NotApplicable",
-    "NotCertified",
-    "System",
-    "compare",
-    "load",
-    "solve",
-]
+    from cases.api import compare as compare
+    from cases.api import load as load
+    from cases.api import solve as solve
+    from fpk.contact import Contact as Contact
+    from fpk.damping import DampingTerm as DampingTerm
+    from fpk.density import Density as Density
+    from fpk.errors import InvalidInput as InvalidInput
+    from fpk.errors import NotApplicable as NotApplicable
+    from fpk.errors import NotCertified as NotCertified
+    from fpk.system import System as System
 
 _HOME = {
     "Contact": "fpk.contact",
@@ -55,6 +46,7 @@ _HOME = {
     "load": "cases.api",
     "solve": "cases.api",
 }
+__all__ = [*_HOME]
 _ROOMS = ("averaging", "sim", "cases")
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from fpk.arrays import Array, Integers
 from fpk.certificate import Measured, certify
 from fpk.density import SampledDensity
-from fpk.modes import natural_modes
+from fpk.linear import natural_modes
 from fpk.observable import Coordinate, Observable
 from fpk.system import System
 from sim.statistics import sampling_error

@@ -7,7 +7,7 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.effects import effects_of
-from fpk.modes import natural_modes
+from fpk.linear import natural_modes
 from fpk.observable import Coordinate
 from fpk.system import System
 from sim.arrays import Rows, StepArrays, TermArrays, WatchArrays

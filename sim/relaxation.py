@@ -8,8 +8,7 @@ import scipy  # its parts are loaded at their first use: scipy.optimize takes lo
 
 from fpk.arrays import Array
 from fpk.equivalent import dissipated_power, equivalent_temperature
-from fpk.linear import UNDAMPED, decay_time
-from fpk.modes import natural_modes
+from fpk.linear import UNDAMPED, decay_time, natural_modes
 from fpk.moments import gaussian_moment
 from fpk.system import System
 

@@ -7,7 +7,7 @@ import scipy  # its parts are loaded at their first use: scipy.optimize takes lo
 
 from fpk.equivalent import balance_energy, equivalent_temperature
 from fpk.errors import InvalidInput
-from fpk.modes import natural_modes
+from fpk.linear import natural_modes
 from fpk.system import System
 from sim.schemes import Scheme
 

@@ -10,7 +10,7 @@ from averaging.modal.damping import NEGLIGIBLE, AveragedDamping, averaged_dampin
 from fpk.arrays import Array
 from fpk.ends import require_confined
 from fpk.errors import NotApplicable, NotCertified
-from fpk.modes import natural_modes
+from fpk.linear import natural_modes
 from fpk.probe import probed
 from fpk.process import Coefficients, Process
 from fpk.system import System

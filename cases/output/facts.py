@@ -12,7 +12,7 @@ from fpk.clearance import stop_clearances
 from fpk.effects import effects_of
 from fpk.ends import BoundaryClass, classify
 from fpk.errors import NotApplicable
-from fpk.linear import natural_frequencies
+from fpk.linear import natural_modes
 from fpk.observable import observable_name
 from fpk.route import ROUTES, solvers_of
 from fpk.system import System
@@ -62,7 +62,7 @@ def facts_record(system: System) -> Record:
         },
         "effects": {**plain(effects), "contact_masses": masses, "contact": effects.contact},
         "regime": {
-            "natural_frequencies": natural_frequencies(system),
+            "natural_frequencies": natural_modes(system)[1],
             "incompatible": incompatibility(system),
             "stops": [{**plain(s), "beyond_rule": s.beyond_rule} for s in stops],
             "contacts_negligible": None if None in beyond else all(beyond),

@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
-from fpk.linear import decay_time, diffusion_matrix, drift_matrix, stationary_covariance
-from fpk.modes import natural_modes
+from fpk.linear import (
+    decay_time,
+    diffusion_matrix,
+    drift_matrix,
+    natural_modes,
+    stationary_covariance,
+)
 from fpk.system import System
 
 EPS = np.finfo(float).eps
