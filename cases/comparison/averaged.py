@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf, isfinite
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Self
 
+from cases.scene.expect import Theory
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput
 from fpk.method import Method, Plan, Progress, Result
@@ -19,8 +20,6 @@ from fpk.system import System
 
 if TYPE_CHECKING:
     from fpk.process import Process
-
-Theory = Literal["integrable", "nonintegrable"]
 
 SAMPLED_TIMES = 20.0
 """Relaxation times that each path is sampled for where ``time`` is not given."""
@@ -130,14 +129,11 @@ def _process(theory: Theory, system: System) -> "Process":
     return modes.process()
 
 
-def _unasked(system: System) -> bool:
-    """Whether ``fpk run`` samples averaged equations: where no closed form knows better."""
-    return bool(system.damping_terms)
-
-
 def _register(theory: Theory, words: str, equation: str, colour: str) -> None:
     make = partial(AveragedSimulation, theory)
-    register(Route(theory, "simulation", words, equation, "averaged", True, colour, make, _unasked))
+    route = Route(theory, "simulation", words, equation, "averaged", True, colour, make)
+    # ``fpk run`` samples averaged equations where no closed form knows better.
+    register(replace(route, unasked=lambda system: bool(system.damping_terms)))
 
 
 _register("nonintegrable", "energy averaging, simulated", "(24)", "#a8577e")

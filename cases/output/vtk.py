@@ -35,11 +35,6 @@ class Field:
     points: Mapping[str, Array]
     subdivision: float
 
-    @property
-    def largest(self) -> float:
-        """The largest density."""
-        return float(self.points["density"].max())
-
 
 def write_vtu(outcome: Outcome, path: Path) -> list[Path]:
     """Write the first observable of the scene's own system as a grid of quadratic cells."""
@@ -114,7 +109,7 @@ def _write(outcome: Outcome, curve: Answers, observable: Observable, path: Path)
         "units": UNITS,
         "first route": densities[0][0].label,
         "subdivision error": field.subdivision,
-        "largest density": field.largest,
+        "largest density": float(field.points["density"].max()),
     }
 
     def write(temporary: Path) -> None:

@@ -9,8 +9,6 @@ from fpk.errors import InvalidInput
 from fpk.observable import Observable, observable_name
 
 Theory = Literal["nonintegrable", "integrable"]
-Direction = Literal["larger", "smaller"]
-
 
 RELATIONS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
     "above": (">", gt),
@@ -51,7 +49,7 @@ class Expect:
     of: Observable
     non_gaussian: Range | None = None
     almost_gaussian: Range | None = None
-    nonintegrable_better_with: Direction | None = None
+    nonintegrable_better_with: Literal["larger", "smaller"] | None = None
     better: tuple[Theory, Theory] | None = None
     acceptable: tuple[Theory, ...] = ()
     clearance_rule: float | None = None

@@ -26,6 +26,7 @@ from cases.studies.weak import SampleSlope, WeakOrder, sample_slope, weak_order
 from fpk.arrays import Array
 from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Progress, silent
+from fpk.observable import observable_name
 from sim.montecarlo import MonteCarlo
 
 H_DEGREES = {1: (1, 2, 4), 2: (1, 2, 3)}
@@ -139,9 +140,18 @@ def study_convergence(
                 continue
             *_, make = EQUATIONS[route]
             equation = make(system)
-            families = ladders(equation, progress=progress)
-            words = {"theory": route, **equation.description()}
-            study.equations.append({**words, "ladders": families})
+            study.equations.append(
+                {
+                    "theory": route,
+                    "equation": equation.name,
+                    "observable": observable_name(equation.observable),
+                    "dimension": equation.dimension,
+                    "reference": equation.reference_words,
+                    "reference_error": equation.reference.l1_error,
+                    "by_tolerance": equation.words,
+                    "ladders": ladders(equation, progress=progress),
+                }
+            )
             if equation.dimension == 1 and system.contacts:
                 free = make(replace(system, contacts=()))
                 free = replace(free, name=f"{free.name} without contact")

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import exp
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from cases.studies.levels import Answer, Clock, Discretisation
 from fpk.arrays import Array
 from fpk.errors import NotApplicable, NotCertified
 from fpk.line.stationary import StationarySolution, solve_on_mesh, solve_stationary
-from fpk.observable import Observable, observable_name, parse_observable
+from fpk.observable import Observable, parse_observable
 from fpk.plane.probe import probed as probed_plane
 from fpk.plane.solution import graded
 from fpk.plane.stationary import PlaneSolution, solve_plane, solve_plane_on_mesh
@@ -65,17 +64,6 @@ class Equation:
     def dimension(self) -> int:
         """Number of energies."""
         return len(self.observable)
-
-    def description(self) -> dict[str, Any]:
-        """Return the equation and its reference in words and numbers."""
-        return {
-            "equation": self.name,
-            "observable": observable_name(self.observable),
-            "dimension": self.dimension,
-            "reference": self.reference_words,
-            "reference_error": self.reference.l1_error,
-            "by_tolerance": self.words,
-        }
 
     def elements(self, degree: int, halvings: int = 0) -> Discretisation:
         """Return elements of one degree, refined by bisection of the coarsest mesh."""

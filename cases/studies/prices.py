@@ -113,7 +113,5 @@ def crossovers(routes: Sequence[Priced]) -> tuple[Crossover, ...]:
 
 def by_equation(routes: Sequence[Priced]) -> dict[str, list[Priced]]:
     """Return the routes of every equation."""
-    equations: dict[str, list[Priced]] = {}
-    for route in routes:
-        equations.setdefault(route.equation, []).append(route)
-    return equations
+    equations = dict.fromkeys(route.equation for route in routes)
+    return {name: [route for route in routes if route.equation == name] for name in equations}

@@ -53,7 +53,7 @@ def regime_map(outcome):
         MapPoint((v,), {"integrable": 0.1}, {"integrable": 0.01}, "exact", v, "integrable", (), 0.0)
         for v in values.tolist()
     )
-    axis = Axis("contact.clearance", values, False)
+    axis = Axis("contact.clearance", "δ", values, False)
     return RegimeMap(outcome.scene, outcome.scene.observables[0], (axis,), points, 0, 0.0)
 
 

@@ -38,7 +38,7 @@ def test_cells_shrink_until_the_stated_error_is_met():
     pair = parse_observable("q1,p1", 1)
     panels = (np.linspace(-8, 8, 9), np.linspace(-4, 4, 5))
     found = field_of({"a": Density(pair, panels, pdf, lambda x, y: 0 * x * y, 0.0, FINE)})
-    assert found.subdivision <= SUBDIVISION * found.largest
+    assert found.subdivision <= SUBDIVISION * found.points["density"].max()
     assert all(np.all(np.diff(n) > 0) and n.size % 2 == 1 for n in found.nodes)
 
 

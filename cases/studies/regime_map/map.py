@@ -40,16 +40,12 @@ SIMULATION = MonteCarlo(relaxations=38.0)
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """One parameter and the values that it takes."""
+    """One parameter and the values that it takes; ``symbol`` is its letter, such as B."""
 
     key: str
+    symbol: str
     values: Array
     logarithmic: bool
-
-    @property
-    def symbol(self) -> str:
-        """The parameter's letter, such as B."""
-        return VARIED[self.key]
 
 
 @dataclass(frozen=True)
@@ -185,7 +181,8 @@ def _axis(text: str) -> Axis:
             raise _wrong(text, remedy)
     values = np.geomspace(low, high, count) if logarithmic else np.linspace(low, high, count)
     # Twelve digits: the same grid point has the same value on any grid that contains it.
-    return Axis(key, np.array([float(f"{v:.12g}") for v in values]), logarithmic)
+    rounded = np.array([float(f"{v:.12g}") for v in values])
+    return Axis(key, VARIED[key], rounded, logarithmic)
 
 
 def _wrong(text: str, remedy: str) -> BadInput:
