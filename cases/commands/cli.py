@@ -88,7 +88,7 @@ def run(scene: str, out: Path | None, as_json: bool, **settings: Any) -> None:
 @click.option(
     "--method", required=True, help="exact, linear, nonintegrable, integrable or montecarlo."
 )
-@parts.observable_option("q1.., p1.., H, H1.. or a pair a,b.", required=True)
+@click.option("--of", metavar="OBS", required=True, help="q1.., p1.., H, H1.. or a pair a,b.")
 @click.option("--at", metavar="LIST", required=True, help=LIST)
 @click.option("--solver", help="closed-form, quadrature, fem or simulation.")
 @parts.simulation_options

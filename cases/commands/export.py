@@ -16,7 +16,7 @@ ENDINGS = (".vtu", ".pvd", ".nc", ".csv")
 @click.option(
     "--out", type=parts.FOLDER, required=True, help="File to write: .vtu, .pvd, .nc or .csv."
 )
-@parts.observable_option("This density instead of the scene's own.")
+@click.option("--of", metavar="OBS", help="This density instead of the scene's own.")
 @parts.tol
 @parts.as_json
 def export(scene: str, out: Path, of: str | None, tol: float | None, as_json: bool) -> None:

@@ -33,11 +33,6 @@ cluster = click.option(
 )
 
 
-def observable_option(help: str, *, required: bool = False) -> Callable[[Any], Any]:
-    """Return the option ``--of``."""
-    return click.option("--of", metavar="OBS", required=required, help=help)
-
-
 def simulation_options(command: Any) -> Any:
     """Add the options of the routes: ``tol`` and all that a simulation takes, by these names."""
     options = (

@@ -21,7 +21,7 @@ study_folder = click.option(
 @click.command()
 @parts.scene_name
 @click.option("--route", help="nonintegrable, integrable or montecarlo; all if left out.")
-@parts.observable_option("H or H1,H2: the equation of that density.")
+@click.option("--of", metavar="OBS", help="H or H1,H2: the equation of that density.")
 @study_folder
 @click.option(
     "--seconds", type=click.FloatRange(0.1), help="Processor time for the steps of each scheme."

@@ -1,6 +1,5 @@
 """A work-precision study as tables and panels of a picture."""
 
-from collections.abc import Iterable
 from dataclasses import asdict
 from functools import partial
 from typing import Any
@@ -12,7 +11,7 @@ from cases.studies.cost import CostStudy
 from cases.studies.law import FULL
 from cases.studies.page import Page, Table
 from cases.studies.picture import Curve, Panel, study_figure
-from cases.studies.prices import Cheapest, Priced, by_equation, crossovers, price_list
+from cases.studies.prices import Cheapest, by_equation, crossovers, price_list
 
 MEANING = (
     "Processor times on one thread after a warm-up, the median of 3 to 21 runs where one takes"
@@ -61,10 +60,12 @@ def cost_tables(study: CostStudy) -> list[Table]:
         for t in [point.timing]
     ]
     simulated = [r for r in study.routes if r.equation == FULL]
-    models = [
-        {**asdict(m), "simulation to this": _fastest(simulated, max(m.distance, m.error))}
-        for m in study.models
-    ]
+    models = []
+    for m in study.models:  # beside each the fastest simulation to its error, if one reaches it
+        seconds = [r.seconds_for(np.array(max(m.distance, m.error))) for r in simulated]
+        models.append(
+            {**asdict(m), "simulation to this": float(np.fmin.reduce(seconds, initial=np.nan))}
+        )
     full = f"Averaging error: L1 to the full system ({study.full_reference}); no solver lowers it."
     axes = tuple(dict.fromkeys(f"{r.equation}: {r.axis}" for r in study.routes))
     lost = [{k: v for k, v in asdict(n).items() if k != "baseline"} for n in study.not_timed]
@@ -89,11 +90,6 @@ def _price(c: Cheapest) -> dict[str, Any]:
     values = (p.settings, p.seconds, p.timing.memory) if p else (None, None, None)
     price = dict(zip(("settings", "seconds", "memory"), values, strict=True))
     return {"equation": c.equation, "digits": c.digits, "route": route, **price, "priced by": by}
-
-
-def _fastest(routes: Iterable[Priced], error: float) -> float:
-    """Seconds of the fastest of the routes to ``error``, not a number where none reaches it."""
-    return float(np.fmin.reduce([r.seconds_for(np.array(error)) for r in routes], initial=np.nan))
 
 
 def _figure(study: CostStudy) -> Figure:

@@ -86,12 +86,6 @@ class WeakOrder:
         return bool(low <= ORDERS[0] or high >= ORDERS[-1])
 
 
-def known_square(system: System) -> float | None:
-    """Return E q_i² of the full system where a route that is not sampled gives it."""
-    answer = full_density(system, observed(system))
-    return None if answer is None else moment(answer.density, 2)
-
-
 def weak_order(system: System, method: MonteCarlo, *, seconds: float) -> WeakOrder:
     """Return the weak order of the scheme of ``method``, spending about ``seconds`` on its steps.
 
@@ -104,7 +98,8 @@ def weak_order(system: System, method: MonteCarlo, *, seconds: float) -> WeakOrd
     first = largest_stable(system, method, patience=SHARE_OF_A_TRIAL * seconds)
     if first is None:
         return unusable
-    count, truth = LEVELS, known_square(system)
+    exact = full_density(system, observed(system))
+    count, truth = LEVELS, moment(exact.density, 2) if exact else None
     if first < SMALL_STEP:  # only a large bias asks for such steps: it needs few paths to be seen
         method, count = replace(method, paths=LEAST_PATHS), FEW_LEVELS
 

@@ -13,12 +13,11 @@ from cases.studies.equations import P_DEGREES, energy_equation, modal_equation
 from cases.studies.levels import FUNCTIONALS, NORMS, refined_levels
 from cases.studies.orders import NEAR, convergence, grid_convergence, observed_orders
 from cases.studies.picture import Curve, Panel, study_figure
-from cases.studies.simulation import Run
+from cases.studies.simulation import Run, full_density, observed
 from cases.studies.weak import (
     ORDER_ERROR,
     WeakOrder,
     judged,
-    known_square,
     sample_slope,
     weak_order,
 )
@@ -241,8 +240,9 @@ def test_a_discretisation_refines_itself_and_states_its_level():
 
 def test_the_exact_scene_knows_its_moment_and_the_samples_their_slope():
     scene = load_scene("fig3a")
-    assert known_square(scene.system) is not None
-    assert known_square(load_scene("fig6b").system) is None
+    assert full_density(scene.system, observed(scene.system)) is not None
+    unsolved = load_scene("fig6b").system
+    assert full_density(unsolved, observed(unsolved)) is None
     found = sample_slope(scene.system, MonteCarlo(paths=4096, threads=2))
     assert abs(found.slope + 0.5) < 4.0 * found.slope_error
 
