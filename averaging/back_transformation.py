@@ -6,10 +6,10 @@ from math import ceil, pi
 
 import numpy as np
 
-from averaging.conditional import conditionals, overlap_at, side_sign
+from averaging.conditional import conditionals, overlap_at
 from averaging.energy_density import density_of_energies
 from averaging.hidden import RULES, HiddenIntegral, gibbs_integral, overlaps
-from averaging.shell.energy_shell import energy_shell
+from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.ratios import log_linear_states, shell_ratios
 from averaging.weyl import Part, StateDensity
 from fpk.arrays import Array
@@ -35,7 +35,7 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
     system, solution = source.system, source.solution
     if observable[0].kind == "H":
         # Without clearance T is a series in H^(1/4) at H = 0, which one panel does not integrate.
-        touching = tuple(H for H in energy_shell(system).contact_energies if H == 0.0)
+        touching = tuple(H for H in system.fact(EnergyShell).contact_energies if H == 0.0)
         nodes = with_layers(solution.panels, touching, count=DEEP_LAYERS)
         # T is evaluated at the points themselves: at a contact energy it may be worse than on the
         # mesh, where the solver estimated the error of u.
@@ -148,9 +148,9 @@ def displacement_panels(system: System, mass: int, *, temperature: float, end: f
     for stop in system.stops:
         # Where the mean of the other mass, given this one, is at its stop.
         share = float(compliance[stop.index, mass]) / own
-        touch = side_sign(stop) * stop.clearance / share
+        touch = stop.sign * stop.clearance / share
         if stop.index == mass:
-            parts.append(touch + side_sign(stop) * overlaps(stop, temperature, end))
+            parts.append(touch + stop.sign * overlaps(stop, temperature, end))
             continue
         (other,) = conditionals(system, [mass, stop.index])[1:]
         width = np.sqrt(temperature / other.precision) / share

@@ -8,7 +8,7 @@ from numpy.polynomial import polynomial
 from averaging.energy_process import damping_and_noise, energy_process
 from averaging.hidden import RULES, gibbs_integral
 from averaging.shell.ratios import log_linear_states
-from averaging.weyl import Solution, StateDensity, gibbs_density, tabulated
+from averaging.weyl import Part, Solution, StateDensity, tabulated
 from averaging.zero_flux import ZeroFluxDensity, flux_residual
 from fpk.arrays import Array
 from fpk.certificate import Measured
@@ -93,7 +93,13 @@ def state_closed_form(
     log_norm, error = log_gibbs_norm(system, alpha)
     norm = log_norm + float(log_linear_states(system, process.energy_scale)), error
     solution = closed_form(process, rate, norm=norm, residual=residual)
-    return gibbs_density(system, solution, alpha)
+
+    def weyl(order: float, energy: Array, part: Part = "value") -> Array:
+        """Ψ_ν = u/α^ν."""
+        factor = {"value": 1.0, "error": solution.relative_error(energy), "table": 0.0}[part]
+        return np.asarray(factor * np.exp(solution.log_u(energy) - order * np.log(alpha)))
+
+    return StateDensity(system, solution, weyl, 1.0 / alpha, closed=True, gibbs=True)
 
 
 def log_gibbs_norm(system: System, alpha: float) -> tuple[float, float]:

@@ -87,8 +87,3 @@ def overlap_at(stop: Contact, energy: float) -> float:
     # ln U is linear in ln x for a power law, and nearly so between x and 2 x for others.
     x = high * 2.0 ** np.linspace(-1.0, 0.0, BETWEEN)
     return float(np.exp(np.interp(np.log(energy), np.log(stop.energy(x)), np.log(x))))
-
-
-def side_sign(stop: Contact) -> float:
-    """Return +1 for a stop on the right, −1 on the left."""
-    return 1.0 if stop.side == "right" else -1.0

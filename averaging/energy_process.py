@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from averaging.shell.energy_shell import energy_shell
+from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.power import term_power
 from averaging.shell.ratios import shell_ratios
 from fpk.arrays import Array
@@ -44,10 +44,6 @@ def energy_process(system: System) -> Process:
     noise at high energy: there is no stationary density then; and for more contact masses than
     ``MOST_CONTACT_MASSES``.
     """
-    return system.fact(_energy_process)
-
-
-def _energy_process(system: System) -> Process:
     damping, noise = damping_and_noise(system)
     scale, n = _energy_scale(system, damping, noise), system.n
 
@@ -56,7 +52,7 @@ def _energy_process(system: System) -> Process:
         tau = energy / n * ratios.volume / ratios.states
         dissipation, error = -damping * tau, ratios.error
         if system.damping_terms:
-            power, power_error = term_power(system)(energy)
+            power, power_error = system.fact(term_power)(energy)
             # The constant part is exact relative to τ, whose error is counted already; the error is
             # relative to the parts of s, which is less where the terms cancel the constant part.
             constant = np.abs(dissipation) * (error + np.finfo(float).eps)
@@ -75,7 +71,7 @@ def _energy_process(system: System) -> Process:
     return Process(
         coefficients=coefficients,
         energy_scales=(scale,),
-        nonsmooth=energy_shell(system).contact_energies,
+        nonsmooth=system.fact(EnergyShell).contact_energies,
         degrees_of_freedom=n,
         state_damping=bool(system.damping_terms),
     )
@@ -110,7 +106,7 @@ def _last_balance(system: System, damping: float, noise: float) -> float:
     energy = system.n * max(positive) * SEARCHED
     ratios = shell_ratios(system, energy)
     tau = energy / system.n * ratios.volume / ratios.states
-    excess = damping * tau + term_power(system)(energy)[0] - noise
+    excess = damping * tau + system.fact(term_power)(energy)[0] - noise
     if excess[-1] <= 0:
         raise NotApplicable("the damping does not balance the noise, so the energy grows for ever")
     below = np.flatnonzero(excess <= 0)

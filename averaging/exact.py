@@ -10,8 +10,7 @@ import numpy as np
 from averaging.back_transformation import back_transformed
 from averaging.closed_form import state_closed_form
 from averaging.energy_process import energy_process
-from averaging.nonintegrable import energy_only_refusal
-from averaging.theory import Theory
+from averaging.theory import Theory, energy_only_refusal
 from fpk.arrays import Array
 from fpk.errors import NotApplicable
 from fpk.method import Plan, Progress, Result

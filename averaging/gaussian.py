@@ -7,14 +7,14 @@ import numpy as np
 from scipy.linalg import block_diag, qr, solve_triangular
 
 from averaging.gamma_sum import gamma_density, gamma_sum
-from averaging.theory import Theory
+from averaging.theory import Theory, energy_only_refusal
 from fpk.arrays import Array
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
 from fpk.errors import NotApplicable
 from fpk.linear import linear_covariance
 from fpk.method import Plan, Progress, Result
-from fpk.observable import Observable, observable_name
+from fpk.observable import Observable
 from fpk.system import System
 
 REACH = 8.5
@@ -131,15 +131,6 @@ class Linear(Theory):
         if np.max(modes.variance) <= 0.0:
             raise NotApplicable("no noise reaches a mass, so its density is concentrated at rest")
 
-        def refusal(observable: Observable) -> str | None:
-            kinds = [c.kind for c in observable]
-            if "H" in kinds and (len(observable) > 1 or observable[0].index is not None):
-                return (
-                    f"{observable_name(observable)}: of the energies, only the density of the "
-                    "total energy H is available"
-                )
-            return None
-
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
             variance = np.maximum(modes.variance, 0.0)
             # H = ½ |x|² of x = (ω Q, P).
@@ -155,7 +146,7 @@ class Linear(Theory):
             densities = tuple(gaussian.density(o, tol=self.tol) for o in observables)
             return Result(self, densities, settings={"equation": "Lyapunov"})
 
-        return Plan(refusal, solve)
+        return Plan(lambda observable: energy_only_refusal(system, observable), solve)
 
 
 Linear.register()

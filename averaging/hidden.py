@@ -8,7 +8,7 @@ from math import ceil, exp, log2
 import numpy as np
 from numpy.typing import NDArray
 
-from averaging.conditional import Conditional, conditional, conditionals, overlap_at, side_sign
+from averaging.conditional import Conditional, conditional, conditionals, overlap_at
 from fpk.arrays import Array
 from fpk.contact import Contact
 from fpk.piecewise import Piecewise, fit
@@ -104,7 +104,7 @@ class HiddenIntegral:
             reach = share * float(np.sqrt(2.0 * max(height, DEPTH * self.temperature)))
             doublings = max(ceil(log2(reach / np.sqrt(law.precision) / width)), 0) + 2
             steps = width * 2.0 ** (np.arange(doublings) - 1.0)
-            touch = [side_sign(stop) * stop.clearance for stop in other.stops]
+            touch = [stop.sign * stop.clearance for stop in other.stops]
             means = np.add.outer(touch, [*-steps, 0.0, *steps]).ravel()
             layers.append((means - (other.weights[:-1] @ given)[:, None]) / share)
         return np.hstack(layers)
@@ -203,7 +203,7 @@ def _points_of(
         np.clip(layers, low, high),
     ]
     for stop in law.stops:
-        beyond = side_sign(stop) * (stop.clearance + overlaps(stop, temperature, end))
+        beyond = stop.sign * (stop.clearance + overlaps(stop, temperature, end))
         parts.append(np.clip(beyond, low, high))
     nodes = np.sort(np.hstack(parts), axis=1)
     half = 0.5 * np.diff(nodes, axis=1)

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from averaging.back_transformation import back_transformed
 from averaging.closed_form import averaged_rate, state_closed_form
 from averaging.energy_process import energy_process
-from averaging.theory import Theory
+from averaging.theory import Theory, energy_only_refusal
 from averaging.weyl import Solution, StateDensity, tabulated
 from averaging.zero_flux import solve_by_quadrature
 from fpk.line.elements import Form
 from fpk.line.stationary import solve_stationary
 from fpk.method import Plan, Progress, Result
-from fpk.observable import Observable, observable_name
+from fpk.observable import Observable
 from fpk.system import System
 
 Settings = dict[str, str | float | int]
@@ -70,24 +70,6 @@ class NonIntegrable(Theory):
             }
         settings |= {"last energy": float(solution.nodes[-1]), "tol": self.tol}
         return tabulated(system, solution), settings
-
-
-def energy_only_refusal(system: System, observable: Observable) -> str | None:
-    """Return why ``observable`` does not follow from a density u(H), or None where it does."""
-    kinds = {c.kind for c in observable}
-    if "H" in kinds and (len(observable) > 1 or observable[0].index is not None):
-        return (
-            f"{observable_name(observable)}: this theory knows the total energy only; "
-            "ask for H, q, p or pairs of q and p"
-        )
-    seen = {c.index for c in observable if c.kind == "q"}
-    hidden = [i for i in system.contact_masses if i not in seen]
-    if "H" not in kinds and len(hidden) > 2:
-        return (
-            f"{observable_name(observable)}: {len(hidden)} contact masses would have to be "
-            "integrated out numerically, at most 2 are"
-        )
-    return None
 
 
 NonIntegrable.register()

@@ -6,7 +6,9 @@ from typing import ClassVar, Self
 
 from fpk.errors import InvalidInput
 from fpk.method import Method
+from fpk.observable import Observable, observable_name
 from fpk.route import ROUTES, Route, Solves, register
+from fpk.system import System
 
 SMALLEST, LARGEST = 1e-12, 0.1
 """Tolerances that can be asked for: double precision meets none smaller, none larger says much."""
@@ -52,3 +54,21 @@ class Theory(Method):
             register(
                 Route(cls.theory, solver, words, equation, cls.solves, False, cls.colour, make)
             )
+
+
+def energy_only_refusal(system: System, observable: Observable) -> str | None:
+    """Return why ``observable`` does not follow from a density u(H), or None where it does."""
+    kinds = {c.kind for c in observable}
+    if "H" in kinds and (len(observable) > 1 or observable[0].index is not None):
+        return (
+            f"{observable_name(observable)}: this theory knows the total energy only; "
+            "ask for H, q, p or pairs of q and p"
+        )
+    seen = {c.index for c in observable if c.kind == "q"}
+    hidden = [i for i in system.contact_masses if i not in seen]
+    if "H" not in kinds and len(hidden) > 2:
+        return (
+            f"{observable_name(observable)}: {len(hidden)} contact masses would have to be "
+            "integrated out numerically, at most 2 are"
+        )
+    return None

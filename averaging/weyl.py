@@ -52,16 +52,6 @@ class StateDensity:
     gibbs: bool = False
 
 
-def gibbs_density(system: System, solution: ZeroFluxDensity, alpha: float) -> StateDensity:
-    """Return the density u = C exp(−αH), whose Weyl integrals are Ψ_ν = u/α^ν."""
-
-    def weyl(order: float, energy: Array, part: Part = "value") -> Array:
-        factor = {"value": 1.0, "error": solution.relative_error(energy), "table": 0.0}[part]
-        return np.asarray(factor * np.exp(solution.log_u(energy) - order * np.log(alpha)))
-
-    return StateDensity(system, solution, weyl, 1.0 / alpha, closed=True, gibbs=True)
-
-
 def tabulated(system: System, solution: Solution, *, closed: bool = False) -> StateDensity:
     """Return the density whose u and error of u are smooth between the panels of ``solution``.
 
@@ -125,6 +115,7 @@ def weyl_table(order: float, nodes: Array, u: Function, *, points: int = POINTS[
     """
     left, right = nodes[:-1, None], nodes[1:, None]
     x, w = panel_rule(nodes, points)
+    t, t_weights = gauss_legendre(points)
 
     def log_weyl(energy: Array) -> Array:
         if order == 0.0:
@@ -132,7 +123,13 @@ def weyl_table(order: float, nodes: Array, u: Function, *, points: int = POINTS[
         values, total = w * u(x), np.zeros(energy.size)
         far = left - energy >= right - left
         k, i = np.nonzero(~far & (energy < right))
-        near = _near(order, energy[i], nodes[k], nodes[k + 1], u, points)
+        # H = E + s² takes out the root at E.
+        low, high = (
+            np.sqrt(np.maximum(nodes[k + end] - energy[i], 0.0))[:, None] for end in (0, 1)
+        )
+        s = 0.5 * (low + high) + 0.5 * (high - low) * t
+        inner = u(energy[i, None] + s * s) * 2.0 * s ** (2.0 * order - 1.0)
+        near = (0.5 * (high - low) * inner) @ t_weights
         total += np.bincount(i, near, minlength=energy.size)
         for here, points_of, weighted in zip(far, x, values, strict=True):
             total[here] += (points_of - energy[here, None]) ** (order - 1.0) @ weighted
@@ -154,23 +151,6 @@ def continued(order: float, energy: Array, nodes: Array, u: Function) -> Array:
     with np.errstate(divide="ignore"):
         log_share = reach + np.log(gammaincc(order, reach))
     return np.asarray(last * rate**-order * np.exp(log_share))
-
-
-def _near(
-    order: float,
-    energy: Array,
-    left: Array,
-    right: Array,
-    u: Function,
-    points: int,
-) -> Array:
-    """Integral over one element from E or its left end; H = E + s² takes out the root at E."""
-    low = np.sqrt(np.maximum(left - energy, 0.0))[:, None]
-    high = np.sqrt(np.maximum(right - energy, 0.0))[:, None]
-    t, w = gauss_legendre(points)
-    s = 0.5 * (low + high) + 0.5 * (high - low) * t
-    inner = u(energy[:, None] + s * s) * 2.0 * s ** (2.0 * order - 1.0)
-    return np.asarray((0.5 * (high - low) * inner) @ w)
 
 
 def _halved(nodes: Array) -> Array:

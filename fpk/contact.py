@@ -57,6 +57,11 @@ class Contact:
         """The mass counted from 0, for arrays."""
         return self.mass - 1
 
+    @property
+    def sign(self) -> float:
+        """Sign of the displacements at a one-sided stop: +1 on the right, −1 on the left."""
+        return 1.0 if self.side == "right" else -1.0
+
     def one_sided(self) -> tuple["Contact", ...]:
         """Return the stops of this contact: one, or left and right for "both"."""
         if self.side != "both":

@@ -156,8 +156,7 @@ class System:
         energy = np.zeros_like(q)
         for stop in self.stops:
             if stop.index == mass:
-                sign = 1.0 if stop.side == "right" else -1.0
-                energy = energy + stop.energy(np.maximum(sign * q - stop.clearance, 0.0))
+                energy = energy + stop.energy(np.maximum(stop.sign * q - stop.clearance, 0.0))
         return energy
 
     def potential(self, q: ArrayLike) -> Array:

@@ -11,7 +11,7 @@ from sim.ensemble import Ensemble
 from sim.histogram import sampled_density, starts
 from sim.record import Record
 from sim.relaxation import relaxation_time
-from sim.report import DensityError, Report, Settings, Steps
+from sim.report import DensityError, Report, Steps
 from sim.statistics import Moments, sampling_error
 from sim.step_size import temperature
 
@@ -91,23 +91,21 @@ def _defect(system: System, identity: Identity) -> str:
 
 def _steps(setup: "Setup", ensemble: Ensemble, seconds: float) -> Steps:
     steps = ensemble.samples * setup.stride
-    others: Settings = {
-        "scheme": setup.scheme.name,
-        "steps": steps,
-        "stride": setup.stride,
-        "batches": ensemble.edges.size - 1,
-        "seed": ensemble.seed,
-        "threads": ensemble.threads,
-        "kT": temperature(setup.system),
-        "long_step": setup.dt,
-        "ns_per_particle_step": 1e9 * seconds * ensemble.threads / (ensemble.paths * steps),
-    }
     return Steps(
         dt=setup.dt / setup.scheme.small,
         paths=ensemble.paths,
         time=steps * setup.dt,
         burn_in=setup.burn_in_steps * setup.dt,
         relaxation_time=relaxation_time(setup.system),
+        scheme=setup.scheme.name,
+        steps=steps,
+        stride=setup.stride,
+        batches=ensemble.edges.size - 1,
+        seed=ensemble.seed,
+        threads=ensemble.threads,
+        kT=temperature(setup.system),
+        long_step=setup.dt,
+        ns_per_particle_step=1e9 * seconds * ensemble.threads / (ensemble.paths * steps),
+        small_steps=setup.division,
         limited_by=setup.limited_by,
-        others=others | ({"small_steps": setup.division} if setup.division else {}),
     )

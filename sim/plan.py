@@ -38,8 +38,7 @@ def step_arrays(system: System, scheme: Scheme, dt: float) -> StepArrays:
     signs: dict[tuple[float, ...], list[float]] = {}
     for stop in system.stops:
         shape = (stop.clearance, stop.stiffness, stop.power, laws.index(stop.law))
-        sign = 1.0 if stop.side == "right" else -1.0
-        signs.setdefault((slots.index(stop.index), *shape), []).append(sign)
+        signs.setdefault((slots.index(stop.index), *shape), []).append(stop.sign)
     rows = [
         (slot, sign, *shape)
         for (slot, *shape), sides in sorted(signs.items())
@@ -113,7 +112,7 @@ def watch_arrays(
         for axis, (c, e) in enumerate(zip(histogram.observable, histogram.edges, strict=True)):
             rows[m, axis], low[m, axis], bins[m, axis] = row_of(c), e[0], e.size - 1
             scale[m, axis] = (e.size - 1) / (e[-1] - e[0])
-    half, shift = 0.5 * step.dt if scheme.symmetric else 0.0, scheme.modified * step.dt**2
+    half, shift = 0.5 * step.dt if scheme.kick_first else 0.0, scheme.modified * step.dt**2
     pairs = [(first[a] + i, first[b] + j) for a, i, b, j in products]
     return WatchArrays(
         half_kick=half,

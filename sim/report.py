@@ -1,6 +1,6 @@
 """The report of a simulation, as typed records; tables and JSON show it as ``settings``."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from math import nan
 from typing import Literal
 
@@ -14,9 +14,10 @@ Settings = dict[str, str | float | int]
 class Steps:
     """How far the states were advanced; times in the unit of time of the system.
 
-    ``dt`` is the step of the integrator; ``paths`` were sampled for ``time`` after ``burn_in``.
-    ``relaxation_time`` is the longest decay time without contact. ``limited_by`` names the limit
-    that cut ``time`` short of what was asked for. ``others`` are more settings for readers.
+    ``dt`` is the step of the integrator; ``paths`` were sampled for ``time`` after ``burn_in``, in
+    ``steps`` of ``long_step``, every ``stride``-th of them observed. ``relaxation_time`` is the
+    longest decay time without contact. ``small_steps`` says which trajectories make small steps,
+    ``limited_by`` the limit that cut ``time`` short of what was asked for; empty where nothing.
     """
 
     dt: float
@@ -24,14 +25,17 @@ class Steps:
     time: float
     burn_in: float
     relaxation_time: float
+    scheme: str
+    steps: int
+    stride: int
+    batches: int
+    seed: int
+    threads: int
+    kT: float
+    long_step: float
+    ns_per_particle_step: float
+    small_steps: str
     limited_by: Literal["", "most_steps"]
-    others: Settings
-
-    def settings(self) -> Settings:
-        """Return the same for readers, by the names that tables and JSON have."""
-        own: Settings = {"dt": self.dt, "paths": self.paths, "time": self.time}
-        own |= {"burn_in": self.burn_in, "relaxation_time": self.relaxation_time} | self.others
-        return own | ({"limited_by": self.limited_by} if self.limited_by else {})
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,9 @@ class Report:
 
     def settings(self) -> Settings:
         """Return everything for readers, by the names that tables and JSON have."""
-        settings = self.steps.settings()
+        settings: Settings = {
+            key: value for key, value in asdict(self.steps).items() if value != ""
+        }
         if self.interrupted:
             settings["partial"] = self.interrupted
         if self.diagnosis is not None:

@@ -137,7 +137,12 @@ def _sample(
         record.elapsed = perf_counter() - begin
         late, enough = record.elapsed > setup.seconds, record.chunks >= LEAST_CHUNKS
         if tol is not None and (late or (enough and ensemble.samples >= record.target)):
-            record.error = _first_error(ensemble, record)
+            counts = ensemble.counts[:, : starts(record.histograms)[1]]
+            taken = ensemble.paths * ensemble.samples
+            first_density = sampled_density(
+                record.histograms[0], counts, taken=taken, mirror=record.mirror
+            )
+            record.error = sampling_error(first_density)
             record.target = CHECK_AT * ensemble.samples * (record.error / tol) ** 2
         done = record.chunks / CHUNKS
         if setup.open:
@@ -150,10 +155,3 @@ def _sample(
             return
         if setup.open and len(record.ends) == 2 * CHUNKS:
             record.join_pairs()
-
-
-def _first_error(ensemble: Ensemble, record: Record) -> float:
-    """Return the expected L1 sampling error of the first observable."""
-    histogram, taken = record.histograms[0], ensemble.paths * ensemble.samples
-    counts = ensemble.counts[:, : starts(record.histograms)[1]]
-    return sampling_error(sampled_density(histogram, counts, taken=taken, mirror=record.mirror))

@@ -58,7 +58,7 @@ def contact_frequency(system: System, *, springs: bool = False) -> float:
         return 0.5 * k_eff * q * q + float(system.contact_energy(i, sign * q)) - level
 
     for stop in system.stops:
-        i, sign = stop.index, 1.0 if stop.side == "right" else -1.0
+        i, sign = stop.index, stop.sign
         k_eff = 1.0 / system.compliance[i, i]
         level = max(REACHED * kT, 0.5 * k_eff * stop.clearance**2 + kT)
         most = sqrt(2.0 * level / k_eff) * (1.0 + 1e-9)

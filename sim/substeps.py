@@ -84,7 +84,7 @@ def near_share(system: System, H: float) -> float:
         weight = np.exp(-(energy - energy.min()) / kT)
         near, width = np.zeros(q.size), H * sqrt(kT / system.mass[i])
         for stop in (s for s in system.stops if s.index == i):
-            gap = stop.clearance - (q if stop.side == "right" else -q)
+            gap = stop.clearance - stop.sign * q
             near += np.where(gap <= 0.0, 1.0, ndtr((reach - gap) / width))
         far *= 1.0 - float(np.sum(np.minimum(near, 1.0) * weight) / np.sum(weight))
     return 1.0 - far

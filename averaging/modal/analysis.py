@@ -112,6 +112,9 @@ def modal_analysis(system: System) -> ModalAnalysis:
     damping, damping_size = averaged.mean(theta)
     # Round-off is relative to what cancels in the damping and in the noise of a mode.
     cancelling = np.max(np.diag(damping_size) * theta / noise) + np.max(np.diag(size) / noise)
+    # Modes have that of singular values, n ε ω_max, over the least gap of ω, that to 0 included.
+    gap = max(float(np.min(np.diff(omega, prepend=0.0))), EPS * float(omega[-1]))
+    round_off = 2.0 * omega.size * EPS * float(omega[-1]) / gap
     modes = ModalAnalysis(
         mode_shapes=T,
         # p = T⁻ᵀ P, where (35) prints T_11^{-1} for an element of the matrix T⁻¹ = Tᵀ M.
@@ -121,7 +124,7 @@ def modal_analysis(system: System) -> ModalAnalysis:
         modal_noise=D,
         averaged=averaged,
         constant=constant,
-        relative_error=_round_off(omega) * float(cancelling),
+        relative_error=round_off * float(cancelling),
     )
     if not constant:
         _require_confined(modes)
@@ -139,12 +142,3 @@ def _require_confined(modes: ModalAnalysis) -> None:
                 require_confined(modes.process(group))
         except NotCertified as reason:
             raise NotApplicable(f"{names}: {reason}, so the energy grows for ever") from reason
-
-
-def _round_off(omega: Array) -> float:
-    """Relative round-off of modes: that of singular values, n ε ω_max, over the least gap of ω.
-
-    The gap to 0 counts: the slowest mode is as uncertain as that.
-    """
-    gap = float(np.min(np.diff(omega, prepend=0.0)))
-    return 2.0 * omega.size * EPS * float(omega[-1]) / max(gap, EPS * float(omega[-1]))

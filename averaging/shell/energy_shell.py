@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
-from averaging.conditional import conditionals, side_sign
+from averaging.conditional import conditionals
 from averaging.shell.rays import Stops, ray_integrals
 from fpk.arrays import Array
 from fpk.effects import looks_the_same_mirrored
@@ -25,16 +25,44 @@ class EnergyShell:
 
     Masses without contact are integrated out exactly, which leaves
     V_red = ½ q_cᵀ K_red q_c + Σ U_i(q_i) with ``K_red`` the Schur complement of the stiffness
-    matrix. With q_c = L y and L Lᵀ = K_red⁻¹ the springs become ½|y|². ``masses`` are those with
-    contact, from 0; ``L`` has shape (c, c); ``stops`` are the one-sided contacts in y; ``mirror``
-    says whether V(−q) = V(q).
+    matrix. With q_c = L y and L Lᵀ = K_red⁻¹ the springs become ½|y|². Held by the system as
+    ``system.fact(EnergyShell)``.
     """
 
     system: System
-    masses: tuple[int, ...]
-    L: Array
-    stops: Stops
-    mirror: bool
+
+    @property
+    def masses(self) -> tuple[int, ...]:
+        """The masses with contact, from 0."""
+        return self.system.contact_masses
+
+    @cached_property
+    def L(self) -> Array:
+        """L (c, c): each contact mass hangs on the one before it by springs in series.
+
+        y are the extensions of these springs, times the root of their stiffness: nothing cancels
+        at any ratio of the springs.
+        """
+        reach = [law.precision**-0.5 for law in conditionals(self.system, self.masses)]
+        return np.tril(np.tile(reach, (self.count, 1))).reshape(self.count, self.count)
+
+    @cached_property
+    def stops(self) -> Stops:
+        """The one-sided contacts in y."""
+        stops, laws = self.system.stops, sorted({stop.law for stop in self.system.stops})
+        rows = [stop.sign * self.L[self.masses.index(stop.index)] for stop in stops]
+        return Stops(
+            rows=np.array(rows).reshape(len(stops), self.count),
+            clearance=np.array([stop.clearance for stop in stops], dtype=float),
+            stiffness=np.array([stop.stiffness for stop in stops], dtype=float),
+            exponent=np.array([stop.power for stop in stops], dtype=float),
+            law=np.array([laws.index(stop.law) for stop in stops], dtype=np.int64),
+        )
+
+    @cached_property
+    def mirror(self) -> bool:
+        """Whether V(−q) = V(q)."""
+        return looks_the_same_mirrored(self.system)
 
     def potential(self, y: Array) -> Array:
         """V_red at whitened coordinates of shape (..., c)."""
@@ -99,30 +127,3 @@ class EnergyShell:
 
         lowest = scipy.optimize.minimize(energy, np.zeros(free.shape[1]), tol=1e-12).x
         return np.asarray(foot + free @ lowest)
-
-
-def energy_shell(system: System) -> EnergyShell:
-    """Return the shells of ``system``, held by it."""
-    return system.fact(_energy_shell)
-
-
-def _energy_shell(system: System) -> EnergyShell:
-    """Lay out the coordinates: each contact mass hangs on the one before it by springs in series.
-
-    In the extensions of these springs, times the root of their stiffness, ½ qᵀ K_red q is ½|y|²,
-    and nothing cancels at any ratio of the springs.
-    """
-    masses, stops = system.contact_masses, system.stops
-    reach = [law.precision**-0.5 for law in conditionals(system, masses)]
-    c = len(masses)
-    L = np.array([[x * (j <= i) for j, x in enumerate(reach)] for i in range(c)]).reshape(c, c)
-    rows = [side_sign(stop) * L[masses.index(stop.index)] for stop in stops]
-    laws = sorted({stop.law for stop in stops})
-    compiled = Stops(
-        rows=np.array(rows).reshape(len(stops), c),
-        clearance=np.array([stop.clearance for stop in stops], dtype=float),
-        stiffness=np.array([stop.stiffness for stop in stops], dtype=float),
-        exponent=np.array([stop.power for stop in stops], dtype=float),
-        law=np.array([laws.index(stop.law) for stop in stops], dtype=np.int64),
-    )
-    return EnergyShell(system, masses, L, compiled, looks_the_same_mirrored(system))

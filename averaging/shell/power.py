@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from averaging.conditional import bridge_covariance, conditional
-from averaging.shell.energy_shell import EnergyShell, energy_shell
+from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.sums import TARGET, shell_integrals
 from averaging.shell.table import ShellTable
 from fpk.arrays import Array, Integers
@@ -45,12 +45,8 @@ def term_power(system: System) -> Power:
     Momenta and displacements without contact are averaged in closed form; what is left are
     integrals of polynomials over the contact masses, along rays and over directions.
     """
-    return system.fact(_term_power)
-
-
-def _term_power(system: System) -> Power:
-    """The power is Σ_d g_d(H) H^(1 + d/2) over the degrees d; without contact g_d is constant."""
-    shell = energy_shell(system)
+    # The power is Σ_d g_d(H) H^(1 + d/2) over the degrees d; without contact g_d is constant.
+    shell = system.fact(EnergyShell)
     parts = _parts(shell)
     degrees, row = np.unique(parts.degree, return_inverse=True)
     free, size = np.zeros((2, degrees.size))

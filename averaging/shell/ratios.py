@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import beta
 
-from averaging.shell.energy_shell import EnergyShell, energy_shell
+from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.sums import shell_integrals
 from averaging.shell.table import ShellTable
 from fpk.arrays import Array
@@ -52,7 +52,7 @@ def shell_ratios(system: System, energy: Array) -> ShellRatios:
     displacements are integrated out exactly, which leaves ∫(H − V_red)^(n − c/2 − 1) dq_c. For one
     contact mass they are integrated afresh, for more they are interpolated.
     """
-    shell = energy_shell(system)
+    shell = system.fact(EnergyShell)
     rows = np.array([1.0, 1.0, system.n - 1.0, 0.0, 0.0])[:, None].repeat(energy.size, axis=1)
     first = shell.contact_energies[0] if shell.contact_energies else np.inf
     touching = (energy > first).nonzero()[0]
@@ -68,7 +68,7 @@ def shell_ratios(system: System, energy: Array) -> ShellRatios:
 
 
 def _table(system: System) -> ShellTable:
-    shell = energy_shell(system)
+    shell = system.fact(EnergyShell)
 
     def evaluate(energy: Array) -> Array:
         rows = _integrated(shell, energy)

@@ -37,8 +37,7 @@ class SquareRootForm:
 
     ``noise`` d, ``slope`` β and ``linear`` γ₀ are constants (d,). ``damping`` returns γ − γ₀ at X
     (paths, d), None where γ is constant: a step of any length is then exact. ``energies`` gives H
-    (paths, d) of X; ``scales`` (d,) are X of the order of the mean, ``times`` (d,) how long noise
-    takes to fill them, the relaxation time of a single well.
+    (paths, d) of X; ``scales`` (d,) are X of the order of the mean.
     """
 
     noise: Array
@@ -47,7 +46,11 @@ class SquareRootForm:
     linear: Array
     energies: Function
     scales: Array
-    times: Array
+
+    @property
+    def times(self) -> Array:
+        """How long noise takes to fill the ``scales``, the relaxation time of a single well."""
+        return self.scales / self.noise
 
 
 def square_root_form(process: Process) -> SquareRootForm:
@@ -85,7 +88,6 @@ def square_root_form(process: Process) -> SquareRootForm:
         linear=linear,
         energies=lambda H: H,
         scales=scales,
-        times=scales / d[0],
     )
 
 
@@ -120,7 +122,6 @@ def line_form(process: Process) -> SquareRootForm:
         linear=gamma[:1],
         energies=lambda X: np.asarray(X * np.interp(np.sqrt(X), R, ratio)),
         scales=np.array([scale]),
-        times=np.array([scale / noise]),
     )
 
 

@@ -17,8 +17,8 @@ class Scheme:
     """One integrator of Eq. (6): kick by the contact force g, then a random linear map.
 
     The kick is ``p_i -= h g_i (1 − w h² g_i'/m_i)`` with ``w = modified``; for ``kick_first``
-    False it comes after the map, by the force before it. Observed is the state in the middle of the
-    kick if ``symmetric``, corrected by the processor for ``w > 0`` (see ``exact_flow``).
+    False it comes after the map, by the force before it. Where it is first, observed is the state
+    in the middle of the kick, corrected by the processor for ``w > 0`` (see ``exact_flow``).
     ``weak_order`` is the order in h of stationary averages, contact forces being smooth enough;
     ``linear_map(system, h)`` the rest of the step, without the springs if they are kicked, too.
 
@@ -32,7 +32,6 @@ class Scheme:
     linear_map: Callable[[System, float], LinearMap]
     modified: float = 0.0
     kick_first: bool = True
-    symmetric: bool = True
     springs_kicked: bool = False
     small: int = 1
 

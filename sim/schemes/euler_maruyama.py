@@ -25,6 +25,5 @@ EULER_MARUYAMA = register(
         weak_order=1,
         linear_map=euler_step,
         kick_first=False,
-        symmetric=False,
     )
 )

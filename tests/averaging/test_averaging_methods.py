@@ -342,7 +342,7 @@ def five_contact_masses():
         (NonIntegrable(), System([1.0], [1.0], [0.1], [0.0]), "q1", "no noise"),
         (NonIntegrable(), System([1.0], [1.0], [0.0], [0.1]), "q1", "nothing is damped"),
         (Linear(), fig6(both(10.0)), "q1", "has contacts"),
-        (Linear(), fig6(), "H1", "only the density of the total"),
+        (Linear(), fig6(), "H1", "total energy only"),
         (Linear(), System([1.0], [1.0], [0.0], [0.1]), "q1", "not damped"),
         (Linear(), System([1.0], [1.0], [0.1], [0.0]), "q1", "no noise"),
     ],

@@ -8,7 +8,7 @@ from averaging_systems import chain
 from scipy.optimize import brentq
 from scipy.special import beta
 
-from averaging.shell.energy_shell import energy_shell
+from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.ratios import shell_ratios
 from fpk.contact import Contact
 from fpk.quadrature import gauss_legendre
@@ -38,7 +38,7 @@ SLOW = ("three laws",)
 )
 def test_equal_to_plain_quadrature(n, stops):
     system = chain(n, STOPS[stops])
-    first = energy_shell(system).contact_energies[0]
+    first = system.fact(EnergyShell).contact_energies[0]
     energies = first + np.logspace(-2.0, 4.0, 13)
     ratios = shell_ratios(system, energies)
     states, volume, slope = np.transpose([plain_ratios(system, H) for H in energies])
@@ -92,7 +92,7 @@ def test_a_high_power_overflows_nothing():
 def test_just_beyond_a_second_stop_nothing_cancels():
     # The rise beyond the second stop is 1e-9 of what the first one holds by then.
     system = chain(2, STOPS["two on a side"])
-    second = energy_shell(system).contact_energies[1]
+    second = system.fact(EnergyShell).contact_energies[1]
     above = shell_ratios(system, second * (1.0 + np.logspace(-10.0, -6.0, 9)))
     # H T'/T is continuous there and changes by less than its slope of order ten.
     assert np.all(above[3] < 1e-11)

@@ -7,7 +7,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import betainc
 
-from averaging.shell.energy_shell import energy_shell
+from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.ratios import log_linear_states, shell_ratios
 from fpk.contact import Contact
 from fpk.system import System
@@ -69,7 +69,7 @@ def independent_ratios(n, stops, energy):
 def test_one_contact_mass_against_scipy(n, side, stiffness, law):
     system, stops = one_mass(n, side, stiffness, law)
     contact_energy = 0.125 / n
-    assert energy_shell(system).contact_energies[0] == pytest.approx(contact_energy, rel=1e-14)
+    assert system.fact(EnergyShell).contact_energies[0] == pytest.approx(contact_energy, rel=1e-14)
     energies = contact_energy * np.array([1.0 + 1e-9, 1.3, 2.0, 4.0, 30.0, 1e4])
     found = ratios(system, energies)
     for i, energy in enumerate(energies):
@@ -218,7 +218,7 @@ def calculus_defects(system, low, high, *, points):
 )
 def test_states_are_the_slope_of_the_phase_volume(name):
     system, tol = CALCULUS[name]
-    begins = energy_shell(system).contact_energies
+    begins = system.fact(EnergyShell).contact_energies
     assert begins
     # Two smooth pieces: high above the last contact energy, and (where there is room) below it.
     pieces = [(1.5 * begins[-1], 1.8 * begins[-1]), (6.0 * begins[-1], 7.0 * begins[-1])]
@@ -246,7 +246,7 @@ def test_three_masses_of_which_one_is_out_of_reach_are_two():
 
 def test_three_masses_held_rigidly_apart_do_not_matter_where_they_cannot_touch():
     system = chain(3, THREE)
-    lowest = energy_shell(system).contact_energies[0]
+    lowest = system.fact(EnergyShell).contact_energies[0]
     assert np.all(ratios(system, lowest * np.array([0.1, 0.99])).states == 1.0)
 
 
