@@ -7,7 +7,7 @@ from datetime import date, time
 from itertools import islice
 from typing import Any
 
-from fpk.errors import InvalidInput, shown
+from fpk.errors import shown
 
 LONGEST = 600
 """Characters of a message; what is quoted in a longer one is cut out of its middle."""
@@ -22,14 +22,6 @@ class BadInput(ValueError):
     def __init__(self, message: str) -> None:
         """Keep ``message`` on one line of bounded length, whatever was quoted in it."""
         super().__init__(one_line(message))
-
-
-def refused(label: str, error: InvalidInput) -> BadInput:
-    """Return the refusal of a value, or of a missing one, in the file ``label``."""
-    key, value = error.key or "scene", f"= {toml_value(error.value)}"
-    return BadInput(
-        f"{label}: {key} {'is missing' if error.value is None else value}: {error.remedy}"
-    )
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from os.path import lexists
 from pathlib import Path
 from typing import Any
 
-from cases.scene.errors import BadInput, refused, toml_value
+from cases.scene.errors import BadInput, toml_value
 from cases.scene.expect import Expect, expect_of
 from cases.scene.reading import read_toml
 from cases.scene.schema import validated
@@ -69,7 +69,8 @@ def _scene(path: Path, label: str) -> Scene:
         curves = curves_of(system, tables.get("vary"))
         expect = expect_of(tables.get("expect"), observables, curves=len(curves))
     except InvalidInput as error:
-        raise refused(label, error) from None
+        given = "is missing" if error.value is None else f"= {toml_value(error.value)}"
+        raise BadInput(f"{label}: {error.key or 'scene'} {given}: {error.remedy}") from None
     title, source = tables.get("title") or path.stem, tables.get("source", "")
     return Scene(path.stem, title, source, text, system, observables, curves, expect)
 
