@@ -17,8 +17,8 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from fpk.compiling import ROOT, checksum
 from fpk.errors import Unavailable, reason_of
-from sim.sources import program_checksum
 
 INTERVAL = 2.0
 """Seconds between two saved states."""
@@ -31,6 +31,13 @@ FIRST_PIECE = 256
 
 DAMAGED = (BadZipFile, EOFError, KeyError, OSError, RuntimeError, ValueError)
 """Exceptions of NumPy and zipfile for bytes that are not the archive that was written."""
+
+
+def program_checksum(root: Path = ROOT) -> int:
+    """Return a checksum of all sources that the numbers of a simulation may depend on."""
+    rooms = [root / "fpk", root / "sim"]
+    # A room that is missing is an error, not empty.
+    return checksum([f for r in rooms for f in (r / "__init__.py", *sorted(r.rglob("*.py")))])
 
 
 def never() -> bool:

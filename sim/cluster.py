@@ -15,7 +15,7 @@ from importlib import import_module
 from typing import Any
 
 from fpk.errors import NotCertified, Unavailable
-from sim.sources import program_checksum
+from sim.checkpoint import program_checksum
 
 PATIENCE = 10.0
 """Seconds in which the scheduler must answer."""

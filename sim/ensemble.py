@@ -142,17 +142,6 @@ class Ensemble:
         self.counts = np.zeros((self.edges.size - 1, starts(histograms)[-1]), dtype=np.int64)
         self.samples = self.phase = 0
 
-    def batches(self) -> list[tuple[Any, ...]]:
-        """Return number of the first block, live lanes, and views of the arrays of every batch."""
-        apart = len(self.sums)
-        return [
-            (
-                a, self.live[a:b], self.states[a:b], self.sums[a:b],
-                self.folded[max(0, a - apart) : max(0, b - apart)], self.counts[k],
-            )
-            for k, (a, b) in enumerate(pairwise(self.edges.tolist()))
-        ]  # fmt: skip
-
     def advance(self, steps: int, *, stride: int = 1) -> None:
         """Advance all trajectories; every ``stride``-th step since ``watch`` is observed, or none.
 
@@ -162,7 +151,14 @@ class Ensemble:
             advanced, key=self._key, step=self.step, watch=self._watch, seed=self.seed,
             clock=(self.done, self.phase, steps, stride),
         )  # fmt: skip
-        rows = self.batches()
+        apart = len(self.sums)
+        rows = [
+            (
+                a, self.live[a:b], self.states[a:b], self.sums[a:b],
+                self.folded[max(0, a - apart) : max(0, b - apart)], self.counts[k],
+            )
+            for k, (a, b) in enumerate(pairwise(self.edges.tolist()))
+        ]  # fmt: skip
         answers = self.workers.map(task, *zip(*rows, strict=True))
         for (_, _, *own), arrays in zip(rows, answers, strict=True):
             for view, array in zip(own, arrays, strict=True):

@@ -1,15 +1,17 @@
 """The compiled stepper: many steps of many blocks of lanes, with only the effects asked for."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from threading import Lock
 from typing import Any
 
 import numpy as np
 
 from fpk.arrays import Array, Integers
-from fpk.compiled_laws import compiled_laws
-from fpk.compiling import cached_njit
+from fpk.compiled_laws import compiled_laws, law_files
+from fpk.compiling import ROOT, cached_njit, checksum
 from sim.arrays import LANES as W
 from sim.arrays import StepArrays, WatchArrays
 from sim.lanes import add, add_matrix, aligned_rows, row
@@ -19,9 +21,18 @@ from sim.parts.linear import ONE_LOOP, map_state
 from sim.parts.observed import add_products, count_all, observe
 from sim.parts.substeps import AT_ONCE, NARROW, gather, near_lanes, places, scatter, small_steps
 from sim.random import GOLDEN, fill_normals
-from sim.sources import kernel_checksum
+
+PARTS = ("contact", "damping", "linear", "observed", "substeps")
+NAMES = ("arrays", "kernel", "lanes", "random", *(f"parts/{part}" for part in PARTS))
+KERNEL = tuple(f"sim/{name}.py" for name in NAMES)
+"""Files of this room that a kernel is compiled from."""
 
 _COMPILING = Lock()
+
+
+def kernel_checksum(laws: Sequence[str], root: Path = ROOT) -> int:
+    """Return a checksum of the sources that a kernel with contact ``laws`` is compiled from."""
+    return checksum([*(root / name for name in KERNEL), *law_files(laws, root)])
 
 
 @dataclass(frozen=True)

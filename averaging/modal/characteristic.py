@@ -145,7 +145,13 @@ def _series(
         K, M = np.pad(np.ceil(band * box / np.pi).astype(int), (0, 2 - count))
         k, m = np.mgrid[0 : K + 1, -M : M + 1]
         waves = np.stack([k.ravel(), m.ravel()][:count], axis=1)
-        p, error = _characteristic(groups, np.hypot(waves @ U, waves @ W)).reshape(2, *k.shape)
+        # E Π_m J0(√H_m size_m), and its error: that of each group times p of the others.
+        size = np.hypot(waves @ U, waves @ W)
+        p, error = np.ones(len(size)), np.zeros(len(size))
+        for group in groups:
+            own, own_error = _of_group(group, size[:, _modes_of(group)])
+            p, error = p * own, error * own + p * own_error
+        p, error = p.reshape(k.shape), error.reshape(k.shape)
         both_signs = np.where(k == 0, 1.0, 2.0)
         ring = np.abs(p) * (np.maximum(k / K, np.abs(m) / max(M, 1)) > 1.0 / WIDER)
         # ∫|·| over the box is at most √Σ|φ|², by Parseval and Cauchy-Schwarz.
@@ -159,15 +165,6 @@ def _series(
         l1_beyond=l1_beyond,
         highest_beyond=BEYOND * scale * float(np.sum(both_signs * ring)),
     )
-
-
-def _characteristic(groups: Sequence[Density], size: Array) -> Array:
-    """E Π_m J0(√H_m size_m) of p and its error, that of each group times p of the others."""
-    p, error = np.ones(len(size)), np.zeros(len(size))
-    for group in groups:
-        own, own_error = _of_group(group, size[:, _modes_of(group)])
-        p, error = p * own, error * own + p * own_error
-    return np.stack([p, error])
 
 
 def _of_group(group: Density, size: Array) -> Array:

@@ -21,15 +21,12 @@ DOUBLINGS = 60
 
 
 class Resolution(NamedTuple):
-    """Gauss points a panel, panels towards a contact energy, and when a panel is split.
+    """Resolution of a table; a panel is split while its last coefficients exceed ``target``."""
 
-    A panel is split, at most ``deepest`` times, while its last coefficients exceed ``target``.
-    """
-
-    points: int
-    layers: int
+    points: int  # Gauss points of a panel
+    layers: int  # panels towards a contact energy
     target: float
-    deepest: int
+    deepest: int  # splits of a panel at most
 
 
 FINE = Resolution(points=16, layers=5, target=1e-11, deepest=8)

@@ -14,11 +14,11 @@ from sim_systems import fig6, linear, mixed, ranged
 from fpk.compiling import ROOT
 from fpk.observable import parse_observable
 from sim.arrays import LANES
+from sim.checkpoint import program_checksum
 from sim.ensemble import Ensemble
-from sim.kernel import KernelKey
+from sim.kernel import KERNEL, KernelKey, kernel_checksum
 from sim.plan import kernel_key, step_arrays
 from sim.schemes import SCHEMES
-from sim.sources import KERNEL, kernel_checksum, program_checksum
 from sim.statistics import moment_products
 
 EXACT_FLOW = SCHEMES["exact_flow"]
