@@ -23,9 +23,6 @@ from fpk.errors import Unavailable, reason_of
 INTERVAL = 2.0
 """Seconds between two saved states."""
 
-PIECES = 4
-"""Pieces of a simulation in that time; Ctrl-C is noticed after each, within half a second."""
-
 FIRST_PIECE = 256
 """Steps of the first piece, which shows how long a step takes."""
 
@@ -116,7 +113,7 @@ class Checkpoint:
             ensemble.advance(piece, stride=stride)
             now = perf_counter()
             # Pieces grow gently: the first ones may have been compiled.
-            in_time = int(piece * INTERVAL / PIECES / max(now - start, 1e-9))
+            in_time = int(piece * ensemble.workers.piece / max(now - start, 1e-9))
             self._piece = max(1, min(4 * self._piece, in_time))
             steps -= piece
             self.interrupted = self.stopped()

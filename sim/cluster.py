@@ -29,7 +29,12 @@ less to wait for at the end, and after Ctrl-C."""
 
 
 class Threads:
-    """Workers of an ensemble: ``threads`` of this process."""
+    """Workers of an ensemble: ``threads`` of this process.
+
+    ``piece`` are the seconds after which they come back with the ensemble: Ctrl-C waits for that.
+    """
+
+    piece = 0.5
 
     def __init__(self, threads: int = 1) -> None:
         """Begin no thread before there is work."""
@@ -95,8 +100,12 @@ def as_finished(client: Any, tasks: Sequence[Callable[[], Any]]) -> Iterator[Any
 
 @dataclass(frozen=True, eq=False)
 class Cluster:
-    """Workers of an ensemble on a Dask cluster: a task uses one thread of a worker."""
+    """Workers of an ensemble on a Dask cluster: a task uses one thread of a worker.
 
+    Pieces are longer than those of ``Threads``, as the arrays of the ensemble travel with each.
+    """
+
+    piece = 4.0
     client: Any
 
     @property
