@@ -38,12 +38,11 @@ class Rule(NamedTuple):
     """Points of an element in [0, 1], and the Legendre polynomials P_j there.
 
     At the Gauss points ``share`` with ``weight`` the flux is tested, for the answer and for the
-    enriched solution; ``P`` (degree + 3, points) are the values, and ``tested``
-    (2 · points, tests · (degree + 3)) these and the derivatives times each of the degree + 2 tests.
-    The mass
-    of the enriched solution is the sum with ``enriched_weight``, an interpolation at all points but
-    one: how far the two masses differ shows what T lacks of being a polynomial, and exceeds the
-    error of the Gauss rule.
+    enriched solution. ``P`` (degree + 3, points) are the values of the polynomials, and ``tested``
+    (2 · points, tests · (degree + 3)) the values and the derivatives, each times the degree + 2
+    test functions. The mass of the enriched solution is the sum with ``enriched_weight``, an
+    interpolation at all points but one: its distance to that of the answer shows how far T is from
+    a polynomial, and exceeds the error of the Gauss rule.
 
     In elements that begin where contact does both masses have points of their own, at
     ``contact_share`` with ``contact_weight`` and values ``contact_P``: those of the answer first,
