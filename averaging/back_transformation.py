@@ -43,7 +43,7 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
         return density_of_energies(
             observable, solution, (nodes,), own, tol=tol, added=source.closed
         )
-    q = tuple(c.index or 0 for c in observable if c.kind == "q")
+    q = tuple(c.row for c in observable if c.kind == "q")
     hidden = len(set(system.contact_masses) - set(q))
     marginal = _marginal(source, observable)
 
@@ -58,9 +58,9 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
 
     def panels(c: Coordinate) -> Array:
         if c.kind == "q":
-            return displacement_panels(system, c.index or 0, temperature=T, end=end)
+            return displacement_panels(system, c.row, temperature=T, end=end)
         # At the most two thermal momenta each, 16 or more.
-        reach = np.sqrt(2.0 * system.mass[c.index or 0] * end)
+        reach = np.sqrt(2.0 * system.mass[c.row] * end)
         return np.linspace(-reach, reach, max(16, ceil(np.sqrt(2.0 * end / T))) + 1)
 
     return certified_density(
@@ -82,7 +82,7 @@ def _marginal(source: StateDensity, observable: Observable) -> Callable[..., Arr
     of the rule over hidden contact masses. All else is quadratic in H and integrated exactly.
     """
     system = source.system
-    q, p = ([c.index or 0 for c in observable if c.kind == kind] for kind in "qp")
+    q, p = ([c.row for c in observable if c.kind == kind] for kind in "qp")
     hidden = [i for i in system.contact_masses if i not in q]
     laws = conditionals(system, [*q, *hidden])
     over_hidden = HiddenIntegral(

@@ -108,7 +108,7 @@ class Gaussian:
 
 def state_rows(observable: Observable, n: int) -> list[int]:
     """Return where the coordinates of ``observable`` stand in (q, p) of n masses."""
-    return [(c.index or 0) + (n if c.kind == "p" else 0) for c in observable]
+    return [c.row + (n if c.kind == "p" else 0) for c in observable]
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,8 @@ from report import machine, markdown_table
 
 from averaging.modal.analysis import modal_analysis
 from cases.scene.scene import load_scene
-from fpk.plane.stationary import PlaneSolution, solve_plane
+from fpk.plane.solution import PlaneSolution
+from fpk.plane.stationary import solve_plane
 from fpk.process import Coefficients, Process
 from fpk.quadrature import panel_rule
 
@@ -105,7 +106,7 @@ def l1_distance(solution: PlaneSolution, exact, ends) -> float:
     """Return ∫|p_h − p| as far as ``ends`` with p the function ``exact`` scaled to mass 1."""
     nodes = (
         np.union1d(x, np.linspace(0.0, end, 40))
-        for x, end in zip(solution.nodes, ends, strict=True)
+        for x, end in zip(solution.panels, ends, strict=True)
     )
     (x, wx), (y, wy) = ((a.ravel(), w.ravel()) for a, w in (panel_rule(n, 20) for n in nodes))
     p = exact(x[:, None], y)

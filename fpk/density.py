@@ -21,11 +21,6 @@ GAUSS_POINTS = {1: 20, 2: 12}
 """Nodes per panel and axis of the integrals below, by the number of axes: exact for polynomials of
 degree 39 and 23 (panels of joint densities are many, and |p_a − p_b| has kinks anyway)."""
 
-EIGHTHS_POINTS = 8
-"""Nodes on an eighth of a panel that are as good as 20 on all of it: if these reach 1e-16, the
-density is analytic in the Bernstein ellipse ρ = 2.5 of the panel, which leaves an eighth at its end
-one of ρ = 9.1, and 9.1^−16 is 5e-16."""
-
 
 @dataclass(frozen=True)
 class Density:
@@ -85,11 +80,7 @@ class Density:
 
     def cell_averages(self, *edges: Array) -> Array:
         """Return the mean of the density over each cell of the grid of ``edges``."""
-        panels, points = self.panels, GAUSS_POINTS[len(edges)]
-        if len(edges) == 1 and edges[0].size > EIGHTHS_POINTS * panels[0].size:
-            places, nodes = np.arange(panels[0].size), np.arange(0.0, panels[0].size - 0.9, 0.125)
-            panels, points = (np.interp(nodes, places, panels[0]),), EIGHTHS_POINTS
-        mesh, grids = gauss_grid(list(map(_refined_by, edges, panels)), points)
+        mesh, grids = gauss_grid(list(map(_refined_by, edges, self.panels)))
         values = self.pdf(*mesh)
         for axis, (e, (x, w)) in enumerate(zip(edges, grids, strict=True)):
             cell = np.searchsorted(e, x, side="right") - 1
@@ -334,10 +325,8 @@ def _refined_by(nodes: Array, others: Array) -> Array:
     return np.unique(np.concatenate([nodes, others[between]]))
 
 
-def gauss_grid(
-    panels: Sequence[Array], points: int | None = None
-) -> tuple[Sequence[Array], list[tuple[Array, Array]]]:
+def gauss_grid(panels: Sequence[Array]) -> tuple[Sequence[Array], list[tuple[Array, Array]]]:
     """Return the mesh of the Gauss points of ``panels``, and points and weights of each axis."""
-    rules = [panel_rule(nodes, points or GAUSS_POINTS[len(panels)]) for nodes in panels]
+    rules = [panel_rule(nodes, GAUSS_POINTS[len(panels)]) for nodes in panels]
     grids = [(x.ravel(), w.ravel()) for x, w in rules]
     return np.meshgrid(*(x for x, _ in grids), indexing="ij", sparse=True), grids

@@ -17,6 +17,12 @@ class Coordinate:
     kind: Literal["q", "p", "H"]
     index: int | None = None
 
+    @property
+    def row(self) -> int:
+        """The index of a coordinate that has one: all but the total energy H."""
+        assert self.index is not None
+        return self.index
+
     def __str__(self) -> str:
         """Return the user's name, such as ``q2``."""
         return self.kind if self.index is None else f"{self.kind}{self.index + 1}"

@@ -101,7 +101,7 @@ def watch_arrays(
 
     def row_of(c: Coordinate) -> int:
         if c.kind != "H":
-            return first[c.kind] + (c.index or 0)
+            return first[c.kind] + c.row
         return at.energy if c.index is None else at.modal + modes.index(c.index)
 
     shapes, frequency = natural_modes(system) if modes else (np.zeros((n, 0)), np.zeros(0))

@@ -124,7 +124,7 @@ def state_density(
 
 
 def _modes_of(group: Density) -> list[int]:
-    return [c.index or 0 for c in group.observable]
+    return [c.row for c in group.observable]
 
 
 def _series(

@@ -64,7 +64,7 @@ def solved_group(
         return np.asarray(modes.relative_error * reach)
 
     observable = tuple(Coordinate("H", m) for m in group)
-    panels = p.nodes if isinstance(p.nodes, tuple) else (p.nodes,)
+    panels = p.panels if isinstance(p.panels, tuple) else (p.panels,)
     return density_of_energies(observable, p, panels, of_modes, tol=tol, added=True)
 
 

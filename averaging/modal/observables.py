@@ -62,7 +62,7 @@ def _groups_behind(modes: ModalAnalysis, observable: Observable, solver: str) ->
     groups = modes.averaged.groups
     if not _energies(observable):
         return list(groups)
-    index = tuple(c.index or 0 for c in observable)
+    index = tuple(c.row for c in observable)
     if modes.constant and solver == "fem":
         return [index]  # (19) in two energies, though the density factors
     return list(dict.fromkeys(next(group for group in groups if m in group) for m in index))

@@ -120,7 +120,7 @@ def line_sampled(solution):
 
 def plane_sampled(solution):
     """Return p_h at a tensor of Gauss points."""
-    (x, wx), (y, wy) = ((a.ravel() for a in panel_rule(n, JUDGED)) for n in solution.nodes)
+    (x, wx), (y, wy) = ((a.ravel() for a in panel_rule(n, JUDGED)) for n in solution.panels)
     points = np.array([a.ravel() for a in np.meshgrid(x, y, indexing="ij")])
     values = solution.density(x[:, None], y).ravel()
     ends = tuple(float(n[-1]) for n in solution.nodes)

@@ -85,9 +85,9 @@ class Averaged:
         return self.truth.density(points[0], points[1])
 
     def tail(self, ends: tuple[float, ...]) -> float:
-        """Return the probability outside the box, by Gauss points between the truth's nodes."""
+        """Return the probability outside the box, by Gauss points between the truth's panels."""
         rules = []
-        for nodes, end in zip(self.truth.nodes, ends, strict=True):
+        for nodes, end in zip(self.truth.panels, ends, strict=True):
             cut = np.unique([*nodes[nodes < end], min(end, nodes[-1])])
             rules.append([a.ravel() for a in panel_rule(cut, 24)])
         (x, wx), (y, wy) = rules

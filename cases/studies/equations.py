@@ -20,9 +20,10 @@ from fpk.arrays import Array
 from fpk.errors import NotApplicable, NotCertified
 from fpk.line.stationary import StationarySolution, solve_on_mesh, solve_stationary
 from fpk.observable import Observable, parse_observable
+from fpk.plane.on_mesh import solve_plane_on_mesh
 from fpk.plane.probe import probed as probed_plane
-from fpk.plane.solution import graded
-from fpk.plane.stationary import PlaneSolution, solve_plane, solve_plane_on_mesh
+from fpk.plane.solution import PlaneSolution, graded
+from fpk.plane.stationary import solve_plane
 from fpk.probe import probed
 from fpk.process import Process
 from fpk.route import Route
@@ -112,7 +113,7 @@ def answer_of(s: StationarySolution | PlaneSolution) -> Answer:
     """Return the answer of a solver of one or two energies."""
     if isinstance(s, StationarySolution):
         return Answer((s.nodes,), s.density, s.l1_error, s.unknowns)
-    return Answer(s.nodes, s.density, s.l1_error, s.unknowns, "w = 1" if s.weight is None else "")
+    return Answer(s.panels, s.density, s.l1_error, s.unknowns, "w = 1" if s.weight is None else "")
 
 
 def solve_on(process: Process, nodes: tuple[Array, ...], degree: int) -> Answer:

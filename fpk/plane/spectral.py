@@ -10,7 +10,8 @@ import numpy as np
 
 from fpk.certificate import NEGATIVE
 from fpk.errors import NotCertified
-from fpk.plane.solution import PlaneSolution, graded, solve_plane_on_mesh
+from fpk.plane.on_mesh import solve_plane_on_mesh
+from fpk.plane.solution import PlaneSolution, graded
 from fpk.plane.weight import Weight, fitted_weight
 from fpk.process import Process
 

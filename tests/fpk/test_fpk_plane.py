@@ -10,7 +10,9 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from fpk.errors import InvalidInput, NotCertified
-from fpk.plane.stationary import PlaneSolution, solve_plane, solve_plane_on_mesh
+from fpk.plane.on_mesh import solve_plane_on_mesh
+from fpk.plane.solution import PlaneSolution
+from fpk.plane.stationary import solve_plane
 from fpk.process import Process
 from fpk.quadrature import panel_rule
 
@@ -74,7 +76,7 @@ def manufactured(cross: float, swirl: float) -> tuple[Process, Log]:
 
 def l1_error(solution: PlaneSolution, log_p: Log, *, beyond: float = 1.5) -> float:
     """∫|p_h − p| as far as ``beyond`` times the mesh, p normalised by the same fine rule."""
-    rules = [panel_rule(np.unique(np.append(x, beyond * x[-1])), 24) for x in solution.nodes]
+    rules = [panel_rule(np.unique(np.append(x, beyond * x[-1])), 24) for x in solution.panels]
     (x, wx), (y, wy) = ((a.ravel(), w.ravel()) for a, w in rules)
     p = np.exp(log_p(x[:, None], y))
     p /= wx @ p @ wy

@@ -22,16 +22,14 @@ from test_fpk_plane import (
 )
 
 from fpk.errors import NotCertified
-from fpk.plane import spectral, stationary
+from fpk.plane import plain, spectral, stationary
 from fpk.plane.balance import detailed_balance
+from fpk.plane.on_mesh import solve_plane_on_mesh
+from fpk.plane.plain import solve_by_elements
 from fpk.plane.probe import probed
+from fpk.plane.solution import PlaneSolution
 from fpk.plane.spectral import solve_with_weight
-from fpk.plane.stationary import (
-    PlaneSolution,
-    solve_by_elements,
-    solve_plane,
-    solve_plane_on_mesh,
-)
+from fpk.plane.stationary import solve_plane
 from fpk.plane.weight import Weight, fitted_weight, flux_free_weight
 from fpk.process import Coefficients, Process
 from fpk.quadrature import panel_rule
@@ -57,7 +55,7 @@ STRONG = (2.0, 0.3)
 def distance(first: PlaneSolution, second: PlaneSolution) -> float:
     """∫|p − q| as far as the longer of the meshes, to some per cent: bounds are held against it."""
     rules = [
-        panel_rule(np.union1d(a, b), 8) for a, b in zip(first.nodes, second.nodes, strict=True)
+        panel_rule(np.union1d(a, b), 8) for a, b in zip(first.panels, second.panels, strict=True)
     ]
     (x, wx), (y, wy) = ((a.ravel(), w.ravel()) for a, w in rules)
     gap = np.abs(first.density(x[:, None], y) - second.density(x[:, None], y))
@@ -283,7 +281,7 @@ def test_a_looser_tolerance_takes_no_more_attempts_and_no_more_work(
         attempts.append(solve_plane_on_mesh(*args, **kwargs))
         return attempts[-1]
 
-    for module in (stationary, spectral):
+    for module in (plain, spectral):
         monkeypatch.setattr(module, "solve_plane_on_mesh", noted)
     counts, work = [], []
     for tol in (1e-4, 1e-7, 1e-10):
@@ -311,7 +309,7 @@ def test_without_any_weight_the_elements_obey_the_same_rule(
 
 def test_what_is_not_affordable_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:
     process = square_root_process((0.1, 0.1), (0.1, 0.1))
-    monkeypatch.setattr(stationary, "MAX_ENTRIES", 0)
+    monkeypatch.setattr(plain, "MAX_ENTRIES", 0)
     with pytest.raises(NotCertified, match="affordable"):
         solve_plane(process, tol=1e-6, degree=4)
 
@@ -338,7 +336,7 @@ def test_what_misses_the_rule_is_returned_without_a_certificate(
 ) -> None:
     # Few panels of low degree and no plain elements: inaccurate, and said so in words.
     monkeypatch.setattr(spectral, "LIMITS", (2, 6))
-    monkeypatch.setattr(stationary, "MAX_ENTRIES", 0)
+    monkeypatch.setattr(plain, "MAX_ENTRIES", 0)
     solution = solve_plane(one_sided(0.3, 0.05), tol=1e-10)
     assert not solution.certificate.certified
     assert any("exceeds the tolerance" in words for words in solution.certificate.failures)
@@ -353,7 +351,7 @@ def test_a_density_that_does_not_fall_off_at_the_edges_takes_one_step_more() -> 
         assert spectral._finer(panels, degree, at_end, 1e-8) > (panels, degree)
 
 
-@pytest.mark.parametrize("tol", [1e-6, 1e-7, 1e-8])
+@pytest.mark.parametrize("tol", [1e-4, 1e-5, 1e-6, 1e-7, 1e-8])
 def test_the_estimate_holds_it_where_p_falls_more_slowly_than_its_weight(tol: float) -> None:
     process, log_p = mixture(
         (0.20693550393107532, 0.6396998779291954, 0.15336461813972935),
