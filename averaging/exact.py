@@ -74,7 +74,7 @@ class Exact(Theory):
     configuration integral over the contact masses; otherwise it is an integral over the shells.
     """
 
-    theory = "exact"
+    method = "exact"
     solvers = (("closed-form", "exact", "(7)"),)
     colour = "#2878b5"
 

@@ -32,7 +32,7 @@ class Integrable(Theory):
     observable: displacements and momenta by the characteristic function of the energies.
     """
 
-    theory = "integrable"
+    method = "integrable"
     solvers = (
         ("closed-form", "modal averaging, closed form", "(34)"),
         ("fem", "modal averaging, finite elements", "(19)"),

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from averaging.back_transformation import back_transformed
 from averaging.closed_form import averaged_rate, state_closed_form
 from averaging.energy_process import energy_process
+from averaging.quadrature import solve_by_quadrature
 from averaging.theory import Theory, energy_only_refusal
 from averaging.weyl import Solution, StateDensity, tabulated
-from averaging.zero_flux import solve_by_quadrature
 from fpk.line.elements import Form
 from fpk.line.stationary import solve_stationary
 from fpk.method import Plan, Progress, Result
@@ -30,7 +30,7 @@ class NonIntegrable(Theory):
 
     solver: str = "fem"
     form: Form = "flux"
-    theory = "nonintegrable"
+    method = "nonintegrable"
     solvers = (
         ("fem", "energy averaging, finite elements", "(24)"),
         ("closed-form", "energy averaging, closed form", "(29)"),

@@ -1,4 +1,4 @@
-"""What the methods by theory share: solvers by name, each a route, and the tolerance they meet."""
+"""Base class of the methods that solve equations: exact, linear, nonintegrable and integrable."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,15 +16,17 @@ SMALLEST, LARGEST = 1e-12, 0.1
 
 @dataclass(frozen=True)
 class Theory(Method):
-    """Method whose answers one of several ``solvers`` gives, to the L1 tolerance ``tol``.
+    """Method that answers to the L1 tolerance ``tol`` by one of its solvers.
 
-    A subclass names its solvers, the default first: (name, words for legends, equation). Raises
-    ``InvalidInput`` for an unknown solver or a tolerance outside 1e-12 to 0.1.
+    A subclass gives its name and colour on the command line and in pictures, and its ``solvers``,
+    the default first: (name, words for legends, equation). Each is a route.
+
+    Raises ``InvalidInput`` for an unknown solver or a tolerance outside 1e-12 to 0.1.
     """
 
     solver: str = "closed-form"
     tol: float = 1e-10
-    theory: ClassVar[str]
+    method: ClassVar[str]
     solvers: ClassVar[tuple[tuple[str, str, str], ...]]
     solves: ClassVar[Solves] = "full"
     colour: ClassVar[str]
@@ -40,7 +42,7 @@ class Theory(Method):
     @property
     def route(self) -> Route:
         """The route that the method follows."""
-        return ROUTES[self.theory, self.solver]
+        return ROUTES[self.method, self.solver]
 
     def refined(self) -> Self:
         """Return the method with a tolerance ten times smaller, down to ``SMALLEST``."""
@@ -52,7 +54,7 @@ class Theory(Method):
         for solver, words, equation in cls.solvers:
             make = partial(cls, solver=solver)
             register(
-                Route(cls.theory, solver, words, equation, cls.solves, False, cls.colour, make)
+                Route(cls.method, solver, words, equation, cls.solves, False, cls.colour, make)
             )
 
 

@@ -8,7 +8,7 @@ from math import prod
 import numpy as np
 from scipy.special import j0
 
-from averaging.gaussian import state_rows
+from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.groups import POINTS, joined
 from fpk.arrays import Array
