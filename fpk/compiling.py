@@ -48,7 +48,7 @@ def cached_njit(flags: set[str] = FLAGS) -> Callable[[Function], Function]:
 def inlined(function: Function) -> Function:
     """Return the function compiled as a part of each compiled function that calls it.
 
-    It cannot be called from Python: the code for that would take a third of the compilation.
+    It cannot be called from Python, as compiling the code for that takes long.
     """
     options = {"fastmath": FLAGS, "error_model": "numpy", "forceinline": True}
     compiled: Function = _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(function)

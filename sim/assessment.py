@@ -1,7 +1,6 @@
 """Certified densities, moment identities and the report, from the record of a sample."""
 
 from math import inf, nan
-from typing import TYPE_CHECKING
 
 from fpk.density import SampledDensity
 from fpk.method import Identity
@@ -12,11 +11,9 @@ from sim.histogram import sampled_density, starts
 from sim.record import Record
 from sim.relaxation import relaxation_time
 from sim.report import DensityError, Report, Steps
+from sim.setup import Setup
 from sim.statistics import Moments, sampling_error
 from sim.step_size import temperature
-
-if TYPE_CHECKING:
-    from sim.run import Setup
 
 LARGEST_Z = 5.0
 """|z| of a moment identity that chance explains: by Student's t 2e-5 of 32 batches, 5e-6 of 64."""
@@ -29,7 +26,7 @@ Answer = tuple[tuple[SampledDensity, ...], tuple[Identity, ...], Report]
 """The densities, the moment identities (none without moments), and the report."""
 
 
-def assessed(setup: "Setup", ensemble: Ensemble, record: Record, *, interrupted: str) -> Answer:
+def assessed(setup: Setup, ensemble: Ensemble, record: Record, *, interrupted: str) -> Answer:
     """Return the certified densities, the moment identities and the report.
 
     ``interrupted``, in words and empty if it was not, stands against a certificate, as lost
@@ -89,7 +86,7 @@ def _defect(system: System, identity: Identity) -> str:
     return ""
 
 
-def _steps(setup: "Setup", ensemble: Ensemble, seconds: float) -> Steps:
+def _steps(setup: Setup, ensemble: Ensemble, seconds: float) -> Steps:
     steps = ensemble.samples * setup.stride
     return Steps(
         dt=setup.dt / setup.scheme.small,

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from fpk.arrays import Array, Flags, Integers
 from fpk.system import System
 from sim.arrays import LANES, StepArrays, WatchArrays
-from sim.cluster import Threads
 from sim.flow import factored
 from sim.histogram import Histogram, starts
 from sim.kernel import KernelKey, compiled_kernel
@@ -22,6 +21,7 @@ from sim.random import START, mixed_seed, normals
 from sim.schemes import Scheme
 from sim.statistics import Product
 from sim.step_size import temperature
+from sim.workers import Threads
 
 Clock = tuple[int, int, int, int]
 """Steps done and steps since ``watch`` before a call of the kernel, its steps and its stride."""

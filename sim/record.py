@@ -89,6 +89,7 @@ class Record:
 
     def join_pairs(self) -> None:
         """Make one chunk of every two; their number must be even."""
+        assert len(self.ends) % 2 == 0, "an odd number of chunks cannot be joined in pairs"
         self.ends, self.chunk_samples = self.ends[1::2], 2 * self.chunk_samples
 
     def means(self) -> Array:
@@ -128,12 +129,17 @@ class Record:
 
     def saved(self) -> dict[str, NDArray[Any]]:
         """Return all that changes, as arrays: what ``restore`` needs."""
-        return {f"record_{f.name}": np.array(getattr(self, f.name)) for f in fields(self)[4:]}
+        return {f"record_{name}": np.array(getattr(self, name)) for name in self._changing()}
 
     def restore(self, saved: Any) -> None:
         """Go on from what ``saved`` returned."""
-        for name in (f.name for f in fields(self)[4:]):
+        for name in self._changing():
             setattr(self, name, type(getattr(self, name))(saved[f"record_{name}"]))
+
+    def _changing(self) -> list[str]:
+        """Names of the fields that begin with a default and change as samples come."""
+        given = "histograms", "products", "masses", "mirror"
+        return [f.name for f in fields(self) if f.name not in given]
 
     def _of_paths(self, sums: Array, live: Integers) -> Array:
         """Squares (squares, paths) of the trajectories from ``sums`` (blocks, products, LANES)."""
@@ -154,7 +160,10 @@ class Record:
 
 
 def octiles(below: Integers) -> Integers:
-    """Return the bins up to which 1/8, 2/8 ... of the samples lie, each once; ``below`` counts."""
+    """Return the bins up to which 1/8, 2/8 ... of the samples lie, each once.
+
+    ``below`` (bins,) is the number of samples up to the end of each bin.
+    """
     cuts = np.unique(np.searchsorted(LEVELS * below, np.arange(1, LEVELS) * int(below[-1])))
     # A cut below which all samples lie says nothing.
     return np.asarray(cuts[(below[cuts] > 0) & (below[cuts] < below[-1])], dtype=np.int64)

@@ -1,118 +1,24 @@
-"""A request of the full simulation: its setup, its run, and a second one at half the step."""
+"""A request of the full simulation: its run, and a second one at half the step."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from math import ceil, hypot, inf, isinf
-from typing import Any, Literal
+from dataclasses import replace
+from math import hypot
 
 from fpk.cores import usable_cores
 from fpk.density import SampledDensity
-from fpk.effects import effects_of
-from fpk.errors import InvalidInput
 from fpk.method import Progress, Result
 from fpk.observable import Observable
 from fpk.system import System
-from sim.cluster import workers_of
 from sim.histogram import Histogram
 from sim.montecarlo import MonteCarlo
-from sim.relaxation import relaxation_time
 from sim.report import Report, StepBias
-from sim.schemes import SCHEMES, Scheme
+from sim.setup import setup_of
 from sim.simulation import simulate
-from sim.statistics import Product, l1_difference, moment_products
-from sim.step_size import check_step, chosen_step, sampling_interval
-from sim.substeps import cost, with_long_steps
+from sim.statistics import l1_difference
+from sim.workers import workers_of
 
 OTHER_SEED = 0x9E3779B97F4A7C15
 """Added to the seed for the second simulation of a pair: 2**64 over the golden ratio."""
-
-
-@dataclass(frozen=True, eq=False)
-class Setup:
-    """Everything that the numbers of one simulation of Eq. (6) depend on; times of the system.
-
-    ``dt`` is the long step where ``scheme`` makes small ones. Each trajectory is sampled for
-    ``time``, unless the method has a ``tol`` or ``seconds``. ``histograms`` None: bins that cover
-    what a pilot reaches. ``division`` says which trajectories make small steps, ``limited_by`` what
-    cut ``time`` short, and ``failures`` are reasons not to certify an answer.
-    """
-
-    method: MonteCarlo
-    system: System
-    observables: Sequence[Observable]
-    scheme: Scheme
-    dt: float
-    time: float
-    histograms: tuple[Histogram, ...] | None = None
-    division: str = ""
-    limited_by: Literal["", "most_steps"] = ""
-    failures: tuple[str, ...] = ()
-
-    @property
-    def tol(self) -> float | None:
-        """The target of the expected L1 error of the first observable."""
-        return self.method.tol if self.observables else None
-
-    @property
-    def seconds(self) -> float:
-        """The wall time at which the sampling ends, infinity where only ``time`` ends it."""
-        return self.method.seconds or (self.method.longest if self.tol is not None else inf)
-
-    @property
-    def open(self) -> bool:
-        """Whether the length is not known before."""
-        return self.tol is not None or self.seconds < inf
-
-    @cached_property
-    def stride(self) -> int:
-        """Steps from one sample to the next: closer ones are nearly equal, and cost time each."""
-        return max(1, round(sampling_interval(self.system) / self.dt))
-
-    @cached_property
-    def burn_in_steps(self) -> int:
-        """Steps before the sampling begins."""
-        return ceil(self.method.burn_in * relaxation_time(self.system) / self.dt)
-
-    @property
-    def products(self) -> tuple[Product, ...]:
-        """The products whose means are observed."""
-        terms = bool(self.system.damping_terms)
-        return moment_products(self.system.n, terms=terms) if self.method.moments else ()
-
-    @cached_property
-    def mirror(self) -> bool:
-        """Whether mirror images of samples are samples, too."""
-        return effects_of(self.system).mirror
-
-    @property
-    def identity(self) -> tuple[Any, ...]:
-        """Values that a checkpoint must have been made with; the limit of wall time may differ."""
-        m = self.method
-        asked = (m.burn_in, self.time, m.moments, self.tol, isinf(self.seconds))
-        steps = (self.scheme.name, self.scheme.small, self.dt, m.paths, m.seed)
-        edges = [h.edges for h in self.histograms or ()]
-        return (self.system, list(self.observables), *steps, *asked, edges)
-
-
-def setup_of(method: MonteCarlo, system: System, observables: Sequence[Observable]) -> Setup:
-    """Return the setup that ``method`` asks for; raise ``InvalidInput`` for an unstable step."""
-    scheme, failures = SCHEMES[method.scheme], list[str]()
-    dt = method.dt or method.step_factor * chosen_step(system)
-    try:
-        check_step(system, scheme, dt)
-    except InvalidInput as error:
-        if not method.allow_unstable:
-            raise
-        failures.append(f"the step {dt:g} was insisted on: it {error.remedy}")
-    scheme, long, division = with_long_steps(system, scheme, dt)
-    time = wanted = method.time or method.relaxations * relaxation_time(system)
-    if method.time is None:
-        time = min(wanted, method.most_steps * dt / cost(system, dt, scheme.small))
-    return Setup(
-        method, system, tuple(observables), scheme, dt=long, time=time, division=division,
-        limited_by="most_steps" if time < wanted else "", failures=tuple(failures),
-    )  # fmt: skip
 
 
 def run(

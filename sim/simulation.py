@@ -3,7 +3,7 @@
 from contextlib import nullcontext
 from math import ceil, inf
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,10 +14,8 @@ from sim.checkpoint import Checkpoint, checkpoint_of, interruptible, never
 from sim.ensemble import Ensemble
 from sim.histogram import covering, extremes, sampled_density, starts
 from sim.record import SNAPSHOTS, Record
+from sim.setup import Setup
 from sim.statistics import sampling_error
-
-if TYPE_CHECKING:
-    from sim.run import Setup
 
 PILOT_STATES = 16
 """States of the ensemble from which the pilot takes the ranges of the histograms."""
@@ -42,7 +40,7 @@ CHECK_AT = 0.95
 """Share of the samples wanted, as 1/error² predicts them, at which the error is computed again."""
 
 
-def simulate(setup: "Setup", *, workers: Any = None, progress: Progress = silent) -> Answer:
+def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) -> Answer:
     """Sample the stationary state of Eq. (6) as ``setup`` says, by ``workers`` (None: one thread).
 
     Where the method has a folder for ``checkpoint`` the state is saved at intervals, and a
@@ -73,7 +71,7 @@ def simulate(setup: "Setup", *, workers: Any = None, progress: Progress = silent
     return assessed(setup, ensemble, record, interrupted=words if checkpoint.interrupted else "")
 
 
-def _burnt_in(setup: "Setup", ensemble: Ensemble, checkpoint: Checkpoint, saved: Any) -> Array:
+def _burnt_in(setup: Setup, ensemble: Ensemble, checkpoint: Checkpoint, saved: Any) -> Array:
     """Advance to the end of the burn-in, from the state in ``saved`` if there is one.
 
     Returns the extremes (coordinates, 2) of ``PILOT_STATES`` states that follow, from which the
@@ -100,7 +98,7 @@ def _burnt_in(setup: "Setup", ensemble: Ensemble, checkpoint: Checkpoint, saved:
 def _sample(
     ensemble: Ensemble,
     record: Record,
-    setup: "Setup",
+    setup: Setup,
     *,
     begin: float,
     checkpoint: Checkpoint,

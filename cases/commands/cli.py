@@ -71,12 +71,11 @@ def run(scene: str, out: Path | None, as_json: bool, **settings: Any) -> None:
     parts.check_cluster(settings["cluster"])
     parts.checkpoint_folder(loaded, {**settings, "tol": None})  # no simulation depends on it
     outcome = parts.outcome_of(loaded, all_methods(**settings, partial=True))
-    written = []
+    written, digest = [], digest_of(outcome)
     if out is not None:
         from cases.output.report import write_report
 
-        written = write_report(outcome, out)
-    digest = digest_of(outcome)
+        written = write_report(outcome, digest, out)
     record = digest if as_json else None
     parts.end(
         record, lambda: rendered("run.txt", {"digest": digest}), written, problems=outcome.problems

@@ -144,7 +144,7 @@ def outcome_of(scene: "Scene", methods: Any) -> "Outcome":
 def check_cluster(address: str | None) -> None:
     """Refuse a cluster that does not answer before anything else is done."""
     if address is not None:
-        from sim.cluster import connected
+        from sim.workers import connected
 
         with connected(address):
             pass

@@ -12,21 +12,23 @@ from matplotlib.figure import Figure
 
 from cases.comparison.answers import Outcome
 from cases.comparison.claims import ACCEPTABLE_L1, ALMOST_KURTOSIS, ALMOST_L1
-from cases.output.digest import digest_of
 from cases.output.facts import theories
 from cases.output.fields import write_netcdf
 from cases.output.files import write_text
 from cases.output.pictures.joint import joint_pictures
 from cases.output.pictures.lines import line_pictures
 from cases.output.pictures.style import STYLE, inline_svg, svg_text
-from cases.output.records import program_version
+from cases.output.records import Record, program_version
 from cases.output.text import rendered
+from cases.scene.scene import Scene
 
 LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "h5netcdf")
 
 
-def write_report(outcome: Outcome, folder: Path) -> list[Path]:
+def write_report(outcome: Outcome, digest: Record, folder: Path) -> list[Path]:
     """Write ``report.html``, ``result.nc`` and the pictures into ``folder``; return their paths.
+
+    ``digest`` is the record of the run, ``digest_of(outcome)``.
 
     Every file appears whole or not at all. Raises ``BadInput`` where the folder cannot be written.
     """
@@ -37,7 +39,7 @@ def write_report(outcome: Outcome, folder: Path) -> list[Path]:
         write_text(written[-1], svg)
         pictures.append({"stem": stem, "caption": caption, "svg": inline_svg(svg, caption)})
     write_netcdf(outcome, folder / "result.nc")
-    write_text(folder / "report.html", report_html(outcome, pictures))
+    write_text(folder / "report.html", report_html(outcome.scene, digest, pictures))
     return [folder / "report.html", folder / "result.nc", *written]
 
 
@@ -52,12 +54,12 @@ def figures(outcome: Outcome) -> Iterator[tuple[str, str, Figure]]:
                 yield from joint_pictures(curves[0], observable)
 
 
-def report_html(outcome: Outcome, pictures: list[dict[str, Any]]) -> str:
+def report_html(scene: Scene, digest: Record, pictures: list[dict[str, Any]]) -> str:
     """Return the page; every text that comes from a scene is escaped by the template."""
     record = {
-        "scene": outcome.scene,
-        "digest": digest_of(outcome),
-        "theories": theories(outcome.scene),
+        "scene": scene,
+        "digest": digest,
+        "theories": theories(scene),
         "pictures": pictures,
         "limits": {
             "gaussian": ALMOST_L1,

@@ -29,8 +29,8 @@ def readable_errors(label: object, words: str, remedy: str) -> Iterator[None]:
     """Return a context in which an error of the system becomes ``BadInput`` with ``words``."""
     try:
         yield
-    except (OSError, ValueError) as error:  # the latter: a NUL character in the name of a file
-        if isinstance(error, ValueError) and not str(error).startswith("embedded null"):
+    except (OSError, ValueError) as error:
+        if isinstance(error, ValueError) and "\0" not in str(label):  # which no name may hold
             raise
         reason = getattr(error, "strerror", None) or error
         raise BadInput(f"{label}: {words}: {reason}; {remedy}") from None

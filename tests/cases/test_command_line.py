@@ -136,12 +136,13 @@ def test_run_judges_and_reports(fpk, tmp_path):
 
 
 def test_a_scene_is_text_in_the_report(tmp_path, scene_text):
+    from cases.output.digest import digest_of  # noqa: PLC0415
     from cases.output.report import report_html  # noqa: PLC0415
 
     path = tmp_path / "evil.toml"
     path.write_text(scene_text.replace('"A scene"', '"<script>alert(1)</script>"'))
     outcome = run_scene(load_scene(str(path)), [method_for("nonintegrable")])
-    page = report_html(outcome, [])
+    page = report_html(outcome.scene, digest_of(outcome), [])
     assert "<script" not in page and "&lt;script&gt;" in page
 
 

@@ -8,6 +8,7 @@ import xarray as xr
 
 from cases.comparison.answers import run_scene
 from cases.comparison.routes import all_methods, method_for
+from cases.output.digest import digest_of
 from cases.output.report import write_report
 from cases.scene.scene import load_scene
 from fpk.contact_law import LAWS
@@ -60,7 +61,7 @@ def test_they_are_run_and_compared(scene_path, outcome, fpk):
 
 
 def test_they_are_drawn_and_reported(outcome, tmp_path):
-    written = [path.name for path in write_report(outcome, tmp_path)]
+    written = [path.name for path in write_report(outcome, digest_of(outcome), tmp_path)]
     assert {"density_p1.svg", "density_q2.svg", "left_p1.svg"} <= set(written)
     page = (tmp_path / "report.html").read_text()
     assert "equipartition" in page and "cubic law" in page

@@ -13,6 +13,7 @@ import pytest
 
 from cases.comparison.answers import run_scene
 from cases.comparison.routes import method_for
+from cases.output.digest import digest_of
 from cases.output.fields import write_csv, write_netcdf
 from cases.output.files import make_folder, write_by, write_text
 from cases.output.pictures.style import svg_text
@@ -64,7 +65,7 @@ def _svg(folder, outcome):
 
 
 WRITERS = {
-    "report": lambda folder, outcome: write_report(outcome, folder),
+    "report": lambda folder, outcome: write_report(outcome, digest_of(outcome), folder),
     ".svg": _svg,
     ".nc": lambda folder, outcome: write_netcdf(outcome, folder / "a.nc"),
     ".csv": lambda folder, outcome: write_csv(outcome, folder / "a.csv"),

@@ -10,6 +10,7 @@ import pytest
 
 from cases.comparison.answers import run_scene
 from cases.comparison.routes import method_for
+from cases.output.digest import digest_of
 from cases.output.report import report_html, write_report
 from cases.scene.scene import load_scene
 
@@ -48,16 +49,20 @@ def _outcome(folder, scene_text, *, words, label):
     return replace(found, curves=curves)
 
 
+def _page(outcome):
+    return Structure(report_html(outcome.scene, digest_of(outcome), []))
+
+
 @pytest.fixture(scope="module")
 def plain(scene_text, tmp_path_factory):
     folder = tmp_path_factory.mktemp("plain")
-    return Structure(report_html(_outcome(folder, scene_text, words="plain", label="B"), []))
+    return _page(_outcome(folder, scene_text, words="plain", label="B"))
 
 
 @pytest.mark.parametrize("words", PAYLOADS)
 def test_a_scene_adds_text_and_no_element(words, plain, scene_text, tmp_path):
     outcome = _outcome(tmp_path, scene_text, words=words, label=words)
-    page = Structure(report_html(outcome, []))
+    page = _page(outcome)
     assert page.tags == plain.tags and len(page.tags) > 100
     assert sum(words in text for text in page.texts) >= 4  # title twice, source, scene file
     assert not any(name.startswith("on") for tag in page.tags for name in tag[1:])
@@ -69,7 +74,7 @@ def test_text_in_pictures_is_drawn_and_no_element(scene_text, tmp_path):
         folder = tmp_path / str(k)
         folder.mkdir()
         outcome = _outcome(folder, scene_text.replace(', "H"]', "]"), words=words, label=words)
-        for path in write_report(outcome, folder):
+        for path in write_report(outcome, digest_of(outcome), folder):
             if path.suffix == ".svg":
                 tree = ElementTree.parse(path)
                 tags = {node.tag.rpartition("}")[2] for node in tree.iter()}
@@ -85,7 +90,7 @@ def test_a_browser_shows_the_text_and_runs_nothing(scene_text, tmp_path):
         pytest.skip("chromium is not installed (Debian package chromium)")
     words = PAYLOADS[1] + PAYLOADS[0]
     outcome = _outcome(tmp_path, scene_text.replace(', "H"]', "]"), words=words, label=words)
-    write_report(outcome, tmp_path)
+    write_report(outcome, digest_of(outcome), tmp_path)
     shown = Structure(_shown(chromium, tmp_path / "report.html"))
     assert shown.texts.count("pwned") == 0 and words in shown.texts
     assert {tag[0] for tag in shown.tags}.isdisjoint({"script", "img"})

@@ -8,18 +8,6 @@ from fpk.quadrature import panel_rule
 from fpk.system import System
 
 
-def process_of(drift, diffusion, divergence, energy_scales):
-    """The process of s, b and Σ_j ∂b_ij/∂H_j as functions of energies (points, d)."""
-
-    def coefficients(energies):
-        if len(energy_scales) > 1:
-            return Coefficients(drift(energies), diffusion(energies), divergence(energies))
-        column, functions = energies.reshape(-1, 1), (drift, diffusion, divergence)
-        return Coefficients(*(f(column).reshape(energies.shape) for f in functions))
-
-    return Process(coefficients, energy_scales)
-
-
 def by_hand(dissipation, *, d=1.0, n=1.0, scale=1.0):
     """The process with b = 2 d H, T = H^(n−1) and a given dissipation F(H): s = F + d n."""
 

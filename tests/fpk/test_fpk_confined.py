@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from fpk_processes import both, by_hand, chain, process_of
+from fpk_processes import both, by_hand, chain
+from processes import process_of
 
 from averaging.energy_process import energy_process
 from averaging.quadrature import solve_by_quadrature

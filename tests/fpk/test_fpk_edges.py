@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fpk_processes import process_of
+from processes import process_of
 
 from fpk.ends import classify
 from fpk.process import Process

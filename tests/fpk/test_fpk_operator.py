@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fpk_processes import both, chain, cox_ingersoll_ross, process_of
+from fpk_processes import both, chain, cox_ingersoll_ross
+from processes import process_of
 from scipy.linalg import eig
 
 from averaging.energy_process import energy_process

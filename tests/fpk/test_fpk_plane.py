@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fpk_processes import process_of
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
+from processes import process_of
 
 from fpk.errors import InvalidInput, NotCertified
 from fpk.plane.on_mesh import solve_plane_on_mesh

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from fpk_processes import process_of
 from numpy.testing import assert_allclose
+from processes import process_of
 from test_fpk_plane import manufactured
 
 from fpk.errors import NotCertified

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fpk_processes import process_of
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
+from processes import process_of
 from test_fpk_plane import (
     COUPLED,
     ROUND_OFF,

@@ -15,11 +15,11 @@ from sim_systems import fig6, ranged
 from fpk.errors import NotCertified, Unavailable
 from fpk.observable import parse_observable
 from sim.arrays import LANES
-from sim.cluster import Cluster, Threads, connected, on_copies
 from sim.ensemble import Ensemble
 from sim.histogram import Histogram
 from sim.schemes import SCHEMES
 from sim.statistics import moment_products
+from sim.workers import Cluster, Threads, connected, on_copies
 
 dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
 EXACT_FLOW = SCHEMES["exact_flow"]
@@ -156,7 +156,7 @@ def test_a_task_that_kills_every_worker_ends_in_one_line() -> None:
 def test_an_address_that_does_not_answer_is_one_line(
     address: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim.cluster.PATIENCE", 0.5)
+    monkeypatch.setattr("sim.workers.PATIENCE", 0.5)
     with pytest.raises(Unavailable, match="no Dask scheduler") as end, connected(address):
         pass
     assert "\n" not in str(end.value)

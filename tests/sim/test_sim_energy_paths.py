@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from processes import process_of
 from scipy.stats import chi2, ncx2
 
 from cases.comparison.averaged import AveragedSimulation
@@ -38,12 +39,7 @@ def coupled(strength: float, energies: int = 2) -> Process:
     def diffusion(H):
         return H[:, :, None] * np.eye(energies)
 
-    def coefficients(H):
-        at = H.reshape(-1, energies)
-        values = drift(at), diffusion(at), np.ones_like(at)
-        return Coefficients(*(v if energies > 1 else v.reshape(H.shape) for v in values))
-
-    return Process(coefficients, (0.7,) * energies)
+    return process_of(drift, diffusion, lambda H: np.ones_like(H), (0.7,) * energies)
 
 
 def energy_dependent(quartic: float) -> Process:

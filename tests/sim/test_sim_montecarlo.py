@@ -18,15 +18,15 @@ from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.method import Result
 from fpk.observable import parse_observable
 from fpk.system import System
-from sim.cluster import Threads
 from sim.kernel import WatchArrays
 from sim.montecarlo import MonteCarlo
 from sim.plan import watch_arrays
 from sim.report import Report
-from sim.run import Setup
 from sim.schemes import SCHEMES
+from sim.setup import Setup
 from sim.simulation import simulate
 from sim.step_size import chosen_step, contact_frequency
+from sim.workers import Threads
 
 Q2 = (parse_observable("q2", 2),)
 

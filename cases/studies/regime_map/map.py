@@ -25,8 +25,8 @@ from fpk.errors import InvalidInput
 from fpk.method import Progress, silent
 from fpk.observable import Observable, observable_name
 from fpk.system import System
-from sim.cluster import as_finished, connected
 from sim.montecarlo import MonteCarlo
+from sim.workers import as_finished, connected
 
 KEYS = {"contact.stiffness": "contact stiffness $B$", "contact.clearance": "clearance $δ$"}
 """Keys of a scene that a map may vary, all of them numbers, with the label of their axis."""
@@ -35,7 +35,8 @@ MAX_POINTS = 2000
 LARGEST = 1e100
 """Largest size of an end of a grid: its square is still a number."""
 SIMULATION = MonteCarlo(relaxations=38.0)
-"""So many relaxation times a path: chance moves L1 of one displacement by about 0.001."""
+"""Simulation of a point: with 38 relaxation times a path the sampling error of the L1 distance of
+one displacement is about 0.001."""
 
 
 @dataclass(frozen=True, eq=False)
