@@ -49,20 +49,20 @@ def _outcome(folder, scene_text, *, words, label):
     return replace(found, curves=curves)
 
 
-def _page(outcome):
+def _elements(outcome):
     return Structure(report_html(outcome.scene, digest_of(outcome), []))
 
 
 @pytest.fixture(scope="module")
 def plain(scene_text, tmp_path_factory):
     folder = tmp_path_factory.mktemp("plain")
-    return _page(_outcome(folder, scene_text, words="plain", label="B"))
+    return _elements(_outcome(folder, scene_text, words="plain", label="B"))
 
 
 @pytest.mark.parametrize("words", PAYLOADS)
 def test_a_scene_adds_text_and_no_element(words, plain, scene_text, tmp_path):
     outcome = _outcome(tmp_path, scene_text, words=words, label=words)
-    page = _page(outcome)
+    page = _elements(outcome)
     assert page.tags == plain.tags and len(page.tags) > 100
     assert sum(words in text for text in page.texts) >= 4  # title twice, source, scene file
     assert not any(name.startswith("on") for tag in page.tags for name in tag[1:])
