@@ -93,8 +93,6 @@ def regime(
     method = replace(SIMULATION, **_given(settings))
     with parts.progress_bar() as progress:
         result = build_map(loaded, axes, simulation=method, folder=store, progress=progress)
-    if result.note is not None:
-        click.echo(f"fpk: note: {result.note}", err=True)
     _end(result, map_page(result), out, as_json=as_json)
 
 

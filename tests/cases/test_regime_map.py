@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from cases.output.files import write_text
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
 from cases.studies.regime_map.map import build_map, parse_axes
@@ -56,7 +57,19 @@ def test_the_nearer_theory_is_named_beyond_the_noise_only():
     assert winner_of({"b": (0.1, 0.01)}) == "b" and winner_of({}) == "neither"
 
 
-def test_a_map_is_written_and_goes_on_where_it_was(fpk, tmp_path):
+def stopped_after(count):
+    written = []
+
+    def write(path, text):
+        if len(written) == count:
+            raise KeyboardInterrupt
+        written.append(path)
+        write_text(path, text)
+
+    return write
+
+
+def test_a_map_is_written_and_goes_on_where_it_was(fpk, tmp_path, monkeypatch):
     status, out, err = fpk("regime", "fig6a", *GRID, *QUICK, "--out", tmp_path, "--json")
     first = json.loads(out)
     assert (status, err, first["reused"], len(first["points"])) == (0, "", 0, 4)
@@ -69,9 +82,11 @@ def test_a_map_is_written_and_goes_on_where_it_was(fpk, tmp_path):
         assert best[0] < best[1]
     assert (tmp_path / "regime.csv").read_text().count("\n") == 5
     assert (tmp_path / "regime.svg").read_text().startswith("<?xml")
-    # Stopped in the middle: two points and a line that was cut off are left.
-    kept = (tmp_path / "points.jsonl").read_text().splitlines(keepends=True)
-    (tmp_path / "points.jsonl").write_text("".join(kept[:3]) + kept[3][:20])
+    # Stopped in the middle, at any moment after the second point.
+    (tmp_path / "points.jsonl").unlink()
+    with monkeypatch.context() as context:
+        context.setattr("cases.studies.regime_map.points.write_text", stopped_after(2))
+        assert fpk("regime", "fig6a", *GRID, *QUICK, "--out", tmp_path, "--json")[0] == 130
     again = json.loads(fpk("regime", "fig6a", *GRID, *QUICK, "--out", tmp_path, "--json")[1])
     assert again["reused"] == 2
     for a, b in zip(first["points"], again["points"], strict=True):

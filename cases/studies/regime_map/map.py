@@ -51,10 +51,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class RegimeMap:
-    """The points of a grid in its order, the last axis fastest; ``reused`` came from disk.
-
-    ``note`` says what was dropped of the file on disk, None where nothing was.
-    """
+    """The points of a grid in its order, the last axis fastest; ``reused`` came from disk."""
 
     scene: Scene
     observable: Observable
@@ -62,7 +59,6 @@ class RegimeMap:
     points: tuple[MapPoint, ...]
     reused: int
     seconds: float
-    note: str | None = None
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -120,7 +116,7 @@ def build_map(
         progress(done, len(todo), "points of the map")
     points, reused = tuple(store.points[values] for values in wanted), len(wanted) - len(todo)
     seconds = perf_counter() - start
-    return RegimeMap(scene, observable, tuple(axes), points, reused, seconds, store.note)
+    return RegimeMap(scene, observable, tuple(axes), points, reused, seconds)
 
 
 def _finished(todo: Sequence[Callable[..., MapPoint]], method: MonteCarlo) -> Iterator[MapPoint]:

@@ -1,7 +1,7 @@
 """The points of a map: what each theory is worth at one, and the finished ones on disk."""
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from os.path import lexists
 from pathlib import Path
 from time import perf_counter
@@ -10,7 +10,7 @@ from typing import Any
 from cases.comparison.compare import distance_between
 from cases.output.files import write_text
 from cases.output.records import hash_of, plain
-from cases.scene.errors import BadInput, readable_errors
+from cases.scene.errors import BadInput
 from cases.scene.reading import read_text
 from cases.studies.simulation import best_answer, deterministic
 from fpk.clearance import stop_clearances
@@ -24,8 +24,8 @@ UNDECIDED, NEITHER = "undecided", "neither"
 """Winners where the difference is within the errors, and where no theory applies."""
 NAME = "points.jsonl"
 """Name of the file in a map's folder."""
-FORMAT = 3
-"""Version of the file: each line ends with its own hash, the first holds the map's identity."""
+FORMAT = 4
+"""Version of the file's format."""
 MAX_BYTES = 64 << 20
 """Largest file that is read: some hundred times the points that a map may have."""
 
@@ -93,71 +93,41 @@ def winner_of(distances: dict[str, tuple[float, float]]) -> str:
 class PointStore:
     """The points of one map in ``folder``, one JSON line each, or in memory where it is None.
 
-    ``identity`` is everything that a point's numbers depend on beside its own values. A file of
-    another identity, or with any line that is not what was written, is refused. A last line without
-    its end, which a killed run leaves, is dropped, and ``note`` says so.
+    ``identity`` is everything that a point's numbers depend on beside its own values. The file is
+    replaced whole at every point, so that a killed run leaves all points before; its first line has
+    the identity and a hash of the lines below it. A file of another map or that was changed is
+    refused and stays as it is. A folder is for one run at a time.
     """
 
     def __init__(self, folder: Path | None, identity: dict[str, Any]) -> None:
         """Read what is there; raise ``BadInput`` for a file of another map or a damaged one."""
         self._path = None if folder is None else folder / NAME
-        record = plain(identity)
-        self._head = {"map": hash_of({**record, "format": FORMAT}), "identity": record}
+        self._identity = {"format": FORMAT, **identity}
+        self._lines = ""
         self.points: dict[tuple[float, ...], MapPoint] = {}
-        self.note: str | None = None
-        if self._path is not None and not (lexists(self._path) and self._read(self._path)):
-            write_text(self._path, "".join(map(_line, [self._head, *self.points.values()])))
+        if self._path is None or not lexists(self._path):
+            return
+        what = "the file of a map's points"
+        text = read_text(self._path, str(self._path), most=MAX_BYTES, what=what)
+        self._lines = text.partition("\n")[2]
+        if text != self._text():
+            raise BadInput(
+                f"{self._path}: holds points of another map (other scene, observable, settings or"
+                " version) or is damaged; give another --out or remove the file"
+            )
+        for record in map(json.loads, self._lines.splitlines()):
+            tuples = {key: tuple(record[key]) for key in ("values", "problems")}
+            point = MapPoint(**{**record, **tuples})
+            self.points[point.values] = point
 
     def add(self, point: MapPoint) -> None:
         """Store a finished point, on disk before anything else is done."""
         self.points[point.values] = point
-        if self._path is None:
-            return
-        remedy = "make room, then start again: the points before this one are kept"
-        refusal = readable_errors(self._path, "cannot be written", remedy)
-        with refusal, self._path.open("a", encoding="utf-8", newline="\n") as stream:
-            stream.write(_line(point))
+        self._lines += json.dumps(plain(point), allow_nan=False) + "\n"
+        if self._path is not None:
+            write_text(self._path, self._text())
 
-    def _read(self, path: Path) -> bool:
-        """Read the file's points; return whether it is whole, down to the end of its last line."""
-        text = read_text(path, str(path), most=MAX_BYTES, what="the file of a map's points")
-        if not text:  # as a full disk leaves it
-            return False
-        head, *lines, last = text.split("\n")
-        if f"{head}\n" != _line(self._head):
-            raise BadInput(
-                f"{path}: holds points of another map (other scene, observable, settings or"
-                " version); give another --out or remove the file"
-            )
-        for number, line in enumerate(lines, start=2):
-            words = "is not what was written"
-            if point := _point(line):
-                known = self.points.setdefault(point.values, point)
-                if replace(known, seconds=point.seconds) == point:  # two runs at once write twice
-                    continue
-                words = "has other numbers than an earlier line of its point"
-            raise BadInput(
-                f"{path}: line {number} {words}: the file is damaged; remove that line, its point"
-                " is then computed again"
-            )
-        if last:
-            count = len(self.points)
-            self.note = f"{path}: the last line was cut off and is dropped; {count} points are kept"
-        return not last
-
-
-def _line(content: Any) -> str:
-    """One line: ``content`` and its own hash, in ASCII, which can be cut anywhere."""
-    record = plain(content)
-    return json.dumps({**record, "hash": hash_of(record)}, allow_nan=False) + "\n"
-
-
-def _point(line: str) -> MapPoint | None:
-    """Return the point of one line, None where it is not as ``_line`` wrote it."""
-    try:
-        record = json.loads(line)
-        intact = record.pop("hash") == hash_of(record)
-        tuples = {key: tuple(record[key]) for key in ("values", "problems")}
-        return MapPoint(**{**record, **tuples}) if intact else None
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        return None
+    def _text(self) -> str:
+        """The lines below the one that identifies them and says what they must be."""
+        head = {"identity": self._identity, "hash": hash_of({"lines": self._lines})}
+        return json.dumps(plain(head)) + "\n" + self._lines
