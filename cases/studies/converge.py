@@ -192,7 +192,7 @@ def measured_ladder(equation: Equation, first: Discretisation) -> Ladder:
     }
     grid = {
         key: grid_convergence(
-            h, [v.functionals[key] for v in levels], theory=theory[key], floor=floor[key]
+            [v.functionals[key] for v in levels], theory=theory[key], floor=floor[key]
         )
         for key in FUNCTIONALS
         if theory

@@ -6,7 +6,6 @@ from math import ceil, isfinite, nan, sqrt
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from cases.studies.orders import observed_orders
 from cases.studies.simulation import (
@@ -121,18 +120,11 @@ def weak_order(system: System, method: MonteCarlo, *, seconds: float) -> WeakOrd
     return result(PILOT * growth)[0] if growth > 1.0 else order
 
 
-def _fit(points: Array, orders: ArrayLike) -> tuple[Array, Array, Array]:
-    """Slope and limit of value = slope dtʳ + limit by the order r, their errors, and χ²."""
+def _chi2(points: Array, order: float) -> float:
+    """χ² of the best line through the values over dtʳ, r the ``order``."""
     dt, value, error = points
-    r, largest = np.asarray(orders, dtype=float), dt.max()
-    powers = (dt / largest)[:, None] ** np.stack([r, 0.0 * r], axis=-1)[..., None, :]
-    inverse = np.linalg.pinv(powers / error[:, None])
-    scale = np.stack([largest**-r, r**0.0], axis=-1)  # of dtʳ and (dt/largest)ʳ
-    origin = value[-1]  # which costs no digits of the others
-    line = inverse @ ((value - origin) / error)
-    residual = (powers @ line[..., None])[..., 0] - (value - origin)
-    chi2 = np.sum((residual / error) ** 2, axis=-1)
-    return scale * line + [0.0, origin], scale * np.sum(inverse**2, axis=-1) ** 0.5, chi2
+    _, (chi2,), *_ = np.polyfit(dt**order, value, 1, w=1.0 / error, full=True)
+    return float(chi2)
 
 
 def judged(scheme: WeakOrder, levels: Sequence[Run], truth: float | None) -> WeakOrder:
@@ -145,9 +137,13 @@ def judged(scheme: WeakOrder, levels: Sequence[Run], truth: float | None) -> Wea
     points = np.array([dt, value, error])
     if truth is not None:  # a value at dt = 0 with nearly no error
         points = np.column_stack([points, [0.0, truth, KNOWN * error.min()]])
-    line, line_error, chi2 = _fit(points, scheme.theory)
-    (slope, limit), (slope_error, limit_error) = line.tolist(), line_error.tolist()
-    profile = _fit(points, ORDERS)[2]
+    origin = points[1, -1]
+    points[1] -= origin  # costs no digits of the differences
+    powers = points[0] ** scheme.theory, points[1]
+    line, covariance = np.polyfit(*powers, 1, w=1.0 / points[2], cov="unscaled")
+    slope, limit = float(line[0]), float(line[1] + origin)
+    slope_error, limit_error = np.sqrt(np.diag(covariance)).tolist()
+    chi2, profile = _chi2(points, scheme.theory), np.array([_chi2(points, r) for r in ORDERS])
     best, inside = profile.argmin(), ORDERS[profile <= profile.min() + 1.0]
     order, low, high = float(ORDERS[best]), float(inside[0]), float(inside[-1])
     verdict: Any = "as theory"
@@ -172,7 +168,7 @@ def judged(scheme: WeakOrder, levels: Sequence[Run], truth: float | None) -> Wea
         slope_error=slope_error,
         order=order,
         order_error=(low, high),
-        chi2=float(chi2),
+        chi2=chi2,
         freedom=points.shape[1] - 2,
         errors=tuple(errors.tolist()),
         error_bars=tuple(bars.tolist()),

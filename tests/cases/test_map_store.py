@@ -86,7 +86,7 @@ def test_lines_of_another_map_or_removed_or_doubled_are_refused(written):
         [""],
     ):
         written.write_text("".join(f"{line}\n" for line in kept), encoding="utf-8")
-        with pytest.raises(BadInput, match="another map .* or is damaged; .* remove the file"):
+        with pytest.raises(BadInput, match=r"another map .* or is damaged; .* remove the file"):
             reopened(written)
 
 
