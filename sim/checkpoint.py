@@ -5,7 +5,7 @@ import json
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, is_dataclass
 from io import BytesIO
@@ -37,11 +37,6 @@ def program_checksum(root: Path = ROOT) -> int:
     return checksum([f for r in rooms for f in (r / "__init__.py", *sorted(r.rglob("*.py")))])
 
 
-def never() -> bool:
-    """Return that nothing stops a simulation."""
-    return False
-
-
 @dataclass(eq=False)
 class Checkpoint:
     """Advances an ensemble in pieces and saves its state every ``INTERVAL`` seconds.
@@ -53,7 +48,7 @@ class Checkpoint:
 
     path: Path | None = None
     identity: str = ""
-    stopped: Callable[[], bool] = never
+    stopped: Callable[[], bool] = threading.Event().is_set
     notes: dict[str, NDArray[Any]] = field(default_factory=dict)
     interrupted: bool = False
     _piece: int = FIRST_PIECE
@@ -68,10 +63,9 @@ class Checkpoint:
             return
         part = self.path.with_suffix(".part")
         arrays = {**ensemble.saved(), **self.notes}
-        about = json.dumps({"identity": self.identity, "digest": _digest(arrays)})
         try:
             with part.open("wb") as stream:
-                np.savez(stream, about=about, **arrays)
+                np.savez(stream, about=[self.identity, *arrays], **arrays)
                 stream.flush()
                 os.fsync(stream.fileno())
             os.replace(part, self.path)
@@ -92,14 +86,15 @@ class Checkpoint:
             raise Unavailable(f"{self.path}: cannot be read: {reason_of(error)}") from None
         try:
             with np.load(content, allow_pickle=False) as saved:
-                arrays = dict(saved)
-            about = json.loads(str(arrays.pop("about")))
-            whole = about["digest"] == _digest(arrays)
+                # NumPy checks only as much of a member as its header says, and misses none that is
+                # gone: hence ``testzip``, and the names in ``about``.
+                whole, arrays = saved.zip.testzip() is None, dict(saved)
+            identity, *names = arrays.pop("about").tolist()
         except DAMAGED:
             whole = False
-        if not whole:
+        if not whole or names != list(arrays):
             raise Unavailable(f"{self.path}: is damaged; remove it to begin anew")
-        if about["identity"] != self.identity:
+        if identity != self.identity:
             raise Unavailable(
                 f"{self.path}: is of another simulation (other system, settings or"
                 " version); give another folder or remove it"
@@ -134,14 +129,6 @@ def checkpoint_of(folder: Path | None, settings: Any) -> Checkpoint:
     return Checkpoint(folder / f"montecarlo-{identity[:16]}.checkpoint", identity)
 
 
-def _digest(arrays: Mapping[str, NDArray[Any]]) -> str:
-    """Return a hash of names and numbers: the checksums of a zip archive leave its names out."""
-    digest = hashlib.sha256()
-    for name, array in sorted(arrays.items()):
-        digest.update(f"{name} {array.dtype} {array.shape}".encode() + array.tobytes())
-    return digest.hexdigest()
-
-
 def _listed(value: Any) -> Any:
     """Array, or record by the fields that it was made from, as JSON has it."""
     if is_dataclass(value):
@@ -150,23 +137,23 @@ def _listed(value: Any) -> Any:
 
 
 @contextmanager
-def interruptible() -> Iterator[Callable[[], bool]]:
+def interruptible(partial: bool) -> Iterator[Callable[[], bool]]:
     """Yield a function that says whether Ctrl-C was pressed; a second one interrupts as usual.
 
-    Only the main thread of a program receives signals: elsewhere the answer is no.
+    The first one interrupts, too, unless an answer may be ``partial``. Only the main thread of a
+    program receives signals: elsewhere the answer is no.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield never
+    pressed = threading.Event()
+    if not partial or threading.current_thread() is not threading.main_thread():
+        yield pressed.is_set
         return
-    pressed: list[int] = []
 
     def note(number: int, frame: Any) -> None:
-        if pressed:
-            raise KeyboardInterrupt
-        pressed.append(number)
+        pressed.set()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
     before = signal.signal(signal.SIGINT, note)
     try:
-        yield lambda: bool(pressed)
+        yield pressed.is_set
     finally:
         signal.signal(signal.SIGINT, before)

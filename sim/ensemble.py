@@ -1,9 +1,9 @@
 """An ensemble of trajectories that advances together and adds to histograms and moments."""
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from sim.random import START, mixed_seed, normals
 from sim.schemes import Scheme
 from sim.statistics import Product
 from sim.step_size import temperature
-from sim.workers import Threads
+from sim.workers import Workers
 
 Clock = tuple[int, int, int, int]
 """Steps done and steps since ``watch`` before a call of the kernel, its steps and its stride."""
@@ -119,7 +119,7 @@ class Ensemble:
 
     def __post_init__(self) -> None:
         """Draw the states in which the trajectories start."""
-        self.workers = self.workers or Threads(self.threads)
+        self.workers = self.workers or Workers(ThreadPoolExecutor(self.threads), self.threads)
         self.threads = self.workers.threads
         self.step = step_arrays(self.system, self.scheme, self.dt)
         blocks = -(-self.paths // LANES)
@@ -151,17 +151,17 @@ class Ensemble:
             advanced, key=self._key, step=self.step, watch=self._watch, seed=self.seed,
             clock=(self.done, self.phase, steps, stride),
         )  # fmt: skip
-        apart = len(self.sums)
-        rows = [
-            (
-                a, self.live[a:b], self.states[a:b], self.sums[a:b],
-                self.folded[max(0, a - apart) : max(0, b - apart)], self.counts[k],
-            )
-            for k, (a, b) in enumerate(pairwise(self.edges.tolist()))
-        ]  # fmt: skip
-        answers = self.workers.map(task, *zip(*rows, strict=True))
-        for (_, _, *own), arrays in zip(rows, answers, strict=True):
-            for view, array in zip(own, arrays, strict=True):
+        cuts, apart = self.edges[1:-1], len(self.sums)
+        columns = [
+            np.split(self.states, cuts),
+            np.split(self.sums, np.minimum(cuts, apart)),
+            np.split(self.folded, np.maximum(cuts - apart, 0)),
+            list(self.counts),
+        ]
+        first, live = self.edges[:-1].tolist(), np.split(self.live, cuts)
+        answers = self.workers.map(task, first, live, *columns)
+        for views, arrays in zip(zip(*columns, strict=True), answers, strict=True):
+            for view, array in zip(views, arrays, strict=True):
                 if view is not array:  # it comes from another process
                     view[...] = array
         if stride:

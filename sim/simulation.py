@@ -1,6 +1,5 @@
 """One simulation: burn-in, a pilot for the histograms, and sampling until it is enough."""
 
-from contextlib import nullcontext
 from math import ceil, inf
 from time import perf_counter
 from typing import Any
@@ -10,7 +9,7 @@ import numpy as np
 from fpk.arrays import Array
 from fpk.method import Progress, silent
 from sim.assessment import Answer, assessed
-from sim.checkpoint import Checkpoint, checkpoint_of, interruptible, never
+from sim.checkpoint import Checkpoint, checkpoint_of, interruptible
 from sim.ensemble import Ensemble
 from sim.histogram import covering, extremes, sampled_density, starts
 from sim.record import SNAPSHOTS, Record
@@ -63,7 +62,7 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
         record.restore(saved)
         begin -= record.elapsed
     checkpoint.notes["reached"] = reached
-    with interruptible() if method.partial else nullcontext(never) as checkpoint.stopped:
+    with interruptible(method.partial) as checkpoint.stopped:
         _sample(ensemble, record, setup, begin=begin, checkpoint=checkpoint, progress=progress)
     checkpoint.save(ensemble)
     of = "" if setup.open else f" of {CHUNKS}"

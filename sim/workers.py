@@ -1,4 +1,4 @@
-"""Workers of ensembles: threads of this process, or those of a Dask cluster.
+"""Workers of ensembles: an executor of threads of this process, or of a Dask cluster.
 
 On a cluster every piece of time of a batch is a task that gets the arrays of the batch and returns
 them. When a worker dies, Dask gives its tasks to another: the answer is bitwise that of one machine
@@ -6,7 +6,7 @@ with the same kind of processor. Dask is imported when it is wanted: it takes a 
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
@@ -23,35 +23,50 @@ PATIENCE = 10.0
 WORKERS_IN = 60.0
 """Seconds in which it must have a worker."""
 
-TASKS_PER_THREAD = 8
-"""Tasks into which the batches of a thread are divided: fewer cost less to hand out, more leave
-less to wait for at the end, and after Ctrl-C."""
+PIECE, CLUSTER_PIECE = 0.5, 4.0
+"""Seconds after which workers come back with an ensemble, so that Ctrl-C waits for that; longer on
+a cluster, as the arrays of the ensemble travel with each piece."""
 
 
-class Threads:
-    """Workers of an ensemble: ``threads`` of this process.
+@dataclass(frozen=True, eq=False)
+class Workers:
+    """An executor of ``threads`` in all, which comes back with an ensemble after ``piece`` seconds.
 
-    ``piece`` are the seconds after which they come back with the ensemble: Ctrl-C waits for that.
+    ``remote_errors`` are the exceptions of a cluster that is lost; empty for threads of this
+    process. ``NotCertified`` is raised in their place.
     """
 
-    piece = 0.5
-
-    def __init__(self, threads: int = 1) -> None:
-        """Begin no thread before there is work."""
-        self.threads, self._pool = threads, ThreadPoolExecutor(threads)
+    executor: Executor
+    threads: int
+    piece: float = PIECE
+    remote_errors: tuple[type[Exception], ...] = ()
 
     def map(self, task: Callable[..., Any], *columns: Iterable[Any]) -> list[Any]:
-        """Return what ``task`` makes of every row of ``columns``."""
-        rows = list(zip(*columns, strict=True))
-        size = -(-len(rows) // (TASKS_PER_THREAD * self.threads))
-        parts = [rows[k : k + size] for k in range(0, len(rows), size)]
-        answers = self._pool.map(lambda part: [task(*row) for row in part], parts)
-        return [answer for part in answers for answer in part]
+        """Return what ``task`` makes of every row of ``columns``; on a cluster, of copies."""
+        task = partial(on_copies, task) if self.remote_errors else task
+        return list(self._unless_lost(self.executor.map(task, *columns)))
+
+    def as_finished(self, tasks: Sequence[Callable[[], Any]]) -> Iterator[Any]:
+        """Return what tasks without arguments return, in the order in which they are finished."""
+        futures = [self.executor.submit(task) for task in tasks]
+        return self._unless_lost(future.result() for future in as_completed(futures))
+
+    def _unless_lost(self, results: Iterable[Any]) -> Iterator[Any]:
+        try:
+            yield from results
+        except self.remote_errors as error:
+            words = " ".join(f"{type(error).__name__} {error}".split())
+            raise NotCertified(f"the cluster was lost on the way: {words[:200]}") from None
+
+
+def on_copies(task: Callable[..., Any], *arguments: Any) -> Any:
+    """Return the answer of a task that changes its arguments: those of Dask are read-only."""
+    return task(*deepcopy(arguments))
 
 
 @contextmanager
-def connected(address: str) -> Iterator[Any]:
-    """Yield a client of the Dask scheduler at ``address`` that has a worker.
+def connected(address: str) -> Iterator[Workers]:
+    """Yield the workers of the Dask scheduler at ``address``, one thread of which takes a task.
 
     Raises ``Unavailable`` without dask, an answer, or a worker with the same program.
     """
@@ -78,59 +93,19 @@ def connected(address: str) -> Iterator[Any]:
             raise unavailable(words) from None
         if stamp != program_checksum():
             raise unavailable("its workers run another version of this program; install the same")
-        yield client
-
-
-def gathered(client: Any, futures: Sequence[Any]) -> list[Any]:
-    """Return the results of ``futures``; raise ``NotCertified`` when the cluster is lost."""
-    distributed = import_module("distributed")
-    try:
-        return list(client.gather(list(futures)))
-    except (distributed.KilledWorker, distributed.CancelledError, OSError) as error:
-        words = " ".join(f"{type(error).__name__} {error}".split())
-        raise NotCertified(f"the cluster was lost on the way: {words[:200]}") from None
-
-
-def as_finished(client: Any, tasks: Sequence[Callable[[], Any]]) -> Iterator[Any]:
-    """Yield what pure tasks without arguments return, in the order in which they are finished."""
-    futures = [client.submit(task, pure=False) for task in tasks]
-    for future in import_module("distributed").as_completed(futures, loop=client.loop):
-        yield gathered(client, [future])[0]
-
-
-@dataclass(frozen=True, eq=False)
-class Cluster:
-    """Workers of an ensemble on a Dask cluster: a task uses one thread of a worker.
-
-    Pieces are longer than those of ``Threads``, as the arrays of the ensemble travel with each.
-    """
-
-    piece = 4.0
-    client: Any
-
-    @property
-    def threads(self) -> int:
-        """The threads of all workers."""
-        return max(1, sum(map(int, self.client.nthreads().values())))
-
-    def map(self, task: Callable[..., Any], *columns: Iterable[Any]) -> list[Any]:
-        """Return what ``task`` makes of copies of every row of ``columns``."""
+        lost = distributed.KilledWorker, distributed.CancelledError, OSError
+        threads = max(1, sum(client.nthreads().values()))
         quiet = {"distributed.admin.large-graph-warning-threshold": "1PiB"}
         with import_module("dask").config.set(quiet):
-            futures = self.client.map(partial(on_copies, task), *columns, pure=False)
-        return gathered(self.client, futures)
-
-
-def on_copies(task: Callable[..., Any], *arguments: Any) -> Any:
-    """Return the answer of a task that changes its arguments: those of Dask are read-only."""
-    return task(*deepcopy(arguments))
+            yield Workers(client.get_executor(pure=False), threads, CLUSTER_PIECE, lost)
 
 
 @contextmanager
-def workers_of(address: str | None, threads: int) -> Iterator[Any]:
+def workers_of(address: str | None, threads: int) -> Iterator[Workers]:
     """Yield the workers of ensembles: ``threads`` here, or the cluster at ``address``."""
     if address is None:
-        yield Threads(threads)
+        with ThreadPoolExecutor(threads) as executor:
+            yield Workers(executor, threads)
         return
-    with connected(address) as client:
-        yield Cluster(client)
+    with connected(address) as workers:
+        yield workers

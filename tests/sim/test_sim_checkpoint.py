@@ -161,7 +161,7 @@ def test_the_state_goes_to_disk_and_comes_back(tmp_path: Path) -> None:
 
 def test_no_damaged_state_and_no_other_identity_is_ever_read(tmp_path: Path) -> None:
     """Of any one flipped bit: refused, or in a field of the archive that no number depends on."""
-    arrays = {"a": np.arange(5), "b": np.ones((2, 2))}
+    arrays = {"a": np.arange(5), "b": np.ones((6, 6))}
     path = tmp_path / "state.checkpoint"
     checkpoint, refused = Checkpoint(path, "one"), 0
     checkpoint.save(Saved(**arrays))
@@ -218,7 +218,7 @@ def test_control_c_leaves_a_partial_result_that_goes_on_later(
     expected = arrays_of(METHOD.solve(fig6(), OBSERVABLES))
     method = replace(METHOD, partial=True, checkpoint=tmp_path)
     monkeypatch.setattr("sim.checkpoint.INTERVAL", 0.02)
-    monkeypatch.setattr("sim.simulation.interruptible", lambda: _pressed_after(10))
+    monkeypatch.setattr("sim.simulation.interruptible", lambda partial: _pressed_after(10))
     found = method.solve(fig6(), OBSERVABLES)
     assert found.partial and isinstance(found.report, Report)
     assert found.report.interrupted.startswith("partial: interrupted after")
@@ -245,7 +245,7 @@ class _pressed_after:
 
 def test_a_second_control_c_interrupts_at_once() -> None:
     before = signal.getsignal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt), interruptible() as pressed:
+    with pytest.raises(KeyboardInterrupt), interruptible(True) as pressed:
         assert not pressed()
         signal.raise_signal(signal.SIGINT)
         assert pressed()
@@ -257,7 +257,7 @@ def test_other_threads_do_not_receive_it() -> None:
     answers: list[bool] = []
 
     def listen() -> None:
-        with interruptible() as pressed:
+        with interruptible(True) as pressed:
             answers.append(pressed())
 
     thread = threading.Thread(target=listen)

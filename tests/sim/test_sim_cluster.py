@@ -19,7 +19,7 @@ from sim.ensemble import Ensemble
 from sim.histogram import Histogram
 from sim.schemes import SCHEMES
 from sim.statistics import moment_products
-from sim.workers import Cluster, Threads, connected, on_copies
+from sim.workers import Workers, connected, on_copies
 
 dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
 EXACT_FLOW = SCHEMES["exact_flow"]
@@ -30,17 +30,18 @@ MANY = 70 * LANES - 17
 
 
 @contextmanager
-def cluster(workers: int) -> Iterator[Any]:
-    """A client of worker processes of one thread on this machine; they log nothing."""
+def cluster(workers: int) -> Iterator[tuple[Workers, Any]]:
+    """Worker processes of one thread on this machine, and a client of them; they log nothing."""
     with (
         dask.config.set({"distributed.logging.distributed": "critical"}),
         distributed.LocalCluster(
             n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0",
             silence_logs=logging.CRITICAL,
         ) as local,
-        connected(local.scheduler_address) as client,
+        connected(local.scheduler_address) as those,
+        distributed.Client(local, set_as_default=False) as client,
     ):  # fmt: skip
-        yield client
+        yield those, client
 
 
 def histograms() -> tuple[Histogram, ...]:
@@ -68,11 +69,11 @@ def same(a: dict[str, Any], b: dict[str, Any]) -> None:
 
 
 def here(paths: int = PATHS) -> Ensemble:
-    return Ensemble(fig6(), EXACT_FLOW, 0.1, paths, 31, workers=Threads(2))
+    return Ensemble(fig6(), EXACT_FLOW, 0.1, paths, 31, 2)
 
 
-def there(client: Any, paths: int = PATHS) -> Ensemble:
-    return Ensemble(fig6(), EXACT_FLOW, 0.1, paths, 31, workers=Cluster(client))
+def there(workers: Workers, paths: int = PATHS) -> Ensemble:
+    return Ensemble(fig6(), EXACT_FLOW, 0.1, paths, 31, workers=workers)
 
 
 def kill_one(client: Any) -> Callable[[], None]:
@@ -114,8 +115,8 @@ def test_a_task_on_a_cluster_leaves_its_arguments_as_they_were() -> None:
 
 def test_bitwise_the_same_on_two_workers_of_which_one_is_killed() -> None:
     expected = sampled(here())
-    with cluster(2) as client:
-        ensemble = there(client)
+    with cluster(2) as (workers, client):
+        ensemble = there(workers)
         assert ensemble.threads == 2
         same(sampled(ensemble, between=kill_one(client)), expected)
         # What is saved here goes on there, and the other way round.
@@ -123,7 +124,7 @@ def test_bitwise_the_same_on_two_workers_of_which_one_is_killed() -> None:
         stopped.advance(20)
         stopped.watch(histograms(), moment_products(2))
         stopped.advance(50, stride=3)
-        ensemble = there(client)
+        ensemble = there(workers)
         ensemble.watch(histograms(), moment_products(2))
         ensemble.restore(stopped.saved())
         ensemble.advance(12, stride=3)
@@ -135,9 +136,9 @@ def test_bitwise_the_same_on_two_workers_of_which_one_is_killed() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kill", [False, True])
 def test_bitwise_the_same_on_four_workers(kill: bool) -> None:
-    with cluster(4) as client:
+    with cluster(4) as (workers, client):
         between = kill_one(client) if kill else lambda: None
-        same(sampled(there(client, MANY), between=between), sampled(here(MANY)))
+        same(sampled(there(workers, MANY), between=between), sampled(here(MANY)))
 
 
 def fail_with_the_system(share: int) -> int:
@@ -146,9 +147,9 @@ def fail_with_the_system(share: int) -> int:
 
 @pytest.mark.slow
 def test_a_task_that_kills_every_worker_ends_in_one_line() -> None:
-    with cluster(2) as client:
+    with cluster(2) as (workers, _):
         with pytest.raises(NotCertified, match="lost on the way") as end:
-            Cluster(client).map(fail_with_the_system, [1])
+            workers.map(fail_with_the_system, [1])
         assert "\n" not in str(end.value)
 
 

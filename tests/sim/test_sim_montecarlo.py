@@ -26,7 +26,7 @@ from sim.schemes import SCHEMES
 from sim.setup import Setup
 from sim.simulation import simulate
 from sim.step_size import chosen_step, contact_frequency
-from sim.workers import Threads
+from sim.workers import workers_of
 
 Q2 = (parse_observable("q2", 2),)
 
@@ -238,7 +238,8 @@ def test_weak_order_of_the_displacement_in_the_step() -> None:
     for dt in steps:
         method = MonteCarlo(paths=65536, seed=97)
         setup = Setup(method, exact(), (), scheme, dt=dt, time=6000.0)
-        square = simulate(setup, workers=Threads(2))[-1].moments[1]
+        with workers_of(None, 2) as workers:
+            square = simulate(setup, workers=workers)[-1].moments[1]
         biases.append(square.mean / exact_square() - 1.0)
         errors.append(square.error / abs(square.mean - exact_square()))
     wide = np.log(steps[1] / steps[0])
