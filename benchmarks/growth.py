@@ -22,7 +22,7 @@ from report import machine, markdown_table
 from averaging.energy_process import energy_process
 from cases.scene.scene import load_scene
 from cases.studies.converge import measured_ladder
-from cases.studies.equations import energy_equation, modal_equation, solve_on
+from cases.studies.equations import answer_of, energy_equation, modal_equation, solve_on
 from cases.studies.levels import timed_first, timing
 from fpk.contact import Contact
 from fpk.process import Process
@@ -50,7 +50,7 @@ def one_energy() -> str:
     for words, own in (("with contact", system), ("without", replace(system, contacts=()))):
         equation = energy_equation(own)
         solve = next(iter(equation.by_tolerance.values()))
-        answers = [solve(equation.process, tol) for tol in TOLERANCES]
+        answers = [answer_of(solve(equation.process, tol=tol)) for tol in TOLERANCES]
         distance = [a.errors(equation.reference)["L1"] for a in answers]
         rows += [
             [

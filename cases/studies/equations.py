@@ -1,7 +1,7 @@
 """The averaged equations (24) of one energy and (17) of two modal energies, to be studied."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from math import exp
 
@@ -15,7 +15,8 @@ from averaging.modal.observables import modal_densities
 from averaging.modal.resonance import require_no_resonance
 from averaging.nonintegrable import NonIntegrable
 from averaging.quadrature import POINTS, solve_by_quadrature
-from cases.studies.levels import Answer, Clock, Discretisation
+from averaging.weyl import Solution
+from cases.studies.levels import Answer, Discretisation, TimedCoefficients
 from fpk.arrays import Array
 from fpk.errors import NotApplicable, NotCertified
 from fpk.line.stationary import StationarySolution, solve_on_mesh, solve_stationary
@@ -48,17 +49,17 @@ class Equation:
 
     ``ends`` are the last energies of given meshes along each axis; ``by_tolerance`` are the routes
     that are given a tolerance, elements first, which ``words`` are about; ``clock`` counts the time
-    that these spend in the coefficients of ``process``.
+    that all spend in the coefficients of ``process``.
     """
 
     name: str
     observable: Observable
     process: Process
-    clock: Clock
+    clock: TimedCoefficients
     reference: Answer
     reference_words: str
     ends: Sequence[float]
-    by_tolerance: Mapping[Route, Callable[[Process, float], Answer]]
+    by_tolerance: Mapping[Route, Callable[..., Solution | PlaneSolution]]
     words: str
 
     @property
@@ -88,8 +89,11 @@ class Equation:
 
     def to_tolerance(self, route: Route, digits: int = 1, stride: int = 1) -> Discretisation:
         """Return a route at the tolerance 10^−``digits``, refined by ``stride`` digits."""
-        tol = 10.0**-digits
-        solve = partial(self.by_tolerance[route], self.process, tol)
+        tol, by_route = 10.0**-digits, self.by_tolerance[route]
+
+        def solve() -> Answer:
+            return answer_of(by_route(self.process, tol=tol))
+
         finer = partial(self.to_tolerance, route, digits + stride, stride)
         return Discretisation("tol", route.label, f"tol = {tol:.0e}", solve, finer, promised=tol)
 
@@ -109,11 +113,14 @@ class Equation:
         return (nodes,)
 
 
-def answer_of(s: StationarySolution | PlaneSolution) -> Answer:
-    """Return the answer of a solver of one or two energies."""
-    if isinstance(s, StationarySolution):
-        return Answer((s.nodes,), s.density, s.l1_error, s.unknowns)
-    return Answer(s.panels, s.density, s.l1_error, s.unknowns, "w = 1" if s.weight is None else "")
+def answer_of(s: Solution | PlaneSolution) -> Answer:
+    """Return the answer of a solver of one or two energies; of quadrature points are unknowns."""
+    if isinstance(s, PlaneSolution):
+        variant = "w = 1" if s.weight is None else ""
+        return Answer(s.panels, s.density, s.l1_error, s.unknowns, variant)
+    fem = isinstance(s, StationarySolution)
+    unknowns = s.unknowns if fem else POINTS * (s.nodes.size - 1)
+    return Answer((s.nodes,), s.density, s.l1_error, unknowns)
 
 
 def solve_on(process: Process, nodes: tuple[Array, ...], degree: int) -> Answer:
@@ -129,31 +136,26 @@ def energy_equation(system: System) -> Equation:
     The closed form (29) is the reference; where damping depends on q or v it is the
     drift-diffusion form by hp elements, in which p itself is the polynomial, not p/T.
     """
-    process, clock = energy_process(system), Clock()
+    process = energy_process(system)
+    clock = TimedCoefficients(process.coefficients)
     try:
-        closed = averaged_density(system)
-        reference = Answer((closed.nodes,), closed.density, closed.l1_error)
-        words = "closed form (29)"
+        reference, words = answer_of(averaged_density(system)), "closed form (29)"
     except NotApplicable:
         tol = REFERENCE_TOL[1]
         reference = answer_of(solve_stationary(process, tol=tol, form="drift-diffusion"))
         words = f"drift-diffusion hp elements, tol {tol:g}"
 
-    def by_quadrature(process: Process, tol: float) -> Answer:
-        s = solve_by_quadrature(process, tol=tol)
-        return Answer((s.nodes,), s.density, s.l1_error, POINTS * (s.nodes.size - 1))
-
     return Equation(
         name=OF_ENERGY,
         observable=parse_observable("H", system.n),
-        process=clock.timed(process),
+        process=replace(process, coefficients=clock),
         clock=clock,
         reference=reference,
         reference_words=words,
         ends=[probed(process).extent(BEYOND[1])],
         by_tolerance={
-            NonIntegrable("fem").route: lambda p, tol: answer_of(solve_stationary(p, tol=tol)),
-            NonIntegrable("quadrature").route: by_quadrature,
+            NonIntegrable("fem").route: solve_stationary,
+            NonIntegrable("quadrature").route: solve_by_quadrature,
         },
         words="elements whose number and degree follow from the tolerance, cut until it is met.",
     )
@@ -173,7 +175,8 @@ def modal_equation(system: System) -> Equation:
         raise NotApplicable("damping terms couple more than two modal energies")
     require_no_resonance(system, modes)
     observable = parse_observable("H1,H2", system.n)
-    process, clock = modes.process([0, 1]), Clock()
+    process = modes.process([0, 1])
+    clock = TimedCoefficients(process.coefficients)
     if modes.constant:
         (closed,) = modal_densities(modes, [observable], "closed-form", tol=1e-12)
         reference = Answer(closed.panels, closed.pdf, closed.l1_error)
@@ -189,12 +192,12 @@ def modal_equation(system: System) -> Equation:
     return Equation(
         name=OF_MODES,
         observable=observable,
-        process=clock.timed(process),
+        process=replace(process, coefficients=clock),
         clock=clock,
         reference=reference,
         reference_words=words,
         ends=ends.tolist(),
-        by_tolerance={Integrable("fem").route: lambda p, tol: answer_of(solve_plane(p, tol=tol))},
+        by_tolerance={Integrable("fem").route: solve_plane},
         words=(
             "p = w u with a positive weight w near p and u a polynomial of high degree on few"
             " panels; plain elements (levels marked w = 1) where that misses the tolerance. With"

@@ -9,7 +9,7 @@ import tracemalloc
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from math import exp, inf, nan, sqrt
-from statistics import median, quantiles
+from statistics import quantiles
 from time import process_time
 from timeit import repeat
 from typing import Any, Literal, TypeVar
@@ -18,14 +18,14 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.density import gauss_grid, integral
-from fpk.process import Coefficients, Process
+from fpk.process import Coefficients
 
 T = TypeVar("T")
 
 MIN_REPEATS, MAX_REPEATS = 3, 21
 """Least and largest number of timed runs."""
 ENOUGH = 0.1
-"""Seconds of repeats after which no more than ``MIN_REPEATS`` are made."""
+"""Seconds that all timed runs of one work may take, beyond ``MIN_REPEATS`` of them."""
 LONG = 1.0
 """Seconds of a first run above which it is the only one: its spread and memory stay unknown."""
 NORMS = ("L1", "L2", "max")
@@ -64,20 +64,17 @@ class Answer:
 
 
 @dataclass
-class Clock:
-    """Seconds of processor time spent in the coefficients of the processes given to it."""
+class TimedCoefficients:
+    """The coefficients of a process, with the seconds of processor time spent in them so far."""
 
+    coefficients: Callable[[Array], Coefficients]
     seconds: float = 0.0
 
-    def timed(self, process: Process) -> Process:
-        """Return ``process``, the time of its coefficients added to the clock at each call."""
-
-        def coefficients(energies: Array) -> Coefficients:
-            values, seconds = timed_first(lambda: process.coefficients(energies))
-            self.seconds += seconds
-            return values
-
-        return replace(process, coefficients=coefficients)
+    def __call__(self, energies: Array) -> Coefficients:
+        """Return the coefficients at ``energies``."""
+        values, seconds = timed_first(lambda: self.coefficients(energies))
+        self.seconds += seconds
+        return values
 
 
 @dataclass(frozen=True)
@@ -187,22 +184,24 @@ def timed_first(work: Callable[[], T]) -> tuple[T, float]:
     return value, process_time() - start
 
 
-def timing(work: Callable[[], Any], first: float, clock: Clock | None = None) -> Timing:
-    """Time ``work``, which was called once before and took ``first`` seconds then."""
+def timing(
+    work: Callable[[], Any], first: float, coefficients: TimedCoefficients | None = None
+) -> Timing:
+    """Time ``work``, which was called once before and took ``first`` seconds then.
+
+    ``coefficients`` are those that it evaluates, where the part spent in them is of interest.
+    """
     if first > LONG:
         return Timing(first)
-    clock = clock or Clock()
-    before = clock.seconds
-    times = repeat(work, repeat=MIN_REPEATS, number=1, timer=process_time)
-    more = min(int(ENOUGH / max(median(times), 1e-9)), MAX_REPEATS) - MIN_REPEATS
-    times += repeat(work, repeat=max(more, 0), number=1, timer=process_time)
-    inside = (clock.seconds - before) / len(times)
-    middle, (lower, _, upper) = median(times), quantiles(times, n=4, method="inclusive")
+    count = int(np.clip(ENOUGH / max(first, 1e-9), MIN_REPEATS, MAX_REPEATS))
+    before = coefficients.seconds if coefficients else nan
+    times = repeat(work, repeat=count, number=1, timer=process_time)
+    inside = (coefficients.seconds - before) / count if coefficients else nan
+    lower, middle, upper = quantiles(times, n=4, method="inclusive")
     tracemalloc.start()
     try:
         work()
         memory = float(tracemalloc.get_traced_memory()[1])
     finally:
         tracemalloc.stop()
-    first = max(0.0, first - middle)
-    return Timing(middle, 0.5 * (upper - lower), len(times), first, inside, memory)
+    return Timing(middle, 0.5 * (upper - lower), count, max(0.0, first - middle), inside, memory)

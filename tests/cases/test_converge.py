@@ -9,7 +9,7 @@ import pytest
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
 from cases.studies.converge import H_LEVELS, ROUND_OFF, chosen_routes, ladders, measured_ladder
-from cases.studies.equations import P_DEGREES, energy_equation, modal_equation
+from cases.studies.equations import P_DEGREES, answer_of, energy_equation, modal_equation
 from cases.studies.levels import FUNCTIONALS, NORMS, refined_levels
 from cases.studies.orders import NEAR, convergence, grid_convergence, observed_orders
 from cases.studies.picture import Curve, Panel, study_figure
@@ -215,7 +215,7 @@ def test_damping_terms_have_a_reference_by_another_method(scene):
     assert equation.reference.variant == "w = 1" and equation.reference.l1_error < 1e-10
     for tol in (1e-4, 1e-8):
         (solve,) = equation.by_tolerance.values()
-        answer = solve(equation.process, tol)
+        answer = answer_of(solve(equation.process, tol=tol))
         assert answer.variant == ""  # weighted, on a mesh of its own
         meshes = (answer.panels, equation.reference.panels)
         assert [x.size for x in meshes[0]] != [x.size for x in meshes[1]]

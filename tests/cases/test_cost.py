@@ -12,7 +12,7 @@ from averaging.nonintegrable import NonIntegrable
 from cases.scene.scene import load_scene
 from cases.studies.cost import CostStudy, candidates, equation_routes, study_cost
 from cases.studies.cost_page import cost_page, cost_tables
-from cases.studies.equations import energy_equation
+from cases.studies.equations import answer_of, energy_equation
 from cases.studies.law import FULL, Law, full_routes
 from cases.studies.levels import Answer, Level, Timing
 from cases.studies.page import Table, cell, duration
@@ -61,15 +61,13 @@ def test_a_wrong_damping_is_caught_by_every_route_by_its_distance():
 
 def test_a_slightly_wrong_answer_is_named_with_what_it_disagrees_by():
     equation = energy_equation(load_scene("fig6b").system)
-    fem, solve = next(iter(equation.by_tolerance.items()))
-    right = solve(equation.process, 1e-8)
+    *_, fem, quadrature = candidates(equation)
+    right = answer_of(next(iter(equation.by_tolerance.values()))(equation.process, tol=1e-8))
     # Mass moved by 1e-6 while 1e-8 is stated: a factor 1 + 1e-6 moves L1 by 1e-6.
     wrong = Answer(right.panels, lambda H: (1 + 1e-6) * right.density(H), 1e-8, right.unknowns)
-    route = replace(fem, method="wrong")
-    other = replace(equation, by_tolerance={route: lambda process, tol: wrong})
-    offered = [candidates(equation)[-1], other.to_tolerance(route, 8)]
+    offered = [quadrature, replace(fem, name="wrong/fem", solve=lambda: wrong)]
     good, caught = equation_routes(equation, offered)
-    assert caught.route == "wrong" and not caught.baseline
+    assert caught.route == "wrong/fem" and not caught.baseline
     assert abs(caught.distance - 1e-6) < 2e-8 and caught.allowed < 2e-8
     assert isinstance(good, Priced) and good.route == "nonintegrable/quadrature"
     found = replace(EMPTY, routes=[good], not_timed=[caught])
@@ -192,7 +190,7 @@ def test_settings_of_one_scene_keep_their_digits_on_three_others(table_of_fig6b,
     for c in table_of_fig6b:
         settings[c.route, c.point.promised].append(c.digits)
     for (name, tol), digits in settings.items():
-        answer = routes[name](equation.process, tol)
+        answer = answer_of(routes[name](equation.process, tol=tol))
         true = answer.errors(equation.reference)["L1"]
         assert true <= 10.0 ** -max(digits)
         assert true <= answer.l1_error + equation.reference.l1_error
