@@ -34,12 +34,6 @@ DRAWN, LONGEST = 1e-4, 3600.0
 
 def cost_page(study: CostStudy) -> Page:
     """Return what ``fpk cost`` shows and writes."""
-    title, tables = f"What accuracy costs: {study.scene.title}", cost_tables(study)
-    return Page("cost", study.scene, title, tables, partial(_figure, study))
-
-
-def cost_tables(study: CostStudy) -> list[Table]:
-    """Return the price list of every equation, crossovers, averaging errors, all measurements."""
     measured = [
         {
             "equation": route.equation,
@@ -73,7 +67,7 @@ def cost_tables(study: CostStudy) -> list[Table]:
     promised = [_price(c) for c in price_list(study.routes, promised=True) if c.point]
     crossings = [asdict(c) for c in crossovers(study.routes)]
     laws = [asdict(law) for law in study.laws]
-    return [
+    tables = [
         Table("prices", "To get so many digits (L1)", prices),
         Table("promises", "Settings that hold for other scenes", promised, (PROMISE,)),
         Table("crossings", "Where another route becomes the cheapest", crossings),
@@ -82,6 +76,8 @@ def cost_tables(study: CostStudy) -> list[Table]:
         Table("laws", f"{FULL}: law of sampling", laws, (LAW,)),
         Table("measurements", "Measurements", measured, (*axes, MEANING)),
     ]
+    title = f"What accuracy costs: {study.scene.title}"
+    return Page("cost", study.scene, title, tables, partial(_figure, study))
 
 
 def _price(c: Cheapest) -> dict[str, Any]:

@@ -79,9 +79,7 @@ class Crossover:
     below: str
 
 
-def price_list(
-    routes: Sequence[Priced], digits: Sequence[int] = DIGITS, *, promised: bool = False
-) -> tuple[Cheapest, ...]:
+def price_list(routes: Sequence[Priced], *, promised: bool = False) -> tuple[Cheapest, ...]:
     """Return the cheapest measured or modelled point of each equation for errors 10^−digits.
 
     ``promised``: of the points that were given a tolerance, the cheapest by that, not by the error
@@ -90,7 +88,7 @@ def price_list(
     prices = []
     for equation, own in by_equation(routes).items():
         points = [(r.route, p, p.promised if promised else p.error) for r in own for p in r.points]
-        for d in digits if min(error for *_, error in points) < inf else ():
+        for d in DIGITS if min(error for *_, error in points) < inf else ():
             offers = [(route, p) for route, p, error in points if error <= 10.0**-d]
             route, point = min(offers, key=lambda o: o[1].seconds, default=("", None))
             prices.append(Cheapest(equation, d, route, point))
