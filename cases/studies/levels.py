@@ -9,7 +9,7 @@ import tracemalloc
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from math import exp, inf, nan, sqrt
-from statistics import quantiles
+from statistics import median, quantiles
 from time import process_time
 from timeit import repeat
 from typing import Any, Literal, TypeVar
@@ -25,7 +25,7 @@ T = TypeVar("T")
 MIN_REPEATS, MAX_REPEATS = 3, 21
 """Least and largest number of timed runs."""
 ENOUGH = 0.1
-"""Seconds that all timed runs of one work may take, beyond ``MIN_REPEATS`` of them."""
+"""Seconds of repeats after which no more than ``MIN_REPEATS`` are made."""
 LONG = 1.0
 """Seconds of a first run above which it is the only one: its spread and memory stay unknown."""
 NORMS = ("L1", "L2", "max")
@@ -193,10 +193,11 @@ def timing(
     """
     if first > LONG:
         return Timing(first)
-    count = int(np.clip(ENOUGH / max(first, 1e-9), MIN_REPEATS, MAX_REPEATS))
     before = coefficients.seconds if coefficients else nan
-    times = repeat(work, repeat=count, number=1, timer=process_time)
-    inside = (coefficients.seconds - before) / count if coefficients else nan
+    times = repeat(work, repeat=MIN_REPEATS, number=1, timer=process_time)
+    more = min(int(ENOUGH / max(median(times), 1e-9)), MAX_REPEATS) - MIN_REPEATS
+    times += repeat(work, repeat=max(more, 0), number=1, timer=process_time)
+    inside = (coefficients.seconds - before) / len(times) if coefficients else nan
     lower, middle, upper = quantiles(times, n=4, method="inclusive")
     tracemalloc.start()
     try:
@@ -204,4 +205,5 @@ def timing(
         memory = float(tracemalloc.get_traced_memory()[1])
     finally:
         tracemalloc.stop()
-    return Timing(middle, 0.5 * (upper - lower), count, max(0.0, first - middle), inside, memory)
+    extra = max(0.0, first - middle)
+    return Timing(middle, 0.5 * (upper - lower), len(times), extra, inside, memory)
