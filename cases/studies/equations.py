@@ -118,8 +118,8 @@ def answer_of(s: Solution | PlaneSolution) -> Answer:
     if isinstance(s, PlaneSolution):
         variant = "w = 1" if s.weight is None else ""
         return Answer(s.panels, s.density, s.l1_error, s.unknowns, variant)
-    fem = isinstance(s, StationarySolution)
-    unknowns = s.unknowns if fem else POINTS * (s.nodes.size - 1)
+    elements = s.nodes.size - 1
+    unknowns = s.unknowns if isinstance(s, StationarySolution) else POINTS * elements
     return Answer((s.nodes,), s.density, s.l1_error, unknowns)
 
 
