@@ -7,7 +7,7 @@ from fpk.method import Identity
 from fpk.system import System
 from sim.diagnostics import Diagnosis, diagnosis
 from sim.ensemble import Ensemble
-from sim.histogram import sampled_density, starts
+from sim.histogram import sampled_density
 from sim.record import Record
 from sim.relaxation import relaxation_time
 from sim.report import DensityError, Report, Steps
@@ -23,15 +23,16 @@ STEP_BIAS = 1e-3
 leave beyond chance."""
 
 Answer = tuple[tuple[SampledDensity, ...], tuple[Identity, ...], Report]
-"""The densities, the moment identities (none without moments), and the report."""
+"""The densities, the moment identities, and the report."""
 
 
-def assessed(setup: Setup, ensemble: Ensemble, record: Record, *, interrupted: str) -> Answer:
+def assessed(setup: Setup, record: Record, *, interrupted: str) -> Answer:
     """Return the certified densities, the moment identities and the report.
 
     ``interrupted``, in words and empty if it was not, stands against a certificate, as lost
     trajectories do. Of a system with mirror symmetry mirror images of samples count as samples.
     """
+    ensemble = record.ensemble
     steps = _steps(setup, ensemble, record.stepping)
     failures, lost = [interrupted] if interrupted else [], ensemble.lost()
     if lost:
@@ -40,38 +41,34 @@ def assessed(setup: Setup, ensemble: Ensemble, record: Record, *, interrupted: s
             f" use a smaller dt than {steps.dt:g}"
         )
     failures += setup.failures
-    identities: tuple[Identity, ...] = ()
-    if record.products:
-        identities = Moments(setup.system, ensemble.batch_means()).identities()
+    identities = Moments(setup.system, ensemble.batch_means()).identities()
     judged = identities if not lost else ()
     failures += [text for identity in judged if (text := _defect(setup.system, identity))]
     diagnosed: Diagnosis | None = None
-    effective = [] if lost or interrupted else record.effective(ensemble)
-    if effective:
+    if not (lost or interrupted):
         diagnosed = diagnosis(
-            effective, record.names, record.means(),
+            record.effective(), record.names, record.means(),
             time=ensemble.samples * (ensemble.dt * setup.stride), paths=ensemble.paths,
             burn_in=steps.burn_in,
         )  # fmt: skip
         failures += diagnosed.failures
-    first = starts(record.histograms)
     densities = tuple(
         sampled_density(
             histogram,
-            ensemble.counts[:, first[m] : first[m + 1]],
+            counts,
             taken=ensemble.paths * ensemble.samples,
-            mirror=record.mirror,
+            mirror=setup.mirror,
             residual=max((abs(identity.z) for identity in judged), default=nan),
             tol=setup.tol if setup.tol is not None and m == 0 else inf,
             failures=failures,
         )
-        for m, histogram in enumerate(record.histograms)
+        for m, (histogram, counts) in enumerate(ensemble.counted())
     )
     report = Report(
         steps=steps,
         errors=tuple(DensityError(d.observable, sampling_error(d)) for d in densities),
         diagnosis=diagnosed,
-        moments=record.moments(ensemble, effective) if record.products and not lost else (),
+        moments=record.moments() if not lost else (),
         interrupted=interrupted,
         lost=lost,
     )

@@ -1,6 +1,6 @@
 """An ensemble of trajectories that advances together and adds to histograms and moments."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -134,6 +134,7 @@ class Ensemble:
 
     def watch(self, histograms: Sequence[Histogram] = (), products: Sequence[Product] = ()) -> None:
         """Observe these from now on, all counts and sums starting from zero."""
+        self.histograms, self.products = tuple(histograms), tuple(products)
         asked = (self.system, self.scheme, self.step, histograms, products)
         self._watch, self._key = watch_arrays(*asked), kernel_key(*asked)
         apart = min(self.live.size, APART)
@@ -183,6 +184,11 @@ class Ensemble:
         blocks = np.concatenate([apart, self.folded.sum(axis=2)])
         sums = np.add.reduceat(blocks, self.edges[:-1], axis=0)
         return np.asarray(sums / (self.batch_paths()[:, None] * max(1, self.samples)))
+
+    def counted(self) -> Iterator[tuple[Histogram, Integers]]:
+        """Return each histogram with its counts (batches, bins + 1), the last of them outside."""
+        counts = np.split(self.counts, starts(self.histograms)[1:], axis=1)
+        return zip(self.histograms, counts, strict=False)  # nothing lies behind the last one
 
     def phase_points(self, most: int | None = None) -> tuple[Array, Array]:
         """Return q and p (paths, n) just before the next kick, of the first ``most`` paths."""

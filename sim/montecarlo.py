@@ -44,7 +44,7 @@ class MonteCarlo(Method):
     ``tol``: go on until the expected L1 error of the first observable is below it, at most
     ``longest`` seconds. ``seconds``: go on for so long instead.
     ``step_pair``: run a second simulation at dt/2 and report the difference of each density and
-    moment. ``moments``: evaluate the moment identities and the means of q_i², v_i², too.
+    moment.
     ``threads`` None: all that there are. ``cluster``: the address of a Dask scheduler; the answer
     depends on neither. ``checkpoint``: a folder where the state is saved at intervals and read
     again. ``partial``: Ctrl-C ends the sampling with what there is, not certified.
@@ -62,7 +62,6 @@ class MonteCarlo(Method):
     tol: float | None = None
     longest: float = 60.0
     burn_in: float = 10.0
-    moments: bool = True
     step_factor: float = 1.0
     relaxations: float = RELAXATIONS
     most_steps: int = MOST_STEPS

@@ -1,19 +1,17 @@
 """Means at the end of every chunk of a simulation, from which the sample is diagnosed."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from math import inf, nan
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fpk.arrays import Array, Integers
+from fpk.effects import effects_of
 from sim.arrays import LANES
 from sim.diagnostics import Effective, effective_of_paths, effective_of_shares, variance_error
-from sim.histogram import Histogram, starts
+from sim.ensemble import Ensemble
 from sim.report import Moment
-from sim.statistics import Product
 
 SNAPSHOTS = (0, 5, 10, 15)
 """Chunks at whose beginning a single sample of every trajectory shows the variance of the squares:
@@ -25,23 +23,19 @@ LEVELS = 8
 
 @dataclass(eq=False)
 class Record:
-    """Cumulative sums of every batch at the ends of chunks of ``chunk_samples`` samples.
+    """Cumulative sums of every batch of ``ensemble`` at the ends of chunks of ``chunk_samples``.
 
-    Quantities are the squares of q and v among the ``products`` of ``masses`` (n,) and the shares
-    of samples below the octiles of every coordinate in the first chunk, bins ``cuts`` of its axis.
-    ``stepping`` of the ``elapsed`` seconds were spent on samples; at ``target`` samples the
-    ``error`` of the first density is computed again.
+    Quantities are the squares of q and v, and the shares of samples below the octiles of every
+    observed coordinate in the first chunk, bins ``cuts`` of its axis. ``stepping`` of the
+    ``elapsed`` seconds were spent on samples; at ``target`` samples the error of the first density
+    is computed again.
     """
 
-    histograms: Sequence[Histogram]
-    products: Sequence[Product]
-    masses: Array
-    mirror: bool
+    ensemble: Ensemble
     chunk_samples: int = 0
     chunks: int = 0
     stepping: float = 0.0
     elapsed: float = 0.0
-    error: float = inf
     target: float = 0.0
     cuts: list[Any] = field(default_factory=list)  # pairs of an axis and a bin
     ends: list[Array] = field(default_factory=list)  # each (batches, quantities)
@@ -50,12 +44,15 @@ class Record:
 
     def __post_init__(self) -> None:
         """Name, product number and factor of every q_i² and v_i²; label and fold of every axis."""
-        masses = self.masses.tolist() if self.products else []
-        asked = [(f"q{i}²", ("q", i - 1, "q", i - 1), 1.0) for i, _ in enumerate(masses, 1)]
-        asked += [(f"v{i}²", ("p", i - 1, "p", i - 1), 1.0 / m**2) for i, m in enumerate(masses, 1)]
-        self.squares = [(name, self.products.index(p), factor) for name, p, factor in asked]
-        coordinates = [c for histogram in self.histograms for c in histogram.observable]
-        self.folds = [self.mirror and c.kind != "H" for c in coordinates]
+        system, products = self.ensemble.system, self.ensemble.products
+        self.squares = [
+            (f"{name}{i + 1}²", products.index((kind, i, kind, i)), 1.0 / m**power)
+            for name, kind, power in (("q", "q", 0), ("v", "p", 2))
+            for i, m in enumerate(system.mass.tolist())
+        ]
+        coordinates = [c for histogram in self.ensemble.histograms for c in histogram.observable]
+        mirror = effects_of(system).mirror
+        self.folds = [mirror and c.kind != "H" for c in coordinates]
         self.axes = [
             f"the distribution of |{c}|" if fold else f"the distribution of {c}"
             for c, fold in zip(coordinates, self.folds, strict=True)
@@ -66,15 +63,18 @@ class Record:
         """Names of the quantities, in the order of the columns of ``ends``."""
         return [name for name, _, _ in self.squares] + [self.axes[axis] for axis, _ in self.cuts]
 
-    def snapshot(self, before: Array, after: Array, live: Integers) -> None:
-        """Note the variance of one sample, the difference of two ``sums`` of an ensemble."""
-        samples = self._of_paths(after - before, live)
-        self.variances.append(samples.var(axis=1, ddof=1))
-        self.errors.append(variance_error(samples))
+    def snapshot(self, stride: int) -> None:
+        """Advance to the next sample, and note the variance of that one over the trajectories."""
+        before = self.ensemble.sums.copy()
+        self.ensemble.advance(stride, stride=stride)
+        with np.errstate(over="ignore", invalid="ignore"):  # lost trajectories are counted later
+            samples = self._of_paths(self.ensemble.sums - before)
+            self.variances.append(samples.var(axis=1, ddof=1))
+            self.errors.append(variance_error(samples))
 
-    def chunk_ends(self, ensemble: Any) -> None:
-        """Note where the sums and counts of ``ensemble`` stand at the end of a chunk."""
-        below = [np.cumsum(m, axis=1) for m in self._marginals(ensemble.counts)]
+    def chunk_ends(self) -> None:
+        """Note where the sums and counts of the ensemble stand at the end of a chunk."""
+        ensemble, below = self.ensemble, [np.cumsum(m, axis=1) for m in self._marginals()]
         if not self.ends:
             self.chunk_samples = ensemble.samples
             self.cuts = [
@@ -97,15 +97,15 @@ class Record:
         ends = np.diff(np.array(self.ends), axis=0, prepend=0.0)
         return np.ascontiguousarray(ends.transpose(2, 1, 0) / self.chunk_samples)
 
-    def effective(self, ensemble: Any) -> list[Effective]:
+    def effective(self) -> list[Effective]:
         """Return the effective samples of every quantity, squares first."""
         effective: list[Effective] = []
         if self.variances:
             numbers = effective_of_paths(
-                self._of_paths(ensemble.sums, ensemble.live) / ensemble.samples,
+                self._of_paths(self.ensemble.sums) / self.ensemble.samples,
                 np.mean(self.variances, axis=0),
                 np.mean(self.errors, axis=0) / np.sqrt(len(self.errors)),
-                whole=ensemble.paths,
+                whole=self.ensemble.paths,
             )
             names = [name for name, _, _ in self.squares]
             effective += map(Effective, names, *(number.tolist() for number in numbers))
@@ -116,14 +116,14 @@ class Record:
                 effective.append(Effective(name, *effective_of_shares(shares[:, columns])))
         return effective
 
-    def moments(self, ensemble: Any, effective: Sequence[Effective]) -> tuple[Moment, ...]:
+    def moments(self) -> tuple[Moment, ...]:
         """Return E q_i² and E v_i², with errors from the means of single trajectories."""
-        each = self._of_paths(ensemble.sums, ensemble.live) / ensemble.samples
-        errors = np.sqrt(each.var(axis=1, ddof=1) / ensemble.paths)
+        ensemble = self.ensemble
+        of_paths = self._of_paths(ensemble.sums) / ensemble.samples
+        errors = np.sqrt(of_paths.var(axis=1, ddof=1) / ensemble.paths)
         means = ensemble.batch_paths() @ ensemble.batch_means() / ensemble.paths
-        samples = {e.name: e.samples for e in effective}
         return tuple(
-            Moment(name, factor * float(means[k]), float(error), samples.get(name, nan))
+            Moment(name, factor * float(means[k]), float(error))
             for (name, k, factor), error in zip(self.squares, errors, strict=True)
         )
 
@@ -137,20 +137,19 @@ class Record:
             setattr(self, name, type(getattr(self, name))(saved[f"record_{name}"]))
 
     def _changing(self) -> list[str]:
-        """Names of the fields that begin with a default and change as samples come."""
-        given = "histograms", "products", "masses", "mirror"
-        return [f.name for f in fields(self) if f.name not in given]
+        """Names of the fields that change as samples come."""
+        return [f.name for f in fields(self) if f.name != "ensemble"]
 
-    def _of_paths(self, sums: Array, live: Integers) -> Array:
+    def _of_paths(self, sums: Array) -> Array:
         """Squares (squares, paths) of the trajectories from ``sums`` (blocks, products, LANES)."""
         rows = np.stack([f * sums[:, k] for _, k, f in self.squares])
-        return np.asarray(rows[:, np.arange(LANES) < live[: sums.shape[0], None]])
+        return np.asarray(rows[:, np.arange(LANES) < self.ensemble.live[: sums.shape[0], None]])
 
-    def _marginals(self, counts: Integers) -> list[Integers]:
+    def _marginals(self) -> list[Integers]:
         """Counts (batches, bins) of every coordinate, of |x| from the middle where folded."""
-        first, folds, marginals = starts(self.histograms), iter(self.folds), []
-        for m, histogram in enumerate(self.histograms):
-            own = counts[:, first[m] : first[m + 1] - 1].reshape(-1, *histogram.shape)
+        folds, marginals = iter(self.folds), []
+        for histogram, counts in self.ensemble.counted():
+            own = counts[:, :-1].reshape(-1, *histogram.shape)
             for axis, bins in enumerate(histogram.shape, start=1):
                 marginal = own.sum(axis=tuple({1, own.ndim - 1} - {axis}))
                 if next(folds):

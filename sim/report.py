@@ -1,7 +1,6 @@
 """The report of a simulation, as typed records; tables and JSON show it as ``settings``."""
 
 from dataclasses import asdict, dataclass
-from math import nan
 from typing import Literal
 
 from fpk.observable import Observable, observable_name
@@ -66,15 +65,11 @@ class DensityError:
 
 @dataclass(frozen=True)
 class Moment:
-    """The mean of ``name`` over the sampled states, such as ``q2²``, and its standard error.
-
-    ``effective_samples`` is the number of independent samples of equal worth, NaN if unknown.
-    """
+    """The mean of ``name`` over the sampled states, such as ``q2²``, and its standard error."""
 
     name: str
     mean: float
     error: float
-    effective_samples: float = nan
     step_bias: StepBias | None = None
 
 

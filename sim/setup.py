@@ -68,8 +68,7 @@ class Setup:
     @property
     def products(self) -> tuple[Product, ...]:
         """The products whose means are observed."""
-        terms = bool(self.system.damping_terms)
-        return moment_products(self.system.n, terms=terms) if self.method.moments else ()
+        return moment_products(self.system.n, terms=bool(self.system.damping_terms))
 
     @cached_property
     def mirror(self) -> bool:
@@ -80,7 +79,7 @@ class Setup:
     def identity(self) -> tuple[Any, ...]:
         """Values that a checkpoint must have been made with; the limit of wall time may differ."""
         m = self.method
-        asked = (m.burn_in, self.time, m.moments, self.tol, isinf(self.seconds))
+        asked = (m.burn_in, self.time, self.tol, isinf(self.seconds))
         steps = (self.scheme.name, self.scheme.small, self.dt, m.paths, m.seed)
         edges = [h.edges for h in self.histograms or ()]
         return (self.system, list(self.observables), *steps, *asked, edges)

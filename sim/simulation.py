@@ -11,7 +11,7 @@ from fpk.method import Progress, silent
 from sim.assessment import Answer, assessed
 from sim.checkpoint import Checkpoint, checkpoint_of, interruptible
 from sim.ensemble import Ensemble
-from sim.histogram import covering, extremes, sampled_density, starts
+from sim.histogram import covering, extremes, sampled_density
 from sim.record import SNAPSHOTS, Record
 from sim.setup import Setup
 from sim.statistics import sampling_error
@@ -56,18 +56,18 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
     reached = saved["reached"] if sampling else _burnt_in(setup, ensemble, checkpoint, saved)
     histograms = setup.histograms or covering(setup.observables, reached, mirror=setup.mirror)
     ensemble.watch(histograms, setup.products)
-    record = Record(histograms, setup.products, setup.system.mass, setup.mirror)
+    record = Record(ensemble)
     if sampling:
         ensemble.restore(saved)
         record.restore(saved)
         begin -= record.elapsed
     checkpoint.notes["reached"] = reached
     with interruptible(method.partial) as checkpoint.stopped:
-        _sample(ensemble, record, setup, begin=begin, checkpoint=checkpoint, progress=progress)
+        _sample(setup, record, begin=begin, checkpoint=checkpoint, progress=progress)
     checkpoint.save(ensemble)
     of = "" if setup.open else f" of {CHUNKS}"
     words = f"partial: interrupted after {record.chunks}{of} chunks"
-    return assessed(setup, ensemble, record, interrupted=words if checkpoint.interrupted else "")
+    return assessed(setup, record, interrupted=words if checkpoint.interrupted else "")
 
 
 def _burnt_in(setup: Setup, ensemble: Ensemble, checkpoint: Checkpoint, saved: Any) -> Array:
@@ -95,9 +95,8 @@ def _burnt_in(setup: Setup, ensemble: Ensemble, checkpoint: Checkpoint, saved: A
 
 
 def _sample(
-    ensemble: Ensemble,
-    record: Record,
     setup: Setup,
+    record: Record,
     *,
     begin: float,
     checkpoint: Checkpoint,
@@ -109,18 +108,15 @@ def _sample(
     the beginning of some; a chunk that was interrupted is not recorded. ``begin`` is the time of
     the clock at which the simulation began.
     """
-    stride, tol = setup.stride, setup.tol
+    ensemble, stride, tol = record.ensemble, setup.stride, setup.tol
     chunks = CHUNKS * (FIRST_CHUNK if setup.open else 1)
     first = max(1, ceil(setup.time / (stride * ensemble.dt * chunks)))
     record.chunk_samples = record.chunk_samples or first
     while True:
         start, length = perf_counter(), record.chunk_samples * stride
         begun = len(record.ends) * length
-        if ensemble.phase == begun and record.squares and record.chunks in SNAPSHOTS:
-            before = ensemble.sums.copy()
-            ensemble.advance(stride, stride=stride)
-            with np.errstate(over="ignore", invalid="ignore"):  # lost trajectories count below
-                record.snapshot(before, ensemble.sums, ensemble.live)
+        if ensemble.phase == begun and record.chunks in SNAPSHOTS:
+            record.snapshot(stride)
         record.elapsed = start - begin
         checkpoint.notes |= record.saved()
         interrupted = checkpoint.advance(ensemble, begun + length - ensemble.phase, stride=stride)
@@ -130,25 +126,25 @@ def _sample(
         record.chunks += 1
         if ensemble.lost():
             return
-        record.chunk_ends(ensemble)
+        record.chunk_ends()
         record.elapsed = perf_counter() - begin
-        late, enough = record.elapsed > setup.seconds, record.chunks >= LEAST_CHUNKS
-        if tol is not None and (late or (enough and ensemble.samples >= record.target)):
-            counts = ensemble.counts[:, : starts(record.histograms)[1]]
+        ends = record.elapsed > setup.seconds or (not setup.open and record.chunks == CHUNKS)
+        enough = record.chunks >= LEAST_CHUNKS and ensemble.samples >= record.target
+        if tol is not None and (ends or enough):
             taken = ensemble.paths * ensemble.samples
             first_density = sampled_density(
-                record.histograms[0], counts, taken=taken, mirror=record.mirror
+                *next(ensemble.counted()), taken=taken, mirror=setup.mirror
             )
-            record.error = sampling_error(first_density)
-            record.target = CHECK_AT * ensemble.samples * (record.error / tol) ** 2
+            error = sampling_error(first_density)
+            record.target = CHECK_AT * ensemble.samples * (error / tol) ** 2
+            ends |= error <= tol
         done = record.chunks / CHUNKS
         if setup.open:
             wanted = record.target / CHECK_AT if tol is not None else inf
             sampled = ensemble.samples / wanted if wanted else 0.0
             done = max(sampled, record.elapsed / setup.seconds)
         progress(min(CHUNKS, int(CHUNKS * done)), CHUNKS, "simulation")
-        met = tol is not None and record.error <= tol and enough
-        if met or late or (not setup.open and record.chunks == CHUNKS):
+        if ends:
             return
         if setup.open and len(record.ends) == 2 * CHUNKS:
             record.join_pairs()

@@ -85,17 +85,18 @@ def test_error_of_trajectories_is_that_of_the_correlogram_and_of_arviz() -> None
     products = moment_products(2)
     ensemble.watch((), products)
     k, draws = products.index(("q", 1, "q", 1)), []
-    record = Record((), products, system.mass, True)
-    for _ in range(400):
+    record = Record(ensemble)
+    for number in range(400):
         before = ensemble.sums.copy()
-        ensemble.advance(stride, stride=stride)
+        if number % 100 == 0:
+            record.snapshot(stride)
+        else:
+            ensemble.advance(stride, stride=stride)
         draws.append((ensemble.sums - before)[:, k].ravel())
-        if len(draws) % 100 == 1:
-            record.snapshot(before, ensemble.sums, ensemble.live)
         if len(draws) % 20 == 0:
-            record.chunk_ends(ensemble)
+            record.chunk_ends()
     x = np.array(draws).T
-    found = next(e for e in record.effective(ensemble) if e.name == "q2²")
+    found = next(e for e in record.effective() if e.name == "q2²")
     assert found.relative_error < 0.12
     y = x - x.mean()
     lags = range(1, 120)
@@ -155,16 +156,14 @@ def test_a_burn_in_too_short_is_seen_and_said() -> None:
     products = moment_products(2)
     ensemble = Ensemble(fig6(), SCHEMES["exact_flow"], 0.12, 4096, 5, 2)
     ensemble.watch((), products)
-    record = Record((), products, fig6().mass, True)
+    record = Record(ensemble)
     for chunk in range(20):
         if chunk % 5 == 0:
-            before = ensemble.sums.copy()
-            ensemble.advance(4, stride=4)
-            record.snapshot(before, ensemble.sums, ensemble.live)
+            record.snapshot(4)
         ensemble.advance(400 - 4 * (chunk % 5 == 0), stride=4)
-        record.chunk_ends(ensemble)
+        record.chunk_ends()
     found = diagnosis(
-        record.effective(ensemble), record.names, record.means(),
+        record.effective(), record.names, record.means(),
         time=960.0, paths=4096, burn_in=400.0,
     )  # fmt: skip
     assert found.drift > found.drift_limit

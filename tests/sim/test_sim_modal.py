@@ -24,7 +24,7 @@ def test_modes_are_normalised_and_their_energies_add_up() -> None:
 def test_modal_energies_of_a_linear_system_against_its_gaussian() -> None:
     # E H_m of the Lyapunov covariance; 4.5 standard errors.
     system = linear(3)
-    result = MonteCarlo(paths=8192, time=400.0, seed=77, moments=False).solve(
+    result = MonteCarlo(paths=8192, time=400.0, seed=77).solve(
         system, [parse_observable(name, 3) for name in ("H1", "H3", "H1,H2")]
     )
     shapes, omega = natural_modes(system)
