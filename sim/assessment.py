@@ -59,7 +59,7 @@ def assessed(setup: Setup, record: Record, *, interrupted: str) -> Answer:
             taken=ensemble.paths * ensemble.samples,
             mirror=setup.mirror,
             residual=max((abs(identity.z) for identity in judged), default=nan),
-            tol=setup.tol if setup.tol is not None and m == 0 else inf,
+            tol=setup.tol if m == 0 else inf,
             failures=failures,
         )
         for m, (histogram, counts) in enumerate(ensemble.counted())

@@ -16,7 +16,7 @@ from sim.flow import factored
 from sim.histogram import Histogram, starts
 from sim.kernel import KernelKey, compiled_kernel
 from sim.parts.observed import FOLDED
-from sim.plan import kernel_key, step_arrays, watch_arrays
+from sim.plan import step_arrays, watched
 from sim.random import START, mixed_seed, normals
 from sim.schemes import Scheme
 from sim.statistics import Product
@@ -135,8 +135,8 @@ class Ensemble:
     def watch(self, histograms: Sequence[Histogram] = (), products: Sequence[Product] = ()) -> None:
         """Observe these from now on, all counts and sums starting from zero."""
         self.histograms, self.products = tuple(histograms), tuple(products)
-        asked = (self.system, self.scheme, self.step, histograms, products)
-        self._watch, self._key = watch_arrays(*asked), kernel_key(*asked)
+        asked = (self.histograms, self.products)
+        self._key, self._watch = watched(self.system, self.scheme, self.step, *asked)
         apart = min(self.live.size, APART)
         self.sums = np.zeros((apart, len(products), LANES))
         self.folded = np.zeros((self.live.size - apart, len(products), FOLDED))

@@ -84,15 +84,18 @@ def term_arrays(system: System, springs: Array) -> TermArrays:
     )
 
 
-def watch_arrays(
+def watched(
     system: System,
     scheme: Scheme,
     step: StepArrays,
     histograms: Sequence[Histogram],
     products: Sequence[Product],
-) -> WatchArrays:
-    """Return what the kernel reads to observe: processor, histograms, products of moments."""
-    n, slots, modes = system.n, step.slot_mass, modes_of(histograms)
+) -> tuple[KernelKey, WatchArrays]:
+    """Return what the kernel must be compiled for, and the numbers that it reads to observe."""
+    n, slots, effects = system.n, step.slot_mass, effects_of(system)
+    observed = {c for histogram in histograms for c in histogram.observable}
+    kinds = {c.kind for c in observed}
+    modes = sorted(c.row for c in observed if c.kind == "H" and c.index is not None)
     forces = 0 if step.terms is None else n
     work = 5 if forces else int(bool(modes))
     sizes = [2 * slots.size, n, n, n, 1, len(modes), forces, 3 * forces, work]
@@ -105,7 +108,7 @@ def watch_arrays(
         return at.energy if c.index is None else at.modal + modes.index(c.index)
 
     shapes, frequency = natural_modes(system) if modes else (np.zeros((n, 0)), np.zeros(0))
-    T = shapes.T[list(modes)]
+    T = shapes.T[modes]
     rows = np.full((len(histograms), 2), -1, dtype=np.int64)
     low, scale, bins = np.zeros(rows.shape), np.ones(rows.shape), np.ones_like(rows)
     for m, histogram in enumerate(histograms):
@@ -113,13 +116,12 @@ def watch_arrays(
             rows[m, axis], low[m, axis], bins[m, axis] = row_of(c), e[0], e.size - 1
             scale[m, axis] = (e.size - 1) / (e[-1] - e[0])
     half, shift = 0.5 * step.dt if scheme.kick_first else 0.0, scheme.modified * step.dt**2
-    pairs = [(first[a] + i, first[b] + j) for a, i, b, j in products]
-    return WatchArrays(
+    watch = WatchArrays(
         half_kick=half,
         half_springs=(half if scheme.springs_kicked else 0.0) * system.stiffness_matrix,
         term_shift=shift,
         cross=shift * system.damping[:, slots] / system.mass[slots],
-        mode_q=frequency[list(modes), None] * T * system.mass if modes else None,
+        mode_q=frequency[modes, None] * T * system.mass if modes else None,
         mode_p=np.ascontiguousarray(T) if modes else None,
         at=at,
         rows=rows,
@@ -127,41 +129,25 @@ def watch_arrays(
         scale=scale,
         bins=bins,
         start=starts(histograms)[:-1],
-        products=np.array(pairs, dtype=np.int64).reshape(-1, 2),
+        products=np.array(
+            [(first[a] + i, first[b] + j) for a, i, b, j in products], dtype=np.int64
+        ).reshape(-1, 2),
     )
-
-
-def modes_of(histograms: Sequence[Histogram]) -> tuple[int, ...]:
-    """Return the modes whose energies are observed, counted from 0, ascending."""
-    coordinates = {c for h in histograms for c in h.observable if c.kind == "H"}
-    return tuple(sorted(c.index for c in coordinates if c.index is not None))
-
-
-def kernel_key(
-    system: System,
-    scheme: Scheme,
-    step: StepArrays,
-    histograms: Sequence[Histogram],
-    products: Sequence[Product],
-) -> KernelKey:
-    """Return what the kernel must be compiled for: the effects and the observables asked for."""
-    kinds, effects = {c.kind for h in histograms for c in h.observable}, effects_of(system)
-    whole = any(c.kind == "H" and c.index is None for h in histograms for c in h.observable)
-    one_loop = (system.n, step.pairs) in ONE_LOOP and not effects.state_damping
-    alone = step.stop_slot.size == step.slot_mass.size and scheme.kick_first
-    kicked = tuple(int(i) for i in step.slot_mass) if one_loop and alone else ()
-    return KernelKey(
+    one_loop = (n, step.pairs) in ONE_LOOP and not effects.state_damping
+    alone = step.stop_slot.size == slots.size and scheme.kick_first
+    key = KernelKey(
         laws=effects.laws,
         kick_first=scheme.kick_first or not (effects.contact or effects.state_damping),
         damping=effects.state_damping,
         energy_damping=effects.energy_damping,
         observed=bool(kinds or products),
         momenta=bool(kinds & {"p", "H"} or products or effects.state_damping),
-        energy=whole or bool(products and effects.energy_damping),
-        modes=bool(modes_of(histograms)),
+        energy=Coordinate("H") in observed or bool(products and effects.energy_damping),
+        modes=bool(modes),
         moments=bool(products),
-        masses=system.n,
+        masses=n,
         pairs=step.pairs,
-        kicked=kicked,
+        kicked=tuple(slots.tolist()) if one_loop and alone else (),
         substeps=step.substeps is not None,
     )
+    return key, watch

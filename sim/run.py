@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import hypot
+from math import hypot, inf
 
 from fpk.cores import usable_cores
 from fpk.density import SampledDensity
@@ -32,9 +32,11 @@ def run(
             seed = (method.seed + OTHER_SEED) % 2**64
             half = replace(
                 setup,
-                method=replace(method, seed=seed, tol=None, seconds=None),
+                method=replace(method, seed=seed),
                 dt=0.5 * setup.dt,
                 time=report.steps.time,
+                tol=inf,
+                seconds=inf,
                 histograms=tuple(Histogram(d.observable, d.edges) for d in densities),
             )
             others, _, half_report = simulate(half, workers=workers, progress=progress)

@@ -24,8 +24,9 @@ class Setup:
     """Everything that the numbers of one simulation of Eq. (6) depend on; times of the system.
 
     ``dt`` is the long step where ``scheme`` makes small ones. Each trajectory is sampled for
-    ``time``, unless the method has a ``tol`` or ``seconds``. ``histograms`` None: bins that cover
-    what a pilot reaches. ``division`` says which trajectories make small steps, ``limited_by`` what
+    ``time`` or, where that is finite, until ``seconds`` of wall time have passed or the expected
+    L1 error of the first observable is below ``tol``. ``histograms`` None: bins that cover what a
+    pilot reaches. ``division`` says which trajectories make small steps, ``limited_by`` what
     cut ``time`` short, and ``failures`` are reasons not to certify an answer.
     """
 
@@ -35,25 +36,17 @@ class Setup:
     scheme: Scheme
     dt: float
     time: float
+    tol: float = inf
+    seconds: float = inf
     histograms: tuple[Histogram, ...] | None = None
     division: str = ""
     limited_by: Literal["", "most_steps"] = ""
     failures: tuple[str, ...] = ()
 
     @property
-    def tol(self) -> float | None:
-        """The target of the expected L1 error of the first observable."""
-        return self.method.tol if self.observables else None
-
-    @property
-    def seconds(self) -> float:
-        """The wall time at which the sampling ends, infinity where only ``time`` ends it."""
-        return self.method.seconds or (self.method.longest if self.tol is not None else inf)
-
-    @property
     def open(self) -> bool:
         """Whether the length is not known before."""
-        return self.tol is not None or self.seconds < inf
+        return self.seconds < inf
 
     @cached_property
     def stride(self) -> int:
@@ -96,10 +89,13 @@ def setup_of(method: MonteCarlo, system: System, observables: Sequence[Observabl
             raise
         failures.append(f"the step {dt:g} was insisted on: it {error.remedy}")
     scheme, long, division = with_long_steps(system, scheme, dt)
+    tol = method.tol if method.tol is not None and observables else inf
+    seconds = method.seconds or (method.longest if tol < inf else inf)
     time = wanted = method.time or method.relaxations * relaxation_time(system)
     if method.time is None:
         time = min(wanted, method.most_steps * dt / cost(system, dt, scheme.small))
     return Setup(
-        method, system, tuple(observables), scheme, dt=long, time=time, division=division,
-        limited_by="most_steps" if time < wanted else "", failures=tuple(failures),
+        method, system, tuple(observables), scheme, dt=long, time=time, tol=tol, seconds=seconds,
+        division=division, limited_by="most_steps" if time < wanted else "",
+        failures=tuple(failures),
     )  # fmt: skip

@@ -60,10 +60,11 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
     if sampling:
         ensemble.restore(saved)
         record.restore(saved)
-        begin -= record.elapsed
+    else:
+        record.elapsed = perf_counter() - begin
     checkpoint.notes["reached"] = reached
     with interruptible(method.partial) as checkpoint.stopped:
-        _sample(setup, record, begin=begin, checkpoint=checkpoint, progress=progress)
+        _sample(setup, record, checkpoint=checkpoint, progress=progress)
     checkpoint.save(ensemble)
     of = "" if setup.open else f" of {CHUNKS}"
     words = f"partial: interrupted after {record.chunks}{of} chunks"
@@ -84,31 +85,23 @@ def _burnt_in(setup: Setup, ensemble: Ensemble, checkpoint: Checkpoint, saved: A
         ensemble.restore(saved)
     checkpoint.advance(ensemble, setup.burn_in_steps - ensemble.done, stride=0)
     if setup.histograms is None:
-        reached = np.full((coordinates, 2), (inf, -inf))
+        pilot = []
         for _ in range(PILOT_STATES):
             ensemble.advance(PILOT_STEPS * setup.stride, stride=0)
             states = ensemble.phase_points(PILOT_PATHS)
-            low, high = extremes(setup.system, setup.observables, *states).T
-            reached[:, 0] = np.minimum(reached[:, 0], low)
-            reached[:, 1] = np.maximum(reached[:, 1], high)
+            pilot.append(extremes(setup.system, setup.observables, *states))
+        reached = np.stack([np.min(pilot, axis=0)[:, 0], np.max(pilot, axis=0)[:, 1]], axis=1)
     return reached
 
 
-def _sample(
-    setup: Setup,
-    record: Record,
-    *,
-    begin: float,
-    checkpoint: Checkpoint,
-    progress: Progress,
-) -> None:
+def _sample(setup: Setup, record: Record, *, checkpoint: Checkpoint, progress: Progress) -> None:
     """Advance until ``setup`` is met, a trajectory is lost or ``checkpoint`` is interrupted.
 
     ``record`` gets the sums at the end of every chunk, and single samples of all trajectories at
-    the beginning of some; a chunk that was interrupted is not recorded. ``begin`` is the time of
-    the clock at which the simulation began.
+    the beginning of some; a chunk that was interrupted is not recorded.
     """
     ensemble, stride, tol = record.ensemble, setup.stride, setup.tol
+    begin = perf_counter() - record.elapsed
     chunks = CHUNKS * (FIRST_CHUNK if setup.open else 1)
     first = max(1, ceil(setup.time / (stride * ensemble.dt * chunks)))
     record.chunk_samples = record.chunk_samples or first
@@ -130,7 +123,7 @@ def _sample(
         record.elapsed = perf_counter() - begin
         ends = record.elapsed > setup.seconds or (not setup.open and record.chunks == CHUNKS)
         enough = record.chunks >= LEAST_CHUNKS and ensemble.samples >= record.target
-        if tol is not None and (ends or enough):
+        if tol < inf and (ends or enough):
             taken = ensemble.paths * ensemble.samples
             first_density = sampled_density(
                 *next(ensemble.counted()), taken=taken, mirror=setup.mirror
@@ -140,8 +133,7 @@ def _sample(
             ends |= error <= tol
         done = record.chunks / CHUNKS
         if setup.open:
-            wanted = record.target / CHECK_AT if tol is not None else inf
-            sampled = ensemble.samples / wanted if wanted else 0.0
+            sampled = CHECK_AT * ensemble.samples / record.target if record.target else 0.0
             done = max(sampled, record.elapsed / setup.seconds)
         progress(min(CHUNKS, int(CHUNKS * done)), CHUNKS, "simulation")
         if ends:

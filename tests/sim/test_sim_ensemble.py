@@ -17,7 +17,7 @@ from sim.arrays import LANES
 from sim.checkpoint import program_checksum
 from sim.ensemble import Ensemble
 from sim.kernel import KERNEL, KernelKey, kernel_checksum
-from sim.plan import kernel_key, step_arrays
+from sim.plan import step_arrays, watched
 from sim.schemes import SCHEMES
 from sim.statistics import moment_products
 
@@ -59,16 +59,16 @@ def test_what_is_not_in_the_scene_is_not_compiled(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("sim.kernel.compiled_laws", refuse)
     system = linear(2)
     ensemble = Ensemble(system, EXACT_FLOW, 0.5, 2 * LANES, 1, 1)
-    assert kernel_key(system, EXACT_FLOW, ensemble.step, (), ()) == KernelKey()
+    assert watched(system, EXACT_FLOW, ensemble.step, (), ())[0] == KernelKey()
     assert ensemble.step.stop_slot.size == ensemble.step.slot_mass.size == 0
     q = np.array([[-1.0] * 2, [1.0] * 2])
     for name, momenta, energy in (("q2", False, False), ("p1", True, False), ("H", True, True)):
         h = ranged(system, [parse_observable(name, 2)], q, q, mirror=True)
-        key = kernel_key(system, EXACT_FLOW, ensemble.step, h, ())
+        key = watched(system, EXACT_FLOW, ensemble.step, h, ())[0]
         assert (key.observed, key.momenta, key.energy) == (True, momenta, energy)
         assert key.laws == () and not key.moments
     step = step_arrays(fig6(), EXACT_FLOW, 0.1)
-    assert kernel_key(fig6(), EXACT_FLOW, step, (), ()).laws == ("hertz",)
+    assert watched(fig6(), EXACT_FLOW, step, (), ())[0].laws == ("hertz",)
 
 
 def test_a_stop_equal_on_both_sides_is_evaluated_once() -> None:

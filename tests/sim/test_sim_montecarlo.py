@@ -18,9 +18,9 @@ from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.method import Result
 from fpk.observable import parse_observable
 from fpk.system import System
-from sim.kernel import WatchArrays
+from sim.kernel import KernelKey, WatchArrays
 from sim.montecarlo import MonteCarlo
-from sim.plan import watch_arrays
+from sim.plan import watched
 from sim.report import Report
 from sim.schemes import SCHEMES
 from sim.setup import Setup
@@ -142,11 +142,11 @@ def test_damping_term_of_the_observed_momentum(monkeypatch: pytest.MonkeyPatch) 
     method = small(paths=8192, dt=0.2, time=400.0)
     assert abs(method.solve(system, Q2).identities[-1].z) < 4.0
 
-    def without(*arguments: Any) -> WatchArrays:
-        arrays = watch_arrays(*arguments)
-        return arrays._replace(cross=0.0 * arrays.cross)
+    def without(*arguments: Any) -> tuple[KernelKey, WatchArrays]:
+        key, arrays = watched(*arguments)
+        return key, arrays._replace(cross=0.0 * arrays.cross)
 
-    monkeypatch.setattr("sim.ensemble.watch_arrays", without)
+    monkeypatch.setattr("sim.ensemble.watched", without)
     assert abs(method.solve(system, Q2).identities[-1].z) > 7.0
 
 

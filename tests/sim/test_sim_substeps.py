@@ -20,7 +20,7 @@ from sim.ensemble import Ensemble
 from sim.flow import exact_flow, flow_covariance, lower_trapezoidal
 from sim.histogram import Histogram
 from sim.montecarlo import MonteCarlo
-from sim.plan import kernel_key, step_arrays
+from sim.plan import step_arrays, watched
 from sim.random import normals
 from sim.schemes import SCHEMES, Scheme
 from sim.statistics import Moments, moment_products
@@ -311,8 +311,8 @@ def test_choice_of_the_long_step() -> None:
 def test_uniform_steps_have_no_arrays_for_them() -> None:
     step = step_arrays(fig6(), EXACT_FLOW, 0.1)
     assert step.substeps is None and step.words == step.pairs
-    assert not kernel_key(fig6(), EXACT_FLOW, step, (), ()).substeps
+    assert not watched(fig6(), EXACT_FLOW, step, (), ())[0].substeps
     step = step_arrays(stiff(), longer(16), 0.048)
-    assert kernel_key(stiff(), EXACT_FLOW, step, (), ()).substeps
+    assert watched(stiff(), EXACT_FLOW, step, (), ())[0].substeps
     assert step.words == 17 * step.pairs and step.dt == 0.003
     assert step.substeps.row.shape == (1, 4)
