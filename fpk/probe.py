@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from fpk.arrays import Array
+from fpk.compiling import cached_njit
 from fpk.ends import FAR_OUT, require_falling
 from fpk.errors import NotCertified
 from fpk.process import Coefficients, Process, log_density_slope
@@ -71,17 +72,9 @@ class Probe:
         beyond the last one at the rate there.
         """
         first = int(np.searchsorted(self.energy, end, side="right"))
-        rate, bound, left = -float(np.interp(end, self.energy, self.slope)), 0.0, 1.0
-        beyond = zip(self.energy[first:].tolist(), self.slope[first:].tolist(), strict=True)
-        for energy, slope in beyond:
-            least = min(rate, -slope)
-            fall = least * (energy - end)
-            if least == 0.0 or not fall > -LOG_LARGEST:
-                return math.inf
-            after = left * math.exp(-fall)
-            bound += (left - after) / least
-            rate, end, left = -slope, energy, after
-        return density_at_end * (bound + left / rate) if rate > 0.0 else math.inf
+        rate = -float(np.interp(end, self.energy, self.slope))
+        length = _mean_length(self.energy[first:] - end, self.slope[first:], rate)
+        return density_at_end * length if length < math.inf else math.inf  # not 0 · ∞
 
     def e_fold(self, end: float) -> float:
         """Return the mean energy over which p/T changes by the factor e, below ``end``."""
@@ -89,6 +82,21 @@ class Probe:
         energy = np.concatenate([[0.0], self.energy[inside], [end]])
         nats = float(np.trapezoid(np.interp(energy, self.energy, self.roughness), energy))
         return end / nats
+
+
+@cached_njit()
+def _mean_length(distance: Array, slope: Array, rate: float) -> float:
+    """∫p/p(end) over the distances from the end, p falling at ``rate`` there; ∞ where it rises."""
+    total, share, before = 0.0, 1.0, 0.0
+    for k in range(distance.size):
+        least = min(rate, -slope[k])
+        fall = least * (distance[k] - before)
+        if least == 0.0 or not fall > -LOG_LARGEST:
+            return np.inf
+        after = share * np.exp(-fall)
+        total += (share - after) / least
+        rate, share, before = -slope[k], after, distance[k]
+    return total + share / rate if rate > 0.0 else np.inf
 
 
 def probed(process: Process) -> Probe:

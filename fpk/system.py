@@ -66,7 +66,7 @@ class System:
         intensity = _matrix("noise_intensity", self.noise_intensity)
         noises = intensity.shape[0]
         skew = np.abs(intensity - intensity.T)
-        if np.any(skew > SEMIDEFINITE_SLACK * np.abs(intensity)):
+        if (skew > SEMIDEFINITE_SLACK * np.abs(intensity)).any():
             raise InvalidInput("noise_intensity", self.noise_intensity, "must be symmetric")
         _refuse_negative("noise_intensity", intensity, "is not positive semidefinite: it has")
         if self.noise_gain is None:
@@ -86,8 +86,7 @@ class System:
                 key = f"contact[{k}].mass"
                 raise InvalidInput(key, contact.mass, f"is not a mass; use 1 to {n}")
         object.__setattr__(self, "damping_terms", terms)
-        above = np.append(stiffness[1:], 0.0)
-        spring = np.diag(stiffness + above) - np.diag(above[:-1], 1) - np.diag(above[:-1], -1)
+        extension = np.eye(n) - np.eye(n, k=-1)  # of each spring, from the displacements
         derived = {
             "mass": mass,
             "stiffness": stiffness,
@@ -95,7 +94,7 @@ class System:
             "noise_intensity": intensity,
             "noise_gain": gain,
             "noise_matrix": gain @ intensity @ gain.T,
-            "stiffness_matrix": spring,
+            "stiffness_matrix": extension.T @ (stiffness[:, None] * extension),
         }
         for name, value in derived.items():
             value.setflags(write=False)
@@ -194,7 +193,7 @@ def _finite(key: str, value: ArrayLike) -> Array:
         raise InvalidInput(
             key, value, "must be numbers in a list, or lists of equal length"
         ) from None
-    if not np.all(np.isfinite(array)):
+    if not np.isfinite(array).all():
         raise InvalidInput(key, value, "must hold finite numbers only")
     return array
 
@@ -203,7 +202,7 @@ def _vector(key: str, value: ArrayLike) -> Array:
     array = _finite(key, value)
     if array.ndim != 1 or array.size == 0:
         raise InvalidInput(key, value, "must be a list of one number per mass")
-    if np.any(array <= 0):
+    if (array <= 0).any():
         raise InvalidInput(key, value, "must hold positive numbers only")
     return array
 
@@ -222,5 +221,5 @@ def _refuse_negative(key: str, matrix: Array, words: str) -> None:
     eigenvalues: Array = np.sort(symmetric.diagonal())
     if np.count_nonzero(symmetric) > np.count_nonzero(eigenvalues):
         eigenvalues = np.asarray(np.linalg.eigvalsh(symmetric), dtype=float)
-    if eigenvalues[0] < -SEMIDEFINITE_SLACK * np.max(np.abs(eigenvalues)):
+    if eigenvalues[0] < -SEMIDEFINITE_SLACK * np.abs(eigenvalues).max():
         raise InvalidInput(key, matrix, f"{words} the eigenvalue {eigenvalues[0]:.3g} < 0")

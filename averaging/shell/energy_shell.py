@@ -44,7 +44,7 @@ class EnergyShell:
         at any ratio of the springs.
         """
         reach = [law.precision**-0.5 for law in conditionals(self.system, self.masses)]
-        return np.tril(np.tile(reach, (self.count, 1))).reshape(self.count, self.count)
+        return np.asarray(np.tri(self.count) * reach)
 
     @cached_property
     def stops(self) -> Stops:
@@ -104,8 +104,8 @@ class EnergyShell:
         energies = self.potential(self.first_touch).tolist()
         if self.count == 2:
             energies += self.potential(self.corners).tolist()
-        H = np.sort(energies)
-        return tuple(H[np.diff(H, prepend=-1.0) > SAME * H].tolist())
+        energies.sort()
+        return tuple(H for k, H in enumerate(energies) if not k or H - energies[k - 1] > SAME * H)
 
     @cached_property
     def first_touch(self) -> Array:

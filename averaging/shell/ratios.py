@@ -53,7 +53,8 @@ def shell_ratios(system: System, energy: Array) -> ShellRatios:
     contact mass they are integrated afresh, for more they are interpolated.
     """
     shell = system.fact(EnergyShell)
-    rows = np.array([1.0, 1.0, system.n - 1.0, 0.0, 0.0])[:, None].repeat(energy.size, axis=1)
+    rows = np.ones((5, energy.size))
+    rows[2], rows[3:] = system.n - 1.0, 0.0
     first = shell.contact_energies[0] if shell.contact_energies else np.inf
     touching = (energy > first).nonzero()[0]
     if touching.size:

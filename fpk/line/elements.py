@@ -17,6 +17,7 @@ from numpy.polynomial.legendre import legder, legvander
 from numpy.typing import NDArray
 
 from fpk.arrays import Array
+from fpk.compiling import cached_njit, inlined
 from fpk.process import Coefficients, Process
 from fpk.quadrature import gauss_legendre
 
@@ -49,9 +50,7 @@ class Rule(NamedTuple):
     then those of the enriched solution. They are Gauss points in (H − H_c)^⅓: in √(H − H_c) T is
     smooth, but stiff contact leaves a layer just above H_c. Without clearance, or with very little
     beside a stiff stop, T has other roots and both rules converge algebraically: twice as many
-    points keep less than half of the error for any power of H − H_c from ½ on. ``padding`` are the
-    numbers of Gauss points, the last one repeated up to as many as the answer has above contact,
-    with ``padded_weight`` their weights, zero where repeated.
+    points keep less than half of the error for any power of H − H_c from ½ on.
     """
 
     share: Array
@@ -59,8 +58,6 @@ class Rule(NamedTuple):
     enriched_weight: Array
     P: Array
     tested: Array
-    padding: NDArray[np.intp]
-    padded_weight: Array
     contact_share: Array
     contact_weight: Array
     contact_P: Array
@@ -83,11 +80,9 @@ def element_rule(degree: int) -> Rule:
         tested=np.concatenate(
             [(tests * f[:, None]).reshape(share.size, -1) for f in (value, slope)]
         ),
-        padding=np.minimum(np.arange(count), share.size - 1),
-        padded_weight=np.append(weight, np.zeros(count - share.size)),
         contact_share=t**3,
         contact_weight=3.0 * t**2 * w,
-        contact_P=np.asarray(legvander(2.0 * t**3 - 1.0, highest), dtype=float),
+        contact_P=np.ascontiguousarray(legvander(2.0 * t**3 - 1.0, highest).T),
     )
 
 
@@ -175,60 +170,109 @@ def solve_elements(
     A = (factors.reshape(left.size, -1) @ rule.tested).reshape(left.size, -1, degree + 3)
     largest = np.maximum(np.abs(A).max(axis=2, keepdims=True), TINY)
     A /= largest
-    u, enriched = _null_vectors(A, degree), _null_vectors(A, degree + ENRICHMENT)
-    equations, column = A[:, :degree], u[:, :, None]
-    left_over = np.abs(equations @ column)[:, :, 0]
-    terms = (np.abs(equations) @ np.abs(column))[:, :, 0]
-    # All terms are zero where an element is so short that the damping in it underflows.
-    residual = left_over.max(axis=1) / np.maximum(terms.max(axis=1), TINY)
-    p, better = T * (u @ rule.P), T * (enriched @ rule.P)
-    enriched_mass = h[:, 0] * (better @ rule.enriched_weight)
-    p, better = p[:, rule.padding], better[:, rule.padding]
-    weights = h * rule.padded_weight
+    u, enriched = (_null_vectors(A, m) for m in (degree, degree + ENRICHMENT))
     if above.size:
-        own = rule.padding.size
-        both = inner_T * (np.array([u[above], enriched[above]]) @ rule.contact_P.T)
-        p[above], better[above] = both[:, :, :own]
-        weights[above] = h[above] * rule.contact_weight[:own]
-        enriched_mass[above] = h[above, 0] * (both[1, :, own:] @ rule.contact_weight[own:])
         inner_error = flat.relative_error[energy.size : -left.size].reshape(inner.shape)
         error[above] = np.maximum(error[above], inner_error.max(axis=1))
-    mass = (weights * p).sum(axis=1)
-    unit = np.abs(largest[:, 0, 0] / mass)
-    return Elements(
+    points, judged = (left.size, degree + 2 + CONTACT_POINTS), np.empty((4, left.size))
+    e = Elements(
         left=left,
         right=right,
         coefficient_error=error,
-        u=u[:, : degree + 1] / mass[:, None],
-        enriched=enriched / enriched_mass[:, None],
+        u=u,
+        enriched=enriched,
         log_factor=log_factor,
-        values=p / mass[:, None],
-        enriched_values=better / enriched_mass[:, None],
-        weights=weights,
-        residual=residual,
-        # The first test is 1: its equation is the mean of J.
-        net_flux=left_over[:, 0] * unit / h[:, 0],
-        one_way=terms[:, 0] * unit / h[:, 0],
-        at_end=T_end * u.sum(axis=1) / mass,
+        values=np.empty(points),
+        enriched_values=np.empty(points),
+        weights=np.zeros(points),
+        residual=judged[0],
+        net_flux=judged[1],
+        one_way=judged[2],
+        at_end=judged[3],
     )
+    _scale_to_mass_one(e, A, largest[:, 0, 0], T, T_end, above, inner_T, rule)
+    return e
+
+
+@cached_njit()
+def _scale_to_mass_one(
+    e: Elements, A: Array, first: Array, T: Array, T_end: Array, above: NDArray[np.intp],
+    inner_T: Array, rule: Rule,
+) -> None:  # fmt: skip
+    """Scale u of each element to mass 1, and write what is measured on it; all in place.
+
+    ``first`` is the factor of the first row of A, which is the equation of the test function 1 and
+    so the mean of J. ``above`` are the elements that begin where contact does, with T at their own
+    points in ``inner_T``. Values at fewer points than the arrays hold are filled with the last one.
+    """
+    degree, most = e.u.shape[1] - 1, e.weights.shape[1]
+    row = 0
+    for k in range(e.left.size):
+        u, better, h = e.u[k], e.enriched[k], e.right[k] - e.left[k]
+        # All terms are zero where an element is so short that the damping in it underflows.
+        left_over, largest = 0.0, TINY
+        for i in range(degree):
+            total, size = 0.0, 0.0
+            for j in range(degree + 1):
+                total += A[k, i, j] * u[j]
+                size += abs(A[k, i, j] * u[j])
+            left_over, largest = max(left_over, abs(total)), max(largest, size)
+            if i == 0:
+                e.net_flux[k], e.one_way[k] = abs(total), size
+        e.residual[k] = left_over / largest
+        contact = row < above.size and above[row] == k
+        P, states = (rule.contact_P, inner_T[row]) if contact else (rule.P, T[k])
+        row += contact
+        own = most if contact else states.size
+        for g in range(most):
+            m = min(g, own - 1)
+            e.values[k, g] = states[m] * _series(u, P, m)
+            e.enriched_values[k, g] = states[m] * _series(better, P, m)
+        mass, better_mass, end = 0.0, 0.0, 0.0
+        for g in range(own):
+            e.weights[k, g] = h * (rule.contact_weight[g] if contact else rule.weight[g])
+            mass += e.weights[k, g] * e.values[k, g]
+        if contact:
+            for g in range(own, states.size):
+                better_mass += rule.contact_weight[g] * states[g] * _series(better, P, g)
+        else:
+            for g in range(own):
+                better_mass += rule.enriched_weight[g] * e.enriched_values[k, g]
+        for j in range(degree + 1):
+            end += u[j]
+        e.at_end[k] = T_end[k] * end / mass
+        e.net_flux[k] *= abs(first[k] / (mass * h))
+        e.one_way[k] *= abs(first[k] / (mass * h))
+        e.values[k] /= mass
+        e.enriched_values[k] /= h * better_mass
+        e.u[k] /= mass
+        e.enriched[k] /= h * better_mass
+
+
+@inlined
+def _series(coefficients: Array, P: Array, point: int) -> float:
+    """Σ c_j P_j at one of the points of ``P`` (polynomials, points)."""
+    total = 0.0
+    for j in range(coefficients.size):
+        total += coefficients[j] * P[j, point]
+    return total
 
 
 def _null_vectors(A: Array, degree: int) -> Array:
-    """Return u (elements, columns of A), u_0 = 1, of ``degree`` that A maps to zero below it.
+    """Return u (elements, ``degree`` + 1), u_0 = 1, that the first rows of A map to zero.
 
     A (elements, m, m + 1) has rows of the size one, each of a test function, of rising degree. u_0
     is the mean of u over the element, which is not zero as u does not change sign. Where T spans
     hundreds of decades in one element some directions of u have no weight in any equation, and
     elimination comes upon a zero: the least u is taken.
     """
-    u = np.zeros((len(A), A.shape[2]))
-    u[:, 0] = 1.0
+    u = np.ones((len(A), degree + 1))
     B, right = A[:, :degree, 1 : degree + 1], -A[:, :degree, :1]
     try:
         rest = np.linalg.solve(B, right)
     except np.linalg.LinAlgError:
         rest = np.linalg.pinv(B) @ right
-    u[:, 1 : degree + 1] = rest[:, :, 0]
+    u[:, 1:] = rest[:, :, 0]
     return u
 
 

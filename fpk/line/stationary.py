@@ -6,14 +6,14 @@ natural. The equation is solved from its coefficients alone, never from the know
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
 from fpk.arrays import Array, Flags
 from fpk.certificate import NEGATIVE, Certificate, Measured, certify
+from fpk.compiling import cached_njit
 from fpk.errors import NotCertified
 from fpk.line.elements import (
     ENRICHMENT,
@@ -183,7 +183,7 @@ def solve_stationary(
         digits = round(-math.log10(tol))
         degree = min(max(digits + 4, 3), 16) if smooth else min(max(digits, 3), 12)
     probe = probed(process)
-    if not np.all(np.isfinite(probe.log_mass)):
+    if not np.isfinite(probe.log_mass).all():
         raise NotCertified(
             "the coefficients leave the range of double precision: choose other units"
         )
@@ -224,7 +224,7 @@ def _assembled(
 ) -> tuple[StationarySolution, Flags]:
     """Return the elements scaled to one density, judged, and which of them to cut in two."""
     nodes = np.concatenate([e.left, e.right[-1:]])
-    sign, log_scale, log_mass, share = _chained([e.u, e.enriched], e.log_factor)
+    sign, log_scale, log_mass, share = _chained(e)
     p, better = share[0, :, None] * e.values, share[1, :, None] * e.enriched_values
     difference = np.abs(p - better)
     distance = float((e.weights * difference).sum())
@@ -281,34 +281,39 @@ def _assembled(
     return solution, (p.min(axis=1) < NEGATIVE * most) | (own > 0.1 * tol / own.size)
 
 
-def _chained(series: Sequence[Array], log_factor: Array) -> tuple[Array, Array, Array, Array]:
+@cached_njit()
+def _chained(e: Elements) -> tuple[Array, Array, Array, Array]:
     """Return signs and logarithms of the scales by which elements make a density of mass 1.
 
-    ``series`` are the Legendre series of elements of mass 1, up to exp(``log_factor``), of several
-    solutions; returned are arrays (solutions, elements), the logarithm and the signed value of each
-    element's mass among them. The scales that match the elements at the nodes are added up as
-    logarithms, so that no density is too steep; where mass is most it is positive.
+    Returned are arrays (2, elements), for the answer and the enriched solution, of them and of the
+    logarithm and the signed value of each element's mass. The scales that match the elements at
+    the nodes are added up as logarithms, so that no density is too steep; where mass is most it is
+    positive.
     """
-    ends = np.array([u @ _at_ends(u.shape[1]) for u in series])
-    log_scale, sign = np.zeros(ends.shape[:2]), np.ones(ends.shape[:2])
-    size = np.maximum(np.abs(ends), TINY)
-    np.log(size[:, :-1, 1] / size[:, 1:, 0]).cumsum(axis=1, out=log_scale[:, 1:])
-    log_mass = log_scale + log_factor
-    highest = log_mass.max(axis=1, keepdims=True)
-    if (ends < 0.0).any():
-        turned = (ends[:, :-1, 1] < 0.0) != (ends[:, 1:, 0] < 0.0)
-        (1.0 - 2.0 * turned).cumprod(axis=1, out=sign[:, 1:])
-        sign *= np.take_along_axis(sign, log_mass.argmax(axis=1, keepdims=True), axis=1)
-    share = sign * np.exp(log_mass - highest)
-    total = share.sum(axis=1, keepdims=True)
-    highest += np.log(total)
-    return sign, log_scale - highest, log_mass - highest, share / total
-
-
-@lru_cache
-def _at_ends(count: int) -> Array:
-    """Legendre polynomials of degree < ``count`` at both ends of an element, (count, 2)."""
-    return np.column_stack([(-1.0) ** np.arange(count), np.ones(count)])
+    sign, log_scale = np.ones((2, e.left.size)), np.zeros((2, e.left.size))
+    log_mass, share = np.empty_like(sign), np.empty_like(sign)
+    for s, series in enumerate((e.u, e.enriched)):
+        before = 0.0
+        for k in range(e.left.size):
+            start, end = 0.0, 0.0  # u at both ends of the element, where P_j is (−1)^j and 1
+            for j in range(series.shape[1]):
+                start += series[k, j] * (1.0 - 2.0 * (j % 2))
+                end += series[k, j]
+            if k > 0:
+                ratio = max(abs(before), TINY) / max(abs(start), TINY)
+                log_scale[s, k] = log_scale[s, k - 1] + np.log(ratio)
+                sign[s, k] = -sign[s, k - 1] if (before < 0.0) != (start < 0.0) else sign[s, k - 1]
+            log_mass[s, k] = log_scale[s, k] + e.log_factor[k]
+            before = end
+        most = log_mass[s].argmax()
+        sign[s] *= sign[s, most]
+        share[s] = sign[s] * np.exp(log_mass[s] - log_mass[s, most])
+        total = share[s].sum()
+        share[s] /= total
+        log_total = log_mass[s, most] + np.log(total)
+        log_mass[s] -= log_total
+        log_scale[s] -= log_total
+    return sign, log_scale, log_mass, share
 
 
 def _accumulated_error(process: Process, nodes: Array, share: Array) -> tuple[float, float]:
