@@ -56,9 +56,10 @@ def tabulated(system: System, solution: Solution, *, closed: bool = False) -> St
     """Return the density whose u and error of u are smooth between the panels of ``solution``.
 
     Weyl integrals are tabulated twice: the finer table is the answer, the largest distance to the
-    other one in each element its error. Where the damping depends on the state u is no exponential:
-    the finer table then has elements half as long, too, and all that u was continued by beyond the
-    last node, where it falls ever faster, is part of the error.
+    other one in each element its error. Beyond the last node u is continued exponentially, to the
+    relative error of u and of its rate in the last element. Where the damping depends on the state
+    u is no exponential: the finer table then has elements half as long, too, and all that u was
+    continued by, where it falls ever faster, is part of the error.
     """
     process, nodes = solution.process, solution.panels
     u, u_error = solution.phase_space_density, solution.phase_space_error
@@ -80,6 +81,14 @@ def tabulated(system: System, solution: Solution, *, closed: bool = False) -> St
         relative = np.abs(np.expm1(other(x) - value(x))).max(axis=1)
         return Piecewise(fine, relative[:, None])
 
+    @cache
+    def continued_error(order: float) -> float:
+        """Relative error of Ψ at the last node: a wrong rate counts over the 2ν/rate beyond it."""
+        x, _ = panel_rule(nodes[-2:], POINTS[0])
+        relative = float((u_error(x) / np.maximum(u(x), TINY)).max())
+        before, end = np.maximum(u(nodes[-2:]), TINY)
+        return relative * (1.0 + 2.0 * order / max(np.log(before / end), EPS))
+
     # Short of the last node, beyond which the tables end. u falls from there on, so that Ψ falls at
     # any order: its value here bounds what is dropped at any higher energy.
     last = nodes[-1] * (1.0 - 1e-9)
@@ -95,8 +104,7 @@ def tabulated(system: System, solution: Solution, *, closed: bool = False) -> St
         # The logarithm has the round-off of its size.
         relative = distance(order)(inside) + EPS * np.maximum(np.abs(log_value), 1.0)
         error = np.exp(log_value) * relative
-        if varying:
-            error += continued(order, inside, fine, u)
+        error += continued(order, inside, fine, u) * (1.0 if varying else continued_error(order))
         return np.where(energy < last, error, 0.0)
 
     temperature = process.energy_scale / process.degrees_of_freedom

@@ -329,6 +329,17 @@ def five_contact_masses():
     return System([1.0] * 5, [1.0] * 5, [0.2] * 5, [0.1] * 5, contacts=stops)
 
 
+@pytest.mark.parametrize("n, tol", [(1, 1e-2), (2, 1e-3), (3, 1e-3), (3, 1e-4), (5, 1e-6)])
+def test_the_stated_error_holds_up_to_where_the_mesh_ends(n, tol):
+    """There all of p is what u was continued by beyond the last node."""
+    system = System(np.ones(n), np.ones(n), np.full(n, 0.1), np.full(n, 0.05))  # temperature 1/2
+    (density,) = solved(NonIntegrable(solver="fem", tol=tol), system, "p1")
+    reach = density.panels[0][-1]
+    p1 = reach * (1.0 - np.geomspace(1e-6, 0.5, 100))
+    value, error = density.at(p1)
+    assert np.all(np.abs(value - np.exp(-(p1**2)) / np.sqrt(np.pi)) <= error)
+
+
 @pytest.mark.parametrize(
     "method, system, observable, reason",
     [
