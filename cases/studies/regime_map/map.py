@@ -72,12 +72,9 @@ class RegimeMap:
 
     def record(self) -> dict[str, Any]:
         """Return the record of ``fpk regime`` as ``plain`` takes it."""
-        return {
-            "scene": self.scene.name,
-            "observable": observable_name(self.observable),
-            "axes": [{"key": a.key, "values": a.values} for a in self.axes],
-            **{key: getattr(self, key) for key in ("points", "reused", "seconds")},
-        }
+        names = {"scene": self.scene.name, "observable": observable_name(self.observable)}
+        axes = [{"key": a.key, "values": a.values} for a in self.axes]
+        return {**vars(self), **names, "axes": axes}
 
 
 def build_map(
@@ -131,9 +128,8 @@ def _finished(todo: Sequence[Callable[..., MapPoint]], method: MonteCarlo) -> It
 
 def first_displacement(scene: Scene) -> Observable:
     """Return the first single displacement observed, else the first in a pair."""
-    single = [o for o in scene.observables if len(o) == 1 and o[0].kind == "q"]
-    pairs = [(c,) for o in scene.observables for c in o if c.kind == "q"]
-    return [*single, *pairs, scene.observables[0]][0]
+    displacements = [c for o in sorted(scene.observables, key=len) for c in o if c.kind == "q"]
+    return tuple(displacements[:1]) or scene.observables[0]
 
 
 def parse_axes(texts: Sequence[str], system: System) -> tuple[Axis, ...]:

@@ -110,7 +110,7 @@ class PointStore:
         what = "the file of a map's points"
         text = read_text(self._path, str(self._path), most=MAX_BYTES, what=what)
         self._lines = text.partition("\n")[2]
-        if text != self._text():
+        if text and text != self._text():  # a power cut may leave it empty
             raise BadInput(
                 f"{self._path}: holds points of another map (other scene, observable, settings or"
                 " version) or is damaged; give another --out or remove the file"
