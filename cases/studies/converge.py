@@ -14,7 +14,7 @@ import numpy as np
 from cases.scene.errors import BadInput
 from cases.scene.scene import Scene
 from cases.studies.equations import EQUATIONS, P_DEGREES, Equation
-from cases.studies.levels import FUNCTIONALS, NORMS, Discretisation, Level, refined_levels
+from cases.studies.levels import FUNCTIONALS, NORMS, Discretisation, Level, errors, refined_levels
 from cases.studies.orders import (
     LIMITS,
     Convergence,
@@ -26,7 +26,6 @@ from cases.studies.weak import SampleSlope, WeakOrder, sample_slope, weak_order
 from fpk.arrays import Array
 from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Progress, silent
-from fpk.observable import observable_name
 from sim.montecarlo import MonteCarlo
 
 H_DEGREES = {1: (1, 2, 4), 2: (1, 2, 3)}
@@ -144,7 +143,7 @@ def study_convergence(
                 {
                     "theory": route,
                     "equation": equation.name,
-                    "observable": observable_name(equation.observable),
+                    "observable": equation.reference.name,
                     "dimension": equation.dimension,
                     "reference": equation.reference_words,
                     "reference_error": equation.reference.l1_error,
@@ -209,14 +208,14 @@ def floors(equation: Equation, *, given_mesh: bool) -> dict[str, float]:
     left; ∫p² takes twice that.
     """
     p, ends = equation.reference, equation.ends
-    relative, sizes = p.l1_error + ROUND_OFF, p.sizes()
+    relative, sizes = p.l1_error + ROUND_OFF, errors(p)
     if not given_mesh:
         return {key: relative * size for key, size in sizes.items()}
 
     def inside(*H: Array) -> Array:
         within = [x <= end for x, end in zip(H, ends, strict=True)]
-        return np.where(reduce(np.logical_and, within), p.density(*H), 0.0)
+        return np.where(reduce(np.logical_and, within), p(*H), 0.0)
 
     panels = tuple(map(np.union1d, p.panels, ends))
-    cut = replace(p, panels=panels, density=inside).errors(p)
+    cut = errors(replace(p, panels=panels, pdf=inside), p)
     return {key: (relative + 2.0 * cut["L1"]) * size + cut[key] for key, size in sizes.items()}

@@ -19,7 +19,6 @@ from cases.studies.prices import NotTimed, Priced, crossovers, price_list
 from cases.studies.simulation import Reference, deterministic, full_reference
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.method import Progress, silent
-from fpk.observable import observable_name
 from fpk.system import System
 
 DEGREES = (1, 2, 4, 8)
@@ -157,7 +156,7 @@ def _priced(equation: Equation, first: Discretisation) -> Priced | NotTimed:
         return NotTimed(*names, reason=str(error))
     coarsest = replace(points[0].timing, first=max(0.0, compiling - points[0].seconds))
     points[0] = replace(points[0], timing=coarsest)
-    axis = f"numerical: L1 of p({observable_name(equation.observable)}), {equation.name}"
+    axis = f"numerical: L1 of p({equation.reference.name}), {equation.name}"
     return Priced(*names, axis, tuple(points))
 
 

@@ -14,16 +14,16 @@ from averaging.modal.analysis import modal_analysis
 from averaging.modal.observables import modal_densities
 from averaging.modal.resonance import require_no_resonance
 from averaging.nonintegrable import NonIntegrable
-from averaging.quadrature import POINTS, solve_by_quadrature
-from averaging.weyl import Solution
-from cases.studies.levels import Answer, Discretisation, TimedCoefficients
+from averaging.quadrature import solve_by_quadrature
+from cases.studies.levels import Discretisation, Solution, TimedCoefficients, density_of
 from fpk.arrays import Array
+from fpk.density import Density
 from fpk.errors import NotApplicable, NotCertified
-from fpk.line.stationary import StationarySolution, solve_on_mesh, solve_stationary
-from fpk.observable import Observable, parse_observable
+from fpk.line.stationary import solve_on_mesh, solve_stationary
+from fpk.observable import parse_observable
 from fpk.plane.on_mesh import solve_plane_on_mesh
 from fpk.plane.probe import probed as probed_plane
-from fpk.plane.solution import PlaneSolution, graded
+from fpk.plane.solution import graded
 from fpk.plane.stationary import solve_plane
 from fpk.probe import probed
 from fpk.process import Process
@@ -53,19 +53,18 @@ class Equation:
     """
 
     name: str
-    observable: Observable
     process: Process
     clock: TimedCoefficients
-    reference: Answer
+    reference: Density
     reference_words: str
     ends: Sequence[float]
-    by_tolerance: Mapping[Route, Callable[..., Solution | PlaneSolution]]
+    by_tolerance: Mapping[Route, Callable[..., Solution]]
     words: str
 
     @property
     def dimension(self) -> int:
         """Number of energies."""
-        return len(self.observable)
+        return len(self.reference.observable)
 
     def elements(self, degree: int, halvings: int = 0) -> Discretisation:
         """Return elements of one degree, refined by bisection of the coarsest mesh."""
@@ -89,11 +88,8 @@ class Equation:
 
     def to_tolerance(self, route: Route, digits: int = 1, stride: int = 1) -> Discretisation:
         """Return a route at the tolerance 10^−``digits``, refined by ``stride`` digits."""
-        tol, by_route = 10.0**-digits, self.by_tolerance[route]
-
-        def solve() -> Answer:
-            return answer_of(by_route(self.process, tol=tol))
-
+        tol = 10.0**-digits
+        solve = partial(self.by_tolerance[route], self.process, tol=tol)
         finer = partial(self.to_tolerance, route, digits + stride, stride)
         return Discretisation("tol", route.label, f"tol = {tol:.0e}", solve, finer, promised=tol)
 
@@ -113,21 +109,11 @@ class Equation:
         return (nodes,)
 
 
-def answer_of(s: Solution | PlaneSolution) -> Answer:
-    """Return the answer of a solver of one or two energies; of quadrature points are unknowns."""
-    if isinstance(s, PlaneSolution):
-        variant = "w = 1" if s.weight is None else ""
-        return Answer(s.panels, s.density, s.l1_error, s.unknowns, variant)
-    elements = s.nodes.size - 1
-    unknowns = s.unknowns if isinstance(s, StationarySolution) else POINTS * elements
-    return Answer((s.nodes,), s.density, s.l1_error, unknowns)
-
-
-def solve_on(process: Process, nodes: tuple[Array, ...], degree: int) -> Answer:
-    """Return the answer by elements of one degree on a given mesh."""
+def solve_on(process: Process, nodes: tuple[Array, ...], degree: int) -> Solution:
+    """Return the solution by elements of one degree on a given mesh."""
     if len(nodes) == 1:
-        return answer_of(solve_on_mesh(process, nodes[0], degree))
-    return answer_of(solve_plane_on_mesh(process, (nodes[0], nodes[1]), degree))
+        return solve_on_mesh(process, nodes[0], degree)
+    return solve_plane_on_mesh(process, (nodes[0], nodes[1]), degree)
 
 
 def energy_equation(system: System) -> Equation:
@@ -136,21 +122,21 @@ def energy_equation(system: System) -> Equation:
     The closed form (29) is the reference; where damping depends on q or v it is the
     drift-diffusion form by hp elements, in which p itself is the polynomial, not p/T.
     """
-    process = energy_process(system)
+    process, observable = energy_process(system), parse_observable("H", system.n)
     clock = TimedCoefficients(process.coefficients)
     try:
-        reference, words = answer_of(averaged_density(system)), "closed form (29)"
+        solution: Solution = averaged_density(system)
+        words = "closed form (29)"
     except NotApplicable:
         tol = REFERENCE_TOL[1]
-        reference = answer_of(solve_stationary(process, tol=tol, form="drift-diffusion"))
+        solution = solve_stationary(process, tol=tol, form="drift-diffusion")
         words = f"drift-diffusion hp elements, tol {tol:g}"
 
     return Equation(
         name=OF_ENERGY,
-        observable=parse_observable("H", system.n),
         process=replace(process, coefficients=clock),
         clock=clock,
-        reference=reference,
+        reference=density_of(observable, solution),
         reference_words=words,
         ends=[probed(process).extent(BEYOND[1])],
         by_tolerance={
@@ -178,20 +164,18 @@ def modal_equation(system: System) -> Equation:
     process = modes.process([0, 1])
     clock = TimedCoefficients(process.coefficients)
     if modes.constant:
-        (closed,) = modal_densities(modes, [observable], "closed-form", tol=1e-12)
-        reference = Answer(closed.panels, closed.pdf, closed.l1_error)
+        (reference,) = modal_densities(modes, [observable], "closed-form", tol=1e-12)
         words = "closed form (34)"
     else:
         solution = solve_plane(process, tol=REFERENCE_TOL[2], degree=REFERENCE_DEGREE)
         if not np.isfinite(solution.l1_error):
             raise NotCertified("plain elements, the reference of (17), have no finite error")
-        reference = answer_of(solution)
+        reference = density_of(observable, solution)
         count = " x ".join(str(nodes.size - 1) for nodes in solution.nodes)
         words = f"plain elements (w = 1), degree {solution.degree}, {count} on a mesh of their own"
     ends = probed_plane(process).extent(BEYOND[2]) * process.energy_scales
     return Equation(
         name=OF_MODES,
-        observable=observable,
         process=replace(process, coefficients=clock),
         clock=clock,
         reference=reference,

@@ -1,9 +1,7 @@
 """Cost of sampling: the full system by every scheme, and the averaged equation (24)."""
 
 from dataclasses import dataclass, replace
-from math import hypot, inf, sqrt
-
-import numpy as np
+from math import hypot, sqrt
 
 from cases.comparison.averaged import AveragedSimulation
 from cases.comparison.compare import distance_between
@@ -11,8 +9,7 @@ from cases.studies.equations import Equation
 from cases.studies.levels import Level, Timing, timed_first
 from cases.studies.prices import NotTimed, Priced
 from cases.studies.simulation import SMALL_STEP, SMALLEST, Reference, largest_stable, run
-from fpk.certificate import Measured
-from fpk.density import Density, certified_density
+from fpk.density import Density
 from fpk.method import Progress, silent
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
@@ -161,12 +158,10 @@ def _law(
 
 def averaged_route(system: System, equation: Equation, *, seed: int) -> Priced | NotTimed:
     """Return the simulation of (24), run once."""
-    p, of = equation.reference, equation.observable
-    measured = Measured(p.l1_error, 0.0, 0.0, 0.0, 0.0)
-    density = certified_density(of, p.panels, p.density, np.zeros_like, measured=measured, tol=inf)
+    p = equation.reference
     method = AveragedSimulation("nonintegrable", seed=seed, threads=1, paths=FEWEST)
-    result, seconds = timed_first(lambda: method.solve(system, [of]))
-    distance, expected, allowed = distance_between(result.densities[0], density)
+    result, seconds = timed_first(lambda: method.solve(system, [p.observable]))
+    distance, expected, allowed = distance_between(result.densities[0], p)
     settings = f"{method.paths} paths, step {method.step:g}"
     mean = expected - p.l1_error
     level = Level(settings, mean, mean, Timing(seconds), distance, allowed)

@@ -7,7 +7,7 @@ thread those are the wall times of an idle machine, whatever else runs beside.
 
 import tracemalloc
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import exp, inf, nan, sqrt
 from statistics import median, quantiles
 from time import process_time
@@ -16,8 +16,14 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
+from averaging.energy_density import density_of_energies
+from averaging.quadrature import POINTS
+from averaging.zero_flux import ZeroFluxDensity
 from fpk.arrays import Array
-from fpk.density import gauss_grid, integral
+from fpk.density import Density, gauss_grid, integral
+from fpk.line.stationary import StationarySolution
+from fpk.observable import Observable
+from fpk.plane.solution import PlaneSolution
 from fpk.process import Coefficients
 
 T = TypeVar("T")
@@ -33,34 +39,32 @@ FUNCTIONALS = ("mean energy", "integral of p²")
 """Moments of a density: E H (of two energies, E H1 + E H2), and ∫p²."""
 
 
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """A density of one or two energies: smooth between ``panels``, zero beyond them.
+Solution = StationarySolution | ZeroFluxDensity | PlaneSolution
+"""What the solvers of one and two energies return."""
 
-    ``l1_error`` is its own estimate; ``variant`` says which of several ways a route took.
+
+def density_of(observable: Observable, solution: Solution) -> Density:
+    """Return the density of the energies of ``solution``, with the error that its solver states."""
+    panels = solution.panels if isinstance(solution, PlaneSolution) else (solution.nodes,)
+
+    def exact(*energies: Array) -> Array:
+        return np.zeros(1)
+
+    return density_of_energies(observable, solution, panels, exact, tol=inf, added=False)
+
+
+def errors(p: Density, reference: Density | None = None) -> dict[str, float]:
+    """Return the L1, L2 and largest distance to ``reference``, or to zero, and that of moments.
+
+    L1 is ∫|p_h − p| over all energies at which either is known.
     """
-
-    panels: tuple[Array, ...]
-    density: Callable[..., Array]
-    l1_error: float
-    unknowns: int = 0
-    variant: str = ""
-
-    def errors(self, reference: "Answer") -> dict[str, float]:
-        """Return the L1, L2 and largest distance to ``reference``, and the errors of the moments.
-
-        L1 is ∫|p_h − p| over all energies at which either is known.
-        """
-        mesh, grids = gauss_grid(list(map(np.union1d, self.panels, reference.panels)))
-        p, q = self.density(*mesh), reference.density(*mesh)
-        values = np.abs(p - q), (p - q) ** 2, (p - q) * sum(mesh), (p - q) * (p + q)
-        L1, square, *moments = (integral(v, grids) for v in values)
-        norms = dict(zip(NORMS, (L1, square**0.5, float(np.max(values[0]))), strict=True))
-        return norms | dict(zip(FUNCTIONALS, map(abs, moments), strict=True))
-
-    def sizes(self) -> dict[str, float]:
-        """Return the norms and moments of the density itself: its distances from zero."""
-        return replace(self, density=lambda *H: 0.0 * sum(H)).errors(self)
+    panels = p.panels if reference is None else map(np.union1d, p.panels, reference.panels)
+    mesh, grids = gauss_grid(list(panels))
+    a, b = p(*mesh), np.zeros(1) if reference is None else reference(*mesh)
+    values = np.abs(a - b), (a - b) ** 2, (a - b) * sum(mesh), (a - b) * (a + b)
+    L1, square, *moments = (integral(v, grids) for v in values)
+    norms = dict(zip(NORMS, (L1, square**0.5, float(np.max(values[0]))), strict=True))
+    return norms | dict(zip(FUNCTIONALS, map(abs, moments), strict=True))
 
 
 @dataclass
@@ -139,7 +143,7 @@ class Discretisation:
     family: Literal["h", "p", "tol"]
     name: str
     settings: str
-    solve: Callable[[], Answer]
+    solve: Callable[[], Solution]
     refined: Callable[[], "Discretisation"]
     size: float = nan
     promised: float = inf
@@ -147,29 +151,33 @@ class Discretisation:
 
 
 def refined_levels(
-    first: Discretisation, reference: Answer, count: int
+    first: Discretisation, reference: Density, count: int
 ) -> Iterator[tuple[Discretisation, Level]]:
     """Yield ``count`` discretisations from coarse to fine, each with what was measured.
 
     Sizes are h; or, so that the order is a rate of exponential convergence, exp(−p) and
-    exp(−√unknowns): nats of error a degree, or a unit of √unknowns. Raises what the solvers raise.
+    exp(−√unknowns): nats of error a degree, or a unit of √unknowns. Of quadrature the unknowns are
+    its points. Raises what the solvers raise.
     """
     setting = first
     for k in range(count):
         setting = setting.refined() if k else first
-        answer, seconds = timed_first(setting.solve)
-        distances, moments = answer.errors(reference), answer.sizes()
-        words = ", ".join(filter(None, (setting.settings, answer.variant)))
+        solution, seconds = timed_first(setting.solve)
+        p = density_of(reference.observable, solution)
+        norms, moments, elements = errors(p, reference), errors(p), p.panels[0].size - 1
+        unknowns = POINTS * elements if isinstance(solution, ZeroFluxDensity) else solution.unknowns
+        plain = isinstance(solution, PlaneSolution) and solution.weight is None
+        words = f"{setting.settings}, w = 1" if plain else setting.settings
         level = Level(
             settings=words,
-            error=distances["L1"],
-            stated=answer.l1_error,
+            error=norms["L1"],
+            stated=p.l1_error,
             timing=Timing(seconds),
-            distance=distances["L1"],
-            estimate=answer.l1_error + reference.l1_error,
-            unknowns=answer.unknowns,
-            size=exp(-sqrt(answer.unknowns)) if first.family == "tol" else setting.size,
-            errors=distances,
+            distance=norms["L1"],
+            estimate=p.l1_error + reference.l1_error,
+            unknowns=unknowns,
+            size=exp(-sqrt(unknowns)) if first.family == "tol" else setting.size,
+            errors=norms,
             functionals={key: moments[key] for key in FUNCTIONALS},
             promised=setting.promised,
             label=words,

@@ -6,19 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from averaging.back_transformation import back_transformed
 from averaging.closed_form import averaged_density
 from averaging.nonintegrable import NonIntegrable
 from cases.scene.scene import load_scene
 from cases.studies.cost import CostStudy, candidates, equation_routes, study_cost
 from cases.studies.cost_page import cost_page
-from cases.studies.equations import answer_of, energy_equation
+from cases.studies.equations import energy_equation
 from cases.studies.law import FULL, Law, full_routes
-from cases.studies.levels import Answer, Level, Timing
+from cases.studies.levels import Level, Timing, density_of, errors
 from cases.studies.page import Table, cell, duration
 from cases.studies.prices import NotTimed, Priced, crossovers, price_list
 from cases.studies.simulation import full_reference
 from fpk.density import l1_distance
+from fpk.line.stationary import solve_stationary
 from fpk.observable import parse_observable
 
 
@@ -62,9 +62,10 @@ def test_a_wrong_damping_is_caught_by_every_route_by_its_distance():
 def test_a_slightly_wrong_answer_is_named_with_what_it_disagrees_by():
     equation = energy_equation(load_scene("fig6b").system)
     *_, fem, quadrature = candidates(equation)
-    right = answer_of(next(iter(equation.by_tolerance.values()))(equation.process, tol=1e-8))
+    right = solve_stationary(equation.process, tol=1e-8)
     # Mass moved by 1e-6 while 1e-8 is stated: a factor 1 + 1e-6 moves L1 by 1e-6.
-    wrong = Answer(right.panels, lambda H: (1 + 1e-6) * right.density(H), 1e-8, right.unknowns)
+    moved = replace(right.answer, coefficients=(1 + 1e-6) * right.answer.coefficients)
+    wrong = replace(right, answer=moved, measured=replace(right.measured, l1_error=1e-8))
     offered = [quadrature, replace(fem, name="wrong/fem", solve=lambda: wrong)]
     good, caught = equation_routes(equation, offered)
     assert caught.route == "wrong/fem" and not caught.baseline
@@ -190,8 +191,8 @@ def test_settings_of_one_scene_keep_their_digits_on_three_others(table_of_fig6b,
     for c in table_of_fig6b:
         settings[c.route, c.point.promised].append(c.digits)
     for (name, tol), digits in settings.items():
-        answer = answer_of(routes[name](equation.process, tol=tol))
-        true = answer.errors(equation.reference)["L1"]
+        answer = density_of(equation.reference.observable, routes[name](equation.process, tol=tol))
+        true = errors(answer, equation.reference)["L1"]
         assert true <= 10.0 ** -max(digits)
         assert true <= answer.l1_error + equation.reference.l1_error
 
@@ -212,7 +213,7 @@ def test_the_promise_of_tol_holds_on_scenes_the_table_was_not_made_from(scene, t
     observable = parse_observable("H", system.n)
     for solver in ("fem", "quadrature"):
         (found,) = NonIntegrable(solver, tol=tol).solve(system, [observable]).densities
-        true = back_transformed(closed, observable, tol=1e-8)
+        true = density_of(observable, closed)
         assert found.certificate.certified
         assert l1_distance(found, true) <= tol + closed.l1_error
 
