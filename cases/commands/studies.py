@@ -87,25 +87,18 @@ def cost(scene: "Scene", **settings: Any) -> tuple[Any, "Page"]:
 @click.option("--paths", type=int, help="Paths of the simulation.")
 @click.option("--time", type=float, help="Sampled time a path.")
 @parts.cluster
-@click.option(
-    "--checkpoint",
-    type=parts.FOLDER,
-    help="Finished points, from which a map goes on, if not --out.",
-)
-def regime(
-    scene: "Scene",
-    vary: tuple[str, ...],
-    checkpoint: Path | None = None,
-    *,
-    progress: Any,
-    **settings: Any,
-) -> tuple[Any, "Page"]:
-    """Map the distance of each theory to the full system over one or two parameters."""
+@click.option("--checkpoint", type=parts.FOLDER, help="Folder for finished points, if not --out.")
+def regime(scene: "Scene", vary: tuple[str, ...], **settings: Any) -> tuple[Any, "Page"]:
+    """Map the distance of each theory to the full system over one or two parameters.
+
+    A map goes on from the finished points in its folder.
+    """
     from cases.output.files import make_folder
     from cases.studies.regime_map.map import SIMULATION, build_map, parse_axes
     from cases.studies.regime_map.map_page import map_page
 
     axes = parse_axes(vary, scene.system)
+    checkpoint, progress = settings.pop("checkpoint", None), settings.pop("progress")
     folder = make_folder(checkpoint) if checkpoint else click.get_current_context().params["out"]
     parts.check_cluster(settings.get("cluster"))
     method = replace(SIMULATION, **settings)

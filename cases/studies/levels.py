@@ -37,8 +37,6 @@ LONG = 1.0
 NORMS = ("L1", "L2", "max")
 FUNCTIONALS = ("mean energy", "integral of p²")
 """Moments of a density: E H (of two energies, E H1 + E H2), and ∫p²."""
-
-
 Solution = StationarySolution | ZeroFluxDensity | PlaneSolution
 """What the solvers of one and two energies return."""
 
