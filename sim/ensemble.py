@@ -23,9 +23,6 @@ from sim.statistics import Product
 from sim.step_size import temperature
 from sim.workers import Workers
 
-Clock = tuple[int, int, int, int]
-"""Steps done and steps since ``watch`` before a call of the kernel, its steps and its stride."""
-
 CHANGING = ("states", "sums", "folded", "counts")
 """Arrays of an ensemble that a step changes."""
 
@@ -77,10 +74,9 @@ def start_displacements(system: System, kT: float, z: Array) -> Array:
 
 def advanced(
     first: int, live: Integers, *arrays: Any, key: KernelKey, step: StepArrays, watch: WatchArrays,
-    seed: int, clock: Clock,
+    seed: int, done: int, phase: int, steps: int, stride: int,
 ) -> tuple[Any, ...]:  # fmt: skip
     """Advance the batch that begins with block ``first``; ``CHANGING`` arrays change in place."""
-    done, phase, steps, stride = clock
     *blocks, counts = arrays
     flat = (a.reshape(a.shape[0], a.shape[1] * a.shape[2]) for a in blocks)
     compiled_kernel(key)(
@@ -150,7 +146,7 @@ class Ensemble:
         """
         task = partial(
             advanced, key=self._key, step=self.step, watch=self._watch, seed=self.seed,
-            clock=(self.done, self.phase, steps, stride),
+            done=self.done, phase=self.phase, steps=steps, stride=stride,
         )  # fmt: skip
         cuts, apart = self.edges[1:-1], len(self.sums)
         columns = [

@@ -38,7 +38,7 @@ def kick(p: Array, g: Array, h: float, a: float, width: int = W) -> None:
 
 @inlined
 def fill(target: Array, value: float, width: int = W) -> None:
-    """Set a row to one value."""
+    """Set a row, or rows of ``width`` lanes together, to one value."""
     for k in range(width):
         target[k] = value
 

@@ -10,6 +10,8 @@ of lanes are read as 32-bit halves, in the order of memory: half ``k`` is the ra
 docs/theory.md, "The step of the simulation".
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,21 +57,18 @@ _A0, _A1, _A2, _A3 = map(f32, _SIN)
 _B0, _B1, _B2, _B3, _B4 = map(f32, _COS)
 
 
-def mixed_seed(seed: int) -> np.uint64:
-    """Return the finalised seed, the offset of its stream in the sequence; 0 <= seed < 2**64."""
-    mask = (1 << 64) - 1
-    z = seed & mask
-    z = ((z ^ (z >> 30)) * int(_MIX1)) & mask
-    z = ((z ^ (z >> 27)) * int(_MIX2)) & mask
-    return np.uint64(z ^ (z >> 31))
-
-
 @inlined
 def mixed_word(z: np.uint64) -> np.uint64:
     """Return the word at the place ``z`` of the sequence."""
     z = (z ^ (z >> _S30)) * _MIX1
     z = (z ^ (z >> _S27)) * _MIX2
     return np.uint64(z ^ (z >> _S31))
+
+
+def mixed_seed(seed: int) -> np.uint64:
+    """Return the finalised seed, the offset of its stream in the sequence; 0 <= seed < 2**64."""
+    finaliser: Any = mixed_word
+    return np.uint64(finaliser.py_func(np.array([seed], dtype=np.uint64))[0])
 
 
 @inlined

@@ -6,7 +6,7 @@ from math import pi, sqrt
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.density import SampledDensity, bin_differences
+from fpk.density import SampledDensity, l1_distance
 from fpk.method import Identity
 from fpk.system import System
 
@@ -94,8 +94,7 @@ def l1_difference(a: SampledDensity, b: SampledDensity) -> tuple[float, float]:
     """
     a, b = joined_bins(a), joined_bins(b)
     spread = float(np.sum(np.hypot(a.standard_error, b.standard_error)))
-    distance = _bin_area(a) * float(np.sum(np.abs(bin_differences(a, b))))
-    return distance, sqrt(2.0 / pi) * _bin_area(a) * spread
+    return l1_distance(a, b), sqrt(2.0 / pi) * _bin_area(a) * spread
 
 
 def joined_bins(density: SampledDensity) -> SampledDensity:

@@ -56,34 +56,29 @@ class SquareRootForm:
 def square_root_form(process: Process) -> SquareRootForm:
     """Return modal energies H_i, with b_ii = β_i H_i and s_i = d_i where H_i = 0, as they are.
 
-    Raises ``NotApplicable`` where β_i or d_i depends on the energies, or b_ij ≠ 0.
+    Raises ``NotApplicable`` where β_i depends on the energies, or b_ij ≠ 0.
     """
     scales = np.array(process.energy_scales)
     probes = np.random.default_rng(0).exponential(scales, (PROBES, scales.size))
-    b, d = process.at(probes).diffusion, np.empty_like(probes)
-    for i in range(scales.size):
-        edge = np.where(np.arange(scales.size) == i, 0.0, probes)
-        d[:, i] = process.at(edge).drift[:, i]
-    beta = np.einsum("nii->ni", b) / probes
-    off = b - np.einsum("nii->ni", b)[:, :, None] * np.eye(scales.size)
-    if np.any(np.abs(off) > ALIKE * np.abs(b).max(axis=(1, 2), keepdims=True)):
-        raise NotApplicable("the noises of two energies are correlated (b_ij ≠ 0): not simulated")
-    if any(np.any(np.ptp(x, axis=0) > ALIKE * np.abs(x).max(axis=0)) for x in (d, beta)):
-        raise NotApplicable("the noise depends on the energies otherwise than b_ii ~ H_i")
+    d, b = process.at(np.zeros((1, scales.size))).drift[0], process.at(probes).diffusion
+    slope = np.diag(b[0]) / probes[0]
+    other = np.abs(b - (slope * probes)[:, :, None] * np.eye(scales.size))
+    if np.any(other > ALIKE * np.abs(b).max(axis=(1, 2), keepdims=True)):
+        raise NotApplicable("the noises of the energies are correlated, or not b_ii ~ H_i")
 
     def rate(H: Array) -> Array:
         safe = np.maximum(H, NEAR_ZERO * scales)
-        return np.asarray((d[0] - process.at(safe).drift) / safe)
+        return np.asarray((d - process.at(safe).drift) / safe)
 
     rates = rate(probes)
     # Read at large energies: next to 0 the difference of equal numbers is divided by H_i.
     constant = rates[probes.argmax(axis=0), np.arange(scales.size)]
-    round_off = ALIKE * (np.abs(d[0] / probes) + np.abs(constant))
+    round_off = ALIKE * (np.abs(d / probes) + np.abs(constant))
     alike = bool(np.all(np.abs(rates - constant) <= round_off))
     linear = constant if alike else rate(np.zeros((1, scales.size)))[0]
     return SquareRootForm(
-        noise=d[0],
-        slope=beta[0],
+        noise=d,
+        slope=slope,
         damping=None if alike else lambda H: rate(H) - linear,
         linear=linear,
         energies=lambda H: H,

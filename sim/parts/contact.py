@@ -53,9 +53,8 @@ def contact_forces(
     s: Array, g0: int, step: StepArrays, force: Any, slope: Any, width: int = W
 ) -> None:
     """Write g and g' of every slot at the displacements of the state to the rows from ``g0``."""
-    for slot in range(step.slot_mass.size):
-        fill(row(s, g0 + 2 * slot, 1, width), 0.0, width)
-        fill(row(s, g0 + 2 * slot + 1, 1, width), 0.0, width)
+    rows = 2 * step.slot_mass.size
+    fill(row(s, g0, rows, width), 0.0, rows * width)
     for stop in range(step.stop_slot.size):
         slot = step.stop_slot[stop]
         q = row(s, step.slot_mass[slot], 1, width)

@@ -96,8 +96,7 @@ def term_flow(s: Array, work: int, step: StepArrays, k: int) -> None:
 def damping_forces(s: Array, first: int, H: Array, to: int, work: int, step: StepArrays) -> None:
     """Write Σ_j c̃_ij v_j of the terms at the state from row ``first``, whose energy is ``H``."""
     n, rate, terms = step.half_inverse_mass.size, row(s, work), step.terms
-    for i in range(n):
-        fill(row(s, to + i), 0.0)
+    fill(row(s, to, n), 0.0, n * W)
     for k in range(terms.target.size):
         term_rate(rate, s, first, terms, k, terms.power[k])
         multiply(rate, H, terms.energy[k])
@@ -127,18 +126,15 @@ def processed_by_terms(s: Array, H: Array, at: Rows, shift: float, step: StepArr
     """
     terms = step.terms
     n, work = step.half_inverse_mass.size, at.work
+    fill(row(s, at.change, 3 * n), 0.0, 3 * n * W)
     # (M⁻¹ p, −K q), the flow of the springs alone.
     for i in range(n):
-        fill(row(s, at.change + i), 0.0)
-        fill(row(s, at.change + n + i), 0.0)
         add(row(s, at.change + i), row(s, at.p + i), 2.0 * step.half_inverse_mass[i])
     add_matrix(s, at.change + n, at.q, step.stiffness_matrix, -1.0)
     for slot in range(step.slot_mass.size):
         force = row(s, at.change + n + step.slot_mass[slot])
         add(force, row(s, at.contact + 2 * slot), 1.0)
     damping_forces(s, at.q, H, at.damping, work, step)
-    for i in range(n):
-        fill(row(s, at.change + 2 * n + i), 0.0)
     change, one = row(s, work), row(s, work + 3)
     for k in range(terms.target.size):
         change_of_term(change, one, s, at.q, at.change, terms, k)

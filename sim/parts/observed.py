@@ -93,8 +93,8 @@ def observe(
     if modes:
         observed_modes(s, watch.mode_q, watch.mode_p, watch)
     if moments:
-        for i in range(step.half_inverse_mass.size):
-            fill(row(s, at.force + i), 0.0)
+        n = step.half_inverse_mass.size
+        fill(row(s, at.force, n), 0.0, n * W)
         add_matrix(s, at.force, at.q, step.stiffness_matrix, 1.0)
         if contact:
             add_contact(s, at.q, at.force, step, force, True)
