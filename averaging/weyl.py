@@ -87,7 +87,7 @@ def tabulated(system: System, solution: Solution, *, closed: bool = False) -> St
         x, _ = panel_rule(nodes[-2:], POINTS[0])
         relative = float((u_error(x) / np.maximum(u(x), TINY)).max())
         before, end = np.maximum(u(nodes[-2:]), TINY)
-        return relative * (1.0 + 2.0 * order / max(np.log(before / end), EPS))
+        return relative * (1.0 + 2.0 * order / max(float(np.log(before / end)), EPS))
 
     # Short of the last node, beyond which the tables end. u falls from there on, so that Ψ falls at
     # any order: its value here bounds what is dropped at any higher energy.
