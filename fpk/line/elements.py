@@ -238,15 +238,18 @@ def _scale_to_mass_one(
         else:
             for g in range(own):
                 better_mass += rule.enriched_weight[g] * e.enriched_values[k, g]
-        for j in range(degree + 1):
+        better_mass *= h
+        scale = abs(first[k] / (mass * h))
+        e.net_flux[k], e.one_way[k] = scale * e.net_flux[k], scale * e.one_way[k]
+        for g in range(most):
+            e.values[k, g] /= mass
+            e.enriched_values[k, g] /= better_mass
+        for j in range(u.size):
             end += u[j]
+            u[j] /= mass
+        for j in range(better.size):
+            better[j] /= better_mass
         e.at_end[k] = T_end[k] * end / mass
-        e.net_flux[k] *= abs(first[k] / (mass * h))
-        e.one_way[k] *= abs(first[k] / (mass * h))
-        e.values[k] /= mass
-        e.enriched_values[k] /= h * better_mass
-        e.u[k] /= mass
-        e.enriched[k] /= h * better_mass
 
 
 @inlined

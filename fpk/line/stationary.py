@@ -10,13 +10,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.polynomial.legendre import legvander
 
 from fpk.arrays import Array, Flags
 from fpk.certificate import NEGATIVE, Certificate, Measured, certify
 from fpk.compiling import cached_njit
 from fpk.errors import NotCertified
 from fpk.line.elements import (
-    ENRICHMENT,
     TINY,
     Elements,
     Form,
@@ -52,6 +53,8 @@ ROUND_OFF = 4e-16
 ACCUMULATION_POINTS = 6
 """Gauss points an element at which the errors of the coefficients are summed: they are estimates.
 """
+HALF_WAVE = 4
+"""Points at which the distance to the enriched solution is sampled, for each of its half-waves."""
 RESIDUAL = 1e-13
 """Largest algebraic residual that elimination in one element leaves, relative to the terms that
 cancel in it: some hundred roundings, stricter than what a certificate asks of any answer."""
@@ -117,27 +120,39 @@ class StationarySolution:
         return self.answer(energy, log_factor=log_factor)
 
     def _error(self, energy: Array, *, of_p: bool) -> Array:
-        """Error of u: distance to the enriched solution and what shifts all of p alike.
-
-        The distance has about as many zeros in an element as its degree, and the error need not
-        vanish there: the largest distance within half the way to the next one is taken.
-        """
+        """Error of u: distance to the enriched solution and what shifts all of p alike."""
         x = np.asarray(energy, dtype=float)
         factor = _log_factor(self.process, self.form, x, of_p=of_p, last=self.nodes[-1])
         k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.nodes.size - 2)
-        left, right = self.nodes[k], self.nodes[k + 1]
-        half = 0.5 * (right - left) / (self.degree + ENRICHMENT)
-        around = (x, np.clip(x - half, left, right), np.clip(x + half, left, right))
-        distance = np.max(
-            [
-                np.abs(self.answer(y, log_factor=factor) - self.enriched(y, log_factor=factor))
-                for y in around
-            ],
-            axis=0,
-        )
+        share = np.clip((x - self.nodes[k]) / (self.nodes[k + 1] - self.nodes[k]), 0.0, 1.0)
+        count = self._log_distance.shape[1] - 1
+        point = (np.arccos(1.0 - 2.0 * share) * count / np.pi).astype(int)
+        ends = self._log_distance[k, point], self._log_distance[k, np.minimum(point + 1, count)]
+        distance = np.exp(np.maximum(*ends) + factor)
         floor = self.common_error + self.measured.tail_mass
         error = SAFETY * distance + floor * np.abs(self.answer(x, log_factor=factor))
         return np.asarray(error + np.exp(np.interp(x, *self._log_round_off) + factor))
+
+    @cached_property
+    def _log_distance(self) -> Array:
+        """ln of the largest distance of u to the enriched solution around points of each element.
+
+        It is an array (elements, points), the points at equal angles θ, H rising as 1 − cos θ over
+        the element: so the distance has about as many half-waves of one length as its degree. The
+        error does not vanish where the distance does, and where T changes by decades in an element
+        both may be as small as each other over a half-wave: the largest within two is taken.
+        """
+        count = self.enriched.coefficients.shape[1] - 1
+        t = -np.cos(np.pi * np.arange(HALF_WAVE * count + 1) / (HALF_WAVE * count))
+        u, better = (
+            f.coefficients @ legvander(t, f.coefficients.shape[1] - 1).T
+            for f in (self.answer, self.enriched)
+        )
+        log_scale = np.array([self.answer.log_scale, self.enriched.log_scale])
+        distance = np.abs(u - np.exp(log_scale[1] - log_scale[0])[:, None] * better)
+        around = np.pad(distance, ((0, 0), (2 * HALF_WAVE, 2 * HALF_WAVE)))
+        largest = sliding_window_view(around, 4 * HALF_WAVE + 1, axis=1).max(axis=2)
+        return np.asarray(np.log(np.maximum(largest, TINY)) + log_scale[0][:, None])
 
     @cached_property
     def _log_round_off(self) -> tuple[Array, Array]:
@@ -290,11 +305,13 @@ def _chained(e: Elements) -> tuple[Array, Array, Array, Array]:
     the nodes are added up as logarithms, so that no density is too steep; where mass is most it is
     positive.
     """
-    sign, log_scale = np.ones((2, e.left.size)), np.zeros((2, e.left.size))
-    log_mass, share = np.empty_like(sign), np.empty_like(sign)
-    for s, series in enumerate((e.u, e.enriched)):
-        before = 0.0
-        for k in range(e.left.size):
+    count = e.left.size
+    sign, log_scale = np.ones((2, count)), np.zeros((2, count))
+    log_mass, share = np.empty((2, count)), np.empty((2, count))
+    for s in range(2):
+        series = e.u if s == 0 else e.enriched
+        before, most = 0.0, 0
+        for k in range(count):
             start, end = 0.0, 0.0  # u at both ends of the element, where P_j is (−1)^j and 1
             for j in range(series.shape[1]):
                 start += series[k, j] * (1.0 - 2.0 * (j % 2))
@@ -304,15 +321,18 @@ def _chained(e: Elements) -> tuple[Array, Array, Array, Array]:
                 log_scale[s, k] = log_scale[s, k - 1] + np.log(ratio)
                 sign[s, k] = -sign[s, k - 1] if (before < 0.0) != (start < 0.0) else sign[s, k - 1]
             log_mass[s, k] = log_scale[s, k] + e.log_factor[k]
+            most = k if log_mass[s, k] > log_mass[s, most] else most
             before = end
-        most = log_mass[s].argmax()
-        sign[s] *= sign[s, most]
-        share[s] = sign[s] * np.exp(log_mass[s] - log_mass[s, most])
-        total = share[s].sum()
-        share[s] /= total
+        positive, total = sign[s, most], 0.0
+        for k in range(count):
+            sign[s, k] *= positive
+            share[s, k] = sign[s, k] * np.exp(log_mass[s, k] - log_mass[s, most])
+            total += share[s, k]
         log_total = log_mass[s, most] + np.log(total)
-        log_mass[s] -= log_total
-        log_scale[s] -= log_total
+        for k in range(count):
+            share[s, k] /= total
+            log_mass[s, k] -= log_total
+            log_scale[s, k] -= log_total
     return sign, log_scale, log_mass, share
 
 

@@ -100,8 +100,8 @@ def test_both_forms_agree_within_their_estimates(averaged):
         assert distance <= one.l1_error + two.l1_error
 
 
-@pytest.mark.parametrize("tol", [1e-4, 1e-6, 1e-8, 1e-10])
-@pytest.mark.parametrize("masses", [1, 2, 3, 4, 8])
+@pytest.mark.parametrize("tol", [1e-3, 1e-4, 1e-6, 1e-8, 1e-9, 1e-10])
+@pytest.mark.parametrize("masses", [1, 2, 3, 4, 8, 10, 15])
 def test_where_nothing_is_rough_the_pointwise_estimate_covers_every_point(masses, tol):
     process = energy_process(chain(masses))
     solution = solve_stationary(process, tol=tol)
