@@ -74,13 +74,13 @@ def start_displacements(system: System, kT: float, z: Array) -> Array:
 
 def advanced(
     first: int, live: Integers, *arrays: Any, key: KernelKey, step: StepArrays, watch: WatchArrays,
-    seed: int, done: int, phase: int, steps: int, stride: int,
+    offset: np.uint64, done: int, phase: int, steps: int, stride: int,
 ) -> tuple[Any, ...]:  # fmt: skip
     """Advance the batch that begins with block ``first``; ``CHANGING`` arrays change in place."""
     *blocks, counts = arrays
     flat = (a.reshape(a.shape[0], a.shape[1] * a.shape[2]) for a in blocks)
     compiled_kernel(key)(
-        *flat, live, first, np.uint64(done * step.words), steps, phase, stride, mixed_seed(seed),
+        *flat, live, first, np.uint64(done * step.words), steps, phase, stride, offset,
         step, watch, counts,
     )  # fmt: skip
     return arrays
@@ -145,8 +145,9 @@ class Ensemble:
         ``stride`` 0: nothing is observed, and ``watch`` may be called with ranges still unknown.
         """
         task = partial(
-            advanced, key=self._key, step=self.step, watch=self._watch, seed=self.seed,
-            done=self.done, phase=self.phase, steps=steps, stride=stride,
+            advanced, key=self._key, step=self.step, watch=self._watch,
+            offset=mixed_seed(self.seed), done=self.done, phase=self.phase, steps=steps,
+            stride=stride,
         )  # fmt: skip
         cuts, apart = self.edges[1:-1], len(self.sums)
         columns = [

@@ -90,7 +90,7 @@ def sampling_error(density: SampledDensity) -> float:
 def l1_difference(a: SampledDensity, b: SampledDensity) -> tuple[float, float]:
     """Return ∫|p_a − p_b| of two independent samples on the same bins, joined to ``L1_BINS``.
 
-    The second number is its expectation were both densities the same.
+    The second number is its expectation were both densities the same and none of either outside.
     """
     a, b = joined_bins(a), joined_bins(b)
     spread = float(np.sum(np.hypot(a.standard_error, b.standard_error)))

@@ -1,8 +1,8 @@
 """Workers of ensembles: an executor of threads of this process, or of a Dask cluster.
 
-On a cluster every piece of time of a batch is a task that gets the arrays of the batch and returns
-them. When a worker dies, Dask gives its tasks to another: the answer is bitwise that of one machine
-with the same kind of processor. Dask is imported when it is wanted: it takes a second.
+On a cluster every piece of time of some batches is a task that gets their arrays and returns them.
+When a worker dies, Dask gives its tasks to another: the answer is bitwise that of one machine with
+the same kind of processor. Dask is imported when it is wanted: it takes a second.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -22,6 +22,10 @@ PATIENCE = 10.0
 
 WORKERS_IN = 60.0
 """Seconds in which it must have a worker."""
+
+TASKS_PER_THREAD = 8
+"""Tasks into which the rows of a thread are divided: fewer cost less to hand out, more leave less
+to wait for at the end, and after Ctrl-C."""
 
 PIECE, CLUSTER_PIECE = 0.5, 4.0
 """Seconds after which workers come back with an ensemble, so that Ctrl-C waits for that; longer on
@@ -44,7 +48,11 @@ class Workers:
     def map(self, task: Callable[..., Any], *columns: Iterable[Any]) -> list[Any]:
         """Return what ``task`` makes of every row of ``columns``; on a cluster, of copies."""
         task = partial(on_copies, task) if self.remote_errors else task
-        return list(self._unless_lost(self.executor.map(task, *columns)))
+        rows = list(zip(*columns, strict=True))
+        size = -(-len(rows) // (TASKS_PER_THREAD * self.threads))
+        parts = [rows[k : k + size] for k in range(0, len(rows), size)]
+        answers = self._unless_lost(self.executor.map(partial(each_of, task), parts))
+        return [answer for part in answers for answer in part]
 
     def as_finished(self, tasks: Sequence[Callable[[], Any]]) -> Iterator[Any]:
         """Return what tasks without arguments return, in the order in which they are finished."""
@@ -57,6 +65,11 @@ class Workers:
         except self.remote_errors as error:
             words = " ".join(f"{type(error).__name__} {error}".split())
             raise NotCertified(f"the cluster was lost on the way: {words[:200]}") from None
+
+
+def each_of(task: Callable[..., Any], rows: Sequence[tuple[Any, ...]]) -> list[Any]:
+    """Return what ``task`` makes of each of the rows of arguments."""
+    return [task(*row) for row in rows]
 
 
 def on_copies(task: Callable[..., Any], *arguments: Any) -> Any:
