@@ -13,6 +13,7 @@ from fpk.line.elements import Form
 from fpk.line.stationary import solve_stationary
 from fpk.method import Plan, Progress, Result
 from fpk.observable import Observable
+from fpk.process import Process
 from fpk.system import System
 
 Settings = dict[str, str | float | int]
@@ -41,26 +42,26 @@ class NonIntegrable(Theory):
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
-        energy_process(system)
+        process = energy_process(system)
         if self.solver == "closed-form":
             averaged_rate(system)
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
-            source, settings = self._state_density(system)
+            source, settings = self._state_density(system, process)
             densities = tuple(back_transformed(source, o, tol=self.tol) for o in observables)
             return Result(self, densities, settings=settings)
 
         return Plan(lambda observable: energy_only_refusal(system, observable), solve)
 
-    def _state_density(self, system: System) -> tuple[StateDensity, Settings]:
+    def _state_density(self, system: System, process: Process) -> tuple[StateDensity, Settings]:
         if self.solver == "closed-form":
             return state_closed_form(system, averaged_rate(system)), {"equation": "(29)"}
         solution: Solution
         if self.solver == "quadrature":
-            solution = solve_by_quadrature(energy_process(system), tol=self.tol)
+            solution = solve_by_quadrature(process, tol=self.tol)
             settings: Settings = {"equation": "(11)", "panels": solution.nodes.size - 1}
         else:
-            solution = solve_stationary(energy_process(system), tol=self.tol, form=self.form)
+            solution = solve_stationary(process, tol=self.tol, form=self.form)
             settings = {
                 "equation": "FPK of (24)",
                 "form": self.form,
