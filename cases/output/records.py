@@ -2,12 +2,11 @@
 
 import hashlib
 import json
-from dataclasses import fields, is_dataclass
 from importlib.metadata import PackageNotFoundError, version
-from math import isfinite
 from typing import Any
 
 import numpy as np
+from pydantic_core import to_jsonable_python
 
 from cases.scene.scene import Scene
 from fpk.arrays import Array
@@ -32,17 +31,7 @@ def plain(value: Any) -> Any:
 
     A record becomes the dictionary of its fields.
     """
-    if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
-    if isinstance(value, (np.ndarray, np.generic)):
-        return plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if isinstance(value, float) and not isfinite(value):
-        return None
-    return value
+    return to_jsonable_python(value, inf_nan_mode="null", fallback=lambda array: array.tolist())
 
 
 def hash_of(record: dict[str, Any]) -> str:

@@ -1,7 +1,6 @@
 """Densities as VTK files (.vtu, .pvd) that open in ParaView: quadratic cells, errors stated."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -21,19 +20,6 @@ SUBDIVISION = 1e-5
 
 MOST_CELLS = {1: 20_000, 2: 60_000}
 """Cells at which refinement ends; the error that is left is stated in any case."""
-
-
-@dataclass(frozen=True)
-class Field:
-    """One observable of one curve on quadratic cells: ``nodes`` per axis, values at every node.
-
-    ``points`` maps names to arrays over the nodes, ``subdivision`` is the largest difference of
-    interpolant and density at the probes, in units of the density.
-    """
-
-    nodes: tuple[Array, ...]
-    points: Mapping[str, Array]
-    subdivision: float
 
 
 def write_vtu(outcome: Outcome, path: Path) -> list[Path]:
@@ -64,11 +50,12 @@ def write_pvd(outcome: Outcome, path: Path) -> list[Path]:
     return [path, *written]
 
 
-def field_of(densities: Mapping[str, AnyDensity]) -> Field:
+def field_of(densities: Mapping[str, AnyDensity]) -> tuple[meshio.Mesh, float]:
     """Return the densities on cells that follow the first one's panels, refined where it bends.
 
-    ``density`` is the first; every route has its own array, the error it states, and the
-    difference of the first from it.
+    In ``point_data`` the array ``density`` is the first; every route has its own array, the error
+    it states, and the difference of the first from it. The number is the largest difference of
+    interpolant and density at the probes, in units of the density.
     """
     named = {route.replace("/", " "): density for route, density in densities.items()}
     (first, density), *_ = named.items()
@@ -85,12 +72,26 @@ def field_of(densities: Mapping[str, AnyDensity]) -> Field:
         allowed = SUBDIVISION * float(values.max())
         ends = [_with_middles(e, only=miss > allowed) for e, miss in zip(ends, misses, strict=True)]
         cells = int(np.prod([e.size - 1 for e in ends]))
-    mesh = np.meshgrid(*nodes, indexing="ij")
-    points: dict[str, Array] = {}
+    grid = np.meshgrid(*nodes, indexing="ij")
+    data: dict[str, Array] = {}
     for name, other in named.items():
-        points[name], points[f"error of {name}"] = other.at(*mesh)
-    differences = {f"{first} - {k}": points[first] - points[k] for k in named if k != first}
-    return Field(nodes, {"density": points[first], **points, **differences}, subdivision)
+        data[name], data[f"error of {name}"] = other.at(*grid)
+    differences = {f"{first} - {k}": data[first] - data[k] for k in named if k != first}
+    return _mesh(grid, {"density": data[first], **data, **differences}), subdivision
+
+
+def _mesh(grid: Sequence[Array], data: Mapping[str, Array]) -> meshio.Mesh:
+    """The grid as points in the plane (a line for one axis) and the quadratic cells on them."""
+    points = np.zeros((grid[0].size, 3))
+    points[:, : len(grid)] = np.column_stack([x.ravel() for x in grid])
+    a, b, m = slice(None, -1, 2), slice(2, None, 2), slice(1, None, 2)
+    line = (a,), (b,), (m,)
+    # Corners counter-clockwise, then the middles of the sides, then the centre.
+    square = (a, a), (b, a), (b, b), (a, b), (m, a), (b, m), (m, b), (a, m), (m, m)
+    kind, order = ("line3", line) if len(grid) == 1 else ("quad9", square)
+    index = np.arange(grid[0].size).reshape(grid[0].shape)
+    cells = np.column_stack([index[place].ravel() for place in order])
+    return meshio.Mesh(points, [(kind, cells)], point_data={k: v.ravel() for k, v in data.items()})
 
 
 def _write(outcome: Outcome, curve: Answers, observable: Observable, path: Path) -> None:
@@ -98,7 +99,7 @@ def _write(outcome: Outcome, curve: Answers, observable: Observable, path: Path)
     densities = sorted(
         curve.densities(observable).items(), key=lambda a: (a[0].sampled, a[0].solves != "averaged")
     )
-    field = field_of({route.label: density for route, density in densities})
+    mesh, subdivision = field_of({route.label: density for route, density in densities})
     name = observable_name(observable)
     data: dict[str, str | float] = {
         **{key.replace("_", " "): text for key, text in attributes_of(outcome.scene).items()},
@@ -108,34 +109,17 @@ def _write(outcome: Outcome, curve: Answers, observable: Observable, path: Path)
         "quantity": f"probability density of {name}",
         "units": UNITS,
         "first route": densities[0][0].label,
-        "subdivision error": field.subdivision,
-        "largest density": float(field.points["density"].max()),
+        "subdivision error": subdivision,
+        "largest density": float(mesh.point_data["density"].max()),
     }
 
     def write(temporary: Path) -> None:
-        meshio.vtu.write(temporary, _mesh(field))
+        meshio.vtu.write(temporary, mesh)
         # meshio writes no field data.
         text, head = temporary.read_text(encoding="utf-8"), "<UnstructuredGrid>"
         temporary.write_text(text.replace(head, head + _field_data(data), 1), encoding="utf-8")
 
     write_by(path, write)
-
-
-def _mesh(field: Field) -> meshio.Mesh:
-    """The nodes as points in the plane (a line for one axis) and the quadratic cells on them."""
-    mesh = np.meshgrid(*field.nodes, indexing="ij")
-    axes = [m.ravel() for m in mesh]
-    points = np.column_stack([*axes, *(np.zeros(axes[0].size) for _ in range(3 - len(axes)))])
-    index = np.arange(axes[0].size).reshape(mesh[0].shape)
-    data = {name: np.ascontiguousarray(v).ravel() for name, v in field.points.items()}
-    if len(field.nodes) == 1:
-        cells = ("line3", np.column_stack([index[:-1:2], index[2::2], index[1::2]]))
-    else:
-        # Corners counter-clockwise, then the middles of the sides, then the centre.
-        a, b, m = slice(None, -1, 2), slice(2, None, 2), slice(1, None, 2)
-        order = ((a, a), (b, a), (b, b), (a, b), (m, a), (b, m), (m, b), (a, m), (m, m))
-        cells = ("quad9", np.column_stack([index[place].ravel() for place in order]))
-    return meshio.Mesh(points, [cells], point_data=data)
 
 
 def _field_data(data: Mapping[str, str | float]) -> str:

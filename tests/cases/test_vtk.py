@@ -27,8 +27,9 @@ def test_a_quadratic_is_kept_without_loss():
     def pdf(x):
         return np.asarray(0.75 * (1 - x**2))
 
-    found = field_of({"a": Density(q1, (np.array([-1.0, 1.0]),), pdf, np.zeros_like, 0.0, FINE)})
-    assert found.subdivision < 1e-15 and found.nodes[0].size == 3
+    panels = (np.array([-1.0, 1.0]),)
+    mesh, subdivision = field_of({"a": Density(q1, panels, pdf, np.zeros_like, 0.0, FINE)})
+    assert subdivision < 1e-15 and len(mesh.points) == 3
 
 
 def test_cells_shrink_until_the_stated_error_is_met():
@@ -37,9 +38,11 @@ def test_cells_shrink_until_the_stated_error_is_met():
 
     pair = parse_observable("q1,p1", 1)
     panels = (np.linspace(-8, 8, 9), np.linspace(-4, 4, 5))
-    found = field_of({"a": Density(pair, panels, pdf, lambda x, y: 0 * x * y, 0.0, FINE)})
-    assert found.subdivision <= SUBDIVISION * found.points["density"].max()
-    assert all(np.all(np.diff(n) > 0) and n.size % 2 == 1 for n in found.nodes)
+    density = Density(pair, panels, pdf, lambda x, y: 0 * x * y, 0.0, FINE)
+    mesh, subdivision = field_of({"a": density})
+    assert subdivision <= SUBDIVISION * mesh.point_data["density"].max()
+    nodes = [np.unique(x).size for x in mesh.points.T[:2]]
+    assert len(mesh.points) == np.prod(nodes) and all(n % 2 == 1 for n in nodes)
 
 
 @pytest.mark.parametrize("of", ["q2", "q2,p2", "H"])
