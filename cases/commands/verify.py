@@ -28,7 +28,7 @@ def verify(scenes: tuple[str, ...], coarse: bool, as_json: bool, **settings: Any
     loaded = [load_scene(name) for name in dict.fromkeys(scenes or shipped)]
     from cases.comparison.routes import all_methods
     from cases.output.digest import digest_of, verify_record, verify_row
-    from cases.output.text import rendered, verify_line
+    from cases.output.text import rendered
 
     if coarse:
         settings |= {"paths": COARSE_PATHS}
@@ -38,7 +38,7 @@ def verify(scenes: tuple[str, ...], coarse: bool, as_json: bool, **settings: Any
     for scene in loaded:
         rows.append(verify_row(digest_of(outcome_of(scene, methods))))
         if not as_json:
-            click.echo(verify_line(rows[-1], width))
+            click.echo(rendered("verify_line.txt", {"row": rows[-1], "width": width}))
     end(
         verify_record(rows) if as_json else None,
         lambda: rendered("verify.txt", {"rows": rows}),

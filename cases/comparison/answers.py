@@ -53,9 +53,13 @@ class Answers(Mapping[Any, AnyDensity]):
         return compared(self.results, averaging_is_exact=incompatibility(self.system) is None)
 
     def densities(self, observable: Observable) -> dict[Route, AnyDensity]:
-        """Return the densities of one observable by route."""
-        pairs = [(r.method.route, d) for r in self.results for d in r.densities]
-        return {route: d for route, d in pairs if d.observable == observable}
+        """Return the densities of one observable by route: first deterministic ones, then sampled.
+
+        In both, those of the full system precede those of averaged equations.
+        """
+        all_of = [(r.method.route, d) for r in self.results for d in r.densities]
+        pairs = [(route, d) for route, d in all_of if d.observable == observable]
+        return dict(sorted(pairs, key=lambda pair: (pair[0].sampled, pair[0].solves != "full")))
 
     def of(self, observable: str) -> dict[str, AnyDensity]:
         """Return the densities of ``observable`` by the label of the method, empty where none."""

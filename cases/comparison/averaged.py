@@ -63,8 +63,15 @@ class AveragedSimulation(Method):
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
-        process = _process(self.theory, system)
-        return Plan(self._unknown, partial(self._sampled, process))
+        from averaging.energy_process import energy_process
+        from averaging.modal.analysis import modal_analysis
+        from averaging.modal.resonance import require_no_resonance
+
+        if self.theory == "nonintegrable":
+            return Plan(self._unknown, partial(self._sampled, energy_process(system)))
+        modes = system.fact(modal_analysis)
+        require_no_resonance(system, modes)
+        return Plan(self._unknown, partial(self._sampled, modes.process()))
 
     def _unknown(self, observable: Observable) -> str | None:
         """Why the averaged energies do not give the observable, None where they do."""
@@ -116,24 +123,10 @@ class AveragedSimulation(Method):
         return replace(self, paths=4 * self.paths, step=0.5 * self.step)
 
 
-def _process(theory: Theory, system: System) -> "Process":
-    """The averaged energies of a theory; raises ``NotApplicable`` where it does not hold."""
-    from averaging.energy_process import energy_process
-    from averaging.modal.analysis import modal_analysis
-    from averaging.modal.resonance import require_no_resonance
-
-    if theory == "nonintegrable":
-        return energy_process(system)
-    modes = system.fact(modal_analysis)
-    require_no_resonance(system, modes)
-    return modes.process()
-
-
 def _register(theory: Theory, words: str, equation: str, colour: str) -> None:
-    make = partial(AveragedSimulation, theory)
-    route = Route(theory, "simulation", words, equation, "averaged", True, colour, make)
+    names, make = (theory, "simulation", words, equation), partial(AveragedSimulation, theory)
     # ``fpk run`` samples averaged equations where no closed form knows better.
-    register(replace(route, unasked=lambda system: bool(system.damping_terms)))
+    register(Route(*names, "averaged", True, colour, make, lambda s: bool(s.damping_terms)))
 
 
 _register("nonintegrable", "energy averaging, simulated", "(24)", "#a8577e")

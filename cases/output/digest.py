@@ -12,7 +12,7 @@ from cases.output.records import Record, certificate_record, plain
 from fpk.density import Density
 from fpk.method import Result
 from fpk.route import Route, solvers_of
-from sim.report import Report
+from sim.report import DensityError, Report
 
 
 def digest_of(outcome: Outcome) -> Record:
@@ -40,34 +40,31 @@ def curves_of(digest: Record) -> list[Record]:
 
 
 def refusals_of(curve: Record) -> list[Record]:
-    """Return the refusals of one curve, those with the same reason joined in one entry."""
-    joined: dict[tuple[str, bool], list[Record]] = {}
+    """Return the refusals of one curve, those with the same reason joined in one entry.
+
+    ``routes`` has the methods, with their solvers where a method has several.
+    """
+    joined: dict[tuple[str, bool], tuple[dict[str, dict[str, None]], dict[str, None]]] = {}
     for r in curve["methods"]:
         if not r["applies"]:
-            reason = r["reason"]
-            for name in r["observables"]:
+            reason, names = r["reason"], dict.fromkeys(r["observables"])
+            for name in names:
                 reason = reason.removeprefix(f"{name}: ")
-            joined.setdefault((reason, r["failed"]), []).append(r)
+            solvers, observables = joined.setdefault((reason, r["failed"]), ({}, {}))
+            solvers.setdefault(r["method"], {})[r["solver"]] = None
+            observables |= names
     return [
         {
-            "routes": _routes_in_words(refused),
-            "observables": list(dict.fromkeys(name for r in refused for name in r["observables"])),
+            "routes": ", ".join(
+                method if len(solvers_of(method)) == 1 else f"{method} ({', '.join(own)})"
+                for method, own in solvers.items()
+            ),
+            "observables": list(observables),
             "reason": reason,
             "failed": failed,
         }
-        for (reason, failed), refused in joined.items()
+        for (reason, failed), (solvers, observables) in joined.items()
     ]
-
-
-def _routes_in_words(entries: list[Record]) -> str:
-    """The methods of some entries, with their solvers where a method has several."""
-    solvers: dict[str, dict[str, None]] = {}
-    for entry in entries:
-        solvers.setdefault(entry["method"], {})[entry["solver"]] = None
-    return ", ".join(
-        method if len(solvers_of(method)) == 1 else f"{method} ({', '.join(own)})"
-        for method, own in solvers.items()
-    )
 
 
 def verdict_of(digest: Record) -> str:
@@ -85,7 +82,12 @@ def _curve(curve: Answers) -> Record:
         **facts_record(curve.system),
         "methods": [*map(method_record, curve.results), *map(refusal_record, curve.refused)],
         "comparisons": comparison_rows(curve.comparisons),
-        "errors": [e for r in curve.results for e in _three_errors(r, curve.comparisons)],
+        "errors": [
+            _three_errors(r.method.route, error, curve.comparisons)
+            for r in curve.results
+            if isinstance(r.report, Report)
+            for error in r.report.errors
+        ],
         "identities": [
             {"method": r.method.route.label, **plain(i), "z": i.z}
             for r in curve.results
@@ -147,35 +149,26 @@ def comparison_rows(comparisons: Iterable[Comparison]) -> list[Record]:
     return rows
 
 
-def _three_errors(result: Result, comparisons: Iterable[Comparison]) -> list[Record]:
-    """The three errors of every density of a simulation, never mixed.
+def _three_errors(route: Route, error: DensityError, comparisons: Iterable[Comparison]) -> Record:
+    """The three errors of one density of a simulation, never mixed.
 
     ``sampling`` is the expected L1 error by chance; ``step_bias`` the L1 distance from the density
     of half the step and what chance makes of that; ``averaging`` has each averaged theory's L1
     distance and what chance and solvers make of that.
     """
-    if not isinstance(result.report, Report):
-        return []
-    route, rows = result.method.route, []
-    for error in result.report.errors:
-        averaging: dict[str, Record] = {}
-        for c in comparisons:
-            if (c.measures, c.observable) == ("averaging", error.name) and route in (c.a, c.b):
-                theory = _theory(c.b if c.a == route else c.a)
-                averaging.setdefault(theory, {"theory": theory, "L1": c.L1, "error": c.error})
-        bias = error.step_bias
-        rows.append(
-            {
-                "route": route.label,
-                "observable": error.name,
-                "sampling": error.sampling,
-                "step_bias": "not measured"
-                if bias is None
-                else {"L1": bias.difference, "by_chance": bias.chance},
-                "averaging": list(averaging.values()),
-            }
-        )
-    return rows
+    averaging: dict[str, Record] = {}
+    for c in comparisons:
+        if (c.measures, c.observable) == ("averaging", error.name) and route in (c.a, c.b):
+            theory = _theory(c.b if c.a == route else c.a)
+            averaging.setdefault(theory, {"theory": theory, "L1": c.L1, "error": c.error})
+    bias = error.step_bias
+    return {
+        "route": route.label,
+        "observable": error.name,
+        "sampling": error.sampling,
+        "step_bias": {"L1": bias.difference, "by_chance": bias.chance} if bias else "not measured",
+        "averaging": list(averaging.values()),
+    }
 
 
 def _theory(route: Route) -> str:

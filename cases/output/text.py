@@ -13,15 +13,6 @@ from cases.output.records import Record
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def verify_line(row: Record, width: int) -> str:
-    """Return the line of one scene, printed as soon as it is done."""
-    verdict = "holds" if row["holds"] else f"{len(row['problems'])} FAIL"
-    return (
-        f"{row['scene']:{width}}  {verdict:8} {row['judged']:4} comparisons judged,"
-        f" {row['certificates']:3} certificates, {row['seconds']:5.1f} s"
-    )
-
-
 def rendered(template: str, record: Mapping[str, Any]) -> str:
     """Return the record in the form of a template; in HTML all its text is escaped."""
     return _templates().get_template(template).render(record).rstrip("\n")

@@ -4,19 +4,18 @@ The core alone is used: to import pydantic itself takes longer than many an answ
 its key as the user would look for it, ``contact[1].clearance`` say, counted from 1.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 from unicodedata import category
 
 from pydantic_core import ErrorDetails, PydanticCustomError, SchemaValidator, ValidationError
+from pydantic_core import core_schema as core
 
 from cases.scene.expect import RELATIONS
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput
-
-Schema = dict[str, Any]
 
 MAX_MASSES = 500
 """Matrices are full: a chain longer than this is not what they are for."""
@@ -28,24 +27,19 @@ LARGEST, SMALLEST = 1e100, 1e-100
 """Beyond these a product of three inputs leaves the range of double precision."""
 
 
-def _then(schema: Schema, function: Callable[[Any], Any]) -> Schema:
-    """The schema followed by a check or conversion in Python."""
-    after = {"type": "no-info", "function": function}
-    return {"type": "function-after", "schema": schema, "function": after}
+def _list(items: core.CoreSchema, *, least: int = 1, most: int = MAX_MASSES) -> core.ListSchema:
+    return core.list_schema(items, min_length=least, max_length=most, strict=True)
 
 
-def _list(items: Schema, *, least: int = 1, most: int = MAX_MASSES) -> Schema:
-    lengths = {"min_length": least, "max_length": most}
-    return {"type": "list", "strict": True, "items_schema": items, **lengths}
-
-
-def _table(required: Mapping[str, Schema], optional: Mapping[str, Schema]) -> Schema:
+def _table(
+    required: Mapping[str, core.CoreSchema], optional: Mapping[str, core.CoreSchema]
+) -> core.TypedDictSchema:
     """A table that refuses keys it does not know; what is left out is not in it."""
     fields = {
-        key: {"type": "typed-dict-field", "schema": schema, "required": key in required}
+        key: core.typed_dict_field(schema, required=key in required)
         for key, schema in {**required, **optional}.items()
     }
-    return {"type": "typed-dict", "fields": fields, "extra_behavior": "forbid"}
+    return core.typed_dict_schema(fields, extra_behavior="forbid")
 
 
 def _in_range(value: float) -> float:
@@ -75,31 +69,26 @@ def _list_or_matrix(value: Any) -> str:
     return "<matrix>" if nested else "<list>"
 
 
-WHOLE = {"type": "int", "strict": True}
-MASS = {"type": "int", "strict": True, "ge": 1}
-FINITE = {"type": "float", "strict": True, "allow_inf_nan": False}
-NUMBER = _then(FINITE, _in_range)
-TEXT = _then({"type": "str", "strict": True, "max_length": 1000}, _legible)
+_then = core.no_info_after_validator_function
+"""``_then(function, schema)``: the schema followed by a check or conversion in Python."""
+
+WHOLE = core.int_schema(strict=True)
+MASS = core.int_schema(strict=True, ge=1)
+NUMBER = _then(_in_range, core.float_schema(strict=True, allow_inf_nan=False))
+TEXT = _then(_legible, core.str_schema(strict=True, max_length=1000))
 NUMBERS = _list(NUMBER)
 MATRIX = _list(NUMBERS)
-NUMBERS_OR_MATRIX = {
-    "type": "tagged-union",
-    "choices": {"<list>": NUMBERS, "<matrix>": MATRIX},
-    "discriminator": _list_or_matrix,
-}
+NUMBERS_OR_MATRIX = core.tagged_union_schema(
+    {"<list>": NUMBERS, "<matrix>": MATRIX}, _list_or_matrix
+)
 POWERS = _then(
-    {
-        "type": "dict",
-        "keys_schema": {"type": "str", "pattern": r"^[1-9][0-9]{0,8}$"},
-        "values_schema": WHOLE,
-        "max_length": MAX_MASSES,
-    },
     lambda powers: tuple((int(mass), power) for mass, power in powers.items()),
+    core.dict_schema(core.str_schema(pattern=r"^[1-9][0-9]{0,8}$"), WHOLE, max_length=MAX_MASSES),
 )
 VALUES = _list(NUMBER, most=12)
 MATRICES = _list(NUMBERS_OR_MATRIX, most=12)
 RANGE = _table({}, dict.fromkeys(RELATIONS, NUMBER))
-THEORY = {"type": "literal", "expected": ["nonintegrable", "integrable"]}
+THEORY = core.literal_schema(["nonintegrable", "integrable"])
 
 SYSTEM = _table(
     {
@@ -125,19 +114,19 @@ EXPECT = {
     "of": TEXT,
     "non_gaussian": RANGE,
     "almost_gaussian": RANGE,
-    "nonintegrable_better_with": {"type": "literal", "expected": ["larger", "smaller"]},
-    "better": _then(_list(THEORY, least=2, most=2), _distinct),
-    "acceptable": _then(_list(THEORY, most=2), _distinct),
-    "clearance_rule": _then({**FINITE, "gt": 0}, _in_range),
+    "nonintegrable_better_with": core.literal_schema(["larger", "smaller"]),
+    "better": _then(_distinct, _list(THEORY, least=2, most=2)),
+    "acceptable": _then(_distinct, _list(THEORY, most=2)),
+    "clearance_rule": _then(_in_range, core.float_schema(strict=True, allow_inf_nan=False, gt=0)),
 }
 SCENE = _table(
     {"system": SYSTEM},
     {
         "title": TEXT,
         "source": TEXT,
-        "contact": _list(_then(CONTACT, lambda keys: Contact(**keys)), least=0),
+        "contact": _list(_then(lambda keys: Contact(**keys), CONTACT), least=0),
         "damping_term": _list(
-            _then(DAMPING_TERM, lambda keys: DampingTerm(**keys)), least=0, most=MAX_TERMS
+            _then(lambda keys: DampingTerm(**keys), DAMPING_TERM), least=0, most=MAX_TERMS
         ),
         "observe": _table({"densities": _list(TEXT, most=16)}, {}),
         "vary": _table({}, VARY),
@@ -200,7 +189,7 @@ def _toml_key(place: Sequence[int | str]) -> str:
 
 
 def _known_keys(place: Sequence[int | str]) -> str:
-    table: Schema = SCENE
+    table: Any = SCENE
     for part in place[:-1]:
         table = table["items_schema"] if isinstance(part, int) else table["fields"][part]
         while "schema" in table:

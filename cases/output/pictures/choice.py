@@ -12,10 +12,9 @@ def lines_of(curve: Answers, observable: Observable) -> dict[Route, Density]:
 
     An averaged method that is exact itself is not drawn beside the exact density.
     """
-    densities = curve.densities(observable).items()
-    functions = {r: d for r, d in densities if isinstance(d, Density)}
+    functions = {r: d for r, d in curve.densities(observable).items() if isinstance(d, Density)}
     drawn: dict[str, Route] = {}
-    for route in sorted(functions, key=lambda r: r.solves != "full"):
+    for route in functions:
         if route.solves == "full":
             drawn.setdefault("", route)
         elif "" not in drawn or not curve.is_exact(route):
@@ -26,8 +25,7 @@ def lines_of(curve: Answers, observable: Observable) -> dict[Route, Density]:
 def samples_of(curve: Answers, observable: Observable) -> dict[Route, SampledDensity]:
     """Return the histograms of one observable, that of the full system first."""
     densities = curve.densities(observable).items()
-    sampled = {r: d for r, d in densities if isinstance(d, SampledDensity)}
-    return dict(sorted(sampled.items(), key=lambda answer: answer[0].solves != "full"))
+    return {route: d for route, d in densities if isinstance(d, SampledDensity)}
 
 
 def solver_difference(
