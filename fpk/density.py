@@ -20,6 +20,8 @@ ErrorKind = Literal["numerical", "sampling"]
 GAUSS_POINTS = {1: 20, 2: 12}
 """Nodes per panel and axis of the integrals below, by the number of axes: exact for polynomials of
 degree 39 and 23 (panels of joint densities are many, and |p_a − p_b| has kinks anyway)."""
+SMALLEST = float(np.finfo(float).tiny)
+"""Smallest number (2e-308) with full relative accuracy: what is less is known to no better."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,11 @@ def certified_density(
         minimum=smallest if not measured.minimum < smallest else measured.minimum,
     )
     certificate = certify(checked, tol=tol)
-    return Density(observable, panels, pdf, pointwise, checked.l1_error, certificate)
+
+    def pointwise_error(*x: Array) -> Array:
+        return np.asarray(pointwise(*x)) + SMALLEST
+
+    return Density(observable, panels, pdf, pointwise_error, checked.l1_error, certificate)
 
 
 def integral(values: Array, grids: list[tuple[Array, Array]]) -> float:

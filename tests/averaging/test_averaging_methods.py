@@ -3,6 +3,7 @@
 from functools import cache
 from itertools import pairwise
 
+import mpmath
 import numpy as np
 import pytest
 from averaging_systems import TWO_MASSES, both, exact_system, fig6, integral
@@ -338,6 +339,17 @@ def test_the_stated_error_holds_up_to_where_the_mesh_ends(n, tol):
     p1 = reach * (1.0 - np.geomspace(1e-6, 0.5, 100))
     value, error = density.at(p1)
     assert np.all(np.abs(value - np.exp(-(p1**2)) / np.sqrt(np.pi)) <= error)
+
+
+@pytest.mark.parametrize("method", [Exact(), Linear(), NonIntegrable(solver="closed-form")])
+def test_the_stated_error_holds_where_the_density_underflows(method):
+    system = System(np.ones(1), np.ones(1), np.full(1, 0.1), np.full(1, 0.05))  # temperature 1/2
+    (density,) = solved(method, system, "p1")
+    p1 = np.linspace(26.0, 27.5, 100)  # down to exp(−756)
+    value, error = density.at(p1)
+    reference = np.array([float(mpmath.exp(-(mpmath.mpf(x) ** 2))) for x in p1]) / np.sqrt(np.pi)
+    assert reference[-1] == 0.0 < reference[0]
+    assert np.all(np.abs(value - reference) <= error)
 
 
 @pytest.mark.parametrize(
