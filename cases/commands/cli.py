@@ -99,6 +99,7 @@ def density(
     loaded = parts.checked(scene, tol=settings["tol"])
     observable = parts.observable_of(of, loaded)
     from cases.comparison.routes import chosen
+    from cases.output.bar import progress_bar
     from cases.output.records import density_record, density_text
     from cases.scene.points import parse_points
     from fpk.method import solved
@@ -110,7 +111,7 @@ def density(
     except NotApplicable as reason:
         raise BadInput(f"{loaded.name}: {method} does not apply: {reason}") from None
     parts.checkpoint_folder(loaded, {**settings, "observable": of})
-    with parts.progress_bar() as progress:
+    with progress_bar() as progress:
         result = solved(plan, loaded.system, [observable], progress=progress)
     record = density_record(loaded, result, points)
     problems = [f"{of} is not certified: {f}" for f in record["certificate"]["failures"]]

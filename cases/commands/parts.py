@@ -1,9 +1,7 @@
 """Options, exit statuses and JSON output shared by the commands of ``fpk``; light to import."""
 
 import json
-import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +13,6 @@ from fpk.errors import InvalidInput
 if TYPE_CHECKING:
     from cases.comparison.answers import Outcome
     from cases.scene.scene import Scene
-    from fpk.method import Progress
     from fpk.observable import Observable
 
 FOLDER = click.Path(path_type=Path)
@@ -122,20 +119,10 @@ def end(
         raise click.exceptions.Exit(1)
 
 
-def progress_bar() -> "AbstractContextManager[Progress]":
-    """Return a context with a progress callback, which draws where standard error is a terminal."""
-    if not sys.stderr.isatty():
-        from fpk.method import silent
-
-        return nullcontext(silent)
-    from cases.output.bar import drawn_progress
-
-    return drawn_progress()
-
-
 def outcome_of(scene: "Scene", methods: Any) -> "Outcome":
     """Run ``scene`` by ``methods`` under a progress bar."""
     from cases.comparison.answers import run_scene
+    from cases.output.bar import progress_bar
 
     with progress_bar() as progress:
         return run_scene(scene, methods, progress=progress)

@@ -36,10 +36,11 @@ def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         loaded = parts.checked(scene, out=out)
         given = {key: value for key, value in settings.items() if value is not None}
-        with parts.progress_bar() as progress:
-            result, page = work(loaded, progress=progress, **given)
+        from cases.output.bar import progress_bar
         from cases.output.records import plain
 
+        with progress_bar() as progress:
+            result, page = work(loaded, progress=progress, **given)
         written = [] if out is None else page.write(out)
         short = page.summary if written else ""
         record = plain(result.record()) if as_json else None

@@ -72,30 +72,29 @@ class Shape:
         return False if False in near else None if None in near else True
 
 
-def findings(expect: Expect | None, curves: Sequence[Answers]) -> tuple[Finding, ...]:
-    """Return what became of every claim on every curve that it is about."""
+def findings(expect: Expect | None, curves: Sequence[Answers]) -> Iterator[Finding]:
+    """Yield what became of every claim on every curve that it is about."""
     if expect is None:
-        return ()
+        return
     symbol = curves[0].label.partition(" =")[0]
-    verdicts: list[Finding] = []
     for wanted, values, words in (
         (False, expect.non_gaussian, "non-Gaussian"),
         (True, expect.almost_gaussian, "almost Gaussian"),
     ):
         if values is not None:
             claim = f"{observable_name(expect.of)} {words} for {symbol} {values.words}"
-            inside = [c for c in curves if c.value is not None and c.value in values]
-            verdicts += [_gaussian(claim, c, expect.of, wanted=wanted) for c in inside]
+            for curve in curves:
+                if curve.value is not None and curve.value in values:
+                    yield _gaussian(claim, curve, expect.of, wanted=wanted)
     if (direction := expect.nonintegrable_better_with) is not None:
         # Neighbours along the varied number, the better one last.
         claim = f"nonintegrable theory better with {direction} {symbol}"
         ordered = sorted(curves, key=lambda c: c.value or 0.0, reverse=direction == "smaller")
         for worse, better in pairwise(ordered):
             pair = [_distance(c, expect.of, "nonintegrable") for c in (better, worse)]
-            verdicts.append(_nearer(claim, f"{worse.label} to {better.label}", *pair))
+            yield _nearer(claim, f"{worse.label} to {better.label}", *pair)
     for curve in curves:
-        verdicts += _theories(expect, curve)
-    return tuple(verdicts)
+        yield from _theories(expect, curve)
 
 
 def shape_of(density: AnyDensity) -> Shape:

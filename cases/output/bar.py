@@ -9,7 +9,7 @@ from typing import Any
 import click
 from numba.core import event
 
-from fpk.method import Progress
+from fpk.method import Progress, silent
 
 PATIENCE = 1.0
 """Seconds before a bar appears."""
@@ -19,8 +19,11 @@ CLEAR = "\r\x1b[K\x1b[?25h"
 
 
 @contextmanager
-def drawn_progress() -> Iterator[Progress]:
-    """Yield a progress callback that draws the bar of the present task on standard error."""
+def progress_bar() -> Iterator[Progress]:
+    """Yield a progress callback: on a terminal it draws the bar of the present task."""
+    if not sys.stderr.isatty():
+        yield silent
+        return
     start, bars = perf_counter(), dict[str, Any]()
 
     def report(done: int, total: int, what: str) -> None:

@@ -19,7 +19,7 @@ def digest_of(outcome: Outcome) -> Record:
     """Return the record of ``fpk run``: the scene's own system, and beside it the other curves."""
     base, *others = outcome.curves
     judged = [c for curve in outcome.curves for c in curve.comparisons if c.band is not None]
-    record: Record = plain(
+    return plain(
         {
             "scene": outcome.scene.name,
             "title": outcome.scene.title,
@@ -27,11 +27,10 @@ def digest_of(outcome: Outcome) -> Record:
             "curves": [_curve(c) for c in others],
             "judged": len(judged),
             "problems": outcome.problems,
-            "claims": findings(outcome.scene.expect, outcome.curves),
+            "claims": list(findings(outcome.scene.expect, outcome.curves)),
             "seconds": outcome.seconds,
         }
     )
-    return record
 
 
 def curves_of(digest: Record) -> list[Record]:

@@ -25,7 +25,7 @@ def show_record(scene: Scene) -> Record:
     """Return the record of ``fpk show``."""
     facts = facts_record(scene.system)
     regime = facts["regime"]
-    record: Record = plain(
+    return plain(
         {
             "scene": scene.name,
             "title": scene.title,
@@ -38,7 +38,6 @@ def show_record(scene: Scene) -> Record:
             "boundaries": regime["boundaries"],
         }
     )
-    return record
 
 
 def facts_record(system: System) -> Record:

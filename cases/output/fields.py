@@ -45,11 +45,11 @@ def write_netcdf(outcome: Outcome, path: Path) -> list[Path]:
     for observable in outcome.scene.observables:
         variables |= _variables(outcome, observable)
     answers = [
-        {"curve": curve.label, **method_record(result)}
+        plain({"curve": curve.label, **method_record(result)})
         for curve in outcome.curves
         for result in curve.results
     ]
-    provenance = json.dumps(plain(answers), ensure_ascii=False)
+    provenance = json.dumps(answers, ensure_ascii=False)
     attributes = {**attributes_of(outcome.scene), "units": UNITS, "provenance": provenance}
     write_variables(variables, attributes, path)
     return [path]

@@ -26,12 +26,15 @@ def program_version() -> str:
         return "(not installed)"
 
 
-def plain(value: Any) -> Any:
-    """Return ``value`` as JSON has it: lists and numbers; what is not finite becomes null.
+def plain(record: Any) -> Record:
+    """Return a dictionary, or the fields of a record, as JSON has them: arrays become lists.
 
-    A record becomes the dictionary of its fields.
+    What is not finite becomes null.
     """
-    return to_jsonable_python(value, inf_nan_mode="null", fallback=lambda array: array.tolist())
+    json_values: Record = to_jsonable_python(
+        record, inf_nan_mode="null", fallback=lambda array: array.tolist()
+    )
+    return json_values
 
 
 def hash_of(record: dict[str, Any]) -> str:
@@ -49,7 +52,7 @@ def density_record(scene: Scene, result: Result, points: tuple[Array, ...]) -> R
     """Return the record of ``fpk density`` at ``points``, one array per axis."""
     density = result.densities[0]
     values, errors = density.at(*points)
-    record: Record = plain(
+    return plain(
         {
             "scene": scene.name,
             "method": result.method.name,
@@ -64,7 +67,6 @@ def density_record(scene: Scene, result: Result, points: tuple[Array, ...]) -> R
             "seconds": result.seconds,
         }
     )
-    return record
 
 
 def density_text(record: Record) -> str:

@@ -60,7 +60,7 @@ def field_of(densities: Mapping[str, AnyDensity]) -> tuple[meshio.Mesh, float]:
     named = {route.replace("/", " "): density for route, density in densities.items()}
     (first, density), *_ = named.items()
     ends = [
-        np.unique([grid[0], *panels[(panels > grid[0]) & (panels < grid[-1])], grid[-1]])
+        np.union1d(np.clip(panels, grid[0], grid[-1]), grid[[0, -1]])
         for grid, panels in zip(common_grid(named.values()), density.panels, strict=True)
     ]
     cells, subdivision, allowed = 0, np.inf, 0.0

@@ -1,5 +1,7 @@
 """Which answers of a curve are drawn: lines, samples, two solvers of one equation."""
 
+from itertools import combinations
+
 from cases.comparison.answers import Answers
 from fpk.arrays import Array
 from fpk.density import Density, SampledDensity
@@ -12,14 +14,12 @@ def lines_of(curve: Answers, observable: Observable) -> dict[Route, Density]:
 
     An averaged method that is exact itself is not drawn beside the exact density.
     """
-    functions = {r: d for r, d in curve.densities(observable).items() if isinstance(d, Density)}
-    drawn: dict[str, Route] = {}
-    for route in functions:
-        if route.solves == "full":
-            drawn.setdefault("", route)
-        elif "" not in drawn or not curve.is_exact(route):
-            drawn.setdefault(route.method, route)
-    return {route: functions[route] for route in drawn.values()}
+    drawn: dict[str, tuple[Route, Density]] = {}
+    for route, density in curve.densities(observable).items():
+        full = route.solves == "full"
+        if isinstance(density, Density) and (full or "" not in drawn or not curve.is_exact(route)):
+            drawn.setdefault("" if full else route.method, (route, density))
+    return dict(drawn.values())
 
 
 def samples_of(curve: Answers, observable: Observable) -> dict[Route, SampledDensity]:
@@ -36,13 +36,11 @@ def solver_difference(
     The difference at ``points`` in words, its values, and the stated errors added; None where no
     equation has two deterministic answers. The one that states the larger error comes first.
     """
-    answers: dict[str, list[tuple[Route, Density]]] = {}
-    for route, density in curve.densities(observable).items():
-        if route.solves == "averaged" and isinstance(density, Density):
-            answers.setdefault(route.method, []).append((route, density))
-    pair = next((pair[:2] for pair in answers.values() if len(pair) > 1), None)
-    if pair is None:
-        return None
-    (a, first), (b, second) = sorted(pair, key=lambda answer: -answer[1].l1_error)
-    (value, stated), (other, also_stated) = first.at(*points), second.at(*points)
-    return f"{a.solver} − {b.solver}", value - other, stated + also_stated
+    answers = curve.densities(observable).items()
+    functions = [(r, d) for r, d in answers if r.solves == "averaged" and isinstance(d, Density)]
+    for pair in combinations(functions, 2):
+        (a, first), (b, second) = sorted(pair, key=lambda answer: -answer[1].l1_error)
+        if a.method == b.method:
+            (value, stated), (other, also_stated) = first.at(*points), second.at(*points)
+            return f"{a.solver} − {b.solver}", value - other, stated + also_stated
+    return None
