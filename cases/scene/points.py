@@ -2,7 +2,6 @@
 
 import re
 from decimal import Decimal, InvalidOperation
-from math import isfinite
 
 import numpy as np
 
@@ -54,10 +53,9 @@ def _require_few(count: float, text: str) -> None:
 def _number(item: str, text: str) -> Decimal:
     try:
         number = Decimal(item.strip())
-        usable = isfinite(float(number)) and abs(number) < Decimal("1e100")
-    except (InvalidOperation, OverflowError, ValueError):
-        usable = False
-    if not usable or (number.adjusted() < -100 and number != 0):
+    except InvalidOperation:
+        number = Decimal("nan")
+    if not number.is_finite() or (number != 0 and not -100 <= number.adjusted() < 100):
         raise _wrong(text, f"{toml_value(item.strip())} is not a finite number")
     return number
 
