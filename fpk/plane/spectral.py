@@ -11,7 +11,7 @@ import numpy as np
 from fpk.certificate import NEGATIVE
 from fpk.errors import NotCertified
 from fpk.plane.on_mesh import solve_plane_on_mesh
-from fpk.plane.solution import PlaneSolution, graded
+from fpk.plane.solution import SAFETY, PlaneSolution, graded
 from fpk.plane.weight import Weight, fitted_weight
 from fpk.process import Process
 
@@ -115,7 +115,9 @@ def weight_of(solution: PlaneSolution) -> Weight | None:
     An error ε of p in the norm weighted by w ≈ p is one of ε √p: relative to p it is below
     ``KNOWN`` as far as p > (ε/KNOWN)² of its maximum.
     """
-    rise = -2.0 * float(np.log(min(solution.l1_error, 1.0) / KNOWN))
+    # Whatever the factor of the stated error is: twice the distance to the enriched solution.
+    error = 2.0 / SAFETY * solution.l1_error
+    rise = -2.0 * float(np.log(min(error, 1.0) / KNOWN))
     if not rise > LEAST_KNOWN:
         return None
     ends = [nodes[-1] for nodes in solution.nodes]

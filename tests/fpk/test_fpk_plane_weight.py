@@ -263,6 +263,37 @@ def test_the_estimate_holds_what_ending_the_mesh_costs() -> None:
     assert l1_error(solution, log_p) <= solution.l1_error <= 1e-6
 
 
+HARDLY_BETTER = {
+    0.05: (
+        (0.3766520204109022, 0.4429957374412642, 0.1803522421478335),
+        (
+            (1.1994846193385102, 3.1047751604110245),
+            (0.7822225912539174, 1.1657084714944481),
+            (2.0782337219192284, 0.35377847519836914),
+        ),
+        (0.497970082504682, 0.6215967303194793),
+    ),
+    0.3: (
+        (0.8111095543720233, 0.03731048729077429, 0.15157995833720236),
+        (
+            (1.4656196380832576, 0.6952196208040213),
+            (0.7404945454489816, 3.0106135890609296),
+            (1.0421845505938963, 0.7676735320756612),
+        ),
+        (1.0132702626020935, 0.6060188099673974),
+    ),
+}
+"""By swirl, of a random draw: far out the enriched solution has as much of an error."""
+
+
+@pytest.mark.parametrize("swirl", HARDLY_BETTER)
+def test_the_estimate_holds_where_the_enriched_solution_is_hardly_better(swirl: float) -> None:
+    process, log_p = mixture(*HARDLY_BETTER[swirl], common=0.25, swirl=swirl)
+    solution = solve_plane(process, tol=1e-9)
+    assert_strictly_certified(solution)
+    assert l1_error(solution, log_p) <= solution.l1_error <= 1e-9
+
+
 @pytest.mark.parametrize("tol", [1e-8, 1e-10])
 def test_the_estimate_of_plain_elements_holds_it_too(tol: float) -> None:
     process, log_p = mixture(*THREE[1], common=0.0, swirl=0.067)
