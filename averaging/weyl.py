@@ -83,7 +83,11 @@ def tabulated(system: System, solution: Solution, *, closed: bool = False) -> St
 
     @cache
     def continued_error(order: float) -> float:
-        """Relative error of Ψ at the last node: a wrong rate counts over the 2ν/rate beyond it."""
+        """Relative error of what is continued beyond the last node.
+
+        It is that of u in the last element, ε, and of its rate there, 2 ε over the element's
+        length, which counts over the mean distance ν/rate beyond.
+        """
         x, _ = panel_rule(nodes[-2:], POINTS[0])
         relative = float((u_error(x) / np.maximum(u(x), TINY)).max())
         before, end = np.maximum(u(nodes[-2:]), TINY)

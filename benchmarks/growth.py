@@ -3,7 +3,7 @@
     python benchmarks/growth.py [--out docs/benchmarks/growth.md]
 
 One thread, medians of processor times after a warm-up: what runs beside does not count.
-Errors are L1 errors to the closed forms (29).
+Errors are L1 distances to the closed forms (29).
 """
 
 import argparse

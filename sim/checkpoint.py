@@ -48,7 +48,7 @@ class Checkpoint:
 
     path: Path | None = None
     identity: str = ""
-    stopped: Callable[[], bool] = threading.Event().is_set
+    stopped: Callable[[], bool] = lambda: False
     notes: dict[str, NDArray[Any]] = field(default_factory=dict)
     interrupted: bool = False
     _piece: int = FIRST_PIECE

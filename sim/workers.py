@@ -49,7 +49,7 @@ class Workers:
         """Return what ``task`` makes of every row of ``columns``; on a cluster, of copies."""
         task = partial(on_copies, task) if self.remote_errors else task
         rows = list(zip(*columns, strict=True))
-        size = -(-len(rows) // (TASKS_PER_THREAD * self.threads))
+        size = max(1, -(-len(rows) // (TASKS_PER_THREAD * self.threads)))
         parts = [rows[k : k + size] for k in range(0, len(rows), size)]
         answers = self._unless_lost(self.executor.map(partial(each_of, task), parts))
         return [answer for part in answers for answer in part]

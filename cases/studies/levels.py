@@ -38,7 +38,7 @@ NORMS = ("L1", "L2", "max")
 FUNCTIONALS = ("mean energy", "integral of p²")
 """Moments of a density: E H (of two energies, E H1 + E H2), and ∫p²."""
 Solution = StationarySolution | ZeroFluxDensity | PlaneSolution
-"""What the solvers of one and two energies return."""
+"""Density of one or two energies, with its error estimate, by finite elements or quadrature."""
 
 
 def density_of(observable: Observable, solution: Solution) -> Density:

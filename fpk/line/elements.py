@@ -205,21 +205,10 @@ def _scale_to_mass_one(
     so the mean of J. ``above`` are the elements that begin where contact does, with T at their own
     points in ``inner_T``. Values at fewer points than the arrays hold are filled with the last one.
     """
-    degree, most = e.u.shape[1] - 1, e.weights.shape[1]
-    row = 0
+    most, row = e.weights.shape[1], 0
     for k in range(e.left.size):
         u, better, h = e.u[k], e.enriched[k], e.right[k] - e.left[k]
-        # All terms are zero where an element is so short that the damping in it underflows.
-        left_over, largest = 0.0, TINY
-        for i in range(degree):
-            total, size = 0.0, 0.0
-            for j in range(degree + 1):
-                total += A[k, i, j] * u[j]
-                size += abs(A[k, i, j] * u[j])
-            left_over, largest = max(left_over, abs(total)), max(largest, size)
-            if i == 0:
-                e.net_flux[k], e.one_way[k] = abs(total), size
-        e.residual[k] = left_over / largest
+        e.residual[k], e.net_flux[k], e.one_way[k] = _residual(A[k], u)
         contact = row < above.size and above[row] == k
         P, states = (rule.contact_P, inner_T[row]) if contact else (rule.P, T[k])
         row += contact
@@ -250,6 +239,22 @@ def _scale_to_mass_one(
         for j in range(better.size):
             better[j] /= better_mass
         e.at_end[k] = T_end[k] * end / mass
+
+
+@inlined
+def _residual(A: Array, u: Array) -> tuple[float, float, float]:
+    """Largest residual of A u = 0 relative to the terms in it; residual and terms of row one."""
+    # All terms are zero where an element is so short that the damping in it underflows.
+    residual, largest, net, one_way = 0.0, TINY, 0.0, 0.0
+    for i in range(u.size - 1):
+        total, size = 0.0, 0.0
+        for j in range(u.size):
+            total += A[i, j] * u[j]
+            size += abs(A[i, j] * u[j])
+        residual, largest = max(residual, abs(total)), max(largest, size)
+        if i == 0:
+            net, one_way = abs(total), size
+    return residual / largest, net, one_way
 
 
 @inlined

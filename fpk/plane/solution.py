@@ -17,7 +17,7 @@ Nodes = tuple[Array, Array]
 SAFETY = 3.0
 """Factor on the distance to the enriched solution: it holds where that one has at the most 2/3 of
 the error. Far out, where u = p/w is least smooth, it may have as much and part by chance: the error
-was at the most 2.5 times the distance in 6,000 random solutions."""
+is at the most 2.5 times the distance in random processes (tests/fpk/test_fpk_plane_random.py)."""
 ROUND_OFF = 4e-16
 """Relative round-off of a sum of shape functions, per square of their degree."""
 PANELS = 4

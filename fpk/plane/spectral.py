@@ -115,7 +115,7 @@ def weight_of(solution: PlaneSolution) -> Weight | None:
     An error ε of p in the norm weighted by w ≈ p is one of ε √p: relative to p it is below
     ``KNOWN`` as far as p > (ε/KNOWN)² of its maximum.
     """
-    # Whatever the factor of the stated error is: twice the distance to the enriched solution.
+    # The error is taken as twice the distance to the enriched solution, which it seldom exceeds.
     error = 2.0 / SAFETY * solution.l1_error
     rise = -2.0 * float(np.log(min(error, 1.0) / KNOWN))
     if not rise > LEAST_KNOWN:

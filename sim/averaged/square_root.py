@@ -56,11 +56,15 @@ class SquareRootForm:
 def square_root_form(process: Process) -> SquareRootForm:
     """Return modal energies H_i, with b_ii = β_i H_i and s_i = d_i where H_i = 0, as they are.
 
-    Raises ``NotApplicable`` where β_i depends on the energies, or b_ij ≠ 0.
+    Raises ``NotApplicable`` where β_i or d_i depends on the energies, or b_ij ≠ 0.
     """
     scales = np.array(process.energy_scales)
     probes = np.random.default_rng(0).exponential(scales, (PROBES, scales.size))
     d, b = process.at(np.zeros((1, scales.size))).drift[0], process.at(probes).diffusion
+    for i in range(scales.size):
+        edge = process.at(np.where(np.arange(scales.size) == i, 0.0, probes)).drift[:, i]
+        if np.any(np.abs(edge - d[i]) > ALIKE * np.abs(d[i])):
+            raise NotApplicable(f"the drift of H{i + 1} at 0 depends on the other energies")
     slope = np.diag(b[0]) / probes[0]
     other = np.abs(b - (slope * probes)[:, :, None] * np.eye(scales.size))
     if np.any(other > ALIKE * np.abs(b).max(axis=(1, 2), keepdims=True)):

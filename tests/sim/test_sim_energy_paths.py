@@ -210,6 +210,12 @@ def test_refusals() -> None:
     )
     with pytest.raises(NotApplicable, match="correlated"):
         square_root_form(correlated)
+    pulled = replace(
+        coupled(0.1),
+        coefficients=lambda H: independent(H)._replace(drift=independent(H).drift + H[:, ::-1]),
+    )
+    with pytest.raises(NotApplicable, match="H1 at 0 depends on the other"):
+        square_root_form(pulled)
     form = square_root_form(coupled(0.1))
     for key, value in (("paths", 100), ("dt", 0.0)):
         with pytest.raises(InvalidInput, match=key):

@@ -1,0 +1,57 @@
+"""Random processes of two energies: the true L1 error is within the stated one, seed by seed."""
+
+import numpy as np
+import pytest
+from test_fpk_plane import Log, l1_error, manufactured, van_der_pol
+from test_fpk_plane_weight import mixture
+
+from fpk.plane.solution import SAFETY
+from fpk.plane.stationary import solve_plane
+from fpk.process import Process
+
+LARGEST_RATIO = 2.5
+"""Error over the distance to the enriched solution that the docstring of ``SAFETY`` names."""
+ROUND_OFF = 2e-14
+"""Round-off of the reference's own mass."""
+
+
+def drawn(seed: int) -> tuple[Process, Log, float]:
+    """A mixture of exponentials, a manufactured or a van der Pol density, and a tolerance."""
+    rng = np.random.default_rng(seed)
+    tol = 10.0 ** rng.integers(-11, -2)
+    kind = rng.integers(3)
+    if kind == 0:
+        count = int(rng.integers(2, 4))
+        shares = rng.dirichlet(2.0 * np.ones(count)).tolist()
+        means = np.exp(rng.normal(0.0, 0.5, (count, 2))).tolist()
+        first, second = np.exp(rng.normal(0.0, 0.4, 2)).tolist()
+        common, swirl = float(rng.choice([0.0, 0.25])), float(rng.choice([0.0, 0.05, 0.3]))
+        return *mixture(shares, means, (first, second), common, swirl), tol
+    if kind == 1:
+        return *manufactured(rng.uniform(-0.5, 0.5), 10.0 ** rng.uniform(-9.0, 0.0)), tol
+    pairs = rng.uniform(-0.3, 0.3, 2), rng.uniform(0.03, 0.3, 2), 10.0 ** rng.uniform(-2, -0.5, 2)
+    (g1, g2), (a1, a2), (d1, d2) = (pair.tolist() for pair in pairs)
+    return *van_der_pol((g1, g2), (a1, a2), rng.uniform(0.0, 14.0), (d1, d2)), tol
+
+
+def assert_within(seeds: range) -> None:
+    certified = 0
+    for seed in seeds:
+        process, log_p, tol = drawn(seed)
+        solution = solve_plane(process, tol=tol)
+        if solution.certificate.certified:
+            certified += 1
+            error = l1_error(solution, log_p) - ROUND_OFF
+            assert error <= solution.l1_error <= tol, f"seed {seed}"
+            assert error <= LARGEST_RATIO / SAFETY * solution.l1_error, f"seed {seed}"
+    assert certified >= 0.95 * len(seeds)
+
+
+def test_random_densities_are_within_their_stated_error() -> None:
+    assert_within(range(20))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", range(0, 3000, 250))
+def test_three_thousand_random_densities(first: int) -> None:
+    assert_within(range(first, first + 250))
