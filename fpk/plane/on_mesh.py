@@ -69,7 +69,7 @@ def solve_plane_on_mesh(
         # A mass of the size of round-off is nothing else: its slope says nothing of p.
         reach = np.where(beyond > ROUND_OFF, FALL * e_fold, 0.0)
         first, second = (
-            np.append(far[:-1], max(far[-1], near[-1] + r))
+            far * max(1.0, (near[-1] + r) / far[-1])
             for near, far, r in zip(nodes, longer, reach, strict=True)
         )
         mesh = first, second

@@ -11,7 +11,7 @@ import numpy as np
 from fpk.certificate import NEGATIVE
 from fpk.errors import NotCertified
 from fpk.plane.on_mesh import solve_plane_on_mesh
-from fpk.plane.solution import SAFETY, PlaneSolution, graded
+from fpk.plane.solution import PlaneSolution, graded
 from fpk.plane.weight import Weight, fitted_weight
 from fpk.process import Process
 
@@ -29,12 +29,15 @@ COARSE = 1e-4
 STEP = 4
 TRIED = 1e-5
 """Error above which a better weight is tried on the same unknowns first, and gains more."""
-DIGITS = (0.6, 3.0, 0.65)
+DIGITS = (0.6, 3.0, 0.6)
 """Digits that a degree gains on the first panels, that ``SECOND`` gains on ``FIRST``, and that a
 degree gains from there on: 0.4 to 0.7, 2.9 to 3.6 and 0.6 to 0.85, measured for circulating van
 der Pol damping and mixtures of exponentials."""
-BEYOND = 1e-3
-"""Fraction of the tolerance that w falls to at the far edges."""
+NEGATIVE_DIGITS = 0.6
+"""Digits of the error that a digit of the negative minimum counts: 1/1.6 was measured."""
+BEYOND = 1e-4
+"""Fraction of the tolerance that w falls to at the far edges: where w only continues what was known
+of p, p may be a thousand times as large there."""
 LEAST_RISE = 25.0
 """Least rise of −ln w up to the far edges of the first attempt, whose weight may be far from p."""
 LONGER = 4.0
@@ -48,7 +51,7 @@ MIN_EXTENSION = 1.05
 only."""
 KNOWN = 0.1
 """Relative error of p up to which ln p is fitted."""
-LEAST_KNOWN = 6.0
+LEAST_KNOWN = 5.2
 """Rise of −ln p over which p must be known before a weight is fitted to it."""
 SAMPLES = 32
 """Points along each axis at which a weight is fitted."""
@@ -67,9 +70,10 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
         except NotCertified:
             return
         nodes = graded(ends, panels)
+        # All panels grow alike: to lengthen the last one alone would cost the enriched solution as
+        # much there, where u is least smooth, as its degree gains.
         first, second = (
-            np.append(H[:-1], max(end, MIN_EXTENSION * H[-1]))
-            for H, end in zip(nodes, farther, strict=True)
+            H * max(end / H[-1], MIN_EXTENSION) for H, end in zip(nodes, farther, strict=True)
         )
         solution = solve_plane_on_mesh(
             process, nodes, degree, tol=tol, weight=weight, longer=(first, second)
@@ -92,10 +96,10 @@ def _finer(panels: int, degree: int, solution: PlaneSolution, tol: float) -> tup
     """The next panels and degree: as many degrees more as the missing digits take.
 
     An error ε in the norm weighted by w ≈ p is one of ε √p of p: p turns negative below ε² of its
-    maximum, so that a negative minimum counts half its digits.
+    maximum, so that a negative minimum counts about half its digits.
     """
     negative = max(solution.measured.minimum / NEGATIVE, 1.0)
-    missing = float(np.log10(max(solution.l1_error / tol, negative**0.5, 1.0)))
+    missing = float(np.log10(max(solution.l1_error / tol, negative**NEGATIVE_DIGITS, 1.0)))
     coarse = solution.l1_error > COARSE
     if panels == FIRST[0]:
         if degree == FIRST[1] and missing <= STEP * DIGITS[0]:
@@ -115,9 +119,7 @@ def weight_of(solution: PlaneSolution) -> Weight | None:
     An error ε of p in the norm weighted by w ≈ p is one of ε √p: relative to p it is below
     ``KNOWN`` as far as p > (ε/KNOWN)² of its maximum.
     """
-    # The error is taken as twice the distance to the enriched solution, which it seldom exceeds.
-    error = 2.0 / SAFETY * solution.l1_error
-    rise = -2.0 * float(np.log(min(error, 1.0) / KNOWN))
+    rise = -2.0 * float(np.log(min(solution.l1_error, 1.0) / KNOWN))
     if not rise > LEAST_KNOWN:
         return None
     ends = [nodes[-1] for nodes in solution.nodes]

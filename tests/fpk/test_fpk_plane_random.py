@@ -9,7 +9,7 @@ from fpk.plane.solution import SAFETY
 from fpk.plane.stationary import solve_plane
 from fpk.process import Process
 
-LARGEST_RATIO = 2.5
+LARGEST_RATIO = 2.1
 """Error over the distance to the enriched solution that the docstring of ``SAFETY`` names."""
 ROUND_OFF = 2e-14
 """Round-off of the reference's own mass."""
