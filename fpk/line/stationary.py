@@ -140,7 +140,8 @@ class StationarySolution:
         It is an array (elements, points), the points at equal angles θ, H rising as 1 − cos θ over
         the element: so the distance has about as many half-waves of one length as its degree. The
         error does not vanish where the distance does, and where T changes by decades in an element
-        both may be as small as each other over a half-wave: the largest within two is taken.
+        both may be as small as each other over a half-wave: the largest within two is taken, as
+        √T u, since the equations weight errors of u by T, which rises like H^(n−1) at the most.
         """
         count = self.enriched.coefficients.shape[1] - 1
         t = -np.cos(np.pi * np.arange(HALF_WAVE * count + 1) / (HALF_WAVE * count))
@@ -150,9 +151,14 @@ class StationarySolution:
         )
         log_scale = np.array([self.answer.log_scale, self.enriched.log_scale])
         distance = np.abs(u - np.exp(log_scale[1] - log_scale[0])[:, None] * better)
-        around = np.pad(distance, ((0, 0), (2 * HALF_WAVE, 2 * HALF_WAVE)))
-        largest = sliding_window_view(around, 4 * HALF_WAVE + 1, axis=1).max(axis=2)
-        return np.asarray(np.log(np.maximum(largest, TINY)) + log_scale[0][:, None])
+        x = self.nodes[:-1, None] + np.diff(self.nodes)[:, None] * 0.5 * (1.0 + t)
+        first = self.nodes[1] * element_rule(self.degree).share[0]
+        log_root = 0.5 * (self.process.degrees_of_freedom - 1) * np.log(np.maximum(x, first))
+        weighted = np.log(np.maximum(distance, TINY)) + log_root
+        wide = 2 * HALF_WAVE
+        around = np.pad(weighted, ((0, 0), (wide, wide)), constant_values=-np.inf)
+        largest = sliding_window_view(around, 2 * wide + 1, axis=1).max(axis=2)
+        return np.asarray(largest - log_root + log_scale[0][:, None])
 
     @cached_property
     def _log_round_off(self) -> tuple[Array, Array]:
@@ -160,17 +166,20 @@ class StationarySolution:
 
         Elimination of m unknowns, sums of m terms in m steps, leaves between m and m² roundings of
         the largest p in the element, everywhere in it, m^(3/2) by the largest that was measured;
-        the answer and the enriched solution have them alike. At a node where p
-        is much less it spoils the scale of all elements on the side of less mass.
+        the answer and the enriched solution have them alike. At a node where p is much less it
+        spoils the scale of all elements on the side of less mass.
         """
-        share = element_rule(self.degree).share
+        share = np.concatenate([[0.0], element_rule(self.degree).share, [1.0]])
         x = self.nodes[:-1, None] + np.diff(self.nodes)[:, None] * share
+        x[0, 0] = x[0, 1]  # towards H = 0 p/T has no bound
         log_T = _log_factor(self.process, self.form, x, of_p=True, last=self.nodes[-1])
         p = np.abs(self.answer(x, log_factor=log_T))
         most = self.degree**1.5 * p.max(axis=1)
         at_nodes = np.maximum(np.abs(self.density(self.nodes[1:-1])), TINY)
-        total = np.append(0.0, np.cumsum((most[:-1] + most[1:]) / at_nodes))
-        relative = self.nodes.size + np.abs(total - total[most.argmax()])
+        steps, top = (most[:-1] + most[1:]) / at_nodes, int(most.argmax())
+        # Added up from the most massive element outwards: farther out they grow without bound.
+        below, above = np.cumsum(steps[:top][::-1])[::-1], np.cumsum(steps[top:])
+        relative = self.nodes.size + np.concatenate([below, [0.0], above])
         error = ROUND_OFF * (most[:, None] + relative[:, None] * p)
         return x.ravel(), (np.log(np.maximum(error, TINY)) - log_T).ravel()
 
