@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, is_dataclass
 from io import BytesIO
 from pathlib import Path
+from secrets import token_hex
 from time import perf_counter
 from typing import Any
 from zipfile import BadZipFile
@@ -19,12 +20,16 @@ from numpy.typing import NDArray
 
 from fpk.compiling import ROOT, checksum
 from fpk.errors import Unavailable, reason_of
+from fpk.lock import locked
 
 INTERVAL = 2.0
 """Seconds between two saved states."""
 
 FIRST_PIECE = 256
 """Steps of the first piece, which shows how long a step takes."""
+
+PART = ".part"
+"""Ending of a state that is being written."""
 
 DAMAGED = (BadZipFile, EOFError, KeyError, OSError, RuntimeError, ValueError)
 """Exceptions of NumPy and zipfile for bytes that are not the archive that was written."""
@@ -54,6 +59,21 @@ class Checkpoint:
     _piece: int = FIRST_PIECE
     _saved: float = field(default_factory=perf_counter)
 
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Return a context in which no other process can go on from this state or save it.
+
+        Parts that killed processes have left are removed. Raises ``Unavailable`` where another
+        process has such a context.
+        """
+        if self.path is None:
+            yield
+            return
+        with locked(self.path.with_suffix(".lock")):
+            for part in self.path.parent.glob(f"{self.path.name}.*{PART}"):
+                part.unlink(missing_ok=True)
+            yield
+
     def save(self, ensemble: Any) -> None:
         """Write the state and the notes to another file and move it to ``path``.
 
@@ -61,14 +81,17 @@ class Checkpoint:
         """
         if self.path is None:
             return
-        part = self.path.with_suffix(".part")
+        part = self.path.with_name(f"{self.path.name}.{token_hex(4)}{PART}")
         arrays = {**ensemble.saved(), **self.notes}
         try:
-            with part.open("wb") as stream:
-                np.savez(stream, about=[self.identity, *arrays], **arrays)
-                stream.flush()
-                os.fsync(stream.fileno())
-            os.replace(part, self.path)
+            try:
+                with part.open("xb") as stream:
+                    np.savez(stream, about=[self.identity, *arrays], **arrays)
+                    stream.flush()
+                    os.fsync(stream.fileno())
+                os.replace(part, self.path)
+            finally:
+                part.unlink(missing_ok=True)
         except OSError as error:
             raise Unavailable(f"{self.path}: cannot be written: {reason_of(error)}") from None
         self._saved = perf_counter()

@@ -46,11 +46,16 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
     simulation of the same setup goes on from there. Where it may be ``partial`` Ctrl-C ends the
     sampling, and what there is by then is the result, not certified.
     """
+    checkpoint = checkpoint_of(setup.method.checkpoint, setup.identity)
+    with checkpoint.alone():
+        return _simulated(setup, checkpoint, workers=workers, progress=progress)
+
+
+def _simulated(setup: Setup, checkpoint: Checkpoint, *, workers: Any, progress: Progress) -> Answer:
     begin, method = perf_counter(), setup.method
     ensemble = Ensemble(
         setup.system, setup.scheme, setup.dt, method.paths, method.seed, workers=workers
     )
-    checkpoint = checkpoint_of(method.checkpoint, setup.identity)
     saved = checkpoint.load()
     sampling = "reached" in saved
     reached = saved["reached"] if sampling else _burnt_in(setup, ensemble, checkpoint, saved)

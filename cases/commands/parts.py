@@ -9,6 +9,7 @@ import click
 
 from cases.scene.errors import BadInput
 from fpk.errors import InvalidInput
+from fpk.lock import locked
 
 if TYPE_CHECKING:
     from cases.comparison.answers import Outcome
@@ -77,7 +78,8 @@ def observable_of(name: str, scene: "Scene") -> "Observable":
 def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:
     """Make the folder ``settings["checkpoint"]``, if it is asked for; ``run.json`` names its run.
 
-    Raises ``BadInput`` where it holds states of another scene, other settings or another version.
+    Its lock is held until the command ends. Raises ``Unavailable`` where another process holds it,
+    ``BadInput`` where the folder holds states of another scene, other settings or another version.
     """
     from cases.output.files import make_folder, write_text
     from cases.output.records import hash_of, plain, program_version
@@ -88,7 +90,9 @@ def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:
     own = {key: settings[key] for key in STATE_SETTINGS if key in settings}
     identity = {"scene": scene.text, "settings": own, "version": program_version()}
     record = {"run": hash_of(identity), "identity": plain(identity)}
-    path, text = make_folder(folder) / "run.json", json.dumps(record, ensure_ascii=False) + "\n"
+    make_folder(folder)
+    click.get_current_context().with_resource(locked(folder / "run.lock"))
+    path, text = folder / "run.json", json.dumps(record, ensure_ascii=False) + "\n"
     if not path.exists():
         write_text(path, text)
     elif read_text(path, str(path), most=1 << 24, what="the run's identity") != text:

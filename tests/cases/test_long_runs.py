@@ -12,6 +12,8 @@ import pytest
 distributed = pytest.importorskip("distributed")
 import dask  # noqa: E402
 
+from fpk.lock import locked  # noqa: E402
+
 DENSITY = ["fig3a", "--method", "montecarlo", "--of", "q2", "--at", "0:1:0.25", "--json"]
 GRID = ["--vary", "contact.stiffness=0.01:100:log2", "--paths", 4096, "--time", 60, "--seed", 3]
 
@@ -21,7 +23,8 @@ def begun(folder):
     return any(b"record_" in p.read_bytes() for p in folder.glob("*.checkpoint"))
 
 
-def test_control_c_leaves_a_partial_result_and_exit_1(tmp_path):
+def test_control_c_leaves_a_partial_result_and_exit_1(fpk, tmp_path):
+    """Until then a second process on the same folder is refused."""
     command = ["density", *DENSITY, "--seconds", "400", "--checkpoint", str(tmp_path)]
     process = subprocess.Popen(
         [sys.executable, "-c", "from cases.commands.cli import main; main()", *command],
@@ -30,6 +33,9 @@ def test_control_c_leaves_a_partial_result_and_exit_1(tmp_path):
     while process.poll() is None and not begun(tmp_path):
         time.sleep(0.05)
     assert process.poll() is None
+    status, _, refusal = fpk("density", *DENSITY, "--seconds", "400", "--checkpoint", tmp_path)
+    assert status == 2 and "another process is using this folder" in refusal
+    assert refusal.count("\n") == 1
     process.send_signal(signal.SIGINT)
     out, err = process.communicate()
     record = json.loads(out)
@@ -62,6 +68,14 @@ def test_a_damaged_state_ends_a_run_in_one_line(fpk, tmp_path):
     state.write_bytes(state.read_bytes()[:-5])
     status, out, err = fpk(*command)
     assert (status, out) == (2, "") and "is damaged" in err and err.count("\n") == 1
+
+
+def test_a_map_is_built_by_one_process_at_a_time(fpk, tmp_path):
+    with locked(tmp_path / "points.lock"):
+        status, out, err = fpk("regime", "fig6a", *GRID, "--checkpoint", tmp_path)
+    assert (status, out) == (2, "") and err.count("\n") == 1
+    assert "another process is using this folder" in err
+    assert not (tmp_path / "points.jsonl").exists()
 
 
 @pytest.mark.parametrize("command", [["run", "fig6a"], ["density", *DENSITY],

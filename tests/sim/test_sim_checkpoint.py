@@ -40,6 +40,7 @@ from sim_systems import fig6
 sim.checkpoint.INTERVAL = float(sys.argv[3])
 method = replace(METHOD, checkpoint=Path(sys.argv[1]), time=float(sys.argv[4]))
 print("begun", flush=True)
+sys.stdin.readline()
 np.savez(sys.argv[2], **arrays_of(method.solve(fig6(), OBSERVABLES)))
 """
 
@@ -68,15 +69,22 @@ def same_arrays(a: Any, b: Any) -> None:
 
 
 def in_pieces(folder: Path, out: Path, time: float) -> "subprocess.Popen[str]":
-    """A process that has imported all and begins to simulate."""
+    """A process that has imported all and simulates when it is sent a line."""
     tests = Path(__file__).parent
     environment = {**os.environ, "PYTHONPATH": f"{tests.parents[1]}{os.pathsep}{tests}"}
     process = subprocess.Popen(
         [sys.executable, "-c", IN_PIECES, str(folder), str(out), "0.05", str(time)],
-        env=environment, stdout=subprocess.PIPE, text=True,
+        env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True,
     )  # fmt: skip
     assert process.stdout is not None and process.stdout.readline() == "begun\n"
     return process
+
+
+def let_go(process: "subprocess.Popen[str]") -> None:
+    assert process.stdin is not None
+    process.stdin.write("\n")
+    process.stdin.flush()
 
 
 def wait_for_another(folder: Path, process: "subprocess.Popen[str]") -> None:
@@ -93,22 +101,30 @@ def wait_for_another(folder: Path, process: "subprocess.Popen[str]") -> None:
 def check_killed(method: MonteCarlo, kills: int, folder: Path) -> None:
     """Kill a simulation so many times, at random moments; the answer is that of one never killed.
 
-    Two in three live until they have kept a state, or there would be no end under load.
+    A second process on the same folder is refused while the first one lives, and leaves its
+    answer alone. Two in three live until they have kept a state, or there would be no end under
+    load.
     """
     expected = arrays_of(method.solve(fig6(), OBSERVABLES))
-    draw, killed, out = random.Random(20261121), 0, folder / "found.npz"
+    draw, refused, out = random.Random(20261121), 0, folder / "found.npz"
     for number in range(kills):
         process = in_pieces(folder, out, method.time)
-        if number % 3:
+        second = in_pieces(folder, folder / "second.npz", method.time) if number % 3 else None
+        let_go(process)
+        if second is not None:
             wait_for_another(folder, process)
+            _, err = second.communicate("\n")
+            assert second.returncode == 1 and "another process is using this folder" in err
+            refused += 1
         time.sleep(draw.uniform(0.0, 0.3))
         process.kill()
         process.communicate()
-        killed += process.returncode == -signal.SIGKILL
-    assert killed >= 2 and any(folder.glob("*.checkpoint"))
+        assert process.returncode == -signal.SIGKILL  # it had not ended by itself
+    assert refused >= kills // 2 and any(folder.glob("*.checkpoint"))
+    assert not (folder / "second.npz").exists()
     process = in_pieces(folder, out, method.time)
-    process.communicate()
-    assert process.returncode == 0
+    process.communicate("\n")
+    assert process.returncode == 0 and not list(folder.glob("*.part"))
     with np.load(out) as answer:
         same(answer, expected)
     # Once more from its last state: nothing is left to do, and the answer stays.
@@ -116,7 +132,7 @@ def check_killed(method: MonteCarlo, kills: int, folder: Path) -> None:
 
 
 def test_killed_three_times_the_answer_is_bitwise_the_same(tmp_path: Path) -> None:
-    check_killed(METHOD, 3, tmp_path)
+    check_killed(replace(METHOD, time=4000.0), 3, tmp_path)
 
 
 @pytest.mark.slow
@@ -201,6 +217,47 @@ def test_where_nothing_can_be_written_it_is_one_line_and_what_was_there_stays(
     assert checkpoint.load()["a"].size == 5
     with pytest.raises(Unavailable, match="cannot be written"):
         Checkpoint(tmp_path / "none" / "state.checkpoint", "one").save(Saved())
+
+    assert [p.name for p in tmp_path.iterdir()] == ["state.checkpoint"]  # no .part of a full disk
+
+
+def test_two_writers_of_one_state_never_damage_it(tmp_path: Path) -> None:
+    """Without the lock, too: each writes a part of its own name."""
+    path, size = tmp_path / "state.checkpoint", 200_000
+    failures: list[BaseException] = []
+
+    def write(number: int) -> None:
+        try:
+            for _ in range(30):
+                Checkpoint(path, "one").save(Saved(a=np.full(size, number)))
+                saved = Checkpoint(path, "one").load()["a"]
+                assert saved.size == size and saved.min() == saved.max()
+        except BaseException as failure:
+            failures.append(failure)
+
+    threads = [threading.Thread(target=write, args=(number,)) for number in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not failures and [p.name for p in tmp_path.iterdir()] == ["state.checkpoint"]
+
+
+def test_a_state_is_of_one_simulation_at_a_time_and_parts_of_killed_ones_are_removed(
+    tmp_path: Path,
+) -> None:
+    first, second = (Checkpoint(tmp_path / "state.checkpoint", "one") for _ in range(2))
+    left = tmp_path / "state.checkpoint.0123.part"
+    left.write_bytes(b"half")
+    with first.alone():
+        assert not left.exists()
+        with pytest.raises(Unavailable, match="another process is using this folder") as refusal:
+            second.alone().__enter__()
+        assert "\n" not in str(refusal.value)
+    with second.alone(), Checkpoint().alone(), Checkpoint().alone():
+        pass
+    with pytest.raises(Unavailable, match="cannot be locked"):
+        Checkpoint(tmp_path / "none" / "state.checkpoint", "one").alone().__enter__()
 
 
 def test_whatever_the_numbers_depend_on_is_in_the_identity(tmp_path: Path) -> None:

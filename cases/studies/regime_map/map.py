@@ -5,6 +5,7 @@ A grid on the command line is ``contact.stiffness=0.01:1000:log25``.
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -19,9 +20,10 @@ from cases.output.records import program_version
 from cases.scene.errors import BadInput, toml_value
 from cases.scene.scene import Scene
 from cases.scene.vary import VARIED, changed
-from cases.studies.regime_map.points import MapPoint, PointStore, map_point
+from cases.studies.regime_map.points import LOCK, MapPoint, PointStore, map_point
 from fpk.arrays import Array
 from fpk.errors import InvalidInput
+from fpk.lock import locked
 from fpk.method import Progress, silent
 from fpk.observable import Observable, observable_name
 from fpk.system import System
@@ -99,18 +101,19 @@ def build_map(
         **{key: getattr(simulation, key) for key in ("paths", "time", "relaxations", "seed")},
         "version": program_version(),
     }
-    store = PointStore(folder, identity)
-    wanted = list(product(*(axis.values.tolist() for axis in axes)))
-    todo = []
-    for values in [v for v in wanted if v not in store.points]:
-        system = scene.system
-        for axis, value in zip(axes, values, strict=True):
-            system = changed(system, axis.key, value)
-        todo.append(partial(map_point, system, observable, values))
-    progress(0, len(todo), "points of the map")
-    for done, point in enumerate(_finished(todo, simulation), start=1):
-        store.add(point)
-        progress(done, len(todo), "points of the map")
+    with nullcontext() if folder is None else locked(folder / LOCK):
+        store = PointStore(folder, identity)
+        wanted = list(product(*(axis.values.tolist() for axis in axes)))
+        todo = []
+        for values in [v for v in wanted if v not in store.points]:
+            system = scene.system
+            for axis, value in zip(axes, values, strict=True):
+                system = changed(system, axis.key, value)
+            todo.append(partial(map_point, system, observable, values))
+        progress(0, len(todo), "points of the map")
+        for done, point in enumerate(_finished(todo, simulation), start=1):
+            store.add(point)
+            progress(done, len(todo), "points of the map")
     points, reused = tuple(store.points[values] for values in wanted), len(wanted) - len(todo)
     seconds = perf_counter() - start
     return RegimeMap(scene, observable, tuple(axes), points, reused, seconds)

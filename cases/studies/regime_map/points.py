@@ -24,6 +24,8 @@ UNDECIDED, NEITHER = "undecided", "neither"
 """Winners where the difference is within the errors, and where no theory applies."""
 NAME = "points.jsonl"
 """Name of the file in a map's folder."""
+LOCK = "points.lock"
+"""Name of the file whose lock a process holds while it adds points."""
 FORMAT = 4
 """Version of the file's format."""
 MAX_BYTES = 64 << 20
@@ -96,7 +98,7 @@ class PointStore:
     ``identity`` is everything that a point's numbers depend on beside its own values. The file is
     replaced whole at every point, so that a killed run leaves all points before; its first line has
     the identity and a hash of the lines below it. A file of another map or that was changed is
-    refused and stays as it is. A folder is for one run at a time.
+    refused and stays as it is. Who adds points holds the lock of the file ``LOCK``.
     """
 
     def __init__(self, folder: Path | None, identity: dict[str, Any]) -> None:
