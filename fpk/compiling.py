@@ -1,11 +1,16 @@
 """Options and disk cache of compiled code: liberties of arithmetic, checksums of its sources."""
 
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from hashlib import sha256
+from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 from zlib import crc32
 
 import numba
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -16,20 +21,87 @@ which would undo exact differences."""
 NO_FOLDER = "no locator available"
 """Message of numba where neither the source's cache folder nor the user's can be written."""
 
+DIGEST_BYTES = sha256().digest_size
+"""Bytes at the end of a cache file: the SHA-256 of those before, which no reader unpickles."""
+
 _njit: Any = numba.njit
 
 
-def cached_where_possible(compiled: Callable[..., Any]) -> Any:
-    """Return ``compiled(cache=True)``, or ``compiled()`` where no cache folder can be written.
+class CheckedFiles(IndexDataCacheFile):
+    """Index and data files of one function's disk cache, which are damaged or as written.
+
+    numba unpickles and executes whatever they hold. Here each ends with a checksum, and data are
+    stored with the key that they belong to: two processes may have given one name to two of them.
+    """
+
+    def load(self, key: Any) -> Any:
+        """Return the data of ``key``; None where there are none or they are damaged."""
+        stored_key, data = super().load(key) or (None, None)
+        return data if stored_key == key else None
+
+    def save(self, key: Any, data: Any) -> None:
+        """Write the data of ``key``; where that is not possible the next process compiles anew."""
+        try:
+            super().save(key, (key, data))
+        except OSError as error:
+            warnings.warn(f"{self._index_path}: cannot be written: {error}", stacklevel=2)
+
+    def _load_index(self) -> Any:
+        return super()._load_index() if _is_whole(Path(self._index_path)) else {}
+
+    def _load_data(self, name: str) -> Any:
+        return super()._load_data(name) if _is_whole(Path(self._data_path(name))) else None
+
+    @contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[BinaryIO]:
+        content = BytesIO()
+        with super()._open_for_write(filepath) as file:
+            yield content
+            file.write(content.getvalue() + sha256(content.getvalue()).digest())
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a cache file is as it was written, or is not there.
+
+    One that is damaged is removed, with a warning.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        return True
+    except OSError:
+        content = b""
+    whole = sha256(content[:-DIGEST_BYTES]).digest() == content[-DIGEST_BYTES:]
+    if not whole:
+        warnings.warn(f"{path}: is damaged; the code in it is compiled again", stacklevel=2)
+        with suppress(OSError):
+            path.unlink()
+    return whole
+
+
+class CheckedCache(FunctionCache):
+    """Disk cache of a compiled function in ``CheckedFiles``."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        """Find the folder; ``RuntimeError`` with ``NO_FOLDER`` where none can be written."""
+        super().__init__(function)
+        files = self._cache_file
+        # A name of its own: files of numba's own format are not damaged, only of no use here.
+        name = files._index_name.removesuffix(".nbi") + ".sha256"
+        self._cache_file = CheckedFiles(self._cache_path, name, files._source_stamp)
+
+
+def cached_where_possible(compiled: Any) -> Any:
+    """Return the compiled function with a disk cache, or without where no folder can be written.
 
     It is then compiled again in every process. Any other error of numba is raised.
     """
     try:
-        return compiled(cache=True)
+        compiled._cache = CheckedCache(compiled.py_func)
     except RuntimeError as error:
         if NO_FOLDER not in str(error):
             raise
-        return compiled()
+    return compiled
 
 
 def cached_njit(flags: set[str] = FLAGS) -> Callable[[Function], Function]:
@@ -37,9 +109,7 @@ def cached_njit(flags: set[str] = FLAGS) -> Callable[[Function], Function]:
 
     def decorated(function: Function) -> Function:
         options = {"fastmath": flags, "error_model": "numpy", "nogil": True}
-        cached: Function = cached_where_possible(
-            lambda **cache: _njit(**cache, **options)(function)
-        )
+        cached: Function = cached_where_possible(_njit(**options)(function))
         return cached
 
     return decorated

@@ -3,6 +3,7 @@
 import atexit
 import gc
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -128,6 +129,7 @@ def main() -> None:
     # imported, and once more at the end, takes a fifth of the time of a short command.
     gc.set_threshold(100_000, 50, 50)
     atexit.register(gc.freeze)
+    warnings.formatwarning = lambda message, *_: f"fpk: warning: {one_line(str(message))}\n"
     try:
         # Outside standalone mode click hands usage errors over instead of printing four lines.
         sys.exit(app.main(prog_name="fpk", standalone_mode=False) or 0)
