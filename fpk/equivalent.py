@@ -5,6 +5,7 @@ from math import exp, lgamma
 import numpy as np
 
 from fpk.arrays import Array
+from fpk.balance import POINTS, balance_with_stops
 from fpk.damping import DampingTerm
 from fpk.errors import NotApplicable
 from fpk.moments import gaussian_moment
@@ -17,8 +18,9 @@ ROUND_OFF = 1e-12
 def equivalent_temperature(system: System) -> float:
     """Return the θ at which E Σ c_ij v_i v_j = Σ (f D fᵀ)_ii/m_i in the Gibbs state exp(−H/θ).
 
-    The chain is taken without its contacts, so that the balance is a polynomial in θ; of several
-    roots it is the largest, where the damping takes over for good. With constant damping it is
+    Of several roots it is the largest, where the damping takes over for good. With stops and
+    damping terms it is that of ``balance_with_stops``; without, and for more contact masses than
+    that takes, the balance of the chain alone is a polynomial in θ. With constant damping it is
     Σ D_ii/m_i / Σ c_ii/m_i. A scale for meshes, ranges and steps: no answer rests on it.
 
     Raises ``NotApplicable`` where no noise reaches a mass, or the damping never balances it.
@@ -26,6 +28,8 @@ def equivalent_temperature(system: System) -> float:
     noise = float(np.sum(np.diag(system.noise_matrix) / system.mass))
     if noise <= 0:
         raise NotApplicable("no noise reaches a mass, so the energy has no stationary density")
+    if stops_matter(system):
+        return system.fact(balance_with_stops).temperature
     power = dissipated_power(system)
     real = [z.real for z in np.roots([*power[:0:-1], -noise]) if abs(z.imag) < 1e-9 * abs(z)]
     if not real or max(real) <= 0 or next(c for c in power[::-1] if c) < 0:
@@ -33,8 +37,13 @@ def equivalent_temperature(system: System) -> float:
     return float(max(real))
 
 
+def stops_matter(system: System) -> bool:
+    """Return whether the balance is that of ``balance_with_stops``."""
+    return bool(system.damping_terms) and 0 < len(system.contact_masses) <= len(POINTS)
+
+
 def dissipated_power(system: System) -> Array:
-    """Return the coefficients of E Σ c_ij v_i v_j in the Gibbs state, ascending powers of θ."""
+    """Return the coefficients of E Σ c_ij v_i v_j without contacts, ascending powers of θ."""
     power = np.zeros(2 + max((term.degree // 2 for term in system.damping_terms), default=0))
     power[1] = np.sum(np.diag(system.damping) / system.mass)
     size = np.abs(power)
@@ -47,11 +56,14 @@ def dissipated_power(system: System) -> Array:
 
 
 def balance_energy(system: System) -> float:
-    """Return the last energy at which damping and noise balance on the shell of the linear chain.
+    """Return about the last energy at which damping and noise balance on a shell.
 
-    A term of the power θ^k in the Gibbs state has H^k Γ(n)/Γ(n + k) on the shell of energy H. With
-    two humps of the energy the upper one lies there, far above θ. 0 where they never balance.
+    Without stops a term of the power θ^k in the Gibbs state has H^k Γ(n)/Γ(n + k) on the shell of
+    energy H. With two humps of the energy the upper one lies there, far above θ. 0 where they never
+    balance.
     """
+    if stops_matter(system):
+        return system.fact(balance_with_stops).energy
     n, noise = system.n, float(np.sum(np.diag(system.noise_matrix) / system.mass))
     shell = [c * exp(lgamma(n) - lgamma(n + k)) for k, c in enumerate(dissipated_power(system))]
     roots = np.roots([*shell[:0:-1], shell[0] - noise])

@@ -7,7 +7,8 @@ import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
 from fpk.arrays import Array
-from fpk.equivalent import dissipated_power, equivalent_temperature
+from fpk.balance import balance_with_stops
+from fpk.equivalent import dissipated_power, equivalent_temperature, stops_matter
 from fpk.linear import UNDAMPED, decay_time, natural_modes
 from fpk.moments import gaussian_moment
 from fpk.system import System
@@ -25,7 +26,10 @@ def relaxation_time(system: System) -> float:
     if not system.damping_terms:
         return decay_time(system)
     temperature = equivalent_temperature(system)
-    slope = float(np.polynomial.Polynomial(dissipated_power(system)).deriv()(temperature))
+    if stops_matter(system):
+        slope = system.fact(balance_with_stops).slope
+    else:
+        slope = float(np.polynomial.Polynomial(dissipated_power(system)).deriv()(temperature))
     times = [2.0 * system.n / slope] if slope > 0 else []
     shapes, omega = natural_modes(system)
     noise = np.einsum("im,ij,jm->m", shapes, system.noise_matrix, shapes)

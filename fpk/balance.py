@@ -1,0 +1,185 @@
+"""Where damping terms balance the noise in a chain with stops, judged in its Gibbs states."""
+
+from dataclasses import dataclass
+from itertools import product
+from math import comb, exp, prod, sqrt
+
+import numpy as np
+import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
+
+from fpk.arrays import Array
+from fpk.contact import Contact
+from fpk.damping import DampingTerm
+from fpk.errors import NotApplicable
+from fpk.moments import gaussian_moment
+from fpk.quadrature import gauss_legendre
+from fpk.system import System
+
+SEARCHED = 2.0 ** np.arange(-2, 54)
+"""Temperatures searched, in units of one at which the sizes of all damping powers balance the
+noise: up to 1e16 of it, as energies in ``fpk.ends.FAR_OUT``."""
+DEEP = 40.0
+"""Energy of a contact mass, in kT, beyond which its Gibbs density is left out: 4e-18 of it."""
+POINTS = (64, 64, 32, 16)
+"""Gauss points for each of one to four contact masses, 65536 in all at the most: three digits."""
+ROUND_OFF = 1e-9
+"""A power below this share of the terms that cancel in it counts as zero: what quadrature leaves
+where terms of one contact mass cancel exactly is 1e-12."""
+
+
+@dataclass(frozen=True)
+class Balance:
+    """The last state, to some per cent, at which damping and noise balance.
+
+    ``temperature`` is that of a Gibbs state, in which the power of the damping has the ``slope``
+    dP/dθ there; ``energy`` that of a shell.
+    """
+
+    temperature: float
+    slope: float
+    energy: float
+
+
+def balance_with_stops(system: System) -> Balance:
+    """Return where E Σ c_ij v_i v_j = Σ (f D fᵀ)_ii/m_i for the last time as the energy grows.
+
+    E is over the Gibbs state exp(−H/θ) of the chain with its stops. Where Z E X ~ θ^a, Z the
+    partition function, E H^e X is θ^e E X Γ(a + e)/Γ(a); where Z ~ θ^ν and E X ~ θ^k, X is
+    E X ν^k Γ(ν)/Γ(ν + k) on the shell of energy ν θ. Both are exact far out, where all are powers.
+
+    Raises ``NotApplicable`` where the damping does not outweigh the noise far out.
+    """
+    noise = float(np.sum(np.diag(system.noise_matrix) / system.mass))
+    constant = float(np.sum(np.diag(system.damping) / system.mass))
+    theta = _temperature_of_sizes(system, abs(constant), noise) * SEARCHED
+    log_theta, states = np.log(theta), [_contact_states(system, float(t)) for t in theta]
+    order = system.n + np.gradient(np.log([weights.sum() for _, weights in states]), log_theta)
+    gibbs, shell = constant * theta, constant * theta
+    size = np.abs(gibbs)
+    for term in system.damping_terms:
+        means = [
+            _mean_power(system, term, float(t), *s) for t, s in zip(theta, states, strict=True)
+        ]
+        mean, absolute = np.array(means, dtype=float).T
+        acts = np.abs(mean) > ROUND_OFF * absolute
+        logs = np.log(np.where(acts, np.abs(mean), 1.0))
+        power = np.where(acts, np.maximum(np.gradient(logs, log_theta), 0.0), 0.0)
+        factor = theta**term.energy * _gamma_ratio(order + power, float(term.energy))
+        power = power + term.energy
+        gibbs, size = gibbs + factor * mean, size + factor * absolute
+        shell = shell + factor * mean * order**power / _gamma_ratio(order, power)
+    if not gibbs[-1] > max(noise, ROUND_OFF * size[-1]):
+        raise NotApplicable("the damping does not balance the noise, so the energy grows for ever")
+    slopes, at = np.gradient(gibbs, theta), _last_root(log_theta, gibbs / noise)
+    return Balance(
+        temperature=exp(at),
+        slope=float(np.interp(at, log_theta, slopes)),
+        energy=exp(_last_root(np.log(order * theta), shell / noise)),
+    )
+
+
+def _temperature_of_sizes(system: System, constant: float, noise: float) -> float:
+    """The θ at which constant θ + Σ √E X² is the noise, X the powers of the chain without stops."""
+    sizes = []
+    for term in system.damping_terms:
+        q, v = term.powers("q", system.n), _velocities(system, term)
+        square = gaussian_moment(system.compliance, tuple(2 * a for a in q))
+        square *= gaussian_moment(np.diag(1.0 / system.mass), tuple(2 * a for a in v))
+        sizes.append((abs(term.coefficient) * sqrt(square), 0.5 * (sum(q) + sum(v)) + term.energy))
+
+    def excess(log_theta: float) -> float:
+        return sum(s * exp(k * log_theta) for s, k in [(constant, 1.0), *sizes]) - noise
+
+    end = 1.0
+    while excess(end) < 0.0 or excess(-end) > 0.0:
+        end *= 2.0
+    return exp(scipy.optimize.brentq(excess, -end, end))
+
+
+def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
+    """Displacements (masses, points) of the contact masses, and weights (points,), at θ.
+
+    The weights are those of E exp(−U/θ) over the Gaussian of the springs, in which a mass departs
+    from the one before it by the flexibility in between. Its Gauss points follow that as far as
+    its stops let it go.
+    """
+    x, w = gauss_legendre(POINTS[len(system.contact_masses) - 1])
+    q, weights, before, reach = np.zeros((0, 1)), np.ones(1), 0.0, sqrt(2.0 * DEEP)
+    for mass in system.contact_masses:
+        flexibility = float(np.sum(1.0 / system.stiffness[: mass + 1]))
+        mean, width = q[-1] if q.size else np.zeros(1), sqrt(theta * (flexibility - before))
+        low, high, before = mean - reach * width, mean + reach * width, flexibility
+        for stop in system.stops:
+            if stop.index == mass:
+                end = stop.clearance + _overlap(stop, DEEP * theta)
+                low, high = (
+                    (np.maximum(low, -end), high) if stop.sign < 0 else (low, np.minimum(high, end))
+                )
+        half = np.maximum(0.5 * (high - low), 0.0)
+        own = (0.5 * (low + high))[:, None] + half[:, None] * x
+        normal = (own - mean[:, None]) / width
+        energy = system.contact_energy(mass, own) / theta
+        density = np.exp(-0.5 * normal**2 - energy) / (sqrt(2.0 * np.pi) * width)
+        weights = (weights[:, None] * half[:, None] * w * density).ravel()
+        q = np.vstack([np.repeat(q, x.size, axis=1), own.reshape(1, -1)])
+    return q, weights
+
+
+def _overlap(stop: Contact, energy: float) -> float:
+    """The overlap at a contact energy, to a factor of two upwards."""
+    high = 1.0
+    while stop.energy(high) < energy:
+        high *= 2.0
+    while stop.energy(0.5 * high) > energy:
+        high *= 0.5
+    return high
+
+
+def _mean_power(
+    system: System, term: DampingTerm, theta: float, contact: Array, weights: Array
+) -> tuple[float, float]:
+    """E coefficient Π q Π v v_i v_j at θ without the power of H, and that of its absolute value.
+
+    A displacement is its mean given the contact masses and an independent Gaussian part: their
+    product is summed over all ways to take some factors of the one and the others of the other.
+    """
+    masses, C = list(system.contact_masses), system.compliance
+    nodes = [0.0, *np.diag(C)[masses]]  # the mean is linear between them, constant beyond
+    follow = np.transpose([np.interp(np.diag(C), nodes, [0.0, *e]) for e in np.eye(len(masses))])
+    spread = theta * (C - follow @ C[masses])
+    spread[masses] = spread[:, masses] = 0.0
+    mean, powers = follow @ contact, term.powers("q", system.n)
+    total, absolute = np.zeros((2, weights.size))
+    for own in product(*(range(power + 1) for power in powers)):
+        moment = gaussian_moment(spread, own)
+        if moment:
+            ways = prod(comb(power, k) for power, k in zip(powers, own, strict=True))
+            rest = [power - k for power, k in zip(powers, own, strict=True)]
+            part = ways * moment * prod(mean[i] ** r for i, r in enumerate(rest) if r)
+            total, absolute = total + part, absolute + np.abs(part)
+    v = _velocities(system, term)
+    factor = term.coefficient * gaussian_moment(np.diag(theta / system.mass), v) / weights.sum()
+    return factor * float(weights @ total), abs(factor) * float(weights @ absolute)
+
+
+def _velocities(system: System, term: DampingTerm) -> tuple[int, ...]:
+    """The powers of all velocities in c_ij v_i v_j."""
+    v = list(term.powers("v", system.n))
+    v[term.row] += 1
+    v[term.column] += 1
+    return tuple(v)
+
+
+def _gamma_ratio(a: Array, k: Array | float) -> Array:
+    """Γ(a + k)/Γ(a)."""
+    return np.asarray(np.exp(scipy.special.gammaln(a + k) - scipy.special.gammaln(a)))
+
+
+def _last_root(x: Array, share: Array) -> float:
+    """The last x at which ``share``, a power law between two of them, rises through one."""
+    below = np.flatnonzero(share <= 1.0)
+    if not below.size or below[-1] == x.size - 1:
+        return float(x[0] if not below.size else x[-1])
+    k = below[-1]
+    low, high = np.log(share[k : k + 2]) if share[k] > 0.0 else share[k : k + 2] - 1.0
+    return float(x[k] - (x[k + 1] - x[k]) * low / (high - low))

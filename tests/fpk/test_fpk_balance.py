@@ -1,0 +1,108 @@
+"""Balance of damping terms and noise in a chain with stops, against other integrals."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from averaging import Integrable, NonIntegrable
+from fpk.balance import balance_with_stops
+from fpk.contact import Contact
+from fpk.damping import DampingTerm
+from fpk.equivalent import equivalent_temperature
+from fpk.errors import NotApplicable
+from fpk.observable import Coordinate
+from fpk.system import System
+from sim import MonteCarlo
+
+CUBIC = Contact(1, "both", 100.0, 0.3, "power", exponent=3.0)
+
+
+def one_mass(displacement: float, velocity: float, *contacts: Contact) -> System:
+    """c = 0.1 + displacement q² + velocity v² on one mass."""
+    terms = (
+        DampingTerm(1, 1, displacement, q=((1, 2),)),
+        DampingTerm(1, 1, velocity, v=((1, 2),)),
+    )
+    return System([1.0], [1.0], [0.1], [0.02], contacts=contacts, damping_terms=terms)
+
+
+def test_a_stop_that_keeps_the_mass_from_where_it_is_driven_makes_the_system_stable() -> None:
+    """E (0.1 − 0.2 q² + 0.03 v²) v² = D with E q² by adaptive quadrature."""
+    system = one_mass(-0.2, 0.03, CUBIC)
+    balance = balance_with_stops(system)
+
+    def power(theta: float) -> float:
+        def weight(q: float) -> float:
+            return float(np.exp(-system.potential(np.array([q])) / theta))
+
+        square = quad(lambda q: q * q * weight(q), -3, 3)[0] / quad(weight, -3, 3)[0]
+        return theta * (0.1 - 0.2 * square + 0.09 * theta)
+
+    assert power(balance.temperature) == pytest.approx(0.02, rel=0.02)
+    slope = (power(1.01 * balance.temperature) - power(0.99 * balance.temperature)) / 0.02
+    assert balance.slope * balance.temperature == pytest.approx(slope, rel=0.1)
+    MonteCarlo().prepare(system)
+
+
+@pytest.mark.parametrize("method", [MonteCarlo(), NonIntegrable()])
+def test_a_stop_that_keeps_the_mass_from_where_it_is_damped_makes_the_energy_grow(
+    method: MonteCarlo | NonIntegrable,
+) -> None:
+    with pytest.raises(NotApplicable, match="grows for ever"):
+        method.prepare(one_mass(0.2, -0.03, CUBIC))
+    method.prepare(one_mass(0.2, -0.03))  # without the stop it is stable
+
+
+def test_stops_out_of_reach_leave_the_balance_of_the_chain() -> None:
+    terms = (
+        DampingTerm(1, 1, 0.7, q=((1, 2),)),
+        DampingTerm(2, 2, 0.2, q=((1, 1), (2, 1)), v=((2, 2),), energy=1),
+    )
+
+    def chain(*contacts: Contact) -> System:
+        return System(
+            [1.0, 2.0], [1.0, 3.0], [0.05, 0.02], [0.01, 0.02],
+            contacts=contacts, damping_terms=terms,
+        )  # fmt: skip
+
+    expected = equivalent_temperature(chain())
+    for masses in ((1,), (2,), (1, 2)):
+        far = chain(*(Contact(mass, "both", 1e-30, 10.0) for mass in masses))
+        assert balance_with_stops(far).temperature == pytest.approx(expected, rel=0.02)
+
+
+def test_moments_with_two_stops_against_a_sample() -> None:
+    """E c_ij v_i v_j over a weighted sample of three coupled masses, two of which touch."""
+    terms = (DampingTerm(1, 1, 0.5, q=((2, 1), (3, 1))), DampingTerm(2, 2, 0.3, q=((1, 3),)))
+    stops = (Contact(1, "left", 20.0, 0.1), Contact(3, "right", 5.0, 0.05))
+    system = System(
+        [1.0, 2.0, 1.5], [1.0, 3.0, 0.5], [0.2, 0.3, 0.4], [0.01, 0.02, 0.03],
+        contacts=stops, damping_terms=terms,
+    )  # fmt: skip
+    theta = balance_with_stops(system).temperature
+    rng = np.random.default_rng(11)
+    q = rng.multivariate_normal(np.zeros(3), theta * system.compliance, 400_000)
+    weight = np.exp(-sum(system.contact_energy(i, q[:, i]) for i in (0, 2)) / theta)
+    c = 0.5 * q[:, 1] * q[:, 2] / 1.0 + 0.3 * q[:, 0] ** 3 / 2.0
+    mean = float(np.sum(weight * c) / np.sum(weight))
+    power = theta * (0.2 / 1.0 + 0.3 / 2.0 + 0.4 / 1.5 + mean)
+    assert power == pytest.approx(0.01 + 0.02 / 2.0 + 0.03 / 1.5, rel=0.02)
+    assert abs(mean) > 0.02 * 0.6  # the terms are not lost in what is allowed
+
+
+@pytest.mark.parametrize(("mass", "stiffness"), [(1.0, 1.0), (1.3, 0.7), (0.77, 3.1), (7.1, 0.9)])
+def test_terms_that_cancel_on_average_are_decided_alike_by_all(
+    mass: float, stiffness: float
+) -> None:
+    """0.3 κ q² − 0.1 μ v² averages to exactly zero: c is 0.1 on average, and p(H) exponential."""
+    terms = (
+        DampingTerm(1, 1, 0.3 * stiffness, q=((1, 2),)),
+        DampingTerm(1, 1, -0.1 * mass, v=((1, 2),)),
+    )
+    system = System([mass], [stiffness], [0.1], [0.02], damping_terms=terms)
+    MonteCarlo().prepare(system)
+    for method, energy in ((NonIntegrable(), Coordinate("H")), (Integrable(), Coordinate("H", 0))):
+        (density,) = method.solve(system, [(energy,)]).densities
+        value, error = density.at(np.array([0.1]))
+        assert abs(value[0] - 5.0 * np.exp(-0.5)) <= error[0] + 1e-12
+        assert density.certificate.certified
