@@ -15,7 +15,7 @@ from fpk.moments import gaussian_moment
 from fpk.quadrature import gauss_legendre
 from fpk.system import System
 
-SEARCHED = 2.0 ** np.arange(-2, 54)
+SEARCHED = np.logspace(-2.0, 53.0, 56, base=2.0)
 """Temperatures searched, in units of one at which the sizes of all damping powers balance the
 noise: up to 1e16 of it, as energies in ``fpk.ends.FAR_OUT``."""
 DEEP = 40.0

@@ -26,15 +26,16 @@ Answer = tuple[tuple[SampledDensity, ...], tuple[Identity, ...], Report]
 """The densities, the moment identities, and the report."""
 
 
-def assessed(setup: Setup, record: Record, *, interrupted: str) -> Answer:
+def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) -> Answer:
     """Return the certified densities, the moment identities and the report.
 
-    ``interrupted``, in words and empty if it was not, stands against a certificate, as lost
+    ``interrupted``, in words and empty if it was not, stands against a certificate, as does what
+    the limit of time cut short so that nothing can be diagnosed (``limited``), and as lost
     trajectories do. Of a system with mirror symmetry mirror images of samples count as samples.
     """
     ensemble = record.ensemble
     steps = _steps(setup, ensemble, record.stepping)
-    failures, lost = [interrupted] if interrupted else [], ensemble.lost()
+    failures, lost = [words for words in (interrupted, limited) if words], ensemble.lost()
     if lost:
         failures.append(
             f"{lost} of {ensemble.paths} trajectories left the finite range;"
@@ -45,7 +46,7 @@ def assessed(setup: Setup, record: Record, *, interrupted: str) -> Answer:
     judged = identities if not lost else ()
     failures += [text for identity in judged if (text := _defect(setup.system, identity))]
     diagnosed: Diagnosis | None = None
-    if not (lost or interrupted):
+    if not (lost or interrupted or limited):
         diagnosed = diagnosis(
             record.effective(), record.names, record.means(),
             time=ensemble.samples * (ensemble.dt * setup.stride), paths=ensemble.paths,
@@ -89,7 +90,7 @@ def _steps(setup: Setup, ensemble: Ensemble, seconds: float) -> Steps:
         dt=setup.dt / setup.scheme.small,
         paths=ensemble.paths,
         time=steps * setup.dt,
-        burn_in=setup.burn_in_steps * setup.dt,
+        burn_in=min(setup.burn_in_steps, ensemble.done) * setup.dt,
         relaxation_time=relaxation_time(setup.system),
         scheme=setup.scheme.name,
         steps=steps,

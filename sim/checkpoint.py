@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, is_dataclass
 from io import BytesIO
+from math import inf
 from pathlib import Path
 from secrets import token_hex
 from time import perf_counter
@@ -48,13 +49,15 @@ class Checkpoint:
 
     States are saved as NumPy's .npz at ``path``, or not at all where that is None, with
     ``identity``, a hash of all that the numbers depend on, and ``notes``, arrays that the caller
-    needs to go on. ``stopped()`` says after every piece whether to stop.
+    needs to go on. ``stopped()`` says after every piece whether to stop; at the ``deadline``, a
+    value of ``perf_counter``, it stops, too.
     """
 
     path: Path | None = None
     identity: str = ""
     stopped: Callable[[], bool] = lambda: False
     notes: dict[str, NDArray[Any]] = field(default_factory=dict)
+    deadline: float = inf
     interrupted: bool = False
     _piece: int = FIRST_PIECE
     _saved: float = field(default_factory=perf_counter)
@@ -124,20 +127,28 @@ class Checkpoint:
             )
         return arrays
 
-    def advance(self, ensemble: Any, steps: int, *, stride: int = 1) -> bool:
+    @property
+    def ended(self) -> bool:
+        """Whether it was stopped, or the deadline has passed."""
+        return self.interrupted or perf_counter() >= self.deadline
+
+    def advance(self, ensemble: Any, steps: int, *, stride: int = 1, saving: bool = True) -> bool:
         """Advance by ``steps``; return whether it was stopped (at least a piece is done)."""
-        while steps > 0 and not self.interrupted:
+        first = True
+        while steps > 0 and (first or not self.ended):
+            first = False
             piece, start = min(steps, self._piece), perf_counter()
             ensemble.advance(piece, stride=stride)
             now = perf_counter()
             # Pieces grow gently: the first ones may have been compiled.
-            in_time = int(piece * ensemble.workers.piece / max(now - start, 1e-9))
+            left = min(ensemble.workers.piece, max(self.deadline - now, 0.0))
+            in_time = int(piece * left / max(now - start, 1e-9))
             self._piece = max(1, min(4 * self._piece, in_time))
             steps -= piece
             self.interrupted = self.stopped()
-            if self.interrupted or now - self._saved >= INTERVAL:
+            if saving and (self.ended or now - self._saved >= INTERVAL):
                 self.save(ensemble)
-        return self.interrupted
+        return self.interrupted or steps > 0
 
 
 def checkpoint_of(folder: Path | None, settings: Any) -> Checkpoint:

@@ -42,9 +42,10 @@ class MonteCarlo(Method):
     ``time`` None: ``relaxations`` relaxation times, but no more than the cost of ``most_steps``
     uniform steps. ``dt`` None: ``step_factor`` times the step chosen for the system.
     ``tol``: go on until the expected L1 error of the first observable is below it, at most
-    ``longest`` seconds. ``seconds``: go on for so long instead.
-    ``step_pair``: run a second simulation at dt/2 and report the difference of each density and
-    moment.
+    ``longest`` seconds. ``seconds``: go on for so long instead. Both hold for all that follows the
+    compiling: an answer whose burn-in or first chunk they cut short is not certified and says so.
+    ``step_pair``: run a second simulation at dt/2, in two thirds of ``seconds``, and report the
+    difference of each density and moment.
     ``threads`` None: all that there are. ``cluster``: the address of a Dask scheduler; the answer
     depends on neither. ``checkpoint``: a folder where the state is saved at intervals and read
     again. ``partial``: Ctrl-C ends the sampling with what there is, not certified.

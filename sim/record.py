@@ -64,9 +64,9 @@ class Record:
         return [name for name, _, _ in self.squares] + [self.axes[axis] for axis, _ in self.cuts]
 
     def snapshot(self, stride: int) -> None:
-        """Advance to the next sample, and note the variance of that one over the trajectories."""
+        """Take a sample by one step, and note the variance of that one over the trajectories."""
         before = self.ensemble.sums.copy()
-        self.ensemble.advance(stride, stride=stride)
+        self.ensemble.advance(1, stride=stride)
         with np.errstate(over="ignore", invalid="ignore"):  # lost trajectories are counted later
             samples = self._of_paths(self.ensemble.sums - before)
             self.variances.append(samples.var(axis=1, ddof=1))

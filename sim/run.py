@@ -28,7 +28,7 @@ def run(
     setup = setup_of(method, system, observables)
     with workers_of(method.cluster, method.threads or usable_cores()) as workers:
         densities, identities, report = simulate(setup, workers=workers, progress=progress)
-        if method.step_pair and not (report.lost or report.interrupted):
+        if method.step_pair and report.diagnosis is not None:
             seed = (method.seed + OTHER_SEED) % 2**64
             half = replace(
                 setup,

@@ -18,6 +18,10 @@ from sim.statistics import Product, moment_products
 from sim.step_size import check_step, chosen_step, sampling_interval
 from sim.substeps import cost, with_long_steps
 
+RANDOM_NUMBERS = 2.0**-39
+"""Least step, in units of the time that is simulated, per mass: a trajectory owns 2**40 words of
+random numbers and takes n of them a step, 5/4 n with long steps, at the most."""
+
 
 @dataclass(frozen=True, eq=False)
 class Setup:
@@ -88,10 +92,16 @@ def setup_of(method: MonteCarlo, system: System, observables: Sequence[Observabl
         if not method.allow_unstable:
             raise
         failures.append(f"the step {dt:g} was insisted on: it {error.remedy}")
+    relaxation = relaxation_time(system)
+    shortest = RANDOM_NUMBERS * system.n * (method.burn_in * relaxation + (method.time or 0.0))
+    if dt < shortest:
+        remedy = f"takes more random numbers than a trajectory has; use at least {shortest:.2g}"
+        raise InvalidInput("dt", dt, remedy)
     scheme, long, division = with_long_steps(system, scheme, dt)
     tol = method.tol if method.tol is not None and observables else inf
-    seconds = method.seconds or (method.longest if tol < inf else inf)
-    time = wanted = method.time or method.relaxations * relaxation_time(system)
+    own = 3.0 if method.step_pair else 1.0  # half the step takes twice as long
+    seconds = method.seconds / own if method.seconds else method.longest if tol < inf else inf
+    time = wanted = method.time or method.relaxations * relaxation
     if method.time is None:
         time = min(wanted, method.most_steps * dt / cost(system, dt, scheme.small))
     return Setup(

@@ -52,61 +52,85 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
 
 
 def _simulated(setup: Setup, checkpoint: Checkpoint, *, workers: Any, progress: Progress) -> Answer:
-    begin, method = perf_counter(), setup.method
+    method = setup.method
     ensemble = Ensemble(
         setup.system, setup.scheme, setup.dt, method.paths, method.seed, workers=workers
     )
     saved = checkpoint.load()
-    sampling = "reached" in saved
-    reached = saved["reached"] if sampling else _burnt_in(setup, ensemble, checkpoint, saved)
-    histograms = setup.histograms or covering(setup.observables, reached, mirror=setup.mirror)
-    ensemble.watch(histograms, setup.products)
-    record = Record(ensemble)
-    if sampling:
-        ensemble.restore(saved)
-        record.restore(saved)
-    else:
-        record.elapsed = perf_counter() - begin
-    checkpoint.notes["reached"] = reached
+    # Any ranges: with the kinds of observables as later there is one kernel for all.
+    reached = np.full((sum(map(len, setup.observables)), 2), (-1.0, 1.0))
+    ensemble.watch(covering(setup.observables, reached, mirror=setup.mirror), setup.products)
+    ensemble.advance(0, stride=0)  # compiles: the time that is limited begins here
+    begin = perf_counter()
+    checkpoint.deadline = begin + setup.seconds
     with interruptible(method.partial) as checkpoint.stopped:
-        _sample(setup, record, checkpoint=checkpoint, progress=progress)
-    checkpoint.save(ensemble)
+        sampling, cut = "reached" in saved, ""
+        if sampling:
+            reached = saved["reached"]
+        else:
+            reached, cut = _burnt_in(setup, ensemble, checkpoint, saved, progress=progress)
+        histograms = setup.histograms or covering(setup.observables, reached, mirror=setup.mirror)
+        ensemble.watch(histograms, setup.products)
+        record = Record(ensemble)
+        if sampling:
+            ensemble.restore(saved)
+            record.restore(saved)
+        else:
+            record.elapsed = perf_counter() - begin
+        if cut:
+            ensemble.advance(1, stride=setup.stride)  # a sample of the states that there are
+        else:
+            checkpoint.notes["reached"] = reached
+            _sample(setup, record, checkpoint=checkpoint, progress=progress)
+            checkpoint.save(ensemble)
     of = "" if setup.open else f" of {CHUNKS}"
-    words = f"partial: interrupted after {record.chunks}{of} chunks"
-    return assessed(setup, record, interrupted=words if checkpoint.interrupted else "")
+    where = cut or f"after {record.chunks}{of} chunks"
+    interrupted = f"partial: interrupted {where}" if checkpoint.interrupted else ""
+    limit, first = f"the limit of {setup.seconds:g} s came", "in its first chunk, before any drift"
+    limited = "" if interrupted or record.chunks else f"{limit} {cut or first}; give it more time"
+    return assessed(setup, record, interrupted=interrupted, limited=limited)
 
 
-def _burnt_in(setup: Setup, ensemble: Ensemble, checkpoint: Checkpoint, saved: Any) -> Array:
+def _burnt_in(
+    setup: Setup, ensemble: Ensemble, checkpoint: Checkpoint, saved: Any, *, progress: Progress
+) -> tuple[Array, str]:
     """Advance to the end of the burn-in, from the state in ``saved`` if there is one.
 
     Returns the extremes (coordinates, 2) of ``PILOT_STATES`` states that follow, from which the
-    histograms are chosen where they are not given.
+    histograms are chosen where they are not given; and where Ctrl-C or the limit of time cut all
+    this short, in words, empty where it did not.
     """
-    coordinates = sum(map(len, setup.observables))
-    # Any ranges: with the kinds of observables as later there is one kernel for all.
-    reached = np.full((coordinates, 2), (-1.0, 1.0))
-    ensemble.watch(covering(setup.observables, reached, mirror=setup.mirror), setup.products)
     if saved:
         ensemble.restore(saved)
-    checkpoint.advance(ensemble, setup.burn_in_steps - ensemble.done, stride=0)
-    if setup.histograms is None:
-        pilot = []
-        for _ in range(PILOT_STATES):
-            ensemble.advance(PILOT_STEPS * setup.stride, stride=0)
+    whole = setup.burn_in_steps
+    for k in range(1, CHUNKS + 1):
+        if checkpoint.advance(ensemble, whole * k // CHUNKS - ensemble.done, stride=0):
+            break
+        progress(k, CHUNKS, "burn-in")
+    share = min(ensemble.done / whole, 1.0)
+    pilot, done = [], share == 1.0
+    for k in range(PILOT_STATES if setup.histograms is None else 0):
+        steps = PILOT_STEPS * setup.stride
+        done = done and not checkpoint.advance(ensemble, steps, stride=0, saving=False)
+        if done or k == 0:
             states = ensemble.phase_points(PILOT_PATHS)
             pilot.append(extremes(setup.system, setup.observables, *states))
-        reached = np.stack([np.min(pilot, axis=0)[:, 0], np.max(pilot, axis=0)[:, 1]], axis=1)
-    return reached
+    cut = "" if done else f"after {share:.2g} of the burn-in"
+    if not pilot:
+        return np.zeros((0, 2)), cut
+    return np.stack([np.min(pilot, axis=0)[:, 0], np.max(pilot, axis=0)[:, 1]], axis=1), cut
 
 
 def _sample(setup: Setup, record: Record, *, checkpoint: Checkpoint, progress: Progress) -> None:
     """Advance until ``setup`` is met, a trajectory is lost or ``checkpoint`` is interrupted.
 
     ``record`` gets the sums at the end of every chunk, and single samples of all trajectories at
-    the beginning of some; a chunk that was interrupted is not recorded.
+    the beginning of some; a chunk that was interrupted, or that the limit of time cut short, is not
+    recorded.
     """
     ensemble, stride, tol = record.ensemble, setup.stride, setup.tol
     begin = perf_counter() - record.elapsed
+    checkpoint.deadline = begin + setup.seconds
     chunks = CHUNKS * (FIRST_CHUNK if setup.open else 1)
     first = max(1, ceil(setup.time / (stride * ensemble.dt * chunks)))
     record.chunk_samples = record.chunk_samples or first
@@ -117,9 +141,9 @@ def _sample(setup: Setup, record: Record, *, checkpoint: Checkpoint, progress: P
             record.snapshot(stride)
         record.elapsed = start - begin
         checkpoint.notes |= record.saved()
-        interrupted = checkpoint.advance(ensemble, begun + length - ensemble.phase, stride=stride)
+        stopped = checkpoint.advance(ensemble, begun + length - ensemble.phase, stride=stride)
         record.stepping += perf_counter() - start
-        if interrupted:
+        if stopped:
             return
         record.chunks += 1
         if ensemble.lost():
