@@ -43,7 +43,8 @@ def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) ->
         )
     failures += setup.failures
     identities = Moments(setup.system, ensemble.batch_means()).identities()
-    judged = identities if not lost else ()
+    stationary = ensemble.done - ensemble.phase >= setup.burn_in_steps
+    judged = identities if stationary and not lost else ()
     failures += [text for identity in judged if (text := _defect(setup.system, identity))]
     diagnosed: Diagnosis | None = None
     if not (lost or interrupted or limited):
@@ -90,7 +91,7 @@ def _steps(setup: Setup, ensemble: Ensemble, seconds: float) -> Steps:
         dt=setup.dt / setup.scheme.small,
         paths=ensemble.paths,
         time=steps * setup.dt,
-        burn_in=min(setup.burn_in_steps, ensemble.done) * setup.dt,
+        burn_in=min(setup.burn_in_steps, ensemble.done - ensemble.phase) * setup.dt,
         relaxation_time=relaxation_time(setup.system),
         scheme=setup.scheme.name,
         steps=steps,
