@@ -1,5 +1,6 @@
 """Exceptions of the program, each with a message that a user can act on."""
 
+from pathlib import PurePath
 from typing import Any
 
 
@@ -31,5 +32,6 @@ def reason_of(error: OSError) -> str:
 
 def shown(value: Any, *, width: int = 60) -> str:
     """Return ``value`` on one line of at most ``width`` characters, as messages quote it."""
+    value = str(value) if isinstance(value, PurePath) else value
     text = repr(value.tolist() if hasattr(value, "tolist") else value).replace("\n", " ")
     return text if len(text) <= width else text[: width - 1] + "…"

@@ -1,6 +1,7 @@
 """Options, exit statuses and JSON output shared by the commands of ``fpk``; light to import."""
 
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,18 @@ if TYPE_CHECKING:
     from cases.scene.scene import Scene
     from fpk.observable import Observable
 
-FOLDER = click.Path(path_type=Path)
+
+class NonEmptyPath(click.Path):
+    """A path that is not the empty text, which would mean the folder one happens to be in."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Return the path; refuse the empty text, as of a shell variable that is not set."""
+        if not os.fspath(value):
+            self.fail('"" is no path; write "." for this folder', param, ctx)
+        return super().convert(value, param, ctx)
+
+
+FOLDER = NonEmptyPath(path_type=Path)
 
 STATE_SETTINGS = ("seed", "tol", "dt", "step_pair", "observable")
 """Settings of a command that a saved state of its simulation depends on."""

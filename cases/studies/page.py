@@ -29,6 +29,9 @@ def duration(seconds: float) -> str:
     return f"{value:.3g} {unit}" if value < 1e4 else f"{value:.1e} {unit}"
 
 
+MARKUP = re.compile(r"[\\`*_\[\]<>&#|~$]")
+"""Characters to which Markdown gives a meaning inside a line, HTML and formulas included."""
+
 TIMES = ("seconds", "quartiles ±", "first call more", "coefficients", "simulation to this")
 FORMATS: Mapping[str, Callable[[Any], str]] = {
     **dict.fromkeys(TIMES, duration),
@@ -119,9 +122,13 @@ class Page:
     gridded: Variables | None = None
 
     def text(self) -> str:
-        """Return the page as Markdown, which a terminal shows as it is."""
+        """Return the page as Markdown, which a terminal shows as it is.
+
+        The title has the scene's own, any text: its characters stand for themselves.
+        """
+        title = MARKUP.sub(r"\\\g<0>", self.title)
         tables = [line for t in self.tables if t.rows for line in t.markdown()]
-        return "\n".join([f"# {self.title}", "", *tables]).rstrip() + "\n"
+        return "\n".join([f"# {title}", "", *tables]).rstrip() + "\n"
 
     def write(self, folder: Path) -> list[Path]:
         """Write files of the study's name: md, svg, nc and, of a map, csv."""

@@ -174,9 +174,63 @@ def test_the_tolerance_reaches_solvers_and_not_the_simulation():
 
 def test_help_needs_nothing_heavy():
     code = (
-        "import sys, cases.commands.cli; heavy = {'numpy', 'scipy', 'matplotlib', 'xarray',"
+        "import sys, cases.commands.app; heavy = {'numpy', 'scipy', 'matplotlib', 'xarray',"
         " 'numba', 'pydantic', 'skfem'} & sys.modules.keys();"
         " sys.exit(str(sorted(heavy)) if heavy else 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+INTERRUPTED = """
+import os, signal, sys
+
+class Interrupt:
+    def find_spec(self, name, path=None, target=None):
+        if name == sys.argv[0]:
+            sys.argv[0] = "fpk"
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.argv = sys.argv[1:]
+sys.meta_path.insert(0, Interrupt())
+from cases.commands.cli import main
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    "module", ["click", "cases.commands.studies", "numpy", "scipy", "numba", "averaging"]
+)
+def test_control_c_while_the_program_is_imported_is_one_line(module):
+    command = [sys.executable, "-c", INTERRUPTED, module, "show", "fig6a"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr.strip() == "fpk: stopped; nothing half-written was left"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["run", "fig6a", "--out", ""],
+        ["run", "fig6a", "--checkpoint", ""],
+        ["density", "fig6a", "--method", "montecarlo", "--of", "q2", "--at", 0, "--checkpoint", ""],
+        ["converge", "fig6a", "--out", ""],
+        ["cost", "fig6a", "--out", ""],
+        ["regime", "fig6a", "--vary", "contact.stiffness=1:2:2", "--out", ""],
+        ["regime", "fig6a", "--vary", "contact.stiffness=1:2:2", "--checkpoint", ""],
+        ["export", "fig6a", "--out", ""],
+        ["verify", "fig6a", "--out", "there"],
+        ["export", "fig6a", "--out", "missing/fields.csv"],
+    ],
+)
+def test_a_path_that_cannot_be_used_is_refused_before_the_work(
+    arguments, fpk, tmp_path, monkeypatch
+):
+    def worked(*_, **__):
+        raise AssertionError("worked")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("cases.comparison.answers.run_scene", worked)
+    status, out, err = fpk(*arguments)
+    assert (status, out) == (2, "") and err.count("\n") == 1
+    assert not list(tmp_path.iterdir())

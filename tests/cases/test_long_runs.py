@@ -57,8 +57,10 @@ def test_states_of_another_run_are_refused_and_the_answer_of_a_finished_one_is_k
     for command in (["density", *DENSITY], ["run", "fig6a"]):
         status, out, err = fpk(*command, *folder)
         assert (status, out) == (2, "") and err.count("\n") == 1
-    (tmp_path / "run.json").write_text("x")
-    assert fpk("density", *DENSITY, *folder)[0] == 2
+    for damaged in ("x", "[" * 100_000, '{"run":' * 100_000, ""):
+        (tmp_path / "run.json").write_text(damaged)
+        status, out, err = fpk("density", *DENSITY, *folder)
+        assert (status, out) == (2, "") and "another run" in err and err.count("\n") == 1
 
 
 def test_a_damaged_state_ends_a_run_in_one_line(fpk, tmp_path):

@@ -1,5 +1,6 @@
 """Text of a scene is text in the report and its pictures: for a parser and for a browser."""
 
+import re
 import shutil
 import subprocess
 from dataclasses import replace
@@ -7,12 +8,14 @@ from html.parser import HTMLParser
 from xml.etree import ElementTree
 
 import pytest
+from matplotlib.figure import Figure
 
 from cases.comparison.answers import run_scene
 from cases.comparison.routes import method_for
 from cases.output.digest import digest_of
 from cases.output.report import report_html, write_report
 from cases.scene.scene import load_scene
+from cases.studies.page import Page
 
 PAYLOADS = [
     "<script>document.title='pwned'</script>",
@@ -119,3 +122,16 @@ def _shown(chromium, path):
     command = [chromium, *options, profile, "--dump-dom", path.as_uri()]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
     return done.stdout
+
+
+@pytest.mark.parametrize("words", [*PAYLOADS, "[a](javascript:b) *c* _d_ `e` | $f$ \\ #"])
+def test_the_title_of_a_page_is_text_in_markdown(words, tmp_path, scene_text):
+    path = tmp_path / "any.toml"
+    path.write_text(scene_text.replace('"A scene"', "'''" + words + "'''"))
+    scene = load_scene(str(path))
+    page = Page("regime", scene, f"Map: {scene.title}", [], Figure)
+    first, _, rest = page.text().partition("\n")
+    assert first.startswith("# Map: ") and rest.strip() == ""
+    title = first.removeprefix("# ")
+    assert re.sub(r"\\(.)", r"\1", title) == page.title
+    assert not re.search(r"[`*_\[\]<>&|$]", re.sub(r"\\.", "", title))

@@ -1,0 +1,157 @@
+"""The commands of ``fpk``: a thin edge; heavy parts are imported inside the commands only."""
+
+import atexit
+import gc
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import click
+
+from cases.commands import parts
+from cases.commands.export import export
+from cases.commands.studies import converge, cost, regime
+from cases.commands.verify import verify
+from cases.scene.errors import BadInput, one_line
+from fpk.errors import InvalidInput, NotApplicable, NotCertified, Unavailable
+
+LIST = '"-1.5:1.5:0.1", "-1,0,0.3", a pair "A x B".'
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+def app() -> None:
+    """Stationary densities of randomly excited vibro-impact systems.
+
+    By closed form, finite elements and simulation, compared. Exit status: 0 all checks hold, 1 one
+    does not, 2 bad input.
+    """
+
+
+@app.command("list")
+@parts.as_json
+def list_scenes(as_json: bool) -> None:
+    """List the shipped scenes."""
+    from cases.scene.scene import load_scene, shipped_scenes
+
+    rows = []
+    for name, path in shipped_scenes().items():
+        scene = load_scene(name)
+        row = {"name": name, "folder": path.parent.name}
+        rows.append({**row, "title": scene.title, "source": scene.source})
+    width = max(len(row["name"]) for row in rows)
+    lines = [f"{row['name']:{width}}  {row['folder']:5}  {row['title']}" for row in rows]
+    parts.end({"scenes": rows} if as_json else None, lambda: "\n".join(lines))
+
+
+@app.command()
+@parts.scene_name
+@parts.as_json
+def show(scene: str, as_json: bool) -> None:
+    """Show the system, its effects, frequencies, and which theories apply and why."""
+    loaded = parts.checked(scene)
+    from cases.output.facts import show_record
+    from cases.output.text import rendered
+
+    record = show_record(loaded)
+    parts.end(record if as_json else None, lambda: rendered("show.txt", record))
+
+
+@app.command()
+@parts.scene_name
+@click.option("--out", type=parts.FOLDER, help="Folder for report, netCDF, pictures.")
+@parts.simulation_options
+@parts.as_json
+def run(scene: str, out: Path | None, as_json: bool, **settings: Any) -> None:
+    """Run every applicable route of a scene, compare them, and write a report."""
+    loaded = parts.checked(scene, tol=settings["tol"], out=out)
+    from cases.comparison.routes import all_methods
+    from cases.output.digest import digest_of
+    from cases.output.text import rendered
+
+    parts.check_cluster(settings["cluster"])
+    parts.checkpoint_folder(loaded, {**settings, "tol": None})  # no simulation depends on it
+    outcome = parts.outcome_of(loaded, all_methods(**settings, partial=True))
+    written, digest = [], digest_of(outcome)
+    if out is not None:
+        from cases.output.report import write_report
+
+        written = write_report(outcome, digest, out)
+    record = digest if as_json else None
+    parts.end(
+        record, lambda: rendered("run.txt", {"digest": digest}), written, problems=outcome.problems
+    )
+
+
+@app.command()
+@parts.scene_name
+@click.option(
+    "--method", required=True, help="exact, linear, nonintegrable, integrable or montecarlo."
+)
+@click.option("--of", metavar="OBS", required=True, help="q1.., p1.., H, H1.. or a pair a,b.")
+@click.option("--at", metavar="LIST", required=True, help=LIST)
+@click.option("--solver", help="closed-form, quadrature, fem or simulation.")
+@parts.simulation_options
+@parts.as_json
+def density(
+    scene: str, method: str, of: str, at: str, solver: str | None, as_json: bool, **settings: Any
+) -> None:
+    """Give one density at the points asked for."""
+    loaded = parts.checked(scene, tol=settings["tol"])
+    observable = parts.observable_of(of, loaded)
+    from cases.comparison.routes import chosen
+    from cases.output.bar import progress_bar
+    from cases.output.records import density_record, density_text
+    from cases.scene.points import parse_points
+    from fpk.method import solved
+
+    points = parse_points(at, len(observable))
+    parts.check_cluster(settings["cluster"])
+    try:
+        plan = chosen(loaded.system, observable, method, solver, **settings, partial=True)
+    except NotApplicable as reason:
+        raise BadInput(f"{loaded.name}: {method} does not apply: {reason}") from None
+    parts.checkpoint_folder(loaded, {**settings, "observable": of})
+    with progress_bar() as progress:
+        result = solved(plan, loaded.system, [observable], progress=progress)
+    record = density_record(loaded, result, points)
+    problems = [f"{of} is not certified: {f}" for f in record["certificate"]["failures"]]
+    parts.end(record if as_json else None, lambda: density_text(record), problems=problems)
+
+
+for _command in (converge, cost, export, verify, regime):
+    app.add_command(_command)
+
+
+def run_app() -> None:
+    """Run the command line; everything a user can get wrong ends in one line and status 2."""
+    # What the libraries allocate stays: to look for garbage in it again and again while they are
+    # imported, and once more at the end, takes a fifth of the time of a short command.
+    gc.set_threshold(100_000, 50, 50)
+    atexit.register(gc.freeze)
+    warnings.formatwarning = lambda message, *_: f"fpk: warning: {one_line(str(message))}\n"
+    try:
+        # Outside standalone mode click hands usage errors over instead of printing four lines.
+        sys.exit(app.main(prog_name="fpk", standalone_mode=False) or 0)
+    except click.Abort as error:
+        # click means by it Ctrl-C or EOFError; without prompts the latter is no wish of the user.
+        raise error.__cause__ or KeyboardInterrupt from None
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader has gone: say nothing more
+        sys.exit(1)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message(), err=True)
+        sys.exit(2)
+    except click.ClickException as error:
+        context = error.ctx if isinstance(error, click.UsageError) else None
+        command = context.command_path if context else "fpk"
+        _fail(f"{error.format_message()} ({command} --help says more)", 2)
+    except NotCertified as error:
+        _fail(str(error), 1)
+    except (BadInput, InvalidInput, NotApplicable, Unavailable) as error:
+        _fail(str(error), 2)
+
+
+def _fail(message: str, status: int) -> None:
+    click.echo(f"fpk: {one_line(' '.join(message.split()))}", err=True)
+    sys.exit(status)
