@@ -3,17 +3,16 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial, reduce
-from itertools import product
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import lstsq
 
-from fpk.arrays import Array
+from fpk.arrays import Array, Integers
 from fpk.certificate import Certificate, Measured, certify
 from fpk.observable import Observable, observable_name
 from fpk.quadrature import panel_rule
+from fpk.reconstruction import LogReference, flat, local_fit, radius_of, windows
 
 ErrorKind = Literal["numerical", "sampling"]
 
@@ -22,6 +21,10 @@ GAUSS_POINTS = {1: 20, 2: 12}
 degree 39 and 23 (panels of joint densities are many, and |p_a − p_b| has kinks anyway)."""
 SMALLEST = float(np.finfo(float).tiny)
 """Smallest number (2e-308) with full relative accuracy: what is less is known to no better."""
+EPSILON = float(np.finfo(float).eps)
+"""Share of its largest value that stands for a sample where a histogram does not know its own."""
+POINTS_TOGETHER = 4096
+"""Points whose weights of a histogram's bins are computed together: some 10 MB of them."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +162,8 @@ class SampledDensity:
     bin divided by its area, ``batch_values`` (batches, *bins) the same of each of the independent
     batches, so that any linear function of the bins has an honest standard error. Samples outside
     are counted in ``certificate.tail_mass``, never folded in. ``one_sample`` is the density that a
-    single sample makes of its bin: no error is smaller, as none came where the density is 0.
+    single sample makes of its bin. ``log_references`` has for each axis the ln of a function about
+    as steep as the density, kinks at stops included (none: a constant one), see ``at``.
     """
 
     observable: Observable
@@ -170,6 +174,7 @@ class SampledDensity:
     provenance: Mapping[str, str | float | int] = field(default_factory=dict)
     error_kind: ErrorKind = "sampling"
     one_sample: float = 0.0
+    log_references: tuple[LogReference, ...] = ()
 
     @property
     def name(self) -> str:
@@ -211,28 +216,85 @@ class SampledDensity:
             one_sample=self.one_sample / factor ** len(self.edges),
         )
 
+    @property
+    def samples_per_visit(self) -> float:
+        """How many samples come together: variance over mean of what a batch holds of a rare bin.
+
+        Rare are bins, as wide as the radius of ``at``, that some batches visited and some did not:
+        the samples of one excursion are correlated, and there only the excursions are independent.
+        """
+        if not self.one_sample > 0.0:
+            return 1.0
+        wide = max(k for k in range(1, _radius(self) + 1) if not any(n % k for n in self._shape))
+        batches = self.batch_values.shape[0]
+        joined = self.coarsened(wide)
+        held = joined.batch_values.reshape(batches, -1) / (joined.one_sample * batches)
+        visited = np.count_nonzero(held, axis=0)
+        rare = held[:, (visited > 0) & (visited < batches)]
+        if not rare.size:
+            return 1.0
+        return max(1.0, float(rare.var(axis=0, ddof=1).sum() / rare.mean(axis=0).sum()))
+
     def at(self, *points: Array) -> tuple[Array, Array]:
         """Return the density and one standard error at ``points``, one array per axis.
 
-        Linear between the bin centres; along one axis of a local quadratic fit over eleven bins
-        (Savitzky-Golay). What is left of the bins' width is second order. Zero outside the bins.
+        By ``fpk.reconstruction`` along every axis: free of the width of the bins. The error is that
+        of the same linear function of the bins, from the batches; where some batch has nothing in
+        the window, at least that of Poisson's law of its visits. One visit more is always added:
+        the variance of k visits is k, of which 0 may have been seen.
+        Zero outside the bins.
         """
         arrays = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in points))
-        inside = np.ones(arrays[0].shape, dtype=bool)
-        for x, e in zip(arrays, self.edges, strict=True):
+        flat_points = np.stack([x.ravel() for x in arrays])
+        inside = np.ones(flat_points.shape[1], dtype=bool)
+        for x, e in zip(flat_points, self.edges, strict=True):
             inside &= (x >= e[0]) & (x <= e[-1])
-        values, batches = self.values, self.batch_values
-        if len(self.edges) == 1:
-            values, batches = _smoothed(values), _smoothed(batches)
-        centres = tuple(0.5 * (e[1:] + e[:-1]) for e in self.edges)
-        where = np.stack([x.ravel() for x in arrays], axis=-1)
-        # Half a bin at each end is extrapolated from the two last centres.
-        table = np.moveaxis(np.concatenate([values[None], batches]), 0, -1)
-        interpolated = _linear(centres, table, where)
-        value = interpolated[:, 0].reshape(inside.shape)
-        error = _standard_error(interpolated[:, 1:].T).reshape(inside.shape)
-        error = np.maximum(np.where(inside, error, 0.0), self.one_sample)
-        return np.where(inside, value, 0.0), error
+        one_visit = self.samples_per_visit * self.one_sample
+        value, error = np.zeros(inside.size), np.full(inside.size, one_visit)
+        within = np.flatnonzero(inside)
+        for first in range(0, within.size, POINTS_TOGETHER):
+            where = within[first : first + POINTS_TOGETHER]
+            bins, weights, worth = self._weights(flat_points[:, where])
+            value[where] = np.sum(weights * self.values.ravel()[bins], axis=1)
+            batches, rare = (
+                np.empty((len(self.batch_values), where.size)),
+                np.zeros(where.size, bool),
+            )
+            for k, batch in enumerate(self.batch_values):
+                held = batch.ravel()[bins]
+                batches[k] = np.sum(weights * held, axis=1)
+                rare |= ~held.any(axis=1)
+            chance = one_visit * worth**2 * self.values.ravel()[bins].sum(axis=1)
+            variance = np.maximum(_standard_error(batches) ** 2, np.where(rare, chance, 0.0))
+            error[where] = np.sqrt(variance + (one_visit * worth) ** 2)
+        return value.reshape(arrays[0].shape), error.reshape(arrays[0].shape)
+
+    def _weights(self, points: Array) -> tuple[Integers, Array, Array]:
+        """Return bins, their weights (points, window), and what a sample in one is worth there.
+
+        The bins of the window are counted along the flattened ``values``.
+        """
+        index = [windows(e, x) for e, x in zip(self.edges, points, strict=True)]
+        bins = index[0] if len(index) == 1 else index[0][:, :, None] * self._shape[1]
+        if len(index) == 2:
+            bins = bins + index[1][:, None, :]
+        held = self.values.ravel()[bins] / (
+            self.one_sample or EPSILON * self.values.max(initial=1.0)
+        )
+        references = self.log_references or (flat,) * len(index)
+        weights, shares = np.ones((points.shape[1], 1)), np.ones((points.shape[1], 1))
+        for axis, (e, x) in enumerate(zip(self.edges, points, strict=True)):
+            own = held if len(index) == 1 else held.sum(axis=2 - axis)
+            fit = local_fit(e, x, index[axis], own, log_reference=references[axis])
+            weights = (weights[:, :, None] * fit.weights[:, None, :]).reshape(len(weights), -1)
+            shares = (shares[:, :, None] * fit.shares[:, None, :]).reshape(len(shares), -1)
+        worth = np.sqrt(np.sum(shares * weights**2, axis=1))
+        # No less than its share in the mean of the window: far out the weights may vanish.
+        return bins.reshape(weights.shape), weights, np.maximum(worth, 1.0 / weights.shape[1])
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return tuple(e.size - 1 for e in self.edges)
 
 
 AnyDensity = Density | SampledDensity
@@ -287,36 +349,8 @@ def _standard_error(batch_values: Array) -> Array:
     return spread
 
 
-def _smoothed(values: Array) -> Array:
-    """Local quadratic fit over eleven bins along the last axis; plain bins near the ends."""
-    window = 11
-    if values.shape[-1] < 4 * window:
-        return values
-    half = window // 2
-    # Weights of least norm that leave 1 as it is and x, x² at zero (Savitzky-Golay).
-    powers = np.arange(half, -half - 1.0, -1.0) ** np.arange(3)[:, None]
-    kernel = lstsq(powers, np.array([1.0, 0.0, 0.0]))[0]
-    result = values.copy()
-    shifted = np.lib.stride_tricks.sliding_window_view(values, window, axis=-1)
-    result[..., half:-half] = shifted @ kernel
-    return result
-
-
-def _linear(nodes: tuple[Array, ...], table: Array, points: Array) -> Array:
-    """Values (points, n) between ``nodes`` of every axis, linear in each; ``table`` (*nodes, n)."""
-    cells, shares = [], []
-    for x, axis in zip(points.T, nodes, strict=True):
-        cell = np.clip(np.searchsorted(axis, x, side="right") - 1, 0, axis.size - 2)
-        cells.append(cell)
-        shares.append((x - axis[cell]) / (axis[cell + 1] - axis[cell]))
-    total = np.zeros((points.shape[0], table.shape[-1]))
-    for corner in product((0, 1), repeat=len(nodes)):
-        weight = np.ones(points.shape[0])
-        for upper, share in zip(corner, shares, strict=True):
-            weight = weight * (share if upper else 1.0 - share)
-        place = tuple(cell + upper for cell, upper in zip(cells, corner, strict=True))
-        total += weight[:, None] * table[place]
-    return total
+def _radius(density: SampledDensity) -> int:
+    return min(radius_of(e.size - 1) for e in density.edges)
 
 
 def _joined(values: Array, axis: int, bins: int) -> Array:

@@ -11,8 +11,10 @@ from fpk.certificate import Measured, certify
 from fpk.density import SampledDensity
 from fpk.linear import natural_modes
 from fpk.observable import Coordinate, Observable
+from fpk.reconstruction import LogReference, flat
 from fpk.system import System
 from sim.statistics import sampling_error
+from sim.step_size import temperature
 
 BINS = (1024, 128)
 """Bins of each axis of a histogram of one and of two coordinates."""
@@ -117,6 +119,30 @@ def mirrored(histogram: Histogram, counts: Integers) -> Integers:
     return np.hstack([counts[:, :-1] + reflected.reshape(len(counts), -1), 2 * counts[:, -1:]])
 
 
+@dataclass(frozen=True, eq=False)
+class ContactFactor:
+    """ln exp(−U_i(q)/kT), by which the stops of mass i shape the density of its displacement.
+
+    Exact where Eq. (7) holds; otherwise of about the steepness, and with its kinks.
+    """
+
+    system: System
+    mass: int  # from 0
+    kT: float
+
+    def __call__(self, q: Array) -> Array:
+        """Return it at displacements ``q``."""
+        return -self.system.contact_energy(self.mass, q) / self.kT
+
+
+def _log_reference(system: System | None, coordinate: Coordinate) -> LogReference:
+    if system is None or coordinate.kind != "q":
+        return flat
+    if not any(stop.index == coordinate.row for stop in system.stops):
+        return flat
+    return ContactFactor(system, coordinate.row, temperature(system))
+
+
 def sampled_density(
     histogram: Histogram,
     counts: Integers,
@@ -126,12 +152,13 @@ def sampled_density(
     residual: float = 0.0,
     tol: float = inf,
     failures: Sequence[str] = (),
+    system: System | None = None,
 ) -> SampledDensity:
     """Return the density of ``counts`` (batches, bins + 1) of ``taken`` samples, certified.
 
     With ``mirror`` each sample counts as its mirror image, too. ``residual`` is the largest |z| of
     the moment identities, ``tol`` the tolerance of the expected L1 sampling error, and ``failures``
-    say what is wrong with the sample itself.
+    say what is wrong with the sample itself. ``system``: what has stops; None of averaged energies.
     """
     total = counts.sum(axis=0)
     tail, words = float(total[-1]) / max(1, taken), list(failures)
@@ -150,6 +177,7 @@ def sampled_density(
         (counts[:, :-1] / (samples * area)).reshape(-1, *histogram.shape),
         UNJUDGED,
         one_sample=1.0 / (whole * area),
+        log_references=tuple(_log_reference(system, c) for c in histogram.observable),
     )
     measured = Measured(
         l1_error=sampling_error(density),

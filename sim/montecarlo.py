@@ -41,9 +41,10 @@ class MonteCarlo(Method):
     ``paths`` trajectories are sampled for ``time`` each, after ``burn_in`` relaxation times.
     ``time`` None: ``relaxations`` relaxation times, but no more than the cost of ``most_steps``
     uniform steps. ``dt`` None: ``step_factor`` times the step chosen for the system.
-    ``tol``: go on until the expected L1 error of the first observable is below it, at most
-    ``longest`` seconds. ``seconds``: go on for so long instead. Both hold for all that follows the
-    compiling: an answer whose burn-in or first chunk they cut short is not certified and says so.
+    ``tol``: go on until the expected L1 error of the first observable, as it is returned at points,
+    is below it, at most ``longest`` seconds. ``seconds``: go on for so long instead. Both hold for
+    all that follows the compiling: an answer whose burn-in or first chunk they cut short is not
+    certified and says so.
     ``step_pair``: run a second simulation at dt/2, in two thirds of ``seconds``, and report the
     difference of each density and moment.
     ``threads`` None: all that there are. ``cluster``: the address of a Dask scheduler; the answer

@@ -8,6 +8,9 @@ from sim.diagnostics import Diagnosis
 
 Settings = dict[str, str | float | int]
 
+SAMPLING_ERROR = "expected L1 error of the density as it is returned at points; tol is of the same"
+"""What the number of that name means, for readers of tables and JSON."""
+
 
 @dataclass(frozen=True)
 class Steps:
@@ -51,7 +54,10 @@ class StepBias:
 
 @dataclass(frozen=True)
 class DensityError:
-    """The expected L1 sampling error of one density, and its step bias where it was measured."""
+    """The expected L1 sampling error of one density, and its step bias where it was measured.
+
+    ``sampling`` is that of the density as it is returned at points, which ``tol`` limits.
+    """
 
     observable: Observable
     sampling: float
@@ -104,6 +110,8 @@ class Report:
         if self.diagnosis is not None:
             settings |= self.diagnosis.settings()
         settings |= {f"sampling error of {e.name}": e.sampling for e in self.errors}
+        if self.errors:
+            settings["sampling error"] = SAMPLING_ERROR
         for m in self.moments:
             settings |= {f"E {m.name}": m.mean, f"standard error of E {m.name}": m.error}
         settings["step bias"] = self.step_pair

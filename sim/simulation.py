@@ -155,7 +155,7 @@ def _sample(setup: Setup, record: Record, *, checkpoint: Checkpoint, progress: P
         if tol < inf and (ends or enough):
             taken = ensemble.paths * ensemble.samples
             first_density = sampled_density(
-                *next(ensemble.counted()), taken=taken, mirror=setup.mirror
+                *next(ensemble.counted()), taken=taken, mirror=setup.mirror, system=setup.system
             )
             error = sampling_error(first_density)
             record.target = CHECK_AT * ensemble.samples * (error / tol) ** 2

@@ -135,7 +135,7 @@ def test_smoothing_is_unbiased_for_a_smooth_density():
     # most for h = 0.025, against a standard error of 4e-4.
     sampled = histogram()
     assert_unbiased(z_scores(sampled, normal()))
-    # Smoothing pays: the local quadratic has the variance 0.207 of one bin's (Savitzky-Golay, 11).
+    # Smoothing pays: the local polynomial has the variance 0.21 of one bin's (radius of 10 bins).
     _, error = sampled.at(np.array([0.0125]))
     single = sampled.standard_error[sampled.values.size // 2]
     # Both are known to 7 %, and are correlated.

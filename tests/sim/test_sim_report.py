@@ -182,7 +182,9 @@ def test_the_settings_of_a_result_are_those_of_its_frozen_report() -> None:
     report = result.report
     assert isinstance(report, Report)
     assert dict(result.settings) == report.settings() == dict(result.densities[0].provenance)
-    assert report.settings()["sampling error of q2"] == report.error_of(Q2[0]).sampling
+    settings = report.settings()
+    assert settings["sampling error of q2"] == report.error_of(Q2[0]).sampling
+    assert "returned at points" in str(settings["sampling error"])
     assert not report.interrupted and not report.lost and not result.partial
     with pytest.raises(FrozenInstanceError):
         report.lost = 1  # type: ignore[misc]
