@@ -5,6 +5,7 @@ import gc
 import sys
 import warnings
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import click
@@ -64,19 +65,31 @@ def show(scene: str, as_json: bool) -> None:
 @parts.as_json
 def run(scene: str, out: Path | None, as_json: bool, **settings: Any) -> None:
     """Run every applicable route of a scene, compare them, and write a report."""
-    loaded = parts.checked(scene, tol=settings["tol"], out=out)
+    start, loaded = perf_counter(), parts.checked(scene, tol=settings["tol"], out=out)
     from cases.comparison.routes import all_methods
     from cases.output.digest import digest_of
     from cases.output.text import rendered
 
     parts.check_cluster(settings["cluster"])
     parts.checkpoint_folder(loaded, {**settings, "tol": None})  # no simulation depends on it
-    outcome = parts.outcome_of(loaded, all_methods(**settings, partial=True))
+    from cases.output.bar import progress_bar
+    from cases.output.fields import write_netcdf
+
+    def save(outcome: Any) -> None:
+        if out is not None:
+            write_netcdf(outcome, out / parts.FIELDS)
+
+    methods, asked = all_methods(**settings, partial=True), settings["tol"]
+    outcome = parts.outcome_of(loaded, methods, partial=True, relax=asked is None, save=save)
     written, digest = [], digest_of(outcome)
+    if asked is not None:
+        digest["notes"].append(f"--tol {asked:g} is for the solvers; simulations take --seconds")
     if out is not None:
         from cases.output.report import write_report
 
-        written = write_report(outcome, digest, out)
+        with progress_bar() as progress:
+            written = write_report(outcome, digest, out, fields=False, progress=progress)
+    digest["seconds"] = perf_counter() - start
     record = digest if as_json else None
     parts.end(
         record, lambda: rendered("run.txt", {"digest": digest}), written, problems=outcome.problems

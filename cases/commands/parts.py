@@ -30,6 +30,9 @@ class NonEmptyPath(click.Path):
 
 FOLDER = NonEmptyPath(path_type=Path)
 
+FIELDS = "result.nc"
+"""File of the fields of a run, in its folder."""
+
 STATE_SETTINGS = ("seed", "tol", "dt", "step_pair", "observable")
 """Settings of a command that a saved state of its simulation depends on."""
 
@@ -135,13 +138,13 @@ def end(
         raise click.exceptions.Exit(1)
 
 
-def outcome_of(scene: "Scene", methods: Any) -> "Outcome":
-    """Run ``scene`` by ``methods`` under a progress bar."""
+def outcome_of(scene: "Scene", methods: Any, **settings: Any) -> "Outcome":
+    """Run ``scene`` by ``methods`` under a progress bar, with ``settings`` of ``run_scene``."""
     from cases.comparison.answers import run_scene
     from cases.output.bar import progress_bar
 
     with progress_bar() as progress:
-        return run_scene(scene, methods, progress=progress)
+        return run_scene(scene, methods, progress=progress, **settings)
 
 
 def check_cluster(address: str | None) -> None:

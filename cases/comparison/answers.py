@@ -1,6 +1,6 @@
 """The answers to the systems of a scene by several methods, and what is wrong with them."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
@@ -9,12 +9,18 @@ from typing import Any
 from averaging.exact import compatibility
 from cases.comparison.compare import Comparison, compared, discrepancies
 from cases.scene.scene import Scene
-from fpk.density import AnyDensity
+from fpk.density import AnyDensity, Density
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.method import Method, Progress, Result, silent, solved
 from fpk.observable import Observable, observable_name, parse_observable
 from fpk.route import Route
 from fpk.system import System
+
+RELAXED = 10.0
+"""Multiple of a default tolerance up to which an answer is certified: a digit less than wanted."""
+
+INTERRUPTED = "not finished: the program was interrupted"
+"""Reason of a route that Ctrl-C ended or that would have come after it."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +39,8 @@ class Answers(Mapping[Any, AnyDensity]):
 
     ``answers["q2"]`` will do where one method alone gives q2; ``answers.of("q2")`` returns all by
     method. ``results`` has what each method returned, ``refused`` who gives not all that was asked
-    for. Of a scene's curve ``label`` and ``value`` are as in ``Curve``.
+    for. Of a scene's curve ``label`` and ``value`` are as in ``Curve``; ``notes`` say in words what
+    was done that nobody asked for.
     """
 
     system: System
@@ -41,6 +48,7 @@ class Answers(Mapping[Any, AnyDensity]):
     refused: tuple[Refusal, ...] = ()
     label: str = ""
     value: float | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def refusals(self) -> dict[str, str]:
@@ -102,6 +110,13 @@ class Answers(Mapping[Any, AnyDensity]):
         return exact or route.solves == "full"
 
     @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C ended the work on them."""
+        return any(r.partial for r in self.results) or any(
+            r.reason == INTERRUPTED for r in self.refused
+        )
+
+    @property
     def problems(self) -> tuple[str, ...]:
         """Every check that does not hold, in words; empty when all do."""
         problems = list(discrepancies(self.comparisons))
@@ -135,11 +150,24 @@ def answers_of(
     methods: Sequence[Method],
     *,
     progress: Progress = silent,
+    partial: bool = False,
+    relax: bool = False,
 ) -> Answers:
-    """Return the answers of ``methods``, each for the observables that it gives."""
+    """Return the answers of ``methods``, each for the observables that it gives.
+
+    ``partial``: Ctrl-C ends the work with the answers that there are by then. ``relax``: tolerances
+    are defaults that nobody asked for, so that an answer that misses its own by less than
+    ``RELAXED`` is solved for again at that multiple of it, with a note.
+    """
     results: list[Result] = []
     refused: list[Refusal] = []
+    notes: list[str] = []
+    interrupted = False
     for method in methods:
+        if interrupted:
+            names = tuple(map(observable_name, observables))
+            refused.append(Refusal(method.route, names, INTERRUPTED))
+            continue
         reasons: dict[Observable, str | None]
         try:
             plan = method.prepare(system)
@@ -151,11 +179,45 @@ def answers_of(
             refused.append(Refusal(method.route, names, reason))
         given = [observable for observable, reason in reasons.items() if not reason]
         try:
-            results += [solved(plan, system, given, progress=progress)] if given else []
+            if given:
+                result = solved(plan, system, given, progress=progress)
+                interrupted = result.partial
+                relaxed = _relaxed(result) if relax else None
+                if relaxed is not None:
+                    again = relaxed.solve(system, given, progress=progress)
+                    if all(d.certificate.certified for d in again.densities):
+                        result = again
+                        notes.append(_note(result))
+                results.append(result)
+        except KeyboardInterrupt:
+            if not partial:
+                raise
+            interrupted = True
+            names = tuple(map(observable_name, given))
+            refused.append(Refusal(method.route, names, INTERRUPTED, failed=True))
         except (NotApplicable, NotCertified, InvalidInput) as error:
             names = tuple(map(observable_name, given))
             refused.append(Refusal(method.route, names, str(error), failed=True))
-    return Answers(system, tuple(results), tuple(refused))
+    return Answers(system, tuple(results), tuple(refused), notes=tuple(notes))
+
+
+def _relaxed(result: Result) -> Method | None:
+    """The method at ``RELAXED`` times the tolerance that its answer misses by less; else None."""
+    tol = getattr(result.method, "tol", None)
+    errors = [d.l1_error for d in result.densities if isinstance(d, Density)]
+    if tol is None or not errors or not tol < max(errors) <= RELAXED * tol:
+        return None
+    relaxed: Method = replace(result.method, tol=RELAXED * tol)  # type: ignore[type-var]
+    return relaxed
+
+
+def _note(result: Result) -> str:
+    """What a relaxed tolerance means, in words."""
+    worst = max(d.l1_error for d in result.densities if isinstance(d, Density))
+    return (
+        f"{result.method.route.label}: certified to {worst:.2g}, which misses the default tolerance"
+        " that nobody asked for"
+    )
 
 
 @dataclass(frozen=True)
@@ -172,16 +234,31 @@ class Outcome:
         return tuple(text for curve in self.curves for text in curve.problems)
 
 
-def run_scene(scene: Scene, methods: Sequence[Method], *, progress: Progress = silent) -> Outcome:
+def run_scene(
+    scene: Scene,
+    methods: Sequence[Method],
+    *,
+    progress: Progress = silent,
+    partial: bool = False,
+    relax: bool = False,
+    save: Callable[[Outcome], object] = lambda outcome: None,
+) -> Outcome:
     """Return the answers of ``methods`` for every curve of ``scene``.
 
-    Once a simulation was interrupted, the curves that follow are not run.
+    ``partial`` and ``relax`` as in ``answers_of``; once one was interrupted, the curves that follow
+    are not run. ``save`` gets the outcome so far when the answers of a curve have been made, before
+    they are compared.
     """
     start = perf_counter()
+    options: Any = {"progress": progress, "partial": partial, "relax": relax}
     curves: list[Answers] = []
-    for curve in scene.curves:
-        interrupted = any(r.partial for c in curves for r in c.results)
+    for k, curve in enumerate(scene.curves, start=1):
+        interrupted = any(c.interrupted for c in curves)
         wanted = [m for m in methods if not interrupted and m.route.unasked(curve.system)]
-        answers = answers_of(curve.system, scene.observables, wanted, progress=progress)
+        answers = answers_of(curve.system, scene.observables, wanted, **options)
         curves.append(replace(answers, label=curve.label, value=curve.value))
+        save(Outcome(scene, tuple(curves), perf_counter() - start))
+        progress(k - 1, len(scene.curves), "comparing")
+        _ = curves[-1].comparisons
+        progress(k, len(scene.curves), "comparing")
     return Outcome(scene, tuple(curves), perf_counter() - start)

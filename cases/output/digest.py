@@ -80,6 +80,7 @@ def _curve(curve: Answers) -> Record:
         "label": curve.label,
         **facts_record(curve.system),
         "methods": [*map(method_record, curve.results), *map(refusal_record, curve.refused)],
+        "notes": curve.notes,
         "comparisons": comparison_rows(curve.comparisons),
         "errors": [
             _three_errors(r.method.route, error, curve.comparisons)

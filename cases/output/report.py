@@ -21,37 +21,48 @@ from cases.output.pictures.style import STYLE, inline_svg, svg_text
 from cases.output.records import Record, program_version
 from cases.output.text import rendered
 from cases.scene.scene import Scene
+from fpk.method import Progress, silent
 
 LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "h5netcdf")
 
 
-def write_report(outcome: Outcome, digest: Record, folder: Path) -> list[Path]:
+def write_report(
+    outcome: Outcome,
+    digest: Record,
+    folder: Path,
+    *,
+    fields: bool = True,
+    progress: Progress = silent,
+) -> list[Path]:
     """Write ``report.html``, ``result.nc`` and the pictures into ``folder``; return their paths.
 
-    ``digest`` is the record of the run, ``digest_of(outcome)``.
+    ``digest`` is the record of the run, ``digest_of(outcome)``; ``fields`` is False where
+    ``result.nc`` was written when the answers were made.
 
     Every file appears whole or not at all. Raises ``BadInput`` where the folder cannot be written.
     """
     pictures, written = [], []
-    for stem, caption, figure in figures(outcome):
+    for stem, caption, figure in figures(outcome, progress=progress):
         svg = svg_text(figure, salt=stem)
         written.append(folder / f"{stem}.svg")
         write_text(written[-1], svg)
         pictures.append({"stem": stem, "caption": caption, "svg": inline_svg(svg, caption)})
-    write_netcdf(outcome, folder / "result.nc")
+    if fields:
+        write_netcdf(outcome, folder / "result.nc")
     write_text(folder / "report.html", report_html(outcome.scene, digest, pictures))
     return [folder / "report.html", folder / "result.nc", *written]
 
 
-def figures(outcome: Outcome) -> Iterator[tuple[str, str, Figure]]:
+def figures(outcome: Outcome, *, progress: Progress = silent) -> Iterator[tuple[str, str, Figure]]:
     """Yield file stem, caption and figure of everything that an outcome can show."""
     with mpl.rc_context(dict(STYLE)):
-        for observable in outcome.scene.observables:
+        for k, observable in enumerate(outcome.scene.observables, start=1):
             curves = [c for c in outcome.curves if c.densities(observable)]
             if curves and len(observable) == 1:
                 yield from line_pictures(curves, observable)
             elif curves:
                 yield from joint_pictures(curves[0], observable)
+            progress(k, len(outcome.scene.observables), "drawing")
 
 
 def report_html(scene: Scene, digest: Record, pictures: list[dict[str, Any]]) -> str:

@@ -1,0 +1,122 @@
+"""A run ends with what there is: defaults missed narrowly are noted, Ctrl-C loses no answer."""
+
+import json
+from dataclasses import dataclass, replace
+
+import h5py
+import numpy as np
+import pytest
+
+from averaging.nonintegrable import NonIntegrable
+from cases.comparison.answers import run_scene
+from cases.comparison.routes import method_for
+from cases.output.digest import digest_of
+from cases.output.text import rendered
+from cases.scene.scene import load_scene
+from fpk.certificate import Measured
+from fpk.density import certified_density
+from fpk.method import Plan, solved
+from fpk.observable import parse_observable
+
+
+@pytest.fixture(scope="module")
+def scene():
+    loaded = load_scene("fig3a")
+    few = {"observables": (parse_observable("q2", 2),), "curves": loaded.curves[:2]}
+    return replace(loaded, **few, expect=None)
+
+
+@dataclass(frozen=True)
+class Coarse(NonIntegrable):
+    """Finite elements whose stated error is never below ``floor``, of a shifted density."""
+
+    floor: float = 1.2e-10
+    shift: float = 0.0
+
+    def prepare(self, system):
+        plan = super().prepare(system)
+
+        def stated(d):
+            return certified_density(
+                d.observable,
+                tuple(nodes + self.shift for nodes in d.panels),
+                lambda x: d.pdf(x - self.shift),
+                lambda x: d.pointwise(x - self.shift),
+                measured=Measured(max(self.floor, d.l1_error), 0.0, 0.0, 0.0, 0.0),
+                tol=self.tol,
+            )
+
+        def solve(observables, progress):
+            result = plan.solve(observables, progress)
+            return replace(result, method=self, densities=tuple(map(stated, result.densities)))
+
+        return Plan(plan.refusal, solve)
+
+
+EXACT = method_for("exact")
+
+
+def test_a_default_missed_by_less_than_a_digit_is_a_note(scene):
+    outcome = run_scene(scene, [EXACT, Coarse()], relax=True)
+    assert not outcome.problems and all(map(len, outcome.curves))
+    (note,) = outcome.curves[0].notes
+    assert "nonintegrable/fem: certified to 1.2e-10" in note
+    digest = digest_of(outcome)
+    assert digest["notes"] == [note] and note in rendered("run.txt", {"digest": digest})
+
+
+@pytest.mark.parametrize(
+    ("method", "relax", "words"),
+    [
+        (Coarse(), False, "exceeds the tolerance 1e-10"),  # a tolerance that was asked for
+        (Coarse(floor=1.2e-9), True, "exceeds the tolerance 1e-10"),
+        (Coarse(shift=1e-8), True, "differ by"),
+    ],
+)
+def test_what_was_asked_for_and_what_contradicts_is_a_problem(scene, method, relax, words):
+    outcome = run_scene(scene, [EXACT, method], relax=relax)
+    assert any(words in problem for problem in outcome.problems)
+
+
+def test_a_tolerance_that_simulations_do_not_take_is_said(fpk):
+    status, out, _ = fpk("run", "fig3a", "--tol", "1e-6", "--seconds", "1", "--json")
+    (note,) = json.loads(out)["notes"]
+    assert status in (0, 1) and "--tol 1e-06 is for the solvers" in note
+
+
+@dataclass(frozen=True)
+class Interrupting(NonIntegrable):
+    """Presses Ctrl-C while it solves."""
+
+    def prepare(self, system):
+        def solve(observables, progress):
+            raise KeyboardInterrupt
+
+        return Plan(lambda observable: None, solve)
+
+
+def test_control_c_ends_a_run_with_the_answers_that_there_are(scene):
+    methods = [EXACT, Interrupting(), NonIntegrable(solver="quadrature")]
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(scene, methods)
+    first, second = run_scene(scene, methods, partial=True).curves
+    assert [d for _, d in first] == ["exact"] and not len(second)
+    (problem,) = first.problems
+    assert "nonintegrable/fem failed: not finished: the program was interrupted" in problem
+
+
+def test_the_fields_of_a_curve_are_saved_before_the_next_one(fpk, monkeypatch, tmp_path):
+    """The second curve ends the process at once; what was saved then is on disk."""
+    calls = []
+
+    def dying(plan, *arguments, **settings):
+        calls.append(plan)
+        if len(calls) == 2:
+            raise SystemExit(130)
+        return solved(plan, *arguments, **settings)
+
+    monkeypatch.setattr("cases.comparison.answers.solved", dying)
+    monkeypatch.setattr("cases.comparison.routes.all_methods", lambda **settings: (EXACT,))
+    fpk("run", "fig3a", "--out", tmp_path)
+    with h5py.File(tmp_path / "result.nc") as file:
+        assert len(calls) == 2 and np.all(np.isfinite(file["p_q2"][0, 0]))
