@@ -11,14 +11,20 @@ from numpy.typing import ArrayLike
 from fpk.arrays import Array, Integers
 from fpk.certificate import Certificate, Measured, certify
 from fpk.observable import Observable, observable_name
+from fpk.piecewise import PiecewiseTensor
 from fpk.quadrature import panel_rule
 from fpk.reconstruction import LogReference, flat, local_fit, radius_of, windows
+from fpk.table import tabulated
 
 ErrorKind = Literal["numerical", "sampling"]
 
 GAUSS_POINTS = {1: 20, 2: 12}
 """Nodes per panel and axis of the integrals below, by the number of axes: exact for polynomials of
 degree 39 and 23 (panels of joint densities are many, and |p_a − p_b| has kinks anyway)."""
+CHECKED, SAFETY = 7, 3.0
+"""Gauss points per panel and axis at which the table of a joint density is compared with it, none
+of them one of its own; and the multiple of the distance there, an integral of few points, that is
+the error of the table."""
 SMALLEST = float(np.finfo(float).tiny)
 """Smallest number (2e-308) with full relative accuracy: what is less is known to no better."""
 EPSILON = float(np.finfo(float).eps)
@@ -35,7 +41,9 @@ class Density:
     first and last are its support. ``pdf`` takes one array per axis (broadcast together) and
     returns the density; ``pointwise`` likewise the estimate of its error there. ``l1_error``
     estimates ∫|p − p_exact| including the mass outside the support. ``source(observable)`` computes
-    the density again: where there is one, the density can be pickled without its functions.
+    the density again: where there is one, the density can be pickled without its functions. A joint
+    density has a ``table`` for all that takes many points; its L1 error ``table_error`` adds to
+    ``l1_error`` there, and is no larger.
     """
 
     observable: Observable
@@ -47,6 +55,8 @@ class Density:
     provenance: Mapping[str, str | float | int] = field(default_factory=dict)
     error_kind: ErrorKind = "numerical"
     source: Callable[[Observable], "AnyDensity"] | None = None
+    table: PiecewiseTensor | None = None
+    table_error: float = 0.0
 
     @property
     def name(self) -> str:
@@ -83,10 +93,14 @@ class Density:
         """Return the density and its error at ``points``, one array per axis."""
         return self.pdf(*points), self.pointwise(*points)
 
+    def tabulated(self, *points: Array) -> Array:
+        """Return the density at ``points`` by its table; by itself where there is none."""
+        return self.pdf(*points) if self.table is None else self.table(*points)
+
     def cell_averages(self, *edges: Array) -> Array:
         """Return the mean of the density over each cell of the grid of ``edges``."""
         mesh, grids = gauss_grid(list(map(_refined_by, edges, self.panels)))
-        values = self.pdf(*mesh)
+        values = self.tabulated(*mesh)
         for axis, (e, (x, w)) in enumerate(zip(edges, grids, strict=True)):
             cell = np.searchsorted(e, x, side="right") - 1
             starts = np.searchsorted(cell, np.arange(e.size - 1))
@@ -139,11 +153,21 @@ def certified_density(
         minimum=smallest if not measured.minimum < smallest else measured.minimum,
     )
     certificate = certify(checked, tol=tol)
+    table, table_error = None, 0.0
+    if len(panels) == 2 and frame is None:
+        table = tabulated((panels[0], panels[1]), values, GAUSS_POINTS[2])
+        mesh, grids = gauss_grid(panels, points=CHECKED)
+        table_error = SAFETY * integral(np.abs(table(*mesh) - np.asarray(pdf(*mesh))), grids)
+        if not table_error <= checked.l1_error:
+            table, table_error = None, 0.0
 
     def pointwise_error(*x: Array) -> Array:
         return np.asarray(pointwise(*x)) + SMALLEST
 
-    return Density(observable, panels, pdf, pointwise_error, checked.l1_error, certificate)
+    return Density(
+        observable, panels, pdf, pointwise_error, checked.l1_error, certificate, table=table,
+        table_error=table_error,
+    )  # fmt: skip
 
 
 def integral(values: Array, grids: list[tuple[Array, Array]]) -> float:
@@ -317,7 +341,7 @@ def l1_distance(a: AnyDensity, b: AnyDensity) -> float:
         # All that lies outside is one more bin; as both masses are one, its share is minus the sum.
         return float(np.sum(np.abs(shares)) + abs(np.sum(shares)))
     mesh, grids = gauss_grid(list(map(np.union1d, a.panels, b.panels)))
-    return integral(np.abs(a.pdf(*mesh) - b.pdf(*mesh)), grids)
+    return integral(np.abs(a.tabulated(*mesh) - b.tabulated(*mesh)), grids)
 
 
 def bin_differences(sampled: SampledDensity, other: AnyDensity) -> Array:
@@ -365,8 +389,13 @@ def _refined_by(nodes: Array, others: Array) -> Array:
     return np.unique(np.concatenate([nodes, others[between]]))
 
 
-def gauss_grid(panels: Sequence[Array]) -> tuple[Sequence[Array], list[tuple[Array, Array]]]:
-    """Return the mesh of the Gauss points of ``panels``, and points and weights of each axis."""
-    rules = [panel_rule(nodes, GAUSS_POINTS[len(panels)]) for nodes in panels]
+def gauss_grid(
+    panels: Sequence[Array], *, points: int | None = None
+) -> tuple[Sequence[Array], list[tuple[Array, Array]]]:
+    """Return the mesh of the Gauss points of ``panels``, and points and weights of each axis.
+
+    ``points`` a panel and axis; None: as many as in ``GAUSS_POINTS``.
+    """
+    rules = [panel_rule(nodes, points or GAUSS_POINTS[len(panels)]) for nodes in panels]
     grids = [(x.ravel(), w.ravel()) for x, w in rules]
     return np.meshgrid(*(x for x, _ in grids), indexing="ij", sparse=True), grids

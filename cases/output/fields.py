@@ -18,7 +18,7 @@ from cases.output.files import write_by, write_text
 from cases.output.records import UNITS, plain, program_version
 from cases.scene.scene import Scene
 from fpk.arrays import Array
-from fpk.density import AnyDensity
+from fpk.density import AnyDensity, Density
 from fpk.observable import Observable, observable_name
 
 Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]]
@@ -159,6 +159,7 @@ def _reach(density: AnyDensity, cut: float) -> list[tuple[float, float]]:
     """Per axis, the interval in which the density exceeds ``cut`` of its largest value."""
     cells = COARSE[len(density.panels)]
     edges = [np.linspace(nodes[0], nodes[-1], cells + 1) for nodes in density.panels]
-    values = density(*np.ix_(*(0.5 * (e[1:] + e[:-1]) for e in edges)))
+    middles = np.ix_(*(0.5 * (e[1:] + e[:-1]) for e in edges))
+    values = density.tabulated(*middles) if isinstance(density, Density) else density(*middles)
     above = np.nonzero(values > cut * values.max())
     return [(e[i.min()], e[i.max() + 1]) for e, i in zip(edges, above, strict=True)]
