@@ -8,7 +8,7 @@ import numpy as np
 
 from averaging.conditional import conditionals, overlap_at
 from averaging.energy_density import density_of_energies
-from averaging.hidden import RULES, HiddenIntegral, gibbs_integral, overlaps
+from averaging.hidden import HiddenIntegral, gibbs_integral, overlaps, rules_of
 from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.ratios import log_linear_states, shell_ratios
 from averaging.weyl import Part, StateDensity
@@ -29,11 +29,13 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
     """Return the density of ``observable``, H or one or two of (q, p), from u(H).
 
     Momenta and masses without contact are quadratic in H and integrated out exactly (Weyl
-    integrals of u); contact masses that are not observed, two at the most, by quadrature on grids
-    that follow their law given the observed ones. ``tol`` is the L1 tolerance that was asked for.
+    integrals of u); contact masses that are not observed by quadrature on grids that follow their
+    law given the observed ones, two at the most unless u is exponential. ``tol`` is the L1
+    tolerance that was asked for.
     """
-    system, solution = source.system, source.solution
+    system = source.system
     if observable[0].kind == "H":
+        solution = source.solution
         # Without clearance T is a series in H^(1/4) at H = 0, which one panel does not integrate.
         touching = tuple(H for H in system.fact(EnergyShell).contact_energies if H == 0.0)
         nodes = with_layers(solution.panels, touching, count=DEEP_LAYERS)
@@ -51,10 +53,10 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
         """Error of integrating out: tables of Weyl integrals, quadrature over hidden masses."""
         error = marginal(*x, part="table")
         if hidden:
-            error = error + np.abs(marginal(*x) - marginal(*x, points=RULES[hidden][0]))
+            error = error + np.abs(marginal(*x) - marginal(*x, points=rules_of(hidden)[0]))
         return error
 
-    T, end = source.temperature, float(solution.nodes[-1])
+    T, end = source.temperature, source.end
 
     def panels(c: Coordinate) -> Array:
         if c.kind == "q":
@@ -68,7 +70,7 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
         tuple(map(panels, observable)),
         marginal,
         lambda *x: marginal(*x, part="error") + added(*x),
-        measured=solution.measured,
+        measured=source.measured,
         tol=tol,
         added_error=added,
         frame=_ridge(system, q, T, end) if len(q) == 2 else None,
@@ -85,9 +87,7 @@ def _marginal(source: StateDensity, observable: Observable) -> Callable[..., Arr
     q, p = ([c.row for c in observable if c.kind == kind] for kind in "qp")
     hidden = [i for i in system.contact_masses if i not in q]
     laws = conditionals(system, [*q, *hidden])
-    over_hidden = HiddenIntegral(
-        laws[len(q) :], source.temperature, float(source.solution.nodes[-1])
-    )
+    over_hidden = HiddenIntegral(laws[len(q) :], source.temperature, source.end)
     order = system.n - 0.5 * (len(p) + len(laws))
     # det K of the masses integrated out exactly is det K over det K_red, a product each.
     log_factor = order * np.log(2.0 * pi) + 0.5 * (
@@ -96,9 +96,9 @@ def _marginal(source: StateDensity, observable: Observable) -> Callable[..., Arr
         - np.sum(np.log(system.stiffness))
     )
     # u is in the unit of T of the process.
-    log_factor -= log_linear_states(system, source.solution.process.energy_scale)
+    log_factor -= log_linear_states(system, source.unit)
 
-    def marginal(*x: Array, part: Part = "value", points: int = RULES[len(hidden)][1]) -> Array:
+    def marginal(*x: Array, part: Part = "value", points: int = rules_of(len(hidden))[1]) -> Array:
         arrays = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in x))
         at = {c: a.ravel() for c, a in zip(observable, arrays, strict=True)}
         Q = np.array([at[Coordinate("q", i)] for i in q]).reshape(len(q), arrays[0].size)

@@ -1,12 +1,14 @@
 """Closed forms p = C T exp(−∫h dH) for damping that depends on the energy only, (7), (29), (34)."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.polynomial import polynomial
+from scipy.special import gammainccinv
 
 from averaging.energy_process import damping_and_noise, energy_process
-from averaging.hidden import RULES, gibbs_integral
+from averaging.hidden import gibbs_integral, rules_of
 from averaging.shell.ratios import log_linear_states
 from averaging.weyl import Part, Solution, StateDensity, tabulated
 from averaging.zero_flux import ZeroFluxDensity, flux_residual
@@ -25,7 +27,7 @@ POINTS = (16, 20)
 """Gauss points per panel of the normalisation, and of the finer rule that estimates its error."""
 LAYERS_AT_ZERO = 12
 """Geometric panels above H = 0, where T ~ H^(n−1) times a series in H^(1/4) without clearance."""
-EPS = float(np.finfo(float).eps)
+EPS, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
 
 
 def closed_form(
@@ -89,17 +91,36 @@ def state_closed_form(
     process = energy_process(system)
     if rate.size > 1:
         return tabulated(system, closed_form(process, rate, residual=residual), closed=True)
-    alpha = float(rate[0])
+    alpha, unit = float(rate[0]), process.energy_scale
     log_norm, error = log_gibbs_norm(system, alpha)
-    norm = log_norm + float(log_linear_states(system, process.energy_scale)), error
-    solution = closed_form(process, rate, norm=norm, residual=residual)
+    norm = log_norm + float(log_linear_states(system, unit)), error
+    exponent = np.array([norm[0], -alpha])
 
     def weyl(order: float, energy: Array, part: Part = "value") -> Array:
         """Ψ_ν = u/α^ν."""
-        factor = {"value": 1.0, "error": solution.relative_error(energy), "table": 0.0}[part]
-        return np.asarray(factor * np.exp(solution.log_u(energy) - order * np.log(alpha)))
+        relative = error + _round_off(exponent, energy)
+        factor = {"value": 1.0, "error": relative, "table": 0.0}[part]
+        log_u = polynomial.polyval(energy, exponent) - order * np.log(alpha)
+        return np.asarray(factor * np.exp(log_u))
 
-    return StateDensity(system, solution, weyl, 1.0 / alpha, closed=True, gibbs=True)
+    # Contact only takes states away: T exp(−αH) is below that of the chain without, a Gamma law.
+    taken = log_gibbs_norm(replace(system, contacts=()), alpha)[0] - log_norm
+    end = float(gammainccinv(system.n, max(TAIL * np.exp(taken), TINY))) / alpha
+    # Where none is given it is that of the flux, T τ (noise α − damping) u, whose parts cancel.
+    damping, noise = damping_and_noise(system)
+    left = abs(noise * alpha - damping) / damping if residual is None else residual
+    measured = Measured(error + 2.0 * TAIL, np.nan, np.nan, left, TAIL)
+    return StateDensity(
+        system,
+        partial(closed_form, process, rate, norm=norm, residual=residual),
+        weyl,
+        1.0 / alpha,
+        unit,
+        end=end,
+        measured=measured,
+        closed=True,
+        gibbs=True,
+    )
 
 
 def log_gibbs_norm(system: System, alpha: float) -> tuple[float, float]:
@@ -108,9 +129,10 @@ def log_gibbs_norm(system: System, alpha: float) -> tuple[float, float]:
     Momenta, and displacements of masses without contact, are Gaussian; what contacts make of the
     rest is one pass along the chain.
     """
+    masses = len(system.contact_masses)
     (coarse, _), (fine, interpolation) = (
         gibbs_integral(system, (), np.zeros((0, 1)), temperature=1.0 / alpha, points=points)
-        for points in RULES[1]
+        for points in rules_of(masses if masses > 2 else 1)
     )
     log_norm = system.n * np.log(alpha / (2.0 * np.pi)) - float(np.log(fine[0]))
     log_norm += 0.5 * float(np.sum(np.log(system.stiffness / system.mass)))

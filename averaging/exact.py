@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -94,7 +95,7 @@ class Exact(Theory):
             densities = tuple(back_transformed(source, o, tol=self.tol) for o in observables)
             return Result(self, densities, settings=settings)
 
-        return Plan(lambda observable: energy_only_refusal(system, observable), solve)
+        return Plan(partial(energy_only_refusal, system, exponential=h.size == 1), solve)
 
 
 Exact.register()

@@ -32,11 +32,16 @@ FIT_TOLERANCE = 1e-13
 a tenth of it."""
 FIT_ROUNDS = 20
 """Bisections of a panel of that integral, at the most."""
-RULES = {0: (1, 1), 1: (10, 14), 2: (8, 10)}
-"""Gauss points per panel over 0, 1 or 2 hidden contact masses, and of the finer rule of the answer:
-the distance between the two is its error."""
+RULES = ((1, 1), (10, 14), (8, 10), (14, 18))
+"""Gauss points per panel over 0, 1, 2 or more hidden contact masses, and of the finer rule of the
+answer: the distance between the two is its error. The errors of passes along a chain add up."""
 CHUNK = 400_000
 """Points of the innermost integral evaluated at once, to bound memory."""
+
+
+def rules_of(hidden: int) -> tuple[int, int]:
+    """Return the points of both rules for a number of hidden contact masses."""
+    return RULES[min(hidden, len(RULES) - 1)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,18 +158,27 @@ def chain_integral(
     all that lies beyond a mass is a smooth function of its displacement, between 0 and 1. The error
     of the rule of ``points`` comes on top.
     """
-    beyond, error = None, 0.0
+    beyond, error, scale = None, 0.0, 1.0  # the error in units of the scale
     reach = np.cumsum([np.sqrt(2.0 * DEPTH * temperature / law.precision) for law in laws])
     over_one: Function = np.ones_like
     for k, law in reversed(tuple(enumerate(laws))):
         over_one = partial(_over_one, law, beyond, temperature, points)
         if k:
             most = float(np.max(np.abs(x)) + reach[k - 1])
-            beyond = fit(over_one, np.linspace(-most, most, 9), FIT_TOLERANCE, rounds=FIT_ROUNDS)
+            beyond_at = np.linspace(-most, most, 33)
+            # In units of its value at rest: along many masses it becomes very small.
+            top = float(over_one(np.zeros(1))[0])
+            # The largest integral of what weights the mass beyond, and with it its error: about 1.
+            weight = float(_over_one(law, None, temperature, points, beyond_at).max())
+            unit = partial(_in_unit, over_one, top)
+            beyond = fit(unit, np.linspace(-most, most, 9), FIT_TOLERANCE, rounds=FIT_ROUNDS)
             assert beyond.error is not None
-            # What weights it beyond is at most 1 in total.
-            error += float(beyond.error.max())
-    return over_one(x), error
+            error, scale = error * weight / top + float(beyond.error.max()), scale * top
+    return scale * over_one(x), scale * error
+
+
+def _in_unit(function: Function, unit: float, x: Array) -> Array:
+    return np.asarray(function(x) / unit)
 
 
 def _over_one(

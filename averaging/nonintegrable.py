@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from averaging.back_transformation import back_transformed
 from averaging.closed_form import averaged_rate, state_closed_form
@@ -43,15 +44,14 @@ class NonIntegrable(Theory):
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
         process = energy_process(system)
-        if self.solver == "closed-form":
-            averaged_rate(system)
+        exponential = self.solver == "closed-form" and averaged_rate(system).size == 1
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
             source, settings = self._state_density(system, process)
             densities = tuple(back_transformed(source, o, tol=self.tol) for o in observables)
             return Result(self, densities, settings=settings)
 
-        return Plan(lambda observable: energy_only_refusal(system, observable), solve)
+        return Plan(partial(energy_only_refusal, system, exponential=exponential), solve)
 
     def _state_density(self, system: System, process: Process) -> tuple[StateDensity, Settings]:
         if self.solver == "closed-form":

@@ -58,19 +58,27 @@ class Theory(Method):
             )
 
 
-def energy_only_refusal(system: System, observable: Observable) -> str | None:
-    """Return why ``observable`` does not follow from a density u(H), or None where it does."""
+def energy_only_refusal(
+    system: System, observable: Observable, *, exponential: bool = False
+) -> str | None:
+    """Return why ``observable`` does not follow from a density u(H), or None where it does.
+
+    Where u is ``exponential`` the contact masses on either side of the observed ones are integrated
+    out by passes along the chain; otherwise all of them at once.
+    """
     kinds = {c.kind for c in observable}
     if "H" in kinds and (len(observable) > 1 or observable[0].index is not None):
         return (
             f"{observable_name(observable)}: this theory knows the total energy only; "
             "ask for H, q, p or pairs of q and p"
         )
-    seen = {c.index for c in observable if c.kind == "q"}
+    seen = [c.row for c in observable if c.kind == "q"]
     hidden = [i for i in system.contact_masses if i not in seen]
+    if exponential:
+        hidden = [i for i in hidden if seen and min(seen) < i < max(seen)]
     if "H" not in kinds and len(hidden) > 2:
         return (
             f"{observable_name(observable)}: {len(hidden)} contact masses would have to be "
-            "integrated out numerically, at most 2 are"
+            "integrated out numerically at once, at most 2 are"
         )
     return None

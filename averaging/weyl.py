@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from math import gamma
 from typing import Literal
 
@@ -11,6 +11,7 @@ from scipy.special import gammaincc
 
 from averaging.zero_flux import ZeroFluxDensity
 from fpk.arrays import Array
+from fpk.certificate import Measured
 from fpk.line.stationary import StationarySolution
 from fpk.piecewise import Piecewise, interpolated
 from fpk.probe import probed
@@ -35,7 +36,9 @@ MOST_NODES = 100
 class StateDensity:
     """Stationary density of the full state, ρ(q, p) = u(H(q, p)), p(H) = T u, Eqs. (22), (30).
 
-    ``solution`` gives p and u, in the unit of T of its process. ``weyl(ν, E, part)`` is
+    ``solve`` gives p(H), which is computed when it is asked for: ``solution``. ``unit`` is the
+    energy in whose unit T is given, ``end`` the last energy; ``measured`` holds for all densities
+    that follow but that of H itself. ``weyl(ν, E, part)`` is
     Ψ_ν(E) = ∫_0^∞ u(E + x) x^(ν−1)/Γ(ν) dx, what is left of u where 2ν quadratic coordinates are
     integrated out, a factor (2π)^ν/√det aside; ``part`` is "value" when left out, "error" what the
     error of u leaves in it, and "table" the error of interpolating it. ``temperature`` is an energy
@@ -45,11 +48,19 @@ class StateDensity:
     """
 
     system: System
-    solution: Solution
+    solve: Callable[[], Solution]
     weyl: Callable[..., Array]
     temperature: float
+    unit: float
+    end: float
+    measured: Measured
     closed: bool = False
     gibbs: bool = False
+
+    @cached_property
+    def solution(self) -> Solution:
+        """The density of the energy."""
+        return self.solve()
 
 
 def tabulated(system: System, solution: Solution, *, closed: bool = False) -> StateDensity:
@@ -115,7 +126,17 @@ def tabulated(system: System, solution: Solution, *, closed: bool = False) -> St
     if varying:
         # u need not fall from H = 0, and may change much faster than over the scale of the energy.
         temperature = min(temperature, probed(process).e_fold(float(nodes[-1])))
-    return StateDensity(system, solution, weyl, temperature, closed)
+    end, measured = float(nodes[-1]), solution.measured
+    return StateDensity(
+        system,
+        lambda: solution,
+        weyl,
+        temperature,
+        process.energy_scale,
+        end=end,
+        measured=measured,
+        closed=closed,
+    )
 
 
 def weyl_table(order: float, nodes: Array, u: Function, *, points: int = POINTS[1]) -> Piecewise:
