@@ -76,6 +76,8 @@ def run(scene: str, out: Path | None, as_json: bool, **settings: Any) -> None:
     from cases.output.fields import write_netcdf
 
     def save(outcome: Any) -> None:
+        if outcome.curves[-1].interrupted:
+            click.echo("fpk: stopped; what there is follows, Ctrl-C again ends at once", err=True)
         if out is not None:
             write_netcdf(outcome, out / parts.FIELDS)
 

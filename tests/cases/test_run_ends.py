@@ -120,3 +120,12 @@ def test_the_fields_of_a_curve_are_saved_before_the_next_one(fpk, monkeypatch, t
     fpk("run", "fig3a", "--out", tmp_path)
     with h5py.File(tmp_path / "result.nc") as file:
         assert len(calls) == 2 and np.all(np.isfinite(file["p_q2"][0, 0]))
+
+
+def test_control_c_is_answered_and_leaves_what_there_is(fpk, monkeypatch, tmp_path):
+    methods = EXACT, Interrupting()
+    monkeypatch.setattr("cases.comparison.routes.all_methods", lambda **settings: methods)
+    status, out, err = fpk("run", "fig3a", "--out", tmp_path, "--json")
+    assert status == 1 and err.startswith("fpk: stopped; what there is follows")
+    assert [m["applies"] for m in json.loads(out)["methods"]] == [True, False]
+    assert (tmp_path / "result.nc").exists() and (tmp_path / "report.html").exists()
