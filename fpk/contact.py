@@ -2,11 +2,16 @@
 
 from dataclasses import dataclass, replace
 from math import isfinite
+from numbers import Integral, Real
 from typing import Any, Literal
 
 import fpk.laws  # noqa: F401  (its modules register the laws)
 from fpk.contact_law import LAWS
 from fpk.errors import InvalidInput
+
+MAX_EXPONENT = 100.0
+"""Largest exponent of a contact law: at overlaps of 1e-3 or 1e3 in their unit the force already has
+a factor of 1e-300 or 1e300, and at larger ones none that double precision can hold."""
 
 Side = Literal["left", "right", "both"]
 
@@ -31,6 +36,14 @@ class Contact:
 
     def __post_init__(self) -> None:
         """Check every field and fill in the law's own exponent."""
+        for key, kind, words in (
+            ("mass", Integral, "a whole number"),
+            ("stiffness", Real, "a number"),
+            ("clearance", Real, "a number"),
+            ("exponent", Real | None, "a number"),
+        ):
+            if not isinstance(getattr(self, key), kind):
+                raise InvalidInput(key, getattr(self, key), f"must be {words}")
         if self.side not in ("left", "right", "both"):
             raise InvalidInput("side", self.side, 'is not a side; use "left", "right" or "both"')
         if not (isfinite(self.stiffness) and self.stiffness > 0):
@@ -41,10 +54,9 @@ class Contact:
             raise InvalidInput("law", self.law, f"is not a contact law; use one of {sorted(LAWS)}")
         own = LAWS[self.law].exponent
         if own is None:
-            if self.exponent is None or not (isfinite(self.exponent) and self.exponent >= 1):
-                raise InvalidInput(
-                    "exponent", self.exponent, f'must be a finite number >= 1 for law "{self.law}"'
-                )
+            if self.exponent is None or not 1 <= self.exponent <= MAX_EXPONENT:
+                remedy = f'must be >= 1 and at most {MAX_EXPONENT:g} for law "{self.law}"'
+                raise InvalidInput("exponent", self.exponent, remedy)
         elif self.exponent not in (None, own):
             raise InvalidInput(
                 "exponent", self.exponent, f'leave it out: the law "{self.law}" has its own, {own}'

@@ -16,6 +16,10 @@ FAR_OUT = np.logspace(4.0, 16.0, 13)
 """Energies, in units of the scale, at which a process has to come back. A term of the damping that
 outweighs one of a lower degree only beyond 1e16 is less than the round-off (2e-16) of it at the
 scale: up to there everything shows that is not round-off."""
+MAX_ENERGY = 1e154
+"""Largest energy whose square is a number in double precision."""
+OUT_OF_RANGE = "the coefficients leave the range of double precision: choose other units"
+"""Message where the equation cannot be evaluated as far out as its density has to fall off."""
 LOG_RATIOS = np.log(10.0) * np.concatenate(
     [np.arange(-48.0, -3.0, 0.5), np.linspace(-3.0, 3.0, 49), np.arange(3.5, 48.5, 0.5)]
 )
@@ -101,6 +105,8 @@ def require_falling(energy: Array, c: Coefficients, slope: Array) -> None:
     inwards = np.flatnonzero(~(rate > error))
     first = int(inwards[-1]) + 1 if inwards.size else 0
     if first < energy.size:
+        if energy[first] > MAX_ENERGY:
+            raise NotCertified(OUT_OF_RANGE)
         raise NotCertified(
             f"the density does not fall off: from H = {energy[first]:.3g} on the drift points "
             "outwards, so nothing brings the energy back"

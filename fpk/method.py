@@ -8,7 +8,7 @@ from typing import Self
 
 from fpk.density import AnyDensity, Density
 from fpk.errors import NotApplicable
-from fpk.observable import Observable
+from fpk.observable import Observable, require_observables
 from fpk.route import Route
 from fpk.system import System
 
@@ -121,7 +121,11 @@ class Method(ABC):
         *,
         progress: Progress = silent,
     ) -> Result:
-        """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses."""
+        """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses.
+
+        Raises ``InvalidInput`` for an observable that is a name instead of a parsed one.
+        """
+        require_observables(observables)
         plan = self.prepare(system)
         for observable in observables:
             if reason := plan.refusal(observable):

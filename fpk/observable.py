@@ -1,8 +1,9 @@
 """Names of what can be observed: q1..qn, p1..pn, H, H1..Hn, or a pair of them."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from fpk.errors import InvalidInput
 
@@ -55,3 +56,13 @@ def parse_observable(text: str, n: int) -> Observable:
 def observable_name(observable: Observable) -> str:
     """Return the name that a user writes, such as ``q2,p2``."""
     return ",".join(map(str, observable))
+
+
+def require_observables(observables: Sequence[Any]) -> None:
+    """Raise ``InvalidInput`` for what is no observable: a name has to be parsed first."""
+    for observable in observables:
+        parsed = isinstance(observable, tuple) and len(observable) in (1, 2)
+        if not parsed or not all(isinstance(c, Coordinate) for c in observable):
+            raise InvalidInput(
+                "observable", observable, 'is not parsed; use parse_observable("q2", system.n)'
+            )

@@ -8,7 +8,7 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.compiling import cached_njit
-from fpk.ends import FAR_OUT, require_falling
+from fpk.ends import FAR_OUT, OUT_OF_RANGE, require_falling
 from fpk.errors import NotCertified
 from fpk.process import Coefficients, Process, log_density_slope
 
@@ -51,6 +51,8 @@ class Probe:
         The solver bounds the tail again from its own solution. Raises ``NotCertified`` where the
         density does not fall to that share.
         """
+        if not np.isfinite(self.log_mass).all():
+            raise NotCertified(OUT_OF_RANGE)
         energy, rate = self.energy, 1.0 + self.energy * self.slope
         wanted = float(self.log_mass.max()) + math.log(tail)
         i = int(np.flatnonzero(~(self.log_mass < wanted))[-1]) + 1

@@ -60,7 +60,9 @@ class System:
         damping = _matrix("damping", self.damping)
         if damping.shape[0] != n:
             raise InvalidInput("damping", self.damping, f"must have {n} entries or be {n} x {n}")
-        terms = _effective_terms(self.damping_terms, damping)
+        contacts = _records("contacts", self.contacts, Contact)
+        terms = _records("damping_terms", self.damping_terms, DampingTerm)
+        terms = _effective_terms(terms, damping)
         if not terms:
             _refuse_negative("damping", damping, "does not dissipate: its symmetric part has")
         intensity = _matrix("noise_intensity", self.noise_intensity)
@@ -81,10 +83,11 @@ class System:
             gain = _finite("noise_gain", self.noise_gain)
             if gain.shape != (n, noises):
                 raise InvalidInput("noise_gain", self.noise_gain, f"must be {n} x {noises}")
-        for k, contact in enumerate(self.contacts, start=1):
+        for k, contact in enumerate(contacts, start=1):
             if not 1 <= contact.mass <= n:
                 key = f"contact[{k}].mass"
                 raise InvalidInput(key, contact.mass, f"is not a mass; use 1 to {n}")
+        object.__setattr__(self, "contacts", contacts)
         object.__setattr__(self, "damping_terms", terms)
         extension = np.eye(n) - np.eye(n, k=-1)  # of each spring, from the displacements
         derived = {
@@ -184,6 +187,12 @@ def _effective_terms(terms: tuple[DampingTerm, ...], damping: Array) -> tuple[Da
         elif term.coefficient != 0.0:
             varying.append(term)
     return tuple(varying)
+
+
+def _records(key: str, values: Any, kind: type[Fact]) -> tuple[Fact, ...]:
+    if isinstance(values, (tuple, list)) and all(isinstance(value, kind) for value in values):
+        return tuple(values)
+    raise InvalidInput(key, values, f"must be a tuple of {kind.__name__}, as (first, second)")
 
 
 def _finite(key: str, value: ArrayLike) -> Array:

@@ -2,6 +2,8 @@
 
 from math import inf, nan
 
+import numpy as np
+
 from fpk.density import SampledDensity
 from fpk.method import Identity
 from fpk.system import System
@@ -26,6 +28,7 @@ Answer = tuple[tuple[SampledDensity, ...], tuple[Identity, ...], Report]
 """The densities, the moment identities, and the report."""
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of trajectories on their way out: judged below
 def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) -> Answer:
     """Return the certified densities, the moment identities and the report.
 
@@ -41,13 +44,17 @@ def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) ->
             f"{lost} of {ensemble.paths} trajectories left the finite range;"
             f" use a smaller dt than {steps.dt:g}"
         )
+    finite = bool(np.isfinite(ensemble.batch_means()).all())
+    if not (lost or finite):
+        words = "the moments left the range of double precision; use a smaller dt than"
+        failures.append(f"{words} {steps.dt:g}")
     failures += setup.failures
     identities = Moments(setup.system, ensemble.batch_means()).identities()
     stationary = ensemble.done - ensemble.phase >= setup.burn_in_steps
     judged = identities if stationary and not lost else ()
     failures += [text for identity in judged if (text := _defect(setup.system, identity))]
     diagnosed: Diagnosis | None = None
-    if not (lost or interrupted or limited):
+    if finite and not (lost or interrupted or limited):
         diagnosed = diagnosis(
             record.effective(), record.names, record.means(),
             time=ensemble.samples * (ensemble.dt * setup.stride), paths=ensemble.paths,

@@ -95,7 +95,10 @@ def effective_of_shares(shares: Array) -> tuple[float, float]:
 
 def variance_error(samples: Array) -> Array:
     """Return √((kurtosis − 1)/paths), the relative error of the variance of (..., paths)."""
-    squares = (samples - samples.mean(axis=-1, keepdims=True)) ** 2
+    away = samples - samples.mean(axis=-1, keepdims=True)
+    size = np.max(np.abs(away), axis=-1, keepdims=True)
+    # In units of the largest: its fourth power is a number for any samples.
+    squares = np.divide(away, size, out=np.zeros_like(away), where=size > 0) ** 2
     second = np.mean(squares, axis=-1)
     # kurtosis − 1 as a variance: of two values alone it is 0, never below.
     scatter = np.mean((squares - second[..., None]) ** 2, axis=-1)

@@ -26,6 +26,9 @@ from sim.workers import Workers
 CHANGING = ("states", "sums", "folded", "counts")
 """Arrays of an ensemble that a step changes."""
 
+MAX_COORDINATE = 1e154
+"""Largest displacement or momentum whose square is a number in double precision."""
+
 BATCHES = 64
 """Independent batches at most; a batch is made of whole blocks of lanes."""
 
@@ -168,8 +171,8 @@ class Ensemble:
         self.done += steps
 
     def lost(self) -> int:
-        """Return how many trajectories have left the finite range."""
-        return int(np.sum(~np.isfinite(self.states).all(axis=1) & self._alive()))
+        """Return how many trajectories have left the finite range, ±``MAX_COORDINATE``."""
+        return int(np.sum(~(np.abs(self.states) < MAX_COORDINATE).all(axis=1) & self._alive()))
 
     def batch_paths(self) -> Integers:
         """Return the number of trajectories of each batch."""

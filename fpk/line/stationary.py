@@ -16,7 +16,6 @@ from numpy.polynomial.legendre import legvander
 from fpk.arrays import Array, Flags
 from fpk.certificate import NEGATIVE, Certificate, Measured, certify
 from fpk.compiling import cached_njit
-from fpk.errors import NotCertified
 from fpk.line.elements import (
     TINY,
     Elements,
@@ -208,10 +207,6 @@ def solve_stationary(
         digits = round(-math.log10(tol))
         degree = min(max(digits + 4, 3), 16) if smooth else min(max(digits, 3), 12)
     probe = probed(process)
-    if not np.isfinite(probe.log_mass).all():
-        raise NotCertified(
-            "the coefficients leave the range of double precision: choose other units"
-        )
     end = probe.extent(1e-2 * tol)
     nats: Array | float = NATS_PER_ELEMENT
     if smooth:

@@ -234,3 +234,38 @@ def test_a_path_that_cannot_be_used_is_refused_before_the_work(
     status, out, err = fpk(*arguments)
     assert (status, out) == (2, "") and err.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+FAR = """[system]
+mass = [1.0]
+stiffness = [1.0]
+damping = [1e-99]
+noise_intensity = [1e99]
+[[contact]]
+mass = 1
+side = "right"
+law = "power"
+exponent = 2.0
+stiffness = 1.0
+clearance = 1e99
+"""
+
+
+@pytest.mark.parametrize("solver", ["fem", "quadrature", "closed-form"])
+def test_energies_whose_squares_overflow_are_not_blamed_on_the_damping(solver, fpk, tmp_path):
+    (tmp_path / "far.toml").write_text(FAR)
+    status, _, err = fpk("density", tmp_path / "far.toml", "--method", "nonintegrable",
+                         "--solver", solver, "--of", "H", "--at", 0)  # fmt: skip
+    assert status == 1 and err.count("\n") == 1
+    assert "leave the range of double precision: choose other units" in err
+
+
+def test_show_names_the_ends_of_every_modal_energy(fpk, tmp_path):
+    path = tmp_path / "five.toml"
+    numbers = {"mass": 1.0, "stiffness": 1.1, "damping": 0.05, "noise_intensity": 0.01}
+    path.write_text("[system]\n" + "".join(f"{k} = {[v] * 5}\n" for k, v in numbers.items()))
+    ends = [f"H{i} = {end}" for i in range(1, 6) for end in ("0", "∞")]
+    record = json.loads(fpk("show", path, "--json")[1])
+    assert [b["end"] for b in record["boundaries"] if b["process"] == "integrable"] == ends
+    out = fpk("show", path)[1]
+    assert all(end in out for end in ends)

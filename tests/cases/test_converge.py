@@ -309,3 +309,14 @@ def test_the_axis_of_errors_is_that_of_the_curves_however_long_their_bars(bar):
 def test_a_wrong_route_is_refused_in_one_line(fpk):
     status, out, err = fpk("converge", "fig6b", "--route", "magic")
     assert status == 2 and not out and "nonintegrable" in err
+
+
+@pytest.mark.slow
+def test_steps_at_which_trajectories_are_lost_give_no_warning(fpk, scene_text, tmp_path):
+    """Of one mass without stops; warnings are errors in tests."""
+    path = tmp_path / "one.toml"
+    path.write_text(
+        "[system]\nmass = [1.0]\nstiffness = [1.0]\ndamping = [0.1]\nnoise_intensity = [0.1]\n"
+    )
+    _, out, err = fpk("converge", path, "--route", "montecarlo", "--seconds", 3)
+    assert "dt" in out and "Warning" not in err

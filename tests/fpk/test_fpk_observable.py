@@ -3,7 +3,9 @@
 import pytest
 
 from fpk.errors import InvalidInput
+from fpk.method import Method
 from fpk.observable import Coordinate, observable_name, parse_observable
+from fpk.system import System
 
 
 @pytest.mark.parametrize(
@@ -30,3 +32,17 @@ def test_what_is_not_an_observable_is_refused_by_name(text):
     with pytest.raises(InvalidInput, match=r"^observable = ") as caught:
         parse_observable(text, 3)
     assert caught.value.value == text
+
+
+@pytest.mark.parametrize("observables", [["q2"], "q2", [3], [()], [("q", 1)]])
+def test_a_method_refuses_an_observable_that_is_not_parsed(observables):
+    system = System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02])
+
+    class Never(Method):
+        route = refined = None
+
+        def prepare(self, system):
+            raise AssertionError("prepared")
+
+    with pytest.raises(InvalidInput, match="is not parsed; use parse_observable"):
+        Never().solve(system, observables)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fpk.contact import Contact
+from fpk.damping import DampingTerm
 from fpk.effects import effects_of
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.linear import (
@@ -246,3 +247,41 @@ def test_a_fact_is_computed_once_and_not_pickled():
 
     assert one.fact(fact) == one.fact(fact) == 1 and asked == [one]
     assert pickle.loads(pickle.dumps(one)).n == one.n
+
+
+STOP = Contact(mass=2, side="both", stiffness=10.0, clearance=0.5)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("contacts", STOP),
+        ("contacts", ["left"]),
+        ("contacts", 3),
+        ("contacts", None),
+        ("damping_terms", DampingTerm(1, 1, 0.1)),
+        ("damping_terms", ["q1"]),
+    ],
+)
+def test_records_that_are_none_are_refused_by_name(key, value):
+    with pytest.raises(InvalidInput, match=f"{key} = .*must be a tuple of "):
+        System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02], **{key: value})
+
+
+def test_contacts_in_a_list_are_a_tuple_and_a_mass_is_named_as_given():
+    system = System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02], contacts=[STOP])
+    assert system.contacts == (STOP,)
+    with pytest.raises(InvalidInput, match=r"contact\[1\]\.mass = 2: is not a mass; use 1 to 1"):
+        System([1], [1], [0.08], [0.01], contacts=(STOP,))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("mass", "2"), ("mass", 1.5), ("stiffness", "10"), ("clearance", None), ("exponent", "2"),
+     ("exponent", 1e50), ("exponent", 101.0), ("exponent", float("nan"))],
+)  # fmt: skip
+def test_a_field_of_a_contact_that_is_no_number_of_its_kind_is_refused(field, value):
+    fields = {"mass": 2, "side": "both", "stiffness": 10.0, "clearance": 0.5}
+    with pytest.raises(InvalidInput, match=f"^{field} = "):
+        Contact(**{**fields, "law": "power", "exponent": 2.0, field: value})
+    assert Contact(**fields, law="power", exponent=100.0).power == 100.0

@@ -221,3 +221,11 @@ def test_the_stated_error_is_the_real_one_and_the_mirror_gains() -> None:
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.24)
     # Twice the samples, but for the correlation of x and −x on one trajectory.
     assert 1.4 < np.mean(gains) < 2.2
+
+
+def test_the_relative_error_of_a_variance_is_free_of_units() -> None:
+    samples = np.random.default_rng(20261122).standard_normal((2, 64))
+    expected = variance_error(samples)
+    for unit in (1e-120, 1e-60, 1e100, 1e150):
+        np.testing.assert_allclose(variance_error(unit * samples), expected, rtol=1e-12)
+    assert not variance_error(np.ones((1, 8))).any()
