@@ -6,6 +6,7 @@ from functools import cached_property
 from math import ceil, inf, isinf
 from typing import Any, Literal
 
+from fpk.cores import usable_cores
 from fpk.effects import effects_of
 from fpk.errors import InvalidInput
 from fpk.observable import Observable
@@ -15,12 +16,26 @@ from sim.montecarlo import MonteCarlo
 from sim.relaxation import relaxation_time
 from sim.schemes import SCHEMES, Scheme
 from sim.statistics import Product, moment_products
-from sim.step_size import check_step, chosen_step, sampling_interval
+from sim.step_size import (
+    check_step,
+    chosen_step,
+    expected_error,
+    samples_in,
+    sampling_interval,
+    step_for,
+)
 from sim.substeps import cost, with_long_steps
 
 RANDOM_NUMBERS = 2.0**-39
 """Least step, in units of the time that is simulated, per mass: a trajectory owns 2**40 words of
 random numbers and takes n of them a step, 5/4 n with long steps, at the most."""
+
+CHECKPOINTED = 3600.0
+"""Seconds of one thread for whose accuracy a run with a checkpoint and no known length is made."""
+
+STEP_ROUNDS = 8
+"""Rounds in which the step and the samples that it leaves time for are adapted to each other; each
+divides what is left by at least 4, as h ~ samples^(−1/4) or less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,10 +97,33 @@ class Setup:
         return (self.system, list(self.observables), *steps, *asked, edges)
 
 
+def default_step(method: MonteCarlo, system: System) -> float:
+    """Return the step: short enough for the contact, and for the accuracy the run will reach.
+
+    That follows from ``tol``, from the samples that ``seconds`` of wall time allow by ``threads``,
+    or from the sampled time. Not from wall time where there is a checkpoint: a run may go on from
+    it with another limit and on another machine; it is then as for ``CHECKPOINTED`` seconds.
+    """
+    dt, interval = chosen_step(system), sampling_interval(system)
+    if method.tol is not None:
+        return min(dt, step_for(system, method.tol))
+    if method.seconds is None:
+        time = method.time or min(
+            method.relaxations * relaxation_time(system), method.most_steps * dt
+        )
+        return min(dt, step_for(system, expected_error(method.paths * time / interval)))
+    own = method.seconds * (method.threads or usable_cores())
+    seconds = own if method.checkpoint is None else CHECKPOINTED
+    for _ in range(STEP_ROUNDS):
+        error = expected_error(samples_in(system, dt, seconds))
+        dt = min(chosen_step(system), step_for(system, error))
+    return dt
+
+
 def setup_of(method: MonteCarlo, system: System, observables: Sequence[Observable]) -> Setup:
     """Return the setup that ``method`` asks for; raise ``InvalidInput`` for an unstable step."""
     scheme, failures = SCHEMES[method.scheme], list[str]()
-    dt = method.dt or method.step_factor * chosen_step(system)
+    dt = method.dt or method.step_factor * default_step(method, system)
     try:
         check_step(system, scheme, dt)
     except InvalidInput as error:

@@ -1,6 +1,6 @@
 """The step: from the stiffest contact that the motion reaches, and from the shortest period."""
 
-from math import inf, pi, sqrt
+from math import exp, inf, pi, sqrt
 
 import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
@@ -28,6 +28,20 @@ square of the step, and is 1e-3 of the kinetic balance of a mass that both act o
 
 STEP_PER_RATE = 0.1
 """Step times the steepest rate of the damping terms that is reached, see ``term_rate``."""
+
+BIAS = 0.02
+"""Factor of the bias at a stop, see ``step_for``: measured at 1 and 1.8 times the step of
+``STEP_PER_FREQUENCY``, 0.017 to 0.018 of bilinear stops and 0.012 to 0.017 of Hertz ones."""
+
+RAREST = 10.0
+"""ln of the factor at most by which the error at a rarely visited stop is taken to be larger."""
+
+DENSITY_ERROR = 7.0
+"""Relative error of p near its maximum times √samples: 5.8 to 7.7 in runs of 1e9 samples."""
+
+STEP_SECONDS, SAMPLE_SECONDS = 5e-9, 4e-8
+"""Wall time of a step and of a sample of one thread, in s: of one to three masses, to a factor 2.
+The step that follows is longer by the fourth root of an error."""
 
 SAMPLES_PER_PERIOD = 8
 """Samples in the shortest natural period; closer ones repeat each other."""
@@ -116,6 +130,35 @@ def chosen_step(system: System) -> float:
     if frequency > 0.0:
         steps.append(share / frequency)
     return min(steps)
+
+
+def step_for(system: System, error: float) -> float:
+    """Return the step whose bias at the stops is a third of the relative sampling ``error`` of p.
+
+    Within v h of a stop, v the thermal velocity, the force is not smooth over a step: of a force
+    ``B x^e`` the bias of p there is ``BIAS X^e`` of itself, ``X = h² e B (v h)^(e−1)/m`` the square
+    of the phase that the contact adds in a step. Farther stops are visited less often, and known
+    to a larger error.
+    """
+    kT, steps = temperature(system), [inf]
+    for stop in system.stops:
+        m, k_eff = float(system.mass[stop.index]), 1.0 / system.compliance[stop.index, stop.index]
+        rarity = min(0.25 * k_eff * stop.clearance**2 / kT, RAREST)
+        square = (error * exp(rarity) / (3.0 * BIAS)) ** (1.0 / stop.power)
+        slope = stop.power * stop.stiffness * sqrt(kT / m) ** (stop.power - 1.0)
+        steps.append((square * m / slope) ** (1.0 / (stop.power + 1.0)))
+    return min(steps)
+
+
+def expected_error(samples: float) -> float:
+    """Return about what relative error p has near its maximum, from the samples to be taken."""
+    return DENSITY_ERROR / sqrt(samples)
+
+
+def samples_in(system: System, dt: float, seconds: float) -> float:
+    """Return about how many samples one thread takes in ``seconds`` of wall time."""
+    interval = sampling_interval(system)
+    return seconds / (STEP_SECONDS * max(1.0, interval / dt) + SAMPLE_SECONDS)
 
 
 def check_step(system: System, scheme: Scheme, dt: float) -> None:
