@@ -89,9 +89,8 @@ def test_error_of_trajectories_is_that_of_the_correlogram_and_of_arviz() -> None
     for number in range(400):
         before = ensemble.sums.copy()
         if number % 100 == 0:
-            record.snapshot(stride)
-        else:
-            ensemble.advance(stride, stride=stride)
+            record.snapshot(stride)  # one step of them
+        ensemble.advance(stride - (number % 100 == 0), stride=stride)
         draws.append((ensemble.sums - before)[:, k].ravel())
         if len(draws) % 20 == 0:
             record.chunk_ends()
@@ -160,7 +159,7 @@ def test_a_burn_in_too_short_is_seen_and_said() -> None:
     for chunk in range(20):
         if chunk % 5 == 0:
             record.snapshot(4)
-        ensemble.advance(400 - 4 * (chunk % 5 == 0), stride=4)
+        ensemble.advance(400 - (chunk % 5 == 0), stride=4)
         record.chunk_ends()
     found = diagnosis(
         record.effective(), record.names, record.means(),
