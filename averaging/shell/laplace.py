@@ -36,8 +36,8 @@ WIDTHS = 1.8
 RADIANS, RISE = 2.5, 25.0
 """Most radians of exp(−i Im β V) between two points of the answer where V is ``RISE``/β₀: sixteen
 points integrate 40 radians to about 1e-11 of what is left there."""
-ENDS = (1.6, 1e-13, 16.0)
-"""A line ends at Im β = 1.6 (1e-13 R)^(−1/2n) β₀, R at its beginning, at most at 16 β₀: what is
+ENDS = (1.6, 1e-13, 20.0)
+"""A line ends at Im β = 1.6 (1e-13 R)^(−1/2n) β₀, R at its beginning, at most at 20 β₀: what is
 missing beyond ``end`` was measured to be about (1.6/end)^2n, with Hertz stops and n = 4 to 30."""
 ALIAS = 30.0
 """Nats by which the trapezoidal rule's nearest alias, T(H + 2π/step) e^(−2πβ₀/step), is down."""
