@@ -191,6 +191,8 @@ class Interrupt:
             sys.argv[0] = "fpk"
             os.kill(os.getpid(), signal.SIGINT)
 
+# A shell has its background jobs ignore it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.argv = sys.argv[1:]
 sys.meta_path.insert(0, Interrupt())
 from cases.commands.cli import main
