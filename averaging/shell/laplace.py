@@ -29,13 +29,13 @@ DEPTH = 40.0
 """Height of the potential, in units of 1/β₀, that the grids reach: e^−40 = 4e-18."""
 LEVELS = (1e-5, 1e-3, 0.1, 1.0, 2.0, 4.0, 8.0, 16.0, DEPTH)
 """Contact energies, in units of 1/β₀, at which panels end beyond a stop."""
-POINTS = (14, 16)
+POINTS = (15, 16)
 """Gauss points per panel, of the rule that estimates the error and of the answer."""
 WIDTHS = 1.8
 """Longest panel in units of the width of a displacement between its neighbours at β₀."""
-RADIANS, RISE = 2.5, 25.0
+RADIANS, RISE = 2.0, 25.0
 """Most radians of exp(−i Im β V) between two points of the answer where V is ``RISE``/β₀: sixteen
-points integrate 40 radians to about 1e-11 of what is left there."""
+points integrate 32 radians to about 1e-13 of what is left there."""
 ENDS = (1.6, 1e-13, 20.0)
 """A line ends at Im β = 1.6 (1e-13 R)^(−1/2n) β₀, R at its beginning, at most at 20 β₀: what is
 missing beyond ``end`` was measured to be about (1.6/end)^2n, with Hertz stops and n = 4 to 30."""
@@ -47,7 +47,7 @@ SHORTER = (0.6, 1.2, 1.8)
 """Nats by which shorter ends of the same line miss more: their answers estimate what it misses."""
 MOSTLY = 0.5
 """R at the beginning of a line below which R itself is inverted, not R − 1."""
-SAFETY = 2.0
+SAFETY = 1.5
 """Factor on both: the error is at the most 0.9 of their sum in 30 random chains of two contact
 masses, 4 to 30 masses, against integrals along rays."""
 CHECKED = 4
