@@ -6,7 +6,7 @@ from math import ceil, pi
 
 import numpy as np
 
-from averaging.conditional import conditionals, overlap_at
+from averaging.conditional import conditionals
 from averaging.energy_density import density_of_energies
 from averaging.hidden import HiddenIntegral, gibbs_integral, overlaps, rules_of
 from averaging.shell.energy_shell import EnergyShell
@@ -141,7 +141,7 @@ def displacement_panels(system: System, mass: int, *, temperature: float, end: f
     thermal, most = np.sqrt(own * temperature), np.sqrt(2.0 * own * end)
     stops = [stop for stop in system.stops if stop.index == mass]
     low, high = (
-        min([most, *(s.clearance + overlap_at(s, end) for s in stops if s.side == side)])
+        min([most, *(s.clearance + s.overlap_at(end) for s in stops if s.side == side)])
         for side in ("left", "right")
     )
     parts = [np.linspace(-low, high, max(4, ceil((high + low) / thermal)) + 1)]

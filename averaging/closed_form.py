@@ -104,12 +104,13 @@ def state_closed_form(
         return np.asarray(factor * np.exp(log_u))
 
     # Contact only takes states away: T exp(−αH) is below that of the chain without, a Gamma law.
-    taken = log_gibbs_norm(replace(system, contacts=()), alpha)[0] - log_norm
-    end = float(gammainccinv(system.n, max(TAIL * np.exp(taken), TINY))) / alpha
+    ratio = float(np.exp(log_gibbs_norm(replace(system, contacts=()), alpha)[0] - log_norm))
+    beyond = max(TAIL * ratio, TINY)
+    end, tail = float(gammainccinv(system.n, beyond)) / alpha, beyond / max(ratio, TINY)
     # Where none is given it is that of the flux, T τ (noise α − damping) u, whose parts cancel.
     damping, noise = damping_and_noise(system)
     left = abs(noise * alpha - damping) / damping if residual is None else residual
-    measured = Measured(error + 2.0 * TAIL, np.nan, np.nan, left, TAIL)
+    measured = Measured(error + 2.0 * tail, np.nan, np.nan, left, tail)
     return StateDensity(
         system,
         partial(closed_form, process, rate, norm=norm, residual=residual),

@@ -14,9 +14,6 @@ from fpk.arrays import Array
 from fpk.contact import Contact
 from fpk.system import System
 
-BETWEEN = 65
-"""Overlaps within a factor of two among which that of an energy is interpolated."""
-
 
 @dataclass(frozen=True, eq=False)
 class Conditional:
@@ -75,15 +72,3 @@ def bridge_covariance(system: System, given: Sequence[int]) -> Array:
             block = block * (np.minimum.outer(b, b) / s)
         covariance[below + 1 : above, below + 1 : above] = block
     return covariance
-
-
-def overlap_at(stop: Contact, energy: float) -> float:
-    """Return the overlap of one stop at a contact energy > 0, to about 1e-5 unless a power law."""
-    high = 1.0
-    while stop.energy(high) < energy:
-        high *= 2.0
-    while stop.energy(0.5 * high) > energy:
-        high *= 0.5
-    # ln U is linear in ln x for a power law, and nearly so between x and 2 x for others.
-    x = high * 2.0 ** np.linspace(-1.0, 0.0, BETWEEN)
-    return float(np.exp(np.interp(np.log(energy), np.log(stop.energy(x)), np.log(x))))

@@ -8,7 +8,7 @@ from math import ceil, exp, log2
 import numpy as np
 from numpy.typing import NDArray
 
-from averaging.conditional import Conditional, conditional, conditionals, overlap_at
+from averaging.conditional import Conditional, conditional, conditionals
 from fpk.arrays import Array
 from fpk.contact import Contact
 from fpk.piecewise import Piecewise, fit
@@ -165,11 +165,15 @@ def chain_integral(
         over_one = partial(_over_one, law, beyond, temperature, points)
         if k:
             most = float(np.max(np.abs(x)) + reach[k - 1])
-            beyond_at = np.linspace(-most, most, 33)
+            # Where the mean is between the stops, or far beyond where there is one alone.
+            free = [stop.sign * min(stop.clearance, most) for stop in law.stops]
+            at = np.concatenate(
+                [np.linspace(-most, most, 33), np.linspace(min(free), max(free), 9)]
+            )
             # In units of its value at rest: along many masses it becomes very small.
             top = float(over_one(np.zeros(1))[0])
-            # The largest integral of what weights the mass beyond, and with it its error: about 1.
-            weight = float(_over_one(law, None, temperature, points, beyond_at).max())
+            # What weights ``beyond``, and with it its error, in total: at the most 1.
+            weight = float(_over_one(law, None, temperature, points, at).max())
             unit = partial(_in_unit, over_one, top)
             beyond = fit(unit, np.linspace(-most, most, 9), FIT_TOLERANCE, rounds=FIT_ROUNDS)
             assert beyond.error is not None
@@ -232,4 +236,4 @@ def overlaps(stop: Contact, temperature: float, end: float) -> Array:
     """Return overlaps at 0 and at contact energies from ``LEVELS`` of T to ``end``, ascending."""
     top = max(end / temperature, DEPTH)
     levels = [*LEVELS, *RISE ** np.arange(1.0, ceil(np.log(top) / np.log(RISE)) + 1.0)]
-    return np.array([0.0, *(overlap_at(stop, level * temperature) for level in levels)])
+    return np.array([0.0, *(stop.overlap_at(level * temperature) for level in levels)])

@@ -8,7 +8,6 @@ import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
 from fpk.arrays import Array
-from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.errors import NotApplicable
 from fpk.moments import gaussian_moment
@@ -111,7 +110,7 @@ def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
         low, high, before = mean - reach * width, mean + reach * width, flexibility
         for stop in system.stops:
             if stop.index == mass:
-                end = stop.clearance + _overlap(stop, DEEP * theta)
+                end = stop.clearance + stop.overlap_at(DEEP * theta)
                 low, high = (
                     (np.maximum(low, -end), high) if stop.sign < 0 else (low, np.minimum(high, end))
                 )
@@ -123,16 +122,6 @@ def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
         weights = (weights[:, None] * half[:, None] * w * density).ravel()
         q = np.vstack([np.repeat(q, x.size, axis=1), own.reshape(1, -1)])
     return q, weights
-
-
-def _overlap(stop: Contact, energy: float) -> float:
-    """The overlap at a contact energy, to a factor of two upwards."""
-    high = 1.0
-    while stop.energy(high) < energy:
-        high *= 2.0
-    while stop.energy(0.5 * high) > energy:
-        high *= 0.5
-    return high
 
 
 def _mean_power(

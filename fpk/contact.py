@@ -5,6 +5,8 @@ from math import isfinite
 from numbers import Integral, Real
 from typing import Any, Literal
 
+import numpy as np
+
 import fpk.laws  # noqa: F401  (its modules register the laws)
 from fpk.contact_law import LAWS
 from fpk.errors import InvalidInput
@@ -12,6 +14,9 @@ from fpk.errors import InvalidInput
 MAX_EXPONENT = 100.0
 """Largest exponent of a contact law: at overlaps of 1e-3 or 1e3 in their unit the force already has
 a factor of 1e-300 or 1e300, and at larger ones none that double precision can hold."""
+
+BETWEEN = 65
+"""Overlaps within a factor of two among which that of an energy is interpolated."""
 
 Side = Literal["left", "right", "both"]
 
@@ -97,3 +102,14 @@ class Contact:
     def slope(self, overlap: Any) -> Any:
         """Tangent contact stiffness dg/dx at the given overlap >= 0."""
         return self.stiffness * LAWS[self.law].slope(overlap, self.power)
+
+    def overlap_at(self, energy: float) -> float:
+        """Return the overlap at a contact energy > 0, to about 1e-5 unless a power law."""
+        high = 1.0
+        while self.energy(high) < energy:
+            high *= 2.0
+        while self.energy(0.5 * high) > energy:
+            high *= 0.5
+        # ln U is linear in ln x for a power law, and nearly so between x and 2 x for others.
+        x = high * 2.0 ** np.linspace(-1.0, 0.0, BETWEEN)
+        return float(np.exp(np.interp(np.log(energy), np.log(self.energy(x)), np.log(x))))

@@ -3,20 +3,18 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial, reduce
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fpk.arrays import Array, Integers
+from fpk.arrays import Array
 from fpk.certificate import Certificate, Measured, certify
 from fpk.observable import Observable, observable_name
 from fpk.piecewise import PiecewiseTensor
 from fpk.quadrature import panel_rule
-from fpk.reconstruction import LogReference, flat, local_fit, radius_of, windows
+from fpk.sampled_density import ErrorKind, SampledDensity, described
 from fpk.table import tabulated
-
-ErrorKind = Literal["numerical", "sampling"]
 
 GAUSS_POINTS = {1: 20, 2: 12}
 """Nodes per panel and axis of the integrals below, by the number of axes: exact for polynomials of
@@ -27,10 +25,6 @@ of them one of its own; and the multiple of the distance there, an integral of f
 the error of the table."""
 SMALLEST = float(np.finfo(float).tiny)
 """Smallest number (2e-308) with full relative accuracy: what is less is known to no better."""
-EPSILON = float(np.finfo(float).eps)
-"""Share of its largest value that stands for a sample where a histogram does not know its own."""
-POINTS_TOGETHER = 4096
-"""Points whose weights of a histogram's bins are computed together: some 10 MB of them."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +59,7 @@ class Density:
 
     def __repr__(self) -> str:
         """Return what the density is of, its error and its support in one line."""
-        return _short(self, f"L1 error {self.l1_error:.2g}")
+        return described(self, f"L1 error {self.l1_error:.2g}")
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what is pickled: all but the functions, which ``source`` computes again."""
@@ -108,12 +102,6 @@ class Density:
             values = np.add.reduceat(values * w.reshape(shape), starts, axis=axis)
             values = values / np.diff(e).reshape(shape)
         return values
-
-
-def _short(density: "AnyDensity", error: str) -> str:
-    support = " x ".join(f"[{x[0]:.3g}, {x[-1]:.3g}]" for x in density.panels)
-    certified = "certified" if density.certificate.certified else "not certified"
-    return f"{type(density).__name__}({density.name} on {support}; {certified}, {error})"
 
 
 def certified_density(
@@ -178,149 +166,6 @@ def integral(values: Array, grids: list[tuple[Array, Array]]) -> float:
     return float(total)
 
 
-@dataclass(frozen=True)
-class SampledDensity:
-    """Histogram density of one or two coordinates with its sampling error.
-
-    ``edges`` are the bin edges of every axis (equidistant), ``values`` the share of samples in each
-    bin divided by its area, ``batch_values`` (batches, *bins) the same of each of the independent
-    batches, so that any linear function of the bins has an honest standard error. Samples outside
-    are counted in ``certificate.tail_mass``, never folded in. ``one_sample`` is the density that a
-    single sample makes of its bin. ``log_references`` has for each axis the ln of a function about
-    as steep as the density, kinks at stops included (none: a constant one), see ``at``.
-    """
-
-    observable: Observable
-    edges: tuple[Array, ...]
-    values: Array
-    batch_values: Array
-    certificate: Certificate
-    provenance: Mapping[str, str | float | int] = field(default_factory=dict)
-    error_kind: ErrorKind = "sampling"
-    one_sample: float = 0.0
-    log_references: tuple[LogReference, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """The observable's name, such as ``q2,p2``."""
-        return observable_name(self.observable)
-
-    def __repr__(self) -> str:
-        """Return what the density is of, its samples and its bins in one line."""
-        return _short(self, f"{self.values.size} bins, {self.batch_values.shape[0]} batches")
-
-    def __call__(self, *points: ArrayLike) -> Array:
-        """Return the density at ``points``, one number or array per axis, as ``at`` does."""
-        return self.at(*(np.asarray(x, dtype=float) for x in points))[0]
-
-    @property
-    def panels(self) -> tuple[Array, ...]:
-        """The bin edges: between them the density is constant."""
-        return self.edges
-
-    @property
-    def standard_error(self) -> Array:
-        """One standard error of each bin, from the spread of the independent batches."""
-        return _standard_error(self.batch_values)
-
-    def coarsened(self, factor: int) -> "SampledDensity":
-        """Return the histogram with ``factor`` neighbouring bins joined along every axis."""
-        if any((e.size - 1) % factor for e in self.edges):
-            raise ValueError(f"factor = {factor}: must divide the number of bins of every axis")
-        values, batches = self.values, self.batch_values
-        for axis, e in enumerate(self.edges):
-            bins = (e.size - 1) // factor
-            values = _joined(values, axis, bins)
-            batches = _joined(batches, axis + 1, bins)
-        return replace(
-            self,
-            edges=tuple(e[::factor] for e in self.edges),
-            values=values,
-            batch_values=batches,
-            one_sample=self.one_sample / factor ** len(self.edges),
-        )
-
-    @property
-    def samples_per_visit(self) -> float:
-        """How many samples come together: variance over mean of what a batch holds of a rare bin.
-
-        Rare are bins, as wide as the radius of ``at``, that some batches visited and some did not:
-        the samples of one excursion are correlated, and there only the excursions are independent.
-        """
-        if not self.one_sample > 0.0:
-            return 1.0
-        wide = max(k for k in range(1, _radius(self) + 1) if not any(n % k for n in self._shape))
-        batches = self.batch_values.shape[0]
-        joined = self.coarsened(wide)
-        held = joined.batch_values.reshape(batches, -1) / (joined.one_sample * batches)
-        visited = np.count_nonzero(held, axis=0)
-        rare = held[:, (visited > 0) & (visited < batches)]
-        if not rare.size:
-            return 1.0
-        return max(1.0, float(rare.var(axis=0, ddof=1).sum() / rare.mean(axis=0).sum()))
-
-    def at(self, *points: Array) -> tuple[Array, Array]:
-        """Return the density and one standard error at ``points``, one array per axis.
-
-        By ``fpk.reconstruction`` along every axis: free of the width of the bins. The error is that
-        of the same linear function of the bins, from the batches; where some batch has nothing in
-        the window, at least that of Poisson's law of its visits. One visit more is always added:
-        the variance of k visits is k, of which 0 may have been seen.
-        Zero outside the bins.
-        """
-        arrays = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in points))
-        flat_points = np.stack([x.ravel() for x in arrays])
-        inside = np.ones(flat_points.shape[1], dtype=bool)
-        for x, e in zip(flat_points, self.edges, strict=True):
-            inside &= (x >= e[0]) & (x <= e[-1])
-        one_visit = self.samples_per_visit * self.one_sample
-        value, error = np.zeros(inside.size), np.full(inside.size, one_visit)
-        within = np.flatnonzero(inside)
-        for first in range(0, within.size, POINTS_TOGETHER):
-            where = within[first : first + POINTS_TOGETHER]
-            bins, weights, worth = self._weights(flat_points[:, where])
-            value[where] = np.sum(weights * self.values.ravel()[bins], axis=1)
-            batches, rare = (
-                np.empty((len(self.batch_values), where.size)),
-                np.zeros(where.size, bool),
-            )
-            for k, batch in enumerate(self.batch_values):
-                held = batch.ravel()[bins]
-                batches[k] = np.sum(weights * held, axis=1)
-                rare |= ~held.any(axis=1)
-            chance = one_visit * worth**2 * self.values.ravel()[bins].sum(axis=1)
-            variance = np.maximum(_standard_error(batches) ** 2, np.where(rare, chance, 0.0))
-            error[where] = np.sqrt(variance + (one_visit * worth) ** 2)
-        return value.reshape(arrays[0].shape), error.reshape(arrays[0].shape)
-
-    def _weights(self, points: Array) -> tuple[Integers, Array, Array]:
-        """Return bins, their weights (points, window), and what a sample in one is worth there.
-
-        The bins of the window are counted along the flattened ``values``.
-        """
-        index = [windows(e, x) for e, x in zip(self.edges, points, strict=True)]
-        bins = index[0] if len(index) == 1 else index[0][:, :, None] * self._shape[1]
-        if len(index) == 2:
-            bins = bins + index[1][:, None, :]
-        held = self.values.ravel()[bins] / (
-            self.one_sample or EPSILON * self.values.max(initial=1.0)
-        )
-        references = self.log_references or (flat,) * len(index)
-        weights, shares = np.ones((points.shape[1], 1)), np.ones((points.shape[1], 1))
-        for axis, (e, x) in enumerate(zip(self.edges, points, strict=True)):
-            own = held if len(index) == 1 else held.sum(axis=2 - axis)
-            fit = local_fit(e, x, index[axis], own, log_reference=references[axis])
-            weights = (weights[:, :, None] * fit.weights[:, None, :]).reshape(len(weights), -1)
-            shares = (shares[:, :, None] * fit.shares[:, None, :]).reshape(len(shares), -1)
-        worth = np.sqrt(np.sum(shares * weights**2, axis=1))
-        # No less than its share in the mean of the window: far out the weights may vanish.
-        return bins.reshape(weights.shape), weights, np.maximum(worth, 1.0 / weights.shape[1])
-
-    @property
-    def _shape(self) -> tuple[int, ...]:
-        return tuple(e.size - 1 for e in self.edges)
-
-
 AnyDensity = Density | SampledDensity
 
 
@@ -366,21 +211,6 @@ def moment(density: AnyDensity, *powers: int) -> float:
         values = density.pdf(*mesh)
     exponents = powers or (0,) * len(grids)
     return integral(values, [(x, w * x**k) for (x, w), k in zip(grids, exponents, strict=True)])
-
-
-def _standard_error(batch_values: Array) -> Array:
-    spread: Array = np.std(batch_values, axis=0, ddof=1) / np.sqrt(batch_values.shape[0])
-    return spread
-
-
-def _radius(density: SampledDensity) -> int:
-    return min(radius_of(e.size - 1) for e in density.edges)
-
-
-def _joined(values: Array, axis: int, bins: int) -> Array:
-    shape = (*values.shape[:axis], bins, -1, *values.shape[axis + 1 :])
-    joined: Array = values.reshape(shape).mean(axis=axis + 1)
-    return joined
 
 
 def _refined_by(nodes: Array, others: Array) -> Array:

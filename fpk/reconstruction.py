@@ -38,9 +38,10 @@ where the temperature is wrong by a factor 2; what a third adds is below the noi
 
 
 class Local(NamedTuple):
-    """Of every point the ``weights`` (points, window) of the mean densities of bins around it.
+    """Linear functions of the bins in a window around each point; all arrays (points, window).
 
-    ``shares`` (points, window) are those of the bins in the window by the reference, in sum one.
+    The density at a point is the sum of the bins' mean densities times ``weights``. ``shares`` are
+    the parts of the window's samples that the reference expects in each bin, in sum one.
     """
 
     weights: Array

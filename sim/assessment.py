@@ -4,8 +4,8 @@ from math import inf, nan
 
 import numpy as np
 
-from fpk.density import SampledDensity
 from fpk.method import Identity
+from fpk.sampled_density import SampledDensity
 from fpk.system import System
 from sim.diagnostics import Diagnosis, diagnosis
 from sim.ensemble import Ensemble

@@ -8,10 +8,10 @@ import numpy as np
 
 from fpk.arrays import Array, Integers
 from fpk.certificate import Measured, certify
-from fpk.density import SampledDensity
 from fpk.linear import natural_modes
 from fpk.observable import Coordinate, Observable
 from fpk.reconstruction import LogReference, flat
+from fpk.sampled_density import SampledDensity
 from fpk.system import System
 from sim.statistics import sampling_error
 from sim.step_size import temperature

@@ -9,7 +9,7 @@ from sim.diagnostics import Diagnosis
 Settings = dict[str, str | float | int]
 
 SAMPLING_ERROR = "expected L1 error of the density as it is returned at points; tol is of the same"
-"""What the number of that name means, for readers of tables and JSON."""
+"""Meaning of the setting "sampling error", as tables and JSON give it."""
 
 
 @dataclass(frozen=True)

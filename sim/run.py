@@ -5,9 +5,9 @@ from dataclasses import replace
 from math import hypot, inf
 
 from fpk.cores import usable_cores
-from fpk.density import SampledDensity
 from fpk.method import Progress, Result
 from fpk.observable import Observable
+from fpk.sampled_density import SampledDensity
 from fpk.system import System
 from sim.histogram import Histogram
 from sim.montecarlo import MonteCarlo

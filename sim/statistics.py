@@ -6,8 +6,9 @@ from math import pi, sqrt
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.density import SampledDensity, l1_distance
+from fpk.density import l1_distance
 from fpk.method import Identity
+from fpk.sampled_density import SampledDensity
 from fpk.system import System
 
 Product = tuple[str, int, str, int]

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import erfc
 
-from averaging.conditional import conditionals, overlap_at
+from averaging.conditional import conditionals
 from averaging.shell.energy_shell import EnergyShell
 from fpk.arrays import Array, Complexes
 from fpk.errors import NotApplicable
@@ -190,7 +190,7 @@ class PartitionLines:
         parts = []
         for stop in self.system.stops:
             if stop.index == mass:
-                overlaps = [overlap_at(stop, level / real) for level in LEVELS]
+                overlaps = [stop.overlap_at(level / real) for level in LEVELS]
                 parts.append(stop.sign * (stop.clearance + np.array([0.0, *overlaps])))
                 far = stop.clearance + overlaps[-1]
                 low, high = (min(low, far), high) if stop.sign < 0.0 else (low, min(high, far))

@@ -212,7 +212,7 @@ def _relaxed(result: Result) -> Method | None:
 
 
 def _note(result: Result) -> str:
-    """What a relaxed tolerance means, in words."""
+    """Return in words that an answer misses the default tolerance, and its certified error."""
     worst = max(d.l1_error for d in result.densities if isinstance(d, Density))
     return (
         f"{result.method.route.label}: certified to {worst:.2g}, which misses the default tolerance"

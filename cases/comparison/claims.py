@@ -17,12 +17,12 @@ from fpk.clearance import stop_clearances
 from fpk.density import (
     AnyDensity,
     Density,
-    SampledDensity,
     certified_density,
     l1_distance,
     moment,
 )
 from fpk.observable import Observable, observable_name
+from fpk.sampled_density import SampledDensity
 
 Verdict = Literal["holds", "does not hold", "undecided", "not checked"]
 

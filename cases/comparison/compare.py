@@ -21,9 +21,10 @@ import numpy as np
 from scipy.special import stdtrit
 
 from fpk.arrays import Array
-from fpk.density import AnyDensity, Density, SampledDensity, l1_distance
+from fpk.density import AnyDensity, Density, l1_distance
 from fpk.method import Result
 from fpk.route import Route
+from fpk.sampled_density import SampledDensity
 
 Measures = Literal["numerical", "sampling", "averaging"]
 

@@ -8,10 +8,10 @@ from math import inf, nan
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.density import SampledDensity
 from fpk.errors import InvalidInput
 from fpk.method import Progress, silent
 from fpk.observable import Coordinate, Observable
+from fpk.sampled_density import SampledDensity
 from sim.averaged.square_root import SquareRootForm, square_root_step
 from sim.histogram import covering, sampled_density
 

@@ -8,7 +8,7 @@ from averaging_systems import TWO_MASSES, chain, exact_system
 from scipy.integrate import cubature
 
 from averaging.closed_form import averaged_density, log_gibbs_norm
-from averaging.conditional import bridge_covariance, conditionals, overlap_at
+from averaging.conditional import bridge_covariance, conditionals
 from averaging.energy_process import energy_process
 from averaging.exact import Exact
 from averaging.hidden import HiddenIntegral, gibbs_integral
@@ -167,7 +167,7 @@ def test_passes_along_the_chain_are_the_integral_over_all_hidden_masses_at_once(
 def test_the_overlap_at_an_energy():
     for stop in (Contact(1, "right", 1e9, 0.1), Contact(1, "right", 1e-3, 0.1, "power", 40.0)):
         for energy in (1e-6, 1.0, 1e3):
-            assert stop.energy(overlap_at(stop, energy)) == pytest.approx(energy, rel=1e-9)
+            assert stop.energy(stop.overlap_at(energy)) == pytest.approx(energy, rel=1e-9)
 
 
 @pytest.mark.slow  # minutes: shells of three contact masses by cubature, to 1e-6

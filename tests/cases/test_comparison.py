@@ -8,10 +8,11 @@ import pytest
 from cases.comparison.compare import chance_l1, compared, what_is_measured
 from cases.comparison.routes import register_routes
 from fpk.certificate import Certificate
-from fpk.density import Density, SampledDensity, l1_distance
+from fpk.density import Density, l1_distance
 from fpk.method import Result
 from fpk.observable import parse_observable
 from fpk.route import ROUTES, solvers_of
+from fpk.sampled_density import SampledDensity
 
 register_routes()
 

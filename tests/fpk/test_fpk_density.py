@@ -7,12 +7,12 @@ from scipy.stats import norm
 from fpk.density import (
     Certificate,
     Density,
-    SampledDensity,
     bin_differences,
     l1_distance,
     moment,
 )
 from fpk.observable import parse_observable
+from fpk.sampled_density import SampledDensity
 
 PASSED = Certificate(mass_defect=0.0, minimum=0.0, residual=0.0, tail_mass=0.0)
 REACH = 9.0

@@ -8,9 +8,9 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from fpk.certificate import Measured, certify
-from fpk.density import SampledDensity
 from fpk.observable import parse_observable
 from fpk.reconstruction import flat, local_fit, windows
+from fpk.sampled_density import SampledDensity
 
 PASSED = certify(Measured(0.0, 0.0, 0.0, 0.0, 0.0), tol=1.0)
 Q1 = parse_observable("q1", 1)

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from averaging.exact import Exact
 from cases.comparison.compare import compared
 from cases.scene.scene import load_scene
-from fpk.density import Density, SampledDensity
+from fpk.density import Density
 from fpk.errors import InvalidInput
 from fpk.observable import parse_observable
+from fpk.sampled_density import SampledDensity
 from fpk.system import System
 from sim.arrays import MAX_TRAJECTORIES
 from sim.ensemble import Ensemble

@@ -11,10 +11,10 @@ from state_damping import damping_at
 
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
-from fpk.density import SampledDensity
 from fpk.errors import NotApplicable
 from fpk.method import Result
 from fpk.observable import parse_observable
+from fpk.sampled_density import SampledDensity
 from fpk.system import System
 from sim.ensemble import Ensemble
 from sim.flow import lower_trapezoidal

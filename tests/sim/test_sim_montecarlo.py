@@ -12,11 +12,11 @@ from scipy.stats import chi2
 from sim_systems import exact, fig6, linear, mixed
 
 from fpk.contact import Contact
-from fpk.density import SampledDensity
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.method import Result
 from fpk.observable import parse_observable
+from fpk.sampled_density import SampledDensity
 from fpk.system import System
 from sim.kernel import KernelKey, WatchArrays
 from sim.montecarlo import MonteCarlo

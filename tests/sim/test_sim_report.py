@@ -12,9 +12,10 @@ from scipy.stats import chi2
 from sim_systems import exact, fig6, linear, mixed, report_of
 
 from fpk.damping import DampingTerm
-from fpk.density import SampledDensity, moment
+from fpk.density import moment
 from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.observable import parse_observable
+from fpk.sampled_density import SampledDensity
 from fpk.system import System
 from sim.ensemble import Ensemble
 from sim.montecarlo import MonteCarlo

@@ -4,9 +4,10 @@ from itertools import combinations
 
 from cases.comparison.answers import Answers
 from fpk.arrays import Array
-from fpk.density import Density, SampledDensity
+from fpk.density import Density
 from fpk.observable import Observable
 from fpk.route import Route
+from fpk.sampled_density import SampledDensity
 
 
 def lines_of(curve: Answers, observable: Observable) -> dict[Route, Density]:

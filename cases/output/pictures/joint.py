@@ -14,9 +14,10 @@ from cases.output.fields import common_grid
 from cases.output.pictures.choice import lines_of, samples_of, solver_difference
 from cases.output.pictures.style import FOOT, LEFT, SHOWN, SOLVER_WORDS, density_words, words_of
 from fpk.arrays import Array
-from fpk.density import AnyDensity, SampledDensity
+from fpk.density import AnyDensity
 from fpk.observable import Observable, observable_name
 from fpk.route import Route
+from fpk.sampled_density import SampledDensity
 
 LOWEST = 1e-3
 """Lowest level of a picture in decades, relative to the largest."""

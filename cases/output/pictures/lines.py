@@ -24,8 +24,9 @@ from cases.output.pictures.style import (
     words_of,
 )
 from fpk.arrays import Array
-from fpk.density import SampledDensity, bin_differences
+from fpk.density import bin_differences
 from fpk.observable import Observable, observable_name
+from fpk.sampled_density import SampledDensity
 
 POINTS = 600
 """Points of a line."""
