@@ -56,6 +56,8 @@ class SampledDensity:
         """Return the density at ``points``, one number or array per axis, as ``at`` does."""
         return self.at(*(np.asarray(x, dtype=float) for x in points))[0]
 
+    tabulated = __call__
+
     @property
     def panels(self) -> tuple[Array, ...]:
         """The bin edges: between them the density is constant."""

@@ -18,7 +18,7 @@ from cases.output.files import write_by, write_text
 from cases.output.records import UNITS, plain, program_version
 from cases.scene.scene import Scene
 from fpk.arrays import Array
-from fpk.density import AnyDensity, Density
+from fpk.density import AnyDensity
 from fpk.observable import Observable, observable_name
 
 Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]]
@@ -160,6 +160,6 @@ def _reach(density: AnyDensity, cut: float) -> list[tuple[float, float]]:
     cells = COARSE[len(density.panels)]
     edges = [np.linspace(nodes[0], nodes[-1], cells + 1) for nodes in density.panels]
     middles = np.ix_(*(0.5 * (e[1:] + e[:-1]) for e in edges))
-    values = density.tabulated(*middles) if isinstance(density, Density) else density(*middles)
+    values = density.tabulated(*middles)
     above = np.nonzero(values > cut * values.max())
     return [(e[i.min()], e[i.max() + 1]) for e, i in zip(edges, above, strict=True)]

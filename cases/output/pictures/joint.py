@@ -38,7 +38,7 @@ def joint_pictures(curve: Answers, observable: Observable) -> Iterator[tuple[str
     drawn |= samples_of(curve, observable)
     grid = common_grid(drawn.values(), cut=SHOWN)
     mesh = np.meshgrid(*grid, indexing="ij")
-    panels = {route.words: _on(density, *mesh) for route, density in drawn.items()}
+    panels = {route.words: density.tabulated(*mesh) for route, density in drawn.items()}
     # A density of energies falls exponentially from its corner: decades, not equal steps.
     figure = _panels(panels, grid, observable, density_words(observable), decades=energies)
     yield f"density_{stem}", f"Joint density of {name}, on common levels.", figure
@@ -63,7 +63,7 @@ def surface_figure(curve: Answers, observable: Observable) -> Figure:
     drawn: dict[Route, AnyDensity] = dict([*theories[:1], *full])
     x, y = np.meshgrid(*common_grid(drawn.values(), cut=SHOWN, count=SHEET), indexing="ij")
     sheets = {
-        route.words: _on(joined(d, SHEET) if isinstance(d, SampledDensity) else d, x, y)
+        route.words: (joined(d, SHEET) if isinstance(d, SampledDensity) else d).tabulated(x, y)
         for route, d in drawn.items()
     }
     top = max(float(values.max()) for values in sheets.values())
@@ -88,11 +88,6 @@ def surface_figure(curve: Answers, observable: Observable) -> Figure:
         axes.set_title(words, y=0.96, loc="left", x=0.05)
     figure.subplots_adjust(left=0.0, right=0.96, bottom=0.06, top=0.96, wspace=0.06)
     return figure
-
-
-def _on(density: AnyDensity, x: Array, y: Array) -> Array:
-    """The density at points (m, n), by its table where it has one."""
-    return density(x, y) if isinstance(density, SampledDensity) else density.tabulated(x, y)
 
 
 def _panels(
