@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
+from numpy.polynomial.polynomial import polyvander
 
 from fpk.arrays import Array, Integers
 from fpk.quadrature import gauss_legendre, panel_rule
@@ -88,9 +88,9 @@ def local_fit(
     content = r.sum(axis=2)
     # The variance of what a bin holds is in proportion to that: rows of least squares.
     scale = np.sqrt(np.divide(kernel, content, out=np.zeros_like(kernel), where=content > 0.0))
-    powers = np.arange(min(DEGREE, index.shape[1] - 1) + 1)
-    rows = scale[..., None] * np.einsum("pbg,pbgk->pbk", r, u[..., None] ** powers)
-    value = np.exp(log_r_at_x - largest)[:, None] * at_x[:, None] ** powers
+    degree = min(DEGREE, index.shape[1] - 1)
+    rows = scale[..., None] * np.einsum("pbg,pbgk->pbk", r, polyvander(u, degree))
+    value = np.exp(log_r_at_x - largest)[:, None] * polyvander(at_x, degree)
     weights = np.einsum("pk,pkb->pb", value, np.linalg.pinv(rows)) * scale
     return Local(weights, content / content.sum(axis=1, keepdims=True))
 
@@ -111,7 +111,9 @@ def _steepness(held: Array, log_r: Array, u: Array, kernel: Array) -> tuple[Arra
     power, tilt = np.ones(len(u)), np.zeros(len(u))
     for _ in range(STEEPENED):
         tried = power[:, None, None] * log_r + tilt[:, None, None] * u
-        excess = scale * (np.log(held) - logsumexp(tried, axis=2, b=weights))
+        top = tried.max(axis=2)
+        content = np.exp(tried - top[..., None]) @ weights  # no overflow of a steep reference
+        excess = scale * (np.log(held) - top - np.log(content))
         _, more_tilt, more_power = np.einsum("pkb,pb->kp", inverse, excess)
         power, tilt = power + more_power, tilt + more_tilt
     return power, tilt
