@@ -65,7 +65,6 @@ def energy_process(system: System) -> Process:
             dissipation=dissipation,
             log_density_of_states=np.log(ratios.states) + (n - 1) * np.log(energy / scale),
             relative_error=error,
-            slope_error=ratios.slope_error,
         )
 
     return Process(

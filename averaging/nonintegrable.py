@@ -10,7 +10,6 @@ from averaging.energy_process import energy_process
 from averaging.quadrature import solve_by_quadrature
 from averaging.theory import Theory, energy_only_refusal
 from averaging.weyl import Solution, StateDensity, tabulated
-from fpk.line.elements import Form
 from fpk.line.stationary import solve_stationary
 from fpk.method import Plan, Progress, Result
 from fpk.observable import Observable
@@ -24,14 +23,13 @@ Settings = dict[str, str | float | int]
 class NonIntegrable(Theory):
     """Averaged energy process (24)-(28), its stationary density and what follows from it, (30).
 
-    ``solver``: "fem" solves the FPK equation of the process by finite elements, in the given
-    ``form``; "quadrature" evaluates (11); "closed-form" is (29) in its general form, for damping
-    that is constant or depends on the energy only. The theory is exact where the damping and noise
+    ``solver``: "fem" solves the FPK equation of the process by finite elements; "quadrature"
+    evaluates (11); "closed-form" is (29) in its general form, for damping that is constant or
+    depends on the energy only. The theory is exact where the damping and noise
     meet (8), an approximation otherwise, and the better the more the contacts matter.
     """
 
     solver: str = "fem"
-    form: Form = "flux"
     method = "nonintegrable"
     solvers = (
         ("fem", "energy averaging, finite elements", "(24)"),
@@ -61,10 +59,9 @@ class NonIntegrable(Theory):
             solution = solve_by_quadrature(process, tol=self.tol)
             settings: Settings = {"equation": "(11)", "panels": solution.nodes.size - 1}
         else:
-            solution = solve_stationary(process, tol=self.tol, form=self.form)
+            solution = solve_stationary(process, tol=self.tol)
             settings = {
                 "equation": "FPK of (24)",
-                "form": self.form,
                 "degree": solution.degree,
                 "elements": solution.nodes.size - 1,
                 "unknowns": solution.unknowns,

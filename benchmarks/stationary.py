@@ -1,4 +1,4 @@
-"""Measure what the stationary 1-D solution costs: FE in both forms, quadrature, coefficients.
+"""Measure what the stationary 1-D solution costs: finite elements, quadrature, coefficients.
 
     python benchmarks/stationary.py [--out docs/benchmarks/stationary.md]
 
@@ -81,10 +81,9 @@ def rows(tol: float) -> list[list[str]]:
     """Return the table, one row per scene and solver."""
     table = []
     for name, system in scenes().items():
-        for solver in ("fem, flux", "fem, drift-diffusion", "quadrature (11)"):
-            if solver.startswith("fem"):
-                form = "flux" if "flux" in solver else "drift-diffusion"
-                work = partial(_elements, system, tol, form)
+        for solver in ("fem", "quadrature (11)"):
+            if solver == "fem":
+                work = partial(_elements, system, tol)
                 found = work()
                 density, unknowns = found.density, found.unknowns
             else:
@@ -113,8 +112,8 @@ def rows(tol: float) -> list[list[str]]:
     return table
 
 
-def _elements(system: System, tol: float, form: str):
-    return solve_stationary(energy_process(system), tol=tol, form=form)
+def _elements(system: System, tol: float):
+    return solve_stationary(energy_process(system), tol=tol)
 
 
 def _quadrature(system: System, tol: float):

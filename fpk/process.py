@@ -21,8 +21,7 @@ class Coefficients(NamedTuple):
     ``dissipation`` is the part of the drift that damping causes and ``log_density_of_states``
     is ln T up to a constant, so that ``s = dissipation + ½ (b T)'/T``. ``relative_error``
     estimates the error of the quadratures behind all but b', relative to each; that of the drift is
-    relative to the sum of the sizes of its two parts, which may cancel. ``slope_error`` is that of
-    b', relative to the noise's part of the drift at least.
+    relative to the sum of the sizes of its two parts, which may cancel.
     """
 
     drift: Array
@@ -31,7 +30,6 @@ class Coefficients(NamedTuple):
     dissipation: Array = UNKNOWN
     log_density_of_states: Array = UNKNOWN
     relative_error: Array = UNKNOWN
-    slope_error: Array = UNKNOWN
 
 
 @dataclass(frozen=True)

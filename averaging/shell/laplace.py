@@ -101,9 +101,9 @@ class PartitionLines:
         self.lines: dict[int, Line] = {}
 
     def __call__(self, energy: Array, alone: Callable[[System, Array], Array]) -> Array:
-        """Return T/T_lin, the same of the phase volume, H T'/T and the errors of T and T'.
+        """Return T/T_lin, the same of the phase volume, H T'/T and the error of the first two.
 
-        These are the rows (5, energies) of ``ShellRatios``; ``alone`` returns them for a system
+        These are the rows (4, energies) of ``ShellRatios``; ``alone`` returns them for a system
         with one contact mass.
         """
         index = np.floor(np.log(energy / self.unit) / np.log(self.factor)).astype(int)
@@ -115,14 +115,13 @@ class PartitionLines:
             here = index == k
             values[:, here], errors[:, here] = self._inverted(energy[here], self.lines[k])
         for own in self.alone:
-            states, volume, log_slope, error, slope_error = alone(own, energy)
+            states, volume, log_slope, error = alone(own, energy)
             slope = states * log_slope / (self.n - 1.0)
             values += np.stack([states, volume, slope]) - 1.0
-            errors += np.stack([error * states, error * volume, slope_error * states])
+            errors[:2] += np.stack([error * states, error * volume])
         states, volume, slope = values
         error = np.maximum(errors[0] / states, errors[1] / volume)
-        log_slope, slope_error = (self.n - 1.0) * np.stack([slope, errors[2]]) / states
-        return np.stack([states, volume, log_slope, error, slope_error + self.n * error])
+        return np.stack([states, volume, (self.n - 1.0) * slope / states, error])
 
     def _line(self, real: float) -> Line:
         """The line Re β = ``real``."""

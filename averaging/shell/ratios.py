@@ -31,14 +31,13 @@ class ShellRatios(NamedTuple):
     ``states`` = T(H)/T_lin(H) with T the density of states ∫δ(H − H(q,p)) dq dp (twice the T of
     (10), which integrates over ∂H/∂p_1 > 0 only; for n = 1 it is the period), ``volume`` the same
     of the phase volume Φ = ∫T dH, ``log_slope`` = H T'/T. ``error`` is the relative error of the
-    first two, ``slope_error`` that of the third, relative to 1 at least.
+    first two.
     """
 
     states: Array
     volume: Array
     log_slope: Array
     error: Array
-    slope_error: Array
 
 
 def log_linear_states(system: System, energy: Array | float) -> Array:
@@ -58,8 +57,8 @@ def shell_ratios(system: System, energy: Array) -> ShellRatios:
     partition function of the chain.
     """
     shell = system.fact(EnergyShell)
-    rows = np.ones((5, energy.size))
-    rows[2], rows[3:] = system.n - 1.0, 0.0
+    rows = np.ones((4, energy.size))
+    rows[2], rows[3] = system.n - 1.0, 0.0
     first = shell.contact_energies[0] if shell.contact_energies else np.inf
     touching = (energy > first).nonzero()[0]
     if touching.size:
@@ -69,9 +68,7 @@ def shell_ratios(system: System, energy: Array) -> ShellRatios:
         elif shell.count > 2 or system.n > MOST_MASSES:
             rows[:, touching] = system.fact(PartitionLines)(above, _alone)
         else:
-            values = system.fact(_table)(above)
-            rows[:3, touching] = values[:, :3].T
-            rows[3:, touching] = values[:, 3]
+            rows[:, touching] = system.fact(_table)(above).T
     return ShellRatios(*rows)
 
 
@@ -83,8 +80,7 @@ def _table(system: System) -> ShellTable:
     shell = system.fact(EnergyShell)
 
     def evaluate(energy: Array) -> Array:
-        rows = _integrated(shell, energy)
-        return np.column_stack([*rows[:3], rows[4]])
+        return _integrated(shell, energy).T
 
     return ShellTable(evaluate, shell)
 
@@ -104,4 +100,4 @@ def _integrated(shell: EnergyShell, energy: Array) -> Array:
         least = np.where(rises > 0.0, rises, np.inf).min(axis=1)
         error = error + ROUNDED * np.sqrt(energy / least)
     states, volume = sums[0] / flat, sums[1] / (flat * (a + 1.0) / n)
-    return np.array([states, volume, sums[2] / sums[0], error, errors[2] + error])
+    return np.array([states, volume, sums[2] / sums[0], error])

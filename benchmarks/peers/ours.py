@@ -64,7 +64,6 @@ def lean(problem):
             dissipation=-DAMPING * tau,
             log_density_of_states=np.log(states),
             relative_error=np.zeros_like(energy),
-            slope_error=np.zeros_like(energy),
         )
 
     return Process(coefficients, (2.0 / ALPHA,), problem.contact_energies, 2)

@@ -119,8 +119,8 @@ def solve_on(process: Process, nodes: tuple[Array, ...], degree: int) -> Solutio
 def energy_equation(system: System) -> Equation:
     """Return (24) for p(H). Raises ``NotApplicable`` where the theory does.
 
-    The closed form (29) is the reference; where damping depends on q or v it is the
-    drift-diffusion form by hp elements, in which p itself is the polynomial, not p/T.
+    The closed form (29) is the reference; where damping depends on q or v it is the quadrature of
+    (11), which shares with the elements the coefficients only.
     """
     process, observable = energy_process(system), parse_observable("H", system.n)
     clock = TimedCoefficients(process.coefficients)
@@ -129,8 +129,8 @@ def energy_equation(system: System) -> Equation:
         words = "closed form (29)"
     except NotApplicable:
         tol = REFERENCE_TOL[1]
-        solution = solve_stationary(process, tol=tol, form="drift-diffusion")
-        words = f"drift-diffusion hp elements, tol {tol:g}"
+        solution = solve_by_quadrature(process, tol=tol)
+        words = f"quadrature of (11), tol {tol:g}"
 
     return Equation(
         name=OF_ENERGY,

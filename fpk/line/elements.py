@@ -10,7 +10,7 @@ nothing else to match, the basis is that of Legendre polynomials.
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import legder, legvander
@@ -20,8 +20,6 @@ from fpk.arrays import Array
 from fpk.compiling import cached_njit, inlined
 from fpk.process import Coefficients, Process
 from fpk.quadrature import gauss_legendre
-
-Form = Literal["flux", "drift-diffusion"]
 
 ENRICHMENT = 2
 """Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
@@ -105,7 +103,7 @@ class Elements(NamedTuple):
     """Solutions of single elements, each of mass 1; every array (elements, …).
 
     ``u`` (elements, degree + 1) and ``enriched`` (elements, degree + 3) are Legendre series of
-    p e^(−log_factor), in the flux form of p e^(−log_factor)/T; ``values`` and ``enriched_values``
+    p e^(−log_factor)/T; ``values`` and ``enriched_values``
     (elements, points) are p at the same points, ``weights`` those of the points. ``residual`` is
     relative to the terms that cancel in it; ``net_flux`` is the mean of J and ``one_way`` the terms
     that cancel in that. ``coefficient_error`` is the largest relative error of the coefficients,
@@ -127,21 +125,19 @@ class Elements(NamedTuple):
     at_end: Array
 
 
-def solve_elements(
-    process: Process, left: Array, right: Array, degree: int, form: Form
-) -> Elements:
+def solve_elements(process: Process, left: Array, right: Array, degree: int) -> Elements:
     """Solve the elements between ``left`` and ``right`` in ``degree`` and in the enriched one.
 
-    In the flux form u = p/T, the phase-space density, and J = T (F u − ½ b u') with F the part of
-    the drift due to damping; the noise part of the drift, ½ (bT)'/T, has cancelled, so that no
-    derivative of b is needed, and u is smooth where T is not. In the drift-diffusion form u = p,
-    T = 1 and F = s − ½ b'. The exact solution has J = 0 at every point, so that any points serve
-    the Galerkin equations. Integrals of p are another matter: above an energy where contact begins
-    T has half-integer powers, and the element that begins there has points of its own for them.
+    u = p/T is the phase-space density, and J = T (F u − ½ b u') with F the part of the drift due to
+    damping; the noise part of the drift, ½ (bT)'/T, has cancelled, so that no derivative of b is
+    needed, and u is smooth where T is not. The exact solution has J = 0 at every point, so that any
+    points serve the Galerkin equations. Integrals of p are another matter: above an energy where
+    contact begins T has half-integer powers, and the element that begins there has points of its
+    own for them.
     """
     if left.size > AT_ONCE:
         parts = np.array_split(np.arange(left.size), -(-left.size // AT_ONCE))
-        return joined([solve_elements(process, left[k], right[k], degree, form) for k in parts])
+        return joined([solve_elements(process, left[k], right[k], degree) for k in parts])
     rule, h = element_rule(degree), (right - left)[:, None]
     above = np.array([k for k, H in enumerate(left.tolist()) if H in process.nonsmooth], np.intp)
     energy = left[:, None] + h * rule.share
@@ -149,23 +145,16 @@ def solve_elements(
     flat = process.coefficients(np.concatenate([energy.ravel(), inner.ravel(), right]))
     c = Coefficients(*(a[: energy.size].reshape(energy.shape) for a in flat))
     error = c.relative_error.max(axis=1)
-    if form == "flux":
-        log_T = flat.log_density_of_states
-        log_factor = np.maximum(c.log_density_of_states.max(axis=1), log_T[-left.size :])
-        T = np.exp(c.log_density_of_states - log_factor[:, None])
-        T_end = np.exp(log_T[-left.size :] - log_factor)
-        inner_T = log_T[energy.size : -left.size].reshape(inner.shape) - log_factor[above, None]
-        inner_T = np.exp(inner_T)
-        F = c.dissipation
-    else:
-        log_factor, T_end = np.zeros(left.size), np.ones(left.size)
-        T, inner_T = np.ones(energy.shape), np.ones(inner.shape)
-        F = c.drift - 0.5 * c.divergence
-        error += c.slope_error.max(axis=1)
+    log_T = flat.log_density_of_states
+    log_factor = np.maximum(c.log_density_of_states.max(axis=1), log_T[-left.size :])
+    T = np.exp(c.log_density_of_states - log_factor[:, None])
+    T_end = np.exp(log_T[-left.size :] - log_factor)
+    inner_T = log_T[energy.size : -left.size].reshape(inner.shape) - log_factor[above, None]
+    inner_T = np.exp(inner_T)
     # J h = factors · (u, du/dt) at the Gauss points, t from 0 to 1 over the element.
     factors = np.empty((left.size, 2, rule.share.size))
     factors[:] = (rule.weight * T)[:, None]
-    factors[:, 0] *= h * F
+    factors[:, 0] *= h * c.dissipation
     factors[:, 1] *= -0.5 * c.diffusion
     A = (factors.reshape(left.size, -1) @ rule.tested).reshape(left.size, -1, degree + 3)
     largest = np.maximum(np.abs(A).max(axis=2, keepdims=True), TINY)

@@ -16,16 +16,8 @@ from numpy.polynomial.legendre import legvander
 from fpk.arrays import Array, Flags
 from fpk.certificate import NEGATIVE, Certificate, Measured, certify
 from fpk.compiling import cached_njit
-from fpk.line.elements import (
-    TINY,
-    Elements,
-    Form,
-    element_rule,
-    joined,
-    solve_elements,
-)
+from fpk.line.elements import TINY, Elements, element_rule, joined, solve_elements
 from fpk.line.mesh import (
-    DEEP_LAYERS,
     GRADED_LAYERS,
     LOG_GROWTH,
     NATS_PER_ELEMENT,
@@ -63,14 +55,13 @@ cancel in it: some hundred roundings, stricter than what a certificate asks of a
 class StationarySolution:
     """Finite element density p(H) with its error estimate and certificate.
 
-    ``answer`` is u, with p = u or p = T u by ``form``, and ``enriched`` that of a higher degree,
+    ``answer`` is u = p/T, and ``enriched`` that of a higher degree,
     there for the pointwise error. ``common_error`` is the relative error that shifts all of p
     alike, of the coefficients and of the mass. ``measured`` is what ``certificate`` was made of, to
     the tolerance asked for: densities made of the solution are certified from it.
     """
 
     process: Process
-    form: Form
     degree: int
     answer: Piecewise
     enriched: Piecewise
@@ -115,13 +106,12 @@ class StationarySolution:
         return self._error(energy, of_p=False)
 
     def _value(self, energy: Array, *, of_p: bool) -> Array:
-        log_factor = _log_factor(self.process, self.form, energy, of_p=of_p, last=self.nodes[-1])
-        return self.answer(energy, log_factor=log_factor)
+        return self.answer(energy, log_factor=self._log_factor(energy, of_p=of_p))
 
     def _error(self, energy: Array, *, of_p: bool) -> Array:
         """Error of u: distance to the enriched solution and what shifts all of p alike."""
         x = np.asarray(energy, dtype=float)
-        factor = _log_factor(self.process, self.form, x, of_p=of_p, last=self.nodes[-1])
+        factor = self._log_factor(x, of_p=of_p)
         k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.nodes.size - 2)
         share = np.clip((x - self.nodes[k]) / (self.nodes[k + 1] - self.nodes[k]), 0.0, 1.0)
         count = self._log_distance.shape[1] - 1
@@ -131,6 +121,14 @@ class StationarySolution:
         floor = self.common_error + self.measured.tail_mass
         error = SAFETY * distance + floor * np.abs(self.answer(x, log_factor=factor))
         return np.asarray(error + np.exp(np.interp(x, *self._log_round_off) + factor))
+
+    def _log_factor(self, energy: Array, *, of_p: bool) -> Array:
+        """ln T, which turns u into p, or 0 for p/T; beyond the last node that of the node."""
+        energy = np.asarray(energy, dtype=float)
+        if not of_p:
+            return np.zeros(energy.shape)
+        within = np.clip(energy, TINY, self.nodes[-1])
+        return self.process.coefficients(within.ravel()).log_density_of_states.reshape(energy.shape)
 
     @cached_property
     def _log_distance(self) -> Array:
@@ -171,7 +169,7 @@ class StationarySolution:
         share = np.concatenate([[0.0], element_rule(self.degree).share, [1.0]])
         x = self.nodes[:-1, None] + np.diff(self.nodes)[:, None] * share
         x[0, 0] = x[0, 1]  # towards H = 0 p/T has no bound
-        log_T = _log_factor(self.process, self.form, x, of_p=True, last=self.nodes[-1])
+        log_T = self._log_factor(x, of_p=True)
         p = np.abs(self.answer(x, log_factor=log_T))
         most = self.degree**1.5 * p.max(axis=1)
         at_nodes = np.maximum(np.abs(self.density(self.nodes[1:-1])), TINY)
@@ -183,26 +181,16 @@ class StationarySolution:
         return x.ravel(), (np.log(np.maximum(error, TINY)) - log_T).ravel()
 
 
-def _log_factor(process: Process, form: Form, energy: Array, *, of_p: bool, last: float) -> Array:
-    """ln of the factor that turns u into p (``of_p``) or into p/T; of ``last`` beyond it."""
-    energy = np.asarray(energy, dtype=float)
-    if of_p == (form == "drift-diffusion"):
-        return np.zeros(energy.shape)
-    within = np.clip(energy, TINY, last)
-    log_states = process.coefficients(within.ravel()).log_density_of_states
-    return np.asarray((log_states if of_p else -log_states).reshape(energy.shape))
-
-
 def solve_stationary(
-    process: Process, *, tol: float = 1e-10, form: Form = "flux", degree: int | None = None
+    process: Process, *, tol: float = 1e-10, degree: int | None = None
 ) -> StationarySolution:
     """Return the stationary density to the L1 tolerance ``tol``, adapting the mesh.
 
     The degree follows from ``tol`` unless given. The answer is certified or says what failed.
     Raises ``NotCertified`` where no stationary density exists.
     """
-    # In the flux form u is smooth where T is not, as long as 2 F/b does not depend on H.
-    smooth = form == "flux" and not process.state_damping
+    # u is smooth where T is not, as long as 2 F/b does not depend on H.
+    smooth = not process.state_damping
     if degree is None:
         digits = round(-math.log10(tol))
         degree = min(max(digits + 4, 3), 16) if smooth else min(max(digits, 3), 12)
@@ -213,12 +201,12 @@ def solve_stationary(
         # The error of an element counts by its mass, and rises with the nats to this power.
         fall = probe.log_mass.max() - probe.log_mass
         nats = SMOOTH_NATS * np.exp(np.minimum(fall / (degree + 1), LOG_GROWTH))
-    layers = 0 if smooth else DEEP_LAYERS if form == "drift-diffusion" else GRADED_LAYERS
+    layers = 0 if smooth else GRADED_LAYERS
     nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
-    elements = solve_elements(process, nodes[:-1], nodes[1:], degree, form)
+    elements = solve_elements(process, nodes[:-1], nodes[1:], degree)
     special = np.array([0.0, *process.nonsmooth])
     for _ in range(MOST_ROUNDS):
-        solution, marked = _assembled(process, probe, elements, degree, form, tol)
+        solution, marked = _assembled(process, probe, elements, degree, tol)
         if not marked.any() or marked.size > MOST_ELEMENTS:
             break
         left, right = elements.left[marked], elements.right[marked]
@@ -226,21 +214,19 @@ def solve_stationary(
         if np.any((cut <= left) | (cut >= right)):
             break
         halves = np.concatenate([left, cut]), np.concatenate([cut, right])
-        new = solve_elements(process, *halves, degree, form)
+        new = solve_elements(process, *halves, degree)
         elements = joined([Elements(*(x[~marked] for x in elements)), new])
     return solution
 
 
-def solve_on_mesh(
-    process: Process, nodes: Array, degree: int, *, form: Form = "flux"
-) -> StationarySolution:
+def solve_on_mesh(process: Process, nodes: Array, degree: int) -> StationarySolution:
     """Return the finite element solution on a given mesh, for convergence studies."""
-    elements = solve_elements(process, nodes[:-1], nodes[1:], degree, form)
-    return _assembled(process, probed(process), elements, degree, form, np.inf)[0]
+    elements = solve_elements(process, nodes[:-1], nodes[1:], degree)
+    return _assembled(process, probed(process), elements, degree, np.inf)[0]
 
 
 def _assembled(
-    process: Process, probe: Probe, e: Elements, degree: int, form: Form, tol: float
+    process: Process, probe: Probe, e: Elements, degree: int, tol: float
 ) -> tuple[StationarySolution, Flags]:
     """Return the elements scaled to one density, judged, and which of them to cut in two."""
     nodes = np.concatenate([e.left, e.right[-1:]])
@@ -276,7 +262,6 @@ def _assembled(
         measured = measured.with_failures(f"the algebraic residual is {residual:.2g}")
     solution = StationarySolution(
         process=process,
-        form=form,
         degree=degree,
         answer=Piecewise(nodes, sign[0, :, None] * e.u, log_scale[0]),
         enriched=Piecewise(

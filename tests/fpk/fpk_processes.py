@@ -20,7 +20,6 @@ def by_hand(dissipation, *, d=1.0, n=1.0, scale=1.0):
             dissipation=F,
             log_density_of_states=(n - 1.0) * np.log(energy),
             relative_error=np.zeros_like(energy),
-            slope_error=np.zeros_like(energy),
         )
 
     return Process(coefficients, (scale,), (), max(round(n), 1))

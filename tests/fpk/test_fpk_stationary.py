@@ -1,4 +1,4 @@
-"""The certified solver: tolerance met, estimate honest, both forms agree, refusals."""
+"""The certified solver: tolerance met, estimate honest, refusals."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,6 @@ from fpk.contact import Contact
 from fpk.errors import NotCertified
 from fpk.line.stationary import NEGATIVE, solve_on_mesh, solve_stationary
 
-FORMS = ["flux", "drift-diffusion"]
 SYSTEMS = {
     "no contact": chain(2),
     **{f"B = {B:g}": chain(2, both(B)) for B in (1e-6, 0.1, 1.0, 10.0, 1e4)},
@@ -61,11 +60,10 @@ def true_error(solution, reference):
     return integral(lambda x: np.abs(solution.density(x) - reference.density(x)), nodes)
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_the_tolerance_is_met_and_the_estimate_honest(averaged, form):
+def test_the_tolerance_is_met_and_the_estimate_honest(averaged):
     process, reference = averaged
     for tol in TOLERANCES:
-        solution = solve_stationary(process, tol=tol, form=form)
+        solution = solve_stationary(process, tol=tol)
         certificate = solution.certificate
         assert certificate.certified, certificate.failures
         assert solution.l1_error <= tol
@@ -80,24 +78,14 @@ def test_the_tolerance_is_met_and_the_estimate_honest(averaged, form):
         assert np.all(solution.density(np.array([-1.0, 1.01 * solution.nodes[-1]])) == 0.0)
 
 
-@pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("name", THIN)
-def test_thin_layers_are_in_the_estimate(name, form):
+def test_thin_layers_are_in_the_estimate(name):
     process = energy_process(THIN[name])
     reference = averaged_density(THIN[name])
     for tol in (1e-3, *TOLERANCES):
-        solution = solve_stationary(process, tol=tol, form=form)
+        solution = solve_stationary(process, tol=tol)
         assert true_error(solution, reference) <= solution.l1_error + reference.l1_error
         assert solution.certificate.certified or solution.l1_error > tol
-
-
-def test_both_forms_agree_within_their_estimates(averaged):
-    process, _ = averaged
-    for tol in TOLERANCES:
-        one, two = (solve_stationary(process, tol=tol, form=form) for form in FORMS)
-        nodes = refined_nodes(one.nodes, two.nodes)
-        distance = integral(lambda x, a=one, b=two: np.abs(a.density(x) - b.density(x)), nodes)
-        assert distance <= one.l1_error + two.l1_error
 
 
 @pytest.mark.parametrize("tol", [1e-3, 1e-4, 1e-6, 1e-8, 1e-9, 1e-10])
@@ -126,11 +114,10 @@ def test_the_pointwise_estimate_covers_the_round_off_of_a_steep_element(masses, 
     assert np.all(np.abs(solution.density(x) - exact) <= solution.pointwise_error(x))
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_the_pointwise_estimate_covers_the_pointwise_error(averaged, form):
+def test_the_pointwise_estimate_covers_the_pointwise_error(averaged):
     process, reference = averaged
     for tol in TOLERANCES[:3]:
-        solution = solve_stationary(process, tol=tol, form=form)
+        solution = solve_stationary(process, tol=tol)
         x = np.linspace(0.0, solution.nodes[-1], 4001)[1:]
         difference = np.abs(solution.density(x) - reference.density(x))
         estimate = solution.pointwise_error(x)
@@ -139,9 +126,8 @@ def test_the_pointwise_estimate_covers_the_pointwise_error(averaged, form):
         assert estimate.mean() <= 100.0 * difference.mean()
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_no_energies_have_no_densities(form):
-    solution = solve_stationary(energy_process(SYSTEMS["B = 10"]), tol=1e-4, form=form)
+def test_no_energies_have_no_densities():
+    solution = solve_stationary(energy_process(SYSTEMS["B = 10"]), tol=1e-4)
     for shape in ((0,), (3, 0)):
         nothing = np.empty(shape)
         for of in (solution.density, solution.pointwise_error, solution.phase_space_density):
@@ -156,12 +142,11 @@ def test_another_system_is_outside_the_estimate():
     assert true_error(solution, reference) > 100.0 * solution.l1_error
 
 
-@pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("a", [1.0, 2.0, 2.5, 5.0, 20.0])
-def test_square_root_process_has_its_gamma_density(a, form):
+def test_square_root_process_has_its_gamma_density(a):
     c, d = 0.7, 1.3
     process = cox_ingersoll_ross(a=a * d, c=c, d=d)
-    solution = solve_stationary(process, tol=1e-10, form=form)
+    solution = solve_stationary(process, tol=1e-10)
     assert solution.certificate.certified, solution.certificate.failures
     exact = gamma(a, scale=d / c)
     error = integral(
@@ -185,12 +170,11 @@ def printed_11(process, sign, end=18.0, start=1.0):
     return weight, lambda: quad(weight, 0.0, end, epsabs=0.0, epsrel=1e-11, limit=200)[0]
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_a_hump_away_from_zero_against_eq_11(form):
+def test_a_hump_away_from_zero_against_eq_11():
     # Van der Pol: F = 2 H − H²/2, b = 2 H, T constant. 2s/b = 2 − H/2 + 1/H, so that p is the
     # normal density of mean 4 and variance 2, cut at 0.
     process = by_hand(lambda H: 2.0 * H - 0.5 * H * H, scale=4.0)
-    solution = solve_stationary(process, tol=1e-10, form=form)
+    solution = solve_stationary(process, tol=1e-10)
     assert solution.certificate.certified, solution.certificate.failures
     weight, norm = printed_11(process, +1.0)
     x = np.array([0.01, 1.0, 4.0, 7.3, 12.0])
@@ -215,12 +199,11 @@ def test_the_printed_sign_of_eq_11_has_no_norm():
         assert (mass(sign, 12.0, 18.0) < body) is normalisable
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_what_is_not_confined_is_refused(form):
+def test_what_is_not_confined_is_refused():
     with pytest.raises(NotCertified, match="does not fall off"):
-        solve_stationary(by_hand(lambda H: 0.1 * H), form=form)
+        solve_stationary(by_hand(lambda H: 0.1 * H))
     with pytest.raises(NotCertified, match="does not fall off"):
-        solve_stationary(by_hand(lambda H: 0.0 * H, n=2.0), form=form)
+        solve_stationary(by_hand(lambda H: 0.0 * H, n=2.0))
 
 
 def test_what_misses_its_tolerance_says_so():
