@@ -79,7 +79,7 @@ class ModalAnalysis:
             b = 2.0 * d * H
             dissipation = (-rates(H) * H).reshape(energies.shape)
             zero = np.zeros_like(energies)
-            known = (zero, zero, zero) if one else ()
+            known = (zero, zero) if one else ()
             return Coefficients(
                 d + dissipation,
                 b.reshape(energies.shape) if one else b[:, :, None] * np.eye(d.size),

@@ -51,7 +51,7 @@ def energy_dependent(quartic: float) -> Process:
         dissipation = -0.5 * diffusion * (1.0 + 2.0 * quartic * H)
         drift = dissipation + 0.5 * (slope + diffusion / H)
         nothing = np.zeros_like(H)
-        return Coefficients(drift, diffusion, slope, dissipation, np.log(H), nothing, nothing)
+        return Coefficients(drift, diffusion, slope, dissipation, np.log(H), nothing)
 
     return Process(coefficients, (2.0 / (1.0 + quartic),), (), 2)
 
