@@ -156,7 +156,7 @@ def diagnosis(
     ``means`` (quantities, batches, chunks) belong to the ``names``.
     """
     worst = min(effective, key=lambda e: e.samples)
-    tau = paths * time / (2.0 * worst.samples)
+    tau = paths * time / (2.0 * worst.samples) if worst.samples > 0 else inf
     quantities, batches, chunks = means.shape
     z = np.abs(drifts(means)) if chunks > 1 else np.zeros((quantities, 2))
     drift, limit = float(z.max()), drift_limit(batches, z.size)

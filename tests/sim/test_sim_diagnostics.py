@@ -1,7 +1,7 @@
 """Diagnostics against theory, arviz-stats, and runs that are wrong. Seeds were drawn once."""
 
 from itertools import pairwise
-from math import exp, sqrt
+from math import exp, inf, sqrt
 
 import numpy as np
 import pytest
@@ -139,6 +139,14 @@ def test_a_short_run_is_refused() -> None:
         [Effective("x", 1e4, 0.1)], ["x"], means, time=2e4, paths=1, burn_in=4.0
     ).failures
     assert "burn-in of 4" in words
+
+
+def test_a_sample_without_any_effective_sample_is_refused() -> None:
+    """The squares of tiny numbers have a variance that underflows, their means may not."""
+    means = np.random.default_rng(4).normal(size=(1, 64, 20))
+    found = diagnosis([Effective("x", 0.0, 0.1)], ["x"], means, time=98.0, paths=1, burn_in=10.0)
+    assert found.autocorrelation_time == inf and found.times_per_path == 0.0
+    assert "fewer than 50" in found.failures[0] and "longer burn_in" in found.failures[1]
 
 
 def test_a_burn_in_too_short_is_seen_and_said() -> None:
