@@ -11,7 +11,6 @@ Modelling, 1996.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.polynomial import polyvander
@@ -20,7 +19,8 @@ from fpk.arrays import Array, Integers
 from fpk.quadrature import gauss_legendre, panel_rule
 
 LogReference = Callable[[Array], Array]
-"""ln r of one coordinate, but for a constant; smooth where p is, with the kinks of p at stops."""
+"""ln r of one coordinate, but for a constant; smooth where p is, with the kinks of p at stops.
+Where there are none it is ``numpy.zeros_like``."""
 
 DEGREE = 4
 """Degree of the local polynomial. Even: at the middle of a window the next odd one is for free."""
@@ -35,17 +35,6 @@ NODES = 5
 STEEPENED = 3
 """Newton steps for the steepness of the reference: a stop as narrow as three bins needs a second,
 where the temperature is wrong by a factor 2; what a third adds is below the noise."""
-
-
-class Local(NamedTuple):
-    """Linear functions of the bins in a window around each point; all arrays (points, window).
-
-    The density at a point is the sum of the bins' mean densities times ``weights``. ``shares`` are
-    the parts of the window's samples that the reference expects in each bin, in sum one.
-    """
-
-    weights: Array
-    shares: Array
 
 
 def radius_of(bins: int) -> int:
@@ -64,11 +53,13 @@ def windows(edges: Array, x: Array) -> Integers:
 
 def local_fit(
     edges: Array, x: Array, index: Integers, held: Array, *, log_reference: LogReference
-) -> Local:
+) -> tuple[Array, Array]:
     """Return the weights of the bins ``index`` = ``windows(edges, x)`` in the density at ``x``.
 
-    ``held`` (points, window) are the samples in these bins, by which the reference is made as steep
-    as p is: r^s exp(t y).
+    The density at a point is the sum of the bins' mean densities times these (points, window). Also
+    returned are the shares of a window's samples that the reference expects in each bin, in sum
+    one. ``held`` (points, window) are the samples that there are, by which the reference is made as
+    steep as p is: r^s exp(t y).
     """
     width = edges[1] - edges[0]
     radius = radius_of(edges.size - 1) * width
@@ -92,7 +83,7 @@ def local_fit(
     rows = scale[..., None] * np.einsum("pbg,pbgk->pbk", r, polyvander(u, degree))
     value = np.exp(log_r_at_x - largest)[:, None] * polyvander(at_x, degree)
     weights = np.einsum("pk,pkb->pb", value, np.linalg.pinv(rows)) * scale
-    return Local(weights, content / content.sum(axis=1, keepdims=True))
+    return weights, content / content.sum(axis=1, keepdims=True)
 
 
 def _steepness(held: Array, log_r: Array, u: Array, kernel: Array) -> tuple[Array, Array]:
@@ -117,8 +108,3 @@ def _steepness(held: Array, log_r: Array, u: Array, kernel: Array) -> tuple[Arra
         _, more_tilt, more_power = np.einsum("pkb,pb->kp", inverse, excess)
         power, tilt = power + more_power, tilt + more_tilt
     return power, tilt
-
-
-def flat(x: Array) -> Array:
-    """Return ln 1, the reference of what has no stops."""
-    return np.zeros_like(x)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import nan
 from typing import Any, Literal
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike
 from fpk.arrays import Array, Integers
 from fpk.certificate import Certificate
 from fpk.observable import Observable, observable_name
-from fpk.reconstruction import LogReference, flat, local_fit, radius_of, windows
+from fpk.reconstruction import LogReference, local_fit, radius_of, windows
 
 ErrorKind = Literal["numerical", "sampling"]
 
@@ -29,8 +30,10 @@ class SampledDensity:
     bin divided by its area, ``batch_values`` (batches, *bins) the same of each of the independent
     batches, so that any linear function of the bins has an honest standard error. Samples outside
     are counted in ``certificate.tail_mass``, never folded in. ``one_sample`` is the density that a
-    single sample makes of its bin. ``log_references`` has for each axis the ln of a function about
-    as steep as the density, kinks at stops included (none: a constant one), see ``at``.
+    single sample makes of its bin. ``l1_error`` is the expected ∫|p − p_exact| by chance of the
+    density as ``at`` returns it, not a number where it was not computed. ``log_references`` has for
+    each axis the ln of a function about as steep as the density, kinks at stops included (none: a
+    constant one), see ``at``.
     """
 
     observable: Observable
@@ -41,6 +44,7 @@ class SampledDensity:
     provenance: Mapping[str, str | float | int] = field(default_factory=dict)
     error_kind: ErrorKind = "sampling"
     one_sample: float = 0.0
+    l1_error: float = nan
     log_references: tuple[LogReference, ...] = ()
 
     @property
@@ -70,20 +74,29 @@ class SampledDensity:
 
     def coarsened(self, factor: int) -> "SampledDensity":
         """Return the histogram with ``factor`` neighbouring bins joined along every axis."""
-        if any((e.size - 1) % factor for e in self.edges):
+        if any(bins % factor for bins in self.values.shape):
             raise ValueError(f"factor = {factor}: must divide the number of bins of every axis")
-        values, batches = self.values, self.batch_values
-        for axis, e in enumerate(self.edges):
-            bins = (e.size - 1) // factor
-            values = _joined(values, axis, bins)
-            batches = _joined(batches, axis + 1, bins)
+        every = np.concatenate([self.values[None], self.batch_values])
+        for axis, bins in enumerate(self.values.shape, start=1):
+            shape = (*every.shape[:axis], bins // factor, factor, *every.shape[axis + 1 :])
+            every = every.reshape(shape).mean(axis=axis + 1)
         return replace(
             self,
             edges=tuple(e[::factor] for e in self.edges),
-            values=values,
-            batch_values=batches,
+            values=every[0],
+            batch_values=every[1:],
             one_sample=self.one_sample / factor ** len(self.edges),
+            l1_error=nan,
         )
+
+    def joined(self, most: int) -> "SampledDensity":
+        """Return the histogram with up to ``most`` neighbouring bins joined along every axis.
+
+        It is the largest such number that divides the bins of each.
+        """
+        shape = self.values.shape
+        factors = [k for k in range(2, most + 1) if not any(bins % k for bins in shape)]
+        return self.coarsened(max(factors, default=1))
 
     @cached_property
     def samples_per_visit(self) -> float:
@@ -94,9 +107,8 @@ class SampledDensity:
         """
         if not self.one_sample > 0.0:
             return 1.0
-        wide = max(k for k in range(1, _radius(self) + 1) if not any(n % k for n in self._shape))
         batches = self.batch_values.shape[0]
-        joined = self.coarsened(wide)
+        joined = self.joined(radius_of(min(self.values.shape)))
         held = joined.batch_values.reshape(batches, -1) / (joined.one_sample * batches)
         visited = np.count_nonzero(held, axis=0)
         rare = held[:, (visited > 0) & (visited < batches)]
@@ -144,26 +156,22 @@ class SampledDensity:
         The bins of the window are counted along the flattened ``values``.
         """
         index = [windows(e, x) for e, x in zip(self.edges, points, strict=True)]
-        bins = index[0] if len(index) == 1 else index[0][:, :, None] * self._shape[1]
+        bins = index[0]
         if len(index) == 2:
-            bins = bins + index[1][:, None, :]
+            bins = bins[:, :, None] * self.values.shape[1] + index[1][:, None, :]
         held = self.values.ravel()[bins] / (
             self.one_sample or EPSILON * self.values.max(initial=1.0)
         )
-        references = self.log_references or (flat,) * len(index)
+        references = self.log_references or (np.zeros_like,) * len(index)
         weights, shares = np.ones((points.shape[1], 1)), np.ones((points.shape[1], 1))
         for axis, (e, x) in enumerate(zip(self.edges, points, strict=True)):
             own = held if len(index) == 1 else held.sum(axis=2 - axis)
-            fit = local_fit(e, x, index[axis], own, log_reference=references[axis])
-            weights = (weights[:, :, None] * fit.weights[:, None, :]).reshape(len(weights), -1)
-            shares = (shares[:, :, None] * fit.shares[:, None, :]).reshape(len(shares), -1)
+            along, expected = local_fit(e, x, index[axis], own, log_reference=references[axis])
+            weights = (weights[:, :, None] * along[:, None, :]).reshape(len(weights), -1)
+            shares = (shares[:, :, None] * expected[:, None, :]).reshape(len(shares), -1)
         worth = np.sqrt(np.sum(shares * weights**2, axis=1))
         # No less than its share in the mean of the window: far out the weights may vanish.
         return bins.reshape(weights.shape), weights, np.maximum(worth, 1.0 / weights.shape[1])
-
-    @property
-    def _shape(self) -> tuple[int, ...]:
-        return tuple(e.size - 1 for e in self.edges)
 
 
 def described(density: Any, error: str) -> str:
@@ -176,13 +184,3 @@ def described(density: Any, error: str) -> str:
 def _standard_error(batch_values: Array) -> Array:
     spread: Array = np.std(batch_values, axis=0, ddof=1) / np.sqrt(batch_values.shape[0])
     return spread
-
-
-def _radius(density: SampledDensity) -> int:
-    return min(radius_of(e.size - 1) for e in density.edges)
-
-
-def _joined(values: Array, axis: int, bins: int) -> Array:
-    shape = (*values.shape[:axis], bins, -1, *values.shape[axis + 1 :])
-    joined: Array = values.reshape(shape).mean(axis=axis + 1)
-    return joined

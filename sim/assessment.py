@@ -12,9 +12,9 @@ from sim.ensemble import Ensemble
 from sim.histogram import sampled_density
 from sim.record import Record
 from sim.relaxation import relaxation_time
-from sim.report import DensityError, Report, Steps
+from sim.report import Report, Steps
 from sim.setup import Setup
-from sim.statistics import Moments, sampling_error
+from sim.statistics import Moments
 from sim.step_size import temperature
 
 LARGEST_Z = 5.0
@@ -76,7 +76,6 @@ def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) ->
     )
     report = Report(
         steps=steps,
-        errors=tuple(DensityError(d.observable, sampling_error(d)) for d in densities),
         diagnosis=diagnosed,
         moments=record.moments() if not lost else (),
         interrupted=interrupted,

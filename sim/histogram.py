@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf, nan
 
 import numpy as np
@@ -10,7 +11,7 @@ from fpk.arrays import Array, Integers
 from fpk.certificate import Measured, certify
 from fpk.linear import natural_modes
 from fpk.observable import Coordinate, Observable
-from fpk.reconstruction import LogReference, flat
+from fpk.reconstruction import LogReference
 from fpk.sampled_density import SampledDensity
 from fpk.system import System
 from sim.statistics import sampling_error
@@ -119,28 +120,18 @@ def mirrored(histogram: Histogram, counts: Integers) -> Integers:
     return np.hstack([counts[:, :-1] + reflected.reshape(len(counts), -1), 2 * counts[:, -1:]])
 
 
-@dataclass(frozen=True, eq=False)
-class ContactFactor:
-    """ln exp(−U_i(q)/kT), by which the stops of mass i shape the density of its displacement.
+def contact_factor(system: System, mass: int, kT: float, q: Array) -> Array:
+    """Return −U_i(q)/kT, ln of the factor by which the stops of a mass (from 0) shape p(q_i).
 
     Exact where Eq. (7) holds; otherwise of about the steepness, and with its kinks.
     """
-
-    system: System
-    mass: int  # from 0
-    kT: float
-
-    def __call__(self, q: Array) -> Array:
-        """Return it at displacements ``q``."""
-        return -self.system.contact_energy(self.mass, q) / self.kT
+    return -system.contact_energy(mass, q) / kT
 
 
 def _log_reference(system: System | None, coordinate: Coordinate) -> LogReference:
-    if system is None or coordinate.kind != "q":
-        return flat
-    if not any(stop.index == coordinate.row for stop in system.stops):
-        return flat
-    return ContactFactor(system, coordinate.row, temperature(system))
+    if system is None or coordinate.kind != "q" or coordinate.row not in system.contact_masses:
+        return np.zeros_like
+    return partial(contact_factor, system, coordinate.row, temperature(system))
 
 
 def sampled_density(
@@ -179,12 +170,14 @@ def sampled_density(
         one_sample=1.0 / (whole * area),
         log_references=tuple(_log_reference(system, c) for c in histogram.observable),
     )
+    error = sampling_error(density)
     measured = Measured(
-        l1_error=sampling_error(density),
+        l1_error=error,
         mass_defect=abs(float(total.sum()) / max(1, taken) - 1.0),
         minimum=float(total[:-1].min()) / max(1, int(total[:-1].max())),
         residual=residual,
         tail_mass=tail,
         failures=tuple(words),
     )
-    return replace(density, certificate=certify(measured, tol=tol, sampled=True))
+    certificate = certify(measured, tol=tol, sampled=True)
+    return replace(density, l1_error=error, certificate=certificate)

@@ -1,9 +1,10 @@
 """The report of a simulation, as typed records; tables and JSON show it as ``settings``."""
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Literal
 
-from fpk.observable import Observable, observable_name
+from fpk.sampled_density import SampledDensity
 from sim.diagnostics import Diagnosis
 
 Settings = dict[str, str | float | int]
@@ -53,55 +54,34 @@ class StepBias:
 
 
 @dataclass(frozen=True)
-class DensityError:
-    """The expected L1 sampling error of one density, and its step bias where it was measured.
-
-    ``sampling`` is that of the density as it is returned at points, which ``tol`` limits.
-    """
-
-    observable: Observable
-    sampling: float
-    step_bias: StepBias | None = None
-
-    @property
-    def name(self) -> str:
-        """The observable's name, such as ``q2,p2``."""
-        return observable_name(self.observable)
-
-
-@dataclass(frozen=True)
 class Moment:
     """The mean of ``name`` over the sampled states, such as ``q2²``, and its standard error."""
 
     name: str
     mean: float
     error: float
-    step_bias: StepBias | None = None
 
 
 @dataclass(frozen=True)
 class Report:
     """Everything a simulation says of itself beside its densities.
 
-    ``errors`` are in the order of the densities. ``diagnosis`` is None where trajectories were
-    ``lost`` (left the finite range) or Ctrl-C ended the sampling, as ``interrupted`` then says.
-    ``step_pair`` says whether a second simulation at half the step could be compared.
+    ``diagnosis`` is None where trajectories were ``lost`` (left the finite range) or Ctrl-C ended
+    the sampling, as ``interrupted`` then says. ``step_pair`` says whether a second simulation at
+    half the step could be compared, and ``step_biases`` has what that gave, by the names of the
+    densities (such as ``q2,p2``) and of the moments.
     """
 
     steps: Steps
-    errors: tuple[DensityError, ...] = ()
     diagnosis: Diagnosis | None = None
     moments: tuple[Moment, ...] = ()
     interrupted: str = ""
     lost: int = 0
     step_pair: str = "not measured"
+    step_biases: Mapping[str, StepBias] = field(default_factory=dict)
 
-    def error_of(self, observable: Observable) -> DensityError:
-        """Return the errors of the density of ``observable``, one of those asked for."""
-        return next(error for error in self.errors if error.observable == observable)
-
-    def settings(self) -> Settings:
-        """Return everything for readers, by the names that tables and JSON have."""
+    def settings(self, densities: Sequence[SampledDensity]) -> Settings:
+        """Return everything, errors of ``densities`` too, by the names of tables and JSON."""
         settings: Settings = {
             key: value for key, value in asdict(self.steps).items() if value != ""
         }
@@ -109,18 +89,18 @@ class Report:
             settings["partial"] = self.interrupted
         if self.diagnosis is not None:
             settings |= self.diagnosis.settings()
-        settings |= {f"sampling error of {e.name}": e.sampling for e in self.errors}
-        if self.errors:
+        settings |= {f"sampling error of {d.name}": d.l1_error for d in densities}
+        if densities:
             settings["sampling error"] = SAMPLING_ERROR
         for m in self.moments:
             settings |= {f"E {m.name}": m.mean, f"standard error of E {m.name}": m.error}
         settings["step bias"] = self.step_pair
-        for e in self.errors:
-            if e.step_bias is not None:
-                name = f"step bias of {e.name}"
-                settings |= {name: e.step_bias.difference, f"{name} by chance": e.step_bias.chance}
+        for d in densities:
+            if bias := self.step_biases.get(d.name):
+                name = f"step bias of {d.name}"
+                settings |= {name: bias.difference, f"{name} by chance": bias.chance}
         for m in self.moments:
-            if m.step_bias is not None:
-                name, bias = f"step bias of E {m.name}", m.step_bias
+            if bias := self.step_biases.get(m.name):
+                name = f"step bias of E {m.name}"
                 settings |= {name: bias.difference, f"standard error of {name}": bias.chance}
         return settings

@@ -45,7 +45,7 @@ def run(
         method,
         densities,
         identities=identities,
-        settings=report.settings(),
+        settings=report.settings(densities),
         partial=bool(report.interrupted),
         report=report,
     )
@@ -60,15 +60,10 @@ def with_step_bias(
     """
     if half.interrupted:
         return replace(report, step_pair="not measured: interrupted")
-    errors = tuple(
-        replace(error, step_bias=StepBias(*l1_difference(*pair)))
-        for error, pair in zip(report.errors, pairs, strict=True)
-    )
+    biases = {a.name: StepBias(*l1_difference(a, b)) for a, b in pairs}
     if half.lost:
         words = f"{half.lost} trajectories left the finite range at dt/2"
-        return replace(report, errors=errors, step_pair=words)
-    moments = tuple(
-        replace(a, step_bias=StepBias(a.mean - b.mean, hypot(a.error, b.error)))
-        for a, b in zip(report.moments, half.moments, strict=True)
-    )
-    return replace(report, errors=errors, moments=moments, step_pair="dt against dt/2")
+        return replace(report, step_biases=biases, step_pair=words)
+    for a, b in zip(report.moments, half.moments, strict=True):
+        biases[a.name] = StepBias(a.mean - b.mean, hypot(a.error, b.error))
+    return replace(report, step_biases=biases, step_pair="dt against dt/2")

@@ -14,7 +14,6 @@ from sim.ensemble import Ensemble
 from sim.histogram import covering, extremes, sampled_density
 from sim.record import SNAPSHOTS, Record
 from sim.setup import Setup
-from sim.statistics import sampling_error
 
 PILOT_STATES = 16
 """States of the ensemble from which the pilot takes the ranges of the histograms."""
@@ -154,10 +153,9 @@ def _sample(setup: Setup, record: Record, *, checkpoint: Checkpoint, progress: P
         enough = record.chunks >= LEAST_CHUNKS and ensemble.samples >= record.target
         if tol < inf and (ends or enough):
             taken = ensemble.paths * ensemble.samples
-            first_density = sampled_density(
+            error = sampled_density(
                 *next(ensemble.counted()), taken=taken, mirror=setup.mirror, system=setup.system
-            )
-            error = sampling_error(first_density)
+            ).l1_error
             record.target = CHECK_AT * ensemble.samples * (error / tol) ** 2
             ends |= error <= tol
         done = record.chunks / CHUNKS

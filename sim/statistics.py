@@ -94,16 +94,10 @@ def l1_difference(a: SampledDensity, b: SampledDensity) -> tuple[float, float]:
 
     The second number is its expectation were both densities the same and none of either outside.
     """
-    a, b = joined_bins(a), joined_bins(b)
+    wanted = L1_BINS[len(a.edges) - 1]
+    a, b = (density.joined(min(density.values.shape) // wanted) for density in (a, b))
     spread = float(np.sum(np.hypot(a.standard_error, b.standard_error)))
     return l1_distance(a, b), sqrt(2.0 / pi) * _bin_area(a) * spread
-
-
-def joined_bins(density: SampledDensity) -> SampledDensity:
-    """Return the density with its bins joined to ``L1_BINS``, where they are a multiple."""
-    wanted, bins = L1_BINS[len(density.edges) - 1], {e.size - 1 for e in density.edges}
-    factor = min(bins) // wanted
-    return density.coarsened(factor) if factor > 1 and bins == {factor * wanted} else density
 
 
 def _bin_area(density: SampledDensity) -> float:

@@ -189,6 +189,4 @@ def joined(sampled: SampledDensity, bins: int | None = None) -> SampledDensity:
     ``bins`` None: as many as are compared, ``BINS_1D`` or ``BINS_2D``.
     """
     wanted = bins or (BINS_1D if len(sampled.edges) == 1 else BINS_2D)
-    counts = [e.size - 1 for e in sampled.edges]
-    factors = [f for f in range(1, min(counts) // wanted + 1) if not any(c % f for c in counts)]
-    return sampled.coarsened(max(factors)) if factors else sampled
+    return sampled.joined(min(sampled.values.shape) // wanted)

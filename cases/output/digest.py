@@ -9,10 +9,10 @@ from cases.comparison.claims import Verdict, findings
 from cases.comparison.compare import Comparison
 from cases.output.facts import facts_record
 from cases.output.records import Record, certificate_record, plain
-from fpk.density import Density
+from fpk.density import AnyDensity
 from fpk.method import Result
 from fpk.route import Route, solvers_of
-from sim.report import DensityError, Report
+from sim.report import Report, StepBias
 
 
 def digest_of(outcome: Outcome) -> Record:
@@ -83,10 +83,10 @@ def _curve(curve: Answers) -> Record:
         "notes": curve.notes,
         "comparisons": comparison_rows(curve.comparisons),
         "errors": [
-            _three_errors(r.method.route, error, curve.comparisons)
+            _three_errors(r.method.route, d, r.report.step_biases.get(d.name), curve.comparisons)
             for r in curve.results
             if isinstance(r.report, Report)
-            for error in r.report.errors
+            for d in r.densities
         ],
         "identities": [
             {"method": r.method.route.label, **plain(i), "z": i.z}
@@ -113,9 +113,7 @@ def method_record(result: Result) -> Record:
             {
                 "observable": d.name,
                 "error_kind": d.error_kind,
-                "l1_error": d.l1_error
-                if isinstance(d, Density)
-                else report and report.error_of(d.observable).sampling,
+                "l1_error": d.l1_error,
                 "certificate": certificate_record(d),
             }
             for d in result.densities
@@ -149,7 +147,9 @@ def comparison_rows(comparisons: Iterable[Comparison]) -> list[Record]:
     return rows
 
 
-def _three_errors(route: Route, error: DensityError, comparisons: Iterable[Comparison]) -> Record:
+def _three_errors(
+    route: Route, density: AnyDensity, bias: StepBias | None, comparisons: Iterable[Comparison]
+) -> Record:
     """The three errors of one density of a simulation, never mixed.
 
     ``sampling`` is the expected L1 error by chance; ``step_bias`` the L1 distance from the density
@@ -158,14 +158,13 @@ def _three_errors(route: Route, error: DensityError, comparisons: Iterable[Compa
     """
     averaging: dict[str, Record] = {}
     for c in comparisons:
-        if (c.measures, c.observable) == ("averaging", error.name) and route in (c.a, c.b):
+        if (c.measures, c.observable) == ("averaging", density.name) and route in (c.a, c.b):
             theory = _theory(c.b if c.a == route else c.a)
             averaging.setdefault(theory, {"theory": theory, "L1": c.L1, "error": c.error})
-    bias = error.step_bias
     return {
         "route": route.label,
-        "observable": error.name,
-        "sampling": error.sampling,
+        "observable": density.name,
+        "sampling": density.l1_error,
         "step_bias": {"L1": bias.difference, "by_chance": bias.chance} if bias else "not measured",
         "averaging": list(averaging.values()),
     }

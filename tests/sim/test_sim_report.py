@@ -149,17 +149,18 @@ def test_gaussian_means() -> None:
 def test_pair_of_steps_sees_euler_and_not_the_exact_flow() -> None:
     fields = {"paths": 4096, "time": 150.0, "seed": 9, "step_pair": True}
     euler = MonteCarlo(**fields, scheme="euler_maruyama", dt=0.02)  # type: ignore[arg-type]
-    (error,) = report_of(euler, exact(), Q2).errors
-    assert error.step_bias and error.step_bias.difference > 3.0 * error.step_bias.chance
+    bias = report_of(euler, exact(), Q2).step_biases["q2"]
+    assert bias.difference > 3.0 * bias.chance
     report = report_of(MonteCarlo(**fields), exact(), Q2)  # type: ignore[arg-type]
-    (error,) = report.errors
-    assert error.step_bias and error.step_bias.difference < 2.0 * error.step_bias.chance
+    assert report.step_biases["q2"].difference < 2.0 * report.step_biases["q2"].chance
     assert [m.name for m in report.moments] == ["q1²", "q2²", "v1²", "v2²"]
     for m in report.moments:
-        assert m.step_bias and abs(m.step_bias.difference) < 4.5 * m.step_bias.chance
-    assert report.step_pair == report.settings()["step bias"] == "dt against dt/2"
+        bias = report.step_biases[m.name]
+        assert abs(bias.difference) < 4.5 * bias.chance
+    assert report.step_pair == report.settings(())["step bias"] == "dt against dt/2"
     alone = report_of(MonteCarlo(time=20.0), linear())
-    assert alone.step_pair == alone.settings()["step bias"] == "not measured"
+    assert alone.step_pair == alone.settings(())["step bias"] == "not measured"
+    assert not alone.step_biases
 
 
 def test_any_number_of_threads_and_a_stop_by_seconds() -> None:
@@ -171,20 +172,20 @@ def test_any_number_of_threads_and_a_stop_by_seconds() -> None:
     assert isinstance(a, SampledDensity) and isinstance(b, SampledDensity)
     np.testing.assert_array_equal(a.batch_values, b.batch_values)
     assert isinstance(one.report, Report) and isinstance(two.report, Report)
-    for part in ("errors", "diagnosis", "moments"):
+    for part in ("diagnosis", "moments"):
         assert getattr(one.report, part) == getattr(two.report, part)
-    assert one.report.errors[0].sampling <= 0.02
+    assert a.l1_error == b.l1_error <= 0.02
     timed = MonteCarlo(paths=4096, time=60.0, seed=12, seconds=0.05).solve(exact(), Q2)
     assert not any("tolerance" in f for f in timed.densities[0].certificate.failures)
 
 
 def test_the_settings_of_a_result_are_those_of_its_frozen_report() -> None:
     result = MonteCarlo(paths=4096, time=40.0, seed=3).solve(fig6(), Q2)
-    report = result.report
-    assert isinstance(report, Report)
-    assert dict(result.settings) == report.settings() == dict(result.densities[0].provenance)
-    settings = report.settings()
-    assert settings["sampling error of q2"] == report.error_of(Q2[0]).sampling
+    report, density = result.report, result.densities[0]
+    assert isinstance(report, Report) and isinstance(density, SampledDensity)
+    settings = report.settings([density])
+    assert dict(result.settings) == settings == dict(density.provenance)
+    assert settings["sampling error of q2"] == density.l1_error
     assert "returned at points" in str(settings["sampling error"])
     assert not report.interrupted and not report.lost and not result.partial
     with pytest.raises(FrozenInstanceError):
