@@ -50,9 +50,8 @@ MARK: Any = {
 HEIGHT, ALONE, ROW = 3.1, 1.6, 0.9
 """Height in inches of the axes of densities, and of differences of a lone curve or one of many."""
 
-
-Difference = tuple[str, Array, Array, Array]
-"""Words for one answer minus another; points, values, and the band in which they may lie."""
+Differences = tuple[Array, Array, Mapping[str, Array]]
+"""Points, the band in which differences of two answers may lie there, and the differences."""
 
 
 def line_pictures(
@@ -105,23 +104,23 @@ def density_figure(curves: Sequence[Answers], observable: Observable, x: Array) 
     return figure
 
 
-def solver_differences(curve: Answers, observable: Observable, x: Array) -> list[Difference]:
+def solver_differences(curve: Answers, observable: Observable, x: Array) -> Differences | None:
     """Return the difference of two solvers of one equation, in the errors that both state."""
     pair = solver_difference(curve, observable, x)
-    return [] if pair is None else [(pair[0], x, *pair[1:])]
+    return pair and (x, pair[2], {pair[0]: pair[1]})
 
 
-def theory_differences(curve: Answers, observable: Observable, x: Array) -> list[Difference]:
+def theory_differences(curve: Answers, observable: Observable, x: Array) -> Differences | None:
     """Return simulation − theory for every theory drawn, in two standard errors."""
     sampled = [d for r, d in samples_of(curve, observable).items() if r.solves == "full"]
-    if not sampled:
-        return []
+    theories = lines_of(curve, observable).items()
+    if not sampled or not theories:
+        return None
     few, middles, inside = _bins(sampled[0], 2 * MARKERS, x)
-    band = 2.0 * few.standard_error[inside]
-    return [
-        (f"simulation − {route.words}", middles, bin_differences(few, theory)[inside], band)
-        for route, theory in lines_of(curve, observable).items()
-    ]
+    return middles, 2.0 * few.standard_error[inside], {
+        f"simulation − {route.words}": bin_differences(few, theory)[inside]
+        for route, theory in theories
+    }  # fmt: skip
 
 
 DIFFERENCES = (
@@ -138,7 +137,7 @@ DIFFERENCES = (
 
 
 def difference_figure(
-    rows: Mapping[str, Sequence[Difference]], observable: Observable, x: Array, *, band: str
+    rows: Mapping[str, Differences], observable: Observable, x: Array, *, band: str
 ) -> Figure:
     """Draw the differences of each curve, by its label, in a row over the extent of ``x``.
 
@@ -147,13 +146,11 @@ def difference_figure(
     figure = Figure()
     panels = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
     legend: dict[str, Artist] = {}
-    for axes, (label, differences), colour in zip(
-        panels, rows.items(), cycle(COLOURS), strict=False
-    ):
-        _, points, _, allowed = differences[0]
+    for axes, (label, row), colour in zip(panels, rows.items(), cycle(COLOURS), strict=False):
+        points, allowed, differences = row
         axes.axhline(0.0, color=INK, linewidth=0.7)
         axes.fill_between(points, -allowed, allowed, color=INK, alpha=0.16, linewidth=0)
-        for (name, _, values, _), dashes in zip(differences, LINES, strict=False):
+        for (name, values), dashes in zip(differences.items(), LINES, strict=False):
             style: Any = {"linewidth": 1.2, "linestyle": dashes}
             axes.plot(points, values, color=colour, **style)
             legend.setdefault(name, Line2D([], [], color=INK, **style))
