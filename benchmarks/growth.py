@@ -94,7 +94,7 @@ def two_energies() -> str:
         nodes = tuple(np.linspace(0.0, end, count + 1) for end in equation.ends)
         work = partial(solve_on, equation.process, nodes, 8)
         answer, first = timed_first(work)
-        seconds.append(timing(work, first).seconds)
+        seconds.append(timing(work, first)["seconds"])
         N.append(float(answer.unknowns))
         rows.append([f"{count} x {count}", str(answer.unknowns), f"{1e3 * seconds[-1]:.1f}"])
     words = f"\nTime grows as N^{slope(N, seconds):.2f} (aim: at most N^1.5).\n\n"
@@ -114,10 +114,10 @@ def masses() -> str:
     for n in MASSES:
         make = partial(made, n)
         process, first = timed_first(make)
-        seconds = timing(make, first).seconds
+        seconds = timing(make, first)["seconds"]
         work = partial(process.coefficients, energy * process.energy_scale)
         _, warm = timed_first(work)
-        times.append(timing(work, warm).seconds)
+        times.append(timing(work, warm)["seconds"])
         rows.append([str(n), f"{1e3 * seconds:.2f}", f"{1e3 * times[-1]:.2f}"])
     words = (
         f"\nFrom 2 to 50 masses the coefficients take {times[-1] / times[0]:.1f} times as long,"

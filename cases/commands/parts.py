@@ -97,17 +97,16 @@ def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:
     ``BadInput`` where the folder holds states of another scene, other settings or another version.
     """
     from cases.output.files import make_folder, write_text
-    from cases.output.records import hash_of, plain, program_version
+    from cases.output.records import plain, program_version
     from cases.scene.reading import read_text
 
     if (folder := settings["checkpoint"]) is None:
         return
     own = {key: settings[key] for key in STATE_SETTINGS if key in settings}
-    identity = {"scene": scene.text, "settings": own, "version": program_version()}
-    record = {"run": hash_of(identity), "identity": plain(identity)}
+    identity = plain({"scene": scene.text, "settings": own, "version": program_version()})
     make_folder(folder)
     click.get_current_context().with_resource(locked(folder / "run.lock"))
-    path, text = folder / "run.json", json.dumps(record, ensure_ascii=False) + "\n"
+    path, text = folder / "run.json", json.dumps(identity, ensure_ascii=False) + "\n"
     if not path.exists():
         write_text(path, text)
     elif read_text(path, str(path), most=1 << 24, what="the run's identity") != text:

@@ -43,27 +43,23 @@ def refusals_of(curve: Record) -> list[Record]:
 
     ``routes`` has the methods, with their solvers where a method has several.
     """
-    joined: dict[tuple[str, bool], tuple[dict[str, dict[str, None]], dict[str, None]]] = {}
+    joined: dict[tuple[str, bool], Record] = {}
     for r in curve["methods"]:
-        if not r["applies"]:
-            reason, names = r["reason"], dict.fromkeys(r["observables"])
-            for name in names:
-                reason = reason.removeprefix(f"{name}: ")
-            solvers, observables = joined.setdefault((reason, r["failed"]), ({}, {}))
-            solvers.setdefault(r["method"], {})[r["solver"]] = None
-            observables |= names
-    return [
-        {
-            "routes": ", ".join(
-                method if len(solvers_of(method)) == 1 else f"{method} ({', '.join(own)})"
-                for method, own in solvers.items()
-            ),
-            "observables": list(observables),
-            "reason": reason,
-            "failed": failed,
-        }
-        for (reason, failed), (solvers, observables) in joined.items()
-    ]
+        if r["applies"]:
+            continue
+        reason, failed = r["reason"], r["failed"]
+        for name in r["observables"]:
+            reason = reason.removeprefix(f"{name}: ")
+        entry = joined.setdefault((reason, failed), {"solvers": {}, "observables": []})
+        entry["observables"] += [o for o in r["observables"] if o not in entry["observables"]]
+        entry["solvers"].setdefault(r["method"], {})[r["solver"]] = None
+    for (reason, failed), entry in joined.items():
+        routes = ", ".join(
+            method if len(solvers_of(method)) == 1 else f"{method} ({', '.join(own)})"
+            for method, own in entry.pop("solvers").items()
+        )
+        entry |= {"routes": routes, "reason": reason, "failed": failed}
+    return list(joined.values())
 
 
 def verdict_of(digest: Record) -> str:

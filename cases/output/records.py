@@ -1,7 +1,5 @@
 """Plain records: what JSON has of numbers, arrays and the program's own records."""
 
-import hashlib
-import json
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -35,12 +33,6 @@ def plain(record: Any) -> Record:
         record, inf_nan_mode="null", fallback=lambda array: array.tolist()
     )
     return json_values
-
-
-def hash_of(record: dict[str, Any]) -> str:
-    """Return a short hash of everything in ``record``."""
-    text = json.dumps(plain(record), sort_keys=True, ensure_ascii=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def certificate_record(density: AnyDensity) -> dict[str, Any]:

@@ -64,14 +64,13 @@ class Ladder:
 class ConvergenceStudy:
     """All that was measured for a scene; ``refusals`` are routes that do not apply, with reason.
 
-    ``equations`` describe the averaged equations, each with its ``ladders``. ``without_contact`` is
-    the p-ladder of (24) of the same system without its contacts: it shows whether a kink at the
-    contact energy costs the exponential convergence.
+    ``equations`` describe the averaged equations, each with its ``ladders``; the last of (24) is
+    that in p of the same system without contacts, which shows whether the kink at the contact
+    energy costs the exponential convergence.
     """
 
     scene: Scene
     equations: list[dict[str, Any]] = field(default_factory=list)
-    without_contact: Ladder | None = None
     schemes: list[WeakOrder] = field(default_factory=list)
     samples: SampleSlope | None = None
     refusals: dict[str, str] = field(default_factory=dict)
@@ -80,8 +79,7 @@ class ConvergenceStudy:
     @property
     def ladders(self) -> list[Ladder]:
         """Every ladder."""
-        ladders = [ladder for e in self.equations for ladder in e["ladders"]]
-        return ladders if self.without_contact is None else [*ladders, self.without_contact]
+        return [ladder for e in self.equations for ladder in e["ladders"]]
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -139,6 +137,11 @@ def study_convergence(
                 continue
             *_, make = EQUATIONS[route]
             equation = make(system)
+            measured = list(ladders(equation, progress=progress))
+            if equation.dimension == 1 and system.contacts:
+                free = make(replace(system, contacts=()))
+                free = replace(free, name=f"{free.name} without contact")
+                measured.append(measured_ladder(free, free.degrees()))
             study.equations.append(
                 {
                     "theory": route,
@@ -148,13 +151,9 @@ def study_convergence(
                     "reference": equation.reference_words,
                     "reference_error": equation.reference.l1_error,
                     "by_tolerance": equation.words,
-                    "ladders": ladders(equation, progress=progress),
+                    "ladders": measured,
                 }
             )
-            if equation.dimension == 1 and system.contacts:
-                free = make(replace(system, contacts=()))
-                free = replace(free, name=f"{free.name} without contact")
-                study.without_contact = measured_ladder(free, free.degrees())
         except (NotApplicable, NotCertified) as reason:
             if len(routes) == 1:  # it was asked for, and there is nothing else to show
                 raise

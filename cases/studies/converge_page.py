@@ -80,19 +80,15 @@ def study_panels(study: ConvergenceStudy) -> list[Panel]:
     Dashed lines have the slope of theory, below the finest levels.
     """
     panels = []
-    in_degree = [e for e in study.equations if e["dimension"] == 1]
-    for e, by_degree in [(e, False) for e in study.equations] + [(e, True) for e in in_degree]:
-        title, x = f"{e['equation']}; dashed: order of theory", "unknowns $N$"
-        curves = [_in_unknowns(ladder) for ladder in e["ladders"]]
-        if by_degree:
-            title, x = f"{e['equation']}; exponential in $p$", "degree $p$ on a fixed mesh"
-            (own,) = (ladder for ladder in e["ladders"] if ladder.family == "p")
-            curves = [_in_degree("no contact", own)]
-            if free := study.without_contact:
-                curves = [_in_degree("with contact", own), _in_degree("without contact", free)]
-        y, floor = f"$L_1$ error of p({e['observable']})", e["reference_error"] + ROUND_OFF
-        scale: dict[str, Any] = {"logarithmic": not by_degree, "limits": LIMITS_OF_AXIS}
-        panels.append(Panel(title, x, y, curves, floor, **scale))
+    for e in study.equations:
+        name, y = e["equation"], f"$L_1$ error of p({e['observable']})"
+        axis: dict[str, Any] = {"floor": e["reference_error"] + ROUND_OFF, "limits": LIMITS_OF_AXIS}
+        curves = [_in_unknowns(ladder) for ladder in e["ladders"] if ladder.equation == name]
+        panels.append(Panel(f"{name}; dashed: order of theory", "unknowns $N$", y, curves, **axis))
+        if e["dimension"] == 1:
+            curves = [_in_degree(ladder) for ladder in e["ladders"] if ladder.family == "p"]
+            x, axis["logarithmic"] = "degree $p$ on a fixed mesh", False
+            panels.append(Panel("exponential in $p$", x, y, curves, **axis))
     return [*panels, _step_panel(study.schemes)] if study.schemes else panels
 
 
@@ -106,9 +102,9 @@ def _in_unknowns(ladder: Ladder) -> Curve:
     return Curve(f"{ladder.name}: order {ladder.verdicts['L1'].order:.2f}", N, e, dashed=dashed)
 
 
-def _in_degree(words: str, ladder: Ladder) -> Curve:
+def _in_degree(ladder: Ladder) -> Curve:
     degrees = [-np.log(level.size) for level in ladder.levels]
-    label = f"{words}: $e^{{-{ladder.verdicts['L1'].order:.1f} p}}$"
+    label = f"{ladder.equation}: $e^{{-{ladder.verdicts['L1'].order:.1f} p}}$"
     return Curve(label, degrees, [level.error for level in ladder.levels])
 
 

@@ -149,13 +149,12 @@ def _priced(equation: Equation, first: Discretisation) -> Priced | NotTimed:
                     words = "states no finite error of its own: its density does not fall off"
                 return NotTimed(*names, level.settings, level.distance, level.estimate, words)
             timed = timing(setting.solve, level.seconds, equation.clock)
-            points.append(replace(level, timing=timed))
+            points.append(replace(level, **timed))
             if level.seconds > LONGEST:
                 break
     except (NotCertified, NotApplicable, InvalidInput, np.linalg.LinAlgError) as error:
         return NotTimed(*names, reason=str(error))
-    coarsest = replace(points[0].timing, first=max(0.0, compiling - points[0].seconds))
-    points[0] = replace(points[0], timing=coarsest)
+    points[0] = replace(points[0], first=max(0.0, compiling - points[0].seconds))
     axis = f"numerical: L1 of p({equation.reference.name}), {equation.name}"
     return Priced(*names, axis, tuple(points))
 
@@ -169,7 +168,7 @@ def _models(system: System, reference: Reference) -> list[Model]:
             work = partial(method.solve, system, [of])
             result, first = timed_first(work)
             distance, error, _ = distance_between(result.densities[0], reference.given)
-            theory, seconds = method.route.method, timing(work, first).seconds
+            theory, seconds = method.route.method, timing(work, first)["seconds"]
             model = Model(theory, reference.density.name, distance, error, seconds)
             models[theory] = min(model, models.get(theory, model), key=lambda m: m.seconds)
     return list(models.values())

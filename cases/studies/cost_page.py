@@ -28,6 +28,12 @@ LAW = (
     "L1 = noise/√(paths x time) + bias dt^order, the bias an upper bound where it is not resolved;"
     " (dt, N) is the cheapest path under it, one thread."
 )
+COLUMNS = {
+    "settings": "settings", "error": "L1 error", "stated": "stated", "unknowns": "unknowns",
+    "seconds": "seconds", "spread": "quartiles ±", "first": "first call more",
+    "coefficients": "coefficients", "memory": "memory",
+}  # fmt: skip
+"""Fields of a level that the table of measurements shows, with the names of their columns."""
 DRAWN, LONGEST = 1e-4, 3600.0
 """Error and seconds to which the law of sampling is drawn: an hour."""
 
@@ -35,23 +41,11 @@ DRAWN, LONGEST = 1e-4, 3600.0
 def cost_page(study: CostStudy) -> Page:
     """Return what ``fpk cost`` shows and writes."""
     measured = [
-        {
-            "equation": route.equation,
-            "route": route.route,
-            "settings": point.settings,
-            "L1 error": point.error,
-            "stated": point.stated,
-            "unknowns": point.unknowns or None,
-            "seconds": t.seconds,
-            "quartiles ±": t.spread,
-            "first call more": t.first,
-            "coefficients": t.coefficients,
-            "memory": t.memory,
-        }
+        {"equation": route.equation, "route": route.route}
+        | {column: getattr(point, key) for key, column in COLUMNS.items()}
         for route in study.routes
         for point in route.points
         if not point.modelled
-        for t in [point.timing]
     ]
     simulated = [r for r in study.routes if r.equation == FULL]
     models = []
@@ -83,8 +77,7 @@ def cost_page(study: CostStudy) -> Page:
 def _price(c: Cheapest) -> dict[str, Any]:
     p, route = c.point, c.route or "reached by none here"
     by = p and ("law of sampling" if p.modelled else "measurement")
-    values = (p.settings, p.seconds, p.timing.memory) if p else (None, None, None)
-    price = dict(zip(("settings", "seconds", "memory"), values, strict=True))
+    price = {key: getattr(p, key, None) for key in ("settings", "seconds", "memory")}
     return {"equation": c.equation, "digits": c.digits, "route": route, **price, "priced by": by}
 
 

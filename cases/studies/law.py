@@ -6,7 +6,7 @@ from math import hypot, sqrt
 from cases.comparison.averaged import AveragedSimulation
 from cases.comparison.compare import distance_between
 from cases.studies.equations import Equation
-from cases.studies.levels import Level, Timing, timed_first
+from cases.studies.levels import Level, timed_first
 from cases.studies.prices import NotTimed, Priced
 from cases.studies.simulation import SMALL_STEP, SMALLEST, Reference, largest_stable, run
 from fpk.density import Density
@@ -73,9 +73,9 @@ class Law:
         """Return the cheapest settings for ``error`` with their price by the law, not run."""
         dt, sampled = self.cheapest(error)
         paths = max(float(LEAST_PATHS), min(sampled / self.relaxation, MAX_PATHS))
-        timing = Timing(self.seconds(sampled, dt), 0.0, 0, 0.0, 0.0, paths * BYTES_A_PATH)
         settings = f"{paths:.2g} paths, time {max(sampled / paths, dt):.2g}, dt {dt:.2g}"
-        return Level(settings, error, error, timing, modelled=True)
+        seconds, memory = self.seconds(sampled, dt), paths * BYTES_A_PATH
+        return Level(settings, error, error, seconds, modelled=True, repeats=0, memory=memory)
 
 
 def full_routes(
@@ -106,7 +106,7 @@ def _route(
         if level.honest:
             of = f"expected L1 of p({reference.density.name}) of the full system"
             points, axis = (level, *map(law.point, ERRORS)), f"sampling and step error: {of}"
-            return Priced(f"{scheme}, (dt, N)", FULL, axis, points, sampled=True), [law]
+            return Priced(f"{scheme}, (dt, N)", FULL, axis, points), [law]
     words = f"differs from the {reference.words} by more than chance and its order explain"
     measured = level.settings, level.distance, level.estimate
     return NotTimed(scheme, FULL, *measured, reason=words, baseline=baseline), []
@@ -147,7 +147,7 @@ def _law(
         f"{at.paths} paths, time {at.time:.3g}, dt {at.dt:.3g}",
         error,
         error,
-        Timing(usual.seconds),
+        usual.seconds,
         distance,
         # The bias itself is known to the noise of the run that it was read from. Twice the error of
         # the reference: its mean is what chance makes of it, not the worst case.
@@ -164,10 +164,10 @@ def averaged_route(system: System, equation: Equation, *, seed: int) -> Priced |
     distance, expected, allowed = distance_between(result.densities[0], p)
     settings = f"{method.paths} paths, step {method.step:g}"
     mean = expected - p.l1_error
-    level = Level(settings, mean, mean, Timing(seconds), distance, allowed)
+    level = Level(settings, mean, mean, seconds, distance, allowed)
     names = method.route.label, equation.name
     if not level.honest:
         words = f"differs from the {equation.reference_words} by more than chance explains"
         return NotTimed(*names, settings, distance, level.estimate, words)
     axis = "sampling error: expected L1 of p(H), within chance of the reference"
-    return Priced(*names, axis, (level,), sampled=True)
+    return Priced(*names, axis, (level,))

@@ -9,7 +9,7 @@ import tracemalloc
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from math import exp, inf, nan, sqrt
-from statistics import median, quantiles
+from statistics import quantiles
 from time import process_time
 from timeit import repeat
 from typing import Any, Literal, TypeVar
@@ -28,10 +28,10 @@ from fpk.process import Coefficients
 
 T = TypeVar("T")
 
-MIN_REPEATS, MAX_REPEATS = 3, 21
+REPEATS = 3, 21
 """Least and largest number of timed runs."""
 ENOUGH = 0.1
-"""Seconds of repeats after which no more than ``MIN_REPEATS`` are made."""
+"""Seconds that the timed runs take together, if their least number does not take longer."""
 LONG = 1.0
 """Seconds of a first run above which it is the only one: its spread and memory stay unknown."""
 NORMS = ("L1", "L2", "max")
@@ -80,22 +80,6 @@ class TimedCoefficients:
 
 
 @dataclass(frozen=True)
-class Timing:
-    """Median and quartile spread in seconds; what the first call took beyond; peak memory in bytes.
-
-    ``coefficients`` is the part spent in the process's coefficients; ``memory`` is allocated by
-    Python and NumPy during one call. Not a number where it was not measured.
-    """
-
-    seconds: float
-    spread: float = nan
-    repeats: int = 1
-    first: float = nan
-    coefficients: float = nan
-    memory: float = nan
-
-
-@dataclass(frozen=True)
 class Level:
     """One level of refinement or one setting of a route, as it was measured.
 
@@ -103,12 +87,17 @@ class Level:
     moment; ``stated`` the answer's own estimate. ``distance`` is the L1 distance to the reference,
     ``estimate`` the largest that both errors allow; ``size`` as in ``observed_orders``.
     ``promised`` is the tolerance asked for, if any; ``modelled``: computed by the law of sampling.
+
+    ``seconds`` of processor time is the median of ``repeats`` runs, ``spread`` half the distance of
+    their quartiles, ``first`` what the first call took beyond, ``coefficients`` the part spent in
+    the process's coefficients, ``memory`` the peak in bytes that Python and NumPy allocate in one
+    call. Not a number where it was not measured.
     """
 
     settings: str
     error: float
     stated: float
-    timing: Timing
+    seconds: float
     distance: float = nan
     estimate: float = nan
     unknowns: int = 0
@@ -117,12 +106,11 @@ class Level:
     functionals: dict[str, float] = field(default_factory=dict)
     promised: float = inf
     modelled: bool = False
-    label: str = ""
-
-    @property
-    def seconds(self) -> float:
-        """Median processor time."""
-        return self.timing.seconds
+    repeats: int = 1
+    spread: float = nan
+    first: float = nan
+    coefficients: float = nan
+    memory: float = nan
 
     @property
     def honest(self) -> bool:
@@ -170,7 +158,7 @@ def refined_levels(
             settings=words,
             error=norms["L1"],
             stated=p.l1_error,
-            timing=Timing(seconds),
+            seconds=seconds,
             distance=norms["L1"],
             estimate=p.l1_error + reference.l1_error,
             unknowns=unknowns,
@@ -178,7 +166,6 @@ def refined_levels(
             errors=norms,
             functionals={key: moments[key] for key in FUNCTIONALS},
             promised=setting.promised,
-            label=words,
         )
         yield setting, level
 
@@ -192,17 +179,17 @@ def timed_first(work: Callable[[], T]) -> tuple[T, float]:
 
 def timing(
     work: Callable[[], Any], first: float, coefficients: TimedCoefficients | None = None
-) -> Timing:
-    """Time ``work``, which was called once before and took ``first`` seconds then.
+) -> dict[str, Any]:
+    """Return the times of ``work`` as in ``Level``; its first call took ``first`` seconds.
 
     ``coefficients`` are those that it evaluates, where the part spent in them is of interest.
     """
     if first > LONG:
-        return Timing(first)
+        return {"seconds": first}
     before = coefficients.seconds if coefficients else nan
-    times = repeat(work, repeat=MIN_REPEATS, number=1, timer=process_time)
-    more = min(int(ENOUGH / max(median(times), 1e-9)), MAX_REPEATS) - MIN_REPEATS
-    times += repeat(work, repeat=max(more, 0), number=1, timer=process_time)
+    _, warm = timed_first(work)
+    count = int(np.clip(ENOUGH / max(warm, 1e-9), *REPEATS))
+    times = [warm, *repeat(work, repeat=count - 1, number=1, timer=process_time)]
     inside = (coefficients.seconds - before) / len(times) if coefficients else nan
     lower, middle, upper = quantiles(times, n=4, method="inclusive")
     tracemalloc.start()
@@ -211,5 +198,6 @@ def timing(
         memory = float(tracemalloc.get_traced_memory()[1])
     finally:
         tracemalloc.stop()
+    measured = {"seconds": middle, "spread": 0.5 * (upper - lower), "repeats": len(times)}
     extra = max(0.0, first - middle)
-    return Timing(middle, 0.5 * (upper - lower), len(times), extra, inside, memory)
+    return {**measured, "first": extra, "coefficients": inside, "memory": memory}

@@ -17,14 +17,13 @@ DIGITS = tuple(range(1, 11))
 class Priced:
     """One route for one equation, timed at several settings, from coarse to fine.
 
-    ``axis`` says which error it is; ``sampled`` that it is one of sampling.
+    ``axis`` says which error it is.
     """
 
     route: str
     equation: str
     axis: str
     points: tuple[Level, ...]
-    sampled: bool = False
 
     def seconds_for(self, error: Array) -> Array:
         """Return the times for errors of any shape, log-log between points that none beats in both.

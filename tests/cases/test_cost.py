@@ -13,7 +13,7 @@ from cases.studies.cost import CostStudy, candidates, equation_routes, study_cos
 from cases.studies.cost_page import cost_page
 from cases.studies.equations import energy_equation
 from cases.studies.law import FULL, Law, full_routes
-from cases.studies.levels import Level, Timing, density_of, errors
+from cases.studies.levels import Level, density_of, errors
 from cases.studies.page import Table, cell, duration
 from cases.studies.prices import NotTimed, Priced, crossovers, price_list
 from cases.studies.simulation import full_reference
@@ -100,7 +100,7 @@ def test_a_baseline_without_a_usable_step_is_told_and_is_no_failure():
 
 
 def test_json_says_null_where_a_route_states_an_infinite_error(fpk, monkeypatch):
-    endless = Level("4", 0.1, float("inf"), timed(float("inf")))
+    endless = Level("4", 0.1, float("inf"), float("inf"))
     found = replace(
         EMPTY,
         routes=[Priced("r", "e", "axis", (endless,))],
@@ -124,15 +124,11 @@ def test_both_studies_say_where_files_are_written_and_print_one_object(fpk, tmp_
         assert status == 2 and not out and err.count("\n") == 1
 
 
-def timed(seconds):
-    return Timing(seconds, 0.0, 1, 0.0, 0.0, 1.0)
-
-
 EMPTY = CostStudy(load_scene("fig6b"))
 
 
 def route(name, pairs):
-    points = tuple(Level(f"{e:g}", e, e, timed(t)) for e, t in pairs)
+    points = tuple(Level(f"{e:g}", e, e, t) for e, t in pairs)
     return Priced(name, "equation", "axis", points)
 
 
@@ -198,8 +194,8 @@ def test_settings_of_one_scene_keep_their_digits_on_three_others(table_of_fig6b,
 
 
 def test_a_tolerance_is_priced_by_its_promise_not_by_what_it_happened_to_reach():
-    lucky = Level("1e-02", 1e-9, 1e-8, timed(1.0), promised=1e-2)
-    mesh = Level("24", 1e-9, 1e-8, timed(0.1))
+    lucky = Level("1e-02", 1e-9, 1e-8, 1.0, promised=1e-2)
+    mesh = Level("24", 1e-9, 1e-8, 0.1)
     found = price_list([Priced("hp", "e", "axis", (lucky, mesh))], promised=True)[:3]
     assert [c.point.settings if c.point else None for c in found] == ["1e-02", "1e-02", None]
 
