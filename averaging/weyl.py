@@ -104,6 +104,13 @@ def tabulated(system: System, solution: Solution, *, closed: bool = False) -> St
         before, end = np.maximum(u(nodes[-2:]), TINY)
         return relative * (1.0 + 2.0 * order / max(float(np.log(before / end)), EPS))
 
+    @cache
+    def log_continued(order: float) -> Piecewise:
+        def log_beyond(energy: Array) -> Array:
+            return np.log(np.maximum(continued(order, energy, fine, u), TINY))
+
+        return Piecewise(fine, interpolated(log_beyond, fine[:-1], fine[1:], POINTS[0] - 1))
+
     # Short of the last node, beyond which the tables end. u falls from there on, so that Ψ falls at
     # any order: its value here bounds what is dropped at any higher energy.
     last = nodes[-1] * (1.0 - 1e-9)
@@ -119,7 +126,8 @@ def tabulated(system: System, solution: Solution, *, closed: bool = False) -> St
         # The logarithm has the round-off of its size.
         relative = distance(order)(inside) + EPS * np.maximum(np.abs(log_value), 1.0)
         error = np.exp(log_value) * relative
-        error += continued(order, inside, fine, u) * (1.0 if varying else continued_error(order))
+        beyond = np.exp(log_continued(order)(inside))
+        error += beyond * (1.0 if varying else continued_error(order))
         return np.where(energy < last, error, 0.0)
 
     temperature = process.energy_scale / process.degrees_of_freedom

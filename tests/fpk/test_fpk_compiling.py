@@ -29,7 +29,15 @@ def made(tmp_path, monkeypatch):
     monkeypatch.setattr("numba.core.config.CACHE_DIR", "")
     namespace = {"__name__": "scaled", "__file__": str(tmp_path / "scaled.py")}
     exec(compile(SOURCE, str(tmp_path / "scaled.py"), "exec"), namespace)
-    return namespace["made"]
+    held = []
+
+    def made(factor):
+        # numba finds the constants of what it loads among functions that exist, or imports their
+        # module, which here has no name that can be imported.
+        held.append(namespace["made"](factor))
+        return held[-1]
+
+    return made
 
 
 DAMAGES = {
