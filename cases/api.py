@@ -1,6 +1,6 @@
 """The functions of ``import fpk`` that need all rooms: load, solve, compare."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from cases.comparison.answers import Answers, answers_of
 from cases.comparison.compare import Comparison
@@ -37,10 +37,18 @@ def solve(
     Raises ``InvalidInput`` for an unknown name and ``NotApplicable`` where a method that was named
     does not apply or does not give an observable.
     """
-    if isinstance(observables, str):
-        raise InvalidInput("observables", observables, 'must be a list of names, as ["q2", "H"]')
-    if isinstance(methods, str):
-        raise InvalidInput("methods", methods, 'must be a list, as ["exact", "nonintegrable/fem"]')
+    if not isinstance(system, System):
+        raise InvalidInput("system", system, 'must be a System, as fpk.load("fig6a").system')
+    for key, values, kinds, example in (
+        ("observable", observables, str, '"q2"'),
+        ("method", () if methods is None else methods, (str, Method), '"nonintegrable/fem"'),
+    ):
+        if isinstance(values, str) or not isinstance(values, Iterable):
+            raise InvalidInput(f"{key}s", values, f"must be a list, as [{example}]")
+        for value in values:
+            if not isinstance(value, kinds):
+                record = " or a Method" if key == "method" else ""
+                raise InvalidInput(key, value, f"must be a name{record}, as {example}")
     wanted = [parse_observable(name, system.n) for name in observables]
     if methods is None:
         unsampled = [m for m in all_methods(tol=tol) if not m.route.sampled]

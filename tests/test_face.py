@@ -95,14 +95,19 @@ def test_without_methods_every_deterministic_route_is_tried():
         ({"methods": ["exakt"]}, fpk.InvalidInput, "use one of"),
         ({"methods": ["nonintegrable/exact"]}, fpk.InvalidInput, "nonintegrable/fem"),
         ({"methods": "exact"}, fpk.InvalidInput, "must be a list"),
+        ({"system": "fig6a"}, fpk.InvalidInput, "must be a System, as fpk.load"),
+        ({"observables": [3]}, fpk.InvalidInput, 'observable = 3: must be a name, as "q2"'),
+        ({"observables": 3}, fpk.InvalidInput, "must be a list"),
+        ({"methods": [3]}, fpk.InvalidInput, "method = 3: must be a name or a Method"),
+        ({"methods": 3}, fpk.InvalidInput, "must be a list"),
         ({"methods": ["exact"]}, fpk.NotApplicable, "exact: the compatibility condition"),
         ({"methods": ["nonintegrable"], "observables": ["H2"]}, fpk.NotApplicable, "total energy"),
     ],
 )
 def test_mistakes_are_told_in_one_line(request_, error, words):
-    arguments = {"observables": ["q2"], "methods": ["nonintegrable"]} | request_
+    defaults = {"system": small_system(), "observables": ["q2"], "methods": ["nonintegrable"]}
     with pytest.raises(error) as caught:
-        fpk.solve(small_system(), arguments["observables"], methods=arguments["methods"])
+        fpk.solve(**(defaults | request_))
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
 
