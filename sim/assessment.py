@@ -14,7 +14,7 @@ from sim.record import Record
 from sim.relaxation import relaxation_time
 from sim.report import Report, Steps
 from sim.setup import Setup
-from sim.statistics import Moments
+from sim.statistics import moment_identities
 from sim.step_size import temperature
 
 LARGEST_Z = 5.0
@@ -49,7 +49,7 @@ def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) ->
         words = "the moments left the range of double precision; use a smaller dt than"
         failures.append(f"{words} {steps.dt:g}")
     failures += setup.failures
-    identities = Moments(setup.system, ensemble.batch_means()).identities()
+    identities = moment_identities(setup.system, ensemble.batch_means())
     stationary = ensemble.done - ensemble.phase >= setup.burn_in_steps
     judged = identities if stationary and not lost else ()
     failures += [text for identity in judged if (text := _defect(setup.system, identity))]

@@ -18,16 +18,12 @@ RANK_SLACK = 1e-13
 class LinearMap:
     """The random linear map ``x' = propagator x + factor z`` of the state ``x = (q, p)``.
 
-    ``propagator`` (2n, 2n); ``factor`` (2n, r); ``z`` are r independent standard normals.
+    ``propagator`` (2n, 2n); ``factor`` (2n, r), r the rank of the covariance; ``z`` are r
+    independent standard normals.
     """
 
     propagator: Array
     factor: Array
-
-    @property
-    def normals(self) -> int:
-        """The number of normals a step draws: the rank of its covariance."""
-        return int(self.factor.shape[1])
 
     @property
     def matrix(self) -> Array:

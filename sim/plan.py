@@ -33,7 +33,7 @@ def step_arrays(system: System, scheme: Scheme, dt: float) -> StepArrays:
         one, zero = np.eye(n), np.zeros((n, n))
         kicked = linear.propagator @ np.block([[one, zero], [-springs, one]])
         linear = replace(linear, propagator=kicked)
-    pairs = (linear.normals + 1) // 2
+    pairs = (linear.factor.shape[1] + 1) // 2
     laws, slots = effects_of(system).laws, system.contact_masses
     signs: dict[tuple[float, ...], list[float]] = {}
     for stop in system.stops:

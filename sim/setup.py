@@ -17,11 +17,11 @@ from sim.relaxation import relaxation_time
 from sim.schemes import SCHEMES, Scheme
 from sim.statistics import Product, moment_products
 from sim.step_size import (
-    check_step,
     chosen_step,
     expected_error,
     samples_in,
     sampling_interval,
+    stability_limit,
     step_for,
 )
 from sim.substeps import cost, with_long_steps
@@ -104,19 +104,18 @@ def default_step(method: MonteCarlo, system: System) -> float:
     or from the sampled time. Not from wall time where there is a checkpoint: a run may go on from
     it with another limit and on another machine; it is then as for ``CHECKPOINTED`` seconds.
     """
-    dt, interval = chosen_step(system), sampling_interval(system)
     if method.tol is not None:
-        return min(dt, step_for(system, method.tol))
+        return step_for(system, method.tol)
+    dt, interval = chosen_step(system), sampling_interval(system)
     if method.seconds is None:
         time = method.time or min(
             method.relaxations * relaxation_time(system), method.most_steps * dt
         )
-        return min(dt, step_for(system, expected_error(method.paths * time / interval)))
+        return step_for(system, expected_error(method.paths * time / interval))
     own = method.seconds * (method.threads or usable_cores())
     seconds = own if method.checkpoint is None else CHECKPOINTED
     for _ in range(STEP_ROUNDS):
-        error = expected_error(samples_in(system, dt, seconds))
-        dt = min(chosen_step(system), step_for(system, error))
+        dt = step_for(system, expected_error(samples_in(system, dt, seconds)))
     return dt
 
 
@@ -124,12 +123,12 @@ def setup_of(method: MonteCarlo, system: System, observables: Sequence[Observabl
     """Return the setup that ``method`` asks for; raise ``InvalidInput`` for an unstable step."""
     scheme, failures = SCHEMES[method.scheme], list[str]()
     dt = method.dt or method.step_factor * default_step(method, system)
-    try:
-        check_step(system, scheme, dt)
-    except InvalidInput as error:
+    limit = stability_limit(system, scheme)
+    if not 0.0 < dt < limit:
+        remedy = f"must be > 0 and below the stability limit 2/ω = {limit:.4g} of {scheme.name}"
         if not method.allow_unstable:
-            raise
-        failures.append(f"the step {dt:g} was insisted on: it {error.remedy}")
+            raise InvalidInput("dt", dt, remedy)
+        failures.append(f"the step {dt:g} was insisted on: it {remedy}")
     relaxation = relaxation_time(system)
     shortest = RANDOM_NUMBERS * system.n * (method.burn_in * relaxation + (method.time or 0.0))
     if dt < shortest:

@@ -1,5 +1,6 @@
 """One simulation: burn-in, a pilot for the histograms, and sampling until it is enough."""
 
+from functools import partial
 from math import ceil, inf
 from time import perf_counter
 from typing import Any
@@ -45,37 +46,29 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
     simulation of the same setup goes on from there. Where it may be ``partial`` Ctrl-C ends the
     sampling, and what there is by then is the result, not certified.
     """
-    checkpoint = checkpoint_of(setup.method.checkpoint, setup.identity)
-    with checkpoint.alone():
-        return _simulated(setup, checkpoint, workers=workers, progress=progress)
-
-
-def _simulated(setup: Setup, checkpoint: Checkpoint, *, workers: Any, progress: Progress) -> Answer:
-    method = setup.method
-    ensemble = Ensemble(
-        setup.system, setup.scheme, setup.dt, method.paths, method.seed, workers=workers
-    )
-    saved = checkpoint.load()
-    # Any ranges: with the kinds of observables as later there is one kernel for all.
-    reached = np.full((sum(map(len, setup.observables)), 2), (-1.0, 1.0))
-    ensemble.watch(covering(setup.observables, reached, mirror=setup.mirror), setup.products)
-    ensemble.advance(0, stride=0)  # compiles: the time that is limited begins here
-    begin = perf_counter()
-    checkpoint.deadline = begin + setup.seconds
-    with interruptible(method.partial) as checkpoint.stopped:
-        sampling, cut = "reached" in saved, ""
-        if sampling:
+    method, cut = setup.method, ""
+    checkpoint = checkpoint_of(method.checkpoint, setup.identity)
+    covered = partial(covering, setup.observables, mirror=setup.mirror)
+    with checkpoint.alone(), interruptible(method.partial) as checkpoint.stopped:
+        ensemble = Ensemble(
+            setup.system, setup.scheme, setup.dt, method.paths, method.seed, workers=workers
+        )
+        saved = checkpoint.load()
+        # Any ranges: with the kinds of observables as later there is one kernel for all.
+        reached = np.full((sum(map(len, setup.observables)), 2), (-1.0, 1.0))
+        ensemble.watch(covered(reached), setup.products)
+        ensemble.advance(0, stride=0)  # compiles: the time that is limited begins here
+        begin = perf_counter()
+        checkpoint.deadline = begin + setup.seconds
+        if "reached" in saved:
             reached = saved["reached"]
         else:
             reached, cut = _burnt_in(setup, ensemble, checkpoint, saved, progress=progress)
-        histograms = setup.histograms or covering(setup.observables, reached, mirror=setup.mirror)
-        ensemble.watch(histograms, setup.products)
-        record = Record(ensemble)
-        if sampling:
+        ensemble.watch(setup.histograms or covered(reached), setup.products)
+        record = Record(ensemble, elapsed=perf_counter() - begin)
+        if "reached" in saved:
             ensemble.restore(saved)
             record.restore(saved)
-        else:
-            record.elapsed = perf_counter() - begin
         if cut:
             ensemble.advance(1, stride=setup.stride)  # a sample of the states that there are
         else:

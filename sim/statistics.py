@@ -1,6 +1,5 @@
 """Means with standard errors from independent batches, and the identities that they must meet."""
 
-from dataclasses import dataclass
 from math import pi, sqrt
 
 import numpy as np
@@ -32,61 +31,44 @@ def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
     return tuple(products)
 
 
-@dataclass(frozen=True, eq=False)
-class Moments:
-    """Stationary second moments of each batch; any linear function of them has its error."""
+def batch_moments(system: System, batch_means: Array) -> dict[Product, Array]:
+    """Return the mean (batches,) of each product, in either order, from (batches, products)."""
+    products = moment_products(system.n, terms=bool(system.damping_terms))
+    moments = dict(zip(products, batch_means.T, strict=True))
+    return moments | {(b, j, a, i): mean for (a, i, b, j), mean in moments.items()}
 
-    system: System
-    batch_means: Array  # (batches, products)
 
-    def batches(self, a: str, i: int, b: str, j: int) -> Array:
-        """Return the mean (batches,) of one product in each batch, masses counted from 0."""
-        products = moment_products(self.system.n, terms=bool(self.system.damping_terms))
-        key = (a, i, b, j) if (a, i, b, j) in products else (b, j, a, i)
-        return np.asarray(self.batch_means[:, products.index(key)])
+def moment_identities(system: System, batch_means: Array) -> tuple[Identity, ...]:
+    """Return the moment identities, exact in the stationary state of Eq. (6).
 
-    def identities(self) -> tuple[Identity, ...]:
-        """Return the moment identities, exact in the stationary state of Eq. (6).
+    The generator applied to H, q_i p_i and p_i² has mean zero:
+    ``Σ_ij c_ij E v_i v_j = Σ_i N_ii/m_i``; ``m_i E v_i² = E q_i F_i + Σ_j c_ij E q_i v_j``;
+    ``E p_i F_i + Σ_j c_ij E p_i v_j = N_ii``; N = f D fᵀ and F = K q + g(q). Damping terms are
+    part of c, inside the means. ``batch_means`` (batches, products): errors are from their spread.
+    """
+    m, c, masses = system.mass, system.damping, range(system.n)
+    mean = batch_moments(system, batch_means)
 
-        The generator applied to H, q_i p_i and p_i² has mean zero:
-        ``Σ_ij c_ij E v_i v_j = Σ_i N_ii/m_i``; ``m_i E v_i² = E q_i F_i + Σ_j c_ij E q_i v_j``;
-        ``E p_i F_i + Σ_j c_ij E p_i v_j = N_ii``; N = f D fᵀ and F = K q + g(q). Damping terms are
-        part of c, inside the means.
-        """
-        system, m, c = self.system, self.system.mass, self.system.damping
-        masses = range(system.n)
+    def damped(a: str, i: int) -> Array:
+        terms = [c[i, j] / m[j] * mean[a, i, "p", j] for j in masses]
+        if system.damping_terms:
+            terms.append(mean[a, i, "d", i])
+        return np.asarray(np.sum(terms, axis=0))
 
-        def damped(a: str, i: int) -> Array:
-            terms = [c[i, j] / m[j] * self.batches(a, i, "p", j) for j in masses]
-            if system.damping_terms:
-                terms.append(self.batches(a, i, "d", i))
-            return np.asarray(np.sum(terms, axis=0))
-
-        noise = np.diag(system.noise_matrix)
-        loss = np.sum([damped("p", i) / m[i] for i in masses], axis=0)
-        identities = [_identity("energy balance", loss, float(np.sum(noise / m)))]
-        for i in masses:
-            kinetic = self.batches("p", i, "p", i) / m[i]
-            virial = kinetic - self.batches("q", i, "f", i) - damped("q", i)
-            identities.append(_identity(f"virial of mass {i + 1}", virial, 0.0))
-            work = self.batches("p", i, "f", i) + damped("p", i)
-            identities.append(_identity(f"kinetic balance of mass {i + 1}", work, float(noise[i])))
-        return tuple(identities)
+    noise = np.diag(system.noise_matrix)
+    loss = np.sum([damped("p", i) / m[i] for i in masses], axis=0)
+    identities = [_identity("energy balance", loss, float(np.sum(noise / m)))]
+    for i in masses:
+        virial = mean["p", i, "p", i] / m[i] - mean["q", i, "f", i] - damped("q", i)
+        identities.append(_identity(f"virial of mass {i + 1}", virial, 0.0))
+        work = mean["p", i, "f", i] + damped("p", i)
+        identities.append(_identity(f"kinetic balance of mass {i + 1}", work, float(noise[i])))
+    return tuple(identities)
 
 
 def _identity(name: str, batches: Array, expected: float) -> Identity:
     error = float(batches.std(ddof=1) / np.sqrt(batches.size))
     return Identity(name, float(batches.mean()), expected, error)
-
-
-def sampling_error(density: SampledDensity) -> float:
-    """Return the expected ∫|p − p_exact| of the density as ``density.at`` returns it at points.
-
-    √(2/π) standard errors, integrated: the expectation of |x| of a normal x.
-    """
-    middles = (0.5 * (e[1:] + e[:-1]) for e in density.edges)
-    error = density.at(*np.meshgrid(*middles, indexing="ij", sparse=True))[1]
-    return sqrt(2.0 / pi) * _bin_area(density) * float(np.sum(error))
 
 
 def l1_difference(a: SampledDensity, b: SampledDensity) -> tuple[float, float]:
@@ -97,8 +79,5 @@ def l1_difference(a: SampledDensity, b: SampledDensity) -> tuple[float, float]:
     wanted = L1_BINS[len(a.edges) - 1]
     a, b = (density.joined(min(density.values.shape) // wanted) for density in (a, b))
     spread = float(np.sum(np.hypot(a.standard_error, b.standard_error)))
-    return l1_distance(a, b), sqrt(2.0 / pi) * _bin_area(a) * spread
-
-
-def _bin_area(density: SampledDensity) -> float:
-    return float(np.prod([e[1] - e[0] for e in density.edges]))
+    area = float(np.prod([e[1] - e[0] for e in a.edges]))
+    return l1_distance(a, b), sqrt(2.0 / pi) * area * spread

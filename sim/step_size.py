@@ -6,7 +6,6 @@ import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
 from fpk.equivalent import balance_energy, equivalent_temperature
-from fpk.errors import InvalidInput
 from fpk.linear import natural_modes
 from fpk.system import System
 from sim.schemes import Scheme
@@ -135,12 +134,13 @@ def chosen_step(system: System) -> float:
 def step_for(system: System, error: float) -> float:
     """Return the step whose bias at the stops is a third of the relative sampling ``error`` of p.
 
+    It is no longer than ``chosen_step``.
     Within v h of a stop, v the thermal velocity, the force is not smooth over a step: of a force
     ``B x^e`` the bias of p there is ``BIAS X^e`` of itself, ``X = h² e B (v h)^(e−1)/m`` the square
     of the phase that the contact adds in a step. Farther stops are visited less often, and known
     to a larger error.
     """
-    kT, steps = temperature(system), [inf]
+    kT, steps = temperature(system), [chosen_step(system)]
     for stop in system.stops:
         m, k_eff = float(system.mass[stop.index]), 1.0 / system.compliance[stop.index, stop.index]
         rarity = min(0.25 * k_eff * stop.clearance**2 / kT, RAREST)
@@ -161,12 +161,9 @@ def samples_in(system: System, dt: float, seconds: float) -> float:
     return seconds / (STEP_SECONDS * max(1.0, interval / dt) + SAMPLE_SECONDS)
 
 
-def check_step(system: System, scheme: Scheme, dt: float) -> None:
-    """Refuse a step at or above 2/ω, ω the contact frequency, with the springs if they kick."""
+def stability_limit(system: System, scheme: Scheme) -> float:
+    """Return 2/ω, where steps become unstable; ω of the contact, with the springs if they kick."""
     square = contact_frequency(system) ** 2
     if scheme.springs_kicked or not scheme.kick_first:
         square += highest_frequency(system) ** 2
-    limit = 2.0 / sqrt(square) if square > 0 else inf
-    if not 0.0 < dt < limit:
-        remedy = f"must be > 0 and below the stability limit 2/ω = {limit:.4g} of {scheme.name}"
-        raise InvalidInput("dt", dt, remedy)
+    return 2.0 / sqrt(square) if square > 0 else inf

@@ -78,11 +78,16 @@ def on_copies(task: Callable[..., Any], *arguments: Any) -> Any:
 
 
 @contextmanager
-def connected(address: str) -> Iterator[Workers]:
-    """Yield the workers of the Dask scheduler at ``address``, one thread of which takes a task.
+def workers_of(address: str | None, threads: int = 1) -> Iterator[Workers]:
+    """Yield the workers of ensembles: so many ``threads`` here, or a cluster's where it has an
+    ``address``, that of its Dask scheduler; each thread takes one task at a time.
 
     Raises ``Unavailable`` without dask, an answer, or a worker with the same program.
     """
+    if address is None:
+        with ThreadPoolExecutor(threads) as executor:
+            yield Workers(executor, threads)
+        return
 
     def unavailable(words: str) -> Unavailable:
         return Unavailable(f"cluster {address}: {words}")
@@ -111,14 +116,3 @@ def connected(address: str) -> Iterator[Workers]:
         quiet = {"distributed.admin.large-graph-warning-threshold": "1PiB"}
         with import_module("dask").config.set(quiet):
             yield Workers(client.get_executor(pure=False), threads, CLUSTER_PIECE, lost)
-
-
-@contextmanager
-def workers_of(address: str | None, threads: int) -> Iterator[Workers]:
-    """Yield the workers of ensembles: ``threads`` here, or the cluster at ``address``."""
-    if address is None:
-        with ThreadPoolExecutor(threads) as executor:
-            yield Workers(executor, threads)
-        return
-    with connected(address) as workers:
-        yield workers

@@ -149,7 +149,7 @@ def outcome_of(scene: "Scene", methods: Any, **settings: Any) -> "Outcome":
 def check_cluster(address: str | None) -> None:
     """Refuse a cluster that does not answer before anything else is done."""
     if address is not None:
-        from sim.workers import connected
+        from sim.workers import workers_of
 
-        with connected(address):
+        with workers_of(address):
             pass

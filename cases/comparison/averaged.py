@@ -7,7 +7,7 @@ here without asking for them.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from math import inf, isfinite
+from math import ceil, inf, isfinite
 from typing import TYPE_CHECKING, Self
 
 from cases.scene.expect import Theory
@@ -87,20 +87,21 @@ class AveragedSimulation(Method):
     def _sampled(
         self, process: "Process", observables: Sequence[Observable], progress: Progress
     ) -> Result:
-        from sim.averaged.paths import simulate_energies, steps_between
+        from sim.averaged.paths import simulate_energies
         from sim.averaged.square_root import line_form, square_root_form
 
         form = (line_form if self.theory == "nonintegrable" else square_root_form)(process)
         slowest, exact = float(form.times.max()), form.damping is None
-        dt, interval = inf if exact else self.step * float(form.times.min()), 0.5 * slowest
+        interval, longest = 0.5 * slowest, self.step * float(form.times.min())
+        steps = 1 if exact else ceil(interval / longest - 1e-9)
         time = SAMPLED_TIMES * slowest if self.time is None else self.time
         densities = simulate_energies(
             form,
             observables,
-            dt=dt,
+            interval=interval,
+            steps=steps,
             time=time,
             burn_in=10.0 * slowest,
-            interval=interval,
             paths=self.paths,
             seed=self.seed,
             threads=self.threads or usable_cores(),
@@ -110,7 +111,7 @@ class AveragedSimulation(Method):
         settings: dict[str, str | float | int] = {
             "equation": self.route.equation,
             "relaxation time": slowest,
-            "dt": steps_between(interval, dt)[1],
+            "dt": interval / steps,
             "steps": "exact" if exact else "Strang splitting",
             "paths": self.paths,
             "time": time,

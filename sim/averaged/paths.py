@@ -28,20 +28,14 @@ BINS = (512, 64)
 """Bins of each axis of a histogram of one and of two energies."""
 
 
-def steps_between(interval: float, dt: float) -> tuple[int, float]:
-    """Return the steps from one sample to the next and their length, at most ``dt``."""
-    count = 1 if dt == inf else int(np.ceil(interval / dt - 1e-9))
-    return count, interval / count
-
-
 def simulate_energies(
     form: SquareRootForm,
     observables: Sequence[Observable],
     *,
-    dt: float,
+    interval: float,
+    steps: int,
     time: float,
     burn_in: float,
-    interval: float,
     paths: int = 16384,
     seed: int = 1,
     threads: int = 1,
@@ -50,23 +44,19 @@ def simulate_energies(
 ) -> tuple[SampledDensity, ...]:
     """Return histogram densities of energies H_i, pairs of them and H = Σ H_i, with their errors.
 
-    ``paths`` in all are sampled every ``interval`` for ``time`` after ``burn_in``, in steps of
-    ``dt`` at most, infinity for one from sample to sample. Streams belong to batches of paths: the
-    answer does not depend on ``threads``. Ranges come from a pilot with a stream of its own.
+    ``paths`` in all are sampled every ``interval``, so many ``steps``, for ``time`` after
+    ``burn_in``. Streams belong to batches of paths: the answer does not depend on ``threads``.
+    Ranges come from a pilot with a stream of its own.
 
-    Raises ``InvalidInput`` for times that are not positive, and paths that fill no batches.
+    Raises ``InvalidInput`` for paths that fill no batches.
     """
-    for key, value in {"dt": dt, "time": time, "interval": interval}.items():
-        if not value > 0:
-            raise InvalidInput(key, value, "must be > 0")
     if paths < LEAST_PATHS or paths % BATCHES:
         raise InvalidInput("paths", paths, f"use a multiple of {BATCHES}, {LEAST_PATHS} or more")
-    count, dt = steps_between(interval, dt)
     own, samples = paths // BATCHES, max(1, round(time / interval))
 
     def advanced(X: Array, stream: np.random.Generator) -> Array:
-        for _ in range(count):
-            X = square_root_step(form, X, dt, stream)
+        for _ in range(steps):
+            X = square_root_step(form, X, interval / steps, stream)
         return X
 
     def burnt_in(paths: int, stream: np.random.Generator) -> Array:

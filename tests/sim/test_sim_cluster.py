@@ -19,7 +19,7 @@ from sim.ensemble import Ensemble
 from sim.histogram import Histogram
 from sim.schemes import SCHEMES
 from sim.statistics import moment_products
-from sim.workers import Workers, connected, on_copies
+from sim.workers import Workers, on_copies, workers_of
 
 dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
 EXACT_FLOW = SCHEMES["exact_flow"]
@@ -38,7 +38,7 @@ def cluster(workers: int) -> Iterator[tuple[Workers, Any]]:
             n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0",
             silence_logs=logging.CRITICAL,
         ) as local,
-        connected(local.scheduler_address) as those,
+        workers_of(local.scheduler_address) as those,
         distributed.Client(local, set_as_default=False) as client,
     ):  # fmt: skip
         yield those, client
@@ -158,12 +158,12 @@ def test_an_address_that_does_not_answer_is_one_line(
     address: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sim.workers.PATIENCE", 0.5)
-    with pytest.raises(Unavailable, match="no Dask scheduler") as end, connected(address):
+    with pytest.raises(Unavailable, match="no Dask scheduler") as end, workers_of(address):
         pass
     assert "\n" not in str(end.value)
 
 
 def test_where_dask_is_missing_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(Unavailable, match=r"vibro-fpk\[cluster\]"), connected("tcp://x:1"):
+    with pytest.raises(Unavailable, match=r"vibro-fpk\[cluster\]"), workers_of("tcp://x:1"):
         pass

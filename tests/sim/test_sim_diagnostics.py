@@ -26,7 +26,7 @@ from sim.histogram import mirrored, sampled_density
 from sim.montecarlo import MonteCarlo
 from sim.record import Record, octiles
 from sim.schemes import SCHEMES
-from sim.statistics import moment_products, sampling_error
+from sim.statistics import moment_products
 
 
 def autoregression(phi: float, chains: int, draws: int, seed: int) -> np.ndarray:
@@ -223,8 +223,8 @@ def test_the_stated_error_is_the_real_one_and_the_mirror_gains() -> None:
         # The error is that of the density as it is returned at points.
         edges = both.edges[0]
         distance = np.abs(both(0.5 * (edges[1:] + edges[:-1])) - exact_bins(edges)).sum()
-        ratios.append((edges[1] - edges[0]) * distance / sampling_error(both))
-        gains.append((sampling_error(plain) / sampling_error(both)) ** 2)
+        ratios.append((edges[1] - edges[0]) * distance / both.l1_error)
+        gains.append((plain.l1_error / both.l1_error) ** 2)
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.24)
     # Twice the samples, but for the correlation of x and −x on one trajectory.
     assert 1.4 < np.mean(gains) < 2.2

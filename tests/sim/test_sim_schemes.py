@@ -35,7 +35,7 @@ def exact_flow_twin(system, h, q, p, draw):
     m = system.mass[:, None]
     flow = exact_flow(system, h)
     x = np.vstack([q, p - h * g * (1 - h**2 * slope / (12 * m))])
-    x = flow.propagator @ x + lower_trapezoidal(flow.factor) @ draw(flow.normals)
+    x = flow.propagator @ x + lower_trapezoidal(flow.factor) @ draw(flow.factor.shape[1])
     return x[: system.n], x[system.n :]
 
 

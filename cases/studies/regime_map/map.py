@@ -28,7 +28,7 @@ from fpk.method import Progress, silent
 from fpk.observable import Observable, observable_name
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
-from sim.workers import connected
+from sim.workers import workers_of
 
 KEYS = {"contact.stiffness": "contact stiffness $B$", "contact.clearance": "clearance $δ$"}
 """Keys of a scene that a map may vary, all of them numbers, with the label of their axis."""
@@ -125,7 +125,7 @@ def _finished(todo: Sequence[Callable[..., MapPoint]], method: MonteCarlo) -> It
         yield from (point(method) for point in todo)
         return
     alone = replace(method, cluster=None, threads=1)
-    with connected(method.cluster) as workers:
+    with workers_of(method.cluster) as workers:
         yield from workers.as_finished([partial(point, alone) for point in todo])
 
 
