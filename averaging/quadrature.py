@@ -57,17 +57,17 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
     below = np.cumsum(share)
     moved = np.minimum(below, 1.0 - below + share)
     defect = abs(float(share.sum()) - 1.0)
-    states = float(process.coefficients(x.ravel()).relative_error.max())
-    l1_error = 2.0 * states + defect + 2.0 * tail_mass + ROUND_OFF * lengths.size
-    steps = _truncation(lengths, rate.coefficients)
+    # Close to a contact energy T may be worse by far, where there is next to no mass.
+    states = 2.0 * process.coefficients(x.ravel()).relative_error.reshape(x.shape)
+    l1_error = float(np.sum(w * p * states)) + defect + 2.0 * tail_mass + ROUND_OFF * lengths.size
+    steps = _truncation(lengths, rate.coefficients) + lengths * rate.coefficients[:, 0, 1]
     if process.state_damping:
         # The exponent is a running sum over all panels, whose round-off is relative to its size.
         l1_error += EPS * float(np.ptp(smooth.coefficients[:, 0]))
-        steps = steps + lengths * rate.coefficients[:, 0, 1]
     l1_error += 2.0 * float(steps @ moved)
     # In ln p the errors add up from the median outwards.
     total, middle = np.cumsum(steps), int(np.searchsorted(below, 0.5))
-    outwards = np.abs(total - total[min(middle, lengths.size - 1)]) + steps
+    outwards = np.abs(total - total[min(middle, lengths.size - 1)]) + steps + states.max(axis=1)
     measured = Measured(
         l1_error, defect, float(p.min() / p.max()), flux_residual(process, nodes, log_p), tail_mass
     )

@@ -8,9 +8,12 @@ from averaging_systems import chain
 from scipy.optimize import brentq
 from scipy.special import beta
 
+from averaging.nonintegrable import NonIntegrable
 from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.ratios import shell_ratios
 from fpk.contact import Contact
+from fpk.density import l1_distance
+from fpk.observable import parse_observable
 from fpk.quadrature import gauss_legendre
 
 STOPS = {
@@ -106,3 +109,17 @@ def test_stops_of_another_stiffness_are_told_apart():
         shell_ratios(chain(2, (Contact(2, "both", B, 0.5),)), energies) for B in (10.0, 10.1)
     )
     assert np.all(np.abs(one.states / other.states - 1.0) > 1e-4)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+@pytest.mark.parametrize("apart", [1e-12, 1e-11, 1e-10, 1e-9, 1e-8])
+def test_contact_energies_that_nearly_coincide_cost_no_accuracy(n, apart):
+    """Between them T of one mass is known to √apart only, where there is next to no mass."""
+    stops = tuple(Contact(n, side, 10.0, c) for side, c in (("right", 0.5), ("left", 0.5 + apart)))
+    system = chain(n, stops)
+    energy = [parse_observable("H", n)]
+    (reference,) = NonIntegrable("closed-form").solve(system, energy).densities
+    for solver in ("quadrature", "fem"):
+        (density,) = NonIntegrable(solver).solve(system, energy).densities
+        assert density.certificate.certified, density.certificate.failures
+        assert l1_distance(density, reference) <= density.l1_error + reference.l1_error
