@@ -5,19 +5,13 @@ from collections.abc import Iterable, Sequence
 from cases.comparison.answers import Answers, answers_of
 from cases.comparison.compare import Comparison
 from cases.comparison.routes import all_methods, method_for
-from cases.scene.scene import Scene, load_scene
+from cases.scene.scene import load_scene
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import Method
 from fpk.observable import parse_observable
 from fpk.system import System
 
-
-def load(scene: str) -> Scene:
-    """Return the shipped scene of that name or the one at that path; its ``system`` is Eq. (1).
-
-    Raises ``BadInput``, one line that names file, key, value and what would be right.
-    """
-    return load_scene(str(scene))
+load = load_scene
 
 
 def solve(

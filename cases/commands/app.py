@@ -4,6 +4,7 @@ import atexit
 import gc
 import sys
 import warnings
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -31,7 +32,7 @@ def app() -> None:
 
 @app.command("list")
 @parts.as_json
-def list_scenes(as_json: bool) -> None:
+def list_scenes() -> None:
     """List the shipped scenes."""
     from cases.scene.scene import load_scene, shipped_scenes
 
@@ -42,20 +43,20 @@ def list_scenes(as_json: bool) -> None:
         rows.append({**row, "title": scene.title, "source": scene.source})
     width = max(len(row["name"]) for row in rows)
     lines = [f"{row['name']:{width}}  {row['folder']:5}  {row['title']}" for row in rows]
-    parts.end({"scenes": rows} if as_json else None, lambda: "\n".join(lines))
+    parts.end({"scenes": rows}, lambda: "\n".join(lines))
 
 
 @app.command()
 @parts.scene_name
 @parts.as_json
-def show(scene: str, as_json: bool) -> None:
+def show(scene: str) -> None:
     """Show the system, its effects, frequencies, and which theories apply and why."""
     loaded = parts.checked(scene)
     from cases.output.facts import show_record
     from cases.output.text import rendered
 
     record = show_record(loaded)
-    parts.end(record if as_json else None, lambda: rendered("show.txt", record))
+    parts.end(record, lambda: rendered("show.txt", record))
 
 
 @app.command()
@@ -63,7 +64,7 @@ def show(scene: str, as_json: bool) -> None:
 @click.option("--out", type=parts.FOLDER, help="Folder for report, netCDF, pictures.")
 @parts.simulation_options
 @parts.as_json
-def run(scene: str, out: Path | None, as_json: bool, **settings: Any) -> None:
+def run(scene: str, out: Path | None, **settings: Any) -> None:
     """Run every applicable route of a scene, compare them, and write a report."""
     start, loaded = perf_counter(), parts.checked(scene, tol=settings["tol"], out=out)
     from cases.comparison.routes import all_methods
@@ -92,10 +93,8 @@ def run(scene: str, out: Path | None, as_json: bool, **settings: Any) -> None:
         with progress_bar() as progress:
             written = write_report(outcome, digest, out, fields=False, progress=progress)
     digest["seconds"] = perf_counter() - start
-    record = digest if as_json else None
-    parts.end(
-        record, lambda: rendered("run.txt", {"digest": digest}), written, problems=outcome.problems
-    )
+    text = partial(rendered, "run.txt", {"digest": digest})
+    parts.end(digest, text, written, problems=outcome.problems)
 
 
 @app.command()
@@ -108,9 +107,7 @@ def run(scene: str, out: Path | None, as_json: bool, **settings: Any) -> None:
 @click.option("--solver", help="closed-form, quadrature, fem or simulation.")
 @parts.simulation_options
 @parts.as_json
-def density(
-    scene: str, method: str, of: str, at: str, solver: str | None, as_json: bool, **settings: Any
-) -> None:
+def density(scene: str, method: str, of: str, at: str, solver: str | None, **settings: Any) -> None:
     """Give one density at the points asked for."""
     loaded = parts.checked(scene, tol=settings["tol"])
     observable = parts.observable_of(of, loaded)
@@ -131,7 +128,7 @@ def density(
         result = solved(plan, loaded.system, [observable], progress=progress)
     record = density_record(loaded, result, points)
     problems = [f"{of} is not certified: {f}" for f in record["certificate"]["failures"]]
-    parts.end(record if as_json else None, lambda: density_text(record), problems=problems)
+    parts.end(record, lambda: density_text(record), problems=problems)
 
 
 for _command in (converge, cost, export, verify, regime):

@@ -19,7 +19,7 @@ ENDINGS = (".vtu", ".pvd", ".nc", ".csv")
 @click.option("--of", metavar="OBS", help="This density instead of the scene's own.")
 @parts.tol
 @parts.as_json
-def export(scene: str, out: Path, of: str | None, tol: float | None, as_json: bool) -> None:
+def export(scene: str, out: Path, of: str | None, tol: float | None) -> None:
     """Write the densities of a scene by theory, of all its curves, to one file.
 
     A .vtu holds one field of the scene's own system (the first pair observed, else the first
@@ -51,4 +51,4 @@ def export(scene: str, out: Path, of: str | None, tol: float | None, as_json: bo
     files = [str(path) for path in write[out.suffix](outcome, out)]
     record = {"scene": loaded.name, "file": str(out), "files": files, "seconds": outcome.seconds}
     words = "\n".join(f"wrote {file}" for file in files)
-    parts.end(record if as_json else None, lambda: words, problems=outcome.problems)
+    parts.end(record, lambda: words, problems=outcome.problems)

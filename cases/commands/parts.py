@@ -37,7 +37,10 @@ STATE_SETTINGS = ("seed", "tol", "dt", "step_pair", "observable")
 """Settings of a command that a saved state of its simulation depends on."""
 
 scene_name = click.argument("scene", metavar="SCENE")
-as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object alone.")
+as_json = click.option(
+    "--json", "as_json", is_flag=True, expose_value=False, help="Print one JSON object alone.",
+    callback=lambda context, option, value: context.meta.update(json=value),
+)  # fmt: skip
 tol = click.option("--tol", type=float, help="L1 error wanted; a solver adapts to meet it.")
 seed = click.option("--seed", type=click.IntRange(0, 2**64 - 1), help="Seed of the simulation.")
 threads = click.option("--threads", type=click.IntRange(1), help="Threads of the simulation.")
@@ -117,17 +120,17 @@ def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:
 
 
 def end(
-    record: dict[str, Any] | None,
+    record: dict[str, Any],
     text: Callable[[], str],
     written: Sequence[Path] = (),
     *,
     problems: Sequence[str] = (),
 ) -> None:
-    """Print the one JSON object of a command, or ``text()`` and the files written where it is None.
+    """Print ``record`` as the one JSON object where ``--json`` asks for it, else text and files.
 
     Every problem goes to standard error; with one the status is 1.
     """
-    if record is not None:
+    if click.get_current_context().meta["json"]:
         click.echo(json.dumps(record, ensure_ascii=False, allow_nan=False))
     else:
         click.echo("\n".join([text(), *(f"wrote {path}" for path in written)]))

@@ -32,7 +32,7 @@ def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
     @parts.seed
     @parts.as_json
     @wraps(work)
-    def command(scene: str, out: Path | None, as_json: bool, **settings: Any) -> None:
+    def command(scene: str, out: Path | None, **settings: Any) -> None:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         loaded = parts.checked(scene, out=out)
         given = {key: value for key, value in settings.items() if value is not None}
@@ -43,7 +43,7 @@ def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
             result, page = work(loaded, progress=progress, **given)
         written = [] if out is None else page.write(out)
         short = page.summary if written else ""
-        record = plain(result.record()) if as_json else None
+        record = plain(result.record())
         parts.end(record, lambda: short or page.text().rstrip(), written, problems=result.problems)
 
     return command

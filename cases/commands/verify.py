@@ -17,7 +17,7 @@ sample itself, so that a shorter simulation judges less sharply, never wrongly."
 @seed
 @threads
 @as_json
-def verify(scenes: tuple[str, ...], coarse: bool, as_json: bool, **settings: Any) -> None:
+def verify(scenes: tuple[str, ...], coarse: bool, **settings: Any) -> None:
     """Run scenes by every route and judge them: one line each, one final table.
 
     SCENE: names or paths; all shipped scenes but the hard ones where none is given.
@@ -37,10 +37,10 @@ def verify(scenes: tuple[str, ...], coarse: bool, as_json: bool, **settings: Any
     rows = []
     for scene in loaded:
         rows.append(verify_row(digest_of(outcome_of(scene, methods))))
-        if not as_json:
+        if not click.get_current_context().meta["json"]:
             click.echo(rendered("verify_line.txt", {"row": rows[-1], "width": width}))
     end(
-        verify_record(rows) if as_json else None,
+        verify_record(rows),
         lambda: rendered("verify.txt", {"rows": rows}),
         problems=[f"{row['scene']}: {problem}" for row in rows for problem in row["problems"]],
     )

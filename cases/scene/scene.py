@@ -43,12 +43,12 @@ def shipped_scenes() -> dict[str, Path]:
     return {path.stem: path for folder in SHIPPED for path in sorted(here.glob(f"{folder}/*.toml"))}
 
 
-def load_scene(name: str) -> Scene:
-    """Return the shipped scene of that name, or the one in the file at that path.
+def load_scene(scene: str | Path) -> Scene:
+    """Return the shipped scene of that name, or the one at that path; its ``system`` is Eq. (1).
 
     Raises ``BadInput``: one line that names file, key, value and what would be right.
     """
-    shipped = shipped_scenes()
+    name, shipped = str(scene), shipped_scenes()
     if name in shipped:
         return _scene(shipped[name], f"{name}.toml")
     path = Path(name)
