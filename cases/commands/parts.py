@@ -10,7 +10,6 @@ import click
 
 from cases.scene.errors import BadInput
 from fpk.errors import InvalidInput
-from fpk.lock import locked
 
 if TYPE_CHECKING:
     from cases.comparison.answers import Outcome
@@ -94,29 +93,12 @@ def observable_of(name: str, scene: "Scene") -> "Observable":
 
 
 def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:
-    """Make the folder ``settings["checkpoint"]``, if it is asked for; ``run.json`` names its run.
+    """Claim the folder ``settings["checkpoint"]``, if it is asked for, until the command ends."""
+    from cases.output.records import claimed
 
-    Its lock is held until the command ends. Raises ``Unavailable`` where another process holds it,
-    ``BadInput`` where the folder holds states of another scene, other settings or another version.
-    """
-    from cases.output.files import make_folder, write_text
-    from cases.output.records import plain, program_version
-    from cases.scene.reading import read_text
-
-    if (folder := settings["checkpoint"]) is None:
-        return
     own = {key: settings[key] for key in STATE_SETTINGS if key in settings}
-    identity = plain({"scene": scene.text, "settings": own, "version": program_version()})
-    make_folder(folder)
-    click.get_current_context().with_resource(locked(folder / "run.lock"))
-    path, text = folder / "run.json", json.dumps(identity, ensure_ascii=False) + "\n"
-    if not path.exists():
-        write_text(path, text)
-    elif read_text(path, str(path), most=1 << 24, what="the run's identity") != text:
-        raise BadInput(
-            f"{folder}: holds states of another run (other scene, settings or version);"
-            " give another --checkpoint or remove it"
-        )
+    context = claimed(settings["checkpoint"], {"scene": scene.text, "settings": own})
+    click.get_current_context().with_resource(context)
 
 
 def end(

@@ -94,13 +94,12 @@ def regime(scene: "Scene", vary: tuple[str, ...], **settings: Any) -> tuple[Any,
 
     A map goes on from the finished points in its folder.
     """
-    from cases.output.files import make_folder
     from cases.studies.regime_map.map import SIMULATION, build_map, parse_axes
     from cases.studies.regime_map.map_page import map_page
 
     axes = parse_axes(vary, scene.system)
     checkpoint, progress = settings.pop("checkpoint", None), settings.pop("progress")
-    folder = make_folder(checkpoint) if checkpoint else click.get_current_context().params["out"]
+    folder = checkpoint or click.get_current_context().params["out"]
     parts.check_cluster(settings.get("cluster"))
     method = replace(SIMULATION, **settings)
     result = build_map(scene, axes, simulation=method, folder=folder, progress=progress)

@@ -73,7 +73,7 @@ def test_a_damaged_state_ends_a_run_in_one_line(fpk, tmp_path):
 
 
 def test_a_map_is_built_by_one_process_at_a_time(fpk, tmp_path):
-    with locked(tmp_path / "points.lock"):
+    with locked(tmp_path / "run.lock"):
         status, out, err = fpk("regime", "fig6a", *GRID, "--checkpoint", tmp_path)
     assert (status, out) == (2, "") and err.count("\n") == 1
     assert "another process is using this folder" in err

@@ -1,4 +1,4 @@
-"""Points of a map on disk: kept whole at every point, damage and other maps are refused."""
+"""Points of a map on disk: whole at every point, damage is refused; folders of other runs."""
 
 import json
 import os
@@ -6,14 +6,9 @@ from dataclasses import replace
 
 import pytest
 
+from cases.output.records import claimed
 from cases.scene.errors import BadInput
 from cases.studies.regime_map.points import NAME, MapPoint, PointStore
-
-IDENTITY = {
-    "scene": "a\u2028b\u0085c\n", "observable": "q2", "keys": ["contact.stiffness"], "paths": 4096,
-    "time": None, "relaxations": 38.0, "seed": 1, "version": "1",
-}  # fmt: skip
-"""Characters at which a scene's line does not end, though ``splitlines`` thinks so."""
 
 POINTS = [
     MapPoint((x, 0.5), {"integrable": 0.1 / x}, {"integrable": 1e-3}, "exact", x, "integrable",
@@ -24,14 +19,14 @@ POINTS = [
 
 @pytest.fixture
 def written(tmp_path):
-    store = PointStore(tmp_path, IDENTITY)
+    store = PointStore(tmp_path)
     for point in POINTS:
         store.add(point)
     return tmp_path / NAME
 
 
 def reopened(path):
-    return PointStore(path.parent, IDENTITY)
+    return PointStore(path.parent)
 
 
 def test_what_was_written_is_read_to_the_last_digit(written):
@@ -72,11 +67,8 @@ def test_a_byte_that_changed_or_is_missing_is_never_read_as_a_number(written):
     assert not reopened(written).points
 
 
-def test_lines_of_another_map_or_removed_or_doubled_are_refused(written):
+def test_lines_that_were_changed_or_removed_or_doubled_are_refused(written):
     head, *lines = written.read_text(encoding="utf-8").split("\n")[:-1]
-    for key in IDENTITY:
-        with pytest.raises(BadInput, match="another map"):
-            PointStore(written.parent, {**IDENTITY, key: "x"})
     foreign = json.dumps({**json.loads(lines[1]), "winner": "nonintegrable"})
     for kept in (
         [head, *lines[:2]],
@@ -88,8 +80,32 @@ def test_lines_of_another_map_or_removed_or_doubled_are_refused(written):
         ["", ""],
     ):
         written.write_text("".join(f"{line}\n" for line in kept), encoding="utf-8")
-        with pytest.raises(BadInput, match=r"another map .* or is damaged; .* remove the file"):
+        with pytest.raises(BadInput, match=r"is damaged; .* remove the file"):
             reopened(written)
+
+
+IDENTITY = {
+    "scene": "a\u2028b\u0085c\n", "observable": "q2", "keys": ["contact.stiffness"], "paths": 4096,
+    "time": None, "relaxations": 38.0, "seed": 1,
+}  # fmt: skip
+"""Characters at which a scene's line does not end, though ``splitlines`` thinks so."""
+
+
+def test_a_folder_of_another_run_or_version_is_refused_and_stays(tmp_path, monkeypatch):
+    for _ in range(2):
+        with claimed(tmp_path, IDENTITY):
+            pass
+    before = (tmp_path / "run.json").read_bytes()
+    for key in IDENTITY:
+        with (
+            pytest.raises(BadInput, match="another run"),
+            claimed(tmp_path, {**IDENTITY, key: "x"}),
+        ):
+            pass
+    monkeypatch.setattr("cases.output.records.program_version", lambda: "another")
+    with pytest.raises(BadInput, match="version"), claimed(tmp_path, IDENTITY):
+        pass
+    assert (tmp_path / "run.json").read_bytes() == before
 
 
 ODD = {
@@ -107,5 +123,5 @@ def test_what_is_no_such_file_is_refused_without_reading_on(kind, tmp_path):
     make, words = ODD[kind]
     make(tmp_path / NAME)
     with pytest.raises(BadInput, match=words) as refusal:
-        PointStore(tmp_path, IDENTITY)
+        PointStore(tmp_path)
     assert "\n" not in str(refusal.value) and str(tmp_path) in str(refusal.value)

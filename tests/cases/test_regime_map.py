@@ -93,14 +93,14 @@ def test_a_map_is_written_and_goes_on_where_it_was(fpk, tmp_path, monkeypatch):
         assert {**a, "seconds": 0} == {**b, "seconds": 0}
 
 
-def test_points_of_another_map_are_refused_and_kept(fpk, tmp_path):
+def test_points_of_another_run_are_refused_and_kept(fpk, tmp_path):
     path = tmp_path / "points.jsonl"
     line = ["--vary", "contact.clearance=0.5:2:2", *QUICK, "--out", tmp_path]
     assert fpk("regime", "fig3a", *line)[0] == 0
     before = path.read_text()
     for arguments in (["fig3b", *line], ["fig3a", *line, "--seed", 4]):
         status, out, err = fpk("regime", *arguments)
-        assert (status, out) == (2, "") and err.count("\n") == 1 and "another map" in err
+        assert (status, out) == (2, "") and err.count("\n") == 1 and "another run" in err
     path.write_text("something else\n")
     assert fpk("regime", "fig3a", *line)[0] == 2
     assert path.read_text() == "something else\n" and '"exact"' in before

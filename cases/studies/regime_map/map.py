@@ -5,7 +5,6 @@ A grid on the command line is ``contact.stiffness=0.01:1000:log25``.
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -16,14 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from cases.output.records import program_version
+from cases.output.records import claimed
 from cases.scene.errors import BadInput, toml_value
 from cases.scene.scene import Scene
 from cases.scene.vary import VARIED, changed
-from cases.studies.regime_map.points import LOCK, MapPoint, PointStore, map_point
+from cases.studies.regime_map.points import MapPoint, PointStore, map_point
 from fpk.arrays import Array
 from fpk.errors import InvalidInput
-from fpk.lock import locked
 from fpk.method import Progress, silent
 from fpk.observable import Observable, observable_name
 from fpk.system import System
@@ -99,10 +97,9 @@ def build_map(
         "observable": observable_name(observable),
         "keys": [axis.key for axis in axes],
         **{key: getattr(simulation, key) for key in ("paths", "time", "relaxations", "seed")},
-        "version": program_version(),
     }
-    with nullcontext() if folder is None else locked(folder / LOCK):
-        store = PointStore(folder, identity)
+    with claimed(folder, identity):
+        store = PointStore(folder)
         wanted = list(product(*(axis.values.tolist() for axis in axes)))
         todo = []
         for values in [v for v in wanted if v not in store.points]:

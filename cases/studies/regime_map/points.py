@@ -6,7 +6,6 @@ from hashlib import sha256
 from os.path import lexists
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 from cases.comparison.compare import distance_between
 from cases.output.files import write_text
@@ -25,10 +24,6 @@ UNDECIDED, NEITHER = "undecided", "neither"
 """Winners where the difference is within the errors, and where no theory applies."""
 NAME = "points.jsonl"
 """Name of the file in a map's folder."""
-LOCK = "points.lock"
-"""Name of the file whose lock a process holds while it adds points."""
-FORMAT = 5
-"""Version of the file's format."""
 MAX_BYTES = 64 << 20
 """Largest file that is read: some hundred times the points that a map may have."""
 
@@ -96,16 +91,14 @@ def winner_of(distances: dict[str, tuple[float, float]]) -> str:
 class PointStore:
     """The points of one map in ``folder``, one JSON line each, or in memory where it is None.
 
-    ``identity`` is everything that a point's numbers depend on beside its own values. The file is
-    replaced whole at every point, so that a killed run leaves all points before; its first line has
-    the identity and a hash of the lines below it. A file of another map or that was changed is
-    refused and stays as it is. Who adds points holds the lock of the file ``LOCK``.
+    The file is replaced whole at every point, so that a killed run leaves all points before; its
+    first line is a hash of the lines below it. A file that was changed is refused and stays as it
+    is. Who adds points has ``claimed`` the folder.
     """
 
-    def __init__(self, folder: Path | None, identity: dict[str, Any]) -> None:
-        """Read what is there; raise ``BadInput`` for a file of another map or a damaged one."""
+    def __init__(self, folder: Path | None) -> None:
+        """Read what is there; raise ``BadInput`` for a damaged file."""
         self._path = None if folder is None else folder / NAME
-        self._identity = {"format": FORMAT, **identity}
         self._lines = ""
         self.points: dict[tuple[float, ...], MapPoint] = {}
         if self._path is None or not lexists(self._path):
@@ -114,10 +107,7 @@ class PointStore:
         text = read_text(self._path, str(self._path), most=MAX_BYTES, what=what)
         self._lines = text.partition("\n")[2]
         if text and text != self._text():  # a power cut may leave it empty
-            raise BadInput(
-                f"{self._path}: holds points of another map (other scene, observable, settings or"
-                " version) or is damaged; give another --out or remove the file"
-            )
+            raise BadInput(f"{self._path}: is damaged; give another --out or remove the file")
         for record in map(json.loads, self._lines.splitlines()):
             tuples = {key: tuple(record[key]) for key in ("values", "problems")}
             point = MapPoint(**{**record, **tuples})
@@ -131,6 +121,4 @@ class PointStore:
             write_text(self._path, self._text())
 
     def _text(self) -> str:
-        """The lines below the one that identifies them and says what they must be."""
-        head = {"identity": self._identity, "hash": sha256(self._lines.encode()).hexdigest()}
-        return json.dumps(plain(head)) + "\n" + self._lines
+        return f"{sha256(self._lines.encode()).hexdigest()}\n{self._lines}"
