@@ -31,17 +31,16 @@ def _list(part: str, text: str) -> Array:
     points: list[Decimal] = []
     for item in part.split(","):
         match [_number(n, text) for n in item.split(":")]:
-            case [number]:
-                points.append(number)
-            case [start, end, step] if step and (start == end or (end - start) / step >= 1):
-                _require_few(float((end - start) / step), text)
-                points += [start + i * step for i in range(int((end - start) / step) + 1)]
+            case [start]:
+                end, step = start, Decimal(1)
             case [start, end, step]:
-                remedy = f"a step of {step} does not lead from {start} to {end}"
-                raise _wrong(text, f"{remedy}; a list is start:end:step")
+                if not step or (start != end and (end - start) / step < 1):
+                    remedy = f"a step of {step} does not lead from {start} to {end}"
+                    raise _wrong(text, f"{remedy}; a list is start:end:step")
             case _:
                 raise _wrong(text, f"{toml_value(item)} is not start:end:step")
-        _require_few(len(points), text)
+        _require_few(float(len(points) + (end - start) / step), text)
+        points += [start + i * step for i in range(int((end - start) / step) + 1)]
     return np.array(points, dtype=float)
 
 
