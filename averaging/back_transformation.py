@@ -49,12 +49,11 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
     hidden = len(set(system.contact_masses) - set(q))
     marginal = _marginal(source, observable)
 
-    def added(*x: Array) -> Array:
+    def added(p: Array, *x: Array) -> Array:
         """Error of integrating out: tables of Weyl integrals, quadrature over hidden masses."""
-        error = marginal(*x, part="table")
-        if hidden:
-            error = error + np.abs(marginal(*x) - marginal(*x, points=rules_of(hidden)[0]))
-        return error
+        lower = rules_of(hidden)[0]  # enough for an error
+        error = marginal(*x, part="table", points=lower)
+        return error + np.abs(p - marginal(*x, points=lower)) if hidden else error
 
     T, end = source.temperature, source.end
 
@@ -69,7 +68,7 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
         observable,
         tuple(map(panels, observable)),
         marginal,
-        lambda *x: marginal(*x, part="error") + added(*x),
+        lambda *x: marginal(*x, part="error") + added(marginal(*x), *x),
         measured=source.measured,
         tol=tol,
         added_error=added,

@@ -27,14 +27,15 @@ def density_of_energies(
     or of the modes, which the solver does not know of; ``added`` says that it counts in L1, too.
     """
 
-    def of_model(*energies: Array) -> Array:
-        return np.asarray(relative_error(*energies) * np.abs(solution.density(*energies)))
+    def of_model(p: Array, *energies: Array) -> Array:
+        return np.asarray(relative_error(*energies) * np.abs(p))
 
     def pointwise(*energies: Array) -> Array:
+        p = solution.density(*energies)
         # Beyond the last energy, where p is 0, the error is what was dropped: less than at the end.
         within = [np.minimum(H, x[-1]) for H, x in zip(energies, panels, strict=True)]
-        dropped = np.abs(solution.density(*within) - solution.density(*energies))
-        error = np.abs(solution.pointwise_error(*energies)) + of_model(*energies) + dropped
+        dropped = np.abs(solution.density(*within) - p)
+        error = np.abs(solution.pointwise_error(*energies)) + of_model(p, *energies) + dropped
         return np.where(np.min(np.broadcast_arrays(*energies), axis=0) >= 0.0, error, 0.0)
 
     return certified_density(

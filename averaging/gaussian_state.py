@@ -97,7 +97,7 @@ class Gaussian:
             error,
             measured=Measured(ENERGY_TAIL, np.nan, np.inf, self.residual, ENERGY_TAIL),
             tol=tol,
-            added_error=error,
+            added_error=lambda p, energy: error(energy),
         )
 
 

@@ -118,10 +118,11 @@ def certified_density(
     """Return a density with its certificate: the one place where densities by a function are made.
 
     ``panels``, ``pdf`` and ``pointwise`` as in ``Density``. ``measured`` holds what the solver
-    measured, ``tol`` is the L1 tolerance that was asked for. ``added_error`` returns, like
-    ``pointwise``, the part of the error at points that is not in ``measured.l1_error`` (that of
-    integrating coordinates out, say); its integral is added. The mass and the smallest value are
-    measured here, on the density itself: whatever a caller believes of them does not count.
+    measured, ``tol`` is the L1 tolerance that was asked for. ``added_error`` returns,
+    from the density at points and the points, the part of the error there that is not in
+    ``measured.l1_error`` (that of integrating coordinates out, say); its integral is added. The
+    mass and the smallest value are measured here, on the density itself: whatever a caller believes
+    of them does not count.
     ``frame``, a matrix F and panels, has them measured at x = F y on panels of y: for coordinates
     so strongly correlated that no affordable panels of x resolve the ridge.
     """
@@ -133,7 +134,7 @@ def certified_density(
     values = np.asarray(pdf(*mesh))
     largest = float(values.max(initial=0.0))
     smallest = float(values.min(initial=0.0)) / largest if largest > 0.0 else np.nan
-    added = 0.0 if added_error is None else integral(np.asarray(added_error(*mesh)), grids)
+    added = 0.0 if added_error is None else integral(np.asarray(added_error(values, *mesh)), grids)
     checked = replace(
         measured,
         l1_error=measured.l1_error + added,

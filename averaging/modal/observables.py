@@ -84,14 +84,14 @@ def _joint(observable: Observable, parts: Sequence[Density], tol: float) -> Dens
     def pdf(*energies: Array) -> Array:
         return np.asarray(prod(marginals("pdf", energies, FINE_POINTS)))
 
-    def rule_error(*energies: Array) -> Array:
-        return np.asarray(np.abs(pdf(*energies) - prod(marginals("pdf", energies, POINTS))))
+    def rule_error(p: Array, *energies: Array) -> Array:
+        return np.asarray(np.abs(p - prod(marginals("pdf", energies, POINTS))))
 
     def pointwise(*energies: Array) -> Array:
         p = marginals("pdf", energies, FINE_POINTS)
         errors = marginals("pointwise", energies, FINE_POINTS)
         total = sum(e * prod(p[:k] + p[k + 1 :]) for k, e in enumerate(errors))
-        return np.asarray(total + rule_error(*energies) if hidden else total)
+        return np.asarray(total + rule_error(pdf(*energies), *energies) if hidden else total)
 
     return certified_density(
         observable,
