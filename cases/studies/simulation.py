@@ -5,13 +5,11 @@ from dataclasses import dataclass, replace
 from math import inf, isfinite, nan, sqrt
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from cases.comparison.answers import answers_of
 from cases.comparison.compare import chance_l1, joined
 from cases.comparison.routes import listed_routes
 from cases.studies.levels import timed_first
-from fpk.arrays import Array
 from fpk.certificate import Measured
 from fpk.density import AnyDensity, Density, certified_density
 from fpk.errors import InvalidInput, NotCertified
@@ -152,17 +150,9 @@ def full_reference(system: System, *, seed: int) -> Reference:
     assert isinstance(sampled, SampledDensity)
     if not np.all(np.isfinite(sampled.values)):
         raise NotCertified("the long simulation that is the reference has no density")
-    (edges,) = sampled.edges
-    below = np.append(0.0, np.cumsum(sampled.values * np.diff(edges)))
-    # Between the edges of 1024 bins the distribution function is smooth to far below the noise.
-    slope = PchipInterpolator(edges, below).derivative()
-
-    def pdf(q: Array) -> Array:
-        return np.where((q >= edges[0]) & (q <= edges[-1]), slope(q), 0.0)
-
-    own = sampled.certificate
-    measured = Measured(chance_l1(joined(sampled))[0], 0.0, 0.0, own.residual, own.tail_mass)
+    few, own = joined(sampled), sampled.certificate
+    measured = Measured(chance_l1(few)[0], 0.0, 0.0, own.residual, own.tail_mass)
     density = certified_density(
-        observable, (edges,), pdf, lambda q: sampled.at(q)[1], measured=measured, tol=inf
+        observable, few.edges, sampled, lambda q: sampled.at(q)[1], measured=measured, tol=inf
     )
     return Reference("long simulation", density, sampled)
