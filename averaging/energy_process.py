@@ -13,11 +13,9 @@ from fpk.system import System
 
 SEARCHED = 4.0 ** np.arange(25)
 """Energies, in units of the one where |damping| would balance the noise, searched for balance."""
-MOST_CONTACT_MASSES = 4
-"""Contact masses over which the power of damping terms is integrated: the cubature takes 21 points
-along each angle, and the error estimate of rules of fewer points is not reliable."""
 MOST_SEARCHED = 2
-"""Contact masses up to which the balance is searched on the shells; more take seconds."""
+"""Contact masses up to which the balance is searched on the shells; of more, each energy takes
+seconds, for a line of the partition function of its own."""
 
 
 def damping_and_noise(system: System) -> tuple[float, float]:
@@ -41,8 +39,7 @@ def energy_process(system: System) -> Process:
     prints the damping term of s with a plus sign; (25)-(29) hold for unit masses only.
 
     Raises ``NotApplicable`` where noise or damping vanishes, or damping terms do not outweigh the
-    noise at high energy: there is no stationary density then; and for damping terms with more
-    contact masses than ``MOST_CONTACT_MASSES``.
+    noise at high energy: there is no stationary density then.
     """
     damping, noise = damping_and_noise(system)
     scale, n = _energy_scale(system, damping, noise), system.n
@@ -78,11 +75,6 @@ def energy_process(system: System) -> Process:
 
 def _energy_scale(system: System, damping: float, noise: float) -> float:
     """An energy of the order of the mean: n times the temperature, or where damping takes over."""
-    if system.damping_terms and len(system.contact_masses) > MOST_CONTACT_MASSES:
-        raise NotApplicable(
-            f"{len(system.contact_masses)} contact masses: damping terms are averaged over energy"
-            f" shells of {MOST_CONTACT_MASSES} at the most; use montecarlo"
-        )
     if noise <= 0:
         raise NotApplicable("no noise reaches a mass, so the energy has no stationary density")
     if not system.damping_terms:

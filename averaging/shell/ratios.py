@@ -11,15 +11,12 @@ import numpy as np
 from scipy.special import beta
 
 from averaging.shell.energy_shell import EnergyShell
-from averaging.shell.laplace import PartitionLines
+from averaging.shell.laplace import PartitionLines, by_lines
 from averaging.shell.sums import shell_integrals
 from averaging.shell.table import ShellTable
 from fpk.arrays import Array
 from fpk.system import System
 
-MOST_MASSES = 16
-"""Masses up to which two contact masses are integrated along rays and over directions: beyond, v^a
-is so narrow that the 24 points along a ray miss more than is stated (3e-12 of 20 masses)."""
 ROUNDED = 0.5 * float(np.finfo(float).eps)
 """For n = 1 the part beyond a stop is ~ √(H − V), V at the stop: a rounding of H is relative to T
 ε √(H/(H − V)), of either sign, half of it to be expected."""
@@ -65,7 +62,7 @@ def shell_ratios(system: System, energy: Array) -> ShellRatios:
         above = energy[touching]
         if shell.count == 1:
             rows[:, touching] = _integrated(shell, above)
-        elif shell.count > 2 or system.n > MOST_MASSES:
+        elif by_lines(shell):
             rows[:, touching] = system.fact(PartitionLines)(above, _alone)
         else:
             rows[:, touching] = system.fact(_table)(above).T

@@ -5,7 +5,6 @@ from math import pi
 from typing import Any
 
 import numpy as np
-import scipy  # its parts are loaded at their first use: scipy.integrate takes long to import
 from numpy.typing import NDArray
 
 from averaging.shell.energy_shell import EnergyShell
@@ -25,9 +24,6 @@ MANY = 5
 """Masses from which the first rule along a line would be refused, as v^a is narrow."""
 RADIAL_RULE = 2
 """Index of the rule of 24 points, enough along a ray for any contact stiffness, not over angles."""
-CUBATURE_TOLERANCE = 1e-6
-"""Relative tolerance over the directions of three or more contact masses, of the cubature's own
-estimate: the true error is a hundredth of it."""
 MARGIN = 1e-9
 """Relative length beyond which the springs alone hold more than H, round-off or not."""
 
@@ -46,9 +42,10 @@ def shell_integrals(
 ) -> tuple[Array, Array]:
     """Return integrals over the shells (energies, quantities) and their errors, of that shape.
 
-    The quantities are the integrals along rays of ``ray_integrals``, with ``orders``, or what
-    ``combine`` makes of them, summed over all directions. ``size`` takes sums and returns what
-    their errors are relative to. The rules are refined until all errors are below ``target``.
+    One or two masses have contact. The quantities are the integrals along rays of
+    ``ray_integrals``, with ``orders``, or what ``combine`` makes of them, summed over all
+    directions. ``size`` takes sums and returns what their errors are relative to. The rules are
+    refined until all errors are below ``target``.
     """
 
     def along(energy: Array, directions: Array, rule: int, rules: int = 1) -> Array:
@@ -71,8 +68,6 @@ def shell_integrals(
             sums.append([np.bincount(which, weights * x, minlength=i.size) for x in parts.T])
         return np.swapaxes(sums, 1, 2)
 
-    if shell.count > 2:
-        return _over_sphere(shell, energy, along, size)
     if shell.count == 2:
         cuts = _cut_angles(shell, energy)
     sums = over_line if shell.count == 1 else over_circle
@@ -90,36 +85,6 @@ def shell_integrals(
         error[i] = np.abs(fine[i] - finer) / size(finer) + floor
         fine[i] = finer
     return fine, np.where(np.isnan(error), np.inf, error)
-
-
-def _over_sphere(
-    shell: EnergyShell,
-    energy: Array,
-    along: Callable[[Array, Array, int], Array],
-    size: Callable[[Array], Array],
-) -> tuple[Array, Array]:
-    """Three or more contact masses: adaptive cubature over the directions."""
-    angles = shell.count - 1
-    factor = 2.0 if shell.mirror else 1.0
-    upper = np.full(angles, pi)
-    upper[-1] = 2.0 * pi / factor
-
-    def integrand(points: Array) -> Array:
-        directions, jacobian = _hyperspherical(points)
-        energies = np.tile(energy, points.shape[0])
-        parts = along(energies, np.repeat(directions, energy.size, axis=0), 0)[0]
-        return np.asarray(jacobian[:, None, None] * parts.reshape(-1, energy.size, parts.shape[-1]))
-
-    result = scipy.integrate.cubature(
-        integrand,
-        np.zeros(angles),
-        upper,
-        rule="gk21",
-        rtol=CUBATURE_TOLERANCE,
-        max_subdivisions=2000,
-    )
-    error = np.abs(result.error) / size(result.estimate) + ROUND_OFF
-    return factor * result.estimate, error
 
 
 def _circle_rule(cuts: Array, nodes: int, *, mirror: bool) -> tuple[NDArray[np.intp], Array, Array]:
@@ -143,15 +108,6 @@ def _circle_rule(cuts: Array, nodes: int, *, mirror: bool) -> tuple[NDArray[np.i
     which = np.broadcast_to(index, angle.shape)[keep]
     directions = np.stack([np.cos(angle[keep]), np.sin(angle[keep])], axis=1)
     return which, directions, weight[keep] * (2.0 * pi / period)
-
-
-def _hyperspherical(angles: Array) -> tuple[Array, Array]:
-    """Unit vectors (points, k+1) of ``angles`` (points, k) and the measure on the sphere."""
-    sine, cosine = np.sin(angles), np.cos(angles)
-    products = np.cumprod(np.hstack([np.ones((angles.shape[0], 1)), sine]), axis=1)
-    directions = products * np.hstack([cosine, np.ones((angles.shape[0], 1))])
-    powers = np.arange(angles.shape[1] - 1, -1, -1)
-    return directions, np.prod(sine**powers, axis=1)
 
 
 def _cut_angles(shell: EnergyShell, energy: Array) -> Array:

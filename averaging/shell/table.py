@@ -1,11 +1,10 @@
-"""Piecewise polynomials of shell integrals over two or more contact masses.
+"""Piecewise polynomials of shell integrals over two contact masses.
 
-One energy takes milliseconds to seconds, and a solver asks for thousands. Between contact energies
+One energy takes milliseconds, and a solver asks for thousands. Between contact energies
 the integrals are smooth: a panel is fitted once as many energies are asked for as a fit needs.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,19 +19,14 @@ DOUBLINGS = 60
 """Panels above the highest contact energy, each twice as long as the one below it."""
 
 
-class Resolution(NamedTuple):
-    """Resolution of a table; a panel is split while its last coefficients exceed ``target``."""
-
-    points: int  # Gauss points of a panel
-    layers: int  # panels towards a contact energy
-    target: float
-    deepest: int  # splits of a panel at most
-
-
-FINE = Resolution(points=16, layers=5, target=1e-11, deepest=8)
-"""For two contact masses."""
-COARSE = Resolution(points=8, layers=1, target=1e-5, deepest=2)
-"""For more than two contact masses: below the tolerance of their cubature nothing is resolved."""
+POINTS = 16
+"""Gauss points of a panel."""
+LAYERS = 5
+"""Panels towards a contact energy."""
+TARGET = 1e-11
+"""Last Legendre coefficients of a panel, relative to the largest, above which it is split."""
+MOST_SPLITS = 8
+"""Splits of a panel at most: each leaves a fifth of it next to a contact energy."""
 
 
 class ShellTable:
@@ -44,10 +38,9 @@ class ShellTable:
 
     def __init__(self, evaluate: Callable[[Array], Array], shell: EnergyShell) -> None:
         """Lay out the panels; none is fitted yet."""
-        resolution, breaks = FINE if shell.count == 2 else COARSE, shell.contact_energies
-        self.evaluate, self.resolution = evaluate, resolution
+        self.evaluate, breaks = evaluate, shell.contact_energies
         ends = np.array([*breaks, 2.0 * breaks[-1] if breaks[-1] > 0 else 1.0])
-        layers = GRADING ** np.arange(1.0, resolution.layers + 1.0)
+        layers = GRADING ** np.arange(1.0, LAYERS + 1.0)
         towards = ends[:-1, None] + np.diff(ends)[:, None] * layers
         beyond = ends[-1] * 2.0 ** np.arange(DOUBLINGS)
         self.edges = np.unique(np.concatenate([breaks, towards.ravel(), beyond]))
@@ -58,7 +51,7 @@ class ShellTable:
         """Values and errors, as ``evaluate`` returns them, at energies (energies,)."""
         index = np.searchsorted(self.edges, energy, side="right") - 1
         used, count = np.unique(index, return_counts=True)
-        for k in used[count >= self.resolution.points].tolist():
+        for k in used[count >= POINTS].tolist():
             if k not in self.panels:
                 self.panels[k] = self._fitted(self.edges[k : k + 2])
         fitted = [k for k in used.tolist() if k in self.panels]
@@ -80,19 +73,18 @@ class ShellTable:
 
     def _fitted(self, ends: Array) -> Piecewise:
         """The fit between two edges, with a constant bound of the error on each of its panels."""
-        points = self.resolution.points
         values = fit(
             self.evaluate,
             ends,
-            self.resolution.target,
-            degree=points - 1,
+            TARGET,
+            degree=POINTS - 1,
             cut=lambda left, right: left + GRADING * (right - left),
             estimate=lambda lengths, c: np.asarray(np.max(np.abs(c[:, -2:, :-1]), axis=(1, 2))),
-            rounds=self.resolution.deepest,
+            rounds=MOST_SPLITS,
         )
         assert values.error is not None
         # The fit goes through what was evaluated at the Gauss points.
-        largest = values(panel_rule(values.nodes, points)[0])[..., -1].max(axis=1)
+        largest = values(panel_rule(values.nodes, POINTS)[0])[..., -1].max(axis=1)
         values.coefficients[:, :, -1] = 0.0
         values.coefficients[:, 0, -1] = 2.0 * values.error + largest
         return values

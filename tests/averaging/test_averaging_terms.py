@@ -157,8 +157,7 @@ def test_three_contact_masses_meet_the_sample():
     power, error = term_power(system)(np.array([1.0]))
     mean, spread = sampled_power(system, 1.0)
     assert abs(power[0] - mean) < 4.5 * spread
-    # Six times the cubature's tolerance, of absolute values that the stops cut to a third.
-    assert error[0] < 6e-6 * size_of(system, 1.0)
+    assert error[0] < 1e-8 * size_of(system, 1.0)
 
 
 def test_units_do_not_matter():

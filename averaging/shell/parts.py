@@ -1,0 +1,77 @@
+"""The power that damping terms take out, as a polynomial in the contact displacements."""
+
+from collections import defaultdict
+from itertools import product
+from math import comb, prod
+from typing import NamedTuple
+
+import numpy as np
+
+from averaging.conditional import bridge_covariance, conditional
+from averaging.shell.energy_shell import EnergyShell
+from fpk.arrays import Array, Integers
+from fpk.moments import gaussian_moment
+from fpk.system import System
+
+
+class Parts(NamedTuple):
+    """Σ c_ij v_i v_j of the damping terms, averaged given the contact displacements q_c.
+
+    With momenta and the other displacements Gaussian at the temperature 1/β, a part is
+    H^energy · coefficient · β^(−j) · Π q_c^powers. The ``order`` is Σ powers + 2 j, the same for
+    all parts of a term, whose ``degree`` is order − 2 + 2 energy.
+    """
+
+    degree: Integers  # (parts,)
+    order: Integers  # (parts,)
+    powers: Integers  # (parts, c)
+    coefficient: Array  # (parts,)
+
+    def gaussian(self, shell: EnergyShell) -> tuple[Array, Array]:
+        """Mean of each part without contact at β = 1, (parts,), and root of its mean square."""
+        covariance = shell.L @ shell.L.T
+        mean, square = np.array(
+            [
+                [gaussian_moment(covariance, tuple(row)) for row in (k * self.powers).tolist()]
+                for k in (1, 2)
+            ]
+        )
+        return self.coefficient * mean, np.abs(self.coefficient) * square**0.5
+
+    @property
+    def j(self) -> Integers:
+        """Half the number of velocities and Gaussian displacements in each part, (parts,)."""
+        return np.asarray((self.order - self.powers.sum(axis=1)) // 2)
+
+
+def parts_of(system: System) -> Parts:
+    """Return the parts of all damping terms.
+
+    A displacement without contact is q_i = Σ w_k q_k + ξ_i, the sum over the contact masses next to
+    it, V = V_red + ½ ξᵀKξ.
+    """
+    n, masses = system.n, list(system.contact_masses)
+    weights, covariance = np.zeros((n, len(masses))), bridge_covariance(system, masses)
+    weights[masses] = np.eye(len(masses))
+    for i in set(range(n)) - set(masses):
+        weights[i] = conditional(system, i, masses).weights
+    coefficients: dict[tuple[int, int, tuple[int, ...]], float] = defaultdict(float)
+    for term in system.damping_terms:
+        v, q = np.array(term.powers("v", n)), term.powers("q", n)
+        np.add.at(v, [term.row, term.column], 1)
+        C = term.coefficient * gaussian_moment(np.diag(1.0 / system.mass), tuple(v.tolist()))
+        for about in product(*(range(power + 1) for power in q)):  # the powers of ξ
+            left = np.repeat(np.arange(n), np.subtract(q, about))
+            moment = gaussian_moment(covariance, about) * prod(map(comb, q, about))
+            for masses_of in product(*(np.flatnonzero(weights[i]).tolist() for i in left)):
+                share = float(np.prod(weights[left, list(masses_of)]))
+                key = tuple(masses_of.count(k) for k in range(len(masses)))
+                coefficients[term.degree, sum(q) + int(v.sum()), key] += C * moment * share
+    rows = [(*key, value) for key, value in coefficients.items() if value != 0.0]
+    degree, order, powers, coefficient = zip(*rows, strict=True) if rows else ((), (), (), ())
+    return Parts(
+        np.array(degree, dtype=np.int64),
+        np.array(order, dtype=np.int64),
+        np.array(powers, dtype=np.int64).reshape(len(rows), len(masses)),
+        np.array(coefficient, dtype=float),
+    )
