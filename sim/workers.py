@@ -10,7 +10,6 @@ from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import partial
 from importlib import import_module
 from typing import Any
 
@@ -46,13 +45,16 @@ class Workers:
     remote_errors: tuple[type[Exception], ...] = ()
 
     def map(self, task: Callable[..., Any], *columns: Iterable[Any]) -> list[Any]:
-        """Return what ``task`` makes of every row of ``columns``; on a cluster, of copies."""
-        task = partial(on_copies, task) if self.remote_errors else task
+        """Return what ``task`` makes of every row of ``columns``; on a cluster, of copies.
+
+        A task may change its arguments, and those that Dask gives it are read-only.
+        """
+        own = deepcopy if self.remote_errors else tuple
         rows = list(zip(*columns, strict=True))
         size = max(1, -(-len(rows) // (TASKS_PER_THREAD * self.threads)))
         parts = [rows[k : k + size] for k in range(0, len(rows), size)]
-        answers = self._unless_lost(self.executor.map(partial(each_of, task), parts))
-        return [answer for part in answers for answer in part]
+        answers = self.executor.map(lambda part: [task(*own(row)) for row in part], parts)
+        return [answer for part in self._unless_lost(answers) for answer in part]
 
     def as_finished(self, tasks: Sequence[Callable[[], Any]]) -> Iterator[Any]:
         """Return what tasks without arguments return, in the order in which they are finished."""
@@ -65,16 +67,6 @@ class Workers:
         except self.remote_errors as error:
             words = " ".join(f"{type(error).__name__} {error}".split())
             raise NotCertified(f"the cluster was lost on the way: {words[:200]}") from None
-
-
-def each_of(task: Callable[..., Any], rows: Sequence[tuple[Any, ...]]) -> list[Any]:
-    """Return what ``task`` makes of each of the rows of arguments."""
-    return [task(*row) for row in rows]
-
-
-def on_copies(task: Callable[..., Any], *arguments: Any) -> Any:
-    """Return the answer of a task that changes its arguments: those of Dask are read-only."""
-    return task(*deepcopy(arguments))
 
 
 @contextmanager

@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
@@ -19,7 +20,7 @@ from sim.ensemble import Ensemble
 from sim.histogram import Histogram
 from sim.schemes import SCHEMES
 from sim.statistics import moment_products
-from sim.workers import Workers, on_copies, workers_of
+from sim.workers import Workers, workers_of
 
 dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
 EXACT_FLOW = SCHEMES["exact_flow"]
@@ -109,8 +110,11 @@ def test_a_task_on_a_cluster_leaves_its_arguments_as_they_were() -> None:
         return array
 
     array = np.zeros(3)
-    np.testing.assert_array_equal(on_copies(add, array, 1.0), np.ones(3))
-    assert not array.any()
+    with ThreadPoolExecutor(1) as executor:
+        (added,) = Workers(executor, 1, remote_errors=(OSError,)).map(add, [array], [1.0])
+        np.testing.assert_array_equal(added, np.ones(3))
+        assert not array.any()
+        assert Workers(executor, 1).map(add, [array], [1.0])[0] is array  # of this process: none
 
 
 def test_bitwise_the_same_on_two_workers_of_which_one_is_killed() -> None:
