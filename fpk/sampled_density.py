@@ -137,10 +137,8 @@ class SampledDensity:
             where = within[first : first + POINTS_TOGETHER]
             bins, weights, worth = self._weights(flat_points[:, where])
             value[where] = np.sum(weights * self.values.ravel()[bins], axis=1)
-            batches, rare = (
-                np.empty((len(self.batch_values), where.size)),
-                np.zeros(where.size, bool),
-            )
+            batches = np.empty((len(self.batch_values), where.size))
+            rare = np.zeros(where.size, dtype=bool)
             for k, batch in enumerate(self.batch_values):
                 held = batch.ravel()[bins]
                 batches[k] = np.sum(weights * held, axis=1)

@@ -87,11 +87,6 @@ class Record:
         columns += [below[axis][:, cut] / size for axis, cut in self.cuts]
         self.ends.append(np.stack(columns, axis=1))
 
-    def join_pairs(self) -> None:
-        """Make one chunk of every two; their number must be even."""
-        assert len(self.ends) % 2 == 0, "an odd number of chunks cannot be joined in pairs"
-        self.ends, self.chunk_samples = self.ends[1::2], 2 * self.chunk_samples
-
     def means(self) -> Array:
         """Return the means of the chunks, (quantities, batches, chunks)."""
         ends = np.diff(np.array(self.ends), axis=0, prepend=0.0)

@@ -158,5 +158,5 @@ def _sample(setup: Setup, record: Record, *, checkpoint: Checkpoint, progress: P
         progress(min(CHUNKS, int(CHUNKS * done)), CHUNKS, "simulation")
         if ends:
             return
-        if setup.open and len(record.ends) == 2 * CHUNKS:
-            record.join_pairs()
+        if setup.open and len(record.ends) == 2 * CHUNKS:  # one of every two
+            record.ends, record.chunk_samples = record.ends[1::2], 2 * record.chunk_samples
