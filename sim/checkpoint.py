@@ -127,16 +127,10 @@ class Checkpoint:
             )
         return arrays
 
-    @property
-    def ended(self) -> bool:
-        """Whether it was stopped, or the deadline has passed."""
-        return self.interrupted or perf_counter() >= self.deadline
-
     def advance(self, ensemble: Any, steps: int, *, stride: int = 1, saving: bool = True) -> bool:
         """Advance by ``steps``; return whether it was stopped (at least a piece is done)."""
-        first = True
-        while steps > 0 and (first or not self.ended):
-            first = False
+        ended = False
+        while steps > 0 and not ended:
             piece, start = min(steps, self._piece), perf_counter()
             ensemble.advance(piece, stride=stride)
             now = perf_counter()
@@ -146,7 +140,8 @@ class Checkpoint:
             self._piece = max(1, min(4 * self._piece, in_time))
             steps -= piece
             self.interrupted = self.stopped()
-            if saving and (self.ended or now - self._saved >= INTERVAL):
+            ended = self.interrupted or now >= self.deadline
+            if saving and (ended or now - self._saved >= INTERVAL):
                 self.save(ensemble)
         return self.interrupted or steps > 0
 

@@ -123,17 +123,13 @@ class Record:
         )
 
     def saved(self) -> dict[str, NDArray[Any]]:
-        """Return all that changes, as arrays: what ``restore`` needs."""
-        return {f"record_{name}": np.array(getattr(self, name)) for name in self._changing()}
+        """Return all fields but the ensemble, as arrays: what ``restore`` needs."""
+        return {f"record_{f.name}": np.array(getattr(self, f.name)) for f in fields(self)[1:]}
 
     def restore(self, saved: Any) -> None:
         """Go on from what ``saved`` returned."""
-        for name in self._changing():
-            setattr(self, name, type(getattr(self, name))(saved[f"record_{name}"]))
-
-    def _changing(self) -> list[str]:
-        """Names of the fields that change as samples come."""
-        return [f.name for f in fields(self) if f.name != "ensemble"]
+        for f in fields(self)[1:]:
+            setattr(self, f.name, type(getattr(self, f.name))(saved[f"record_{f.name}"]))
 
     def _of_paths(self, sums: Array) -> Array:
         """Squares (squares, paths) of the trajectories from ``sums`` (blocks, products, LANES)."""

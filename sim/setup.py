@@ -15,7 +15,6 @@ from sim.histogram import Histogram
 from sim.montecarlo import MonteCarlo
 from sim.relaxation import relaxation_time
 from sim.schemes import SCHEMES, Scheme
-from sim.statistics import Product, moment_products
 from sim.step_size import (
     chosen_step,
     expected_error,
@@ -76,11 +75,6 @@ class Setup:
     def burn_in_steps(self) -> int:
         """Steps before the sampling begins."""
         return ceil(self.method.burn_in * relaxation_time(self.system) / self.dt)
-
-    @property
-    def products(self) -> tuple[Product, ...]:
-        """The products whose means are observed."""
-        return moment_products(self.system.n, terms=bool(self.system.damping_terms))
 
     @cached_property
     def mirror(self) -> bool:

@@ -15,6 +15,7 @@ from sim.ensemble import Ensemble
 from sim.histogram import covering, extremes, sampled_density
 from sim.record import SNAPSHOTS, Record
 from sim.setup import Setup
+from sim.statistics import moment_products
 
 PILOT_STATES = 16
 """States of the ensemble from which the pilot takes the ranges of the histograms."""
@@ -48,6 +49,7 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
     """
     method, cut = setup.method, ""
     checkpoint = checkpoint_of(method.checkpoint, setup.identity)
+    products = moment_products(setup.system.n, terms=bool(setup.system.damping_terms))
     covered = partial(covering, setup.observables, mirror=setup.mirror)
     with checkpoint.alone(), interruptible(method.partial) as checkpoint.stopped:
         ensemble = Ensemble(
@@ -56,7 +58,7 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
         saved = checkpoint.load()
         # Any ranges: with the kinds of observables as later there is one kernel for all.
         reached = np.full((sum(map(len, setup.observables)), 2), (-1.0, 1.0))
-        ensemble.watch(covered(reached), setup.products)
+        ensemble.watch(covered(reached), products)
         ensemble.advance(0, stride=0)  # compiles: the time that is limited begins here
         begin = perf_counter()
         checkpoint.deadline = begin + setup.seconds
@@ -64,7 +66,7 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
             reached = saved["reached"]
         else:
             reached, cut = _burnt_in(setup, ensemble, checkpoint, saved, progress=progress)
-        ensemble.watch(setup.histograms or covered(reached), setup.products)
+        ensemble.watch(setup.histograms or covered(reached), products)
         record = Record(ensemble, elapsed=perf_counter() - begin)
         if "reached" in saved:
             ensemble.restore(saved)
