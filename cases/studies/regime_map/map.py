@@ -153,17 +153,15 @@ def parse_axes(texts: Sequence[str], system: System) -> tuple[Axis, ...]:
 
 
 def _axis(text: str) -> Axis:
-    key, _, grid = (part.strip() for part in text.partition("="))
-    if not grid or key not in KEYS:
-        raise _wrong(text, f"write one of {', '.join(KEYS)}, then =low:high:count")
-    match = re.fullmatch(r"([^:]+):([^:]+):(log)?([0-9]{1,5})", grid)
-    if match is None:
-        raise _wrong(text, "a grid is low:high:count, or low:high:logCOUNT for equal ratios")
+    match = re.fullmatch(r"([^=]+?) *= *([^:]+):([^:]+):(log)?([0-9]{1,5})", text.strip())
+    if match is None or match[1] not in KEYS:
+        grid = "low:high:count, or =low:high:logCOUNT for equal ratios"
+        raise _wrong(text, f"write one of {', '.join(KEYS)}, then ={grid}")
     try:
-        low, high = float(match[1]), float(match[2])
+        low, high = float(match[2]), float(match[3])
     except ValueError:
         low = high = nan
-    logarithmic, count = match[3] is not None, int(match[4])
+    key, logarithmic, count = match[1], match[4] is not None, int(match[5])
     for holds, remedy in (
         (abs(low) <= LARGEST and abs(high) <= LARGEST, "both ends must be finite numbers"),
         (low < high, f"{low:g} is not below {high:g}"),
