@@ -28,10 +28,6 @@ ALMOST_KURTOSIS = 0.3
 """Excess kurtosis up to which a density is called almost Gaussian: its fourth moment is a tenth off
 the Gaussian's 3. It must meet ``ALMOST_L1``, too; beyond one of them it is non-Gaussian."""
 
-GAUSSIAN_REACH = 9.0
-"""Half-width in standard deviations of the Gaussian that a density is compared with; 2e-19 of its
-mass lies beyond."""
-
 ACCEPTABLE_L1 = 0.1
 """L1 distance to the full system up to which a theory is called acceptable: no probability is
 wrong by more than 5 %."""
@@ -186,12 +182,12 @@ def _kurtosis(density: AnyDensity) -> float:
 
 
 def _to_gaussian(density: AnyDensity, mean: float, scale: float) -> float:
-    """L1 distance to the Gaussian; of a histogram by the shares of its bins."""
+    """L1 distance to the Gaussian, its mass outside the support included; by bins of a sample."""
+    (nodes,) = density.panels
+    shares = np.diff(ndtr((nodes - mean) / scale))
     if isinstance(density, SampledDensity):
-        (edges,) = density.edges
-        shares = density.values * np.diff(edges) - np.diff(ndtr((edges - mean) / scale))
+        shares -= density.values * np.diff(nodes)
         return float(np.sum(np.abs(shares)) + abs(np.sum(shares)))  # outside is one more bin
-    reach = mean + scale * np.linspace(-GAUSSIAN_REACH, GAUSSIAN_REACH, 19)
-    (x,), grids = gauss_grid([np.union1d(density.panels[0], reach)])
+    (x,), grids = gauss_grid([nodes])
     gaussian = np.exp(-0.5 * ((x - mean) / scale) ** 2) / (np.sqrt(2.0 * np.pi) * scale)
-    return integral(np.abs(density(x) - gaussian), grids)
+    return integral(np.abs(density(x) - gaussian), grids) + 1.0 - float(np.sum(shares))
