@@ -91,27 +91,23 @@ class StationarySolution:
 
     def density(self, energy: Array) -> Array:
         """p_h at energies of any shape; 0 outside the mesh."""
-        return self._value(energy, of_p=True)
+        return self.answer(energy, log_factor=self._log_states(energy))
 
     def phase_space_density(self, energy: Array) -> Array:
         """p_h/T (up to the constant left out of ln T) at energies of any shape; 0 outside."""
-        return self._value(energy, of_p=False)
+        return self.answer(energy)
 
     def pointwise_error(self, energy: Array) -> Array:
         """Estimate of |p_h − p| at energies of any shape."""
-        return self._error(energy, of_p=True)
+        return self._error(energy, self._log_states(energy))
 
     def phase_space_error(self, energy: Array) -> Array:
         """Estimate of |p_h − p|/T at energies of any shape."""
-        return self._error(energy, of_p=False)
+        return self._error(energy, np.zeros(np.shape(energy)))
 
-    def _value(self, energy: Array, *, of_p: bool) -> Array:
-        return self.answer(energy, log_factor=self._log_factor(energy, of_p=of_p))
-
-    def _error(self, energy: Array, *, of_p: bool) -> Array:
-        """Error of u: distance to the enriched solution and what shifts all of p alike."""
+    def _error(self, energy: Array, factor: Array) -> Array:
+        """Error of u e^``factor``: distance to the enriched one, and what shifts all of p alike."""
         x = np.asarray(energy, dtype=float)
-        factor = self._log_factor(x, of_p=of_p)
         k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.nodes.size - 2)
         share = np.clip((x - self.nodes[k]) / (self.nodes[k + 1] - self.nodes[k]), 0.0, 1.0)
         count = self._log_distance.shape[1] - 1
@@ -122,13 +118,10 @@ class StationarySolution:
         error = SAFETY * distance + floor * np.abs(self.answer(x, log_factor=factor))
         return np.asarray(error + np.exp(np.interp(x, *self._log_round_off) + factor))
 
-    def _log_factor(self, energy: Array, *, of_p: bool) -> Array:
-        """ln T, which turns u into p, or 0 for p/T; beyond the last node that of the node."""
-        energy = np.asarray(energy, dtype=float)
-        if not of_p:
-            return np.zeros(energy.shape)
-        within = np.clip(energy, TINY, self.nodes[-1])
-        return self.process.coefficients(within.ravel()).log_density_of_states.reshape(energy.shape)
+    def _log_states(self, energy: Array) -> Array:
+        """ln T, beyond the last node that of the node."""
+        within = np.clip(np.asarray(energy, dtype=float), TINY, self.nodes[-1])
+        return self.process.coefficients(within.ravel()).log_density_of_states.reshape(within.shape)
 
     @cached_property
     def _log_distance(self) -> Array:
@@ -169,7 +162,7 @@ class StationarySolution:
         share = np.concatenate([[0.0], element_rule(self.degree).share, [1.0]])
         x = self.nodes[:-1, None] + np.diff(self.nodes)[:, None] * share
         x[0, 0] = x[0, 1]  # towards H = 0 p/T has no bound
-        log_T = self._log_factor(x, of_p=True)
+        log_T = self._log_states(x)
         p = np.abs(self.answer(x, log_factor=log_T))
         most = self.degree**1.5 * p.max(axis=1)
         at_nodes = np.maximum(np.abs(self.density(self.nodes[1:-1])), TINY)

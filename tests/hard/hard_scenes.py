@@ -24,8 +24,8 @@ from fpk.observable import observable_name, parse_observable
 from fpk.system import System
 
 TOLERANCES = {"three-contact-masses": 1e-4}
-"""Tolerance where it is not that of the battery: of three contact masses the coefficients, averages
-over directions in three dimensions, are known to 1e-6."""
+"""Tolerance where it is not that of the battery: of three contact masses the coefficients, inverse
+Laplace transforms on lines of finite length, are known to some 1e-6."""
 PLAIN_MASSES = 2
 """Contact masses from which plain elements are not run: their coefficients cost minutes."""
 
