@@ -91,7 +91,8 @@ def run(scene: str, out: Path | None, **settings: Any) -> None:
         from cases.output.report import write_report
 
         with progress_bar() as progress:
-            written = write_report(outcome, digest, out, fields=False, progress=progress)
+            report, *pictures = write_report(outcome, digest, out, progress=progress)
+        written = [report, out / parts.FIELDS, *pictures]
     digest["seconds"] = perf_counter() - start
     text = partial(rendered, "run.txt", {"digest": digest})
     parts.end(digest, text, written, problems=outcome.problems)

@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from cases.comparison.answers import Outcome
 from cases.comparison.claims import ACCEPTABLE_L1, ALMOST_KURTOSIS, ALMOST_L1
 from cases.output.facts import theories
-from cases.output.fields import write_netcdf
 from cases.output.files import write_text
 from cases.output.pictures.joint import joint_pictures
 from cases.output.pictures.lines import line_pictures
@@ -27,18 +26,11 @@ LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "h5netcdf")
 
 
 def write_report(
-    outcome: Outcome,
-    digest: Record,
-    folder: Path,
-    *,
-    fields: bool = True,
-    progress: Progress = silent,
+    outcome: Outcome, digest: Record, folder: Path, *, progress: Progress = silent
 ) -> list[Path]:
-    """Write ``report.html``, ``result.nc`` and the pictures into ``folder``; return their paths.
+    """Write ``report.html`` and the pictures into ``folder``; return their paths.
 
-    ``digest`` is the record of the run, ``digest_of(outcome)``; ``fields`` is False where
-    ``result.nc`` was written when the answers were made.
-
+    ``digest`` is the record of the run, ``digest_of(outcome)``.
     Every file appears whole or not at all. Raises ``BadInput`` where the folder cannot be written.
     """
     pictures, written = [], []
@@ -47,10 +39,8 @@ def write_report(
         written.append(folder / f"{stem}.svg")
         write_text(written[-1], svg)
         pictures.append({"stem": stem, "caption": caption, "svg": inline_svg(svg, caption)})
-    if fields:
-        write_netcdf(outcome, folder / "result.nc")
     write_text(folder / "report.html", report_html(outcome.scene, digest, pictures))
-    return [folder / "report.html", folder / "result.nc", *written]
+    return [folder / "report.html", *written]
 
 
 def figures(outcome: Outcome, *, progress: Progress = silent) -> Iterator[tuple[str, str, Figure]]:

@@ -9,6 +9,7 @@ import xarray as xr
 from cases.comparison.answers import run_scene
 from cases.comparison.routes import all_methods, method_for
 from cases.output.digest import digest_of
+from cases.output.fields import write_netcdf
 from cases.output.report import write_report
 from cases.scene.scene import load_scene
 from fpk.contact_law import LAWS
@@ -65,6 +66,7 @@ def test_they_are_drawn_and_reported(outcome, tmp_path):
     assert {"density_p1.svg", "density_q2.svg", "left_p1.svg"} <= set(written)
     page = (tmp_path / "report.html").read_text()
     assert "equipartition" in page and "cubic law" in page
+    write_netcdf(outcome, tmp_path / "result.nc")
     with xr.open_dataset(tmp_path / "result.nc", engine="h5netcdf") as data:
         assert TOY[0] in data["route_p1"].values.tolist()
 
