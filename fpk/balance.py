@@ -21,6 +21,8 @@ DEEP = 40.0
 """Energy of a contact mass, in kT, beyond which its Gibbs density is left out: 4e-18 of it."""
 POINTS = (64, 64, 32, 16)
 """Gauss points for each of one to four contact masses, 65536 in all at the most: three digits."""
+LOG2_SAMPLES = 14
+"""Sobol points of more contact masses, as a power of two: two digits."""
 ROUND_OFF = 1e-9
 """A power below this share of the terms that cancel in it counts as zero: what quadrature leaves
 where terms of one contact mass cancel exactly is 1e-12."""
@@ -51,7 +53,8 @@ def balance_with_stops(system: System) -> Balance:
     noise = float(np.sum(np.diag(system.noise_matrix) / system.mass))
     constant = float(np.sum(np.diag(system.damping) / system.mass))
     theta = _temperature_of_sizes(system, abs(constant), noise) * SEARCHED
-    log_theta, states = np.log(theta), [_contact_states(system, float(t)) for t in theta]
+    states_at = _contact_states if len(system.contact_masses) <= len(POINTS) else _sampled_states
+    log_theta, states = np.log(theta), [states_at(system, float(t)) for t in theta]
     order = system.n + np.gradient(np.log([weights.sum() for _, weights in states]), log_theta)
     gibbs, shell = constant * theta, constant * theta
     size = np.abs(gibbs)
@@ -103,17 +106,10 @@ def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
     its stops let it go.
     """
     x, w = gauss_legendre(POINTS[len(system.contact_masses) - 1])
-    q, weights, before, reach = np.zeros((0, 1)), np.ones(1), 0.0, sqrt(2.0 * DEEP)
-    for mass in system.contact_masses:
-        flexibility = float(np.sum(1.0 / system.stiffness[: mass + 1]))
-        mean, width = q[-1] if q.size else np.zeros(1), sqrt(theta * (flexibility - before))
-        low, high, before = mean - reach * width, mean + reach * width, flexibility
-        for stop in system.stops:
-            if stop.index == mass:
-                end = stop.clearance + stop.overlap_at(DEEP * theta)
-                low, high = (
-                    (np.maximum(low, -end), high) if stop.sign < 0 else (low, np.minimum(high, end))
-                )
+    q, weights = np.zeros((0, 1)), np.ones(1)
+    for mass, width in zip(system.contact_masses, _departures(system, theta), strict=True):
+        mean = q[-1] if q.size else np.zeros(1)
+        low, high = _reach(system, mass, theta, mean, width)
         half = np.maximum(0.5 * (high - low), 0.0)
         own = (0.5 * (low + high))[:, None] + half[:, None] * x
         normal = (own - mean[:, None]) / width
@@ -122,6 +118,47 @@ def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
         weights = (weights[:, None] * half[:, None] * w * density).ravel()
         q = np.vstack([np.repeat(q, x.size, axis=1), own.reshape(1, -1)])
     return q, weights
+
+
+def _sampled_states(system: System, theta: float) -> tuple[Array, Array]:
+    """The same of many masses, from points evenly spread: each departure a truncated Gaussian."""
+    from scipy.stats.qmc import Sobol  # noqa: PLC0415  (it takes half a second)
+
+    masses, q = system.contact_masses, []
+    # The first point has only zeros: half a step keeps all inside.
+    uniform = Sobol(len(masses), scramble=False).random_base2(LOG2_SAMPLES).T
+    uniform, mean = uniform + 0.5 / uniform.shape[1], np.zeros(uniform.shape[1])
+    weights = np.full(mean.size, 1.0 / mean.size)
+    for mass, width, u in zip(masses, _departures(system, theta), uniform, strict=True):
+        low, high = _reach(system, mass, theta, mean, width)
+        share, end = (scipy.special.ndtr((x - mean) / width) for x in (low, high))
+        inside = np.maximum(end - share, 0.0)
+        own = mean + width * scipy.special.ndtri(share + inside * u)
+        mean = np.clip(own, low, np.maximum(low, high))  # where nothing is inside, of weight 0
+        weights = weights * inside * np.exp(-system.contact_energy(mass, mean) / theta)
+        q.append(mean)
+    return np.array(q), weights
+
+
+def _departures(system: System, theta: float) -> list[float]:
+    """Standard deviation of each contact mass given the one before it, without stops, at θ."""
+    flexibilities = [float(np.sum(1.0 / system.stiffness[: i + 1])) for i in system.contact_masses]
+    return [sqrt(theta * step) for step in np.diff([0.0, *flexibilities]).tolist()]
+
+
+def _reach(
+    system: System, mass: int, theta: float, mean: Array, width: float
+) -> tuple[Array, Array]:
+    """How far a mass gets on either side of its ``mean``, by the springs and by its stops."""
+    reach = sqrt(2.0 * DEEP)
+    low, high = mean - reach * width, mean + reach * width
+    for stop in system.stops:
+        if stop.index == mass:
+            end = stop.clearance + stop.overlap_at(DEEP * theta)
+            low, high = (
+                (np.maximum(low, -end), high) if stop.sign < 0 else (low, np.minimum(high, end))
+            )
+    return low, high
 
 
 def _mean_power(

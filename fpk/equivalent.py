@@ -5,7 +5,7 @@ from math import exp, lgamma
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.balance import POINTS, balance_with_stops
+from fpk.balance import balance_with_stops
 from fpk.damping import DampingTerm
 from fpk.errors import NotApplicable
 from fpk.moments import gaussian_moment
@@ -19,9 +19,9 @@ def equivalent_temperature(system: System) -> float:
     """Return the θ at which E Σ c_ij v_i v_j = Σ (f D fᵀ)_ii/m_i in the Gibbs state exp(−H/θ).
 
     Of several roots it is the largest, where the damping takes over for good. With stops and
-    damping terms it is that of ``balance_with_stops``; without, and for more contact masses than
-    that takes, the balance of the chain alone is a polynomial in θ. With constant damping it is
-    Σ D_ii/m_i / Σ c_ii/m_i. A scale for meshes, ranges and steps: no answer rests on it.
+    damping terms it is that of ``balance_with_stops``; without, the balance is a polynomial in θ.
+    With constant damping it is Σ D_ii/m_i / Σ c_ii/m_i. A scale for meshes, ranges and steps: no
+    answer rests on it.
 
     Raises ``NotApplicable`` where no noise reaches a mass, or the damping never balances it.
     """
@@ -39,7 +39,7 @@ def equivalent_temperature(system: System) -> float:
 
 def stops_matter(system: System) -> bool:
     """Return whether the balance is that of ``balance_with_stops``."""
-    return bool(system.damping_terms) and 0 < len(system.contact_masses) <= len(POINTS)
+    return bool(system.damping_terms and system.contact_masses)
 
 
 def dissipated_power(system: System) -> Array:

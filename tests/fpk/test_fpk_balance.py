@@ -1,5 +1,7 @@
 """Balance of damping terms and noise in a chain with stops, against other integrals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -106,3 +108,32 @@ def test_terms_that_cancel_on_average_are_decided_alike_by_all(
         value, error = density.at(np.array([0.1]))
         assert abs(value[0] - 5.0 * np.exp(-0.5)) <= error[0] + 1e-12
         assert density.certificate.certified
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_samples_of_many_contact_masses_give_what_gauss_points_give(
+    count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    system = stopped_chain(count)
+    expected = balance_with_stops(system)
+    monkeypatch.setattr("fpk.balance.POINTS", ())
+    sampled = balance_with_stops(system)
+    assert sampled.temperature == pytest.approx(expected.temperature, rel=0.02)
+    assert sampled.energy == pytest.approx(expected.energy, rel=0.03)
+    assert sampled.slope == pytest.approx(expected.slope, rel=0.05)
+
+
+@pytest.mark.parametrize("count", [5, 30])
+def test_many_stops_are_part_of_the_balance(count: int) -> None:
+    """Between its stops the first mass stays where it is damped; without them the energy grows."""
+    MonteCarlo().prepare(stopped_chain(count))
+    with pytest.raises(NotApplicable, match="grows for ever"):
+        MonteCarlo().prepare(replace(stopped_chain(count), contacts=()))
+
+
+def stopped_chain(count: int) -> System:
+    """Hard stops on every mass, and c11 = 0.1 − 0.2 q1² + 0.03 v1²."""
+    terms = one_mass(-0.2, 0.03).damping_terms
+    contacts = tuple(Contact(i + 1, "both", 100.0, 0.3, "power", 3.0) for i in range(count))
+    ones = np.ones(count)
+    return System(ones, ones, 0.1 * ones, 0.02 * ones, contacts=contacts, damping_terms=terms)
