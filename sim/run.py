@@ -36,7 +36,7 @@ def run(
                 dt=0.5 * setup.dt,
                 time=report.steps.time,
                 tol=inf,
-                seconds=inf,
+                seconds=2.0 / 3.0 * method.seconds if method.seconds else inf,
                 histograms=tuple(Histogram(d.observable, d.edges) for d in densities),
             )
             others, _, half_report = simulate(half, workers=workers, progress=progress)
@@ -56,10 +56,12 @@ def with_step_bias(
 ) -> Report:
     """Return the report with the differences from the run at half the step.
 
-    Of a run that was interrupted there are none, and of one that lost trajectories no moments.
+    Of a run that was interrupted or has no chunk by the limit of time there are none, and of one
+    that lost trajectories no moments.
     """
-    if half.interrupted:
-        return replace(report, step_pair="not measured: interrupted")
+    if half.interrupted or half.diagnosis is None:
+        words = "interrupted" if half.interrupted else "the limit of time came"
+        return replace(report, step_pair=f"not measured: {words}")
     biases = {a.name: StepBias(*l1_difference(a, b)) for a, b in pairs}
     if half.lost:
         words = f"{half.lost} trajectories left the finite range at dt/2"

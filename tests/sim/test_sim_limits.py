@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from fpk.observable import Coordinate
 from fpk.system import System
 from sim import MonteCarlo
 from sim.report import Report
+from sim.setup import Setup
+from sim.simulation import simulate
 
 OF = [(Coordinate("q", 1),)]
 SHORT = MonteCarlo(paths=4096, threads=1, seconds=0.5)
@@ -66,3 +69,23 @@ def test_a_burn_in_that_the_limit_ended_goes_on_from_its_state(tmp_path: Path) -
         failure = method.solve(fig6(), OF).densities[0].certificate.failures[0]
         shares.append(float(failure.split("after ")[1].split(" ")[0]))
     assert 0.0 < shares[0] < shares[1]
+
+
+def test_the_limit_holds_for_the_second_simulation_of_a_pair(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A second simulation that is ten thousand times as slow ends when its share is over."""
+    setups: list[Setup] = []
+
+    def slow(setup: Setup, **options: Any) -> Any:
+        if setups:
+            setup = replace(setup, dt=1e-4 * setup.dt)
+        setups.append(setup)
+        return simulate(setup, **options)
+
+    monkeypatch.setattr("sim.run.simulate", slow)
+    method = replace(SHORT, step_pair=True, burn_in=0.1, seconds=3.0)
+    report = method.solve(fig6(), OF).report
+    assert isinstance(report, Report) and report.diagnosis is not None
+    assert [s.seconds for s in setups] == pytest.approx([1.0, 2.0])
+    assert report.step_pair == "not measured: the limit of time came" and not report.step_biases
