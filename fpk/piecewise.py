@@ -13,7 +13,6 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 
 from fpk.arrays import Array, Integers
-from fpk.compiling import cached_njit
 from fpk.quadrature import gauss_legendre
 
 DEGREE = 15
@@ -40,11 +39,13 @@ class Piecewise:
 
     def __call__(self, x: ArrayLike, *, log_factor: ArrayLike = 0.0) -> Array:
         """Return f times exp(``log_factor``), an array of one factor a point, at any points."""
+        from fpk.series import summed  # noqa: PLC0415  (numba takes 0.4 s)
+
         at, shape = np.asarray(x, dtype=float), self.coefficients.shape
         series = np.ascontiguousarray(self.coefficients).reshape(*shape[:2], -1)
         log_scale = np.zeros(shape[0]) if self.log_scale is None else self.log_scale
         factor = np.broadcast_to(np.asarray(log_factor, float), at.shape).ravel()
-        value = _summed(self.nodes, series, log_scale, self.outside, at.ravel(), factor)
+        value = summed(self.nodes, series, log_scale, self.outside, at.ravel(), factor)
         return value.reshape((*at.shape, *shape[2:]))
 
     def antiderivative(self) -> "Piecewise":
@@ -155,45 +156,6 @@ class PiecewiseTensor:
         nodes, degree = self.nodes[axis], self.coefficients.shape[2 + axis] - 1
         k, P = _legendre_at(nodes, x, degree)
         return k, P * ((x >= nodes[0]) & (x <= nodes[-1]))[:, None]
-
-
-@cached_njit()
-def _summed(
-    nodes: Array,
-    coefficients: Array,
-    log_scale: Array,
-    outside: float,
-    x: Array,
-    log_factor: Array,
-) -> Array:
-    """Return (points, values) of a ``Piecewise``; ``coefficients`` (panels, degree + 1, values).
-
-    Compiled, it is some five times as fast as a matrix of all P_j at all points.
-    """
-    panels, terms, count = coefficients.shape
-    value = np.empty((x.size, count))
-    # Of P_(j+1) = rise_j t P_j − fall_j P_(j−1): a division at each point takes longest.
-    fall = np.arange(terms) / np.arange(1.0, terms + 1.0)
-    rise = 1.0 + fall
-    k = 0
-    for i in range(x.size):
-        if not nodes[0] <= x[i] <= nodes[-1]:
-            value[i] = outside
-            continue
-        if not nodes[k] <= x[i] < nodes[k + 1]:  # points often follow each other in a panel
-            k = min(np.searchsorted(nodes, x[i], side="right"), panels) - 1
-        left, right = nodes[k], nodes[k + 1]
-        t = min(max((2.0 * x[i] - left - right) / (right - left), -1.0), 1.0)
-        # One exponential: scale and factor may leave the range where their product does not.
-        exponent = log_scale[k] + log_factor[i]
-        scale = np.exp(exponent) if exponent != 0.0 else 1.0
-        for m in range(count):
-            before, P, total = 1.0, t, coefficients[k, 0, m]
-            for j in range(1, terms):
-                total += coefficients[k, j, m] * P
-                before, P = P, rise[j] * t * P - fall[j] * before
-            value[i, m] = total * scale
-    return value
 
 
 def _legendre_at(nodes: Array, x: Array, degree: int) -> tuple[Integers, Array]:

@@ -13,6 +13,9 @@ from fpk.arrays import Array, Integers
 from fpk.moments import gaussian_moment
 from fpk.system import System
 
+ROUND_OFF = 1e-14
+"""Relative error, to the sum of absolute values, of some dozens of Gaussian moments and factors."""
+
 
 class Parts(NamedTuple):
     """Σ c_ij v_i v_j of the damping terms, averaged given the contact displacements q_c.
@@ -26,6 +29,7 @@ class Parts(NamedTuple):
     order: Integers  # (parts,)
     powers: Integers  # (parts, c)
     coefficient: Array  # (parts,)
+    size: Array  # (parts,), the sum of the absolute values that the coefficient is a sum of
 
     def gaussian(self, shell: EnergyShell) -> tuple[Array, Array]:
         """Mean of each part without contact at β = 1, (parts,), and root of its mean square."""
@@ -36,7 +40,7 @@ class Parts(NamedTuple):
                 for k in (1, 2)
             ]
         )
-        return self.coefficient * mean, np.abs(self.coefficient) * square**0.5
+        return self.coefficient * mean, self.size * square**0.5
 
     @property
     def j(self) -> Integers:
@@ -55,7 +59,7 @@ def parts_of(system: System) -> Parts:
     weights[masses] = np.eye(len(masses))
     for i in set(range(n)) - set(masses):
         weights[i] = conditional(system, i, masses).weights
-    coefficients: dict[tuple[int, int, tuple[int, ...]], float] = defaultdict(float)
+    sums: dict[tuple[int, int, tuple[int, ...]], Array] = defaultdict(lambda: np.zeros(2))
     for term in system.damping_terms:
         v, q = np.array(term.powers("v", n)), term.powers("q", n)
         np.add.at(v, [term.row, term.column], 1)
@@ -66,12 +70,15 @@ def parts_of(system: System) -> Parts:
             for masses_of in product(*(np.flatnonzero(weights[i]).tolist() for i in left)):
                 share = float(np.prod(weights[left, list(masses_of)]))
                 key = tuple(masses_of.count(k) for k in range(len(masses)))
-                coefficients[term.degree, sum(q) + int(v.sum()), key] += C * moment * share
-    rows = [(*key, value) for key, value in coefficients.items() if value != 0.0]
-    degree, order, powers, coefficient = zip(*rows, strict=True) if rows else ((), (), (), ())
+                value = C * moment * share
+                sums[term.degree, sum(q) + int(v.sum()), key] += value, abs(value)
+    # What is left where terms cancel is their round-off.
+    rows = [(*key, *both) for key, both in sums.items() if abs(both[0]) > ROUND_OFF * both[1]]
+    degree, order, powers, coefficient, size = zip(*rows, strict=True) if rows else ((),) * 5
     return Parts(
         np.array(degree, dtype=np.int64),
         np.array(order, dtype=np.int64),
         np.array(powers, dtype=np.int64).reshape(len(rows), len(masses)),
         np.array(coefficient, dtype=float),
+        np.array(size, dtype=float),
     )

@@ -7,7 +7,7 @@ from scipy.special import gammaln
 
 from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.laplace import PartitionLines, by_lines
-from averaging.shell.parts import Parts, parts_of
+from averaging.shell.parts import ROUND_OFF, Parts, parts_of
 from averaging.shell.ratios import shell_ratios
 from averaging.shell.sums import TARGET, shell_integrals
 from averaging.shell.table import ShellTable
@@ -19,8 +19,6 @@ Power = Callable[[Array], tuple[Array, Array]]
 TARGETS = (8e-13, 3e-14)
 """Disagreement of two rules, for n = 1 and more, that ends the refinement for one contact mass,
 near round-off: the power cancels against the noise, so that its error adds up in ln p."""
-ROUND_OFF = 1e-14
-"""Relative error, to the sum of absolute values, of some dozens of Gaussian moments and factors."""
 
 
 def term_power(system: System) -> Power:
