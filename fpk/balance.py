@@ -84,10 +84,10 @@ def _temperature_of_sizes(system: System, constant: float, noise: float) -> floa
     """The θ at which constant θ + Σ √E X² is the noise, X the powers of the chain without stops."""
     sizes = []
     for term in system.damping_terms:
-        q, v = term.powers("q", system.n), _velocities(system, term)
+        q, v = term.powers("q", system.n), term.velocities(system.n)
         square = gaussian_moment(system.compliance, tuple(2 * a for a in q))
         square *= gaussian_moment(np.diag(1.0 / system.mass), tuple(2 * a for a in v))
-        sizes.append((abs(term.coefficient) * sqrt(square), 0.5 * (sum(q) + sum(v)) + term.energy))
+        sizes.append((abs(term.coefficient) * sqrt(square), 1.0 + 0.5 * term.degree))
 
     def excess(log_theta: float) -> float:
         return sum(s * exp(k * log_theta) for s, k in [(constant, 1.0), *sizes]) - noise
@@ -183,17 +183,9 @@ def _mean_power(
             rest = [power - k for power, k in zip(powers, own, strict=True)]
             part = ways * moment * prod(mean[i] ** r for i, r in enumerate(rest) if r)
             total, absolute = total + part, absolute + np.abs(part)
-    v = _velocities(system, term)
+    v = term.velocities(system.n)
     factor = term.coefficient * gaussian_moment(np.diag(theta / system.mass), v) / weights.sum()
     return factor * float(weights @ total), abs(factor) * float(weights @ absolute)
-
-
-def _velocities(system: System, term: DampingTerm) -> tuple[int, ...]:
-    """The powers of all velocities in c_ij v_i v_j."""
-    v = list(term.powers("v", system.n))
-    v[term.row] += 1
-    v[term.column] += 1
-    return tuple(v)
 
 
 def _gamma_ratio(a: Array, k: Array | float) -> Array:

@@ -75,6 +75,18 @@ class DampingTerm:
         power_of: Mapping[int, int] = dict(getattr(self, key))
         return tuple(power_of.get(mass, 0) for mass in range(1, n + 1))
 
+    @property
+    def factors(self) -> int:
+        """How many displacements and velocities are multiplied in the power c_ij v_i v_j."""
+        return self.degree - 2 * self.energy + 2
+
+    def velocities(self, n: int) -> tuple[int, ...]:
+        """Return the powers of all n velocities in the power c_ij v_i v_j."""
+        v = list(self.powers("v", n))
+        v[self.row] += 1
+        v[self.column] += 1
+        return tuple(v)
+
     def value(self, q: ArrayLike, v: ArrayLike, energy: ArrayLike) -> Array:
         """Return what c_ij gains at displacements and velocities (..., n) and energies (...)."""
         q, v = np.asarray(q, dtype=float), np.asarray(v, dtype=float)

@@ -77,15 +77,11 @@ def _mean_power(system: System, term: DampingTerm) -> float:
     (q, v), so that the energy brings E H^(e + d/2)/E H^(d/2) = Γ(n + d/2 + e)/Γ(n + d/2).
     """
     n = system.n
-    v = np.array(term.powers("v", n))
-    v[term.row] += 1
-    v[term.column] += 1
-    q = term.powers("q", n)
-    half = 0.5 * (sum(q) + int(v.sum()))
-    velocities = gaussian_moment(np.diag(1.0 / system.mass), tuple(v))
+    half = 0.5 * term.factors
+    velocities = gaussian_moment(np.diag(1.0 / system.mass), term.velocities(n))
     # Not ``system.compliance``: it differs in the last bit, and so would the states from which a
     # simulation with damping terms starts, which stay bitwise the same from version to version.
     compliance: Array = np.asarray(np.linalg.inv(system.stiffness_matrix), dtype=float)
-    displacements = gaussian_moment(compliance, q)
+    displacements = gaussian_moment(compliance, term.powers("q", n))
     energies = exp(lgamma(n + half + term.energy) - lgamma(n + half))
     return term.coefficient * velocities * displacements * energies

@@ -8,7 +8,6 @@ import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis
 from fpk.arrays import Array, Integers
-from fpk.damping import DampingTerm
 from fpk.errors import NotApplicable
 from fpk.moments import gaussian_moment
 from fpk.system import System
@@ -94,12 +93,7 @@ def _words(integers: Integers) -> str:
 
 def resonance_order(system: System) -> int:
     """Return the even Σ|l_i| up to which the averages of ``system`` hold frequencies Σ l_i ω_i."""
-    return max([ORDER, *(2 * ((_factors(term) + 1) // 2) for term in system.damping_terms)])
-
-
-def _factors(term: DampingTerm) -> int:
-    """Factors q and v of the flow F_m Q̇_m that a term makes; H is constant over the phases."""
-    return term.degree - 2 * term.energy + 2
+    return max([ORDER, *(2 * ((term.factors + 1) // 2) for term in system.damping_terms)])
 
 
 def resonances(
@@ -134,7 +128,7 @@ def resonances(
 def _excited_resonances(system: System, modes: ModalAnalysis) -> list[tuple[Integers, float]]:
     """Resonances of Σ|l_i| ≠ 2 that damping terms excite, with detunings that may matter."""
     terms = system.damping_terms
-    sizes = {size for term in terms for size in range(_factors(term), 0, -2)} - {2}
+    sizes = {size for term in terms for size in range(term.factors, 0, -2)} - {2}
     if not sizes or modes.n == 1:
         return []
     fastest = float(np.max(np.diag(modes.averaged.mean(modes.temperature)[1])))
@@ -159,7 +153,7 @@ def flow_amplitudes(system: System, modes: ModalAnalysis, integers: Integers) ->
     waves = tuple(int(k) for k in np.abs(integers))
     flow = np.zeros(n, dtype=complex)
     for term in system.damping_terms:
-        excess = sum(waves) - _factors(term)
+        excess = sum(waves) - term.factors
         if excess > 0 or excess % 2:
             continue
         velocities = list(term.powers("v", n))

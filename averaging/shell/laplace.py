@@ -105,7 +105,7 @@ class PartitionLines:
         loss = self.n * (shares - 1.0 - np.log(shares))
         self.factor = float(np.interp(NATS, loss, shares))
         terms = system.damping_terms
-        self.groups = sorted({(term.degree, term.degree - 2 * term.energy + 2) for term in terms})
+        self.groups = sorted({(term.degree, term.factors) for term in terms})
         most = self.n + 0.5 * max((order for _, order in self.groups), default=0)
         alias = self.n * shares - most * np.log1p(shares)
         self.step = 2.0 * np.pi / float(shares[np.argmax(alias > ALIAS)])

@@ -61,9 +61,8 @@ def parts_of(system: System) -> Parts:
         weights[i] = conditional(system, i, masses).weights
     sums: dict[tuple[int, int, tuple[int, ...]], Array] = defaultdict(lambda: np.zeros(2))
     for term in system.damping_terms:
-        v, q = np.array(term.powers("v", n)), term.powers("q", n)
-        np.add.at(v, [term.row, term.column], 1)
-        C = term.coefficient * gaussian_moment(np.diag(1.0 / system.mass), tuple(v.tolist()))
+        q = term.powers("q", n)
+        C = term.coefficient * gaussian_moment(np.diag(1.0 / system.mass), term.velocities(n))
         for about in product(*(range(power + 1) for power in q)):  # the powers of ξ
             left = np.repeat(np.arange(n), np.subtract(q, about))
             moment = gaussian_moment(covariance, about) * prod(map(comb, q, about))
@@ -71,7 +70,7 @@ def parts_of(system: System) -> Parts:
                 share = float(np.prod(weights[left, list(masses_of)]))
                 key = tuple(masses_of.count(k) for k in range(len(masses)))
                 value = C * moment * share
-                sums[term.degree, sum(q) + int(v.sum()), key] += value, abs(value)
+                sums[term.degree, term.factors, key] += value, abs(value)
     # What is left where terms cancel is their round-off.
     rows = [(*key, *both) for key, both in sums.items() if abs(both[0]) > ROUND_OFF * both[1]]
     degree, order, powers, coefficient, size = zip(*rows, strict=True) if rows else ((),) * 5
