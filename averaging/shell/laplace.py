@@ -23,6 +23,7 @@ from scipy.special import erfc, gammaln
 from averaging.conditional import conditionals
 from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.parts import parts_of
+from averaging.shell.passes import passed
 from fpk.arrays import Array, Complexes
 from fpk.errors import NotApplicable
 from fpk.quadrature import panel_rule
@@ -210,11 +211,7 @@ class PartitionLines:
                 x = before[rows, None]
                 low, high = np.searchsorted(q, [x[0, 0] - reach, x[-1, 0] + reach])
                 height = 0.5 * stiffness * (x - q[low:high]) ** 2
-                kernel = np.exp(-beta[0] * height)
-                factor = np.exp(-step * height) if beta.size > 1 else 1.0
-                for k in range(beta.size):
-                    f[k, rows] = kernel @ g[k, low:high]
-                    kernel *= factor
+                f[:, rows] = passed(height, beta[0], step, np.ascontiguousarray(g[:, low:high]))
             f *= np.sqrt(beta * stiffness / (2.0 * np.pi))[:, None, None]
         moments = f[:, 0] * beta[:, None] ** (0.5 * powers.sum(axis=1))
         rows = np.zeros((1 + len(self.groups), beta.size), dtype=complex)

@@ -1,6 +1,5 @@
 """The commands ``fpk converge``, ``fpk cost`` and ``fpk regime``: studies of one scene."""
 
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from functools import wraps
@@ -19,9 +18,7 @@ if TYPE_CHECKING:
 def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
     """Make the command of a study; ``work`` takes the scene, a progress callback and its options.
 
-    Options that are not given are not passed on: the defaults of the work itself hold. Linear
-    algebra takes one thread: small matrices gain nothing from more, and times of routes can be
-    compared then and do not depend on load.
+    Options that are not given are not passed on: the defaults of the work itself hold.
     """
 
     @click.command()
@@ -33,7 +30,6 @@ def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
     @parts.as_json
     @wraps(work)
     def command(scene: str, out: Path | None, **settings: Any) -> None:
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         loaded = parts.checked(scene, out=out)
         given = {key: value for key, value in settings.items() if value is not None}
         from cases.output.bar import progress_bar

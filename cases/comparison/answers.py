@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import ceil, log10
 from time import perf_counter
 from typing import Any
 
@@ -16,8 +17,8 @@ from fpk.observable import Observable, observable_name, parse_observable
 from fpk.route import Route
 from fpk.system import System
 
-RELAXED = 10.0
-"""Multiple of a default tolerance up to which an answer is certified: a digit less than wanted."""
+LOOSEST = 1e-4
+"""Largest tolerance by which a default one that is missed is replaced: simulations tell no less."""
 
 INTERRUPTED = "not finished: the program was interrupted"
 """Reason of a route that Ctrl-C ended or that would have come after it."""
@@ -156,8 +157,8 @@ def answers_of(
     """Return the answers of ``methods``, each for the observables that it gives.
 
     ``partial``: Ctrl-C ends the work with the answers that there are by then. ``relax``: tolerances
-    are defaults that nobody asked for, so that an answer that misses its own by less than
-    ``RELAXED`` is solved for again at that multiple of it, with a note.
+    are defaults that nobody asked for, so that an answer that misses its own is solved for again at
+    the next power of ten that it meets, up to ``LOOSEST``, with a note.
     """
     results: list[Result] = []
     refused: list[Refusal] = []
@@ -202,12 +203,13 @@ def answers_of(
 
 
 def _relaxed(result: Result) -> Method | None:
-    """The method at ``RELAXED`` times the tolerance that its answer misses by less; else None."""
+    """The method at the least power of ten that its answer meets; None without need or use."""
     tol = getattr(result.method, "tol", None)
     errors = [d.l1_error for d in result.densities if isinstance(d, Density)]
-    if tol is None or not errors or not tol < max(errors) <= RELAXED * tol:
+    if tol is None or not errors or not tol < max(errors) <= LOOSEST:
         return None
-    relaxed: Method = replace(result.method, tol=RELAXED * tol)  # type: ignore[type-var]
+    enough = 10.0 ** ceil(log10(max(errors)))
+    relaxed: Method = replace(result.method, tol=enough)  # type: ignore[type-var]
     return relaxed
 
 

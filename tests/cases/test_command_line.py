@@ -1,6 +1,7 @@
 """The contract of the command line: keys, exit statuses, one JSON object and nothing else."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -33,6 +34,25 @@ def density(fpk, *arguments):
     assert (status, err) == (0, "")
     assert out.count("\n") == 1
     return json.loads(out)
+
+
+@pytest.mark.parametrize(("given", "used"), [(None, "1"), ("2", "2")])
+def test_linear_algebra_takes_one_thread_unless_the_environment_says_more(given, used):
+    """Threads that wait for each other over small matrices make a run twenty times as slow."""
+    script = """
+import os, sys
+from cases.commands.cli import main
+sys.argv = ["fpk", "list"]
+try:
+    main()
+finally:
+    print("threads", os.environ["OPENBLAS_NUM_THREADS"])
+"""
+    environment = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+    environment |= {} if given is None else {"OPENBLAS_NUM_THREADS": given}
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == f"threads {used}"
 
 
 @pytest.mark.parametrize("solver", [s for s in solvers_of("nonintegrable") if s != SIMULATION])
