@@ -1,6 +1,6 @@
 """The functions of ``import fpk`` that need all rooms: load, solve, compare."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from cases.comparison.answers import Answers, answers_of
 from cases.comparison.compare import Comparison
@@ -37,7 +37,7 @@ def solve(
         ("observable", observables, str, '"q2"'),
         ("method", () if methods is None else methods, (str, Method), '"nonintegrable/fem"'),
     ):
-        if isinstance(values, str) or not isinstance(values, Iterable):
+        if isinstance(values, str) or not isinstance(values, Sequence):
             raise InvalidInput(f"{key}s", values, f"must be a list, as [{example}]")
         for value in values:
             if not isinstance(value, kinds):

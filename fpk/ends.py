@@ -11,8 +11,11 @@ from fpk.process import Coefficients, Process, log_density_slope_error
 NEAR, FAR = 1e-6, 1e4
 """Energies, in units of the process's scale, at which the limits at both ends are read off."""
 BESIDE = 1.05
-"""Ratio of a second energy to the first, from which orders are read off: so near that both are
-integrated along one line where there are many contact masses, a line of 30 takes a second."""
+"""Ratio of a second energy far out to the first, from which the order of the drift is read off: so
+near that many contact masses are mostly integrated along one line, which takes a second of 30."""
+LINEAR = 0.1
+"""Orders of the drift up to 1 + ``LINEAR`` count as linear: an error of 5e-3 of the coefficients
+shifts the order by as much, and no law in use has an order in between."""
 OTHERS = (0.0, 1.0, 10.0)
 """Levels of the other energies, in units of their scales: of all alike, and of one alone."""
 FAR_OUT = np.logspace(4.0, 16.0, 13)
@@ -63,7 +66,7 @@ def _along(process: Process, axis: int, share: float) -> tuple[Array, Array, Arr
 
 def _lower(process: Process, axis: int, name: str) -> BoundaryClass:
     energy, drift, diffusion = _along(process, axis, NEAR)
-    order = np.log(_along(process, axis, BESIDE * NEAR)[2] / diffusion) / np.log(BESIDE)
+    order = np.log2(_along(process, axis, 2.0 * NEAR)[2] / diffusion)
     worst = float(order[np.argmax(np.abs(order - 1.0))])
     if abs(worst - 1.0) > 1e-2:
         return BoundaryClass(f"{name} = 0", "not classified", f"σ² ~ H^{worst:.3g}, not ~ H")
@@ -86,7 +89,7 @@ def _upper(process: Process, axis: int, name: str) -> BoundaryClass:
     inwards = drift < 0.0
     order = float(np.min(np.log(farther / drift))) / np.log(BESIDE) if inwards.all() else 0.0
     reason = f"the drift points inwards, about as −{name}^{order:.2g}"
-    if order > 1.0 + 1e-2:
+    if order > 1.0 + LINEAR:
         return BoundaryClass(f"{name} = ∞", "entrance", f"{reason}, so it is left in finite time")
     return BoundaryClass(
         f"{name} = ∞", "natural", f"{reason}: neither reached nor left in finite time"

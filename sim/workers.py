@@ -71,7 +71,7 @@ class Workers:
 
 @contextmanager
 def workers_of(address: str | None, threads: int = 1) -> Iterator[Workers]:
-    """Yield the workers of ensembles: so many ``threads`` here, or a cluster's where it has an
+    """Yield the workers of ensembles: ``threads`` threads here, or a cluster's where it has an
     ``address``, that of its Dask scheduler; each thread takes one task at a time.
 
     Raises ``Unavailable`` without dask, an answer, or a worker with the same program.

@@ -100,6 +100,7 @@ def test_without_methods_every_deterministic_route_is_tried():
         ({"observables": 3}, fpk.InvalidInput, "must be a list"),
         ({"methods": [3]}, fpk.InvalidInput, "method = 3: must be a name or a Method"),
         ({"methods": 3}, fpk.InvalidInput, "must be a list"),
+        ({"methods": iter(["exact"])}, fpk.InvalidInput, "must be a list"),
         ({"methods": ["exact"]}, fpk.NotApplicable, "exact: the compatibility condition"),
         ({"methods": ["nonintegrable"], "observables": ["H2"]}, fpk.NotApplicable, "total energy"),
     ],

@@ -71,8 +71,11 @@ def parts_of(system: System) -> Parts:
                 key = tuple(masses_of.count(k) for k in range(len(masses)))
                 value = C * moment * share
                 sums[term.degree, term.factors, key] += value, abs(value)
-    # What is left where terms cancel is their round-off.
-    rows = [(*key, *both) for key, both in sums.items() if abs(both[0]) > ROUND_OFF * both[1]]
+    # What is left where terms cancel is their round-off, which ``size`` still states.
+    rows = [
+        (*key, value if abs(value) > ROUND_OFF * size else 0.0, size)
+        for key, (value, size) in sums.items()
+    ]
     degree, order, powers, coefficient, size = zip(*rows, strict=True) if rows else ((),) * 5
     return Parts(
         np.array(degree, dtype=np.int64),

@@ -91,18 +91,18 @@ def _averages(shell: EnergyShell, parts: Parts, energy: Array) -> tuple[Array, A
     orders, column = np.unique(both, axis=0, return_inverse=True)
     of_degree = (parts.degree[:, None] == np.unique(parts.degree)).astype(float)
     half_n = shell.system.n - 0.5 * shell.count
-    coefficient = parts.coefficient * np.exp(gammaln(half_n) - gammaln(half_n + parts.j))
+    rest = np.exp(gammaln(half_n) - gammaln(half_n + parts.j))
     largest = np.linalg.norm(shell.L, axis=1)
     odd = parts.powers % 2
 
     def combine(directions: Array, integrals: Array) -> Array:
-        radial = integrals[..., 3 + column.ravel()] * coefficient
+        radial = integrals[..., 3 + column.ravel()] * rest
         q = (directions @ shell.L.T)[:, None, :]
         # A smooth bound of |q| by its largest value f: |q| <= ½ (f + q²/f). A kink would spoil the
         # rules.
         bound = 0.5 * (largest + q * q / largest)
-        power = (radial * np.prod(q**parts.powers, axis=2)) @ of_degree
-        most = np.abs(radial) * np.prod(q ** (parts.powers - odd) * bound**odd, axis=2)
+        power = (parts.coefficient * radial * np.prod(q**parts.powers, axis=2)) @ of_degree
+        most = parts.size * radial * np.prod(q ** (parts.powers - odd) * bound**odd, axis=2)
         # Positive, so that no error is relative to nothing.
         return np.concatenate(
             [integrals[..., :1], power + 2.0 * most @ of_degree, most @ of_degree], axis=-1

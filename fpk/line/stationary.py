@@ -119,7 +119,7 @@ class StationarySolution:
         return np.asarray(error + np.exp(np.interp(x, *self._log_round_off) + factor))
 
     def _log_states(self, energy: Array) -> Array:
-        """ln T, beyond the last node that of the node."""
+        """ln T at energies of any shape; beyond the last node, ln T of that node."""
         within = np.clip(np.asarray(energy, dtype=float), TINY, self.nodes[-1])
         return self.process.coefficients(within.ravel()).log_density_of_states.reshape(within.shape)
 

@@ -44,7 +44,7 @@ def simulate_energies(
 ) -> tuple[SampledDensity, ...]:
     """Return histogram densities of energies H_i, pairs of them and H = Σ H_i, with their errors.
 
-    ``paths`` in all are sampled every ``interval``, so many ``steps``, for ``time`` after
+    ``paths`` in all are sampled every ``interval``, in ``steps`` steps, for ``time`` after
     ``burn_in``. Streams belong to batches of paths: the answer does not depend on ``threads``.
     Ranges come from a pilot with a stream of its own.
 

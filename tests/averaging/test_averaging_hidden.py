@@ -170,7 +170,7 @@ def test_the_overlap_at_an_energy():
             assert stop.energy(stop.overlap_at(energy)) == pytest.approx(energy, rel=1e-9)
 
 
-@pytest.mark.slow  # minutes: shells of three contact masses by cubature, to 1e-6
+@pytest.mark.slow  # T(H) of three contact masses to some 1e-5
 def test_closed_forms_are_judged_by_the_tolerance():
     system = System(
         [1.0] * 3,

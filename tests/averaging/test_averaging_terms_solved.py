@@ -251,3 +251,22 @@ def test_marginals_of_a_limit_cycle_agree_between_solvers(name):
     (p, dp), (r, dr) = one.at(x), two.at(x)
     assert np.all(np.abs(p - r) <= dp + dr)
     assert moment(one) == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("contacts", [(), (Contact(1, "both", 10.0, 0.3),)], ids=["free", "stop"])
+def test_terms_that_cancel_to_round_off_leave_it_in_the_stated_error(contacts):
+    """c11 gains a (1 + 5e-15) q1² and −a q1²: what is left is 5e-15 a q1², known to no digit."""
+
+    def density(solver, *coefficients):
+        terms = tuple(DampingTerm(1, 1, c, q=((1, 2),)) for c in coefficients)
+        system = System(
+            [1.0, 1.0], [1.0, 1.0], [0.1, 0.1], [0.05, 0.05],
+            contacts=contacts, damping_terms=terms,
+        )  # fmt: skip
+        (p,) = densities(NonIntegrable(solver), system, "H")
+        return p
+
+    large = 1e6 * (1.0 + 5e-15)
+    for solver in ("fem", "quadrature"):
+        both, one = density(solver, large, -1e6), density(solver, large - 1e6)
+        assert both.l1_error >= l1_distance(both, one) - one.l1_error

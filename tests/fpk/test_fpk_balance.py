@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 
 from averaging import Integrable, NonIntegrable
-from fpk.balance import balance_with_stops
+from fpk.balance import _sampled_states, balance_with_stops
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.equivalent import equivalent_temperature
@@ -121,6 +121,43 @@ def test_samples_of_many_contact_masses_give_what_gauss_points_give(
     assert sampled.temperature == pytest.approx(expected.temperature, rel=0.02)
     assert sampled.energy == pytest.approx(expected.energy, rel=0.03)
     assert sampled.slope == pytest.approx(expected.slope, rel=0.05)
+
+
+@pytest.mark.parametrize("count", [6, 12, 30])
+@pytest.mark.parametrize("stiffness", [100.0, 1e4])
+def test_far_out_equal_stops_hold_all_masses_alike(count: int, stiffness: float) -> None:
+    """Springs do not matter there: E q² = 2 ∫q² exp(−U/θ) dq / 2 ∫exp(−U/θ) dq of each mass."""
+    contacts = tuple(Contact(i + 1, "both", stiffness, 0.3, "power", 3.0) for i in range(count))
+    system = replace(stopped_chain(count), contacts=contacts)
+    theta = 1e8
+    q, weights = _sampled_states(system, theta)
+    squares = (q * q) @ weights / weights.sum()
+
+    def moment(power: int) -> float:
+        def weight(x: float) -> float:
+            overlap = max(x - 0.3, 0.0)
+            return float(x**power * np.exp(-stiffness * overlap**4 / (4.0 * theta)))
+
+        reach = 0.3 + (160.0 * theta / stiffness) ** 0.25
+        return quad(weight, 0.0, reach, points=[0.3], limit=200)[0]
+
+    # Of the first of many masses few samples are left that were not drawn again together.
+    tolerance = 0.05 if count <= 12 else 0.15
+    np.testing.assert_allclose(squares, moment(2) / moment(0), rtol=tolerance)
+
+
+@pytest.mark.parametrize(("mass", "coefficient", "stable"), [(7, -0.8, True), (12, -1.7, False)])
+def test_a_term_far_along_the_chain_is_judged_with_all_stops(
+    mass: int, coefficient: float, stable: bool
+) -> None:
+    """c11 = 0.1 + q1² + coefficient q_mass²: far out both squares are equal."""
+    terms = (DampingTerm(1, 1, 1.0, q=((1, 2),)), DampingTerm(1, 1, coefficient, q=((mass, 2),)))
+    system = replace(stopped_chain(12), damping_terms=terms)
+    if stable:
+        MonteCarlo().prepare(system)
+    else:
+        with pytest.raises(NotApplicable, match="grows for ever"):
+            MonteCarlo().prepare(system)
 
 
 @pytest.mark.parametrize("count", [5, 30])

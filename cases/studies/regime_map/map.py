@@ -99,7 +99,7 @@ def build_map(
         **{key: getattr(simulation, key) for key in ("paths", "time", "relaxations", "seed")},
     }
     with claimed(folder, identity):
-        store = PointStore(folder)
+        store = PointStore(folder, identity)
         wanted = list(product(*(axis.values.tolist() for axis in axes)))
         todo = []
         for values in [v for v in wanted if v not in store.points]:

@@ -9,7 +9,7 @@ from time import perf_counter
 
 from cases.comparison.compare import distance_between
 from cases.output.files import write_text
-from cases.output.records import plain
+from cases.output.records import Record, plain
 from cases.scene.errors import BadInput
 from cases.scene.reading import read_text
 from cases.studies.simulation import best_answer, deterministic
@@ -92,13 +92,15 @@ class PointStore:
     """The points of one map in ``folder``, one JSON line each, or in memory where it is None.
 
     The file is replaced whole at every point, so that a killed run leaves all points before; its
-    first line is a hash of the lines below it. A file that was changed is refused and stays as it
-    is. Who adds points has ``claimed`` the folder.
+    first line is a hash of the map's ``identity``, all that its numbers depend on, and the lines
+    below. A file that was changed or is another map's is refused and stays as it is. Who adds
+    points has ``claimed`` the folder.
     """
 
-    def __init__(self, folder: Path | None) -> None:
-        """Read what is there; raise ``BadInput`` for a damaged file."""
+    def __init__(self, folder: Path | None, identity: Record) -> None:
+        """Read what is there; raise ``BadInput`` for a damaged file, or that of another map."""
         self._path = None if folder is None else folder / NAME
+        self._identity = json.dumps(plain(identity), ensure_ascii=False)
         self._lines = ""
         self.points: dict[tuple[float, ...], MapPoint] = {}
         if self._path is None or not lexists(self._path):
@@ -107,7 +109,9 @@ class PointStore:
         text = read_text(self._path, str(self._path), most=MAX_BYTES, what=what)
         self._lines = text.partition("\n")[2]
         if text and text != self._text():  # a power cut may leave it empty
-            raise BadInput(f"{self._path}: is damaged; give another --out or remove the file")
+            raise BadInput(
+                f"{self._path}: is damaged or another map's; give another --out or remove the file"
+            )
         for record in map(json.loads, self._lines.splitlines()):
             tuples = {key: tuple(record[key]) for key in ("values", "problems")}
             point = MapPoint(**{**record, **tuples})
@@ -121,4 +125,4 @@ class PointStore:
             write_text(self._path, self._text())
 
     def _text(self) -> str:
-        return f"{sha256(self._lines.encode()).hexdigest()}\n{self._lines}"
+        return f"{sha256((self._identity + self._lines).encode()).hexdigest()}\n{self._lines}"
