@@ -21,6 +21,10 @@ which would undo exact differences."""
 NO_FOLDER = "no locator available"
 """Message of numba where neither the source's cache folder nor the user's can be written."""
 
+LOST = "no compiled object yet"
+"""Message of numba where an exception was raised in a callback of LLVM, which drops it: Ctrl-C, as
+numba's own callback raises none."""
+
 DIGEST_BYTES = sha256().digest_size
 """Bytes at the end of a cache file: the SHA-256 of those before, which no reader unpickles."""
 
@@ -89,6 +93,15 @@ class CheckedCache(FunctionCache):
         # A name of its own: files of numba's own format are not damaged, only of no use here.
         name = files._index_name.removesuffix(".nbi") + ".sha256"
         self._cache_file = CheckedFiles(self._cache_path, name, files._source_stamp)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Store a compiled function; ``KeyboardInterrupt`` where Ctrl-C came while LLVM worked."""
+        try:
+            super().save_overload(sig, data)
+        except RuntimeError as error:
+            if LOST not in str(error):
+                raise
+            raise KeyboardInterrupt from None
 
 
 def cached_where_possible(compiled: Any) -> Any:

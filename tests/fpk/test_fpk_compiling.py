@@ -94,6 +94,17 @@ def test_a_full_disk_costs_the_cache_only(made, monkeypatch):
         assert made(2.0)(3.0) == 6.0
 
 
+def test_control_c_that_llvm_dropped_is_raised_again(made, monkeypatch):
+    """As numba leaves a function whose object code never reached it."""
+
+    def lost(self):
+        raise RuntimeError(f"no compiled object yet for {self}")
+
+    monkeypatch.setattr("numba.core.codegen.CPUCodeLibrary._get_compiled_object", lost)
+    with pytest.raises(KeyboardInterrupt):
+        made(2.0)(3.0)
+
+
 def test_the_command_line_answers_with_damaged_caches(tmp_path):
     """The answer is the same, and each damaged file is a line of warning."""
     command = ["density", "fig3a", "--method", "nonintegrable", "--solver", "fem",
