@@ -44,7 +44,7 @@ class Piecewise:
         at, shape = np.asarray(x, dtype=float), self.coefficients.shape
         series = np.ascontiguousarray(self.coefficients).reshape(*shape[:2], -1)
         log_scale = np.zeros(shape[0]) if self.log_scale is None else self.log_scale
-        factor = np.broadcast_to(np.asarray(log_factor, float), at.shape).ravel()
+        factor = np.zeros(at.size) + np.asarray(log_factor, float).ravel()
         value = summed(self.nodes, series, log_scale, self.outside, at.ravel(), factor)
         return value.reshape((*at.shape, *shape[2:]))
 
