@@ -204,7 +204,7 @@ class PartitionLines:
             g = np.exp(-beta[:, None] * system.contact_energy(mass, q)) * weights
             g = f * g[:, :, None] * q[:, None] ** power
             f = np.empty((beta.size, before.size, len(powers)), dtype=complex)
-            step = (beta[-1] - beta[0]) / max(beta.size - 1, 1)
+            step = (beta[-1] - beta[0]).imag / max(beta.size - 1, 1)
             reach = np.sqrt(2.0 * DEPTH / (beta[0].real * stiffness))
             # Few rows at once stay in the cache, and see few columns.
             for rows in np.array_split(np.arange(before.size), ceil(before.size / ROWS)):

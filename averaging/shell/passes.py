@@ -11,8 +11,8 @@ from fpk.compiling import cached_njit
 
 
 @cached_njit()
-def passed(height: Array, begin: complex, step: complex, g: Complexes) -> Complexes:
-    """Return Σ_c exp(−β_k height_rc) g_kcm (points, rows, m) at β_k = begin + k step.
+def passed(height: Array, begin: complex, step: float, g: Complexes) -> Complexes:
+    """Return Σ_c exp(−β_k height_rc) g_kcm (points, rows, m) at β_k = begin + i k step.
 
     ``height`` (rows, columns), ``g`` (points, columns, m).
     """
@@ -23,9 +23,11 @@ def passed(height: Array, begin: complex, step: complex, g: Complexes) -> Comple
     real, imaginary = np.zeros((points, count, rows)), np.zeros((points, count, rows))
     for c in range(columns):
         for r in range(rows):
-            first, ratio = np.exp(-begin * height[r, c]), np.exp(-step * height[r, c])
-            z[0, r], z[1, r] = first.real, first.imag
-            factor[0, r], factor[1, r] = ratio.real, ratio.imag
+            size, angle = np.exp(-begin.real * height[r, c]), begin.imag * height[r, c]
+            z[0, r], z[1, r] = size * np.cos(angle), -size * np.sin(angle)
+            if points > 1:
+                angle = step * height[r, c]
+                factor[0, r], factor[1, r] = np.cos(angle), -np.sin(angle)
         for k in range(points):
             for m in range(count):
                 x, y = g[k, c, m].real, g[k, c, m].imag
