@@ -99,8 +99,7 @@ def _expanded_rate(process: Process, nodes: Array, tol: float) -> Piecewise:
     def unresolved(lengths: Array, coefficients: Array) -> Array:
         error = _truncation(lengths, coefficients)
         # What the coefficients do not know, no panel can resolve.
-        known = not process.state_damping or error > lengths * coefficients[:, 0, 1]
-        return np.where(known, error, 0.0)
+        return np.where(error > lengths * coefficients[:, 0, 1], error, 0.0)
 
     def cut(left: Array, right: Array) -> Array:
         narrow = right - left <= NARROW * nodes[-1]

@@ -13,9 +13,9 @@ NEAR, FAR = 1e-6, 1e4
 BESIDE = 1.05
 """Ratio of a second energy far out to the first, from which the order of the drift is read off: so
 near that many contact masses are mostly integrated along one line, which takes a second of 30."""
-LINEAR = 0.1
-"""Orders of the drift up to 1 + ``LINEAR`` count as linear: an error of 5e-3 of the coefficients
-shifts the order by as much, and no law in use has an order in between."""
+LINEAR = 1e-2
+"""Orders of the drift up to 1 + ``LINEAR``, beyond what its error makes of them, count as linear:
+damping by q² between stops of a power law of exponent e has the order 1 + 2/(1 + e)."""
 OTHERS = (0.0, 1.0, 10.0)
 """Levels of the other energies, in units of their scales: of all alike, and of one alone."""
 FAR_OUT = np.logspace(4.0, 16.0, 13)
@@ -54,24 +54,24 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
     return _lower(process, axis, name), _upper(process, axis, name)
 
 
-def _along(process: Process, axis: int, share: float) -> tuple[Array, Array, Array]:
-    """H_i, s_i and b_ii at H_i = ``share`` of its scale, the other energies at all ``OTHERS``."""
+def _along(process: Process, axis: int, share: float) -> tuple[Array, Coefficients]:
+    """H_i = ``share`` of its scale, and the process there with the other energies at ``OTHERS``."""
     rest = process.dimension - 1
     levels = [np.full(rest, level) for level in OTHERS[: None if rest else 1]]
     levels += [level * row for level in OTHERS if level and rest > 1 for row in np.eye(rest)]
     energy = np.insert(np.array(levels), axis, share, axis=1) * np.array(process.energy_scales)
-    c = process.at(energy)
-    return energy[:, axis], c.drift[:, axis], c.diffusion[:, axis, axis]
+    return energy[:, axis], process.at(energy)
 
 
 def _lower(process: Process, axis: int, name: str) -> BoundaryClass:
-    energy, drift, diffusion = _along(process, axis, NEAR)
-    order = np.log2(_along(process, axis, 2.0 * NEAR)[2] / diffusion)
+    energy, c = _along(process, axis, NEAR)
+    diffusion = c.diffusion[:, axis, axis]
+    order = np.log2(_along(process, axis, 2.0 * NEAR)[1].diffusion[:, axis, axis] / diffusion)
     worst = float(order[np.argmax(np.abs(order - 1.0))])
     if abs(worst - 1.0) > 1e-2:
         return BoundaryClass(f"{name} = 0", "not classified", f"σ² ~ H^{worst:.3g}, not ~ H")
     # The extrapolated κ is that of H = NEAR, whose distance from the limit is of order NEAR.
-    kappa = float(np.min(2.0 * drift * energy / diffusion))
+    kappa = float(np.min(2.0 * c.drift[:, axis] * energy / diffusion))
     if kappa > 1.0 - 1e-3:
         kind, words = "entrance", "the process leaves it and never comes back"
     elif kappa > 0.0:
@@ -83,13 +83,16 @@ def _lower(process: Process, axis: int, name: str) -> BoundaryClass:
 
 
 def _upper(process: Process, axis: int, name: str) -> BoundaryClass:
-    drift, farther = (_along(process, axis, share)[1] for share in (FAR, BESIDE * FAR))
+    near, far = (_along(process, axis, share)[1] for share in (FAR, BESIDE * FAR))
+    drift, farther = near.drift[:, axis], far.drift[:, axis]
     if np.any(farther >= 0.0):
         return BoundaryClass(f"{name} = ∞", "not confining", "the drift points outwards")
     inwards = drift < 0.0
     order = float(np.min(np.log(farther / drift))) / np.log(BESIDE) if inwards.all() else 0.0
     reason = f"the drift points inwards, about as −{name}^{order:.2g}"
-    if order > 1.0 + LINEAR:
+    # An error of either drift; 0 where the process gives none.
+    slack = 2.0 * float(np.max(np.nan_to_num(near.relative_error))) / np.log(BESIDE)
+    if order > 1.0 + LINEAR + slack:
         return BoundaryClass(f"{name} = ∞", "entrance", f"{reason}, so it is left in finite time")
     return BoundaryClass(
         f"{name} = ∞", "natural", f"{reason}: neither reached nor left in finite time"

@@ -52,11 +52,19 @@ class Process:
     state_damping: bool = False
 
     def at(self, energies: Array) -> Coefficients:
-        """Return s, b and Σ_j ∂b_ij/∂H_j at (points, d) in the shapes of d energies, d = 1 too."""
+        """Return s, b, Σ_j ∂b_ij/∂H_j and their error at (points, d) in the shapes of d energies.
+
+        Of one energy, too.
+        """
         if self.dimension > 1:
             return self.coefficients(energies)
         c = self.coefficients(energies[:, 0])
-        return Coefficients(c.drift[:, None], c.diffusion[:, None, None], c.divergence[:, None])
+        return Coefficients(
+            c.drift[:, None],
+            c.diffusion[:, None, None],
+            c.divergence[:, None],
+            relative_error=c.relative_error,
+        )
 
     @property
     def dimension(self) -> int:

@@ -1,7 +1,7 @@
-"""One integral operator of a chain at many β, compiled: no product of matrices of a library.
+"""One integral operator of a chain at many β, compiled.
 
-Of so few columns these are no faster, and their threads wait for each other where another program
-runs: ten minutes instead of half a minute.
+A library's product of matrices is no faster for so few columns, and its threads wait for each other
+where another program runs (``cases/commands/cli.py``).
 """
 
 import numpy as np

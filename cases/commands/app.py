@@ -36,11 +36,11 @@ def list_scenes() -> None:
     """List the shipped scenes."""
     from cases.scene.scene import load_scene, shipped_scenes
 
-    rows = [
-        {"name": name, "folder": path.parent.name, "title": scene.title, "source": scene.source}
-        for name, path in shipped_scenes().items()
-        for scene in [load_scene(name)]
-    ]
+    rows = []
+    for name, path in shipped_scenes().items():
+        scene = load_scene(name)
+        row = {"name": name, "folder": path.parent.name}
+        rows.append({**row, "title": scene.title, "source": scene.source})
     width = max(len(row["name"]) for row in rows)
     lines = [f"{row['name']:{width}}  {row['folder']:5}  {row['title']}" for row in rows]
     parts.end({"scenes": rows}, lambda: "\n".join(lines))

@@ -94,7 +94,7 @@ def observable_of(name: str, scene: "Scene") -> "Observable":
 
 def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:
     """Claim the folder ``settings["checkpoint"]``, if it is asked for, until the command ends."""
-    from cases.output.records import claimed
+    from cases.output.claim import claimed
 
     own = {key: settings[key] for key in STATE_SETTINGS if key in settings}
     context = claimed(settings["checkpoint"], {"scene": scene.text, "settings": own})

@@ -1,22 +1,14 @@
 """Plain records: what JSON has of numbers, arrays and the program's own records."""
 
-import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic_core import to_jsonable_python
 
-from cases.output.files import make_folder, write_text
-from cases.scene.errors import BadInput
-from cases.scene.reading import read_text
 from cases.scene.scene import Scene
 from fpk.arrays import Array
 from fpk.density import AnyDensity
-from fpk.lock import locked
 from fpk.method import Result
 
 Record = dict[str, Any]
@@ -41,30 +33,6 @@ def plain(record: Any) -> Record:
         record, inf_nan_mode="null", fallback=lambda array: array.tolist()
     )
     return json_values
-
-
-@contextmanager
-def claimed(folder: Path | None, identity: Record) -> Iterator[None]:
-    """Return a context in which this process alone keeps states or points in ``folder``, if any.
-
-    ``run.json`` names what they depend on: ``identity`` and the version of the program. Raises
-    ``Unavailable`` where another process uses the folder, ``BadInput`` where it is another run's.
-    """
-    if folder is None:
-        yield
-        return
-    path = make_folder(folder) / "run.json"
-    record = plain({**identity, "version": program_version()})
-    text = json.dumps(record, ensure_ascii=False) + "\n"
-    with locked(folder / "run.lock"):
-        if not path.exists():
-            write_text(path, text)
-        elif read_text(path, str(path), most=1 << 24, what="the run's identity") != text:
-            raise BadInput(
-                f"{folder}: holds what another run has stored (other scene, settings or version);"
-                " give another folder or remove it"
-            )
-        yield
 
 
 def certificate_record(density: AnyDensity) -> dict[str, Any]:

@@ -98,7 +98,7 @@ class Level:
     seconds: float
     distance: float = nan
     estimate: float = nan
-    unknowns: int = 0
+    unknowns: float = nan
     size: float = nan
     errors: dict[str, float] = field(default_factory=dict)
     functionals: dict[str, float] = field(default_factory=dict)

@@ -84,10 +84,10 @@ def test_one_contact_mass_against_scipy(n, side, stiffness, law):
             assert found.log_slope[i] == pytest.approx(slope, rel=1e-10)
             assert found.error[i] < 1e-10
         elif i >= 2:
-            # T is not smooth at contact, where the difference quotient would reach across. Its
-            # round-off is 1e-13/0.004; the slope of a period is the hardest of the three
-            # integrals, a difference of two.
-            assert abs(found.log_slope[i] - slope) <= 1e-8
+            # T is not smooth at contact, where the difference quotient would reach across. The
+            # slope of a period is a difference of two integrals, and nothing certified rests on
+            # it: no error is stated, the largest here is 1.4e-9.
+            assert abs(found.log_slope[i] - slope) <= 5e-9
 
 
 def test_a_clearance_off_by_a_percent_is_seen():

@@ -142,6 +142,7 @@ ROWS = [
     ("flux, of shape", 1.5, 4, 5, 8 * TWO),
     ("drift-diffusion", 1.5, 1, 2, 20 * FOUR),
     ("drift-diffusion", 1.5, 2, 3, 20 * FOUR),
+    # Of 1280 elements the round-off of the sparse solution is larger than their error.
     ("drift-diffusion", 1.5, 4, 3, np.array([176, 302, 512, 860])),
 ]
 assert {bool((H_C * row[-1][0] / END) % 1.0) for row in ROWS if row[1]} == {True, False}

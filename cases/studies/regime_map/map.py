@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from cases.output.records import claimed
+from cases.output.claim import claimed
 from cases.scene.errors import BadInput, toml_value
 from cases.scene.scene import Scene
 from cases.scene.vary import VARIED, changed
