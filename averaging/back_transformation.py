@@ -8,9 +8,15 @@ import numpy as np
 
 from averaging.conditional import conditionals
 from averaging.energy_density import density_of_energies
-from averaging.hidden import HiddenIntegral, gibbs_integral, overlaps, rules_of
+from averaging.hidden import (
+    HiddenIntegral,
+    contact_levels,
+    gibbs_integral,
+    rules_of,
+    stop_panels,
+)
+from averaging.shell.averages import log_linear_states, shell_averages
 from averaging.shell.energy_shell import EnergyShell
-from averaging.shell.ratios import log_linear_states, shell_ratios
 from averaging.weyl import Part, StateDensity
 from fpk.arrays import Array
 from fpk.density import Density, certified_density
@@ -107,7 +113,7 @@ def _marginal(source: StateDensity, observable: Observable) -> Callable[..., Arr
         for i in p:
             energy = energy + at[Coordinate("p", i)] ** 2 / (2.0 * system.mass[i])
 
-        weyl = partial(source.weyl, order)
+        weyl = source.weyl(order)
         if source.gibbs:
             T = source.temperature
             factor, error = gibbs_integral(system, q, Q, temperature=T, points=points)
@@ -126,7 +132,7 @@ def _marginal(source: StateDensity, observable: Observable) -> Callable[..., Arr
 def _states_error(system: System, energy: Array) -> Array:
     """Relative error of T at energies of any shape."""
     positive = np.maximum(energy, np.finfo(float).tiny)
-    return shell_ratios(system, positive.ravel()).error.reshape(positive.shape)
+    return shell_averages(system, positive.ravel()).error.reshape(positive.shape)
 
 
 def displacement_panels(system: System, mass: int, *, temperature: float, end: float) -> Array:
@@ -137,20 +143,16 @@ def displacement_panels(system: System, mass: int, *, temperature: float, end: f
     """
     compliance = system.compliance
     own = float(compliance[mass, mass])
-    thermal, most = np.sqrt(own * temperature), np.sqrt(2.0 * own * end)
-    stops = [stop for stop in system.stops if stop.index == mass]
-    low, high = (
-        min([most, *(s.clearance + s.overlap_at(end) for s in stops if s.side == side)])
-        for side in ("left", "right")
-    )
-    parts = [np.linspace(-low, high, max(4, ceil((high + low) / thermal)) + 1)]
+    thermal = float(np.sqrt(own * temperature))
+    levels = contact_levels(temperature, end)
+    nodes = stop_panels(system, mass, width=thermal, end=end, levels=levels)
+    low, high, parts = -nodes[0], nodes[-1], [nodes]
     for stop in system.stops:
+        if stop.index == mass:
+            continue
         # Where the mean of the other mass, given this one, is at its stop.
         share = float(compliance[stop.index, mass]) / own
         touch = stop.sign * stop.clearance / share
-        if stop.index == mass:
-            parts.append(touch + stop.sign * overlaps(stop, temperature, end))
-            continue
         (other,) = conditionals(system, [mass, stop.index])[1:]
         width = np.sqrt(temperature / other.precision) / share
         if width < thermal:

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.polynomial import polynomial
 from scipy.special import gammainccinv
 
-from averaging.energy_process import damping_and_noise, energy_process
+from averaging.energy_process import damping_and_noise, damping_by_energy, energy_process
 from averaging.hidden import gibbs_integral, rules_of
-from averaging.shell.ratios import log_linear_states
+from averaging.shell.averages import log_linear_states
 from averaging.weyl import Part, Solution, StateDensity, tabulated
 from averaging.zero_flux import ZeroFluxDensity, flux_residual
 from fpk.arrays import Array
@@ -114,7 +114,7 @@ def state_closed_form(
     return StateDensity(
         system,
         partial(closed_form, process, rate, norm=norm, residual=residual),
-        weyl,
+        lambda order: partial(weyl, order),
         1.0 / alpha,
         unit,
         end=end,
@@ -149,19 +149,14 @@ def averaged_rate(system: System) -> Array:
     With u = p/T, zero flux in (24) is u' = −α(H) u. Raises ``NotApplicable`` where a damping term
     depends on displacements or velocities: its average is no polynomial times τ then.
     """
-    terms = system.damping_terms
-    if any(term.q or term.v for term in terms):
+    matrices = damping_by_energy(system)
+    if matrices is None:
         raise NotApplicable(
             "damping that depends on q or v leaves (11) without a closed form; "
             "the solvers fem and quadrature evaluate it"
         )
-    damping, noise = damping_and_noise(system)
-    rate = np.zeros(1 + max((term.energy for term in terms), default=0))
-    rate[0] = damping
-    for term in terms:
-        if term.row == term.column:
-            rate[term.energy] += term.coefficient / system.mass[term.row]
-    return rate / noise
+    damping = np.diagonal(matrices, axis1=1, axis2=2) @ (1.0 / system.mass)
+    return np.asarray(damping / damping_and_noise(system)[1])
 
 
 def averaged_density(system: System) -> Solution:

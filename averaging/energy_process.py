@@ -1,12 +1,14 @@
 """Averaged energy process of a quasi-non-integrable Hamiltonian system, Eqs. (9), (24)."""
 
+from collections import defaultdict
+from typing import Any
+
 import numpy as np
 
+from averaging.shell.averages import shell_averages
 from averaging.shell.energy_shell import EnergyShell
-from averaging.shell.power import term_power
-from averaging.shell.ratios import shell_ratios
 from fpk.arrays import Array
-from fpk.equivalent import dissipated_power, equivalent_temperature
+from fpk.equivalent import dissipated_power, equivalent_temperature, largest_root
 from fpk.errors import NotApplicable
 from fpk.process import Coefficients, Process
 from fpk.system import System
@@ -28,13 +30,32 @@ def damping_and_noise(system: System) -> tuple[float, float]:
     return float(damping), float(system.noise_matrix.diagonal() @ mobility)
 
 
+def damping_by_energy(system: System) -> Array | None:
+    """Return the symmetric part of the damping matrix as coefficients of H^0, H^1, …, each (n, n).
+
+    None where it depends on displacements or velocities, too; with c_ij(q) = −c_ji(q) it does no
+    work and leaves a density of H alone, unless velocities are in it.
+    """
+    parts: dict[Any, Array] = defaultdict(lambda: np.zeros((system.n, system.n)))
+    parts[(), (), 0] += system.damping
+    for t in system.damping_terms:
+        parts[t.q, t.v, t.energy][t.row, t.column] += t.coefficient
+    if any(v or (q and np.any(c + c.T)) for (q, v, _), c in parts.items()):
+        return None
+    matrices = np.zeros((1 + max(power for _, _, power in parts), system.n, system.n))
+    for (q, _, power), c in parts.items():
+        if not q:
+            matrices[power] = 0.5 * (c + c.T)
+    return matrices
+
+
 def energy_process(system: System) -> Process:
     """Return the averaged energy process dH = s dt + σ dB of ``system``, Eqs. (9), (10), (24)-(28).
 
     With the microcanonical temperature τ(H) = Φ/T, Φ the phase volume and T = Φ' the density of
     states, the averages of (10) are ⟨v_i v_j⟩ = δ_ij τ/m_i, so that
     ``s = −Σ(c_ii/m_i) τ + Σ D_ii/m_i`` and ``σ² = 2 Σ(D_ii/m_i) τ`` for any number of masses.
-    Damping that depends on the state adds −⟨c_ij(q, v) v_i v_j⟩ to s, by ``term_power``.
+    Damping that depends on the state adds −⟨c_ij(q, v) v_i v_j⟩ to s.
     Corrections: (10) prints D f f for the noise terms without ∂²H/∂p_i∂p_j and v_i v_j; (28)
     prints the damping term of s with a plus sign; (25)-(29) hold for unit masses only.
 
@@ -45,22 +66,21 @@ def energy_process(system: System) -> Process:
     scale, n = _energy_scale(system, damping, noise), system.n
 
     def coefficients(energy: Array) -> Coefficients:
-        ratios = shell_ratios(system, energy)
-        tau = energy / n * ratios.volume / ratios.states
-        dissipation, error = -damping * tau, ratios.error
+        shell = shell_averages(system, energy)
+        tau = energy / n * shell.volume / shell.states
+        dissipation, error = -damping * tau, shell.error
         if system.damping_terms:
-            power, power_error = system.fact(term_power)(energy)
             # The constant part is exact relative to τ, whose error is counted already; the error is
             # relative to the parts of s, which is less where the terms cancel the constant part.
             constant = np.abs(dissipation) * (error + np.finfo(float).eps)
-            dissipation = dissipation - power
-            error = error + (power_error + constant) / (np.abs(dissipation) + noise)
+            dissipation = dissipation - shell.power
+            error = error + (shell.power_error + constant) / (np.abs(dissipation) + noise)
         return Coefficients(
             drift=noise + dissipation,
             diffusion=2.0 * noise * tau,
-            divergence=2.0 * noise * (1.0 - tau * ratios.log_slope / energy),
+            divergence=2.0 * noise * (1.0 - tau * shell.log_slope / energy),
             dissipation=dissipation,
-            log_density_of_states=np.log(ratios.states) + (n - 1) * np.log(energy / scale),
+            log_density_of_states=np.log(shell.states) + (n - 1) * np.log(energy / scale),
             relative_error=error,
         )
 
@@ -90,14 +110,11 @@ def _last_balance(system: System, damping: float, noise: float) -> float:
     """About the highest energy at which damping and noise balance, with contacts."""
     sizes = np.abs(dissipated_power(system))
     sizes[1] = abs(damping)
-    roots = np.roots([*sizes[:0:-1], -noise])
-    positive = [z.real for z in roots if abs(z.imag) < 1e-9 * abs(z) and z.real > 0]
-    if not positive:
+    if (root := largest_root(sizes, noise)) <= 0.0:
         raise NotApplicable("nothing is damped on average, so the energy grows for ever")
-    energy = system.n * max(positive) * SEARCHED
-    ratios = shell_ratios(system, energy)
-    tau = energy / system.n * ratios.volume / ratios.states
-    excess = damping * tau + system.fact(term_power)(energy)[0] - noise
+    energy = np.asarray(system.n * root * SEARCHED, dtype=float)
+    shell = shell_averages(system, energy)
+    excess = damping * energy / system.n * shell.volume / shell.states + shell.power - noise
     if excess[-1] <= 0:
         raise NotApplicable("the damping does not balance the noise, so the energy grows for ever")
     below = np.flatnonzero(excess <= 0)

@@ -1,16 +1,14 @@
 """The exact stationary solution (7), (22), where damping and noise are in proportion (8)."""
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from averaging.back_transformation import back_transformed
 from averaging.closed_form import state_closed_form
-from averaging.energy_process import energy_process
+from averaging.energy_process import damping_by_energy, energy_process
 from averaging.theory import Theory, energy_only_refusal
 from fpk.arrays import Array
 from fpk.errors import NotApplicable
@@ -32,7 +30,11 @@ def compatibility(system: System) -> Array:
     D = system.noise_matrix
     if not np.any(D):
         raise NotApplicable("condition (8) needs noise, and there is none")
-    matrices = _by_energy(system)
+    matrices = damping_by_energy(system)
+    if matrices is None:
+        raise NotApplicable(
+            "the compatibility condition (8) is not met: the damping depends on q or v beside H"
+        )
     if not np.any(matrices):
         raise NotApplicable("nothing is damped: (8) holds with h = 0 only, no stationary density")
     h: Array = np.einsum("eij,ij->e", matrices, D) / np.sum(D * D)
@@ -47,24 +49,6 @@ def compatibility(system: System) -> Array:
             f"the best h = {best} leaves {worst:.2g} of the damping"
         )
     return h
-
-
-def _by_energy(system: System) -> Array:
-    """Symmetric damping matrices of each power of H, (powers, n, n), all else having to vanish."""
-    parts: dict[Any, Array] = defaultdict(lambda: np.zeros((system.n, system.n)))
-    parts[(), (), 0] += system.damping
-    for t in system.damping_terms:
-        parts[t.q, t.v, t.energy][t.row, t.column] += t.coefficient
-    # c_ij(q) = −c_ji(q) does no work and leaves a density of H alone; with v in it, it does not.
-    if any(v or (q and np.any(c + c.T)) for (q, v, _), c in parts.items()):
-        raise NotApplicable(
-            "the compatibility condition (8) is not met: the damping depends on q or v beside H"
-        )
-    matrices = np.zeros((1 + max(power for _, _, power in parts), system.n, system.n))
-    for (q, _, power), c in parts.items():
-        if not q:
-            matrices[power] = 0.5 * (c + c.T)
-    return matrices
 
 
 @dataclass(frozen=True)
@@ -89,7 +73,7 @@ class Exact(Theory):
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
             # u solves the full equation where (8) holds: what is left of (8) is the residual.
-            constant, D = _by_energy(system)[0], h[0] * system.noise_matrix
+            constant, D = 0.5 * (system.damping + system.damping.T), h[0] * system.noise_matrix
             left = float(np.max(np.abs(constant - D)) / np.max(np.abs(D)))
             source = state_closed_form(system, h, residual=None if h.size > 1 else left)
             densities = tuple(back_transformed(source, o, tol=self.tol) for o in observables)

@@ -216,12 +216,13 @@ def _points_of(
     reach = np.sqrt(2.0 * np.maximum(height, DEPTH * temperature) / law.precision)[:, None]
     count = ceil(np.sqrt(2.0 * max(end / temperature, DEPTH)) / WIDTHS_PER_PANEL)
     low, high = mean[:, None] - reach, mean[:, None] + reach
+    levels = contact_levels(temperature, end)
     parts = [
         mean[:, None] + reach * np.linspace(-1.0, 1.0, 2 * count + 1),
         np.clip(layers, low, high),
     ]
     for stop in law.stops:
-        beyond = stop.sign * (stop.clearance + overlaps(stop, temperature, end))
+        beyond = stop.sign * (stop.clearance + overlaps(stop, levels))
         parts.append(np.clip(beyond, low, high))
     nodes = np.sort(np.hstack(parts), axis=1)
     half = 0.5 * np.diff(nodes, axis=1)
@@ -232,8 +233,32 @@ def _points_of(
     return np.repeat(row, points), q, (half * w).ravel()
 
 
-def overlaps(stop: Contact, temperature: float, end: float) -> Array:
-    """Return overlaps at 0 and at contact energies from ``LEVELS`` of T to ``end``, ascending."""
+def stop_panels(
+    system: System, mass: int, *, width: float, end: float, levels: Sequence[float]
+) -> Array:
+    """Return panel nodes of q_mass (from 0) over the range that the energy ``end`` allows.
+
+    Panels are ``width`` long at the most, and end where a stop of this mass takes up the contact
+    energies ``levels``.
+    """
+    most = float(np.sqrt(2.0 * system.compliance[mass, mass] * end))
+    stops = [stop for stop in system.stops if stop.index == mass]
+    low, high = (
+        min([most, *(s.clearance + s.overlap_at(end) for s in stops if s.side == side)])
+        for side in ("left", "right")
+    )
+    parts = [stop.sign * (stop.clearance + overlaps(stop, levels)) for stop in stops]
+    parts.append(np.linspace(-low, high, max(4, ceil((high + low) / width)) + 1))
+    return np.unique(np.clip(np.concatenate(parts), -low, high))
+
+
+def contact_levels(temperature: float, end: float) -> list[float]:
+    """Return contact energies at which panels end, from ``LEVELS`` of T to ``end``, ascending."""
     top = max(end / temperature, DEPTH)
     levels = [*LEVELS, *RISE ** np.arange(1.0, ceil(np.log(top) / np.log(RISE)) + 1.0)]
-    return np.array([0.0, *(stop.overlap_at(level * temperature) for level in levels)])
+    return [level * temperature for level in levels]
+
+
+def overlaps(stop: Contact, levels: Sequence[float]) -> Array:
+    """Return overlaps at 0 and at the contact energies ``levels``."""
+    return np.array([0.0, *map(stop.overlap_at, levels)])

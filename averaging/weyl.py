@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from math import gamma
 from typing import Literal
 
@@ -38,7 +38,7 @@ class StateDensity:
 
     ``solve`` gives p(H), which is computed when it is asked for: ``solution``. ``unit`` is the
     energy in whose unit T is given, ``end`` the last energy; ``measured`` holds for all densities
-    that follow but that of H itself. ``weyl(ν, E, part)`` is
+    that follow but that of H itself. ``weyl(ν)(E, part)`` is
     Ψ_ν(E) = ∫_0^∞ u(E + x) x^(ν−1)/Γ(ν) dx, what is left of u where 2ν quadratic coordinates are
     integrated out, a factor (2π)^ν/√det aside; ``part`` is "value" when left out, "error" what the
     error of u leaves in it, and "table" the error of interpolating it. ``temperature`` is an energy
@@ -49,7 +49,7 @@ class StateDensity:
 
     system: System
     solve: Callable[[], Solution]
-    weyl: Callable[..., Array]
+    weyl: Callable[[float], Callable[..., Array]]
     temperature: float
     unit: float
     end: float
@@ -66,85 +66,97 @@ class StateDensity:
 def tabulated(system: System, solution: Solution, *, closed: bool = False) -> StateDensity:
     """Return the density whose u and error of u are smooth between the panels of ``solution``.
 
-    Weyl integrals are tabulated twice: the finer table is the answer, the largest distance to the
-    other one in each element its error. Beyond the last node u is continued exponentially, to the
-    relative error of u and of its rate in the last element. Where the damping depends on the state
-    u is no exponential: the finer table then has elements half as long, too, and all that u was
-    continued by, where it falls ever faster, is part of the error.
+    Beyond the last node u is continued exponentially, see ``WeylIntegrals``.
     """
-    process, nodes = solution.process, solution.panels
-    u, u_error = solution.phase_space_density, solution.phase_space_error
-    varying = process.state_damping
-    coarse = _halved(nodes) if varying and nodes.size < MOST_NODES else nodes
-    fine = _halved(coarse) if varying else nodes
-    tables = {"coarse": (coarse, u, POINTS[0]), "value": (fine, u, POINTS[1])}
-    tables["error"] = (fine, u_error, POINTS[1])
-
-    @cache
-    def table(order: float, name: str) -> Piecewise:
-        grid, function, points = tables[name]
-        return weyl_table(order, grid, function, points=points)
-
-    @cache
-    def distance(order: float) -> Piecewise:
-        value, other = table(order, "value"), table(order, "coarse")
-        x = fine[:-1, None] + np.diff(fine)[:, None] * COMPARED
-        relative = np.abs(np.expm1(other(x) - value(x))).max(axis=1)
-        return Piecewise(fine, relative[:, None])
-
-    @cache
-    def continued_error(order: float) -> float:
-        """Relative error of what is continued beyond the last node.
-
-        It is that of u in the last element, ε, and of its rate there, 2 ε over the element's
-        length, which counts over the mean distance ν/rate beyond.
-        """
-        x, _ = panel_rule(nodes[-2:], POINTS[0])
-        relative = float((u_error(x) / np.maximum(u(x), TINY)).max())
-        before, end = np.maximum(u(nodes[-2:]), TINY)
-        return relative * (1.0 + 2.0 * order / max(float(np.log(before / end)), EPS))
-
-    @cache
-    def log_continued(order: float) -> Piecewise:
-        def log_beyond(energy: Array) -> Array:
-            return np.log(np.maximum(continued(order, energy, fine, u), TINY))
-
-        return Piecewise(fine, interpolated(log_beyond, fine[:-1], fine[1:], POINTS[0] - 1))
-
-    # Short of the last node, beyond which the tables end. u falls from there on, so that Ψ falls at
-    # any order: its value here bounds what is dropped at any higher energy.
-    last = nodes[-1] * (1.0 - 1e-9)
-
-    def weyl(order: float, energy: Array, part: Part = "value") -> Array:
-        if part == "error":
-            dropped = np.exp(table(order, "value")(last))
-            return np.where(energy < last, np.exp(table(order, "error")(energy)), dropped)
-        if part == "value":
-            return np.exp(table(order, "value")(energy))
-        inside = np.minimum(energy, last)
-        log_value = table(order, "value")(inside)
-        # The logarithm has the round-off of its size.
-        relative = distance(order)(inside) + EPS * np.maximum(np.abs(log_value), 1.0)
-        error = np.exp(log_value) * relative
-        beyond = np.exp(log_continued(order)(inside))
-        error += beyond * (1.0 if varying else continued_error(order))
-        return np.where(energy < last, error, 0.0)
-
+    process, end = solution.process, float(solution.panels[-1])
     temperature = process.energy_scale / process.degrees_of_freedom
-    if varying:
+    if process.state_damping:
         # u need not fall from H = 0, and may change much faster than over the scale of the energy.
-        temperature = min(temperature, probed(process).e_fold(float(nodes[-1])))
-    end, measured = float(nodes[-1]), solution.measured
+        temperature = min(temperature, probed(process).e_fold(end))
     return StateDensity(
         system,
         lambda: solution,
-        weyl,
+        cache(partial(WeylIntegrals, solution)),
         temperature,
         process.energy_scale,
-        end=end,
-        measured=measured,
+        end,
+        solution.measured,
         closed=closed,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class WeylIntegrals:
+    """Tables of the Weyl integrals of one ``order`` of u and of its error.
+
+    The finer table of u is the answer, the largest relative distance to a coarser one in each
+    element its error. To that comes the error of what u is continued by beyond the last node: its
+    relative error ε in the last element and that of its rate there, 2 ε over the element's length,
+    which counts over the mean distance ν/rate beyond. Where the damping depends on the state u is
+    no exponential: the finer table then has elements half as long, too, and all that u was
+    continued by, where it falls ever faster, is part of the error.
+    """
+
+    solution: Solution
+    order: float
+
+    @cached_property
+    def nodes(self) -> tuple[Array, Array]:
+        """Ends of the elements of the coarser table and of the finer one."""
+        nodes = self.solution.panels
+        if not self.solution.process.state_damping:
+            return nodes, nodes
+        coarse = _halved(nodes) if nodes.size < MOST_NODES else nodes
+        return coarse, _halved(coarse)
+
+    @cached_property
+    def value(self) -> Piecewise:
+        """ln Ψ of u."""
+        return weyl_table(self.order, self.nodes[1], self.solution.phase_space_density)
+
+    @cached_property
+    def error(self) -> Piecewise:
+        """ln Ψ of the error of u."""
+        return weyl_table(self.order, self.nodes[1], self.solution.phase_space_error)
+
+    @cached_property
+    def distance(self) -> Piecewise:
+        """Relative error of Ψ by its table, a constant in each element."""
+        u, (coarse, fine) = self.solution.phase_space_density, self.nodes
+        other = weyl_table(self.order, coarse, u, points=POINTS[0])
+        x = fine[:-1, None] + np.diff(fine)[:, None] * COMPARED
+        relative = np.abs(np.expm1(other(x) - self.value(x))).max(axis=1)
+        # The share of what u was continued by rises with the energy.
+        right = np.minimum(fine[1:], self.last)
+        beyond = continued(self.order, right, fine, u) / np.exp(self.value(right))
+        if not self.solution.process.state_damping:
+            x, _ = panel_rule(fine[-2:], POINTS[0])
+            error = float((self.solution.phase_space_error(x) / np.maximum(u(x), TINY)).max())
+            before, end = np.maximum(u(fine[-2:]), TINY)
+            beyond *= error * (1.0 + 2.0 * self.order / max(float(np.log(before / end)), EPS))
+        return Piecewise(fine, (relative + beyond)[:, None])
+
+    @property
+    def last(self) -> float:
+        """An energy just short of the last node, beyond which the tables end.
+
+        u falls from there on, so that Ψ falls at any order: its value here bounds what is dropped
+        at any higher energy.
+        """
+        return float(self.nodes[1][-1]) * (1.0 - 1e-9)
+
+    def __call__(self, energy: Array, part: Part = "value") -> Array:
+        """Return a part of Ψ as ``StateDensity.weyl`` does."""
+        if part == "value":
+            return np.exp(self.value(energy))
+        if part == "error":
+            dropped = np.exp(self.value(self.last))
+            return np.where(energy < self.last, np.exp(self.error(energy)), dropped)
+        inside = np.minimum(energy, self.last)
+        log_value = self.value(inside)
+        # The logarithm has the round-off of its size.
+        relative = self.distance(inside) + EPS * np.maximum(np.abs(log_value), 1.0)
+        return np.where(energy < self.last, np.exp(log_value) * relative, 0.0)
 
 
 def weyl_table(order: float, nodes: Array, u: Function, *, points: int = POINTS[1]) -> Piecewise:

@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike
 from fpk.arrays import Array
 from fpk.certificate import Certificate, Measured, certify
 from fpk.observable import Observable, observable_name
-from fpk.piecewise import PiecewiseTensor
+from fpk.piecewise import PiecewiseTensor, interpolated_tensor
 from fpk.quadrature import panel_rule
 from fpk.sampled_density import ErrorKind, SampledDensity, described
-from fpk.table import tabulated
 
 GAUSS_POINTS = {1: 20, 2: 12}
 """Nodes per panel and axis of the integrals below, by the number of axes: exact for polynomials of
@@ -144,7 +143,7 @@ def certified_density(
     certificate = certify(checked, tol=tol)
     table, table_error = None, 0.0
     if len(panels) == 2 and frame is None:
-        table = tabulated((panels[0], panels[1]), values, GAUSS_POINTS[2])
+        table = interpolated_tensor((panels[0], panels[1]), values, GAUSS_POINTS[2])
         mesh, grids = gauss_grid(panels, points=CHECKED)
         table_error = SAFETY * integral(np.abs(table(*mesh) - np.asarray(pdf(*mesh))), grids)
         if not table_error <= checked.l1_error:

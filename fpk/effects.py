@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fpk.damping import DampingTerm
 from fpk.system import System
 
 
@@ -63,9 +62,4 @@ def looks_the_same_mirrored(system: System) -> bool:
         )
         for side in ("right", "left")
     )
-    return right == left and all(_even(term) for term in system.damping_terms)
-
-
-def _even(term: DampingTerm) -> bool:
-    """Whether the term is the same at (−q, −v)."""
-    return term.degree % 2 == 0
+    return right == left and all(term.degree % 2 == 0 for term in system.damping_terms)

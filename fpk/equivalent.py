@@ -1,5 +1,6 @@
 """The temperature at which damping, wherever it depends on the state, balances the noise."""
 
+from collections.abc import Sequence
 from math import exp, lgamma
 
 import numpy as np
@@ -31,10 +32,10 @@ def equivalent_temperature(system: System) -> float:
     if stops_matter(system):
         return system.fact(balance_with_stops).temperature
     power = dissipated_power(system)
-    real = [z.real for z in np.roots([*power[:0:-1], -noise]) if abs(z.imag) < 1e-9 * abs(z)]
-    if not real or max(real) <= 0 or next(c for c in power[::-1] if c) < 0:
+    temperature = largest_root(power, noise)
+    if temperature <= 0 or next(c for c in power[::-1] if c) < 0:
         raise NotApplicable("the damping does not balance the noise, so the energy grows for ever")
-    return float(max(real))
+    return temperature
 
 
 def stops_matter(system: System) -> bool:
@@ -66,7 +67,15 @@ def balance_energy(system: System) -> float:
         return system.fact(balance_with_stops).energy
     n, noise = system.n, float(np.sum(np.diag(system.noise_matrix) / system.mass))
     shell = [c * exp(lgamma(n) - lgamma(n + k)) for k, c in enumerate(dissipated_power(system))]
-    roots = np.roots([*shell[:0:-1], shell[0] - noise])
+    return largest_root(shell, noise)
+
+
+def largest_root(coefficients: Sequence[float] | Array, value: float) -> float:
+    """Return the largest real root of Σ_k coefficients_k x^k = value, 0 where there is none.
+
+    The constant coefficient is 0.
+    """
+    roots = np.roots([*coefficients[:0:-1], -value])
     return float(max((z.real for z in roots if abs(z.imag) < 1e-9 * abs(z)), default=0.0))
 
 

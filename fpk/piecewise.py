@@ -101,14 +101,19 @@ def fit(
 
 def interpolated(f: Callable[[Array], Array], left: Array, right: Array, degree: int) -> Array:
     """Return Legendre coefficients (panels, degree + 1, ...) of f, exact for ``degree``."""
-    t, w = gauss_legendre(degree + 1)
+    t, _ = gauss_legendre(degree + 1)
     x = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * t
     values = np.asarray(f(x.ravel()))
     values = values.reshape(*x.shape, *values.shape[1:])
-    project = (legendre.legvander(t, degree) * w[:, None]).T * (np.arange(degree + 1.0) + 0.5)[
-        :, None
-    ]
-    return np.asarray(np.moveaxis(np.tensordot(project, values, (1, 1)), 1, 0))
+    return np.asarray(np.moveaxis(np.tensordot(_projection(degree), values, (1, 1)), 1, 0))
+
+
+def _projection(degree: int) -> Array:
+    """Matrix from values at ``degree`` + 1 Gauss points to Legendre coefficients."""
+    t, w = gauss_legendre(degree + 1)
+    return np.asarray(
+        (np.arange(degree + 1.0) + 0.5)[:, None] * (legendre.legvander(t, degree).T * w)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +161,19 @@ class PiecewiseTensor:
         nodes, degree = self.nodes[axis], self.coefficients.shape[2 + axis] - 1
         k, P = _legendre_at(nodes, x, degree)
         return k, P * ((x >= nodes[0]) & (x <= nodes[-1]))[:, None]
+
+
+def interpolated_tensor(panels: tuple[Array, Array], values: Array, points: int) -> PiecewiseTensor:
+    """Return the polynomials through ``values`` at ``points`` Gauss points a panel and axis.
+
+    ``values`` broadcast to (panels · points, panels · points).
+    """
+    counts = [nodes.size - 1 for nodes in panels]
+    blocks = np.broadcast_to(values, [points * n for n in counts])
+    blocks = blocks.reshape(counts[0], points, counts[1], points)
+    project = _projection(points - 1)
+    coefficients = np.einsum("ia,jb,kalb->klij", project, project, blocks, optimize=True)
+    return PiecewiseTensor(panels, coefficients)
 
 
 def _legendre_at(nodes: Array, x: Array, degree: int) -> tuple[Integers, Array]:

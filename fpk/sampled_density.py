@@ -72,14 +72,17 @@ class SampledDensity:
         """One standard error of each bin, from the spread of the independent batches."""
         return _standard_error(self.batch_values)
 
-    def coarsened(self, factor: int) -> "SampledDensity":
-        """Return the histogram with ``factor`` neighbouring bins joined along every axis."""
-        if any(bins % factor for bins in self.values.shape):
-            raise ValueError(f"factor = {factor}: must divide the number of bins of every axis")
+    def joined(self, most: int) -> "SampledDensity":
+        """Return the histogram with up to ``most`` neighbouring bins joined along every axis.
+
+        It is the largest such number that divides the bins of each.
+        """
+        shape = self.values.shape
+        factor = max([1, *(k for k in range(2, most + 1) if not any(bins % k for bins in shape))])
         every = np.concatenate([self.values[None], self.batch_values])
-        for axis, bins in enumerate(self.values.shape, start=1):
-            shape = (*every.shape[:axis], bins // factor, factor, *every.shape[axis + 1 :])
-            every = every.reshape(shape).mean(axis=axis + 1)
+        for axis, bins in enumerate(shape, start=1):
+            split = (*every.shape[:axis], bins // factor, factor, *every.shape[axis + 1 :])
+            every = every.reshape(split).mean(axis=axis + 1)
         return replace(
             self,
             edges=tuple(e[::factor] for e in self.edges),
@@ -88,15 +91,6 @@ class SampledDensity:
             one_sample=self.one_sample / factor ** len(self.edges),
             l1_error=nan,
         )
-
-    def joined(self, most: int) -> "SampledDensity":
-        """Return the histogram with up to ``most`` neighbouring bins joined along every axis.
-
-        It is the largest such number that divides the bins of each.
-        """
-        shape = self.values.shape
-        factors = [k for k in range(2, most + 1) if not any(bins % k for bins in shape)]
-        return self.coarsened(max(factors, default=1))
 
     @cached_property
     def samples_per_visit(self) -> float:

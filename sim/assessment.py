@@ -4,9 +4,8 @@ from math import inf, nan
 
 import numpy as np
 
-from fpk.method import Identity
-from fpk.sampled_density import SampledDensity
-from fpk.system import System
+from fpk.effects import effects_of
+from fpk.method import Result
 from sim.diagnostics import Diagnosis, diagnosis
 from sim.ensemble import Ensemble
 from sim.histogram import sampled_density
@@ -24,12 +23,9 @@ STEP_BIAS = 1e-3
 """Defect of a moment identity, relative to its right side (a virial: to kT), that the step may
 leave beyond chance."""
 
-Answer = tuple[tuple[SampledDensity, ...], tuple[Identity, ...], Report]
-"""The densities, the moment identities, and the report."""
-
 
 @np.errstate(over="ignore", invalid="ignore")  # of trajectories on their way out: judged below
-def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) -> Answer:
+def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) -> Result:
     """Return the certified densities, the moment identities and the report.
 
     ``interrupted``, in words and empty if it was not, stands against a certificate, as does what
@@ -52,7 +48,12 @@ def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) ->
     identities = moment_identities(setup.system, ensemble.batch_means())
     stationary = ensemble.done - ensemble.phase >= setup.burn_in_steps
     judged = identities if stationary and not lost else ()
-    failures += [text for identity in judged if (text := _defect(setup.system, identity))]
+    failures += [
+        f"{identity.name} is off by {identity.z:.1f} standard errors; use a smaller dt"
+        for identity in judged
+        if abs(identity.value - identity.expected)
+        > LARGEST_Z * identity.error + STEP_BIAS * (identity.expected or temperature(setup.system))
+    ]
     diagnosed: Diagnosis | None = None
     if finite and not (lost or interrupted or limited):
         diagnosed = diagnosis(
@@ -66,7 +67,7 @@ def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) ->
             histogram,
             counts,
             taken=ensemble.paths * ensemble.samples,
-            mirror=setup.mirror,
+            mirror=effects_of(setup.system).mirror,
             residual=max((abs(identity.z) for identity in judged), default=nan),
             tol=setup.tol if m == 0 else inf,
             failures=failures,
@@ -81,15 +82,8 @@ def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) ->
         interrupted=interrupted,
         lost=lost,
     )
-    return densities, identities, report
-
-
-def _defect(system: System, identity: Identity) -> str:
-    """Return why a moment identity fails, empty where chance and a small step bias explain it."""
-    allowed = STEP_BIAS * (identity.expected or temperature(system))
-    if abs(identity.value - identity.expected) > LARGEST_Z * identity.error + allowed:
-        return f"{identity.name} is off by {identity.z:.1f} standard errors; use a smaller dt"
-    return ""
+    partial = bool(interrupted)
+    return Result(setup.method, densities, identities=identities, partial=partial, report=report)
 
 
 def _steps(setup: Setup, ensemble: Ensemble, seconds: float) -> Steps:

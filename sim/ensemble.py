@@ -21,7 +21,7 @@ from sim.random import START, mixed_seed, normals
 from sim.schemes import Scheme
 from sim.statistics import Product
 from sim.step_size import temperature
-from sim.workers import Workers
+from sim.workers import TASKS_PER_THREAD, Workers
 
 CHANGING = ("states", "sums", "folded", "counts")
 """Arrays of an ensemble that a step changes."""
@@ -34,6 +34,9 @@ BATCHES = 64
 
 PIECE = 64
 """Blocks whose starts are drawn together, beginning at its multiples."""
+
+LEAST_WORK = 100_000
+"""Steps of single trajectories, a millisecond, below which a task costs more than it saves."""
 
 APART = 512
 """Blocks at most whose trajectories have sums of their own, 65536 of them: enough for the variance
@@ -76,15 +79,15 @@ def start_displacements(system: System, kT: float, z: Array) -> Array:
 
 
 def advanced(
-    first: int, live: Integers, *arrays: Any, key: KernelKey, step: StepArrays, watch: WatchArrays,
-    offset: np.uint64, done: int, phase: int, steps: int, stride: int,
+    first: int, live: Integers, batch: Integers, *arrays: Any, key: KernelKey, step: StepArrays,
+    watch: WatchArrays, offset: np.uint64, done: int, phase: int, steps: int, stride: int,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Advance the batch that begins with block ``first``; ``CHANGING`` arrays change in place."""
+    """Advance batches that begin with block ``first``; ``CHANGING`` arrays change in place."""
     *blocks, counts = arrays
     flat = (a.reshape(a.shape[0], a.shape[1] * a.shape[2]) for a in blocks)
     compiled_kernel(key)(
-        *flat, live, first, np.uint64(done * step.words), steps, phase, stride, offset,
-        step, watch, counts,
+        *flat, counts, live, batch, first, np.uint64(done * step.words), steps, phase, stride,
+        offset, step, watch,
     )  # fmt: skip
     return arrays
 
@@ -152,15 +155,21 @@ class Ensemble:
             offset=mixed_seed(self.seed), done=self.done, phase=self.phase, steps=steps,
             stride=stride,
         )  # fmt: skip
-        cuts, apart = self.edges[1:-1], len(self.sums)
+        # Whole batches to a task, as each has counts of its own.
+        worth = steps * self.paths // LEAST_WORK
+        tasks = min(max(worth, self.threads), TASKS_PER_THREAD * self.threads, len(self.counts))
+        batches = np.diff(self.edges)
+        begins = np.arange(1, tasks) * batches.size // tasks
+        cuts, apart = self.edges[begins], len(self.sums)
         columns = [
             np.split(self.states, cuts),
             np.split(self.sums, np.minimum(cuts, apart)),
             np.split(self.folded, np.maximum(cuts - apart, 0)),
-            list(self.counts),
+            np.split(self.counts, begins),
         ]
-        first, live = self.edges[:-1].tolist(), np.split(self.live, cuts)
-        answers = self.workers.map(task, first, live, *columns)
+        batch = np.split(np.repeat(np.arange(batches.size), batches), cuts)
+        first, live = [0, *cuts.tolist()], np.split(self.live, cuts)
+        answers = self.workers.map(task, first, live, batch, *columns)
         for views, arrays in zip(zip(*columns, strict=True), answers, strict=True):
             for view, array in zip(views, arrays, strict=True):
                 if view is not array:  # it comes from another process

@@ -11,7 +11,7 @@ from fpk.arrays import Array, Integers
 from fpk.certificate import Measured, certify
 from fpk.linear import natural_modes
 from fpk.observable import Coordinate, Observable
-from fpk.reconstruction import LogReference
+from fpk.reconstruction import radius_of
 from fpk.sampled_density import SampledDensity
 from fpk.system import System
 from sim.step_size import temperature
@@ -116,18 +116,14 @@ def mirrored(histogram: Histogram, counts: Integers) -> Integers:
     return np.hstack([counts[:, :-1] + reflected.reshape(len(counts), -1), 2 * counts[:, -1:]])
 
 
-def contact_factor(system: System, mass: int, kT: float, q: Array) -> Array:
-    """Return −U_i(q)/kT, ln of the factor by which the stops of a mass (from 0) shape p(q_i).
+def contact_factor(system: System | None, coordinate: Coordinate, x: Array) -> Array:
+    """Return −U_i(q)/kT, ln of the factor by which the stops shape p(q_i); 0 where there is none.
 
     Exact where Eq. (7) holds; otherwise of about the steepness, and with its kinks.
     """
-    return -system.contact_energy(mass, q) / kT
-
-
-def _log_reference(system: System | None, coordinate: Coordinate) -> LogReference:
     if system is None or coordinate.kind != "q" or coordinate.row not in system.contact_masses:
-        return np.zeros_like
-    return partial(contact_factor, system, coordinate.row, temperature(system))
+        return np.zeros_like(x)
+    return -system.contact_energy(coordinate.row, x) / temperature(system)
 
 
 def sampled_density(
@@ -164,12 +160,14 @@ def sampled_density(
         (counts[:, :-1] / (samples * area)).reshape(-1, *histogram.shape),
         certify(Measured(nan, nan, nan, nan, nan), tol=0.0),  # until its error is known
         one_sample=1.0 / (whole * area),
-        log_references=tuple(_log_reference(system, c) for c in histogram.observable),
+        log_references=tuple(partial(contact_factor, system, c) for c in histogram.observable),
     )
-    middles = (0.5 * (e[1:] + e[:-1]) for e in histogram.edges)
+    # On an axis of many bins, twice in the radius over which ``at`` averages.
+    every = max(1, radius_of(histogram.size) // 2) if len(histogram.edges) == 1 else 1
+    middles = (0.5 * (e[1:] + e[:-1])[every // 2 :: every] for e in histogram.edges)
     errors = density.at(*np.meshgrid(*middles, indexing="ij", sparse=True))[1]
     # √(2/π) standard errors: the expectation of |x| of a normal x.
-    error = sqrt(2.0 / pi) * area * float(np.sum(errors))
+    error = sqrt(2.0 / pi) * area * histogram.size * float(np.mean(errors))
     measured = Measured(
         l1_error=error,
         mass_defect=abs(float(total.sum()) / max(1, taken) - 1.0),

@@ -85,16 +85,17 @@ def _compiled(key: KernelKey) -> Any:
 
     @cached_njit()
     def advance(
-        x: Array, sums: Array, folded: Array, live: Integers, first: int, counter: np.uint64,
-        steps: int, phase: int, stride: int, offset: np.uint64, step: StepArrays,
-        watch: WatchArrays, counts: Integers,
+        x: Array, sums: Array, folded: Array, counts: Integers, live: Integers, batch: Integers,
+        first: int, counter: np.uint64, steps: int, phase: int, stride: int, offset: np.uint64,
+        step: StepArrays, watch: WatchArrays,
     ) -> int:  # fmt: skip
         """Advance blocks ``x`` (blocks, 2n·W), the first being block ``first`` of the ensemble.
 
         Observes at the start of a step where ``(phase + step number) % stride == 0``, never with
         ``stride`` 0: adds to ``sums`` (first blocks, moments·W), ``folded`` (other blocks,
-        moments·FOLDED) and ``counts`` (bins). Returns the checksum of its sources, a constant of
-        the kernel: where it has changed, numba's disk cache compiles anew.
+        moments·FOLDED) and ``counts`` (batches, bins) of the ``batch`` (blocks,) of each, which
+        ascends by ones. Returns the checksum of its sources, a constant of the kernel: where it has
+        changed, numba's disk cache compiles anew.
         """
         n, at, terms = step.matrix.shape[0] // 2, watch.at, step.terms
         matrix = step.substeps.matrix if substeps else step.matrix
@@ -135,7 +136,7 @@ def _compiled(key: KernelKey) -> Any:
                     )  # fmt: skip
                     if moments:
                         add_products(s, b, sums, folded, live, watch)
-                    count_all(s, index, second, live[b], watch, counts)
+                    count_all(s, index, second, live[b], watch, counts[batch[b] - batch[0]])
 
                 # Kicks, and the second half of the terms in reverse: a symmetric step.
                 if apart and kick_first:

@@ -4,13 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Literal
 
-from fpk.sampled_density import SampledDensity
+from fpk.density import AnyDensity
 from sim.diagnostics import Diagnosis
 
 Settings = dict[str, str | float | int]
-
-SAMPLING_ERROR = "expected L1 error of the density as it is returned at points; tol is of the same"
-"""Meaning of the setting "sampling error", as tables and JSON give it."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +77,7 @@ class Report:
     step_pair: str = "not measured"
     step_biases: Mapping[str, StepBias] = field(default_factory=dict)
 
-    def settings(self, densities: Sequence[SampledDensity]) -> Settings:
+    def settings(self, densities: Sequence[AnyDensity]) -> Settings:
         """Return everything, errors of ``densities`` too, by the names of tables and JSON."""
         settings: Settings = {
             key: value for key, value in asdict(self.steps).items() if value != ""
@@ -91,7 +88,9 @@ class Report:
             settings |= self.diagnosis.settings()
         settings |= {f"sampling error of {d.name}": d.l1_error for d in densities}
         if densities:
-            settings["sampling error"] = SAMPLING_ERROR
+            settings["sampling error"] = (
+                "expected L1 error of the density as it is returned at points; tol is of the same"
+            )
         for m in self.moments:
             settings |= {f"E {m.name}": m.mean, f"standard error of E {m.name}": m.error}
         settings["step bias"] = self.step_pair

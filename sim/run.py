@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from math import hypot, inf
+from typing import Any
 
 from fpk.cores import usable_cores
 from fpk.method import Progress, Result
 from fpk.observable import Observable
-from fpk.sampled_density import SampledDensity
 from fpk.system import System
 from sim.histogram import Histogram
 from sim.montecarlo import MonteCarlo
@@ -27,7 +27,9 @@ def run(
     """Return the densities of ``observables`` with their report, as ``method`` asks for them."""
     setup = setup_of(method, system, observables)
     with workers_of(method.cluster, method.threads or usable_cores()) as workers:
-        densities, identities, report = simulate(setup, workers=workers, progress=progress)
+        result = simulate(setup, workers=workers, progress=progress)
+        report = result.report
+        assert isinstance(report, Report)
         if method.step_pair and report.diagnosis is not None:
             seed = (method.seed + OTHER_SEED) % 2**64
             half = replace(
@@ -37,31 +39,24 @@ def run(
                 time=report.steps.time,
                 tol=inf,
                 seconds=2.0 / 3.0 * method.seconds if method.seconds else inf,
-                histograms=tuple(Histogram(d.observable, d.edges) for d in densities),
+                histograms=tuple(Histogram(d.observable, d.panels) for d in result.densities),
             )
-            others, _, half_report = simulate(half, workers=workers, progress=progress)
-            report = with_step_bias(report, half_report, list(zip(densities, others, strict=True)))
-    return Result(
-        method,
-        densities,
-        identities=identities,
-        settings=report.settings(densities),
-        partial=bool(report.interrupted),
-        report=report,
-    )
+            report = with_step_bias(result, simulate(half, workers=workers, progress=progress))
+    return replace(result, report=report, settings=report.settings(result.densities))
 
 
-def with_step_bias(
-    report: Report, half: Report, pairs: Sequence[tuple[SampledDensity, SampledDensity]]
-) -> Report:
-    """Return the report with the differences from the run at half the step.
+def with_step_bias(result: Result, at_half: Result) -> Report:
+    """Return the report of ``result`` with the differences from the run at half the step.
 
     Of a run that was interrupted or has no chunk by the limit of time there are none, and of one
     that lost trajectories no moments.
     """
+    report, half = result.report, at_half.report
+    assert isinstance(report, Report) and isinstance(half, Report)
     if half.interrupted or half.diagnosis is None:
         words = "interrupted" if half.interrupted else "the limit of time came"
         return replace(report, step_pair=f"not measured: {words}")
+    pairs: Any = zip(result.densities, at_half.densities, strict=True)  # of histograms
     biases = {a.name: StepBias(*l1_difference(a, b)) for a, b in pairs}
     if half.lost:
         words = f"{half.lost} trajectories left the finite range at dt/2"

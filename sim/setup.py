@@ -7,7 +7,6 @@ from math import ceil, inf, isinf
 from typing import Any, Literal
 
 from fpk.cores import usable_cores
-from fpk.effects import effects_of
 from fpk.errors import InvalidInput
 from fpk.observable import Observable
 from fpk.system import System
@@ -75,11 +74,6 @@ class Setup:
     def burn_in_steps(self) -> int:
         """Steps before the sampling begins."""
         return ceil(self.method.burn_in * relaxation_time(self.system) / self.dt)
-
-    @cached_property
-    def mirror(self) -> bool:
-        """Whether mirror images of samples are samples, too."""
-        return effects_of(self.system).mirror
 
     @property
     def identity(self) -> tuple[Any, ...]:

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.method import Progress, silent
-from sim.assessment import Answer, assessed
+from fpk.effects import effects_of
+from fpk.method import Progress, Result, silent
+from sim.assessment import assessed
 from sim.checkpoint import Checkpoint, checkpoint_of, interruptible
 from sim.ensemble import Ensemble
 from sim.histogram import covering, extremes, sampled_density
@@ -40,7 +41,7 @@ CHECK_AT = 0.95
 """Share of the samples wanted, as 1/error² predicts them, at which the error is computed again."""
 
 
-def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) -> Answer:
+def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) -> Result:
     """Sample the stationary state of Eq. (6) as ``setup`` says, by ``workers`` (None: one thread).
 
     Where the method has a folder for ``checkpoint`` the state is saved at intervals, and a
@@ -50,7 +51,7 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
     method, cut = setup.method, ""
     checkpoint = checkpoint_of(method.checkpoint, setup.identity)
     products = moment_products(setup.system.n, terms=bool(setup.system.damping_terms))
-    covered = partial(covering, setup.observables, mirror=setup.mirror)
+    covered = partial(covering, setup.observables, mirror=effects_of(setup.system).mirror)
     with checkpoint.alone(), interruptible(method.partial) as checkpoint.stopped:
         ensemble = Ensemble(
             setup.system, setup.scheme, setup.dt, method.paths, method.seed, workers=workers
@@ -149,7 +150,10 @@ def _sample(setup: Setup, record: Record, *, checkpoint: Checkpoint, progress: P
         if tol < inf and (ends or enough):
             taken = ensemble.paths * ensemble.samples
             error = sampled_density(
-                *next(ensemble.counted()), taken=taken, mirror=setup.mirror, system=setup.system
+                *next(ensemble.counted()),
+                taken=taken,
+                mirror=effects_of(setup.system).mirror,
+                system=setup.system,
             ).l1_error
             record.target = CHECK_AT * ensemble.samples * (error / tol) ** 2
             ends |= error <= tol

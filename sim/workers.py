@@ -23,8 +23,8 @@ WORKERS_IN = 60.0
 """Seconds in which it must have a worker."""
 
 TASKS_PER_THREAD = 8
-"""Tasks into which the rows of a thread are divided: fewer cost less to hand out, more leave less
-to wait for at the end, and after Ctrl-C."""
+"""Tasks of a thread in one piece of time: fewer cost less to hand out, more leave less to wait for
+at the end, and after Ctrl-C."""
 
 PIECE, CLUSTER_PIECE = 0.5, 4.0
 """Seconds after which workers come back with an ensemble, so that Ctrl-C waits for that; longer on
@@ -51,10 +51,7 @@ class Workers:
         """
         own = deepcopy if self.remote_errors else tuple
         rows = list(zip(*columns, strict=True))
-        size = max(1, -(-len(rows) // (TASKS_PER_THREAD * self.threads)))
-        parts = [rows[k : k + size] for k in range(0, len(rows), size)]
-        answers = self.executor.map(lambda part: [task(*own(row)) for row in part], parts)
-        return [answer for part in self._unless_lost(answers) for answer in part]
+        return list(self._unless_lost(self.executor.map(lambda row: task(*own(row)), rows)))
 
     def as_finished(self, tasks: Sequence[Callable[[], Any]]) -> Iterator[Any]:
         """Return what tasks without arguments return, in the order in which they are finished."""

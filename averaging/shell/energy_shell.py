@@ -11,7 +11,6 @@ import scipy  # its parts are loaded at their first use: scipy.optimize takes lo
 from averaging.conditional import conditionals
 from averaging.shell.rays import Stops, ray_integrals
 from fpk.arrays import Array
-from fpk.effects import looks_the_same_mirrored
 from fpk.system import System
 
 SAME = 1e-11
@@ -31,11 +30,6 @@ class EnergyShell:
 
     system: System
 
-    @property
-    def masses(self) -> tuple[int, ...]:
-        """The masses with contact, from 0."""
-        return self.system.contact_masses
-
     @cached_property
     def L(self) -> Array:
         """L (c, c): each contact mass hangs on the one before it by springs in series.
@@ -43,14 +37,17 @@ class EnergyShell:
         y are the extensions of these springs, times the root of their stiffness: nothing cancels
         at any ratio of the springs.
         """
-        reach = [law.precision**-0.5 for law in conditionals(self.system, self.masses)]
+        reach = [
+            law.precision**-0.5 for law in conditionals(self.system, self.system.contact_masses)
+        ]
         return np.asarray(np.tri(self.count) * reach)
 
     @cached_property
     def stops(self) -> Stops:
         """The one-sided contacts in y."""
         stops, laws = self.system.stops, sorted({stop.law for stop in self.system.stops})
-        rows = [stop.sign * self.L[self.masses.index(stop.index)] for stop in stops]
+        masses = self.system.contact_masses
+        rows = [stop.sign * self.L[masses.index(stop.index)] for stop in stops]
         return Stops(
             rows=np.array(rows).reshape(len(stops), self.count),
             clearance=np.array([stop.clearance for stop in stops], dtype=float),
@@ -58,11 +55,6 @@ class EnergyShell:
             exponent=np.array([stop.power for stop in stops], dtype=float),
             law=np.array([laws.index(stop.law) for stop in stops], dtype=np.int64),
         )
-
-    @cached_property
-    def mirror(self) -> bool:
-        """Whether V(−q) = V(q)."""
-        return looks_the_same_mirrored(self.system)
 
     def potential(self, y: Array) -> Array:
         """V_red at whitened coordinates of shape (..., c)."""
@@ -74,7 +66,7 @@ class EnergyShell:
     @property
     def count(self) -> int:
         """Number of masses with contact, c."""
-        return len(self.masses)
+        return len(self.system.contact_masses)
 
     @cached_property
     def add_rays(self) -> Callable[..., int]:

@@ -21,6 +21,7 @@ import numpy as np
 from scipy.special import erfc, gammaln
 
 from averaging.conditional import conditionals
+from averaging.hidden import DEPTH, stop_panels
 from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.parts import parts_of
 from averaging.shell.passes import passed
@@ -29,10 +30,9 @@ from fpk.errors import NotApplicable
 from fpk.quadrature import panel_rule
 from fpk.system import System
 
-DEPTH = 40.0
-"""Height of the potential, in units of 1/β₀, that the grids reach: e^−40 = 4e-18."""
 LEVELS = (1e-5, 1e-3, 0.1, 1.0, 2.0, 4.0, 8.0, 16.0, DEPTH)
-"""Contact energies, in units of 1/β₀, at which panels end beyond a stop."""
+"""Contact energies, in units of 1/β₀, at which panels end beyond a stop: few, as the work of a pass
+rises with the square of the points."""
 POINTS = (15, 16)
 """Gauss points per panel, of the rule that estimates the error and of the answer."""
 WIDTHS = 1.8
@@ -70,7 +70,7 @@ stated (3 times of 12 masses and of 9 with a term of degree 8, 0.5 times of 8 wi
 EPS = float(np.finfo(float).eps)
 
 Alone = Callable[[System, Array], Array]
-"""Values and errors of a system with one contact mass, integrated along rays, (rows, energies)."""
+"""Columns of ``averaging.shell.averages`` of a system with one contact mass."""
 
 
 class Line(NamedTuple):
@@ -98,8 +98,8 @@ class PartitionLines:
     def __init__(self, system: System) -> None:
         """Prepare the lines; none is evaluated yet."""
         shell = system.fact(EnergyShell)
-        self.system, self.n, self.masses = system, system.n, shell.masses
-        self.springs = np.array([law.precision for law in conditionals(system, shell.masses)])
+        self.system, self.n, self.masses = system, system.n, system.contact_masses
+        self.springs = np.array([law.precision for law in conditionals(system, self.masses)])
         self.unit = max(shell.contact_energies) or 1.0
         # The loss of digits at H = ρ n/β₀ is n (ρ − 1 − ln ρ) nats.
         shares = np.linspace(1.0, 80.0, 8000)
@@ -114,45 +114,41 @@ class PartitionLines:
             np.bincount(self._rows(system), [1.0, *x], 1 + len(self.groups))
             for x in system.fact(parts_of).gaussian(shell)
         )
+        degree, order = np.array(self.groups).reshape(-1, 2).T
+        rest = np.exp(gammaln(self.n) - gammaln(self.n + 0.5 * order))
+        self.of_degree = (degree == np.unique(degree)[:, None]) * rest
         self.alone: list[System] = []
         if _end(self.n, 1.0) == ENDS[2]:
-            touching = ([c for c in system.contacts if c.index == i] for i in shell.masses)
+            touching = ([c for c in system.contacts if c.index == i] for i in self.masses)
             self.alone = [replace(system, contacts=tuple(own)) for own in touching]
         self.lines: dict[int, Line] = {}
 
     def __call__(self, energy: Array, alone: Alone) -> Array:
-        """Return T/T_lin, the same of the phase volume, H T'/T and the error of the first two.
+        """Return T/T_lin, the same of the phase volume, H T'/T and the damping power, with errors.
 
-        These are the rows (4, energies) of ``ShellRatios``; ``alone`` returns them for a system
-        with one contact mass.
+        These are the columns (energies, 4 + 2 degrees) of ``averaging.shell.averages``; ``alone``
+        returns them for a system with one contact mass.
         """
-        # T/T_lin, the same of the phase volume and of T', and their errors.
-        values, errors = self._inverted(energy, [(0, 0), (0, 2), (0, -2)])
+        # T/T_lin, the same of the phase volume and of T', the power times T/T_lin, their errors.
+        rows = [(0, 0), (0, 2), (0, -2), *((1 + k, m) for k, (_, m) in enumerate(self.groups))]
+        values, errors = (
+            np.column_stack([x[:3].T, (self.of_degree @ x[3:]).T])
+            for x in self._inverted(energy, rows)
+        )
+        free = np.array([1.0, 1.0, 1.0, *(self.of_degree @ self.free[1:])])
         for own in self.alone:
-            states, volume, log_slope, error = alone(own, energy)
+            of_own = alone(own, energy)
+            states, error = of_own[:, :1], of_own[:, 3:4]
+            volume, log_slope = of_own[:, 1:2], of_own[:, 2:3]
+            g, g_error = np.split(of_own[:, 4:], 2, axis=1)
             slope = states * log_slope / (self.n - 1.0)
-            values += np.stack([states, volume, slope]) - 1.0
-            errors[:2] += np.stack([error * states, error * volume])
-        states, volume, slope = values
-        error = np.maximum(errors[0] / states, errors[1] / volume)
-        return np.stack([states, volume, (self.n - 1.0) * slope / states, error])
-
-    def power(self, energy: Array, alone: Alone) -> tuple[Array, Array]:
-        """Return the power of the damping terms times T/T_lin, and its error.
-
-        ``alone`` returns both for a system with one contact mass.
-        """
-        degree, order = np.transpose(self.groups)
-        rows = [(1 + k, m) for k, m in enumerate(order.tolist())]
-        values, errors = self._inverted(energy, rows)
-        rest = np.exp(gammaln(self.n) - gammaln(self.n + 0.5 * order))
-        scale = rest * energy[:, None] ** (1.0 + 0.5 * degree)
-        total, error = np.sum(scale * values.T, axis=1), np.sum(scale * errors.T, axis=1)
-        for own in self.alone:
-            power, added = alone(own, energy)
-            total += power - scale @ self.free[1:]
-            error += added
-        return total, error
+            values += np.hstack([states, volume, slope, states * g]) - free
+            g_error = (g_error + np.abs(g) * error) * states
+            errors += np.hstack([error * states, error * volume, 0.0 * error, g_error])
+        states, g = values[:, :1], values[:, 3:] / values[:, :1]
+        error = np.max(errors[:, :2] / values[:, :2], axis=1, keepdims=True)
+        log_slope, g_error = (self.n - 1.0) * values[:, 2:3] / states, errors[:, 3:] / states
+        return np.hstack([values[:, :2], log_slope, error, g, g_error + np.abs(g) * error])
 
     def _rows(self, system: System) -> list[int]:
         """The row of R and of each part of the damping terms."""
@@ -230,25 +226,18 @@ class PartitionLines:
 
     def _panels(self, j: int, real: float, end: float) -> Array:
         """Nodes along the displacement of contact mass j."""
-        mass = self.masses[j]
-        low = high = float(np.sqrt(2.0 * DEPTH * self.system.compliance[mass, mass] / real))
-        parts = []
-        for stop in self.system.stops:
-            if stop.index == mass:
-                overlaps = [stop.overlap_at(level / real) for level in LEVELS]
-                parts.append(stop.sign * (stop.clearance + np.array([0.0, *overlaps])))
-                far = stop.clearance + overlaps[-1]
-                low, high = (min(low, far), high) if stop.sign < 0.0 else (low, min(high, far))
         longest = min(WIDTHS, POINTS[1] * RADIANS / (end * (2.0 * RISE) ** 0.5))
-        stiffness = float(self.springs[j : j + 2].sum())
-        count = ceil((low + high) * (real * stiffness) ** 0.5 / longest)
-        if count * POINTS[1] > MOST_POINTS:
+        width = longest / (real * float(self.springs[j : j + 2].sum())) ** 0.5
+        levels = [level / real for level in LEVELS]
+        mass, end = self.masses[j], DEPTH / real
+        nodes = stop_panels(self.system, mass, width=width, end=end, levels=levels)
+        points = ceil((nodes[-1] - nodes[0]) / width) * POINTS[1]
+        if points > MOST_POINTS:
             raise NotApplicable(
                 f"mass {mass + 1} is tied too stiffly to another contact mass: the passes along the"
-                f" chain would take {count * POINTS[1]} points of it, {MOST_POINTS} at the most"
+                f" chain would take {points} points of it, {MOST_POINTS} at the most"
             )
-        nodes = np.concatenate([np.linspace(-low, high, count + 1), *parts])
-        return np.unique(np.clip(nodes, -low, high))
+        return nodes
 
     def _inverted(self, energy: Array, rows: Sequence[tuple[int, int]]) -> tuple[Array, Array]:
         """Inverse transforms of rows of the lines, and their errors, (rows, energies) each.

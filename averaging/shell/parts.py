@@ -6,9 +6,11 @@ from math import comb, prod
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import gammaln
 
 from averaging.conditional import bridge_covariance, conditional
 from averaging.shell.energy_shell import EnergyShell
+from averaging.shell.sums import Combine
 from fpk.arrays import Array, Integers
 from fpk.moments import gaussian_moment
 from fpk.system import System
@@ -41,6 +43,55 @@ class Parts(NamedTuple):
             ]
         )
         return self.coefficient * mean, self.size * square**0.5
+
+    def free_power(self, system: System) -> tuple[Array, Array]:
+        """Return g of the power Σ_d g_d H^(1 + d/2) without contact, and its size, (degrees,)."""
+        rest = np.exp(gammaln(system.n) - gammaln(system.n + 0.5 * self.order))
+        free, size = (
+            np.asarray((x * rest) @ self.of_degree) for x in self.gaussian(system.fact(EnergyShell))
+        )
+        # What cancels between two terms is their round-off.
+        return np.where(np.abs(free) > ROUND_OFF * size, free, 0.0), size
+
+    def along_rays(self, shell: EnergyShell) -> tuple[Integers, Combine]:
+        """Return the orders (k, j) of integrals along rays for the power, and what combines them.
+
+        The quantities beside T, phase volume and H T' are T again, T g_d plus twice a bound of it,
+        so that it is positive, and the bound, for all degrees d.
+
+        Given y the N = 2n − c numbers (√m v, K^½ ξ) are uniform on the sphere ½|x|² = H − V_red: a
+        moment of degree 2j is (H − V_red)^j Γ(N/2)/Γ(N/2 + j) times that of Gaussian ones.
+        """
+        both = np.stack([self.powers.sum(axis=1), self.j], axis=1)
+        orders, column = np.unique(both, axis=0, return_inverse=True)
+        half_n = shell.system.n - 0.5 * shell.count
+        rest = np.exp(gammaln(half_n) - gammaln(half_n + self.j))
+        largest = np.linalg.norm(shell.L, axis=1)
+        odd = self.powers % 2
+
+        def combine(directions: Array, integrals: Array) -> Array:
+            radial = integrals[..., 3 + column.ravel()] * rest
+            q = (directions @ shell.L.T)[:, None, :]
+            # |q| <= ½ (f + q²/f), f the largest |q|: smooth, as a kink would spoil the rules.
+            bound = 0.5 * (largest + q * q / largest)
+            power = (self.coefficient * radial * np.prod(q**self.powers, axis=2)) @ self.of_degree
+            most = self.size * radial * np.prod(q ** (self.powers - odd) * bound**odd, axis=2)
+            most = most @ self.of_degree
+            # Positive, so that no error is relative to nothing.
+            first = [integrals[..., :3], integrals[..., :1]]
+            return np.concatenate([*first, power + 2.0 * most, most], axis=-1)
+
+        return orders, combine
+
+    @property
+    def degrees(self) -> Integers:
+        """Degrees of the damping terms, ascending."""
+        return np.unique(self.degree)
+
+    @property
+    def of_degree(self) -> Array:
+        """1 where a part is of a degree and 0 elsewhere, (parts, degrees)."""
+        return np.asarray(self.degree[:, None] == self.degrees, dtype=float)
 
     @property
     def j(self) -> Integers:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.rays import RULES, gauss_rules
 from fpk.arrays import Array, Integers
+from fpk.effects import looks_the_same_mirrored
 from fpk.quadrature import gauss_legendre
 
 NO_ORDERS: Integers = np.empty((0, 2), dtype=np.int64)
@@ -34,7 +35,6 @@ Combine = Callable[[Array, Array], Array]
 def shell_integrals(
     shell: EnergyShell,
     energy: Array,
-    size: Callable[[Array], Array],
     *,
     orders: Integers = NO_ORDERS,
     combine: Combine | None = None,
@@ -43,10 +43,13 @@ def shell_integrals(
     """Return integrals over the shells (energies, quantities) and their errors, of that shape.
 
     One or two masses have contact. The quantities are the integrals along rays of
-    ``ray_integrals``, with ``orders``, or what ``combine`` makes of them, summed over all
-    directions. ``size`` takes sums and returns what their errors are relative to. The rules are
-    refined until all errors are below ``target``.
+    ``ray_integrals``, with ``orders``, or what ``combine`` makes of all but the first three, summed
+    over all directions. Errors are relative, that of H T', which may vanish, to T at the least. The
+    rules are refined until the errors of the first three are below ``TARGET``, all others below
+    ``target``.
     """
+
+    mirror = shell.system.fact(looks_the_same_mirrored)
 
     def along(energy: Array, directions: Array, rule: int, rules: int = 1) -> Array:
         """The quantities of each ray by ``rules`` rules from ``rule`` on, (rules, rays, ·)."""
@@ -58,15 +61,20 @@ def shell_integrals(
     def over_line(i: Integers, rule: int, rules: int) -> Array:
         right = np.ones((i.size, 1))
         total = along(energy[i], right, rule, rules)
-        return 2.0 * total if shell.mirror else total + along(energy[i], -right, rule, rules)
+        return 2.0 * total if mirror else total + along(energy[i], -right, rule, rules)
 
     def over_circle(i: Integers, rule: int, rules: int) -> Array:
         sums = []
         for k in range(rule, rule + rules):
-            which, directions, weights = _circle_rule(cuts[i], RULES[k], mirror=shell.mirror)
+            which, directions, weights = _circle_rule(cuts[i], RULES[k], mirror=mirror)
             parts = along(energy[i[which]], directions, min(k, RADIAL_RULE))[0]
             sums.append([np.bincount(which, weights * x, minlength=i.size) for x in parts.T])
         return np.swapaxes(sums, 1, 2)
+
+    def size(sums: Array) -> Array:
+        size = np.abs(sums)
+        size[:, 2] = np.maximum(size[:, 2], sums[:, 0])
+        return size
 
     if shell.count == 2:
         cuts = _cut_angles(shell, energy)
@@ -75,15 +83,19 @@ def shell_integrals(
     floor = ROUND_OFF if shell.system.n > 1 else ROOT_ROUND_OFF
     coarse, fine = sums(np.arange(energy.size), first, 2)
     error = np.abs(coarse - fine) / size(fine) + floor
+    targets = np.array([TARGET] * 3 + [target] * (fine.shape[1] - 3))
     for rule in range(first + 2, len(RULES)):
-        # A sum that is no number is refined, too.
-        met = error <= target
+        # A sum that is no number is refined, too; the first three together, and all others.
+        met = error <= targets
         if met.all():
             return fine, error
-        i = np.flatnonzero(~met.all(axis=1))
+        left = ~met
+        for group in (left[:, :3], left[:, 3:]):
+            group |= group.any(axis=1, keepdims=True)
+        i = np.flatnonzero(left.any(axis=1))
         finer = sums(i, rule, 1)[0]
-        error[i] = np.abs(fine[i] - finer) / size(finer) + floor
-        fine[i] = finer
+        error[i] = np.where(left[i], np.abs(fine[i] - finer) / size(finer) + floor, error[i])
+        fine[i] = np.where(left[i], finer, fine[i])
     return fine, np.where(np.isnan(error), np.inf, error)
 
 

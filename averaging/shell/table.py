@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from averaging.shell.energy_shell import EnergyShell
-from fpk.arrays import Array
+from fpk.arrays import Array, Integers
 from fpk.piecewise import Piecewise, fit
 from fpk.quadrature import panel_rule
 
@@ -32,13 +32,16 @@ MOST_SPLITS = 8
 class ShellTable:
     """Function of the energy by panels that are fitted on demand.
 
-    ``evaluate`` returns (energies, quantities + 1), relative quantities of order one and their
-    error, above the first contact energy of ``shell``. Panels end at each of them.
+    ``evaluate`` returns (energies, quantities) above the first contact energy of ``shell``:
+    relative quantities of order one and, in the columns ``errors``, errors of them. Panels end at
+    each contact energy.
     """
 
-    def __init__(self, evaluate: Callable[[Array], Array], shell: EnergyShell) -> None:
+    def __init__(
+        self, evaluate: Callable[[Array], Array], shell: EnergyShell, errors: Integers
+    ) -> None:
         """Lay out the panels; none is fitted yet."""
-        self.evaluate, breaks = evaluate, shell.contact_energies
+        self.evaluate, self.errors, breaks = evaluate, errors, shell.contact_energies
         ends = np.array([*breaks, 2.0 * breaks[-1] if breaks[-1] > 0 else 1.0])
         layers = GRADING ** np.arange(1.0, LAYERS + 1.0)
         towards = ends[:-1, None] + np.diff(ends)[:, None] * layers
@@ -73,18 +76,22 @@ class ShellTable:
 
     def _fitted(self, ends: Array) -> Piecewise:
         """The fit between two edges, with a constant bound of the error on each of its panels."""
+
+        def last_two(lengths: Array, c: Array) -> Array:
+            return np.asarray(np.abs(np.delete(c[:, -2:], self.errors, axis=2)).max(axis=(1, 2)))
+
         values = fit(
             self.evaluate,
             ends,
             TARGET,
             degree=POINTS - 1,
             cut=lambda left, right: left + GRADING * (right - left),
-            estimate=lambda lengths, c: np.asarray(np.max(np.abs(c[:, -2:, :-1]), axis=(1, 2))),
+            estimate=last_two,
             rounds=MOST_SPLITS,
         )
         assert values.error is not None
         # The fit goes through what was evaluated at the Gauss points.
-        largest = values(panel_rule(values.nodes, POINTS)[0])[..., -1].max(axis=1)
-        values.coefficients[:, :, -1] = 0.0
-        values.coefficients[:, 0, -1] = 2.0 * values.error + largest
+        largest = values(panel_rule(values.nodes, POINTS)[0])[..., self.errors].max(axis=1)
+        values.coefficients[:, :, self.errors] = 0.0
+        values.coefficients[:, 0, self.errors] = 2.0 * values.error[:, None] + largest
         return values

@@ -1,6 +1,6 @@
 """The answers to the systems of a scene by several methods, and what is wrong with them."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil, log10
@@ -41,7 +41,7 @@ class Answers(Mapping[Any, AnyDensity]):
     ``answers["q2"]`` will do where one method alone gives q2; ``answers.of("q2")`` returns all by
     method. ``results`` has what each method returned, ``refused`` who gives not all that was asked
     for. Of a scene's curve ``label`` and ``value`` are as in ``Curve``; ``notes`` say in words what
-    was done that nobody asked for.
+    was done that nobody asked for, ``interrupted`` whether Ctrl-C ended the work.
     """
 
     system: System
@@ -50,6 +50,7 @@ class Answers(Mapping[Any, AnyDensity]):
     label: str = ""
     value: float | None = None
     notes: tuple[str, ...] = ()
+    interrupted: bool = False
 
     @property
     def refusals(self) -> dict[str, str]:
@@ -111,13 +112,6 @@ class Answers(Mapping[Any, AnyDensity]):
         return exact or route.solves == "full"
 
     @property
-    def interrupted(self) -> bool:
-        """Whether Ctrl-C ended the work on them."""
-        return any(r.partial for r in self.results) or any(
-            r.reason == INTERRUPTED for r in self.refused
-        )
-
-    @property
     def problems(self) -> tuple[str, ...]:
         """Every check that does not hold, in words; empty when all do."""
         problems = list(discrepancies(self.comparisons))
@@ -164,10 +158,14 @@ def answers_of(
     refused: list[Refusal] = []
     notes: list[str] = []
     interrupted = False
+
+    def refuse(method: Method, which: Iterable[Observable], reason: str, failed: bool) -> None:
+        names = tuple(map(observable_name, which))
+        refused.append(Refusal(method.route, names, reason, failed))
+
     for method in methods:
         if interrupted:
-            names = tuple(map(observable_name, observables))
-            refused.append(Refusal(method.route, names, INTERRUPTED))
+            refuse(method, observables, INTERRUPTED, False)
             continue
         reasons: dict[Observable, str | None]
         try:
@@ -176,50 +174,46 @@ def answers_of(
         except NotApplicable as error:
             reasons = dict.fromkeys(observables, str(error))
         for reason in dict.fromkeys(filter(None, reasons.values())):
-            names = tuple(observable_name(o) for o, r in reasons.items() if r == reason)
-            refused.append(Refusal(method.route, names, reason))
+            refuse(method, (o for o, r in reasons.items() if r == reason), reason, False)
         given = [observable for observable, reason in reasons.items() if not reason]
+        if not given:
+            continue
         try:
-            if given:
-                result = solved(plan, system, given, progress=progress)
-                interrupted = result.partial
-                relaxed = _relaxed(result) if relax else None
-                if relaxed is not None:
-                    again = relaxed.solve(system, given, progress=progress)
-                    if all(d.certificate.certified for d in again.densities):
-                        result = again
-                        notes.append(_note(result))
-                results.append(result)
+            result = solved(plan, system, given, progress=progress)
+            interrupted = result.partial
+            if relax and (relaxed := _relaxed(result)):
+                again = relaxed.solve(system, given, progress=progress)
+                if all(d.certificate.certified for d in again.densities):
+                    result = again
+                    notes.append(
+                        f"{method.route.label}: certified to {_worst_error(result):.2g}, which"
+                        " misses the default tolerance that nobody asked for"
+                    )
+            results.append(result)
         except KeyboardInterrupt:
             if not partial:
                 raise
             interrupted = True
-            names = tuple(map(observable_name, given))
-            refused.append(Refusal(method.route, names, INTERRUPTED, failed=True))
+            refuse(method, given, INTERRUPTED, True)
         except (NotApplicable, NotCertified, InvalidInput) as error:
-            names = tuple(map(observable_name, given))
-            refused.append(Refusal(method.route, names, str(error), failed=True))
-    return Answers(system, tuple(results), tuple(refused), notes=tuple(notes))
+            refuse(method, given, str(error), True)
+    return Answers(
+        system, tuple(results), tuple(refused), notes=tuple(notes), interrupted=interrupted
+    )
 
 
 def _relaxed(result: Result) -> Method | None:
     """The method at the least power of ten that its answer meets; None without need or use."""
-    tol = getattr(result.method, "tol", None)
-    errors = [d.l1_error for d in result.densities if isinstance(d, Density)]
-    if tol is None or not errors or not tol < max(errors) <= LOOSEST:
+    tol, worst = getattr(result.method, "tol", None), _worst_error(result)
+    if tol is None or not tol < worst <= LOOSEST:
         return None
-    enough = 10.0 ** ceil(log10(max(errors)))
-    relaxed: Method = replace(result.method, tol=enough)  # type: ignore[type-var]
+    relaxed: Method = replace(result.method, tol=10.0 ** ceil(log10(worst)))  # type: ignore[type-var]
     return relaxed
 
 
-def _note(result: Result) -> str:
-    """Return in words that an answer misses the default tolerance, and its certified error."""
-    worst = max(d.l1_error for d in result.densities if isinstance(d, Density))
-    return (
-        f"{result.method.route.label}: certified to {worst:.2g}, which misses the default tolerance"
-        " that nobody asked for"
-    )
+def _worst_error(result: Result) -> float:
+    """Largest L1 error that a solver states, 0 of samples."""
+    return max((d.l1_error for d in result.densities if isinstance(d, Density)), default=0.0)
 
 
 @dataclass(frozen=True)

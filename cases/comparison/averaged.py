@@ -8,21 +8,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil, inf, isfinite
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from cases.scene.expect import Theory
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput
 from fpk.method import Method, Plan, Progress, Result
 from fpk.observable import Coordinate, Observable, observable_name
+from fpk.process import Process
 from fpk.route import ROUTES, Route, register
 from fpk.system import System
 
-if TYPE_CHECKING:
-    from fpk.process import Process
-
-SAMPLED_TIMES = 20.0
-"""Relaxation times that each path is sampled for where ``time`` is not given."""
+BURN_IN, SAMPLED = 10.0, 20.0
+"""Relaxation times that each path runs before it is sampled, and that it is sampled for."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +28,9 @@ class AveragedSimulation(Method):
     """Averaged energies (17) or energy (9) of a theory by simulation: its ``solver`` "simulation".
 
     Times come from the process: an energy relaxes in about the time in which noise fills its scale,
-    ``scale/d``, d the drift at H_i = 0; paths run for ten of the slowest, are sampled every half
-    of it for ``time`` (None: 20 of it), with steps of ``step`` times the fastest, or from sample
-    to sample where steps are exact. Two wells with rare passages relax more slowly than that.
+    ``scale/d``, d the drift at H_i = 0; paths run for ``BURN_IN`` of the slowest and are sampled
+    every half of it for ``SAMPLED``, with steps of ``step`` times the fastest, or from sample to
+    sample where steps are exact. Two wells with rare passages relax more slowly than that.
     ``paths`` in all; ``threads`` None: all that there are, the answer does not depend on it.
     ``tol``: the expected L1 error by chance above which an answer is not certified.
 
@@ -41,7 +39,6 @@ class AveragedSimulation(Method):
 
     theory: Theory
     paths: int = 8192
-    time: float | None = None
     step: float = 0.1
     seed: int = 1
     threads: int | None = None
@@ -51,7 +48,7 @@ class AveragedSimulation(Method):
         """Check every field."""
         if not 0 <= self.seed < 2**64:
             raise InvalidInput("seed", self.seed, "use an integer from 0 to 2**64 - 1")
-        for key in ("time", "step", "threads", "tol"):
+        for key in ("step", "threads", "tol"):
             value = getattr(self, key)
             if value is not None and not (isfinite(value) and value > 0):
                 raise InvalidInput(key, value, "must be a finite number > 0")
@@ -85,23 +82,23 @@ class AveragedSimulation(Method):
         return None
 
     def _sampled(
-        self, process: "Process", observables: Sequence[Observable], progress: Progress
+        self, process: Process, observables: Sequence[Observable], progress: Progress
     ) -> Result:
         from sim.averaged.paths import simulate_energies
         from sim.averaged.square_root import line_form, square_root_form
 
         form = (line_form if self.theory == "nonintegrable" else square_root_form)(process)
-        slowest, exact = float(form.times.max()), form.damping is None
-        interval, longest = 0.5 * slowest, self.step * float(form.times.min())
+        times, exact = form.scales / form.noise, form.damping is None
+        slowest, longest = float(times.max()), self.step * float(times.min())
+        interval = 0.5 * slowest
         steps = 1 if exact else ceil(interval / longest - 1e-9)
-        time = SAMPLED_TIMES * slowest if self.time is None else self.time
         densities = simulate_energies(
             form,
             observables,
             interval=interval,
             steps=steps,
-            time=time,
-            burn_in=10.0 * slowest,
+            time=SAMPLED * slowest,
+            burn_in=BURN_IN * slowest,
             paths=self.paths,
             seed=self.seed,
             threads=self.threads or usable_cores(),
@@ -114,7 +111,7 @@ class AveragedSimulation(Method):
             "dt": interval / steps,
             "steps": "exact" if exact else "Strang splitting",
             "paths": self.paths,
-            "time": time,
+            "time": SAMPLED * slowest,
             "seed": self.seed,
         }
         return Result(self, densities, settings=settings)

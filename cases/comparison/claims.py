@@ -12,7 +12,7 @@ from scipy.special import ndtr
 
 from cases.comparison.answers import Answers
 from cases.comparison.compare import distance_between
-from cases.scene.expect import Expect
+from cases.scene.expect import RELATIONS, Expect
 from fpk.clearance import stop_clearances
 from fpk.density import AnyDensity, gauss_grid, integral, moment
 from fpk.observable import Observable, observable_name
@@ -77,9 +77,10 @@ def findings(expect: Expect | None, curves: Sequence[Answers]) -> Iterator[Findi
         (True, expect.almost_gaussian, "almost Gaussian"),
     ):
         if values is not None:
-            claim = f"{observable_name(expect.of)} {words} for {symbol} {values.words}"
+            sign, holds = RELATIONS[values.relation]
+            claim = f"{observable_name(expect.of)} {words} for {symbol} {sign} {values.limit:g}"
             for curve in curves:
-                if curve.value is not None and curve.value in values:
+                if curve.value is not None and holds(curve.value, values.limit):
                     yield _gaussian(claim, curve, expect.of, wanted=wanted)
     if (direction := expect.nonintegrable_better_with) is not None:
         # Neighbours along the varied number, the better one last.

@@ -8,7 +8,7 @@ from cases.comparison.answers import Answers, Outcome, Refusal
 from cases.comparison.claims import Verdict, findings
 from cases.comparison.compare import Comparison
 from cases.output.facts import facts_record
-from cases.output.records import Record, certificate_record, plain
+from cases.output.records import Record, plain
 from fpk.density import AnyDensity
 from fpk.method import Result
 from fpk.route import Route, solvers_of
@@ -110,7 +110,7 @@ def method_record(result: Result) -> Record:
                 "observable": d.name,
                 "error_kind": d.error_kind,
                 "l1_error": d.l1_error,
-                "certificate": certificate_record(d),
+                "certificate": {**vars(d.certificate), "certified": d.certificate.certified},
             }
             for d in result.densities
         ],
@@ -119,13 +119,8 @@ def method_record(result: Result) -> Record:
 
 def refusal_record(refusal: Refusal) -> Record:
     """Return the entry of a route that was not taken."""
-    return {
-        **_names(refusal.route),
-        "applies": False,
-        "failed": refusal.failed,
-        "observables": refusal.observables,
-        "reason": refusal.reason,
-    }
+    own = {key: value for key, value in vars(refusal).items() if key != "route"}
+    return {**_names(refusal.route), "applies": False, **own}
 
 
 def comparison_rows(comparisons: Iterable[Comparison]) -> list[Record]:

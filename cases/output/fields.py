@@ -20,6 +20,7 @@ from cases.scene.scene import Scene
 from fpk.arrays import Array
 from fpk.density import AnyDensity
 from fpk.observable import Observable, observable_name
+from fpk.sampled_density import SampledDensity
 
 Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]]
 """Dimensions, values and attributes by name, as ``xarray.Dataset`` takes them."""
@@ -31,7 +32,7 @@ CUT = 1e-9
 """Share of the largest value below which a density no longer widens the grid."""
 
 COARSE = {1: 200, 2: 60}
-"""Cells an axis on which the extent of a density is measured, by the number of axes."""
+"""Cells an axis on which the extent of a density by a function is measured, by axes."""
 
 
 def write_netcdf(outcome: Outcome, path: Path) -> list[Path]:
@@ -157,9 +158,11 @@ def common_grid(
 
 def _reach(density: AnyDensity, cut: float) -> list[tuple[float, float]]:
     """Per axis, the interval in which the density exceeds ``cut`` of its largest value."""
-    cells = COARSE[len(density.panels)]
-    edges = [np.linspace(nodes[0], nodes[-1], cells + 1) for nodes in density.panels]
-    middles = np.ix_(*(0.5 * (e[1:] + e[:-1]) for e in edges))
-    values = density.tabulated(*middles)
+    if isinstance(density, SampledDensity):
+        edges, values = list(density.edges), density.values
+    else:
+        cells = COARSE[len(density.panels)]
+        edges = [np.linspace(nodes[0], nodes[-1], cells + 1) for nodes in density.panels]
+        values = density.tabulated(*np.ix_(*(0.5 * (e[1:] + e[:-1]) for e in edges)))
     above = np.nonzero(values > cut * values.max())
     return [(e[i.min()], e[i.max() + 1]) for e, i in zip(edges, above, strict=True)]

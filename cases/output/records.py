@@ -8,7 +8,6 @@ from pydantic_core import to_jsonable_python
 
 from cases.scene.scene import Scene
 from fpk.arrays import Array
-from fpk.density import AnyDensity
 from fpk.method import Result
 
 Record = dict[str, Any]
@@ -35,11 +34,6 @@ def plain(record: Any) -> Record:
     return json_values
 
 
-def certificate_record(density: AnyDensity) -> dict[str, Any]:
-    """Return the certificate with whether it holds."""
-    return {**plain(density.certificate), "certified": density.certificate.certified}
-
-
 def density_record(scene: Scene, result: Result, points: tuple[Array, ...]) -> Record:
     """Return the record of ``fpk density`` at ``points``, one array per axis."""
     density = result.densities[0]
@@ -54,7 +48,10 @@ def density_record(scene: Scene, result: Result, points: tuple[Array, ...]) -> R
             "density": values,
             "error": errors,
             "error_kind": density.error_kind,
-            "certificate": certificate_record(density),
+            "certificate": {
+                **vars(density.certificate),
+                "certified": density.certificate.certified,
+            },
             "settings": dict(result.settings),
             "seconds": result.seconds,
         }

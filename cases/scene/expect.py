@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import ge, gt, le, lt
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from fpk.errors import InvalidInput
 from fpk.observable import Observable, observable_name
@@ -19,21 +19,11 @@ RELATIONS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
 """How a claim gives a range of the varied number, with the sign of each."""
 
 
-@dataclass(frozen=True)
-class Range:
+class Range(NamedTuple):
     """Values of the varied number in a ``relation`` of ``RELATIONS`` to ``limit``."""
 
     relation: str
     limit: float
-
-    @property
-    def words(self) -> str:
-        """The range as an inequality without its left side."""
-        return f"{RELATIONS[self.relation][0]} {self.limit:g}"
-
-    def __contains__(self, value: float) -> bool:
-        """Return whether ``value`` lies in the range."""
-        return RELATIONS[self.relation][1](value, self.limit)
 
 
 @dataclass(frozen=True)

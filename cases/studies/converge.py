@@ -214,10 +214,8 @@ def floors(equation: Equation, *, given_mesh: bool) -> dict[str, float]:
     if not given_mesh:
         return {key: relative * size for key, size in sizes.items()}
 
-    def inside(*H: Array) -> Array:
-        within = [x <= end for x, end in zip(H, ends, strict=True)]
-        return np.where(reduce(np.logical_and, within), p(*H), 0.0)
+    def beyond(*H: Array) -> Array:
+        return np.where(reduce(np.logical_or, map(np.greater, H, ends)), p(*H), 0.0)
 
-    panels = tuple(map(np.union1d, p.panels, ends))
-    cut = errors(replace(p, panels=panels, pdf=inside), p)
+    cut = errors(replace(p, panels=tuple(map(np.union1d, p.panels, ends)), pdf=beyond))
     return {key: (relative + 2.0 * cut["L1"]) * size + cut[key] for key, size in sizes.items()}

@@ -59,12 +59,11 @@ def cost_page(study: CostStudy) -> Page:
     lost = [{k: v for k, v in asdict(n).items() if k != "baseline"} for n in study.not_timed]
     prices = [_price(c) for c in price_list(study.routes)]
     promised = [_price(c) for c in price_list(study.routes, promised=True) if c.point]
-    crossings = [asdict(c) for c in crossovers(study.routes)]
     laws = [asdict(law) for law in study.laws]
     tables = [
         Table("prices", "To get so many digits (L1)", prices),
         Table("promises", "Settings that hold for other scenes", promised, (PROMISE,)),
-        Table("crossings", "Where another route becomes the cheapest", crossings),
+        Table("crossings", "Where another route becomes the cheapest", crossovers(study.routes)),
         Table("models", "What the theories are worth for the full system", models, (full,)),
         Table("not_timed", "Routes that are not timed", lost),
         Table("laws", f"{FULL}: law of sampling", laws, (LAW,)),

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, isnan, nan
+from typing import Any
 
 import numpy as np
 
@@ -68,16 +69,6 @@ class Cheapest:
     point: Level | None
 
 
-@dataclass(frozen=True)
-class Crossover:
-    """Below ``error`` the route ``below`` is cheaper than ``above``, which was until then."""
-
-    equation: str
-    error: float
-    above: str
-    below: str
-
-
 def price_list(routes: Sequence[Priced], *, promised: bool = False) -> tuple[Cheapest, ...]:
     """Return the cheapest measured or modelled point of each equation for errors 10^−digits.
 
@@ -94,8 +85,11 @@ def price_list(routes: Sequence[Priced], *, promised: bool = False) -> tuple[Che
     return tuple(prices)
 
 
-def crossovers(routes: Sequence[Priced]) -> tuple[Crossover, ...]:
-    """Return where the cheapest route of each equation changes, from large errors to small."""
+def crossovers(routes: Sequence[Priced]) -> list[dict[str, Any]]:
+    """Return where the cheapest route of each equation changes, from large errors to small.
+
+    Below ``error`` the route ``below`` is cheaper than ``above``, which was until then.
+    """
     crossings = []
     errors = np.geomspace(0.3, 1e-13, 1001)
     for equation, own in by_equation(routes).items():
@@ -104,8 +98,9 @@ def crossovers(routes: Sequence[Priced]) -> tuple[Crossover, ...]:
         for k in np.flatnonzero(np.diff(winner)) + 1:
             a, b = winner[k - 1], winner[k]
             if min(a, b) >= 0:
-                crossings.append(Crossover(equation, float(errors[k]), own[a].route, own[b].route))
-    return tuple(crossings)
+                names = {"above": own[a].route, "below": own[b].route}
+                crossings.append({"equation": equation, "error": float(errors[k]), **names})
+    return crossings
 
 
 def by_equation(routes: Sequence[Priced]) -> dict[str, list[Priced]]:

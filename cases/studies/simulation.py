@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf, isfinite, nan, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,6 +34,14 @@ SEED_STEP = 7919
 """Added to the seed for the reference, which must be independent of what it judges."""
 
 
+class Reference(NamedTuple):
+    """Reference density of the full system, and as it was given; ``words`` name its method."""
+
+    words: str
+    density: Density
+    given: AnyDensity
+
+
 @dataclass(frozen=True)
 class Run:
     """E q_i² of one simulation at the step ``dt``: its ``value`` with one standard ``error``.
@@ -46,15 +55,6 @@ class Run:
     error: float
     sampled: float
     seconds: float
-
-
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """Reference density of the full system, and as it was given; ``words`` name its method."""
-
-    words: str
-    density: Density
-    given: AnyDensity
 
 
 def observed(system: System) -> Observable:
@@ -131,9 +131,9 @@ def best_answer(
 def full_density(system: System, observable: Observable) -> Reference | None:
     """Return a certified density of the full system that is not sampled, None without one."""
     label, density = best_answer(deterministic("full"), system, observable, []) or ("", None)
-    if not isinstance(density, Density) or not density.certificate.certified:
-        return None
-    return Reference(label, density, density)
+    if isinstance(density, Density) and density.certificate.certified:
+        return Reference(label, density, density)
+    return None
 
 
 def full_reference(system: System, *, seed: int) -> Reference:

@@ -47,11 +47,6 @@ class SquareRootForm:
     energies: Function
     scales: Array
 
-    @property
-    def times(self) -> Array:
-        """How long noise takes to fill the ``scales``, the relaxation time of a single well."""
-        return self.scales / self.noise
-
 
 def square_root_form(process: Process) -> SquareRootForm:
     """Return modal energies H_i, with b_ii = β_i H_i and s_i = d_i where H_i = 0, as they are.

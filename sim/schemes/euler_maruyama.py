@@ -19,11 +19,4 @@ def euler_step(system: System, dt: float) -> LinearMap:
     )
 
 
-EULER_MARUYAMA = register(
-    Scheme(
-        name="euler_maruyama",
-        weak_order=1,
-        linear_map=euler_step,
-        kick_first=False,
-    )
-)
+register(Scheme(name="euler_maruyama", weak_order=1, linear_map=euler_step, kick_first=False))

@@ -7,6 +7,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import beta
 
+from averaging.shell.averages import shell_averages
 from fpk.contact import Contact
 from fpk.quadrature import panel_rule
 from fpk.system import System
@@ -86,3 +87,8 @@ def _integral(function, ends):
 def integral(function, nodes, *, points=24):
     x, w = panel_rule(np.asarray(nodes, dtype=float), points)
     return float(np.sum(w * function(x)))
+
+
+def term_power(system):
+    """Return the power of the damping terms and its error, as a function of the energies."""
+    return lambda energy: shell_averages(system, energy)[4:]

@@ -4,16 +4,16 @@ from math import gamma
 
 import numpy as np
 import pytest
+from averaging_systems import term_power
 from modal_terms import solved
 
 from averaging.energy_process import energy_process
 from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
 from averaging.shell import laplace, sums
+from averaging.shell.averages import shell_averages, shell_columns
 from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.laplace import PartitionLines
-from averaging.shell.power import term_power
-from averaging.shell.ratios import shell_ratios
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.density import moment
@@ -44,9 +44,9 @@ def energies(system):
 def test_lines_agree_with_rays_over_two_contact_masses(n, law, most):
     system = chain(n, (1, 3), law=law)
     H = energies(system)
-    rays = shell_ratios(system, H)
-    lines = system.fact(PartitionLines)(H, lambda own, E: np.array(shell_ratios(own, E)))
-    states, volume, log_slope, error = lines
+    rays = shell_averages(system, H)
+    lines = system.fact(PartitionLines)(H, shell_columns)
+    states, volume, log_slope, error = lines.T
     assert np.all(np.abs(states - rays.states) <= (error + rays.error) * states)
     assert np.all(np.abs(volume - rays.volume) <= (error + rays.error) * volume)
     assert np.all(np.abs(log_slope - rays.log_slope) <= 2.0 * most * n)
@@ -58,10 +58,10 @@ def test_two_contact_masses_of_a_long_chain(monkeypatch, n):
     # Along a ray v^28 is so narrow that 24 points missed 3e-10 where 6e-12 was stated.
     system = chain(n, (3, n - 10))
     H = energies(system)
-    ratios = shell_ratios(system, H)
+    ratios = shell_averages(system, H)
     monkeypatch.setattr(sums, "RADIAL_RULE", 4)
     monkeypatch.setattr(laplace, "MOST_MASSES", 30)
-    reference = shell_ratios(chain(n, (3, n - 10)), H)
+    reference = shell_averages(chain(n, (3, n - 10)), H)
     assert np.all(np.abs(ratios.states / reference.states - 1.0) <= ratios.error + reference.error)
     assert ratios.error.max() < 1e-10
 
@@ -116,7 +116,7 @@ def over_a_grid(system, points, reach, *, held=None):
 def test_the_phase_volume_of_three_contact_masses(H):
     # It is ~ ∫(H − V)^(3/2) dq of three masses, by the trapezoidal rule in each displacement.
     system, reach = chain(3, (1, 2, 3)), 1.4
-    ratios = shell_ratios(system, np.array([H]))
+    ratios = shell_averages(system, np.array([H]))
     free = (2.0 * np.pi) ** 1.5 * H**3 * gamma(2.5) / gamma(4.0) / np.prod(system.stiffness) ** 0.5
     coarse, fine = (
         np.sum(np.maximum(H - over_a_grid(system, points, reach), 0.0) ** 1.5)
@@ -134,7 +134,7 @@ def test_the_damping_power_of_three_contact_masses(H):
     # ⟨q_1² v_1²⟩ T ~ ∫q_1² 2/3 (H − V)^(3/2) dq, T without contact ~ ∫(H − V)^(1/2) dq.
     system = chain(3, (1, 2, 3), damping_terms=(DampingTerm(1, 1, 1.0, q=((1, 2),)),))
     power, bound = term_power(system)(np.array([H]))
-    states = shell_ratios(system, np.array([H]))
+    states = shell_averages(system, np.array([H]))
     free = (2.0 * np.pi) ** 1.5 * H**2 * gamma(1.5) / gamma(3.0) / np.prod(system.stiffness) ** 0.5
     sums_of = []
     for points in (61, 121):
@@ -158,7 +158,7 @@ def test_the_gibbs_average_of_damping_power_over_six_contact_masses():
     square = moment(density, 2)
     x, w = np.polynomial.legendre.leggauss(80)
     H = 0.5 * TEMPERATURE * 45.0 * (1.0 + x)
-    weight = w * shell_ratios(system, H).states * H**9 * np.exp(-H / TEMPERATURE)
+    weight = w * shell_averages(system, H).states * H**9 * np.exp(-H / TEMPERATURE)
     power, error = term_power(system)(H)
     expected = square * TEMPERATURE / system.mass[1]
     assert weight @ power / weight.sum() == pytest.approx(expected, rel=1e-8)
@@ -257,4 +257,4 @@ def test_masses_tied_too_stiffly_are_refused():
     contacts = tuple(Contact(i, "both", 10.0, 0.5) for i in (1, 2, 3))
     system = System([1.0] * 3, [1.0, 1e8, 1e8], [0.1] * 3, [0.05] * 3, contacts=contacts)
     with pytest.raises(NotApplicable, match="tied too stiffly"):
-        shell_ratios(system, np.array([2.0]))
+        shell_averages(system, np.array([2.0]))

@@ -2,6 +2,8 @@
 
 from functools import cache
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
 
 import mpmath
 import numpy as np
@@ -16,7 +18,7 @@ from averaging.energy_process import energy_process
 from averaging.exact import Exact, compatibility
 from averaging.gaussian import Linear
 from averaging.nonintegrable import NonIntegrable
-from averaging.weyl import weyl_table
+from averaging.weyl import WeylIntegrals, continued, weyl_table
 from fpk.contact import Contact
 from fpk.density import l1_distance, moment
 from fpk.errors import InvalidInput, NotApplicable
@@ -303,6 +305,28 @@ def test_weyl_integrals_of_an_exponential(order):
     energy = np.concatenate([np.linspace(0.0, 5.99, 301), [0.0625]])
     np.testing.assert_allclose(np.exp(table(energy)), a**-order * np.exp(-a * energy), rtol=1e-12)
     assert np.all(np.exp(table(np.array([6.01, 7.0]))) == 0.0)
+
+
+@pytest.mark.parametrize("varying", [False, True])
+def test_all_that_u_was_continued_by_is_in_the_error_of_the_table(varying: bool) -> None:
+    """Of a u that falls ever more slowly the coarser table continues by less, which hid a part."""
+    nodes, relative = np.linspace(0.0, 4.0, 9), 1e-3
+
+    def u(energy):
+        return (1.0 + np.asarray(energy)) ** -8.0
+
+    solution: Any = SimpleNamespace(
+        panels=nodes,
+        process=SimpleNamespace(state_damping=varying),
+        phase_space_density=u,
+        phase_space_error=lambda energy: relative * u(energy),
+    )
+    weyl = WeylIntegrals(solution, 0.5)
+    energy = nodes[-1] * (1.0 - np.array([1e-8, 1e-5, 1e-3, 1e-2]))
+    rate = np.log(u(nodes[-2]) / u(nodes[-1]))
+    share = 1.0 if varying else relative * (1.0 + 2.0 * 0.5 / rate)
+    beyond = continued(0.5, energy, weyl.nodes[1], u)
+    assert np.all(weyl(energy, "table") >= (1.0 - 1e-12) * share * beyond)
 
 
 @pytest.mark.parametrize("order", [0.5, 1.0, 1.5, 2.5])

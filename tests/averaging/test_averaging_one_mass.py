@@ -9,8 +9,8 @@ from scipy.optimize import brentq
 from scipy.special import beta
 
 from averaging.nonintegrable import NonIntegrable
+from averaging.shell.averages import shell_averages
 from averaging.shell.energy_shell import EnergyShell
-from averaging.shell.ratios import shell_ratios
 from fpk.contact import Contact
 from fpk.density import l1_distance
 from fpk.observable import parse_observable
@@ -43,7 +43,7 @@ def test_equal_to_plain_quadrature(n, stops):
     system = chain(n, STOPS[stops])
     first = system.fact(EnergyShell).contact_energies[0]
     energies = first + np.logspace(-2.0, 4.0, 13)
-    ratios = shell_ratios(system, energies)
+    ratios = shell_averages(system, energies)
     states, volume, slope = np.transpose([plain_ratios(system, H) for H in energies])
     # H − V of the plain sums cancels at the turning point: ε points² of T for n = 1.
     plain = 1e-9 if n == 1 else 1e-11
@@ -86,7 +86,7 @@ def test_a_high_power_overflows_nothing():
     # At the root that the springs alone would have, x^101 is beyond double precision.
     steep = chain(2, (Contact(2, "both", 1.0, 0.5, "power", 100.0),))
     rigid = chain(2, (Contact(2, "both", 1e12, 0.5),))
-    found, stiff = (shell_ratios(system, np.array([1e6])) for system in (steep, rigid))
+    found, stiff = (shell_averages(system, np.array([1e6])) for system in (steep, rigid))
     assert np.all(np.isfinite(found))
     # The mass turns where its overlap is (101 H)^(1/101) = 1.2, a stiff one at the stop, 0.5.
     assert 2.0 < found.states[0] / stiff.states[0] < 4.0
@@ -96,7 +96,7 @@ def test_just_beyond_a_second_stop_nothing_cancels():
     # The rise beyond the second stop is 1e-9 of what the first one holds by then.
     system = chain(2, STOPS["two on a side"])
     second = system.fact(EnergyShell).contact_energies[1]
-    above = shell_ratios(system, second * (1.0 + np.logspace(-10.0, -6.0, 9)))
+    above = shell_averages(system, second * (1.0 + np.logspace(-10.0, -6.0, 9)))
     # H T'/T is continuous there and changes by less than its slope of order ten.
     assert np.all(above[3] < 1e-11)
     assert np.ptp(above[2]) < 1e-4
@@ -106,7 +106,7 @@ def test_just_beyond_a_second_stop_nothing_cancels():
 def test_stops_of_another_stiffness_are_told_apart():
     energies = np.array([1.0, 10.0])
     one, other = (
-        shell_ratios(chain(2, (Contact(2, "both", B, 0.5),)), energies) for B in (10.0, 10.1)
+        shell_averages(chain(2, (Contact(2, "both", B, 0.5),)), energies) for B in (10.0, 10.1)
     )
     assert np.all(np.abs(one.states / other.states - 1.0) > 1e-4)
 

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from averaging.closed_form import averaged_density
 from averaging.energy_process import damping_and_noise, energy_process
 from averaging.quadrature import solve_by_quadrature
-from averaging.shell.ratios import log_linear_states, shell_ratios
+from averaging.shell.averages import log_linear_states, shell_averages
 from fpk.contact import Contact
 from fpk.errors import NotApplicable, NotCertified
 from fpk.line.stationary import solve_stationary
@@ -77,7 +77,7 @@ def test_coefficients_are_those_of_eq_25(mass, contacts, energy):
     assert c.drift[0] == pytest.approx(s, rel=1e-7)
     assert c.diffusion[0] == pytest.approx(b, rel=1e-7)
     # T of (10), (25) counts ∂H/∂p_1 > 0 only: half the density of states.
-    states = shell_ratios(system, np.array([energy])).states
+    states = shell_averages(system, np.array([energy])).states
     density_of_states = np.exp(log_linear_states(system, np.array([energy]))) * states
     assert density_of_states[0] == pytest.approx(2.0 * T, rel=1e-7)
     if mass != (1.0, 1.0):

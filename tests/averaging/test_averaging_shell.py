@@ -7,8 +7,8 @@ from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import betainc
 
+from averaging.shell.averages import log_linear_states, shell_averages
 from averaging.shell.energy_shell import EnergyShell
-from averaging.shell.ratios import log_linear_states, shell_ratios
 from fpk.contact import Contact
 from fpk.system import System
 
@@ -18,7 +18,7 @@ REFERENCE = 1e-14
 
 
 def ratios(system, energy):
-    return shell_ratios(system, np.atleast_1d(np.asarray(energy, dtype=float)))
+    return shell_averages(system, np.atleast_1d(np.asarray(energy, dtype=float)))
 
 
 def one_mass(n, side, stiffness, law, clearance=0.5):
@@ -317,7 +317,7 @@ def test_two_contact_masses_of_which_one_touches_from_rest():
     )
     system = System([1.0, 1.0], [1.0, 1.0], [0.1, 0.1], [0.1, 0.1], contacts=contacts)
     energy = np.geomspace(0.01, 4.0, 200)
-    ratios = shell_ratios(system, energy)
+    ratios = shell_averages(system, energy)
     # The phase volume of two masses is ∝ ∫(H − V) dq; a smooth integrand, but for its edge.
     side = np.sqrt(2.0 * energy[-1] / 0.38) * np.linspace(-1.0, 1.0, 601)
     q = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1)

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numba
 import numpy as np
 import pytest
-from averaging_systems import chain
+from averaging_systems import chain, term_power
 
 from averaging.energy_process import energy_process
-from averaging.shell.power import term_power
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.process import log_density_slope

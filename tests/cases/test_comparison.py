@@ -71,8 +71,8 @@ def symmetrised(density):
 def test_chance_is_measured_as_it_is(mirror):
     """Mean and spread of the L1 distance over 200 samples are those the bootstrap of one states."""
     truth, seen = gaussian(), symmetrised if mirror else (lambda density: density)
-    found = np.array([l1_distance(seen(sample(s)).coarsened(2), truth) for s in range(200)])
-    mean, quantile = chance_l1(seen(sample(1000)).coarsened(2))
+    found = np.array([l1_distance(seen(sample(s)).joined(2), truth) for s in range(200)])
+    mean, quantile = chance_l1(seen(sample(1000)).joined(2))
     assert mean == pytest.approx(found.mean(), rel=0.1)
     assert found.max() < quantile < 2 * found.mean()
 

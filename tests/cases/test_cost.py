@@ -147,8 +147,8 @@ def test_prices_take_the_cheapest_point_that_is_good_enough():
 def test_the_crossover_lies_where_the_laws_meet():
     (found,) = crossovers([CHEAP, GOOD])
     # cheap: t = 1e-4/e; good: t = 3e-2 (e/1e-2)^(−log10(4/3)/4): equal near e = 3.1e-3.
-    e = found.error
-    assert (found.above, found.below) == ("cheap", "good")
+    e = found["error"]
+    assert (found["above"], found["below"]) == ("cheap", "good")
     ours, theirs = 1e-4 / e, 3e-2 * (e / 1e-2) ** (-np.log10(4 / 3) / 4)
     assert abs(np.log(ours / theirs)) < 0.1  # a tenth: three steps of the scan
 

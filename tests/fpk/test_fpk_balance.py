@@ -160,7 +160,7 @@ def test_a_term_far_along_the_chain_is_judged_with_all_stops(
             MonteCarlo().prepare(system)
 
 
-@pytest.mark.parametrize("count", [5, 30])
+@pytest.mark.parametrize("count", [5, pytest.param(30, marks=pytest.mark.slow)])
 def test_many_stops_are_part_of_the_balance(count: int) -> None:
     """Between its stops the first mass stays where it is damped; without them the energy grows."""
     MonteCarlo().prepare(stopped_chain(count))

@@ -107,7 +107,7 @@ def test_control_c_that_llvm_dropped_is_raised_again(made, monkeypatch):
 
 def test_the_command_line_answers_with_damaged_caches(tmp_path):
     """The answer is the same, and each damaged file is a line of warning."""
-    command = ["density", "fig3a", "--method", "nonintegrable", "--solver", "fem",
+    command = ["density", "vanderpol", "--method", "nonintegrable", "--solver", "fem",
                "--of", "q1", "--at", "0,0.5"]  # fmt: skip
 
     def answer():

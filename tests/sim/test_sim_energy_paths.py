@@ -92,7 +92,7 @@ def test_agrees_with_elements_on_coupled_damping_and_rejects_a_wrong_coefficient
     # The band is that of chance alone at 1e-4; the step bias at dt = 0.2 must stay inside it, and
     # a coupling that is a quarter too strong must not.
     (pair,) = simulate_energies(square_root_form(coupled(0.8)), [(H1, H2)], **SAMPLING)
-    pair = pair.coarsened(4)
+    pair = pair.joined(4)
     band = chance_l1(pair)[1]
 
     def by_elements(process: Process) -> Density:
@@ -108,7 +108,7 @@ def test_agrees_with_elements_on_coupled_damping_and_rejects_a_wrong_coefficient
 def test_three_coupled_energies_against_their_gibbs_like_density() -> None:
     form = square_root_form(coupled(0.4, energies=3))
     total, first = simulate_energies(form, [(TOTAL,), (H1,)], **SAMPLING)
-    joined = total.coarsened(8)
+    joined = total.joined(8)
     band = chance_l1(joined)[1]
     assert l1_distance(joined, gibbs_sum(0.4, 3)) < band
     assert l1_distance(joined, gibbs_sum(0.5, 3)) > band
@@ -119,7 +119,7 @@ def test_one_energy_with_a_diffusion_that_is_not_linear_against_elements() -> No
     form = line_form(energy_dependent(0.2))
     sampling = SAMPLING | {"burn_in": 30.0, "interval": 2.0, "steps": 10}
     (sampled,) = simulate_energies(form, [(TOTAL,)], **sampling)
-    joined = sampled.coarsened(8)
+    joined = sampled.joined(8)
     band = chance_l1(joined)[1]
 
     def by_elements(quartic: float) -> Density:

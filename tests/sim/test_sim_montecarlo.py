@@ -240,7 +240,7 @@ def test_weak_order_of_the_displacement_in_the_step() -> None:
         method = MonteCarlo(paths=65536, seed=97)
         setup = Setup(method, exact(), (), scheme, dt=dt, time=6000.0)
         with workers_of(None, 2) as workers:
-            square = simulate(setup, workers=workers)[-1].moments[1]
+            square = simulate(setup, workers=workers).report.moments[1]
         biases.append(square.mean / exact_square() - 1.0)
         errors.append(square.error / abs(square.mean - exact_square()))
     wide = np.log(steps[1] / steps[0])

@@ -29,13 +29,15 @@ def samples_of(curve: Answers, observable: Observable) -> dict[Route, SampledDen
     return {route: d for route, d in densities if isinstance(d, SampledDensity)}
 
 
-def solver_difference(
-    curve: Answers, observable: Observable, *points: Array
-) -> tuple[str, Array, Array] | None:
-    """Return how far two solvers of one averaged equation differ, and the errors that both state.
+Differences = tuple[Array, Array, dict[str, Array]]
+"""Points along the first axis, the band in which differences of two answers may lie, and these."""
 
-    The difference at ``points`` in words, its values, and the stated errors added; None where no
-    equation has two deterministic answers. The one that states the larger error comes first.
+
+def solver_difference(curve: Answers, observable: Observable, *points: Array) -> Differences | None:
+    """Return how far two solvers of one averaged equation differ; the band is what both state.
+
+    None where no equation has two deterministic answers. The one that states the larger error comes
+    first.
     """
     answers = curve.densities(observable).items()
     functions = [(r, d) for r, d in answers if r.solves == "averaged" and isinstance(d, Density)]
@@ -43,5 +45,5 @@ def solver_difference(
         (a, first), (b, second) = sorted(pair, key=lambda answer: -answer[1].l1_error)
         if a.method == b.method:
             (value, stated), (other, also_stated) = first.at(*points), second.at(*points)
-            return f"{a.solver} − {b.solver}", value - other, stated + also_stated
+            return points[0], stated + also_stated, {f"{a.solver} − {b.solver}": value - other}
     return None

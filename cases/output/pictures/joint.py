@@ -5,14 +5,13 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from matplotlib.colors import LightSource, LogNorm, Normalize
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 
 from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
 from cases.output.fields import common_grid
 from cases.output.pictures.choice import lines_of, samples_of, solver_difference
-from cases.output.pictures.style import FOOT, LEFT, SHOWN, SOLVER_WORDS, density_words, words_of
+from cases.output.pictures.style import SHOWN, SOLVER_WORDS, density_words, words_of
 from fpk.arrays import Array
 from fpk.density import AnyDensity
 from fpk.observable import Observable, observable_name
@@ -25,8 +24,8 @@ LOWEST = 1e-3
 SHEET = 72
 """Points an axis of a surface, and about as many bins where it is sampled."""
 
-PANEL, HEIGHT, BAR = 2.9, 3.3, 0.4
-"""Width and height of a panel with its words, and the width of the bar of colours, in inches."""
+PANEL, HEIGHT, MARGIN = 2.9, 3.3, 1.1
+"""Width and height of a panel, and the width of the bar of colours and of all words, in inches."""
 
 
 def joint_pictures(curve: Answers, observable: Observable) -> Iterator[tuple[str, str, Figure]]:
@@ -43,8 +42,9 @@ def joint_pictures(curve: Answers, observable: Observable) -> Iterator[tuple[str
     figure = _panels(panels, grid, observable, density_words(observable), decades=energies)
     yield f"density_{stem}", f"Joint density of {name}, on common levels.", figure
     if (pair := solver_difference(curve, observable, *mesh)) is not None:
-        words, difference, stated = pair
-        panels = {f"|{words}|": np.abs(difference), "errors that both state, added": stated}
+        _, stated, differences = pair
+        panels = {f"|{words}|": np.abs(values) for words, values in differences.items()}
+        panels["errors that both state, added"] = stated
         figure = _panels(panels, grid, observable, "difference of p", decades=True)
         yield f"solver_{stem}", SOLVER_WORDS.format(name), figure
     if not energies:  # they pile up in a corner
@@ -73,13 +73,10 @@ def surface_figure(curve: Answers, observable: Observable) -> Figure:
         assert isinstance(axes, Axes3D)
         axes.view_init(elev=28.0, azim=-58.0)
         axes.set_box_aspect((1.0, 1.0, 0.72), zoom=0.92)  # beyond it labels are cut
+        x_words, y_words = map(words_of, observable)
+        axes.set(xlabel=x_words, ylabel=y_words, zlabel=density_words(observable))
         axes.set_zlim(0.0, 1.05 * top)
-        axes.set_xlabel(words_of(observable[0]))
-        axes.set_ylabel(words_of(observable[1]))
-        axes.set_zlabel(density_words(observable))
-        for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
-            axis.set_major_locator(MaxNLocator(5))
-            axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
+        axes.locator_params(nbins=5)
         sheet = axes.plot_surface(
             x, y, values, cmap="viridis", norm=Normalize(0.0, top), rcount=SHEET, ccount=SHEET,
             lightsource=LightSource(azdeg=225, altdeg=50), linewidth=0, antialiased=False,
@@ -101,18 +98,13 @@ def _panels(
     top = max(float(v.max()) for v in panels.values())
     levels = top * (np.geomspace(LOWEST, 1.0, 13) if decades else np.linspace(0.0, 1.0, 13))
     norm = LogNorm(levels[0], top) if decades else Normalize(0.0, top)
-    width = LEFT + len(panels) * PANEL + BAR
-    figure = Figure(figsize=(width, HEIGHT))
-    figure.subplots_adjust(LEFT / width, FOOT / HEIGHT, 1.0 - LEFT / width, 0.91, wspace=0.07)
+    figure = Figure(figsize=(len(panels) * PANEL + MARGIN, HEIGHT), layout="constrained")
     row = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     for axes, (words, values) in zip(row, panels.items(), strict=True):
         # Below the lowest level nothing is drawn; a logarithm needs a value there all the same.
         drawn = np.maximum(values, 0.1 * levels[0])
         filled = axes.contourf(*grid, drawn.T, levels=levels, norm=norm, cmap="viridis")
-        axes.set_title(words)
-        axes.set_xlabel(words_of(observable[0]))
+        axes.set(title=words, xlabel=words_of(observable[0]))
     row[0].set_ylabel(words_of(observable[1]))
-    figure.colorbar(
-        filled, ax=row, format="%.2g", aspect=22, fraction=0.3 / width, pad=0.15 / width
-    ).set_label(label)
+    figure.colorbar(filled, ax=row, format="%.2g", aspect=22).set_label(label)
     return figure

@@ -11,7 +11,12 @@ from matplotlib.lines import Line2D
 from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
 from cases.output.fields import common_grid
-from cases.output.pictures.choice import lines_of, samples_of, solver_difference
+from cases.output.pictures.choice import (
+    Differences,
+    lines_of,
+    samples_of,
+    solver_difference,
+)
 from cases.output.pictures.style import (
     COLOURS,
     GAP,
@@ -49,9 +54,6 @@ MARK: Any = {
 
 HEIGHT, ALONE, ROW = 3.1, 1.6, 0.9
 """Height in inches of the axes of densities, and of differences of a lone curve or one of many."""
-
-Differences = tuple[Array, Array, Mapping[str, Array]]
-"""Points, the band in which differences of two answers may lie there, and the differences."""
 
 
 def line_pictures(
@@ -104,12 +106,6 @@ def density_figure(curves: Sequence[Answers], observable: Observable, x: Array) 
     return figure
 
 
-def solver_differences(curve: Answers, observable: Observable, x: Array) -> Differences | None:
-    """Return the difference of two solvers of one equation, in the errors that both state."""
-    pair = solver_difference(curve, observable, x)
-    return pair and (x, pair[2], {pair[0]: pair[1]})
-
-
 def theory_differences(curve: Answers, observable: Observable, x: Array) -> Differences | None:
     """Return simulation − theory for every theory drawn, in two standard errors."""
     sampled = [d for r, d in samples_of(curve, observable).items() if r.solves == "full"]
@@ -124,7 +120,7 @@ def theory_differences(curve: Answers, observable: Observable, x: Array) -> Diff
 
 
 DIFFERENCES = (
-    ("solver", SOLVER_WORDS, "±the errors that both state", solver_differences),
+    ("solver", SOLVER_WORDS, "±the errors that both state", solver_difference),
     (
         "left",
         "Simulation minus theory for {}. Inside the grey band the difference is chance; a curve"
@@ -155,7 +151,7 @@ def difference_figure(
             axes.plot(points, values, color=colour, **style)
             legend.setdefault(name, Line2D([], [], color=INK, **style))
         axes.set_title(label, loc="right")  # on the left stands the power of ten of the axis
-        axes.ticklabel_format(axis="y", scilimits=(-3, 3), useMathText=True)
+        axes.ticklabel_format(axis="y", scilimits=(-3, 3))
         axes.locator_params(axis="y", nbins=4)
     legend[band] = Line2D([], [], color=INK, alpha=0.16, linewidth=6)
     words = f"difference of p({symbol_of(observable[0])})"

@@ -32,7 +32,7 @@ WIDTH = 6.6
 
 LEFT, RIGHT, FOOT, GAP, LEGEND_ROW = 0.66, 0.12, 0.5, 0.34, 0.19
 """Margins beside and below the axes, the gap between two for a title, and the height of a row of
-the legend, in inches. Fixed, as to measure all words first costs a second drawing."""
+the legend, in inches. Fixed: to measure all words first draws every picture twice."""
 
 LONGEST_OF_THREE = 31
 """Letters of the longest entry with which a legend of three columns fits."""

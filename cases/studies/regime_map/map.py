@@ -85,12 +85,14 @@ def build_map(
     folder: Path | None = None,
     progress: Progress = silent,
 ) -> RegimeMap:
-    """Return the map of the scene's first displacement; stored and continued in ``folder``.
+    """Return the map of the scene's first displacement, one in a pair if no other is observed.
 
-    ``simulation`` is the reference where nothing solves the full system; its ``cluster`` takes
-    whole points.
+    Finished points are stored in ``folder``, and the map goes on from them. ``simulation`` is the
+    reference where nothing solves the full system; its ``cluster`` takes whole points.
     """
-    start, observable = perf_counter(), first_displacement(scene)
+    start = perf_counter()
+    displacements = [c for o in sorted(scene.observables, key=len) for c in o if c.kind == "q"]
+    observable = tuple(displacements[:1]) or scene.observables[0]
     # Where and by how many threads a simulation is run changes nothing.
     identity = {
         "scene": scene.text,
@@ -124,12 +126,6 @@ def _finished(todo: Sequence[Callable[..., MapPoint]], method: MonteCarlo) -> It
     alone = replace(method, cluster=None, threads=1)
     with workers_of(method.cluster) as workers:
         yield from workers.as_finished([partial(point, alone) for point in todo])
-
-
-def first_displacement(scene: Scene) -> Observable:
-    """Return the first single displacement observed, else the first in a pair."""
-    displacements = [c for o in sorted(scene.observables, key=len) for c in o if c.kind == "q"]
-    return tuple(displacements[:1]) or scene.observables[0]
 
 
 def parse_axes(texts: Sequence[str], system: System) -> tuple[Axis, ...]:
