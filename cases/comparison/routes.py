@@ -14,6 +14,7 @@ from fpk.system import System
 ROUTE_MODULES = {
     "exact": ("averaging.exact",),
     "linear": ("averaging.gaussian",),
+    "phase-space": ("averaging.phase_space.method",),
     "nonintegrable": ("averaging.nonintegrable", "cases.comparison.averaged"),
     "integrable": ("averaging.integrable", "cases.comparison.averaged"),
     "montecarlo": ("sim.montecarlo",),

@@ -1,0 +1,7 @@
+"""The stationary FPK equation of the full system, solved in phase space without sampling.
+
+``frame`` has the equations relative to the mass that meets the stops, ``panels`` the functions of
+its displacement, ``degrees`` and ``elimination`` the Hermite expansion in all else and its
+solution, ``marginals`` the densities of it, ``refinement`` how degrees and reference adapt, and
+``method`` the route.
+"""

@@ -1,0 +1,138 @@
+"""The full system (6) seen from its contact mass: linear in all else, and its reference state."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpk.arrays import Array
+from fpk.errors import NotApplicable
+from fpk.system import System
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Eq. (6) in displacements and velocities times √m, with the contact mass set apart.
+
+    ``contact`` is the mass that meets the stops, counted from 0 (the last where there are none),
+    ``others`` the rest; ``order`` both. ``stiffness``, ``damping`` and ``noise`` (n, n) are
+    M^(−½) X M^(−½) in this order: with y the displacement √m q of the contact mass, ``r`` those of
+    the others and ``v`` all velocities √m q' = p/√m, it is ``dv = −(K (y, r) + c v + g(y) e₁) dt``
+    plus noise of covariance 2 ``noise`` dt.
+    """
+
+    system: System
+    contact: int
+    order: tuple[int, ...]
+    stiffness: Array
+    damping: Array
+    noise: Array
+
+    @property
+    def n(self) -> int:
+        """Number of masses."""
+        return len(self.order)
+
+    @property
+    def root(self) -> float:
+        """√m of the contact mass."""
+        return float(np.sqrt(self.system.mass[self.contact]))
+
+    @property
+    def stops(self) -> tuple[Array, Array]:
+        """Where contact begins, in y, at left and at right stops."""
+        stops = self.system.stops
+        return tuple(  # type: ignore[return-value]
+            np.unique([s.sign * s.clearance * self.root for s in stops if s.sign == sign])
+            for sign in (-1.0, 1.0)
+        )
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether (q, p) and (−q, −p) are equally likely."""
+        sides = {-1.0: set(), 1.0: set()}  # type: dict[float, set[tuple[object, ...]]]
+        for s in self.system.stops:
+            sides[s.sign].add((s.law, s.power, s.stiffness, s.clearance))
+        return sides[-1.0] == sides[1.0]
+
+    def contact_energy(self, y: Array) -> Array:
+        """Contact energy U at displacements y."""
+        return self.system.contact_energy(self.contact, y / self.root)
+
+    def contact_force(self, y: Array) -> Array:
+        """Force dU/dy of the stops at displacements y."""
+        q, force = y / self.root, np.zeros(np.shape(y))
+        for s in self.system.stops:
+            force = force + s.sign * s.force(np.maximum(s.sign * q - s.clearance, 0.0))
+        return np.asarray(force / self.root)
+
+
+def contact_frame(system: System) -> Frame:
+    """Return the frame of a system with stops on one mass at the most.
+
+    Raises ``NotApplicable`` for stops on several masses and for damping that depends on the state.
+    """
+    if len(system.contact_masses) > 1:
+        raise NotApplicable(
+            f"{len(system.contact_masses)} masses meet stops: the expansion is about one mass that "
+            "does, all others being linear given its displacement"
+        )
+    if system.damping_terms:
+        raise NotApplicable("the damping depends on the state: the expansion is for constant one")
+    contact = system.contact_masses[0] if system.contacts else system.n - 1
+    order = (contact, *(i for i in range(system.n) if i != contact))
+    scale = 1.0 / np.sqrt(np.outer(system.mass, system.mass))
+    at = np.ix_(order, order)
+    matrices = (system.stiffness_matrix, system.damping, system.noise_matrix)
+    return Frame(system, contact, order, *((scale * matrix)[at] for matrix in matrices))
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """The state that a solution is expanded about: Gaussian in z = (v, x), given y.
+
+    ``slope`` a and ``offset`` x₀ (n − 1,) make x = r − a y − x₀ of the other displacements;
+    ``covariance`` (2n − 1, 2n − 1) is that of z. ln w of the weight of y is
+    −(w₁ y + ½ w₂ y² + w₃ U(y)), (w₁, w₂, w₃) = ``weight``. Any values serve; the nearer to
+    the moments of the solution, the fewer degrees it needs.
+    """
+
+    slope: Array
+    offset: Array
+    covariance: Array
+    weight: Array
+
+
+def gibbs_reference(frame: Frame) -> Reference:
+    """Return the Gibbs state of the temperature tr D/tr c, of mass-normalised D and c.
+
+    It is the stationary state where damping and noise are in one proportion; elsewhere a start.
+    Raises ``NotApplicable`` where nothing is damped or no noise acts.
+    """
+    noise, damping = float(np.trace(frame.noise)), float(np.trace(frame.damping))
+    if not (noise > 0.0 and damping > 0.0):
+        raise NotApplicable("a stationary density in phase space needs damping and noise")
+    T, K, n = noise / damping, frame.stiffness, frame.n
+    slope = np.asarray(-np.linalg.solve(K[1:, 1:], K[1:, 0]), dtype=float)
+    covariance = T * np.eye(2 * n - 1)
+    covariance[n:, n:] = T * np.linalg.inv(K[1:, 1:])
+    weight = np.array([0.0, K[0, 0] + K[0, 1:] @ slope, 1.0]) / T
+    return Reference(slope, np.zeros(n - 1), covariance, weight)
+
+
+def linear_part(frame: Frame, reference: Reference) -> tuple[Array, Array, Array]:
+    """Return F, G and the coefficients of h in dz = (F z + h(y)) dt + noise of covariance 2 G dt.
+
+    h(y) is ``h₀ + h₁ y − g(y) e₁``; (h₀, h₁) are the rows of the third, (2, 2n − 1). z = (v, x) as
+    in ``Reference``, and dy = z₁ dt.
+    """
+    n, K, c = frame.n, frame.stiffness, frame.damping
+    a, x0 = reference.slope, reference.offset
+    F = np.zeros((2 * n - 1, 2 * n - 1))
+    F[:n, :n], F[:n, n:] = -c, -K[:, 1:]
+    F[n:, 0], F[n:, 1:n] = -a, np.eye(n - 1)
+    G = np.zeros_like(F)
+    G[:n, :n] = frame.noise
+    h = np.zeros((2, 2 * n - 1))
+    h[0, :n] = -K[:, 1:] @ x0
+    h[1, :n] = -(K[:, 0] + K[:, 1:] @ a)
+    return F, G, h

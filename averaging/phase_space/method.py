@@ -1,0 +1,188 @@
+"""Method ``phase-space``: the stationary FPK equation of the full system (6), deterministic."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import map_coordinates, maximum_filter
+
+from averaging.phase_space.frame import Reference, contact_frame, gibbs_reference
+from averaging.phase_space.identities import heat_into_masses, identities
+from averaging.phase_space.marginals import marginal
+from averaging.phase_space.moments import moments
+from averaging.phase_space.refinement import ROUND_OFF, Ladder, solved_to
+from averaging.theory import Theory
+from fpk.arrays import Array
+from fpk.certificate import Measured
+from fpk.density import Density, certified_density
+from fpk.errors import NotApplicable
+from fpk.method import Plan, Progress, Result
+from fpk.observable import Observable, observable_name
+from fpk.route import Route, register
+from fpk.system import System
+
+MOST_MASSES = 3
+"""Masses beyond which the lowest degrees that say anything fill the memory."""
+GRID = {1: 721, 2: 181}
+"""Points of an axis at which the distance to the coarser solution is sampled, by the axes."""
+WINDOW = {1: 41, 2: 11}
+"""Points over which its largest value is taken: a standard deviation, two half-waves of a Hermite
+function of degree 20, as the error does not vanish where the distance does."""
+FEWER = 0.8
+"""Share of the points at which the contact displacement is integrated out, to see their error."""
+
+
+@dataclass(frozen=True)
+class PhaseSpace(Theory):
+    """Densities of displacements and momenta from the unreduced stationary FPK equation.
+
+    An expansion in Hermite functions of all velocities and displacements but that of the mass that
+    meets the stops, and in polynomials on panels of that one, solved by elimination of levels of
+    equal degree (``averaging.phase_space.elimination``). Up to three masses, stops on one of them,
+    any constant damping and noise. ``tol`` is the L1 error wanted of each density; degrees rise
+    until the estimate meets it, or memory or instability ends them, and the certificate says so.
+    ``reference`` is where the expansion starts, for tests of its independence; None: Gibbs.
+    """
+
+    solver: str = "hermite"
+    tol: float = 1e-4
+    reference: Reference | None = None
+    method = "phase-space"
+    solvers = (("hermite", "full FPK equation, Hermite expansion", "(6)"),)
+    colour = "#7b3294"
+
+    def prepare(self, system: System) -> Plan:
+        """Return the plan for ``system``; raise ``NotApplicable`` where the expansion is not."""
+        if system.n > MOST_MASSES:
+            raise NotApplicable(
+                f"{system.n} masses have {2 * system.n} coordinates; the expansion is for "
+                f"{2 * MOST_MASSES} at the most"
+            )
+        frame = contact_frame(system)
+        gibbs_reference(frame)
+
+        def solve(observables: Sequence[Observable], progress: Progress) -> Result:
+            ladder = solved_to(
+                frame, observables, tol=self.tol, progress=progress, reference=self.reference
+            )
+            return Result(
+                self,
+                tuple(_density(ladder, o, self.tol) for o in observables),
+                identities=identities(ladder),
+                settings=_settings(ladder),
+            )
+
+        return Plan(_refusal, solve)
+
+    @classmethod
+    def register(cls) -> None:
+        """Register the route, which ``fpk run`` does not take by itself: it takes minutes."""
+        for solver, words, equation in cls.solvers:
+            register(
+                Route(
+                    cls.method, solver, words, equation, cls.solves, False, cls.colour, cls,
+                    unasked=lambda system: False,
+                )
+            )  # fmt: skip
+
+
+def _refusal(observable: Observable) -> str | None:
+    if any(c.kind == "H" for c in observable):
+        return (
+            f"{observable_name(observable)}: the expansion gives densities of displacements and "
+            "momenta, not of energies; ask for q, p or pairs of them"
+        )
+    return None
+
+
+def _density(ladder: Ladder, observable: Observable, tol: float) -> Density:
+    frame, factor = ladder.frame, ladder.factors[observable]
+    panels, pdf = marginal(frame, ladder.finest, observable)
+    _, coarser = marginal(frame, ladder.coarser, observable)
+    local, largest = _local_distance(panels, pdf, coarser)
+    floor = ROUND_OFF * largest + ladder.arithmetic * largest
+    measured = Measured(
+        l1_error=ladder.errors[observable],
+        mass_defect=np.nan,
+        minimum=np.inf,
+        residual=ladder.finest.residual,
+        tail_mass=_tail(panels, pdf),
+        absolute_error=factor * float(local.max()) / largest,
+    )
+    if ladder.limit and ladder.errors[observable] > tol:
+        measured = measured.with_failures(ladder.limit)
+    ends = np.array([[nodes[0], nodes[-1]] for nodes in panels])
+
+    def pointwise(*x: Array) -> Array:
+        arrays = np.broadcast_arrays(*x)
+        place = [
+            (a - low) / (high - low) * (GRID[len(panels)] - 1)
+            for a, (low, high) in zip(arrays, ends, strict=True)
+        ]
+        distance = map_coordinates(local, np.array(place), order=1, mode="nearest")
+        return np.asarray(factor * distance + floor)
+
+    _, fewer = marginal(frame, ladder.finest, observable, share=FEWER)
+
+    def integration_error(p: Array, *x: Array) -> Array:
+        return np.abs(p - np.asarray(fewer(*x)))
+
+    return certified_density(
+        observable,
+        panels,
+        pdf,
+        lambda *x: pointwise(*x) + integration_error(pdf(*x), *x),
+        measured=measured,
+        tol=tol,
+        added_error=integration_error,
+    )
+
+
+def _local_distance(
+    panels: tuple[Array, ...], pdf: Callable[..., Array], coarser: Callable[..., Array]
+) -> tuple[Array, float]:
+    """Largest distance to the coarser solution around the points of a grid, and largest density."""
+    count, window = GRID[len(panels)], WINDOW[len(panels)]
+    axes = [np.linspace(nodes[0], nodes[-1], count) for nodes in panels]
+    mesh = np.meshgrid(*axes, indexing="ij", sparse=True)
+    values = np.asarray(pdf(*mesh))
+    distance = np.abs(values - np.asarray(coarser(*mesh)))
+    return maximum_filter(distance, size=window, mode="nearest"), float(values.max())
+
+
+def _tail(panels: tuple[Array, ...], pdf: Callable[..., Array]) -> float:
+    """Mass beyond the panels: the density at their ends times the length of the last ones.
+
+    The density falls by more than e over a panel at the end of the support.
+    """
+    total = 0.0
+    for axis, nodes in enumerate(panels):
+        others = [np.linspace(x[0], x[-1], GRID[2]) for k, x in enumerate(panels) if k != axis]
+        weight = float(np.prod([x[1] - x[0] for x in others])) if others else 1.0
+        for end, length in ((nodes[0], nodes[1] - nodes[0]), (nodes[-1], nodes[-1] - nodes[-2])):
+            at = [np.array([end]), *others] if axis == 0 else [*others, np.array([end])]
+            total += float(np.abs(pdf(*at)).sum()) * weight * float(length)
+    return total
+
+
+def _settings(ladder: Ladder) -> dict[str, str | float | int]:
+    d, n = ladder.finest.degrees, ladder.frame.n
+    settings: dict[str, str | float | int] = {
+        "equation": "(6)",
+        "highest degree": d.total,
+        "degree without the contact velocity": d.others,
+        "solutions": ladder.solutions,
+    }
+    m = moments(ladder.frame, ladder.finest)
+    order, mass = ladder.frame.order, ladder.frame.system.mass
+    for place, i in enumerate(order):
+        square = m.covariance[place, place] + m.mean[place] ** 2
+        settings[f"E q{i + 1}²"] = float(square / mass[i])
+        velocity = m.covariance[n + place, n + place] + m.mean[n + place] ** 2
+        settings[f"E p{i + 1}²"] = float(velocity * mass[i])
+    for i, heat in zip(order, heat_into_masses(ladder.frame, m), strict=True):
+        settings[f"net power of damping and noise on mass {i + 1}"] = heat
+    return settings
+
+
+PhaseSpace.register()
