@@ -109,7 +109,7 @@ def _density(expansion: Expansion, forms: list[Form], share: float) -> Callable[
             y = np.asarray(x, dtype=float) / slope
             inside = (y >= b.nodes[0]) & (y <= b.nodes[-1])
             flat = given(np.clip(y, b.nodes[0], b.nodes[-1]).ravel())
-            c = flat.reshape(*coefficients.shape[:-1], *y.shape) * np.where(inside, 1.0, 0.0)
+            c = flat.reshape((*coefficients.shape[:-1], *y.shape)) * np.where(inside, 1.0, 0.0)
             t = _standardised(linear, L, y, others)
             return np.asarray(_series(c, t) / (slope * np.prod(np.diag(L))))
 

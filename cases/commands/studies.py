@@ -85,6 +85,11 @@ def cost(scene: "Scene", **settings: Any) -> tuple[Any, "Page"]:
 @click.option("--time", type=float, help="Sampled time a path.")
 @parts.cluster
 @click.option("--checkpoint", type=parts.FOLDER, help="Folder for finished points, if not --out.")
+@click.option(
+    "--reference",
+    type=click.Choice(["montecarlo", "phase-space"]),
+    help="What judges the theories where (6) has no exact density; default: montecarlo.",
+)
 def regime(scene: "Scene", vary: tuple[str, ...], **settings: Any) -> tuple[Any, "Page"]:
     """Map the distance of each theory to the full system over one or two parameters.
 
@@ -94,9 +99,12 @@ def regime(scene: "Scene", vary: tuple[str, ...], **settings: Any) -> tuple[Any,
     from cases.studies.regime_map.map_page import map_page
 
     axes = parse_axes(vary, scene.system)
+    reference = {"reference": settings.pop("reference")} if "reference" in settings else {}
     checkpoint, progress = settings.pop("checkpoint", None), settings.pop("progress")
     folder = checkpoint or click.get_current_context().params["out"]
     parts.check_cluster(settings.get("cluster"))
     method = replace(SIMULATION, **settings)
-    result = build_map(scene, axes, simulation=method, folder=folder, progress=progress)
+    result = build_map(
+        scene, axes, simulation=method, folder=folder, progress=progress, **reference
+    )
     return result, map_page(result)

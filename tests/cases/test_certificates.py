@@ -19,6 +19,7 @@ STIFF = System([1, 1], [1, 1e6], [0.1, 0.1], [0.05, 0.05], contacts=STOPS)
 LINEAR = System([1, 1], [1, 1e6], [0.1, 0.1], [0.05, 0.05])
 ONE_MASS = System([1.0], [1.0], [0.2], [0.1])
 STOPPED = System([1, 1], [1, 1], [0.2, 0.2], [0.1, 0.1], contacts=STOPS[1:])
+UNEQUAL = System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02], contacts=STOPS[1:])
 
 ENERGY_SAMPLE = {"paths": 256, "time": 0.5, "tol": 1e-4}
 FAILING = {
@@ -31,6 +32,8 @@ FAILING = {
     ("integrable", "closed-form"): (LINEAR, "H1", {"tol": 1e-12}),
     ("integrable", "quadrature"): (LINEAR, "H1", {"tol": 1e-12}),
     ("integrable", "fem"): (LINEAR, "H1", {"tol": 1e-12}),
+    # Unequal temperatures beside a stop: six digits are out of reach.
+    ("phase-space", "hermite"): (UNEQUAL, "q2", {"tol": 1e-9}),
     # A sample that is too small for the tolerance.
     ("nonintegrable", "simulation"): (ONE_MASS, "H", ENERGY_SAMPLE),
     ("integrable", "simulation"): (ONE_MASS, "H1", ENERGY_SAMPLE),

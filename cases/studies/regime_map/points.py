@@ -14,6 +14,7 @@ from cases.scene.errors import BadInput
 from cases.scene.reading import read_text
 from cases.studies.simulation import best_answer, deterministic
 from fpk.clearance import stop_clearances
+from fpk.method import Method
 from fpk.observable import Observable
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
@@ -49,19 +50,28 @@ class MapPoint:
 
 
 def map_point(
-    system: System, observable: Observable, values: tuple[float, ...], simulation: MonteCarlo
+    system: System,
+    observable: Observable,
+    values: tuple[float, ...],
+    solver: Method | None,
+    simulation: MonteCarlo,
 ) -> MapPoint:
     """Return what each theory is worth for ``observable`` of ``system``.
 
-    The reference is a route that solves the full system, ``simulation`` where none does.
+    The reference is an exact density of the full system; where there is none that of ``solver``,
+    if it is given and certifies its answer; ``simulation`` else.
     """
     start = perf_counter()
     problems: list[str] = []
-    reference = best_answer(deterministic("full"), system, observable, problems)
+    reference = best_answer(deterministic("full", system), system, observable, problems)
+    if reference is None and solver is not None:
+        reference = best_answer([solver], system, observable, [])
+        if reference is not None and not reference[1].certificate.certified:
+            reference = None
     reference = reference or best_answer([simulation], system, observable, problems)
     distances = {}
     for theory in THEORIES:
-        own = [m for m in deterministic("averaged") if m.route.method == theory]
+        own = [m for m in deterministic("averaged", system) if m.route.method == theory]
         answer = best_answer(own, system, observable, problems)
         if answer is not None and reference is not None:
             distances[theory] = distance_between(answer[1], reference[1])[:2]
