@@ -89,14 +89,13 @@ def expanded(
     degrees: Degrees,
     *,
     whole: bool,
-    single: bool = False,
     step: Callable[[float], None] = lambda share: None,
 ) -> Expansion:
     """Return the stationary expansion about ``reference``.
 
     ``whole``: with all levels; else the lowest three, from which the moments and the density of the
-    contact displacement follow. ``single``: single precision in the levels above those.
-    ``step`` is called with the share of the work that is done.
+    contact displacement follow. ``step`` is called with the share of the work that is done. Double
+    precision throughout: in single precision, at ten times lighter damping, errors were 4e-3.
     """
     functions = basis(frame, reference, degrees.counts)
     d = 2 * frame.n - 1
@@ -106,8 +105,7 @@ def expanded(
     inverses: dict[int, Array] = {}
     above: list[Array] = []
     for n in range(degrees.total, 0, -1):
-        dtype = np.float32 if single and n > 2 else np.float64
-        inverse, *above = chain.eliminated(sets, n, above, dtype)
+        inverse, *above = chain.eliminated(sets, n, above)
         if whole or n <= 3:
             inverses[n] = inverse
         step(work[degrees.total - n] / work[-1])
@@ -208,8 +206,8 @@ class _Chain:
         """Return what the level above, R times unknowns of lower levels, adds to ``level``."""
         E = self.adjoint[level.total]
         parts = R.reshape(-1, E.shape[1], R.shape[1])[level.raised[0]]
-        parts = np.matmul((self.reach * E).astype(R.dtype), parts)
-        parts *= np.sqrt(level.k[:, 0] + 1.0).astype(R.dtype)[:, None, None]
+        parts = np.matmul((self.reach * E), parts)
+        parts *= np.sqrt(level.k[:, 0] + 1.0)[:, None, None]
         return np.asarray(parts.reshape(-1, R.shape[1]))
 
     def eliminated(
@@ -217,19 +215,18 @@ class _Chain:
         sets: tuple[Level, ...],
         n: int,
         above: list[Array],
-        dtype: type,
     ) -> list[Array]:
         """Return the inverse of what u_n meets, then R and Q of u_n = R u_(n−1) + Q u_(n−2).
 
         ``above`` are R and Q of the level above, none for the highest; there is no Q for n = 1.
         """
-        A: Array = self.within(sets[n], n, top=not above).astype(dtype)
+        A: Array = self.within(sets[n], n, top=not above)
         if above:
             A += self.from_above(sets[n], above[0])
         inverse = inverted(A)
         R = self._forced(inverse, sets[n - 1], n)
         if above:
-            R -= inverse @ self.from_above(sets[n], above[1].astype(dtype))
+            R -= inverse @ self.from_above(sets[n], above[1])
         return [inverse, R, self._paired(inverse, sets, n)] if n > 1 else [inverse, R]
 
     def forced(self, below: Level, n: int, u: Array) -> Array:
@@ -266,28 +263,28 @@ class _Chain:
         forces = self.force[n]
         functions, lower = forces[0].shape
         size = inverse.shape[0]
-        R = np.zeros((size, below.k.shape[0], lower), dtype=inverse.dtype)
+        R = np.zeros((size, below.k.shape[0], lower))
         for i, H in enumerate(forces):
             if not np.any(H):
                 continue
-            product = inverse.reshape(-1, functions) @ H.astype(inverse.dtype)
+            product = inverse.reshape(-1, functions) @ H
             product = product.reshape(size, -1, lower)
             at = np.flatnonzero(below.raised[i] >= 0)
-            factor = np.sqrt(below.k[at, i] + 1.0).astype(inverse.dtype)
+            factor = np.sqrt(below.k[at, i] + 1.0)
             R[:, at] -= product[:, below.raised[i][at]] * factor[:, None]
         return R.reshape(size, -1)
 
     def _lifted(self, inverse: Array, n: int) -> Array:
         """Columns of ``inverse`` as functions of level n − 2, whose set holds that of level n."""
-        to = (self.sets[n].T @ self.sets[n - 2]).astype(inverse.dtype)
+        to = self.sets[n].T @ self.sets[n - 2]
         return (inverse.reshape(-1, to.shape[0]) @ to).reshape(inverse.shape[0], -1, to.shape[1])
 
     def _paired(self, inverse: Array, sets: tuple[Level, ...], n: int) -> Array:
         """−``inverse`` times what level n − 2 adds to level n."""
         columns, count = self._lifted(inverse, n), sets[n - 2].k.shape[0]
-        Q = np.zeros((inverse.shape[0], count, columns.shape[2]), dtype=inverse.dtype)
+        Q = np.zeros((inverse.shape[0], count, columns.shape[2]))
         for at, place, factor in self._pairs(sets, n):
-            Q[:, at] -= columns[:, place] * factor.astype(inverse.dtype)[:, None]
+            Q[:, at] -= columns[:, place] * factor[:, None]
         return Q.reshape(inverse.shape[0], -1)
 
 

@@ -5,13 +5,13 @@ import numpy as np
 from averaging.phase_space.elimination import Expansion
 from averaging.phase_space.frame import Frame
 from averaging.phase_space.moments import Moments, moments
-from averaging.phase_space.refinement import ROUND_OFF, SAFETY, Ladder
+from averaging.phase_space.refinement import SAFETY, Ladder
 from fpk.arrays import Array
 from fpk.method import Identity
 
 MARGIN = 4.0
-"""Factor on the distance to the coarser solution: twice that of densities, as the sums of an
-identity cancel more than they do."""
+"""Factor on the distance to the coarser solution, which may be small by chance: the L1 error of the
+densities, in units of the identity's own sides, is added."""
 
 
 def heat_into_masses(frame: Frame, m: Moments) -> list[float]:
@@ -33,12 +33,13 @@ def identities(ladder: Ladder) -> tuple[Identity, ...]:
     y in standard deviations. The error is that of the coarser solution, by its distance.
     """
     finest, coarser = (_sides(ladder.frame, e) for e in (ladder.finest, ladder.coarser))
+    scale = float(np.trace(ladder.frame.noise))
     out = []
     for name, (value, expected) in finest.items():
         before = coarser[name]
         distance = abs((value - expected) - (before[0] - before[1]))
-        size = max(abs(value), abs(expected), ladder.frame.n * ROUND_OFF)
-        error = MARGIN * SAFETY * distance + (100.0 * ROUND_OFF + ladder.arithmetic) * size
+        size = max(abs(value), abs(expected), scale)
+        error = MARGIN * SAFETY * distance + max(ladder.errors.values()) * size
         out.append(Identity(name, value, expected, error))
     return tuple(out)
 

@@ -100,7 +100,7 @@ def _density(ladder: Ladder, observable: Observable, tol: float) -> Density:
     panels, pdf = marginal(frame, ladder.finest, observable)
     _, coarser = marginal(frame, ladder.coarser, observable)
     local, largest = _local_distance(panels, pdf, coarser)
-    floor = ROUND_OFF * largest + ladder.arithmetic * largest
+    floor = ROUND_OFF * largest
     measured = Measured(
         l1_error=ladder.errors[observable],
         mass_defect=np.nan,

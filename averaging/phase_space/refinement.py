@@ -11,29 +11,29 @@ from threadpoolctl import threadpool_limits
 from averaging.phase_space.elimination import Degrees, Expansion, expanded, sizes
 from averaging.phase_space.frame import Frame, Reference, gibbs_reference
 from averaging.phase_space.marginals import marginal, needs_all_levels
-from averaging.phase_space.moments import refitted
+from averaging.phase_space.moments import moments, refitted
 from averaging.phase_space.panels import width_between_stops
 from fpk.cores import usable_cores
 from fpk.density import gauss_grid, integral
 from fpk.method import Progress
-from fpk.observable import Observable
+from fpk.observable import Coordinate, Observable
 
 REFITS = 2
 """Solutions of the lowest degrees from which the reference takes its moments: the second changes
 the first by less than a thousandth of what the degrees leave."""
-SLOWEST, FASTEST = 1.5, 4.0
+SLOWEST, FASTEST = 1.5, 3.0
 """Factors by which the error is believed to fall from one solution to the next, at the least and
 at the most, whatever the last two distances say."""
-SAFETY = 1.5
-"""Factor on the error that follows from the last distance and that factor."""
+SAFETY = 3.0
+"""Factor on the error that follows from the last distance and that factor: of random systems with
+damping ratios down to 0.002 the error was up to 1.9 times it."""
 ROUND_OFF = 1e-11
 """L1 error of the arithmetic in double precision: on exact densities it was up to 2.3e-12."""
-SINGLE, SINGLE_ERROR = 5e-6, 1e-6
-"""Tolerance from which levels above the second are eliminated in single precision, and the L1 error
-that it adds at the most: on fig6, by comparison, it is 3e-7."""
-MOST_DEGREES = 30
-"""Highest level of two and more masses: beyond, coefficients of high degree in y grow again where
-damping and noise are far from one proportion (fig6, B = 10: errors of 4e-5 at 30, 4e-3 at 38)."""
+MOST_OUTER = 26
+"""Most polynomials beyond a stop. Their slopes grow without bound at the stop, and above some 32 no
+level follows them: on fig6, B = 10, errors rise from 2e-5 at 30 polynomials to 4e-3 at 42."""
+MOST_DEGREES = 38
+"""Highest level of two and more masses: what higher ones gain, the panels do not resolve."""
 MEMORY = 4.0e9
 """Bytes that a solution may need; one that needs more is not begun."""
 WORK = 4.0e13
@@ -45,8 +45,8 @@ class Ladder:
     """A solution, the coarser one before it, and the L1 error of each observable.
 
     ``errors`` is by observable, and ``factors`` what the last distance was taken times for it;
-    ``arithmetic`` is the part that single precision has in each. ``limit`` says in words why no
-    finer solution was made, empty where the tolerance is met. ``solutions`` is how many were made.
+    ``limit`` says in words why no finer solution was made, empty where the tolerance is met.
+    ``solutions`` is how many were made.
     """
 
     frame: Frame
@@ -54,7 +54,6 @@ class Ladder:
     coarser: Expansion
     errors: dict[Observable, float]
     factors: dict[Observable, float]
-    arithmetic: float
     limit: str
     solutions: int
 
@@ -67,18 +66,17 @@ def degrees_of(level: int, n: int, width: float) -> Degrees:
     """
     total = (10 if n < 3 else 6) + (8 if n == 1 else 4) * level
     others = 0 if n == 1 else (6 if n == 2 else 4) + 2 * level
-    outer = total + 4
+    outer = min(total + 4, MOST_OUTER if n > 1 else 60)
     inner = 2 * ceil(0.5 * min(6.0 + 0.12 * width * outer, outer))
     return Degrees(total, others, inner, outer)
 
 
-def cost(frame: Frame, degrees: Degrees, *, whole: bool, single: bool) -> tuple[float, float]:
+def cost(frame: Frame, degrees: Degrees, *, whole: bool) -> tuple[float, float]:
     """Return the bytes and the multiplications that a solution takes."""
     left, right = frame.stops
     size = sizes(degrees, frame.n, (1, left.size + right.size), mirrored=frame.symmetric)
     stored = np.sum(size**2) if whole else 0.0
-    bytes_each = 4.0 if single else 8.0
-    return bytes_each * float(8.0 * np.max(size) ** 2 + stored), float(4.0 * np.sum(size**3))
+    return 8.0 * float(8.0 * np.max(size) ** 2 + stored), float(4.0 * np.sum(size**3))
 
 
 def solved_to(
@@ -92,19 +90,17 @@ def solved_to(
     """Return the first solution whose L1 errors of all ``observables`` are at most ``tol``.
 
     From level to level the error of an observable falls by a factor r, judged from the last two
-    distances between solutions; with the last distance d it is d/(r − 1). ``reference`` is where
-    to start, None for the Gibbs state.
+    distances d between solutions; it is d/(r − 1) at the last one. ``reference`` is where to start,
+    None for the Gibbs state.
     """
     whole = any(needs_all_levels(frame, o) for o in observables)
     reference = reference or gibbs_reference(frame)
     width = width_between_stops(frame, reference)
-    single = tol >= SINGLE
 
     def why_not(level: int) -> str:
         degrees = degrees_of(level, frame.n, width)
-        return _refusal(degrees, *cost(frame, degrees, whole=whole, single=single))
+        return _refusal(degrees, *cost(frame, degrees, whole=whole))
 
-    arithmetic = SINGLE_ERROR if single else 0.0
     with threadpool_limits(limits=usable_cores(), user_api="blas"):
         for _ in range(REFITS):
             first = expanded(frame, reference, degrees_of(0, frame.n, width), whole=False)
@@ -127,26 +123,26 @@ def solved_to(
                     break
             degrees = degrees_of(len(solutions), frame.n, width)
             step = _steps(progress, degrees)
-            solutions.append(
-                expanded(frame, reference, degrees, whole=whole, single=single, step=step)
-            )
+            solutions.append(expanded(frame, reference, degrees, whole=whole, step=step))
             if len(solutions) == 1:
                 continue
-            before, distance = (
-                distance,
-                {o: _distance(frame, solutions[-1], solutions[-2], o) for o in errors},
-            )
-            for o, d in distance.items():
-                rate = np.clip(before[o] / d if o in before and d > 0.0 else 2.0, SLOWEST, FASTEST)
-                factors[o] = float(SAFETY / (rate - 1.0))
-                errors[o] = factors[o] * d + ROUND_OFF + arithmetic
+            least = _common_distance(frame, solutions[-1], solutions[-2])
+            for o in errors:
+                last = max(_distance(frame, solutions[-1], solutions[-2], o), least)
+                # A distance may be small by chance: it is believed to fall no faster than this.
+                before = distance.get(o, SLOWEST * last)
+                distance[o] = max(last, before / FASTEST)
+                rate = max(before / distance[o], SLOWEST) if distance[o] > 0.0 else SLOWEST
+                error = SAFETY * distance[o] / (rate - 1.0)
+                errors[o] = error + ROUND_OFF
+                factors[o] = error / last if last > 0.0 else 0.0
     coarser, finest = solutions[-2:]
-    return Ladder(frame, finest, coarser, errors, factors, arithmetic, limit, len(solutions))
+    return Ladder(frame, finest, coarser, errors, factors, limit, len(solutions))
 
 
 def _refusal(degrees: Degrees, size: float, work: float) -> str:
     if degrees.total > MOST_DEGREES and degrees.others:
-        return f"expansions beyond degree {MOST_DEGREES} get worse, not better"
+        return f"no expansion goes beyond degree {MOST_DEGREES}"
     if size > MEMORY:
         return f"a finer solution needs {size / 1e9:.2g} GB of memory, at most {MEMORY / 1e9:.2g}"
     if work > WORK:
@@ -159,6 +155,20 @@ def _steps(progress: Progress, degrees: Degrees) -> Callable[[float], None]:
         progress(int(100 * share), 100, f"phase space, degree {degrees.total}")
 
     return step
+
+
+def _common_distance(frame: Frame, a: Expansion, b: Expansion) -> float:
+    """What the distance of any density is taken for at the least.
+
+    It is half of the largest change of a covariance, in standard deviations, as it changes the L1
+    norm of a Gaussian, or a quarter of the distance of the contact displacement: with light
+    damping the distance of one density is small by chance where that of others is not.
+    """
+    first, second = moments(frame, a).covariance, moments(frame, b).covariance
+    scale = np.sqrt(np.diag(first))
+    change = 0.5 * float(np.max(np.abs(first - second) / np.outer(scale, scale)))
+    contact = (Coordinate("q", frame.contact),)
+    return max(change, 0.25 * _distance(frame, a, b, contact))
 
 
 def _distance(frame: Frame, a: Expansion, b: Expansion, observable: Observable) -> float:

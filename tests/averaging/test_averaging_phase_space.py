@@ -1,5 +1,6 @@
 """The unreduced equation against exact densities, exact moments and identities."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -14,10 +15,12 @@ from averaging.phase_space.frame import Reference, contact_frame, gibbs_referenc
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.moments import moments
+from cases.comparison.compare import compared
 from fpk.density import gauss_grid, integral, l1_distance
 from fpk.errors import NotApplicable
 from fpk.linear import stationary_covariance
-from fpk.observable import parse_observable
+from fpk.observable import Coordinate, parse_observable
+from sim.montecarlo import MonteCarlo
 
 FIG6 = {"mass": [1, 1], "stiffness": [1, 1], "damping": [0.08, 0.04]}
 STOP = fpk.Contact(mass=2, side="both", stiffness=10.0, clearance=0.5)
@@ -203,3 +206,51 @@ def test_the_inverse_by_quarters_is_the_inverse(size):
     rng = np.random.default_rng(20261123)
     A = rng.normal(size=(size, size)) / np.sqrt(size) - 3.0 * np.eye(size)
     assert inverted(A) @ A == pytest.approx(np.eye(size), abs=1e-12)
+
+
+def drawn(rng):
+    """Two masses of random size, damping and noise with a stop on one of them."""
+    contact = fpk.Contact(
+        mass=int(rng.integers(1, 3)),
+        side=str(rng.choice(["both", "left", "right"])),
+        stiffness=float(10.0 ** rng.uniform(-1.0, 1.5)),
+        clearance=float(rng.uniform(0.1, 0.6)),
+        law=str(rng.choice(["hertz", "bilinear"])),
+    )
+    damping = rng.uniform(0.03, 0.2, 2)
+    noise = rng.uniform(0.3, 1.0, 2) * damping * rng.uniform(0.2, 0.6)
+    mass, stiffness = rng.uniform(0.5, 2.0, (2, 2))
+    return fpk.System(mass, stiffness, damping, noise, contacts=(contact,)), contact
+
+
+@pytest.mark.slow
+def test_simulations_of_random_systems_agree_and_of_wrong_clearances_do_not():
+    rng = np.random.default_rng(20261123)
+    seen = 0
+    for seed in range(40):
+        system, contact = drawn(rng)
+        observable = (Coordinate("q", contact.index),)
+        method = PhaseSpace(tol=3e-4)
+        answer = method.solve(system, [observable])
+        assert answer.densities[0].certificate.certified
+        wrong_stop = replace(contact, clearance=1.1 * contact.clearance)
+        for other, holds in ((system, True), (replaced(system, wrong_stop), False)):
+            sampled = MonteCarlo(seconds=3.0, seed=seed, tol=1e-6).solve(other, [observable])
+            (comparison,) = compared([answer, sampled], averaging_is_exact=False)
+            assert comparison.measures == "sampling"
+            if holds:
+                assert comparison.holds, (seed, comparison)
+            else:
+                seen += not comparison.holds
+    # Where the stop is soft or far 3 s of simulation do not see a tenth of its clearance.
+    assert seen >= 30
+
+
+def replaced(system, contact):
+    return fpk.System(
+        system.mass,
+        system.stiffness,
+        system.damping,
+        system.noise_intensity,
+        contacts=(contact,),
+    )
