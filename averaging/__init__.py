@@ -1,7 +1,8 @@
 """System to Density by theory: stochastic averaging, exact and Gaussian solutions.
 
 ``NonIntegrable`` averages the total energy, ``Integrable`` the energies of the modes; ``Exact`` and
-``Linear`` solve the full system where its damping and noise, or the lack of contacts, allow it.
+``Linear`` solve the full system where its damping and noise, or the lack of contacts, allow it,
+``PhaseSpace`` up to three masses with stops on one of them.
 Each is loaded, and its routes registered, when it is first used.
 """
 
@@ -13,14 +14,16 @@ if TYPE_CHECKING:
     from averaging.gaussian import Linear
     from averaging.integrable import Integrable
     from averaging.nonintegrable import NonIntegrable
+    from averaging.phase_space.method import PhaseSpace
 
-__all__ = ["Exact", "Integrable", "Linear", "NonIntegrable"]
+__all__ = ["Exact", "Integrable", "Linear", "NonIntegrable", "PhaseSpace"]
 
 _HOME = {
     "Exact": "averaging.exact",
     "Integrable": "averaging.integrable",
     "Linear": "averaging.gaussian",
     "NonIntegrable": "averaging.nonintegrable",
+    "PhaseSpace": "averaging.phase_space.method",
 }
 
 

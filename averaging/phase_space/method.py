@@ -15,7 +15,7 @@ from averaging.theory import Theory
 from fpk.arrays import Array
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
-from fpk.errors import NotApplicable
+from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Plan, Progress, Result
 from fpk.observable import Observable, observable_name
 from fpk.route import Route, register
@@ -62,9 +62,12 @@ class PhaseSpace(Theory):
         gibbs_reference(frame)
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
-            ladder = solved_to(
-                frame, observables, tol=self.tol, progress=progress, reference=self.reference
-            )
+            try:
+                ladder = solved_to(
+                    frame, observables, tol=self.tol, progress=progress, reference=self.reference
+                )
+            except np.linalg.LinAlgError as error:
+                raise NotCertified(f"the expansion breaks down: {error}") from None
             return Result(
                 self,
                 tuple(_density(ladder, o, self.tol) for o in observables),
@@ -100,13 +103,13 @@ def _density(ladder: Ladder, observable: Observable, tol: float) -> Density:
     panels, pdf = marginal(frame, ladder.finest, observable)
     _, coarser = marginal(frame, ladder.coarser, observable)
     local, largest = _local_distance(panels, pdf, coarser)
-    floor = ROUND_OFF * largest
+    floor, tail = ROUND_OFF * largest, _tail(panels, pdf)
     measured = Measured(
-        l1_error=ladder.errors[observable],
+        l1_error=ladder.errors[observable] + tail,
         mass_defect=np.nan,
         minimum=np.inf,
         residual=ladder.finest.residual,
-        tail_mass=_tail(panels, pdf),
+        tail_mass=tail,
         absolute_error=factor * float(local.max()) / largest,
     )
     if ladder.limit and ladder.errors[observable] > tol:

@@ -17,8 +17,9 @@ DEEP = 75.0
 """−ln w at the ends of the support: w is 3e-33 of its largest value there."""
 RULE_POINTS = 160
 """Gauss points of a panel: products of polynomials of degree 60 with w and the contact force."""
-SAME = 1e-9
-"""Distance of two stops, in widths of the support, below which there is no panel between them."""
+SAME = 1e-3
+"""Distance of two stops, in widths of the support, below which there is no panel between them: what
+is not smooth at the second of them, (y − δ)^(5/2) in ln w, is 3e-8 there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,10 +150,12 @@ def support(frame: Frame, reference: Reference) -> tuple[float, float]:
     log_w = log_weight(frame, reference, y)
     top = int(log_w.argmax())
 
-    def depth(at: float) -> float:
-        return float(log_w[top] - log_weight(frame, reference, np.array([at]))[0]) - DEEP
+    def depth(share: float) -> float:
+        at = np.array([share * reach])
+        return float(log_w[top] - log_weight(frame, reference, at)[0]) - DEEP
 
-    return float(brentq(depth, y[0], y[top])), float(brentq(depth, y[top], y[-1]))
+    ends = [brentq(depth, a / reach, b / reach) for a, b in ((y[0], y[top]), (y[top], y[-1]))]
+    return float(ends[0] * reach), float(ends[1] * reach)
 
 
 def width_between_stops(frame: Frame, reference: Reference) -> float:
@@ -172,9 +175,11 @@ def basis(frame: Frame, reference: Reference, counts: Sequence[tuple[int, int]])
     inner, outer = np.max(counts, axis=0)
     low, high = support(frame, reference)
     left, right = (x[(x > low) & (x < high)] for x in frame.stops)
-    nodes = np.concatenate([[low], left, right, [high]])
-    nodes = nodes[np.concatenate([[True], np.diff(nodes) > SAME * (high - low)])]
     near = SAME * (high - low)
+    if left.size and right.size and right[0] - left[-1] <= near:
+        left[-1] = right[0] = 0.5 * (left[-1] + right[0])
+    nodes = np.concatenate([[low], left, right, [high]])
+    nodes = nodes[np.concatenate([[True], np.diff(nodes) > near])]
     panels = []
     for a, b in pairwise(nodes):
         # A left stop anchors what is left of it, a right stop what is right of it.
@@ -216,13 +221,12 @@ def _length(frame: Frame, reference: Reference, anchor: float, end: float) -> fl
     """Distance beyond a stop at which 2 w₃ (U − U(anchor)) is 1, at the most that to ``end``."""
     start = frame.contact_energy(np.array([anchor]))[0]
 
-    def excess(y: float) -> float:
-        energy = frame.contact_energy(np.array([y]))[0] - start
+    def excess(share: float) -> float:
+        energy = frame.contact_energy(np.array([anchor + share * (end - anchor)]))[0] - start
         return float(2.0 * reference.weight[2] * energy - 1.0)
 
-    if excess(end) <= 0.0:
-        return abs(end - anchor)
-    return abs(float(brentq(excess, anchor, end)) - anchor)
+    share = 1.0 if excess(1.0) <= 0.0 else float(brentq(excess, 0.0, 1.0))
+    return share * abs(end - anchor)
 
 
 def _orthonormal(t: Array, w: Array, degree: int) -> tuple[float, Array]:

@@ -47,6 +47,7 @@ GIBBS = {
     "unequal sides": common((*stop(side="right"), *stop(side="left", clearance=0.2))),
     "two stops on a side": common(stop(side="right") + stop(side="right", clearance=0.8)),
     "no clearance": common(stop(clearance=0.0)),
+    "hardly any clearance": common(stop(clearance=1e-7)),
     "bilinear": common(stop(law="bilinear")),
     "cubic": common(stop(law="power", exponent=3.0)),
     "unequal masses": common(stop(), mass=(2.0, 0.5)),
