@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 from fpk.errors import InvalidInput
 from fpk.method import Method
@@ -49,13 +49,12 @@ class Theory(Method):
         return replace(self, tol=max(0.1 * self.tol, SMALLEST))
 
     @classmethod
-    def register(cls) -> None:
-        """Register a route for each solver."""
+    def register(cls, **options: Any) -> None:
+        """Register a route for each solver, with further ``options`` of the ``Route``."""
         for solver, words, equation in cls.solvers:
             make = partial(cls, solver=solver)
-            register(
-                Route(cls.method, solver, words, equation, cls.solves, False, cls.colour, make)
-            )
+            names = cls.method, solver, words, equation, cls.solves
+            register(Route(*names, False, cls.colour, make, **options))
 
 
 def energy_only_refusal(

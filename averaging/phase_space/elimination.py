@@ -109,7 +109,7 @@ def expanded(
         if whole or n <= 3:
             inverses[n] = inverse
         step(work[degrees.total - n] / work[-1])
-    A = chain.within(sets[0], 0) + chain.from_above(sets[0], above[0])
+    A = chain.within(sets[0]) + chain.from_above(sets[0], above[0])
     one = functions.sets[0].T @ (functions.functions(functions.points)[0].T @ functions.weights)
     scale = float(np.abs(A).max())
     # The equation of the mass is 0 = 0: in its place that the mass is one.
@@ -183,7 +183,7 @@ class _Chain:
             functions.sets,
         )
 
-    def within(self, level: Level, total: int, top: bool = False) -> Array:
+    def within(self, level: Level, *, top: bool = False) -> Array:
         """Return the equations of a level in itself; of the highest one, closed by radiation."""
         d, count = level.k.shape[1], level.k.shape[0]
         A = np.zeros((count, count))
@@ -192,7 +192,7 @@ class _Chain:
                 size = np.sqrt(level.k[:, j] * (level.k[:, i] + (i != j)))
                 at = np.flatnonzero((level.k[:, j] > 0) & (level.moved[i, j] >= 0))
                 A[level.moved[i, j][at], at] += self.linear[i, j] * size[at]
-        functions = self.adjoint[total].shape[0]
+        functions = self.adjoint[level.total].shape[0]
         full = np.zeros((count, functions, count, functions))
         each = np.arange(functions)
         full[:, each, :, each] = A
@@ -206,7 +206,7 @@ class _Chain:
         """Return what the level above, R times unknowns of lower levels, adds to ``level``."""
         E = self.adjoint[level.total]
         parts = R.reshape(-1, E.shape[1], R.shape[1])[level.raised[0]]
-        parts = np.matmul((self.reach * E), parts)
+        parts = np.matmul(self.reach * E, parts)
         parts *= np.sqrt(level.k[:, 0] + 1.0)[:, None, None]
         return np.asarray(parts.reshape(-1, R.shape[1]))
 
@@ -220,7 +220,7 @@ class _Chain:
 
         ``above`` are R and Q of the level above, none for the highest; there is no Q for n = 1.
         """
-        A: Array = self.within(sets[n], n, top=not above)
+        A: Array = self.within(sets[n], top=not above)
         if above:
             A += self.from_above(sets[n], above[0])
         inverse = inverted(A)

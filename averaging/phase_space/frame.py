@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fpk.arrays import Array
+from fpk.effects import looks_the_same_mirrored
 from fpk.errors import NotApplicable
 from fpk.system import System
 
@@ -13,8 +14,8 @@ from fpk.system import System
 class Frame:
     """Eq. (6) in displacements and velocities times √m, with the contact mass set apart.
 
-    ``contact`` is the mass that meets the stops, counted from 0 (the last where there are none),
-    ``others`` the rest; ``order`` both. ``stiffness``, ``damping`` and ``noise`` (n, n) are
+    ``contact`` is the mass that meets the stops, counted from 0 (the last where there are none);
+    ``order`` lists it first, then the others. ``stiffness``, ``damping`` and ``noise`` (n, n) are
     M^(−½) X M^(−½) in this order: with y the displacement √m q of the contact mass, ``r`` those of
     the others and ``v`` all velocities √m q' = p/√m, it is ``dv = −(K (y, r) + c v + g(y) e₁) dt``
     plus noise of covariance 2 ``noise`` dt.
@@ -49,10 +50,7 @@ class Frame:
     @property
     def symmetric(self) -> bool:
         """Whether (q, p) and (−q, −p) are equally likely."""
-        sides = {-1.0: set(), 1.0: set()}  # type: dict[float, set[tuple[object, ...]]]
-        for s in self.system.stops:
-            sides[s.sign].add((s.law, s.power, s.stiffness, s.clearance))
-        return sides[-1.0] == sides[1.0]
+        return looks_the_same_mirrored(self.system)
 
     def contact_energy(self, y: Array) -> Array:
         """Contact energy U at displacements y."""

@@ -18,7 +18,6 @@ from fpk.density import Density, certified_density
 from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Plan, Progress, Result
 from fpk.observable import Observable, observable_name
-from fpk.route import Route, register
 from fpk.system import System
 
 MOST_MASSES = 3
@@ -40,7 +39,8 @@ class PhaseSpace(Theory):
     meets the stops, and in polynomials on panels of that one, solved by elimination of levels of
     equal degree (``averaging.phase_space.elimination``). Up to three masses, stops on one of them,
     any constant damping and noise. ``tol`` is the L1 error wanted of each density; degrees rise
-    until the estimate meets it, or memory or instability ends them, and the certificate says so.
+    until the estimate meets it; where memory or the highest degree ends them first, the certificate
+    says so.
     ``reference`` is where the expansion starts, for tests of its independence; None: Gibbs.
     """
 
@@ -76,17 +76,6 @@ class PhaseSpace(Theory):
             )
 
         return Plan(_refusal, solve)
-
-    @classmethod
-    def register(cls) -> None:
-        """Register the route, which ``fpk run`` does not take by itself: it takes minutes."""
-        for solver, words, equation in cls.solvers:
-            register(
-                Route(
-                    cls.method, solver, words, equation, cls.solves, False, cls.colour, cls,
-                    unasked=lambda system: False,
-                )
-            )  # fmt: skip
 
 
 def _refusal(observable: Observable) -> str | None:
@@ -188,4 +177,5 @@ def _settings(ladder: Ladder) -> dict[str, str | float | int]:
     return settings
 
 
-PhaseSpace.register()
+# ``fpk run`` does not take it by itself: a curve takes seconds to a minute.
+PhaseSpace.register(unasked=lambda system: False)

@@ -25,15 +25,15 @@ SLOWEST, FASTEST = 1.5, 3.0
 """Factors by which the error is believed to fall from one solution to the next, at the least and
 at the most, whatever the last two distances say."""
 SAFETY = 3.0
-"""Factor on the error that follows from the last distance and that factor: of random systems with
-damping ratios down to 0.002 the error was up to 1.9 times it."""
+"""Factor on the error that follows from the last two distances between solutions: with half of it
+errors were up to 1.9 times the stated one, at damping ratios below 0.005."""
 ROUND_OFF = 1e-11
 """L1 error of the arithmetic in double precision: on exact densities it was up to 2.3e-12."""
 MOST_OUTER = 26
 """Most polynomials beyond a stop. Their slopes grow without bound at the stop, and above some 32 no
 level follows them: on fig6, B = 10, errors rise from 2e-5 at 30 polynomials to 4e-3 at 42."""
 MOST_DEGREES = 38
-"""Highest level of two and more masses: what higher ones gain, the panels do not resolve."""
+"""Highest level of two and more masses: ``MOST_OUTER`` polynomials do not resolve more."""
 MEMORY = 4.0e9
 """Bytes that a solution may need; one that needs more is not begun."""
 WORK = 4.0e13
@@ -44,7 +44,7 @@ WORK = 4.0e13
 class Ladder:
     """A solution, the coarser one before it, and the L1 error of each observable.
 
-    ``errors`` is by observable, and ``factors`` what the last distance was taken times for it;
+    ``errors`` is by observable, and ``factors`` the error over the distance of the two solutions;
     ``limit`` says in words why no finer solution was made, empty where the tolerance is met.
     ``solutions`` is how many were made.
     """
@@ -128,14 +128,15 @@ def solved_to(
                 continue
             least = _common_distance(frame, solutions[-1], solutions[-2])
             for o in errors:
-                last = max(_distance(frame, solutions[-1], solutions[-2], o), least)
+                own = _distance(frame, solutions[-1], solutions[-2], o)
+                last = max(own, least)
                 # A distance may be small by chance: it is believed to fall no faster than this.
                 before = distance.get(o, SLOWEST * last)
                 distance[o] = max(last, before / FASTEST)
                 rate = max(before / distance[o], SLOWEST) if distance[o] > 0.0 else SLOWEST
                 error = SAFETY * distance[o] / (rate - 1.0)
                 errors[o] = error + ROUND_OFF
-                factors[o] = error / last if last > 0.0 else 0.0
+                factors[o] = error / own if own > 0.0 else 0.0
     coarser, finest = solutions[-2:]
     return Ladder(frame, finest, coarser, errors, factors, limit, len(solutions))
 
@@ -158,11 +159,12 @@ def _steps(progress: Progress, degrees: Degrees) -> Callable[[float], None]:
 
 
 def _common_distance(frame: Frame, a: Expansion, b: Expansion) -> float:
-    """What the distance of any density is taken for at the least.
+    """Return the least L1 distance that is believed of any density of two solutions.
 
-    It is half of the largest change of a covariance, in standard deviations, as it changes the L1
-    norm of a Gaussian, or a quarter of the distance of the contact displacement: with light
-    damping the distance of one density is small by chance where that of others is not.
+    With light damping the distance of one density may be small by chance where those of others are
+    not. The least is half of the largest change of a covariance, in standard deviations, which is
+    about what it changes a Gaussian by in L1, or a quarter of the distance of the densities of the
+    contact displacement, if that is more.
     """
     first, second = moments(frame, a).covariance, moments(frame, b).covariance
     scale = np.sqrt(np.diag(first))
