@@ -1,57 +1,110 @@
-"""Degrees of the Hermite polynomials of each level, and where the neighbours of each stand."""
+"""Degrees of the Hermite polynomials and of the functions of y that stand with each of them."""
 
 from dataclasses import dataclass
 from functools import lru_cache
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fpk.arrays import Array
+
 Indices = NDArray[np.intp]
+
+LEAST = 0.5
+"""Least number of polynomials beyond a stop at high levels of a high degree in the velocity of the
+contact mass alone, as it is the stop that makes these, over the most."""
+LEAST_MIXED = 0.3
+"""Least number of them of any degrees, over the most."""
+FEWER = 1.2
+"""Polynomials beyond a stop that each degree in the other variables takes away."""
+
+
+@dataclass(frozen=True)
+class Degrees:
+    """How fine an expansion is: highest level, degree in all but the contact velocity, panels.
+
+    ``total`` is the largest |k|, ``others`` the largest sum of the degrees in the other velocities
+    and in x; ``outer`` the number of polynomials in y beyond the last stop.
+    """
+
+    total: int
+    others: int
+    outer: int
+
+    def beyond(self, level: int, others: int) -> int:
+        """Number of polynomials beyond a stop, of |k| = ``level`` and a degree in the others.
+
+        Motion turns degrees in y into those in velocities, so that what matters is their sum: the
+        higher those of the velocities, the fewer polynomials. Levels go in pairs, as the
+        derivatives of the functions of one are those of the next.
+        """
+        alone = max(self.outer - level // 2 * 2, int(LEAST * self.outer))
+        return max(alone - int(FEWER * others), int(LEAST_MIXED * self.outer))
+
+    def between(self, width: float) -> int:
+        """Number of polynomials of a panel between stops, odd; one without end has ``outer`` + 1.
+
+        ``width`` is in standard deviations of the weight without stops.
+        """
+        return 2 * ceil(0.5 * min(6.0 + 0.12 * width * self.outer, self.outer)) + 1
+
+    def fewer(self, most: int, beyond: int) -> int:
+        """Number of polynomials of a panel between stops that goes with ``beyond``; odd.
+
+        It falls half as fast: with fewer, errors were ten times larger between distant stops.
+        """
+        return 2 * int(0.25 * most * (1.0 + beyond / self.outer)) + 1
 
 
 @dataclass(frozen=True, eq=False)
-class Level:
-    """All degrees k (count, d) of a total |k| = ``total``, k₂ + … + k_d at the most ``others``.
+class Others:
+    """Degrees in the variables other than the contact velocity, of one sum.
 
-    ``raised`` (d, count) is where k + e_i stands in the level above, −1 where it is not in the
-    set; ``moved`` (d, d, count) where k − e_j + e_i stands in this one, likewise.
+    ``k`` (count, d − 1) are all of the sum ``total``; ``raising[i]`` (count of the next sum, count)
+    is a_i⁺: √(k_i + 1) where k + e_i stands in the next sum.
     """
 
     total: int
     k: Indices
-    raised: Indices
-    moved: Indices
+    raising: tuple[Array, ...]
 
 
 @lru_cache(maxsize=4)
-def levels(total: int, others: int, d: int) -> tuple[Level, ...]:
-    """Return the levels 0 to ``total`` in ``d`` variables."""
-    rest = _compositions(others, d - 1)
-    sums = rest.sum(axis=1)
-    sets = []
-    for n in range(total + 2):
-        fits = sums <= n
-        sets.append(np.column_stack([n - sums[fits], rest[fits]]))
-    return tuple(_level(n, sets[n], sets[n + 1]) for n in range(total + 1))
+def others_to(most: int, d: int) -> tuple[Others, ...]:
+    """Return the degrees of sums 0 to ``most`` in ``d`` variables less the first."""
+    sets = [_of_sum(total, d - 1) for total in range(most + 2)]
+    out = []
+    for total in range(most + 1):
+        k, above = sets[total], {tuple(row): i for i, row in enumerate(sets[total + 1].tolist())}
+        raising = []
+        for i in range(d - 1):
+            A, up = np.zeros((len(above), k.shape[0])), k + np.eye(d - 1, dtype=np.intp)[i]
+            A[[above[tuple(row)] for row in up.tolist()], np.arange(k.shape[0])] = np.sqrt(up[:, i])
+            raising.append(A)
+        out.append(Others(total, k, tuple(raising)))
+    return tuple(out)
 
 
-def _compositions(most: int, d: int) -> Indices:
-    """All d numbers >= 0 with a sum of at most ``most``, by their sum."""
+def _of_sum(total: int, d: int) -> Indices:
+    """All d numbers >= 0 of this sum, (count, d)."""
     if d == 0:
-        return np.zeros((1, 0), dtype=np.intp)
-    grid = np.indices((most + 1,) * d).reshape(d, -1).T
-    grid = grid[grid.sum(axis=1) <= most]
-    return np.asarray(grid[np.lexsort((*grid.T, grid.sum(axis=1)))], dtype=np.intp)
+        return np.zeros((int(total == 0), 0), dtype=np.intp)
+    grid = np.indices((total + 1,) * d).reshape(d, -1).T
+    return np.asarray(grid[grid.sum(axis=1) == total], dtype=np.intp)
 
 
-def _level(n: int, k: Indices, above: Indices) -> Level:
-    d, unit = k.shape[1], np.eye(k.shape[1], dtype=np.intp)
-    here = {tuple(row): i for i, row in enumerate(k.tolist())}
-    there = {tuple(row): i for i, row in enumerate(above.tolist())}
+def raised(others: tuple[Others, ...], level: int, v: Array, e: Array) -> Array:
+    """Return Σ_i e_i a_i⁺ v of coefficients v (count of ``level``, ...), for the level above.
 
-    def places(of: dict[tuple[int, ...], int], rows: Indices) -> Indices:
-        return np.array([of.get(tuple(row), -1) for row in rows.tolist()], dtype=np.intp)
-
-    raised = np.array([places(there, k + unit[i]) for i in range(d)])
-    moved = np.array([[places(here, k + unit[i] - unit[j]) for j in range(d)] for i in range(d)])
-    return Level(n, k, raised, moved)
+    A level has its k by their sum in the others, in the order of ``others``.
+    """
+    highest = len(others) - 1
+    parts = np.split(v, np.cumsum([o.k.shape[0] for o in others[: level + 1]])[:-1])
+    out = [e[0] * np.sqrt(level - m + 1.0) * part for m, part in enumerate(parts)]
+    if level < highest:
+        out.append(np.zeros((others[level + 1].k.shape[0], *v.shape[1:])))
+    for m in range(min(level, highest - 1) + 1):
+        for a, A in zip(e[1:], others[m].raising, strict=True):
+            out[m + 1] = out[m + 1] + a * (A @ parts[m])
+    return np.concatenate(out)

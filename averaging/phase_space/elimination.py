@@ -10,77 +10,143 @@ into
 F' = C⁻¹ F C, G' = C⁻¹ G C⁻ᵀ, h' = C⁻¹ h, z₁ = l·C⁻¹ z, ∂* the adjoint of ∂/∂y in L²(w). C is lower
 triangular, so that z₁ has one term. A level is all k of one sum: it meets itself, the two below and
 the one above. Where S is not that of the linear part alone the second term is not zero.
+
+Levels of even degree have continuous functions of y, those of odd degree broken ones (``Basis``).
+∂* connects the two only; for a broken f and a continuous u, (f, ∂* u) is −(f, u' + (ln w)' u).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
-from averaging.phase_space.degrees import Indices, Level, levels
+from averaging.phase_space.degrees import Degrees, Indices, Others, others_to
 from averaging.phase_space.frame import Frame, Reference, linear_part
-from averaging.phase_space.panels import Basis, basis
+from averaging.phase_space.panels import Basis, basis, polynomials
 from fpk.arrays import Array
 
-LEAST = 6
-"""Least number of polynomials in y on a panel, at the highest levels."""
 LEAF = 200
 """Order of a matrix up to which LAPACK inverts it; above, by quarters: products are faster."""
-
-
-@dataclass(frozen=True)
-class Degrees:
-    """How fine an expansion is: highest level, degree in all but the contact velocity, panels.
-
-    ``total`` is the largest |k|, ``others`` the largest sum of the degrees in the other velocities
-    and in x; ``inner`` and ``outer`` the number of polynomials in y between stops and beyond one.
-    """
-
-    total: int
-    others: int
-    inner: int
-    outer: int
-
-    @property
-    def counts(self) -> list[tuple[int, int]]:
-        """Polynomials of y between stops and beyond one, of each level.
-
-        Motion turns degrees in y into those in the velocity, so that what matters is their sum:
-        the higher the level, the fewer polynomials. Level 1 has as many as level 0, whose equations
-        it alone makes: with fewer they would be singular. An even number between stops: with an odd
-        one there are more even functions than odd ones, and answers converge three times slower.
-        """
-        beyond = [max(self.outer - max(n - 1, 0), LEAST) for n in range(self.total + 1)]
-        return [(min(self.inner, 2 * (count // 2)), count) for count in beyond]
 
 
 @dataclass(frozen=True, eq=False)
 class Expansion:
     """Coefficients of a solution: ``levels[n]`` is (count, functions) of level n, of what is kept.
 
-    ``basis`` has the functions of y, ``factor`` C. ``residual`` is that of the equations of level
-    0, into which all others are eliminated, relative to the terms that cancel in them.
+    ``basis`` has the functions of y, ``factor`` C; ``others`` the degrees in the variables other
+    than the contact velocity. ``residual`` is that of the equations of level 0, into which all
+    others are eliminated, relative to the terms that cancel in them.
     """
 
     basis: Basis
     factor: Array
     degrees: Degrees
     levels: tuple[Array, ...]
-    sets: tuple[Level, ...]
+    others: tuple[Others, ...]
     residual: float
+
+    def degree(self, n: int) -> Indices:
+        """The degrees k of level n, (count, d)."""
+        parts = [np.insert(o.k, 0, n - o.total, axis=1) for o in self.others[: n + 1]]
+        return np.concatenate(parts)
 
     def functions(self, n: int, y: Array) -> Array:
         """u_k(y) of all k of level n, (count, points)."""
         values, _ = self.basis.functions(y)
-        return np.asarray(self.levels[n] @ self.basis.sets[n].T @ values.T)
+        return np.asarray(self.of_panels(n) @ values.T)
+
+    def of_panels(self, n: int) -> Array:
+        """Coefficients of level n in the functions of all panels."""
+        return np.asarray(self.levels[n] @ self.basis.of_level(n)[:, : self.levels[n].shape[1]].T)
 
 
-def sizes(degrees: Degrees, n: int, panels: tuple[int, int], *, mirrored: bool) -> Array:
-    """Return the unknowns of each level of n masses; ``panels``: how many between, beyond stops."""
-    sets = levels(degrees.total, degrees.others, 2 * n - 1)
-    functions = np.array(degrees.counts) @ panels / (2.0 if mirrored else 1.0)
-    return np.array([s.k.shape[0] for s in sets]) * functions
+@dataclass(frozen=True)
+class Group:
+    """Unknowns of a level with one degree in the others: ``count`` of k times ``functions`` of y.
+
+    ``start`` is the first of them among those of the level.
+    """
+
+    start: int
+    count: int
+    functions: int
+
+    @property
+    def span(self) -> slice:
+        """Where they stand among the unknowns of the level."""
+        return slice(self.start, self.start + self.count * self.functions)
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """What the unknowns ``of`` one group add to the equations ``to`` another: a Kronecker product.
+
+    ``degrees`` acts on k, (count, count) or a multiple of the unit matrix, and ``functions`` on
+    functions of y, (functions, functions) or None for those that both groups have, unchanged.
+    """
+
+    to: Group
+    of: Group
+    degrees: Array | float
+    functions: Array | None = None
+
+    def transposed(self) -> "Term":
+        """The term of the transposed matrix."""
+        degrees = self.degrees if isinstance(self.degrees, float) else self.degrees.T
+        functions = None if self.functions is None else self.functions.T
+        return Term(self.of, self.to, degrees, functions)
+
+    def add_to(self, out: Array, X: Array) -> None:
+        """Add the term times X (unknowns, columns) to ``out`` (equations, columns)."""
+        part = X[self.of.span].reshape(self.of.count, self.of.functions, -1)
+        if self.functions is not None:
+            part = np.matmul(self.functions, part)
+        common = min(part.shape[1], self.to.functions)
+        part = part[:, :common]
+        if isinstance(self.degrees, float):
+            part = self.degrees * part
+        else:
+            part = np.tensordot(self.degrees, part, axes=1)
+        whole = out[self.to.span].reshape(self.to.count, self.to.functions, -1)
+        whole[:, :common] += part
+
+    def add_matrix_to(self, A: Array) -> None:
+        """Add the term itself, of functions unchanged, to a matrix (equations, unknowns)."""
+        to, of = self.to, self.of
+        whole = A[to.span, of.span].reshape(to.count, to.functions, of.count, of.functions)
+        each = np.arange(min(to.functions, of.functions))
+        whole[:, each, :, each] += self.degrees
+
+
+Terms = Sequence[Term]
+
+
+def applied(terms: Terms, X: Array, size: int) -> Array:
+    """Return the matrix (``size``, unknowns) of terms times X (unknowns, columns)."""
+    out = np.zeros((size, X.shape[1]), X.dtype)
+    for term in terms:
+        term.add_to(out, X)
+    return out
+
+
+def applied_from_right(X: Array, terms: Terms, size: int) -> Array:
+    """Return X (rows, equations) times the matrix (equations, ``size``) of terms."""
+    transposed = applied([t.transposed() for t in terms], np.ascontiguousarray(X.T), size)
+    return np.ascontiguousarray(transposed.T)
+
+
+def sizes(frame: Frame, reference: Reference, degrees: Degrees) -> Array:
+    """Return about how many unknowns each level has."""
+    panels = polynomials(frame, reference, degrees)
+    functions = [
+        sum(count if p == degrees.outer else degrees.fewer(p, count) for p in panels)
+        for count in range(degrees.outer + 1)
+    ]
+    out = np.zeros(degrees.total + 1)
+    for level in range(degrees.total + 1):
+        for o in others_to(degrees.others, 2 * frame.n - 1)[: level + 1]:
+            out[level] += o.k.shape[0] * functions[degrees.beyond(level, o.total)]
+    return out / (2.0 if frame.symmetric else 1.0)
 
 
 def expanded(
@@ -97,209 +163,287 @@ def expanded(
     contact displacement follow. ``step`` is called with the share of the work that is done. Double
     precision throughout: in single precision, at ten times lighter damping, errors were 4e-3.
     """
-    functions = basis(frame, reference, degrees.counts)
-    d = 2 * frame.n - 1
-    sets = levels(degrees.total, degrees.others, d)
-    chain = _Chain.of(frame, reference, functions)
-    work = np.cumsum([float(s.k.shape[0]) ** 3 for s in reversed(sets)])
-    inverses: dict[int, Array] = {}
-    above: list[Array] = []
-    for n in range(degrees.total, 0, -1):
-        inverse, *above = chain.eliminated(sets, n, above)
-        if whole or n <= 3:
-            inverses[n] = inverse
-        step(work[degrees.total - n] / work[-1])
-    A = chain.within(sets[0]) + chain.from_above(sets[0], above[0])
-    one = functions.sets[0].T @ (functions.functions(functions.points)[0].T @ functions.weights)
+    functions = basis(frame, reference, degrees)
+    chain = Chain.of(frame, reference, functions, degrees)
+    kept = degrees.total if whole else 2
+    inverses, A = factored(chain, kept=kept, step=step)
+    one = functions.of_one()[: A.shape[0]]
     scale = float(np.abs(A).max())
     # The equation of the mass is 0 = 0: in its place that the mass is one.
     u = [np.asarray(np.linalg.solve(A + scale * np.outer(one, one), scale * one), dtype=float)]
-    for n in range(1, degrees.total + 1 if whole else 3):
-        given = chain.forced(sets[n - 1], n, u[n - 1])
-        if n > 1:
-            given += chain.paired(sets, n, u[n - 2])
-        if n < degrees.total:
-            # What u_(n−1) makes of level n + 1 without u_n comes back to level n.
-            beyond = -(inverses[n + 1] @ chain.paired(sets, n + 1, u[n - 1]))
-            given += chain.from_above(sets[n], beyond[:, None])[:, 0]
-        u.append(np.asarray(-(inverses[n] @ given), dtype=float))
-    shaped = tuple(x.reshape(s.k.shape[0], -1) for x, s in zip(u, sets, strict=False))
+    for n in range(1, kept + 1):
+        u.append(-(inverses[n] @ chain.from_below(n, u, inverses)))
     residual = float(np.max(np.abs(A @ u[0])) / np.max(np.abs(A) @ np.abs(u[0])))
-    return Expansion(functions, chain.factor, degrees, shaped, sets, residual)
+    shaped = tuple(chain.shaped(n, x) for n, x in enumerate(u))
+    return Expansion(functions, chain.factor, degrees, shaped, chain.others, residual)
+
+
+def factored(
+    chain: "Chain",
+    *,
+    kept: int,
+    shift: complex = 0.0,
+    step: Callable[[float], None] = lambda share: None,
+) -> tuple[dict[int, Array], Array]:
+    """Eliminate all levels but the lowest from the equations less ``shift`` times the unknowns.
+
+    Returned are the inverses of what each level meets in itself after those above it, of levels 1
+    to ``kept`` + 1, and the equations of level 0. ``step`` is called with the share of the work
+    done.
+    """
+    top = chain.top
+    work = np.cumsum([float(chain.size(n)) ** 3 for n in range(top, -1, -1)])
+    inverses: dict[int, Array] = {}
+    R = Q = np.zeros((0, 0))
+    for n in range(top, 0, -1):
+        A, size = chain.within(n, shift=shift), chain.size(n)
+        if n < top:
+            A += applied(chain.above[n], R, size)
+        inverse = inverted(A, [group.start for group in chain.groups[n]])
+        # u_n = R u_(n−1) + Q u_(n−2).
+        R_next = applied_from_right(inverse, chain.forced[n], chain.size(n - 1))
+        if n < top:
+            R_next += inverse @ applied(chain.above[n], Q, size)
+        R = np.negative(R_next, out=R_next)
+        if n > 1:
+            Q = -applied_from_right(inverse, chain.paired[n], chain.size(n - 2))
+        if n <= kept + 1:
+            inverses[n] = inverse
+        step(work[top - n] / work[-1])
+    return inverses, chain.within(0, shift=shift) + applied(chain.above[0], R, chain.size(0))
 
 
 @dataclass(frozen=True, eq=False)
-class _Chain:
-    """The matrices of the equations between levels.
+class Chain:
+    """The equations between levels: of each level what it meets in itself and in the others.
 
-    ``factor`` C, ``linear`` F', ``pair`` ½ (F' + F'ᵀ) + G', ``reach`` l₁ = C₁₁. Of level n:
-    ``adjoint[n]`` is ∂* (functions of n, functions of n + 1), ``force[n][i]`` the part of a_i⁺
-    (functions of n, functions of n − 1), ``sets[n]`` as in ``Basis``. ``radiation`` is (∂* ∂)^½ at
-    the highest level, which stands for those above it.
+    ``factor`` C. ``groups[n]`` are the unknowns of level n by their degree in the others. Level n
+    meets itself by ``own[n]``, level n + 1 by ``above[n]``, level n − 1 by ``forced[n]`` and
+    n − 2 by ``paired[n]``. ``radiation[m]`` is l₁ (∂* ∂)^½ on the functions of group m of the
+    highest level, which stands for the levels above it.
     """
 
     factor: Array
-    linear: Array
-    pair: Array
-    reach: float
-    adjoint: tuple[Array, ...]
-    force: tuple[tuple[Array, ...], ...]
-    radiation: Array
-    sets: tuple[Array, ...]
+    others: tuple[Others, ...]
+    groups: tuple[tuple[Group, ...], ...]
+    own: tuple[Terms, ...]
+    above: tuple[Terms, ...]
+    forced: tuple[Terms, ...]
+    paired: tuple[Terms, ...]
+    radiation: tuple[Array, ...]
 
     @classmethod
-    def of(cls, frame: Frame, reference: Reference, functions: Basis) -> "_Chain":
+    def of(cls, frame: Frame, reference: Reference, functions: Basis, degrees: Degrees) -> "Chain":
+        """Return the equations about a reference in the functions of a basis."""
         F, G, h = linear_part(frame, reference)
         C = np.asarray(np.linalg.cholesky(reference.covariance), dtype=float)
         inverse = np.linalg.inv(C)
-        linear = inverse @ F @ C
-        noise = inverse @ G @ inverse.T
-        y, w = functions.points, functions.weights
+        drift, noise = inverse @ F @ C, inverse @ G @ inverse.T
+        pair = 0.5 * (drift + drift.T) + noise
+        y = functions.points
         force = h[0][:, None] + h[1][:, None] * y
         force[0] -= frame.contact_force(y)
-        force = inverse @ force
-        (value, slope), top = functions.functions(y), len(functions.sets) - 1
-        adjoint, forces = [], []
-        for n, columns in enumerate(functions.sets):
-            above, below = (value @ functions.sets[m] for m in (min(n + 1, top), max(n - 1, 0)))
-            tested, tested_slope = value @ columns, slope @ columns
-            adjoint.append(tested_slope.T @ (w[:, None] * above))
-            H = [tested.T @ ((w * f)[:, None] * below) for f in force]
-            H[0] += C[0, 0] * tested_slope.T @ (w[:, None] * below)
-            forces.append(tuple(H))
+        adjoint, force_by_y = _between_sets(functions, C, inverse @ force)
+        top, others = degrees.total, others_to(degrees.others, frame.n * 2 - 1)
+        groups = tuple(_groups(functions, degrees, others, n) for n in range(top + 1))
+        own, above, forced, paired = [], [], [], []
+        for n in range(top + 1):
+            own.append(_own(others, drift, groups[n], n))
+            up = adjoint[n % 2]
+            above.append(
+                [
+                    Term(to, of, float(np.sqrt(n - m + 1.0)), up[: to.functions, : of.functions])
+                    for m, (to, of) in enumerate(zip(groups[n], groups[n + 1], strict=False))
+                ]
+                if n < top
+                else []
+            )
+            forced.append(_forced(others, force_by_y[n % 2], groups, n) if n else [])
+            paired.append(_paired(others, pair, groups, n) if n > 1 else [])
         # The level above the highest would have as many functions as the one below it.
-        E = (slope @ functions.sets[top]).T @ (w[:, None] * (value @ functions.sets[top - 1]))
-        square, V = np.linalg.eigh(E @ E.T)
-        radiation = (V * np.sqrt(np.maximum(square, 0.0))) @ V.T
-        pair = 0.5 * (linear + linear.T) + noise
+        radiation = []
+        for m, group in enumerate(groups[top]):
+            beyond = _functions(functions, degrees, top - 1, m)
+            E = adjoint[top % 2][: group.functions, :beyond]
+            U, s, _ = np.linalg.svd(E, full_matrices=False)
+            radiation.append((U * s) @ U.T)
         return cls(
             C,
-            linear,
-            pair,
-            float(C[0, 0]),
-            tuple(adjoint),
-            tuple(forces),
-            radiation,
-            functions.sets,
+            others,
+            groups,
+            tuple(own),
+            tuple(above),
+            tuple(forced),
+            tuple(paired),
+            tuple(radiation),
         )
 
-    def within(self, level: Level, *, top: bool = False) -> Array:
-        """Return the equations of a level in itself; of the highest one, closed by radiation."""
-        d, count = level.k.shape[1], level.k.shape[0]
-        A = np.zeros((count, count))
-        for i in range(d):
-            for j in range(d):
-                size = np.sqrt(level.k[:, j] * (level.k[:, i] + (i != j)))
-                at = np.flatnonzero((level.k[:, j] > 0) & (level.moved[i, j] >= 0))
-                A[level.moved[i, j][at], at] += self.linear[i, j] * size[at]
-        functions = self.adjoint[level.total].shape[0]
-        full = np.zeros((count, functions, count, functions))
-        each = np.arange(functions)
-        full[:, each, :, each] = A
-        if top:
-            rows = np.arange(count)
-            loss = self.reach * np.sqrt(level.k[:, 0] + 1.0)
-            full[rows, :, rows, :] -= loss[:, None, None] * self.radiation
-        return full.reshape(count * functions, -1)
+    @property
+    def top(self) -> int:
+        """The highest level."""
+        return len(self.groups) - 1
 
-    def from_above(self, level: Level, R: Array) -> Array:
-        """Return what the level above, R times unknowns of lower levels, adds to ``level``."""
-        E = self.adjoint[level.total]
-        parts = R.reshape(-1, E.shape[1], R.shape[1])[level.raised[0]]
-        parts = np.matmul(self.reach * E, parts)
-        parts *= np.sqrt(level.k[:, 0] + 1.0)[:, None, None]
-        return np.asarray(parts.reshape(-1, R.shape[1]))
+    def size(self, n: int) -> int:
+        """Number of unknowns of level n."""
+        last = self.groups[n][-1]
+        return last.start + last.count * last.functions
 
-    def eliminated(
-        self,
-        sets: tuple[Level, ...],
-        n: int,
-        above: list[Array],
-    ) -> list[Array]:
-        """Return the inverse of what u_n meets, then R and Q of u_n = R u_(n−1) + Q u_(n−2).
+    def within(self, n: int, *, shift: complex = 0.0) -> Array:
+        """Return the equations of level n in itself, less ``shift`` times its unknowns.
 
-        ``above`` are R and Q of the level above, none for the highest; there is no Q for n = 1.
+        Those of the highest level are closed by radiation. A shift that is not real makes them and
+        all that follows from them complex.
         """
-        A: Array = self.within(sets[n], top=not above)
-        if above:
-            A += self.from_above(sets[n], above[0])
-        inverse = inverted(A)
-        R = self._forced(inverse, sets[n - 1], n)
-        if above:
-            R -= inverse @ self.from_above(sets[n], above[1])
-        return [inverse, R, self._paired(inverse, sets, n)] if n > 1 else [inverse, R]
+        A = np.zeros((self.size(n), self.size(n)), np.result_type(float, shift))
+        for term in self.own[n]:
+            term.add_matrix_to(A)
+        if n == self.top:
+            for m, (group, loss) in enumerate(zip(self.groups[n], self.radiation, strict=True)):
+                block = A[group.span, group.span]
+                block -= np.kron(np.eye(group.count), np.sqrt(n - m + 1.0) * loss)
+        if shift:
+            A[np.diag_indices_from(A)] -= shift
+        return A
 
-    def forced(self, below: Level, n: int, u: Array) -> Array:
-        """Return what u of level n − 1 adds to level n through the forces and ∂*."""
-        parts = u.reshape(below.k.shape[0], -1)
-        out = np.zeros((below.raised.max() + 1, self.force[n][0].shape[0]))
-        for i, H in enumerate(self.force[n]):
-            at = np.flatnonzero(below.raised[i] >= 0)
-            out[below.raised[i][at]] += np.sqrt(below.k[at, i, None] + 1.0) * (parts[at] @ H.T)
-        return out.ravel()
+    def from_below(self, n: int, u: Sequence[Array], inverses: dict[int, Array]) -> Array:
+        """Return what u of the levels below n adds to level n, directly and through level n + 1.
 
-    def paired(self, sets: tuple[Level, ...], n: int, u: Array) -> Array:
-        """Return what u of level n − 2 adds to level n through a⁺ a⁺."""
-        below, to = sets[n - 2], self.sets[n].T @ self.sets[n - 2]
-        parts = u.reshape(below.k.shape[0], -1) @ to.T
-        out = np.zeros((sets[n].k.shape[0], to.shape[0]))
-        for at, place, factor in self._pairs(sets, n):
-            out[place] += factor[:, None] * parts[at]
-        return out.ravel()
+        ``inverses`` as of ``factored``.
+        """
+        given = applied(self.forced[n], u[n - 1][:, None], self.size(n))
+        if n > 1:
+            given += applied(self.paired[n], u[n - 2][:, None], self.size(n))
+        if n < self.top:
+            # What u_(n−1) makes of level n + 1 without u_n comes back to level n.
+            beyond = applied(self.paired[n + 1], u[n - 1][:, None], self.size(n + 1))
+            given -= applied(self.above[n], inverses[n + 1] @ beyond, self.size(n))
+        return np.asarray(given[:, 0])
 
-    def _pairs(self, sets: tuple[Level, ...], n: int) -> Iterator[tuple[Indices, Indices, Array]]:
-        """Degrees of level n − 2, where a_i⁺ a_j⁺ puts them in level n, and with what factor."""
-        below, between = sets[n - 2], sets[n - 1]
-        d = self.pair.shape[0]
-        for i, j in product(range(d), repeat=2):
-            first = below.raised[i]
-            second = np.where(first >= 0, between.raised[j][first], -1)
-            at = np.flatnonzero(second >= 0)
-            once, twice = below.k[at, i] + 1.0, below.k[at, j] + 1.0 + (i == j)
-            yield at, second[at], self.pair[i, j] * np.sqrt(once * twice)
-
-    def _forced(self, inverse: Array, below: Level, n: int) -> Array:
-        """−``inverse`` times what level n − 1 adds to level n."""
-        forces = self.force[n]
-        functions, lower = forces[0].shape
-        size = inverse.shape[0]
-        R = np.zeros((size, below.k.shape[0], lower))
-        for i, H in enumerate(forces):
-            if not np.any(H):
-                continue
-            product = inverse.reshape(-1, functions) @ H
-            product = product.reshape(size, -1, lower)
-            at = np.flatnonzero(below.raised[i] >= 0)
-            factor = np.sqrt(below.k[at, i] + 1.0)
-            R[:, at] -= product[:, below.raised[i][at]] * factor[:, None]
-        return R.reshape(size, -1)
-
-    def _lifted(self, inverse: Array, n: int) -> Array:
-        """Columns of ``inverse`` as functions of level n − 2, whose set holds that of level n."""
-        to = self.sets[n].T @ self.sets[n - 2]
-        return (inverse.reshape(-1, to.shape[0]) @ to).reshape(inverse.shape[0], -1, to.shape[1])
-
-    def _paired(self, inverse: Array, sets: tuple[Level, ...], n: int) -> Array:
-        """−``inverse`` times what level n − 2 adds to level n."""
-        columns, count = self._lifted(inverse, n), sets[n - 2].k.shape[0]
-        Q = np.zeros((inverse.shape[0], count, columns.shape[2]))
-        for at, place, factor in self._pairs(sets, n):
-            Q[:, at] -= columns[:, place] * factor[:, None]
-        return Q.reshape(inverse.shape[0], -1)
+    def shaped(self, n: int, u: Array) -> Array:
+        """Return unknowns of level n as (count, functions), 0 where a degree has no function."""
+        count, most = sum(g.count for g in self.groups[n]), max(g.functions for g in self.groups[n])
+        out, row = np.zeros((count, most), u.dtype), 0
+        for g in self.groups[n]:
+            out[row : row + g.count, : g.functions] = u[g.span].reshape(g.count, g.functions)
+            row += g.count
+        return out
 
 
-def inverted(A: Array) -> Array:
-    """Return the inverse of a matrix whose symmetric part is negative, by its quarters.
+def _functions(functions: Basis, degrees: Degrees, n: int, m: int) -> int:
+    """Number of functions of y of level n and degree m in the others."""
+    return functions.counts[n % 2][degrees.beyond(n, m)]
 
-    Two thirds of the work are products, several times as fast as triangular solutions.
+
+def _groups(
+    functions: Basis, degrees: Degrees, others: tuple[Others, ...], n: int
+) -> tuple[Group, ...]:
+    groups, start = [], 0
+    for m, o in enumerate(others[: n + 1]):
+        groups.append(Group(start, o.k.shape[0], _functions(functions, degrees, n, m)))
+        start = groups[-1].span.stop
+    return tuple(groups)
+
+
+def _between_sets(
+    functions: Basis, C: Array, force: Array
+) -> tuple[tuple[Array, Array], tuple[list[Array], list[Array]]]:
+    """Return l₁ ∂* and the matrices of a_i⁺, to continuous functions and to broken ones.
+
+    ``force`` h' (d, points).
+    """
+    w = functions.weights
+    value, slope = functions.functions(functions.points)
+    continuous, broken = value @ functions.continuous, value @ functions.broken
+    to_continuous = (slope @ functions.continuous).T @ (w[:, None] * broken)
+    descent = slope @ functions.continuous + functions.log_slope()[:, None] * continuous
+    to_broken = -broken.T @ (w[:, None] * descent)
+    adjoint = (C[0, 0] * to_continuous, C[0, 0] * to_broken)
+    forces = (
+        [continuous.T @ ((w * f)[:, None] * broken) for f in force],
+        [broken.T @ ((w * f)[:, None] * continuous) for f in force],
+    )
+    for parts, through in zip(forces, adjoint, strict=True):
+        parts[0] += through
+    return adjoint, forces
+
+
+def _own(others: tuple[Others, ...], drift: Array, groups: tuple[Group, ...], n: int) -> Terms:
+    """F'_ij a_i⁺ a_j within level n."""
+    terms = []
+    for m, (group, o) in enumerate(zip(groups, others, strict=False)):
+        same = drift[0, 0] * (n - m) * np.eye(group.count)
+        if m:
+            lower = others[m - 1].raising
+            for i, up in enumerate(lower):
+                for j, down in enumerate(lower):
+                    same += drift[i + 1, j + 1] * up @ down.T
+        terms.append(Term(group, group, same))
+        if m + 1 < len(groups):
+            root = np.sqrt(float(n - m))
+            up = sum(c * A for c, A in zip(drift[1:, 0], o.raising, strict=True))
+            down = sum(c * A.T for c, A in zip(drift[0, 1:], o.raising, strict=True))
+            terms.append(Term(groups[m + 1], group, np.asarray(root * up)))
+            terms.append(Term(group, groups[m + 1], np.asarray(root * down)))
+    return terms
+
+
+def _forced(
+    others: tuple[Others, ...],
+    force: list[Array],
+    groups: tuple[tuple[Group, ...], ...],
+    n: int,
+) -> Terms:
+    """What level n − 1 adds to level n by a_i⁺: the forces and ∂*."""
+    terms = []
+    for m, of in enumerate(groups[n - 1]):
+        to = groups[n][m]
+        first = force[0][: to.functions, : of.functions]
+        terms.append(Term(to, of, float(np.sqrt(n - m)), first))
+        if m + 1 < len(groups[n]):
+            to = groups[n][m + 1]
+            for A, H in zip(others[m].raising, force[1:], strict=True):
+                if np.any(H):
+                    terms.append(Term(to, of, A, H[: to.functions, : of.functions]))
+    return terms
+
+
+def _paired(
+    others: tuple[Others, ...], pair: Array, groups: tuple[tuple[Group, ...], ...], n: int
+) -> Terms:
+    """What level n − 2 adds to level n by a_i⁺ a_j⁺."""
+    terms = []
+    for m, of in enumerate(groups[n - 2]):
+        alone = n - 1.0 - m
+        terms.append(Term(groups[n][m], of, float(pair[0, 0] * np.sqrt(alone * (alone + 1.0)))))
+        if m + 1 < len(groups[n]):
+            up = sum(c * A for c, A in zip(pair[0, 1:], others[m].raising, strict=True))
+            terms.append(Term(groups[n][m + 1], of, np.asarray(2.0 * np.sqrt(alone) * up)))
+        if m + 2 < len(groups[n]):
+            twice = np.zeros((others[m + 2].k.shape[0], others[m].k.shape[0]))
+            for i, first in enumerate(others[m].raising):
+                for j, second in enumerate(others[m + 1].raising):
+                    twice += pair[i + 1, j + 1] * second @ first
+            terms.append(Term(groups[n][m + 2], of, twice))
+    return terms
+
+
+def inverted(A: Array, cuts: Sequence[int]) -> Array:
+    """Return the inverse of a matrix by its quarters, divided at ``cuts`` (ascending).
+
+    Two thirds of the work are products, several times as fast as triangular solutions. What is in
+    front of a cut must not be singular by itself. The equations of one degree in the other masses
+    are not divided: velocities and displacements turn into each other, and these alone are not
+    damped.
     """
     size = A.shape[0]
-    if size <= LEAF:
+    inside = [cut for cut in cuts if 0 < cut < size]
+    if size <= LEAF or not inside:
         return np.asarray(np.linalg.inv(A))
-    half = size // 2
-    first = inverted(A[:half, :half])
+    half = min(inside, key=lambda cut: abs(2 * cut - size))
+    first = inverted(A[:half, :half], inside)
     right, below = first @ A[:half, half:], A[half:, :half] @ first
-    last = inverted(A[half:, half:] - A[half:, :half] @ right)
+    rest = A[half:, half:] - A[half:, :half] @ right
+    last = inverted(rest, [cut - half for cut in inside])
     out = np.empty_like(A)
     corner = last @ below
     out[half:, half:] = last

@@ -1,6 +1,6 @@
 """The full system (6) seen from its contact mass: linear in all else, and its reference state."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -89,15 +89,27 @@ class Reference:
     """The state that a solution is expanded about: Gaussian in z = (v, x), given y.
 
     ``slope`` a and ``offset`` x₀ (n − 1,) make x = r − a y − x₀ of the other displacements;
-    ``covariance`` (2n − 1, 2n − 1) is that of z. ln w of the weight of y is
-    −(w₁ y + ½ w₂ y² + w₃ U(y)), (w₁, w₂, w₃) = ``weight``. Any values serve; the nearer to
-    the moments of the solution, the fewer degrees it needs.
+    ``covariance`` S (2n − 1, 2n − 1) is that of z. ln w of the weight of y is
+    −(w₁ y + ½ w₂ y² + w₃ U(y)), (w₁, w₂, w₃) = ``weight``, the potential of the force on the
+    contact mass over S₁₁: with another temperature than that of the velocity the contact force
+    would not cancel in the equations, and answers of high degree would be wrong. The nearer to the
+    moments of the solution, the fewer degrees it needs.
     """
 
     slope: Array
     offset: Array
     covariance: Array
     weight: Array
+
+
+def reference_of(frame: Frame, slope: Array, offset: Array, covariance: Array) -> Reference:
+    """Return the reference of these moments; raise ``LinAlgError`` where they are of none."""
+    given = Reference(slope, offset, covariance, np.zeros(3))
+    h = linear_part(frame, given)[2][:, 0]
+    weight = np.array([-h[0], -h[1], 1.0]) / covariance[0, 0]
+    if np.linalg.eigvalsh(covariance)[0] <= 0.0 or weight[1] <= 0.0:
+        raise np.linalg.LinAlgError("the moments found are of no distribution")
+    return replace(given, weight=weight)
 
 
 def gibbs_reference(frame: Frame) -> Reference:
@@ -113,8 +125,7 @@ def gibbs_reference(frame: Frame) -> Reference:
     slope = np.asarray(-np.linalg.solve(K[1:, 1:], K[1:, 0]), dtype=float)
     covariance = T * np.eye(2 * n - 1)
     covariance[n:, n:] = T * np.linalg.inv(K[1:, 1:])
-    weight = np.array([0.0, K[0, 0] + K[0, 1:] @ slope, 1.0]) / T
-    return Reference(slope, np.zeros(n - 1), covariance, weight)
+    return reference_of(frame, slope, np.zeros(n - 1), covariance)
 
 
 def linear_part(frame: Frame, reference: Reference) -> tuple[Array, Array, Array]:

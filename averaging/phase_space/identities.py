@@ -76,11 +76,11 @@ def _given(frame: Frame, e: Expansion) -> tuple[Array, Array]:
     n, b, C, y = frame.n, e.basis, e.factor, e.basis.points
     u0, u1, u2 = e.functions(0, y)[0], e.functions(1, y), e.functions(2, y)
     z = np.zeros((2 * n - 1, y.size))
-    for row, u in zip(e.sets[1].k, u1, strict=True):
+    for row, u in zip(e.degree(1), u1, strict=True):
         z += C[:, int(row.argmax()), None] * u
     r = z[n:] + (b.reference.slope[:, None] * y + b.reference.offset[:, None]) * u0
     square = C[0, 0] ** 2 * u0
-    for row, u in zip(e.sets[2].k, u2, strict=True):
+    for row, u in zip(e.degree(2), u2, strict=True):
         if row[0] == 2:
             square = square + np.sqrt(2.0) * C[0, 0] ** 2 * u
     return np.vstack([y * u0, r, z[:n]]), square

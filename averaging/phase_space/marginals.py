@@ -6,6 +6,7 @@ from math import ceil
 
 import numpy as np
 
+from averaging.phase_space.degrees import raised
 from averaging.phase_space.elimination import Expansion
 from averaging.phase_space.frame import Frame
 from averaging.phase_space.moments import moments
@@ -172,30 +173,21 @@ def _projected(expansion: Expansion, directions: Array) -> Array:
     All other directions are integrated out. A polynomial of level n is a combination v of those of
     all k of the level, v = Σ_i e_i a_i⁺ v/√n of the level below.
     """
-    sets, b = expansion.sets, expansion.basis
-    total = len(expansion.levels) - 1
+    others, total = expansion.others, len(expansion.levels) - 1
+    in_panels = [expansion.of_panels(n) for n in range(total + 1)]
 
     def function(v: Array, n: int) -> Array:
-        return np.asarray(b.sets[n] @ (v @ expansion.levels[n]))
-
-    def raised(v: Array, n: int, e: Array) -> Array:
-        """The polynomial of level n + 1: Σ_i e_i a_i⁺ v."""
-        out = np.zeros(sets[n + 1].k.shape[0])
-        for i in range(e.size):
-            at = np.flatnonzero(sets[n].raised[i] >= 0)
-            factor = e[i] * np.sqrt(sets[n].k[at, i] + 1.0)
-            np.add.at(out, sets[n].raised[i][at], factor * v[at])
-        return out
+        return np.asarray(v @ in_panels[n])
 
     start = np.ones(1)
-    size = b.sets[0].shape[0]
+    size = in_panels[0].shape[1]
     if len(directions) == 0:
         return function(start, 0)
     if len(directions) == 1:
         rows = [function(start, 0)]
         v = start
         for n in range(total):
-            v = raised(v, n, directions[0]) / np.sqrt(n + 1.0)
+            v = raised(others, n, v, directions[0]) / np.sqrt(n + 1.0)
             rows.append(function(v, n + 1))
         return np.array(rows)
     out = np.zeros((total + 1, total + 1, size))
@@ -205,7 +197,7 @@ def _projected(expansion: Expansion, directions: Array) -> Array:
         for m in range(total + 1 - n):
             out[n, m] = function(v, n + m)
             if n + m < total:
-                v = raised(v, n + m, directions[1]) / np.sqrt(m + 1.0)
+                v = raised(others, n + m, v, directions[1]) / np.sqrt(m + 1.0)
         if n < total:
-            first = raised(first, n, directions[0]) / np.sqrt(n + 1.0)
+            first = raised(others, n, first, directions[0]) / np.sqrt(n + 1.0)
     return out

@@ -1,16 +1,12 @@
 """First and second moments of an expansion, and the reference that they suggest."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from averaging.phase_space.elimination import Expansion
-from averaging.phase_space.frame import Frame, Reference
-from averaging.phase_space.panels import log_weight
+from averaging.phase_space.frame import Frame, Reference, reference_of
 from fpk.arrays import Array
-
-BULK = 1e-10
-"""Share of its largest value above which a density enters the fit of the weight of y."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +28,7 @@ def moments(frame: Frame, expansion: Expansion) -> Moments:
     n, b, C = frame.n, expansion.basis, expansion.factor
     y, w, a = b.points, b.weights, b.reference.slope
     u0, u1, u2 = (expansion.functions(level, y) for level in range(3))
-    first, second = expansion.sets[1].k, expansion.sets[2].k
+    first, second = expansion.degree(1), expansion.degree(2)
     d = 2 * n - 1
     z, zy, zz = np.zeros(d), np.zeros(d), np.eye(d)
     flow = np.zeros(y.size)
@@ -61,39 +57,14 @@ def moments(frame: Frame, expansion: Expansion) -> Moments:
 
 
 def refitted(frame: Frame, expansion: Expansion) -> Reference:
-    """Return the reference with the first and second moments of a solution, and its density of y.
-
-    The weight is fitted to ln p(y) where p is not small; where that is no weight, the old one is
-    kept.
-    """
-    n, b, m = frame.n, expansion.basis, moments(frame, expansion)
+    """Return the reference with the first and second moments of a solution."""
+    n, m = frame.n, moments(frame, expansion)
     slope = m.covariance[1:n, 0] / m.covariance[0, 0]
     offset = m.mean[1:n] - slope * m.mean[0]
-    if b.mirrored:
+    if expansion.basis.mirrored:
         offset = np.zeros(n - 1)
     # (y, r, v) to z = (v, x): x = r − a y.
     to = np.zeros((2 * n - 1, 2 * n))
     to[:n, n:] = np.eye(n)
     to[n:, 0], to[n:, 1:n] = -slope, np.eye(n - 1)
-    covariance = to @ m.covariance @ to.T
-    new = replace(b.reference, slope=slope, offset=offset, covariance=covariance)
-    if np.linalg.eigvalsh(covariance)[0] <= 0.0:
-        return b.reference
-    return replace(new, weight=_fitted_weight(frame, expansion))
-
-
-def _fitted_weight(frame: Frame, expansion: Expansion) -> Array:
-    b = expansion.basis
-    y, u = b.points, expansion.functions(0, b.points)[0]
-    p = u * np.exp(log_weight(frame, b.reference, y))
-    at = p > BULK * p.max()
-    columns = [-y, -0.5 * y**2, -frame.contact_energy(y), np.ones(y.size)]
-    used = [not b.mirrored, True, bool(frame.system.contacts), True]
-    A = np.stack([c for c, use in zip(columns, used, strict=True) if use], axis=1)[at]
-    root = np.sqrt(b.weights[at] * u[at])
-    solution = np.linalg.lstsq(root[:, None] * A, root * np.log(p[at]), rcond=None)[0]
-    weight = np.zeros(4)
-    weight[used] = solution
-    if not (weight[1] > 0.0 and weight[2] >= 0.0):
-        return b.reference.weight
-    return weight[:3]
+    return reference_of(frame, slope, offset, to @ m.covariance @ to.T)

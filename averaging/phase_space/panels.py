@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import null_space
 from scipy.optimize import brentq
 
+from averaging.phase_space.degrees import Degrees
 from averaging.phase_space.frame import Frame, Reference
 from fpk.arrays import Array
 from fpk.quadrature import gauss_legendre
@@ -29,7 +29,8 @@ class Panel:
     Between stops (``direction`` 0) t is y. Beyond a stop at ``anchor``, on the right (1) or left
     (−1), t² = |y − anchor|/``length`` + 2 w₃ (U(y) − U(anchor)), where 2 w₃ U is 1 one ``length``
     beyond: so a polynomial in the energy is one of the same degree in t as in a velocity, and the
-    contact force, which starts as (y − anchor)^e, is smooth in t for half-integer e.
+    contact force, which starts as (y − anchor)^e, is smooth in t for half-integer e. ``last`` says
+    that no other stop follows.
     ``recurrence`` (degree + 1, degree) makes the polynomials: t P_j = Σ_i recurrence[i, j] P_i,
     and P_0 is ``first``.
     """
@@ -37,6 +38,7 @@ class Panel:
     low: float
     high: float
     direction: int
+    last: bool
     anchor: float
     length: float
     first: float
@@ -75,12 +77,21 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Orthonormal functions of y in L²(w), a set for each level.
+    """Orthonormal functions of y in L²(w): continuous ones and their derivatives.
 
-    ``points`` (q,) and ``weights`` (q,) integrate f(y) w(y) dy, ∫ w = 1; ``log_norm`` is
-    the ln of what divides e^(ln w). ``sets[n]`` holds those of level n by their coefficients
-    (functions of all panels, functions of the set); where state and mirror image are equally likely
-    (``mirrored``) they are even for even n and odd for odd n. ``nodes`` are the ends of the panels.
+    ``points`` (q,) and ``weights`` (q,) integrate f(y) w(y) dy, ∫ w = 1; ``log_norm`` is the ln of
+    what divides e^(ln w). ``nodes`` are the ends of the panels.
+
+    ``continuous`` and ``broken`` (functions of all panels, functions) hold two sets by their
+    coefficients. Those of the first are continuous, and have no term in t itself beyond a stop,
+    whose slope in y has no bound; those of the second may jump at the stops and have the degrees of
+    the derivatives of the first. The derivative of the first is then as good as any function of the
+    second, and none of either is lost on the other. Levels of even degree have continuous
+    functions, those of odd degree broken ones, as ∂/∂y connects a level with its neighbours only.
+    ``counts[s][c]`` is how many functions of set s, in front, have c polynomials beyond a stop.
+
+    Where state and mirror image are equally likely (``mirrored``) the first are even and the
+    second are odd.
     """
 
     reference: Reference
@@ -91,7 +102,24 @@ class Basis:
     weights: Array
     log_norm: float
     mirrored: bool
-    sets: tuple[Array, ...]
+    continuous: Array
+    broken: Array
+    counts: tuple[tuple[int, ...], tuple[int, ...]]
+
+    def of_level(self, n: int) -> Array:
+        """The functions of level n by their coefficients, (functions of all panels, functions)."""
+        return self.broken if n % 2 else self.continuous
+
+    def log_slope(self) -> Array:
+        """d ln w/dy at the points."""
+        linear, square, contact = self.reference.weight
+        force = self.frame.contact_force(self.points)
+        return np.asarray(-(linear + square * self.points + contact * force))
+
+    def of_one(self) -> Array:
+        """Coefficients of the function 1 in the continuous functions."""
+        values, _ = self.functions(self.points)
+        return np.asarray(self.continuous.T @ (values.T @ self.weights))
 
     def density(self, y: Array) -> Array:
         """w(y), 0 outside the support."""
@@ -158,21 +186,13 @@ def support(frame: Frame, reference: Reference) -> tuple[float, float]:
     return float(ends[0] * reach), float(ends[1] * reach)
 
 
-def width_between_stops(frame: Frame, reference: Reference) -> float:
-    """Return the length of the panel without contact, in standard deviations of w without stops."""
-    low, high = support(frame, reference)
-    left, right = frame.stops
-    low, high = max([low, *left]), min([high, *right])
-    return float((high - low) * np.sqrt(reference.weight[1]))
+def polynomials(frame: Frame, reference: Reference, degrees: Degrees) -> tuple[int, ...]:
+    """Return the number of polynomials of each panel."""
+    return tuple(p.degree for p in _bare_panels(frame, reference, degrees))
 
 
-def basis(frame: Frame, reference: Reference, counts: Sequence[tuple[int, int]]) -> Basis:
-    """Return the functions of y of each level, with its ``counts`` of polynomials a panel.
-
-    Panels end at the stops; (inner, outer) of ``counts`` are for one between stops and one beyond
-    a stop. Functions are continuous, and have no term in t itself, whose slope in y has no bound.
-    """
-    inner, outer = np.max(counts, axis=0)
+def _bare_panels(frame: Frame, reference: Reference, degrees: Degrees) -> list[Panel]:
+    """Panels between the stops and beyond them, with how many polynomials, but not yet which."""
     low, high = support(frame, reference)
     left, right = (x[(x > low) & (x < high)] for x in frame.stops)
     near = SAME * (high - low)
@@ -187,9 +207,17 @@ def basis(frame: Frame, reference: Reference, counts: Sequence[tuple[int, int]])
         direction = 1 if np.any(np.abs(right - a) <= near) else direction
         anchor = float(b if direction < 0 else a)
         length = _length(frame, reference, anchor, float(a + b - anchor)) if direction else 1.0
-        degree = outer if direction else inner
+        last = bool(direction) and (a == nodes[0] or b == nodes[-1])
+        width = float((b - a) * np.sqrt(reference.weight[1]))
+        degree = degrees.outer if last else degrees.between(width)
         nothing = np.zeros((degree + 1, degree))
-        panels.append(Panel(float(a), float(b), direction, anchor, length, 1.0, nothing))
+        panels.append(Panel(float(a), float(b), direction, last, anchor, length, 1.0, nothing))
+    return panels
+
+
+def basis(frame: Frame, reference: Reference, degrees: Degrees) -> Basis:
+    """Return the functions of y of an expansion. Panels end at the stops."""
+    panels = _bare_panels(frame, reference, degrees)
     y, dy = (np.concatenate(x) for x in zip(*(p.rule(RULE_POINTS) for p in panels), strict=True))
     w = dy * np.exp(log_weight(frame, reference, y))
     w /= (total := float(w.sum()))
@@ -200,21 +228,51 @@ def basis(frame: Frame, reference: Reference, counts: Sequence[tuple[int, int]])
         panels[k] = replace(panel, first=first, recurrence=recurrence)
     mirrored = frame.symmetric and not reference.weight[0]
     rows = _continuity(frame, reference, panels)
-    of_parity = [np.vstack([rows, _of_parity(panels, sign)]) for sign in (1, -1)]
+    even, odd = (_of_parity(panels, sign) if mirrored else rows[:0] for sign in (1, -1))
+    continuous = _nested(panels, degrees, np.vstack([rows, even]), fewer=0)
+    broken = _nested(panels, degrees, odd, fewer=1)
+    return Basis(
+        reference,
+        frame,
+        tuple(panels),
+        np.array([panels[0].low, *(p.high for p in panels)]),
+        y,
+        w,
+        float(np.log(total)),
+        mirrored,
+        continuous[0],
+        broken[0],
+        (continuous[1], broken[1]),
+    )
+
+
+def _nested(
+    panels: Sequence[Panel], degrees: Degrees, rows: Array, *, fewer: int
+) -> tuple[Array, tuple[int, ...]]:
+    """Return orthonormal functions on which ``rows`` vanish, and how many come with each count.
+
+    The first of them are those of few polynomials, so that sets of fewer are the front of the whole
+    one. ``fewer`` is how often the derivative in y is taken: in t it lowers the degree by one
+    between stops and, as t² is linear in y there, by two beyond one.
+    """
     degree = np.concatenate([np.arange(p.degree) for p in panels])
-    beyond = np.concatenate([np.full(p.degree, p.direction != 0) for p in panels])
-
-    @cache
-    def functions(inner: int, outer: int, parity: int) -> Array:
-        used = degree < np.where(beyond, outer, inner)
-        C = (of_parity[parity] if mirrored else rows)[:, used]
-        solution = null_space(C) if len(C) else np.eye(C.shape[1])
-        columns = np.zeros((degree.size, solution.shape[1]))
-        columns[used] = solution
-        return columns
-
-    sets = tuple(functions(a, b, n % 2 * mirrored) for n, (a, b) in enumerate(counts))
-    return Basis(reference, frame, tuple(panels), nodes, y, w, float(np.log(total)), mirrored, sets)
+    columns, counts = np.zeros((degree.size, 0)), []
+    for count in range(degrees.outer + 1):
+        numbers = [
+            (count if p.last else degrees.fewer(p.degree, count))
+            - (2 if p.direction else 1) * fewer
+            for p in panels
+        ]
+        used = degree < np.repeat(numbers, [p.degree for p in panels])
+        C = rows[:, used]
+        solution = null_space(C) if C.size else np.eye(C.shape[1])
+        space = np.zeros((degree.size, solution.shape[1]))
+        space[used] = solution
+        space -= columns @ (columns.T @ space)
+        U, size, _ = np.linalg.svd(space, full_matrices=False)
+        columns = np.hstack([columns, U[:, size > 0.5]])
+        counts.append(columns.shape[1])
+    return columns, tuple(counts)
 
 
 def _length(frame: Frame, reference: Reference, anchor: float, end: float) -> float:

@@ -3,16 +3,15 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import count
-from math import ceil
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from averaging.phase_space.elimination import Degrees, Expansion, expanded, sizes
+from averaging.phase_space.degrees import Degrees
+from averaging.phase_space.elimination import Expansion, expanded, sizes
 from averaging.phase_space.frame import Frame, Reference, gibbs_reference
 from averaging.phase_space.marginals import marginal, needs_all_levels
 from averaging.phase_space.moments import moments, refitted
-from averaging.phase_space.panels import width_between_stops
 from fpk.cores import usable_cores
 from fpk.density import gauss_grid, integral
 from fpk.method import Progress
@@ -29,14 +28,9 @@ SAFETY = 3.0
 errors were up to 1.9 times the stated one, at damping ratios below 0.005."""
 ROUND_OFF = 1e-11
 """L1 error of the arithmetic in double precision: on exact densities it was up to 2.3e-12."""
-MOST_OUTER = 26
-"""Most polynomials beyond a stop. Their slopes grow without bound at the stop, and above some 32 no
-level follows them: on fig6, B = 10, errors rise from 2e-5 at 30 polynomials to 4e-3 at 42."""
-MOST_DEGREES = 38
-"""Highest level of two and more masses: ``MOST_OUTER`` polynomials do not resolve more."""
 MEMORY = 4.0e9
 """Bytes that a solution may need; one that needs more is not begun."""
-WORK = 4.0e13
+WORK = 2.0e13
 """Multiplications that a solution may need, some five minutes on two cores; likewise."""
 
 
@@ -58,23 +52,20 @@ class Ladder:
     solutions: int
 
 
-def degrees_of(level: int, n: int, width: float) -> Degrees:
-    """Return the degrees of a level of refinement, from 0, so that all have like errors.
-
-    ``width`` is that of the panel between the stops, in standard deviations: one as wide as the
-    support needs as many polynomials as there are beyond a stop, a narrow one few.
-    """
-    total = (10 if n < 3 else 6) + (8 if n == 1 else 4) * level
-    others = 0 if n == 1 else (6 if n == 2 else 4) + 2 * level
-    outer = min(total + 4, MOST_OUTER if n > 1 else 60)
-    inner = 2 * ceil(0.5 * min(6.0 + 0.12 * width * outer, outer))
-    return Degrees(total, others, inner, outer)
+def degrees_of(level: int, n: int) -> Degrees:
+    """Return the degrees of a level of refinement, from 0, so that all have like errors."""
+    if n == 1:
+        return Degrees(16 + 8 * level, 0, 18 + 4 * level)
+    if n == 2:
+        return Degrees(16 + 6 * level, 6 + 2 * level, 18 + 2 * level)
+    return Degrees(10 + 4 * level, 4 + level, 12 + 2 * level)
 
 
-def cost(frame: Frame, degrees: Degrees, *, whole: bool) -> tuple[float, float]:
+def cost(
+    frame: Frame, reference: Reference, degrees: Degrees, *, whole: bool
+) -> tuple[float, float]:
     """Return the bytes and the multiplications that a solution takes."""
-    left, right = frame.stops
-    size = sizes(degrees, frame.n, (1, left.size + right.size), mirrored=frame.symmetric)
+    size = sizes(frame, reference, degrees)
     stored = np.sum(size**2) if whole else 0.0
     return 8.0 * float(8.0 * np.max(size) ** 2 + stored), float(4.0 * np.sum(size**3))
 
@@ -94,17 +85,16 @@ def solved_to(
     None for the Gibbs state.
     """
     whole = any(needs_all_levels(frame, o) for o in observables)
-    reference = reference or gibbs_reference(frame)
-    width = width_between_stops(frame, reference)
+    about = reference or gibbs_reference(frame)
 
     def why_not(level: int) -> str:
-        degrees = degrees_of(level, frame.n, width)
-        return _refusal(degrees, *cost(frame, degrees, whole=whole))
+        degrees = degrees_of(level, frame.n)
+        return _refusal(*cost(frame, about, degrees, whole=whole))
 
     with threadpool_limits(limits=usable_cores(), user_api="blas"):
         for _ in range(REFITS):
-            first = expanded(frame, reference, degrees_of(0, frame.n, width), whole=False)
-            reference = refitted(frame, first)
+            first = expanded(frame, about, degrees_of(0, frame.n), whole=False)
+            about = refitted(frame, first)
         solutions: list[Expansion] = []
         distance: dict[Observable, float] = {}
         factors = dict.fromkeys(observables, np.inf)
@@ -121,9 +111,9 @@ def solved_to(
                     limit = f"the tolerance {tol:.2g} is out of reach: {why}"
                 if limit:
                     break
-            degrees = degrees_of(len(solutions), frame.n, width)
+            degrees = degrees_of(len(solutions), frame.n)
             step = _steps(progress, degrees)
-            solutions.append(expanded(frame, reference, degrees, whole=whole, step=step))
+            solutions.append(expanded(frame, about, degrees, whole=whole, step=step))
             if len(solutions) == 1:
                 continue
             least = _common_distance(frame, solutions[-1], solutions[-2])
@@ -141,9 +131,7 @@ def solved_to(
     return Ladder(frame, finest, coarser, errors, factors, limit, len(solutions))
 
 
-def _refusal(degrees: Degrees, size: float, work: float) -> str:
-    if degrees.total > MOST_DEGREES and degrees.others:
-        return f"no expansion goes beyond degree {MOST_DEGREES}"
+def _refusal(size: float, work: float) -> str:
     if size > MEMORY:
         return f"a finer solution needs {size / 1e9:.2g} GB of memory, at most {MEMORY / 1e9:.2g}"
     if work > WORK:
