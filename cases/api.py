@@ -46,7 +46,7 @@ def solve(
     wanted = [parse_observable(name, system.n) for name in observables]
     if methods is None:
         unsampled = [m for m in all_methods(tol=tol) if not m.route.sampled]
-        return answers_of(system, wanted, unsampled)
+        return answers_of(system, wanted, unsampled, share=1.0)
     results = []
     for name in methods:
         method = method_for(*name.split("/", 1), tol=tol) if isinstance(name, str) else name

@@ -163,7 +163,7 @@ def _models(system: System, reference: Reference) -> list[Model]:
     """Averaging error of each theory in p(q_i), and the time of its fastest route."""
     models: dict[str, Model] = {}
     of = reference.density.observable
-    for method in deterministic("averaged", system):
+    for method in deterministic("averaged"):
         if method.refusal(system, of) is None:
             work = partial(method.solve, system, [of])
             result, first = timed_first(work)
