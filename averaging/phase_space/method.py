@@ -31,8 +31,8 @@ UNASKED_MASSES = 2
 UNASKED_TOL, UNASKED_ACCEPTED = 1e-4, 1e-2
 """Least L1 error that is aimed at unasked, and the largest with which it still is a judge: a tenth
 of the averaging error up to which a theory is called acceptable."""
-UNASKED_WORK = 6e11
-"""Multiplications that a solution may need unasked: up to some 25 s with all before it."""
+UNASKED_WORK = 6.6e11
+"""Multiplications that a solution may need unasked: some 25 s on one core, with all before it."""
 GRID = {1: 721, 2: 181}
 """Points of an axis at which the distance to the coarser solution is sampled, by the axes."""
 WINDOW = {1: 41, 2: 11}
