@@ -25,8 +25,9 @@ def solve(
 
     ``observables`` as on the command line: q1, p1, H, H1, or a pair such as "q2,p2". ``methods``
     are names ("exact"), names with a solver ("nonintegrable/fem") or ``Method`` records; left out,
-    every route is taken that applies to the system and does not sample: a simulation is run
-    where it is named ("montecarlo"). ``tol`` is the L1 tolerance of the methods named by strings.
+    every route is taken that applies to the system and does not sample, a slow one within bounds
+    and where it gains something: a simulation is run where it is named ("montecarlo"). ``tol`` is
+    the L1 tolerance of the methods named by strings.
 
     Raises ``InvalidInput`` for an unknown name and ``NotApplicable`` where a method that was named
     does not apply or does not give an observable.

@@ -28,9 +28,10 @@ MOST_MASSES = 3
 """Masses beyond which the lowest degrees that say anything fill the memory."""
 UNASKED_MASSES = 2
 """Masses beyond which it is taken only where it is named: three take minutes."""
-UNASKED_TOL, UNASKED_ACCEPTED = 1e-4, 1e-2
-"""Least L1 error that is aimed at unasked, and the largest with which it still is a judge: a tenth
-of the averaging error up to which a theory is called acceptable."""
+UNASKED_TOL = 1e-4
+"""Least L1 error that is aimed at unasked."""
+UNASKED_ACCEPTED = 1e-2
+"""Largest L1 error of a judge: a tenth of that up to which a theory is called acceptable."""
 UNASKED_WORK = 6.6e11
 """Multiplications that a solution may need unasked: some 25 s on one core, with all before it."""
 GRID = {1: 721, 2: 181}

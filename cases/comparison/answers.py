@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import ceil, log10
+from math import ceil, inf, log10
 from time import perf_counter
 from typing import Any
 
@@ -194,6 +194,11 @@ def answers_of(
                         f"{method.route.label}: certified to {_worst_error(result):.2g}, which"
                         " misses the default tolerance that nobody asked for"
                     )
+            if taken is not method and _worst_error(result) > getattr(taken, "tol", inf):
+                notes.append(
+                    f"{method.route.label}: certified to {_worst_error(result):.2g}, as far as it"
+                    f" may work unasked; fpk density --method {method.name} goes further"
+                )
             results.append(result)
         except KeyboardInterrupt:
             if not partial:
