@@ -147,8 +147,8 @@ def _theories(expect: Expect, curve: Answers) -> Iterator[Finding]:
             ratio, limit = min(ratios), (ACCEPTABLE_L1, 0.0)
             found = _nearer(claim, curve.label, distance("integrable"), limit)
             found = replace(found, measured=f"clearance {ratio:.3g} rms, {found.measured}")
-            if ratio <= rule:  # a rule that decides between two cases says something about both
-                claim = f"integrable theory not acceptable for clearance ≤ {rule:g} rms"
+            if ratio <= rule:  # of which the rule itself says nothing
+                claim = f"converse of the rule: not acceptable for clearance ≤ {rule:g} rms"
                 opposite = OPPOSITE.get(found.verdict, found.verdict)
                 found = replace(found, claim=claim, verdict=opposite)
             yield found
