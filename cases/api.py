@@ -25,8 +25,9 @@ def solve(
 
     ``observables`` as on the command line: q1, p1, H, H1, or a pair such as "q2,p2". ``methods``
     are names ("exact"), names with a solver ("nonintegrable/fem") or ``Method`` records; left out,
-    every route is taken that applies to the system and does not sample: a simulation is run
-    where it is named ("montecarlo"). ``tol`` is the L1 tolerance of the methods named by strings.
+    every route is taken that applies to the system and does not sample, a slow one within bounds
+    and where it gains something: a simulation is run where it is named ("montecarlo"). ``tol`` is
+    the L1 tolerance of the methods named by strings.
 
     Raises ``InvalidInput`` for an unknown name and ``NotApplicable`` where a method that was named
     does not apply or does not give an observable.
@@ -46,7 +47,7 @@ def solve(
     wanted = [parse_observable(name, system.n) for name in observables]
     if methods is None:
         unsampled = [m for m in all_methods(tol=tol) if not m.route.sampled]
-        return answers_of(system, wanted, unsampled)
+        return answers_of(system, wanted, unsampled, share=1.0)
     results = []
     for name in methods:
         method = method_for(*name.split("/", 1), tol=tol) if isinstance(name, str) else name

@@ -107,6 +107,15 @@ class Method(ABC):
         """How the method's equation is solved, on the command line."""
         return self.route.solver
 
+    def unasked(self, system: System, *, share: float = 1.0) -> Self:
+        """Return the method as it is taken where nobody named it, as by ``fpk run``.
+
+        A slow one bounds its work, of which it may take ``share`` for this system, and refuses by
+        ``NotApplicable`` where nothing is gained. One that is bounded does not fail where the bound
+        ends it: it is left out.
+        """
+        return self
+
     def refusal(self, system: System, observable: Observable) -> str | None:
         """Return why the method does not give ``observable``, or None where it does."""
         try:

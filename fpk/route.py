@@ -6,13 +6,8 @@ from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from fpk.method import Method
-    from fpk.system import System
 
 Solves = Literal["full", "averaged"]
-
-
-def _always(system: "System") -> bool:
-    return True
 
 
 @dataclass(frozen=True)
@@ -23,7 +18,8 @@ class Route:
     solved and how, ``equation`` the number of the paper's equation. ``solves`` is "full" for
     Eq. (6) itself and "averaged" for a theory's equation; ``sampled`` says that the errors are
     those of sampling. ``colour`` is the curve's (#rrggbb). ``make()`` returns the method with its
-    default settings. ``unasked(system)`` says whether ``fpk run`` takes the route by itself.
+    default settings. ``quick``: an answer does not take seconds, so that ``fpk export`` and the
+    references of studies take the route without being told.
     Of one method's routes the one registered first is the default and the one that is drawn; a
     route that samples comes after those that do not.
     """
@@ -36,7 +32,7 @@ class Route:
     sampled: bool
     colour: str
     make: Callable[[], "Method"]
-    unasked: Callable[["System"], bool] = _always
+    quick: bool = True
 
     @property
     def label(self) -> str:

@@ -1,16 +1,20 @@
 """Method ``phase-space``: the stationary FPK equation of the full system (6), deterministic."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from scipy.ndimage import map_coordinates, maximum_filter
 
+from averaging.exact import Exact
+from averaging.gaussian import Linear
 from averaging.phase_space.frame import Reference, contact_frame, gibbs_reference
 from averaging.phase_space.identities import heat_into_masses, identities
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import moments
-from averaging.phase_space.refinement import ROUND_OFF, Ladder, solved_to
+from averaging.phase_space.refinement import ROUND_OFF, WORK, Ladder, solved_to
 from averaging.theory import Theory
 from fpk.arrays import Array
 from fpk.certificate import Measured
@@ -22,6 +26,14 @@ from fpk.system import System
 
 MOST_MASSES = 3
 """Masses beyond which the lowest degrees that say anything fill the memory."""
+UNASKED_MASSES = 2
+"""Masses beyond which it is taken only where it is named: three take minutes."""
+UNASKED_TOL = 1e-4
+"""Least L1 error that is aimed at unasked."""
+UNASKED_ACCEPTED = 1e-2
+"""Largest L1 error of a judge: a tenth of that up to which a theory is called acceptable."""
+UNASKED_WORK = 6.6e11
+"""Multiplications that a solution may need unasked: some 25 s on one core, with all before it."""
 GRID = {1: 721, 2: 181}
 """Points of an axis at which the distance to the coarser solution is sampled, by the axes."""
 WINDOW = {1: 41, 2: 11}
@@ -40,16 +52,40 @@ class PhaseSpace(Theory):
     equal degree (``averaging.phase_space.elimination``). Up to three masses, stops on one of them,
     any constant damping and noise. ``tol`` is the L1 error wanted of each density; degrees rise
     until the estimate meets it; where memory or the highest degree ends them first, the certificate
-    says so.
+    says so. ``accepted`` is the largest error that is certified where it ends them, None: ``tol``.
+    ``work`` bounds the multiplications of one solution. ``threads`` of linear algebra, None: all
+    cores; where others use them, too, threads wait for each other and take ten times as long.
     ``reference`` is where the expansion starts, for tests of its independence; None: Gibbs.
     """
 
     solver: str = "hermite"
     tol: float = 1e-4
+    accepted: float | None = None
+    work: float = WORK
+    threads: int | None = None
     reference: Reference | None = None
     method = "phase-space"
     solvers = (("hermite", "full FPK equation, Hermite expansion", "(6)"),)
     colour = "#7b3294"
+
+    def unasked(self, system: System, *, share: float = 1.0) -> Self:
+        """Return the method with work for seconds; refuse where the full density is known."""
+        self.prepare(system)
+        if system.n > UNASKED_MASSES:
+            raise NotApplicable(f"{system.n} masses may take minutes; ask for it by its name")
+        for closed in (Exact(), Linear()):
+            with suppress(NotApplicable):
+                closed.prepare(system)
+                break
+        else:
+            return replace(
+                self,
+                tol=max(self.tol, UNASKED_TOL),
+                accepted=max(self.tol, UNASKED_ACCEPTED),
+                work=min(self.work, share * UNASKED_WORK),
+                threads=self.threads or 1,
+            )
+        raise NotApplicable(f"{closed.name} has the same density to more digits")
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where the expansion is not."""
@@ -64,13 +100,22 @@ class PhaseSpace(Theory):
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
             try:
                 ladder = solved_to(
-                    frame, observables, tol=self.tol, progress=progress, reference=self.reference
+                    frame,
+                    observables,
+                    tol=self.tol,
+                    accepted=self.accepted,
+                    work=self.work,
+                    threads=self.threads,
+                    progress=progress,
+                    reference=self.reference,
                 )
             except np.linalg.LinAlgError as error:
                 raise NotCertified(f"the expansion breaks down: {error}") from None
+            if self.accepted and (worst := max(ladder.errors.values())) > self.accepted:
+                raise NotCertified(f"an L1 error of {worst:.1g} was reached: {ladder.limit}")
             return Result(
                 self,
-                tuple(_density(ladder, o, self.tol) for o in observables),
+                tuple(_density(ladder, o, self.accepted or self.tol) for o in observables),
                 identities=identities(ladder),
                 settings=_settings(ladder),
             )
@@ -165,6 +210,8 @@ def _settings(ladder: Ladder) -> dict[str, str | float | int]:
         "degree without the contact velocity": d.others,
         "solutions": ladder.solutions,
     }
+    if ladder.limit:
+        settings["ended by"] = ladder.limit
     m = moments(ladder.frame, ladder.finest)
     order, mass = ladder.frame.order, ladder.frame.system.mass
     for place, i in enumerate(order):
@@ -177,5 +224,4 @@ def _settings(ladder: Ladder) -> dict[str, str | float | int]:
     return settings
 
 
-# ``fpk run`` does not take it by itself: a curve takes seconds to a minute.
-PhaseSpace.register(unasked=lambda system: False)
+PhaseSpace.register(quick=False)

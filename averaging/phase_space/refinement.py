@@ -75,23 +75,27 @@ def solved_to(
     observables: Sequence[Observable],
     *,
     tol: float,
+    accepted: float | None = None,
+    work: float = WORK,
+    threads: int | None = None,
     progress: Progress,
     reference: Reference | None = None,
 ) -> Ladder:
     """Return the first solution whose L1 errors of all ``observables`` are at most ``tol``.
 
     From level to level the error of an observable falls by a factor r, judged from the last two
-    distances d between solutions; it is d/(r − 1) at the last one. ``reference`` is where to start,
-    None for the Gibbs state.
+    distances d between solutions; it is d/(r − 1) at the last one. Where solutions that need more
+    than ``work`` would be called for, the last before them is returned, early if not even the error
+    ``accepted`` can be met by then. ``reference`` is where to start, None for the Gibbs state.
     """
     whole = any(needs_all_levels(frame, o) for o in observables)
     about = reference or gibbs_reference(frame)
 
     def why_not(level: int) -> str:
         degrees = degrees_of(level, frame.n)
-        return _refusal(*cost(frame, about, degrees, whole=whole))
+        return _refusal(*cost(frame, about, degrees, whole=whole), most=work)
 
-    with threadpool_limits(limits=usable_cores(), user_api="blas"):
+    with threadpool_limits(limits=threads or usable_cores(), user_api="blas"):
         for _ in range(REFITS):
             first = expanded(frame, about, degrees_of(0, frame.n), whole=False)
             about = refitted(frame, first)
@@ -106,9 +110,9 @@ def solved_to(
                 # Even if all that is allowed gained the most that is believed.
                 left = next(k for k in count() if why_not(len(solutions) + k))
                 best = SAFETY * max(distance.values()) / (FASTEST - 1.0) / FASTEST**left
-                if best > tol:
+                if best > (accepted or tol):
                     why = why_not(len(solutions) + left)
-                    limit = f"the tolerance {tol:.2g} is out of reach: {why}"
+                    limit = f"the tolerance {accepted or tol:.2g} is out of reach: {why}"
                 if limit:
                     break
             degrees = degrees_of(len(solutions), frame.n)
@@ -131,11 +135,11 @@ def solved_to(
     return Ladder(frame, finest, coarser, errors, factors, limit, len(solutions))
 
 
-def _refusal(size: float, work: float) -> str:
+def _refusal(size: float, work: float, *, most: float) -> str:
     if size > MEMORY:
         return f"a finer solution needs {size / 1e9:.2g} GB of memory, at most {MEMORY / 1e9:.2g}"
-    if work > WORK:
-        return f"a finer solution needs {work:.1g} multiplications, at most {WORK:.1g}"
+    if work > most:
+        return f"a finer solution needs {work:.1g} multiplications, at most {most:.1g}"
     return ""
 
 

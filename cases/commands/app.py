@@ -101,7 +101,9 @@ def run(scene: str, out: Path | None, **settings: Any) -> None:
 @app.command()
 @parts.scene_name
 @click.option(
-    "--method", required=True, help="exact, linear, nonintegrable, integrable or montecarlo."
+    "--method",
+    required=True,
+    help="exact, linear, phase-space, nonintegrable, integrable or montecarlo.",
 )
 @click.option("--of", metavar="OBS", required=True, help="q1.., p1.., H, H1.. or a pair a,b.")
 @click.option("--at", metavar="LIST", required=True, help=LIST)

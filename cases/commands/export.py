@@ -43,7 +43,11 @@ def export(scene: str, out: Path, of: str | None, tol: float | None) -> None:
     from cases.output.vtk import write_pvd, write_vtu
 
     loaded = replace(loaded, expect=None)  # without the simulation nothing can be claimed
-    methods = [m for m in all_methods(tol=tol) if not m.route.sampled or m.route.solves != "full"]
+    methods = [
+        m
+        for m in all_methods(tol=tol)
+        if m.route.solves != "full" or (m.route.quick and not m.route.sampled)
+    ]
     outcome = parts.outcome_of(loaded, methods)
     if not any(map(len, outcome.curves)):
         raise BadInput(f"{loaded.name}: {outcome.problems[0]}")

@@ -68,7 +68,10 @@ def converge(
     "--simulate/--no-simulate", default=True, help="With the sampling routes, or without."
 )
 def cost(scene: "Scene", **settings: Any) -> tuple[Any, "Page"]:
-    """Time every route whose answer agrees with the reference, and price each digit."""
+    """Time every route whose answer agrees with the reference, and price each digit.
+
+    Of the full system it says where a solution of its equation overtakes sampling.
+    """
     from cases.studies.cost import study_cost
     from cases.studies.cost_page import cost_page
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import ceil, log10
+from math import ceil, inf, log10
 from time import perf_counter
 from typing import Any
 
@@ -147,8 +147,12 @@ def answers_of(
     progress: Progress = silent,
     partial: bool = False,
     relax: bool = False,
+    share: float | None = None,
 ) -> Answers:
     """Return the answers of ``methods``, each for the observables that it gives.
+
+    ``share``: the methods were not named, and each is taken as its ``unasked`` says; None: they
+    were.
 
     ``partial``: Ctrl-C ends the work with the answers that there are by then. ``relax``: tolerances
     are defaults that nobody asked for, so that an answer that misses its own is solved for again at
@@ -169,7 +173,8 @@ def answers_of(
             continue
         reasons: dict[Observable, str | None]
         try:
-            plan = method.prepare(system)
+            taken = method if share is None else method.unasked(system, share=share)
+            plan = taken.prepare(system)
             reasons = {observable: plan.refusal(observable) for observable in observables}
         except NotApplicable as error:
             reasons = dict.fromkeys(observables, str(error))
@@ -189,6 +194,11 @@ def answers_of(
                         f"{method.route.label}: certified to {_worst_error(result):.2g}, which"
                         " misses the default tolerance that nobody asked for"
                     )
+            if taken is not method and _worst_error(result) > getattr(taken, "tol", inf):
+                notes.append(
+                    f"{method.route.label}: certified to {_worst_error(result):.2g}, as far as it"
+                    f" may work unasked; fpk density --method {method.name} goes further"
+                )
             results.append(result)
         except KeyboardInterrupt:
             if not partial:
@@ -196,7 +206,7 @@ def answers_of(
             interrupted = True
             refuse(method, given, INTERRUPTED, True)
         except (NotApplicable, NotCertified, InvalidInput) as error:
-            refuse(method, given, str(error), True)
+            refuse(method, given, str(error), taken is method)
     return Answers(
         system, tuple(results), tuple(refused), notes=tuple(notes), interrupted=interrupted
     )
@@ -239,18 +249,18 @@ def run_scene(
     relax: bool = False,
     save: Callable[[Outcome], object] = lambda outcome: None,
 ) -> Outcome:
-    """Return the answers of ``methods`` for every curve of ``scene``.
+    """Return the answers of ``methods`` for every curve of ``scene``, as they are taken unasked.
 
     ``partial`` and ``relax`` as in ``answers_of``; once one was interrupted, the curves that follow
     are not run. ``save`` gets the outcome so far when the answers of a curve have been made, before
     they are compared.
     """
-    start = perf_counter()
-    options: Any = {"progress": progress, "partial": partial, "relax": relax}
+    start, share = perf_counter(), 1.0 / len(scene.curves)
+    options: Any = {"progress": progress, "partial": partial, "relax": relax, "share": share}
     curves: list[Answers] = []
     for k, curve in enumerate(scene.curves, start=1):
         interrupted = any(c.interrupted for c in curves)
-        wanted = [m for m in methods if not interrupted and m.route.unasked(curve.system)]
+        wanted = [] if interrupted else methods
         answers = answers_of(curve.system, scene.observables, wanted, **options)
         curves.append(replace(answers, label=curve.label, value=curve.value))
         save(Outcome(scene, tuple(curves), perf_counter() - start))

@@ -12,7 +12,7 @@ from typing import Self
 
 from cases.scene.expect import Theory
 from fpk.cores import usable_cores
-from fpk.errors import InvalidInput
+from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import Method, Plan, Progress, Result
 from fpk.observable import Coordinate, Observable, observable_name
 from fpk.process import Process
@@ -57,6 +57,12 @@ class AveragedSimulation(Method):
     def route(self) -> Route:
         """The route that the method follows."""
         return ROUTES[self.theory, "simulation"]
+
+    def unasked(self, system: System, *, share: float = 1.0) -> Self:
+        """Return the method; refuse where damping is constant, so that theories are closed."""
+        if not system.damping_terms:
+            raise NotApplicable("damping is constant: closed-form has the same density")
+        return self
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
@@ -123,8 +129,7 @@ class AveragedSimulation(Method):
 
 def _register(theory: Theory, words: str, equation: str, colour: str) -> None:
     names, make = (theory, "simulation", words, equation), partial(AveragedSimulation, theory)
-    # ``fpk run`` samples averaged equations where no closed form knows better.
-    register(Route(*names, "averaged", True, colour, make, lambda s: bool(s.damping_terms)))
+    register(Route(*names, "averaged", True, colour, make))
 
 
 _register("nonintegrable", "energy averaging, simulated", "(24)", "#a8577e")

@@ -20,6 +20,9 @@ from fpk.sampled_density import SampledDensity
 
 Verdict = Literal["holds", "does not hold", "undecided", "not checked"]
 
+OPPOSITE: dict[Verdict, Verdict] = {"holds": "does not hold", "does not hold": "holds"}
+"""Verdict on a claim by that on its opposite; an open one stays as it is."""
+
 ALMOST_L1 = 0.05
 """L1 distance to the fitted Gaussian up to which a density is called almost Gaussian: no
 probability is wrong by more than 2.5 %, about what the width of a printed line hides."""
@@ -112,8 +115,9 @@ def shape_of(density: AnyDensity) -> Shape:
 
 
 def _reference(curve: Answers, of: Observable) -> AnyDensity | None:
-    """The best answer for the full system: a deterministic one where there is one."""
-    return next((d for route, d in curve.densities(of).items() if route.solves == "full"), None)
+    """The answer for the full system that is known best, a certified one where there is one."""
+    full = (d for route, d in curve.densities(of).items() if route.solves == "full")
+    return min(full, key=lambda d: (not d.certificate.certified, d.l1_error), default=None)
 
 
 def _gaussian(claim: str, curve: Answers, of: Observable, *, wanted: bool) -> Finding:
@@ -134,16 +138,20 @@ def _theories(expect: Expect, curve: Answers) -> Iterator[Finding]:
         claim = "{} theory better than {}".format(*expect.better)
         yield _nearer(claim, curve.label, *map(distance, expect.better))
     if (rule := expect.clearance_rule) is not None:
-        claim = f"integrable theory acceptable for clearance > {rule:g} rms"
         stops = curve.system.fact(stop_clearances)
         ratios = [stop.ratio for stop in stops if stop.ratio is not None]
+        claim = f"integrable theory acceptable for clearance > {rule:g} rms"
         if len(ratios) < max(len(stops), 1):
             yield Finding(claim, curve.label, "the rms is not known", "not checked")
-        elif min(ratios) <= rule:
-            measured = f"clearance is {min(ratios):.3g} rms: the rule says nothing here"
-            yield Finding(claim, curve.label, measured, "not checked")
         else:
-            yield _nearer(claim, curve.label, distance("integrable"), (ACCEPTABLE_L1, 0.0))
+            ratio, limit = min(ratios), (ACCEPTABLE_L1, 0.0)
+            found = _nearer(claim, curve.label, distance("integrable"), limit)
+            found = replace(found, measured=f"clearance {ratio:.3g} rms, {found.measured}")
+            if ratio <= rule:  # of which the rule itself says nothing
+                claim = f"converse of the rule: not acceptable for clearance ≤ {rule:g} rms"
+                opposite = OPPOSITE.get(found.verdict, found.verdict)
+                found = replace(found, claim=claim, verdict=opposite)
+            yield found
     for name in expect.acceptable:
         claim = f"{name} theory acceptable"
         yield _nearer(claim, curve.label, distance(name), (ACCEPTABLE_L1, 0.0))
@@ -155,8 +163,8 @@ def _nearer(
     """Whether ``near`` is the smaller of two distances to the full system, with their errors."""
     if near is None or far is None:
         return Finding(claim, where, "no answer to compare with", "not checked")
-    limit = f"{far[0]:.4f} ± {far[1]:.4f}" if far[1] else f"{far[0]:g}"
-    measured = f"L1 {near[0]:.4f} ± {near[1]:.4f} against {limit}"
+    limit = f"{far[0]:.5f} ± {far[1]:.1g}" if far[1] else f"{far[0]:g}"
+    measured = f"L1 {near[0]:.5f} ± {near[1]:.1g} against {limit}"
     return Finding(claim, where, measured, _verdict(_below(near[0], far[0], near[1] + far[1])))
 
 

@@ -30,11 +30,14 @@ def register_routes(method: str | None = None) -> None:
 
 
 def listed_routes() -> tuple[Route, ...]:
-    """Return all routes: deterministic before sampled, the full system before averaged ones."""
+    """Return all routes: quick ones, slow ones, and last those that sample.
+
+    In each the full system precedes averaged equations.
+    """
     register_routes()
     names = list(dict.fromkeys([*ROUTE_MODULES, *(method for method, _ in ROUTES)]))
     order = sorted(ROUTES.values(), key=lambda r: names.index(r.method))
-    return tuple(sorted(order, key=lambda r: (r.sampled, r.solves != "full")))
+    return tuple(sorted(order, key=lambda r: (r.sampled, not r.quick, r.solves != "full")))
 
 
 def method_for(name: str, solver: str | None = None, **settings: Any) -> Method:

@@ -145,13 +145,16 @@ def _three_errors(
 
     ``sampling`` is the expected L1 error by chance; ``step_bias`` the L1 distance from the density
     of half the step and what chance makes of that; ``averaging`` has each averaged theory's L1
-    distance and what chance and solvers make of that.
+    distance to the full system and what chance and solvers make of that, by the answer for the full
+    system (``reference``) with which this is least.
     """
     averaging: dict[str, Record] = {}
-    for c in comparisons:
-        if (c.measures, c.observable) == ("averaging", density.name) and route in (c.a, c.b):
-            theory = _theory(c.b if c.a == route else c.a)
-            averaging.setdefault(theory, {"theory": theory, "L1": c.L1, "error": c.error})
+    for c in sorted(comparisons, key=lambda c: c.error):
+        full = [r for r in (c.a, c.b) if r.solves == "full"]
+        if (c.measures, c.observable) == ("averaging", density.name) and full:
+            theory = _theory(c.b if c.a in full else c.a)
+            row = {"theory": theory, "L1": c.L1, "error": c.error, "reference": full[0].label}
+            averaging.setdefault(theory, row)
     return {
         "route": route.label,
         "observable": density.name,

@@ -71,7 +71,10 @@ def facts_record(system: System) -> Record:
 
 
 def theories(scene: Scene) -> list[Record]:
-    """Return for every METHOD whether it applies to the scene's own system, and why not."""
+    """Return for every METHOD whether it applies to the scene's own system, and why not.
+
+    ``left_out`` says why ``fpk run`` leaves out one that applies, None where it takes it.
+    """
     records = []
     for name in dict.fromkeys(route.method for route in listed_routes()):
         routes = [ROUTES[name, solver] for solver in solvers_of(name)]
@@ -82,13 +85,19 @@ def theories(scene: Scene) -> list[Record]:
             if None not in by_solver:
                 prefix = f"{observable_name(observable)}: "
                 reasons.append(str(by_solver[0]).removeprefix(prefix))
+        applies, left_out = len(reasons) < len(scene.observables), None
+        try:
+            routes[0].make().unasked(scene.system)
+        except NotApplicable as reason:
+            left_out = str(reason) if applies else None
         records.append(
             {
                 "method": name,
                 "meaning": f"{routes[0].words}, Eq. {routes[0].equation}",
                 "solvers": solvers_of(name),
-                "applies": len(reasons) < len(scene.observables),
+                "applies": applies,
                 "reason": "; ".join(dict.fromkeys(reasons)) or None,
+                "left_out": left_out,
             }
         )
     return records

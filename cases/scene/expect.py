@@ -33,7 +33,7 @@ class Expect:
     ``of`` is the density that they are about. ``better``: the first theory is nearer to the full
     system than the second. ``acceptable``: theories whose L1 distance to the full system is small.
     ``clearance_rule``: the integrable theory is acceptable where every clearance exceeds this many
-    rms displacements.
+    rms displacements; elsewhere the converse is asked, that it is not.
     """
 
     of: Observable

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from cases.studies.cost import CostStudy
 from cases.studies.law import FULL
-from cases.studies.page import Page, Table
+from cases.studies.page import Page, Table, duration
 from cases.studies.picture import Curve, Panel, study_figure
 from cases.studies.prices import Cheapest, by_equation, crossovers, price_list
 
@@ -17,8 +17,8 @@ MEANING = (
     "Processor times on one thread after a warm-up, the median of 3 to 21 runs where one takes"
     " less than a second; simulations are run once. What a process remembers (integrals of two or"
     " more contact masses, of damping that depends on the state) is in the first call only. Every"
-    " error is that of the route's own equation: numerical for the averaged equations, sampling and"
-    " step for the full system."
+    " error is that of the route's own equation: numerical for the averaged equations and for the"
+    " full system where it is solved, sampling and step where it is simulated."
 )
 PROMISE = (
     "Numbers of elements above are right for this scene. A tolerance is met on every scene, or the"
@@ -60,10 +60,11 @@ def cost_page(study: CostStudy) -> Page:
     prices = [_price(c) for c in price_list(study.routes)]
     promised = [_price(c) for c in price_list(study.routes, promised=True) if c.point]
     laws = [asdict(law) for law in study.laws]
+    crossings, overtaking = crossovers(study.routes), _overtaking(study)
     tables = [
         Table("prices", "To get so many digits (L1)", prices),
         Table("promises", "Settings that hold for other scenes", promised, (PROMISE,)),
-        Table("crossings", "Where another route becomes the cheapest", crossovers(study.routes)),
+        Table("crossings", "Where another route becomes the cheapest", crossings, overtaking),
         Table("models", "What the theories are worth for the full system", models, (full,)),
         Table("not_timed", "Routes that are not timed", lost),
         Table("laws", f"{FULL}: law of sampling", laws, (LAW,)),
@@ -71,6 +72,29 @@ def cost_page(study: CostStudy) -> Page:
     ]
     title = f"What accuracy costs: {study.scene.title}"
     return Page("cost", study.scene, title, tables, partial(_figure, study))
+
+
+def _overtaking(study: CostStudy) -> tuple[str, ...]:
+    """Where solutions of the full system overtake its sampling, in words."""
+    own = [r for r in study.routes if r.equation == FULL]
+    sampled = [r for r in own if any(p.modelled for p in r.points)]
+    words = []
+    for route in [r for r in own if r not in sampled] if sampled else []:
+        reached = [p.error for p in route.points]
+        errors = np.geomspace(max(reached), min(reached), 1001)
+        seconds = route.seconds_for(errors)
+        sampling = np.fmin.reduce([r.seconds_for(errors) for r in sampled])
+        slower = np.flatnonzero(seconds > sampling)
+        first = slower[-1] + 1 if slower.size else 0
+        where = (
+            f"below {errors[first]:.1e}" if first < errors.size else "at no error that it reached"
+        )
+        times = duration(seconds[-1]), duration(sampling[-1])
+        words.append(
+            f"{FULL}: {route.route} overtakes sampling {where}. At its least error here,"
+            f" {errors[-1]:.1e}, it takes {times[0]}, sampling {times[1]}."
+        )
+    return tuple(words)
 
 
 def _price(c: Cheapest) -> dict[str, Any]:
@@ -102,7 +126,8 @@ def _figure(study: CostStudy) -> Figure:
                 times, errors = [p.seconds for p in drawn], [p.error for p in drawn]
                 curves.append(Curve(route.route, times, errors, style=style))
         x, floor = "processor time in seconds, one thread", study.floors.get(equation, 0.0)
-        marks, limits = (models, (0.5 * DRAWN, 1.0)) if equation == FULL else ((), (2e-16, 2.0))
+        lowest = 0.4 * min([DRAWN, *(min(curve.y) for curve in curves)])
+        marks, limits = (models, (lowest, 1.0)) if equation == FULL else ((), (2e-16, 2.0))
         panel = Panel(equation, x, "$L_1$ error", curves, max(floor, 2e-15), marks, limits=limits)
         panels.append(panel)
     return study_figure(panels, width=5.2)

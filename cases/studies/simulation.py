@@ -102,10 +102,10 @@ def largest_stable(system: System, method: MonteCarlo, *, patience: float) -> fl
     return None
 
 
-def deterministic(solves: Solves, system: System) -> list[Method]:
-    """Return the methods, not sampled, that solve the full or an averaged equation unasked."""
-    routes = [r for r in listed_routes() if r.solves == solves and not r.sampled]
-    return [route.make() for route in routes if route.unasked(system)]
+def deterministic(solves: Solves) -> list[Method]:
+    """Return the quick methods, not sampled, that solve the full or an averaged equation."""
+    routes = [r for r in listed_routes() if r.solves == solves and not r.sampled and r.quick]
+    return [route.make() for route in routes]
 
 
 def best_answer(
@@ -131,7 +131,7 @@ def best_answer(
 
 def full_density(system: System, observable: Observable) -> Reference | None:
     """Return a certified density of the full system that is not sampled, None without one."""
-    answer = best_answer(deterministic("full", system), system, observable, [])
+    answer = best_answer(deterministic("full"), system, observable, [])
     label, density = answer or ("", None)
     if isinstance(density, Density) and density.certificate.certified:
         return Reference(label, density, density)

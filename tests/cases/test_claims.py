@@ -130,6 +130,19 @@ def test_theories_are_ordered_beyond_the_noise_only():
     assert verdicts(expect, Found({"exact": gaussian()})) == ["not checked", "not checked"]
 
 
+@pytest.mark.parametrize(("l1_error", "expected"), [(1e-6, "holds"), (0.5, "undecided")])
+def test_the_answer_with_the_least_error_judges(l1_error, expected):
+    """A loose solution of the full equation does not displace a sharper simulation."""
+    answers = {
+        "phase-space": gaussian(l1_error=l1_error),
+        "montecarlo": histogram(lambda rng, n: rng.normal(size=n), size=200),
+        "integrable/fem": gaussian(),
+        "nonintegrable/fem": gaussian(1.001),
+    }
+    expect = Expect(Q1, better=("integrable", "nonintegrable"))
+    assert verdicts(expect, Found(answers)) == [expected]
+
+
 @pytest.mark.parametrize("direction", ["larger", "smaller"])
 def test_better_with_larger_is_asked_of_neighbours(direction):
     def curve(value, scale):
@@ -146,11 +159,12 @@ def test_better_with_larger_is_asked_of_neighbours(direction):
     [
         (2.5, 1.01, "holds"),
         (2.5, 1.5, "does not hold"),
-        (1.5, 1.5, "not checked"),
+        (1.5, 1.01, "does not hold"),
+        (1.5, 1.5, "holds"),
         (None, 1.0, "not checked"),
     ],
 )
-def test_the_clearance_rule_speaks_beyond_its_clearance(ratio, scale, expected):
+def test_the_clearance_rule_speaks_of_both_its_sides(ratio, scale, expected):
     answers = {"exact": gaussian(), "integrable/closed-form": gaussian(scale)}
     assert verdicts(Expect(Q1, clearance_rule=2.0), Found(answers, ratio=ratio)) == [expected]
     assert 0 < ACCEPTABLE_L1 < 0.5

@@ -17,6 +17,7 @@ from cases.studies.levels import Level, density_of, errors
 from cases.studies.page import Table, cell, duration
 from cases.studies.prices import NotTimed, Priced, crossovers, price_list
 from cases.studies.simulation import full_reference
+from cases.studies.solved import solved_routes
 from fpk.density import l1_distance
 from fpk.line.stationary import solve_stationary
 from fpk.observable import parse_observable
@@ -258,3 +259,35 @@ def test_a_table_is_markdown_in_aligned_columns_without_repeats():
         "why",
         "",
     ]
+
+
+def test_the_full_system_is_priced_where_it_is_solved(monkeypatch):
+    """Two small solutions of weak contact; each tolerance is met by the answer that it gave."""
+    monkeypatch.setattr("cases.studies.solved.TOLERANCES", (1e-1, 1e-2))
+    monkeypatch.setattr("cases.studies.levels.LONG", 0.0)  # no repeats: no time is looked at
+    (priced,), best = solved_routes(load_scene("fig8a").system, FULL)
+    assert isinstance(priced, Priced) and priced.route == best.words == "phase-space"
+    assert [p.promised for p in priced.points] == [1e-1, 1e-2]
+    assert all(p.honest and p.stated <= p.promised and not p.modelled for p in priced.points)
+    assert best.density.l1_error == min(p.stated for p in priced.points)
+
+
+def test_where_the_full_density_is_known_no_other_solution_is_priced():
+    (lost,), best = solved_routes(load_scene("fig3a").system, FULL)
+    assert best is None and "exact has the same density" in lost.reason and not lost.wrong
+
+
+@pytest.mark.parametrize(
+    ("solved", "where"),
+    [
+        # Sampling takes 1e-6/e²: equal to 1e-3/e at e = 1e-3.
+        ([(1e-1, 1e-2), (1e-5, 1e2)], "below 1.0e-03"),
+        ([(1e-1, 1e-5), (1e-5, 1e-3)], "below 1.0e-01"),
+        ([(1e-1, 1e3), (1e-5, 1e5)], "at no error"),
+    ],
+)
+def test_the_page_says_where_a_solution_overtakes_sampling(solved, where):
+    law = tuple(Level("N", e, e, 1e-6 / e**2, modelled=True) for e in np.geomspace(1e-6, 0.3, 100))
+    routes = [replace(route("p", solved), equation=FULL), Priced("s", FULL, "axis", law)]
+    (table,) = [t for t in cost_page(replace(EMPTY, routes=routes)).tables if t.name == "crossings"]
+    assert len(table.remarks) == 1 and f"p overtakes sampling {where}" in table.remarks[0]

@@ -63,7 +63,7 @@ def map_point(
     """
     start = perf_counter()
     problems: list[str] = []
-    reference = best_answer(deterministic("full", system), system, observable, problems)
+    reference = best_answer(deterministic("full"), system, observable, problems)
     if reference is None and solver is not None:
         reference = best_answer([solver], system, observable, [])
         if reference is not None and not reference[1].certificate.certified:
@@ -71,7 +71,7 @@ def map_point(
     reference = reference or best_answer([simulation], system, observable, problems)
     distances = {}
     for theory in THEORIES:
-        own = [m for m in deterministic("averaged", system) if m.route.method == theory]
+        own = [m for m in deterministic("averaged") if m.route.method == theory]
         answer = best_answer(own, system, observable, problems)
         if answer is not None and reference is not None:
             distances[theory] = distance_between(answer[1], reference[1])[:2]

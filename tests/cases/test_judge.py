@@ -1,0 +1,135 @@
+"""The solution of the full equation as the judge of ``fpk run``, within bounds of its work."""
+
+from dataclasses import replace
+
+import pytest
+
+from averaging.integrable import Integrable
+from averaging.nonintegrable import NonIntegrable
+from averaging.phase_space.method import UNASKED_TOL, UNASKED_WORK, PhaseSpace
+from cases.comparison.answers import run_scene
+from cases.output.digest import digest_of
+from cases.output.facts import theories
+from cases.scene.scene import load_scene
+from fpk.contact import Contact
+from fpk.errors import NotApplicable
+from fpk.method import Method
+from fpk.system import System
+from sim.montecarlo import MonteCarlo
+
+TOL = 1e-2
+"""L1 error of the judge in these tests: two small solutions of weak contact meet it."""
+JUDGE = PhaseSpace(tol=TOL)
+SAMPLING = MonteCarlo(paths=4096, relaxations=20.0, seed=3)
+STIFF = (Contact(mass=2, side="both", stiffness=1e4, clearance=0.1),)
+
+
+class Displaced(MonteCarlo):
+    """The simulation of a system whose stops stand ten percent too far."""
+
+    def prepare(self, system):
+        contacts = tuple(replace(c, clearance=1.1 * c.clearance) for c in system.contacts)
+        return super().prepare(replace(system, contacts=contacts))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Fig. 8(a): weak contact, q2 alone."""
+    return load_scene("fig8a")
+
+
+@pytest.fixture(scope="module")
+def outcome(scene):
+    return run_scene(scene, [JUDGE, NonIntegrable(), Integrable(), SAMPLING])
+
+
+def test_theories_and_simulation_are_held_against_the_full_equation(outcome):
+    assert not outcome.problems
+    (answers,) = outcome.curves
+    stated = answers["q2", "phase-space"].l1_error
+    assert stated <= TOL
+    pairs = {(c.a.label, c.b.label): c for c in answers.comparisons}
+    for theory in ("nonintegrable/fem", "integrable/closed-form"):
+        c = pairs["phase-space", theory]
+        assert (c.measures, c.band) == ("averaging", None)
+        # What theory and judge state, and what their tables add to that.
+        assert stated <= c.error <= stated + 1e-6
+    simulation = pairs["phase-space", "montecarlo"]
+    assert simulation.measures == "sampling" and simulation.holds
+    # Chance exceeds its expectation in the band, and the error of the judge is part of it.
+    assert simulation.band > answers["q2", "montecarlo"].l1_error + stated
+
+
+def test_a_simulation_of_another_system_does_not_pass(scene):
+    """At the same tolerance stops ten percent off are seen."""
+    stiff = replace(
+        scene.system, contacts=tuple(replace(c, stiffness=1.0) for c in scene.system.contacts)
+    )
+    curves = (replace(scene.curves[0], system=stiff),)
+    outcome = run_scene(replace(scene, curves=curves), [JUDGE, Displaced(**vars(SAMPLING))])
+    assert any("phase-space and montecarlo differ" in p for p in outcome.problems)
+
+
+def test_averaging_errors_are_shown_by_the_answer_that_is_known_best(outcome):
+    record = digest_of(outcome)
+    (errors,) = record["errors"]
+    best = min(d.l1_error for d in (outcome.curves[0].of("q2")[r] for r in REFERENCES))
+    assert {a["theory"] for a in errors["averaging"]} == {"nonintegrable", "integrable"}
+    for row in errors["averaging"]:
+        assert row["reference"] in REFERENCES
+        assert row["error"] <= best + 1e-6
+    assert any(i["method"] == "phase-space" for i in record["identities"])
+
+
+REFERENCES = ("phase-space", "montecarlo")
+
+
+def test_every_method_is_taken_as_it_is_but_slow_ones():
+    system = load_scene("fig6a").system
+    assert NonIntegrable().unasked(system) == NonIntegrable()
+    assert "unasked" in vars(Method)
+    alone, shared = (PhaseSpace(tol=1e-9).unasked(system, share=s) for s in (1.0, 0.25))
+    assert alone.tol == UNASKED_TOL and alone.work == UNASKED_WORK
+    assert shared.work == 0.25 * UNASKED_WORK
+    assert PhaseSpace(tol=0.05).unasked(system).accepted == 0.05
+
+
+@pytest.mark.parametrize(
+    ("system", "reason"),
+    [
+        (load_scene("fig3a").system, "exact has the same density"),
+        (System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02]), "linear has the same density"),
+        (System([1] * 3, [1] * 3, [0.1] * 3, [0.01, 0.02, 0.03], contacts=STIFF), "by its name"),
+        (load_scene("three-mass").system, "2 masses meet stops"),
+    ],
+)
+def test_it_is_left_out_where_it_gains_nothing_or_takes_long(system, reason):
+    with pytest.raises(NotApplicable, match=reason):
+        PhaseSpace().unasked(system)
+
+
+def test_the_table_of_theories_says_what_is_left_out_and_why():
+    for name, words in (("fig3a", "exact has the same density"), ("fig6a", None)):
+        (row,) = [t for t in theories(load_scene(name)) if t["method"] == "phase-space"]
+        assert row["applies"]
+        assert row["left_out"] is words or words in row["left_out"]
+
+
+def test_a_bound_of_the_work_leaves_it_out_and_fails_nothing(scene):
+    """Two small solutions know little of a stiff stop and light damping."""
+    D, c = scene.system.noise_intensity, scene.system.damping
+    light = replace(scene.system, contacts=STIFF, damping=0.01 * c, noise_intensity=0.01 * D)
+    curves = (replace(scene.curves[0], system=light),)
+    outcome = run_scene(replace(scene, curves=curves), [PhaseSpace(work=1.0), NonIntegrable()])
+    (answers,) = outcome.curves
+    (refusal,) = [r for r in answers.refused if r.route.method == "phase-space"]
+    assert not refusal.failed and "an L1 error of" in refusal.reason
+    assert "multiplications" in refusal.reason
+    assert not outcome.problems
+
+
+def test_what_a_bound_of_the_work_reaches_is_certified_with_its_own_error(scene):
+    outcome = run_scene(scene, [PhaseSpace(work=1.0)])
+    density, (note,) = outcome.curves[0]["q2"], outcome.curves[0].notes
+    assert "phase-space: certified to" in note
+    assert UNASKED_TOL < density.l1_error <= 1e-2 and density.certificate.certified
