@@ -83,7 +83,9 @@ class Exact(Theory):
 
         return Plan(partial(energy_only_refusal, system, exponential=h.size == 1), solve)
 
-    def crossings(self, system: System, row: int, at: Array, *, progress: Progress) -> Curve:
+    def crossings(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
         """Return the upcrossings per unit time of q from its joint density with p."""
         observable = (Coordinate("q", row), Coordinate("p", row))
         (joint,) = self.solve(system, [observable], progress=progress).densities
@@ -92,7 +94,7 @@ class Exact(Theory):
         values, errors = upcrossings(joint, mass, at)
         q, v = np.sqrt(moment(joint, 2, 0)), np.sqrt(moment(joint, 0, 2)) / mass
         scale = float(v / (2.0 * np.pi * q))
-        return certified_curve(values, errors, scale=scale, of=joint, tol=self.tol)
+        return certified_curve(values, errors, scale=scale, of=joint, tol=tol or self.tol)
 
 
 Exact.register()

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from averaging.gaussian_state import Gaussian, state_rows
-from averaging.theory import Theory, energy_only_refusal
 from averaging.linear_dynamics import eigenvalue_sums, rice_rates, spectral_density
+from averaging.theory import Theory, energy_only_refusal
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
 from fpk.density import Density
@@ -57,7 +57,9 @@ class Linear(Theory):
 
         return Plan(lambda observable: energy_only_refusal(system, observable), solve)
 
-    def crossings(self, system: System, row: int, at: Array, *, progress: Progress) -> Curve:
+    def crossings(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
         """Return the upcrossings per unit time of q, by Rice's formula for a Gaussian."""
         density, q, v = self._state(system, row)
         values, errors = rice_rates(q, v, system.fact(linear_covariance).relative_error, at)
@@ -65,19 +67,23 @@ class Linear(Theory):
             values, errors, scale=v / (2.0 * np.pi * q), of=density, tol=self.tol
         )
 
-    def spectrum(self, system: System, row: int, at: Array, *, progress: Progress) -> Curve:
+    def spectrum(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
         """Return the power spectral density of q from the transfer functions."""
         density, q, v = self._state(system, row)
         values, errors = spectral_density(system, row, at)
-        return certified_curve(values, errors, scale=q**3 / v, of=density, tol=self.tol)
+        return certified_curve(values, errors, scale=q**3 / v, of=density, tol=tol or self.tol)
 
-    def relaxation(self, system: System, count: int, *, progress: Progress) -> Rates:
+    def relaxation(
+        self, system: System, count: int, *, tol: float | None, progress: Progress
+    ) -> Rates:
         """Return sums of eigenvalues of the drift matrix: those of −L are no others."""
         self.prepare(system)
         residual = system.fact(linear_covariance).residual
         values, errors = eigenvalue_sums(system, count)
         relative = float(np.max(errors / np.abs(values)))
-        certificate = certify(Measured(relative, 0.0, 0.0, residual, 0.0), tol=self.tol)
+        certificate = certify(Measured(relative, 0.0, 0.0, residual, 0.0), tol=tol or self.tol)
         return Rates(values, errors, certificate)
 
     def _state(self, system: System, row: int) -> tuple[Density, float, float]:

@@ -69,7 +69,9 @@ def eigenvalue_sums(system: System, count: int) -> tuple[Complex, Array]:
     # Sums in the order of their real parts: a longer one has one more eigenvalue, none before its
     # last in this order of all.
     order = [int(j) for j in np.argsort(mu.real)]
-    heap = [(float(mu[j].real), (place,)) for place, j in enumerate(order)]
+    heap: list[tuple[float, tuple[int, ...]]] = [
+        (float(mu[j].real), (place,)) for place, j in enumerate(order)
+    ]
     sums: list[list[int]] = []
     while len(sums) < count:
         real, places = heapq.heappop(heap)

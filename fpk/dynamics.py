@@ -1,7 +1,9 @@
 """What a stationary state does in time: crossings of levels, power spectra, relaxation rates.
 
 A method that gives one of them has the method of this name; which those are is found out from the
-three protocols.
+three protocols. ``tol`` is the largest error wanted, of curves in units of a natural size of the
+quantity (σ_v/(2πσ_q) of crossings, σ_q³/σ_v of spectra), of rates relative to each; None: what the
+method does by default. ``progress`` is as everywhere.
 """
 
 from collections.abc import Mapping
@@ -46,7 +48,9 @@ class Rates:
 class Crossings(Protocol):
     """A method that gives the rates at which a displacement crosses levels upwards."""
 
-    def crossings(self, system: System, row: int, at: Array, *, progress: Progress) -> Curve:
+    def crossings(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
         """Return the upcrossings per unit time of the levels ``at`` by q of mass ``row`` (of 0)."""
 
 
@@ -58,7 +62,9 @@ class Spectrum(Protocol):
     of q(0) and q(t), so that ∫ S dω over all real ω is the variance.
     """
 
-    def spectrum(self, system: System, row: int, at: Array, *, progress: Progress) -> Curve:
+    def spectrum(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
         """Return S of q of mass ``row`` (of 0) at the angular frequencies ``at``."""
 
 
@@ -66,7 +72,9 @@ class Spectrum(Protocol):
 class Relaxation(Protocol):
     """A method that gives the slowest rates at which the system forgets its past."""
 
-    def relaxation(self, system: System, count: int, *, progress: Progress) -> Rates:
+    def relaxation(
+        self, system: System, count: int, *, tol: float | None, progress: Progress
+    ) -> Rates:
         """Return the ``count`` eigenvalues of −L with the least real parts but 0 itself."""
 
 

@@ -100,36 +100,47 @@ def expanded(
     functions = basis(frame, reference, degrees.counts)
     d = 2 * frame.n - 1
     sets = levels(degrees.total, degrees.others, d)
-    chain = _Chain.of(frame, reference, functions)
-    work = np.cumsum([float(s.k.shape[0]) ** 3 for s in reversed(sets)])
-    inverses: dict[int, Array] = {}
-    above: list[Array] = []
-    for n in range(degrees.total, 0, -1):
-        inverse, *above = chain.eliminated(sets, n, above)
-        if whole or n <= 3:
-            inverses[n] = inverse
-        step(work[degrees.total - n] / work[-1])
-    A = chain.within(sets[0]) + chain.from_above(sets[0], above[0])
-    one = functions.sets[0].T @ (functions.functions(functions.points)[0].T @ functions.weights)
+    chain = Chain.of(frame, reference, functions)
+    inverses, A = factored(chain, sets, kept=degrees.total if whole else 3, step=step)
+    one = functions.of_one(0)
     scale = float(np.abs(A).max())
     # The equation of the mass is 0 = 0: in its place that the mass is one.
     u = [np.asarray(np.linalg.solve(A + scale * np.outer(one, one), scale * one), dtype=float)]
     for n in range(1, degrees.total + 1 if whole else 3):
-        given = chain.forced(sets[n - 1], n, u[n - 1])
-        if n > 1:
-            given += chain.paired(sets, n, u[n - 2])
-        if n < degrees.total:
-            # What u_(n−1) makes of level n + 1 without u_n comes back to level n.
-            beyond = -(inverses[n + 1] @ chain.paired(sets, n + 1, u[n - 1]))
-            given += chain.from_above(sets[n], beyond[:, None])[:, 0]
+        given = chain.from_below(sets, n, u, inverses)
         u.append(np.asarray(-(inverses[n] @ given), dtype=float))
     shaped = tuple(x.reshape(s.k.shape[0], -1) for x, s in zip(u, sets, strict=False))
     residual = float(np.max(np.abs(A @ u[0])) / np.max(np.abs(A) @ np.abs(u[0])))
     return Expansion(functions, chain.factor, degrees, shaped, sets, residual)
 
 
+def factored(
+    chain: "Chain",
+    sets: tuple[Level, ...],
+    *,
+    kept: int,
+    shift: complex = 0.0,
+    step: Callable[[float], None] = lambda share: None,
+) -> tuple[dict[int, Array], Array]:
+    """Eliminate all levels but the lowest from the equations less ``shift`` times the unknowns.
+
+    Returned are the inverses of what each level meets in itself after those above it, of levels 1
+    to ``kept``, and the equations of level 0. ``step`` is called with the share of the work done.
+    """
+    work = np.cumsum([float(s.k.shape[0]) ** 3 for s in reversed(sets)])
+    inverses: dict[int, Array] = {}
+    above: list[Array] = []
+    total = len(sets) - 1
+    for n in range(total, 0, -1):
+        inverse, *above = chain.eliminated(sets, n, above, shift=shift)
+        if n <= kept:
+            inverses[n] = inverse
+        step(work[total - n] / work[-1])
+    return inverses, chain.within(sets[0], shift=shift) + chain.from_above(sets[0], above[0])
+
+
 @dataclass(frozen=True, eq=False)
-class _Chain:
+class Chain:
     """The matrices of the equations between levels.
 
     ``factor`` C, ``linear`` F', ``pair`` ½ (F' + F'ᵀ) + G', ``reach`` l₁ = C₁₁. Of level n:
@@ -148,7 +159,8 @@ class _Chain:
     sets: tuple[Array, ...]
 
     @classmethod
-    def of(cls, frame: Frame, reference: Reference, functions: Basis) -> "_Chain":
+    def of(cls, frame: Frame, reference: Reference, functions: Basis) -> "Chain":
+        """Return the equations about a reference in the functions of a basis."""
         F, G, h = linear_part(frame, reference)
         C = np.asarray(np.linalg.cholesky(reference.covariance), dtype=float)
         inverse = np.linalg.inv(C)
@@ -183,8 +195,12 @@ class _Chain:
             functions.sets,
         )
 
-    def within(self, level: Level, *, top: bool = False) -> Array:
-        """Return the equations of a level in itself; of the highest one, closed by radiation."""
+    def within(self, level: Level, *, top: bool = False, shift: complex = 0.0) -> Array:
+        """Return the equations of a level in itself, less ``shift`` times its unknowns.
+
+        Those of the highest level are closed by radiation (``top``). A shift that is not real makes
+        them and all that follows from them complex.
+        """
         d, count = level.k.shape[1], level.k.shape[0]
         A = np.zeros((count, count))
         for i in range(d):
@@ -200,7 +216,11 @@ class _Chain:
             rows = np.arange(count)
             loss = self.reach * np.sqrt(level.k[:, 0] + 1.0)
             full[rows, :, rows, :] -= loss[:, None, None] * self.radiation
-        return full.reshape(count * functions, -1)
+        matrix = full.reshape(count * functions, -1)
+        if shift:
+            matrix = matrix.astype(np.result_type(matrix, shift))
+            matrix[np.diag_indices_from(matrix)] += np.asarray(-shift)
+        return matrix
 
     def from_above(self, level: Level, R: Array) -> Array:
         """Return what the level above, R times unknowns of lower levels, adds to ``level``."""
@@ -215,12 +235,14 @@ class _Chain:
         sets: tuple[Level, ...],
         n: int,
         above: list[Array],
+        *,
+        shift: complex = 0.0,
     ) -> list[Array]:
         """Return the inverse of what u_n meets, then R and Q of u_n = R u_(n−1) + Q u_(n−2).
 
         ``above`` are R and Q of the level above, none for the highest; there is no Q for n = 1.
         """
-        A: Array = self.within(sets[n], top=not above)
+        A: Array = self.within(sets[n], top=not above, shift=shift)
         if above:
             A += self.from_above(sets[n], above[0])
         inverse = inverted(A)
@@ -232,7 +254,7 @@ class _Chain:
     def forced(self, below: Level, n: int, u: Array) -> Array:
         """Return what u of level n − 1 adds to level n through the forces and ∂*."""
         parts = u.reshape(below.k.shape[0], -1)
-        out = np.zeros((below.raised.max() + 1, self.force[n][0].shape[0]))
+        out = np.zeros((below.raised.max() + 1, self.force[n][0].shape[0]), u.dtype)
         for i, H in enumerate(self.force[n]):
             at = np.flatnonzero(below.raised[i] >= 0)
             out[below.raised[i][at]] += np.sqrt(below.k[at, i, None] + 1.0) * (parts[at] @ H.T)
@@ -242,10 +264,26 @@ class _Chain:
         """Return what u of level n − 2 adds to level n through a⁺ a⁺."""
         below, to = sets[n - 2], self.sets[n].T @ self.sets[n - 2]
         parts = u.reshape(below.k.shape[0], -1) @ to.T
-        out = np.zeros((sets[n].k.shape[0], to.shape[0]))
+        out = np.zeros((sets[n].k.shape[0], to.shape[0]), u.dtype)
         for at, place, factor in self._pairs(sets, n):
             out[place] += factor[:, None] * parts[at]
         return out.ravel()
+
+    def from_below(
+        self, sets: tuple[Level, ...], n: int, u: list[Array], inverses: dict[int, Array]
+    ) -> Array:
+        """Return what u of the levels below n adds to level n, directly and through level n + 1.
+
+        ``inverses`` as of ``factored``.
+        """
+        given = self.forced(sets[n - 1], n, u[n - 1])
+        if n > 1:
+            given += self.paired(sets, n, u[n - 2])
+        if n + 1 < len(sets):
+            # What u_(n−1) makes of level n + 1 without u_n comes back to level n.
+            beyond = -(inverses[n + 1] @ self.paired(sets, n + 1, u[n - 1]))
+            given += self.from_above(sets[n], beyond[:, None])[:, 0]
+        return given
 
     def _pairs(self, sets: tuple[Level, ...], n: int) -> Iterator[tuple[Indices, Indices, Array]]:
         """Degrees of level n − 2, where a_i⁺ a_j⁺ puts them in level n, and with what factor."""
@@ -263,7 +301,7 @@ class _Chain:
         forces = self.force[n]
         functions, lower = forces[0].shape
         size = inverse.shape[0]
-        R = np.zeros((size, below.k.shape[0], lower))
+        R = np.zeros((size, below.k.shape[0], lower), inverse.dtype)
         for i, H in enumerate(forces):
             if not np.any(H):
                 continue
@@ -282,7 +320,7 @@ class _Chain:
     def _paired(self, inverse: Array, sets: tuple[Level, ...], n: int) -> Array:
         """−``inverse`` times what level n − 2 adds to level n."""
         columns, count = self._lifted(inverse, n), sets[n - 2].k.shape[0]
-        Q = np.zeros((inverse.shape[0], count, columns.shape[2]))
+        Q = np.zeros((inverse.shape[0], count, columns.shape[2]), inverse.dtype)
         for at, place, factor in self._pairs(sets, n):
             Q[:, at] -= columns[:, place] * factor[:, None]
         return Q.reshape(inverse.shape[0], -1)

@@ -1,27 +1,33 @@
 """Method ``phase-space``: the stationary FPK equation of the full system (6), deterministic."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import map_coordinates, maximum_filter
 
-from averaging.phase_space.frame import Reference, contact_frame, gibbs_reference
+from averaging.phase_space import dynamics
+from averaging.phase_space.frame import Frame, Reference, contact_frame, gibbs_reference
 from averaging.phase_space.identities import heat_into_masses, identities
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import moments
 from averaging.phase_space.refinement import ROUND_OFF, Ladder, solved_to
 from averaging.theory import Theory
 from fpk.arrays import Array
-from fpk.certificate import Measured
+from fpk.certificate import Measured, certify
 from fpk.density import Density, certified_density
+from fpk.dynamics import Curve, Rates, certified_curve
 from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Plan, Progress, Result
-from fpk.observable import Observable, observable_name
+from fpk.observable import Coordinate, Observable, observable_name
 from fpk.system import System
 
 MOST_MASSES = 3
 """Masses beyond which the lowest degrees that say anything fill the memory."""
+CROSSINGS_TOL, SPECTRUM_TOL, RELAXATION_TOL = 1e-3, 1e-2, 1e-2
+"""Relative errors wanted where none is asked for. Spectra and rates converge more slowly than
+densities, and take an elimination in complex numbers for every piece of the frequencies."""
 GRID = {1: 721, 2: 181}
 """Points of an axis at which the distance to the coarser solution is sampled, by the axes."""
 WINDOW = {1: 41, 2: 11}
@@ -53,21 +59,13 @@ class PhaseSpace(Theory):
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where the expansion is not."""
-        if system.n > MOST_MASSES:
-            raise NotApplicable(
-                f"{system.n} masses have {2 * system.n} coordinates; the expansion is for "
-                f"{2 * MOST_MASSES} at the most"
-            )
-        frame = contact_frame(system)
-        gibbs_reference(frame)
+        frame = _frame(system)
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
-            try:
+            with _breakdowns():
                 ladder = solved_to(
                     frame, observables, tol=self.tol, progress=progress, reference=self.reference
                 )
-            except np.linalg.LinAlgError as error:
-                raise NotCertified(f"the expansion breaks down: {error}") from None
             return Result(
                 self,
                 tuple(_density(ladder, o, self.tol) for o in observables),
@@ -76,6 +74,84 @@ class PhaseSpace(Theory):
             )
 
         return Plan(_refusal, solve)
+
+    def crossings(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return the upcrossings per unit time of q from the joint density of (q, p)."""
+        options = (tol or CROSSINGS_TOL, progress, self.reference)
+        with _breakdowns():
+            return _curve(dynamics.crossings(_frame(system), row, at, options), row, options[0])
+
+    def spectrum(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return the power spectral density of q from the resolvent of the FPK operator."""
+        options = (tol or SPECTRUM_TOL, progress, self.reference)
+        with _breakdowns():
+            return _curve(dynamics.spectrum(_frame(system), row, at, options), row, options[0])
+
+    def relaxation(
+        self, system: System, count: int, *, tol: float | None, progress: Progress
+    ) -> Rates:
+        """Return the slowest eigenvalues of the expansion's FPK operator."""
+        options = (tol or RELAXATION_TOL, progress, self.reference)
+        with _breakdowns():
+            answer = dynamics.relaxation(_frame(system), count, options)
+        failures = _limits(answer, options[0])
+        slowest = float(np.max(answer.last.values.real))
+        if not slowest <= answer.last.complete:
+            failures += (f"rates above {answer.last.complete:.3g} may be missing",)
+        measured = Measured(
+            l1_error=answer.relative,
+            mass_defect=0.0,
+            minimum=0.0,
+            residual=answer.ladder.finest.residual,
+            tail_mass=0.0,
+            failures=failures,
+        )
+        certificate = certify(measured, tol=options[0])
+        values = np.asarray(answer.last.values, dtype=complex)
+        return Rates(values, answer.errors, certificate, _settings(answer.ladder))
+
+
+@contextmanager
+def _breakdowns() -> Iterator[None]:
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise NotCertified(f"the expansion breaks down: {error}") from None
+
+
+def _frame(system: System) -> Frame:
+    """Return the frame; raise ``NotApplicable`` where the expansion is not for the system."""
+    if system.n > MOST_MASSES:
+        raise NotApplicable(
+            f"{system.n} masses have {2 * system.n} coordinates; the expansion is for "
+            f"{2 * MOST_MASSES} at the most"
+        )
+    frame = contact_frame(system)
+    gibbs_reference(frame)
+    return frame
+
+
+def _curve(answer: dynamics.Answer, row: int, tol: float) -> Curve:
+    ladder = answer.ladder
+    density = _density(ladder, (Coordinate("q", row),), tol)
+    return certified_curve(
+        np.asarray(answer.last.values, dtype=float),
+        answer.errors,
+        scale=float(answer.last.scale),
+        of=density,
+        tol=tol,
+        residual=answer.last.residual,
+        failures=_limits(answer, tol),
+        settings=_settings(ladder),
+    )
+
+
+def _limits(answer: dynamics.Answer, tol: float) -> tuple[str, ...]:
+    return (answer.limit,) if answer.limit and answer.relative > tol else ()
 
 
 def _refusal(observable: Observable) -> str | None:

@@ -99,6 +99,11 @@ class Basis:
         log_w = log_weight(self.frame, self.reference, np.clip(y, *self.nodes[[0, -1]]))
         return np.where(inside, np.exp(log_w - self.log_norm), 0.0)
 
+    def of_one(self, n: int) -> Array:
+        """Coefficients of the function 1 in the set of level n; 0 where that is odd."""
+        values, _ = self.functions(self.points)
+        return np.asarray(self.sets[n].T @ (values.T @ self.weights))
+
     def rule(self, count: int) -> tuple[Array, Array]:
         """Points y, ``count`` a panel, and weights that integrate over y."""
         rules = [panel.rule(count) for panel in self.panels]
@@ -166,11 +171,14 @@ def width_between_stops(frame: Frame, reference: Reference) -> float:
     return float((high - low) * np.sqrt(reference.weight[1]))
 
 
-def basis(frame: Frame, reference: Reference, counts: Sequence[tuple[int, int]]) -> Basis:
+def basis(
+    frame: Frame, reference: Reference, counts: Sequence[tuple[int, int]], *, odd: bool = False
+) -> Basis:
     """Return the functions of y of each level, with its ``counts`` of polynomials a panel.
 
     Panels end at the stops; (inner, outer) of ``counts`` are for one between stops and one beyond
     a stop. Functions are continuous, and have no term in t itself, whose slope in y has no bound.
+    ``odd``: where mirror images are equally likely, those of what changes its sign with them.
     """
     inner, outer = np.max(counts, axis=0)
     low, high = support(frame, reference)
@@ -213,7 +221,7 @@ def basis(frame: Frame, reference: Reference, counts: Sequence[tuple[int, int]])
         columns[used] = solution
         return columns
 
-    sets = tuple(functions(a, b, n % 2 * mirrored) for n, (a, b) in enumerate(counts))
+    sets = tuple(functions(a, b, (n + odd) % 2 * mirrored) for n, (a, b) in enumerate(counts))
     return Basis(reference, frame, tuple(panels), nodes, y, w, float(np.log(total)), mirrored, sets)
 
 

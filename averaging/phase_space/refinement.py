@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import count
 from math import ceil
 
 import numpy as np
@@ -86,12 +85,13 @@ def solved_to(
     tol: float,
     progress: Progress,
     reference: Reference | None = None,
+    at_least: int = 2,
 ) -> Ladder:
     """Return the first solution whose L1 errors of all ``observables`` are at most ``tol``.
 
     From level to level the error of an observable falls by a factor r, judged from the last two
     distances d between solutions; it is d/(r − 1) at the last one. ``reference`` is where to start,
-    None for the Gibbs state.
+    None for the Gibbs state. ``at_least`` is how many solutions are made where none is refused.
     """
     whole = any(needs_all_levels(frame, o) for o in observables)
     reference = reference or gibbs_reference(frame)
@@ -110,14 +110,14 @@ def solved_to(
         factors = dict.fromkeys(observables, np.inf)
         errors = dict.fromkeys(observables, np.inf)
         limit = ""
-        while not max(errors.values()) <= tol:
+        while len(solutions) < at_least or not max(errors.values()) <= tol:
             limit = why_not(len(solutions))
             if len(solutions) > 1:
                 # Even if all that is allowed gained the most that is believed.
-                left = next(k for k in count() if why_not(len(solutions) + k))
-                best = SAFETY * max(distance.values()) / (FASTEST - 1.0) / FASTEST**left
+                best, left = SAFETY * max(distance.values()) / (FASTEST - 1.0), len(solutions)
+                while best > tol and not (why := why_not(left)):
+                    best, left = best / FASTEST, left + 1
                 if best > tol:
-                    why = why_not(len(solutions) + left)
                     limit = f"the tolerance {tol:.2g} is out of reach: {why}"
                 if limit:
                     break

@@ -71,11 +71,11 @@ def relaxation(scene: str, method: str, solver: str | None, rates: int, tol: flo
     from cases.output.records import rates_record, rates_text
     from fpk.dynamics import Relaxation
 
-    asked = _method_giving(Relaxation, "relaxation rates", method, solver, tol)
+    asked = _method_giving(Relaxation, "relaxation rates", method, solver)
     answer, seconds = _answered(
         loaded.name,
         method,
-        lambda progress: asked.relaxation(loaded.system, rates, progress=progress),
+        lambda progress: asked.relaxation(loaded.system, rates, tol=tol, progress=progress),
     )
     record = rates_record(loaded, asked, answer, seconds)
     parts.end(record, lambda: rates_text(record), problems=_problems("relaxation", record))
@@ -102,25 +102,25 @@ def _curve(
         remedy = f"use a displacement, q1..q{loaded.system.n}"
         raise BadInput(f'--of "{of}": {question} is of one displacement; {remedy}')
     (points,) = parse_points(at, 1)
-    asked = _method_giving(kind, question, method, solver, tol)
+    asked = _method_giving(kind, question, method, solver)
     row = observable[0].row
     answer, seconds = _answered(
         loaded.name,
         method,
-        lambda progress: getattr(asked, question)(loaded.system, row, points, progress=progress),
+        lambda progress: getattr(asked, question)(
+            loaded.system, row, points, tol=tol, progress=progress
+        ),
     )
     record = curve_record(loaded, asked, observable, points, key, answer, seconds)
     problems = _problems(f"{question} of {of}", record)
     parts.end(record, lambda: curve_text(record, key), problems=problems)
 
 
-def _method_giving(
-    kind: Any, question: str, name: str, solver: str | None, tol: float | None
-) -> Any:
+def _method_giving(kind: Any, question: str, name: str, solver: str | None) -> Any:
     """Return the method ``name`` if it is one of the ``kind``; refuse it where it is not."""
     from cases.comparison.routes import listed_routes, method_for
 
-    method = method_for(name, solver, tol=tol)
+    method = method_for(name, solver)
     if not isinstance(method, kind):
         able = dict.fromkeys(r.method for r in listed_routes() if isinstance(r.make(), kind))
         raise BadInput(f"{name} gives no {question}; use one of {', '.join(able)}")

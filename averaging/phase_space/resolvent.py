@@ -1,0 +1,198 @@
+"""The FPK operator of an expansion off its stationary state: its resolvent and its eigenvalues.
+
+A vector of the expansion changes as du/dt = A u, A the matrix of the chain of levels: the functions
+are orthonormal in L²(w N), so that the unit matrix stands before du/dt. (A − s)⁻¹ is the same
+elimination as that of the stationary state with s off the diagonal of every level. Where mirror
+images are equally likely A does not mix what keeps its sign under them with what changes it, as
+displacements do: each has a chain of its own, of half the size.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse.linalg import LinearOperator, eigs
+
+from averaging.phase_space.degrees import Level
+from averaging.phase_space.elimination import Chain, Expansion, factored
+from averaging.phase_space.frame import Frame
+from averaging.phase_space.marginals import Form
+from averaging.phase_space.panels import Basis, basis
+from fpk.arrays import Array
+from fpk.dynamics import Complex
+
+VECTORS = 120
+"""Most vectors of a Krylov space: with more, making them orthogonal takes as long as an elimination
+at another shift."""
+CHECKED = 10
+"""Vectors after which the residuals of all frequencies are looked at."""
+RESIDUAL = 1e-13
+"""Residual, relative to the solution, at which a frequency is solved."""
+
+NEAREST = 40
+"""Eigenvalues that are sought about each shift."""
+SEED = 20261123
+"""Of the vector that the search for eigenvalues starts from."""
+
+Step = Callable[[float], None]
+"""Called with the share of an elimination that is done."""
+
+
+@dataclass(frozen=True, eq=False)
+class Generator:
+    """A on the functions of one parity (``odd`` or not; all of them where there is no mirror).
+
+    ``ends`` is where each level ends in a vector, lowest level first. ``one`` are the coefficients
+    of the function 1 in level 0: its product with A vanishes, as mass is conserved, and it is 0
+    itself where all functions of level 0 are odd.
+    """
+
+    functions: Basis
+    chain: Chain
+    sets: tuple[Level, ...]
+    ends: Array
+    one: Array
+
+    @classmethod
+    def of(cls, frame: Frame, e: Expansion, *, odd: bool) -> "Generator":
+        """Return A of the degrees and the reference of an expansion with all levels."""
+        functions = basis(frame, e.basis.reference, e.degrees.counts, odd=odd)
+        chain = Chain.of(frame, e.basis.reference, functions)
+        sizes = [s.k.shape[0] * C.shape[1] for s, C in zip(e.sets, functions.sets, strict=True)]
+        return cls(functions, chain, e.sets, np.cumsum(sizes), functions.of_one(0))
+
+    def split(self, u: Array) -> list[Array]:
+        """Return the parts of a vector, one a level."""
+        return np.split(u, self.ends[:-1])
+
+    def resolvent(self, shift: complex, step: Step) -> Callable[[Array], Array]:
+        """Return the function b → (s − A)⁻¹ b for s = ``shift``.
+
+        At s = 0, where A is singular, b is freed of its mass before, and the answer has none.
+        """
+        chain, sets = self.chain, self.sets
+        inverses, A = factored(chain, sets, kept=len(sets) - 1, shift=shift, step=step)
+        if not shift:
+            A = A + float(np.abs(A).max()) * np.outer(self.one, self.one)
+        inverses[0] = np.asarray(np.linalg.inv(A))
+
+        def solve(b: Array) -> Array:
+            right = self.split(b)
+            if not shift:
+                right[0] = right[0] - self.one * (self.one @ right[0])
+            # From the top down what each level makes without those below it, and back up.
+            alone = [inverses[len(sets) - 1] @ right[-1]]
+            for n in range(len(sets) - 2, -1, -1):
+                given = right[n] - chain.from_above(sets[n], alone[0][:, None])[:, 0]
+                alone.insert(0, inverses[n] @ given)
+            u = [alone[0]]
+            for n in range(1, len(sets)):
+                u.append(alone[n] - inverses[n] @ chain.from_below(sets, n, u, inverses))
+            return -np.concatenate(u)
+
+        return solve
+
+
+def times(e: Expansion, levels: tuple[Array, ...], form: Form, to: Generator) -> Array:
+    """Return the product of a coordinate with an expansion, as a vector of ``to``.
+
+    ``levels`` as of an ``Expansion``, with the functions of ``e``; what the product has beyond the
+    functions of ``to`` is orthogonal to them and left out. The coordinate is
+    ``offset + slope y + direction·ζ``, and ζ_j He_k = √k_j He_(k−e_j) + √(k_j + 1) He_(k+e_j).
+    """
+    b, new, sets = e.basis, to.functions.sets, e.sets
+    values, _ = b.functions(b.points)
+    by_y = values.T @ ((b.weights * (form.offset + form.slope * b.points))[:, None] * values)
+    product = [u @ (C.T @ by_y @ D).T for u, C, D in zip(levels, new, b.sets, strict=True)]
+    for n in range(len(sets) - 1):
+        up = levels[n] @ (new[n + 1].T @ b.sets[n]).T
+        down = levels[n + 1] @ (new[n].T @ b.sets[n + 1]).T
+        for j, d in enumerate(form.direction):
+            at = np.flatnonzero(sets[n].raised[j] >= 0)
+            place, size = sets[n].raised[j][at], d * np.sqrt(sets[n].k[at, j, None] + 1.0)
+            product[n + 1][place] += size * up[at]
+            product[n][at] += size * down[place]
+    return np.concatenate([x.ravel() for x in product])
+
+
+def transforms(A: Generator, c: Array, b: Array, at: Array, step: Step) -> tuple[Complex, float]:
+    """Return c·(iω − A)⁻¹ b at the ascending frequencies ω >= 0 of ``at``, and the residual.
+
+    One elimination, at a shift s, serves the frequencies about it: with B = (s − A)⁻¹ the solution
+    of (1 + (iω − s) B) u = B b is taken from the Krylov space of B and B b, one for all ω, by
+    Galerkin's method (Arnoldi). The first shift is 0 and real, unless there are few frequencies;
+    the next ones are in the middle of what is left, where one vector is enough. The residual is
+    that of this equation, relative to its solution.
+    """
+    values, worst = np.zeros(at.size, dtype=complex), 0.0
+    left = [(np.arange(at.size), at.size > 2 or not at.all())]
+    while left:
+        group, from_zero = left.pop()
+        shift = 0.0 if from_zero else 1j * at[group[group.size // 2]]
+        found, residuals = _near(A.resolvent(shift, step), c, b, np.asarray(1j * at[group] - shift))
+        solved = residuals <= RESIDUAL
+        values[group[solved]] = found[solved]
+        worst = max(worst, float(np.max(residuals[solved], initial=0.0)))
+        rest = group[~solved]
+        middle = at[group[group.size // 2]] if shift else -1.0
+        sides = (rest[at[rest] < middle], rest[at[rest] > middle])
+        left += [(side, False) for side in sides if side.size]
+    return values, worst
+
+
+def _near(
+    solve: Callable[[Array], Array], c: Array, b: Array, away: Complex
+) -> tuple[Complex, Array]:
+    """Return c·u of (1 + a B) u = B b for all a of ``away``, and the residuals of each.
+
+    ``solve`` is B. The space grows until all residuals are small or it has ``VECTORS`` vectors.
+    """
+    first = solve(b)
+    size = float(np.linalg.norm(first))
+    V = np.zeros((VECTORS + 1, first.size), dtype=first.dtype)
+    H = np.zeros((VECTORS + 1, VECTORS), dtype=first.dtype)
+    V[0] = first / size
+    found, residuals = np.zeros(away.size, dtype=complex), np.full(away.size, np.inf)
+    for m in range(1, VECTORS + 1):
+        new = solve(V[m - 1])
+        for _ in range(2):
+            part = V[:m].conj() @ new
+            new = new - part @ V[:m]
+            H[:m, m - 1] += part
+        H[m, m - 1] = length = float(np.linalg.norm(new))
+        closed = length <= RESIDUAL * float(np.linalg.norm(H[:m, m - 1]))
+        if m % CHECKED in (0, 1) or closed:
+            for k in np.flatnonzero(residuals > RESIDUAL):
+                y = np.linalg.solve(np.eye(m) + away[k] * H[:m, :m], size * np.eye(m)[0])
+                residuals[k] = abs(away[k] * length * y[-1]) / float(np.linalg.norm(y))
+                found[k] = c @ (y @ V[:m])
+            if closed or np.all(residuals <= RESIDUAL):
+                break
+        V[m] = new / length
+    return found, residuals
+
+
+def eigenvalues(A: Generator, highest: float, step: Step) -> tuple[Complex, float]:
+    """Return the slowest eigenvalues λ of −A with 0 <= Im λ <= ``highest``, and up to which Re λ.
+
+    By shift and invert (ARPACK) at points of the imaginary axis, the ``NEAREST`` eigenvalues of
+    each: they fill a disc. The next point is where this one ends, so that discs overlap; those of
+    a strip about its own point count. Slower ones than the second number are not missed.
+    """
+    size, at, values = int(A.ends[-1]), 0.0, []
+    below, covered = 0.0, np.inf
+    while True:
+        solve = A.resolvent(1j * at if at else 0.0, step)
+        operator = LinearOperator((size, size), solve, dtype=complex if at else float)
+        start = np.random.default_rng(SEED).normal(size=size)
+        mu = eigs(operator, min(NEAREST, size - 2), v0=start, return_eigenvectors=False)
+        # (s − A)⁻¹ has the eigenvalues 1/(s + λ); those near −s are conjugates of those near s.
+        found = (1.0 / mu - 1j * at).conj()
+        radius = float(np.max(np.abs(1.0 / mu)))
+        above = at + 0.5 * radius
+        widest = max(at - below, above - at)
+        covered = min(covered, float(np.sqrt(max(radius**2 - widest**2, 0.0))))
+        values.append(found[(found.imag >= below) & (found.imag < above)])
+        if above > highest:
+            return np.concatenate(values), covered
+        below, at = above, at + radius
