@@ -5,14 +5,13 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from scipy.linalg import eigh
 from scipy.ndimage import maximum_filter1d
 from threadpoolctl import threadpool_limits
 
 from averaging.phase_space.crossings import crossing_rates
 from averaging.phase_space.elimination import Degrees, Expansion
 from averaging.phase_space.frame import Frame, Reference
-from averaging.phase_space.marginals import form_of, marginal
+from averaging.phase_space.marginals import Form, form_of, marginal
 from averaging.phase_space.moments import moments
 from averaging.phase_space.refinement import (
     FASTEST,
@@ -25,7 +24,7 @@ from averaging.phase_space.refinement import (
     cost,
     solved_to,
 )
-from averaging.phase_space.resolvent import Generator, eigenvalues, times, transforms
+from averaging.phase_space.resolvent import Generator, rates_in, times, transforms
 from fpk.arrays import Array
 from fpk.cores import usable_cores
 from fpk.dynamics import Complex
@@ -38,8 +37,8 @@ GRID, WINDOW = 181, 11
 """Levels between the ends of the support at which the distance of crossing rates is sampled, and
 over how many of them its largest value is taken: it does not vanish where the error is not small.
 """
-HIGHEST = 1.5
-"""Frequency up to which eigenvalues are sought, in units of the highest one of the motion."""
+SAME = 1e-6
+"""Relative distance of two rates of different correlations that are one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +46,8 @@ class Compared:
     """Values by the last solution of a ladder, and their ``distance`` to those by the one before.
 
     ``scale`` is what a tolerance is relative to. ``added`` is an error beside the one that follows
-    from the distance, ``residual`` that of equations beyond those of the densities; ``complete``
-    is the real part up to which no eigenvalue is missed.
+    from the distance, ``residual`` that of equations beyond those of the densities; ``end``
+    is the modulus up to which eigenvalues are known.
     """
 
     values: Array | Complex
@@ -56,7 +55,7 @@ class Compared:
     scale: Array
     added: Array | float = 0.0
     residual: float = 0.0
-    complete: float = np.inf
+    end: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,13 +121,7 @@ def spectrum(frame: Frame, row: int, at: Array, options: Options) -> Answer:
 
     def measured(e: Expansion, progress: Progress) -> tuple[Complex, float]:
         A = Generator.of(frame, e, odd=e.basis.mirrored)
-        form = form_of(frame, e, q[0])
-        form = replace(form, offset=form.offset - _mean(frame, e, row))
-        b = times(e, e.levels, form, A)
-        # The state of the reference alone is 1 in level 0: times it, ∫ q' … is a product with c.
-        reference = [np.zeros_like(u) for u in e.levels]
-        reference[0][0] = e.basis.of_one(0)
-        c = times(e, tuple(reference), form, A)
+        c, b = _displaced(frame, e, row, A)
         return transforms(A, c, b, w, _steps(progress, "spectrum", e.degrees))
 
     once = _once(measured)
@@ -150,30 +143,50 @@ def spectrum(frame: Frame, row: int, at: Array, options: Options) -> Answer:
 
 
 def relaxation(frame: Frame, count: int, options: Options) -> Answer:
-    """Return the ``count`` eigenvalues λ of −L with the least Re λ > 0, Im λ >= 0; scale: |λ|.
+    """Return the ``count`` slowest rates λ of correlations, Im λ >= 0; their scale is |λ|.
 
-    Sought up to ``HIGHEST`` times the highest frequency ω of E v vᵀ − ω² E q qᵀ. The distance of
+    Of those that the correlations of displacements with themselves show, and those of their
+    squares: e^(−λt) with a share of ``SEEN`` and more. They are eigenvalues of −L. The distance of
     each is that to the nearest one of the coarser solution.
     """
     momentum = (Coordinate("p", frame.contact),)
 
     def measured(e: Expansion, progress: Progress) -> tuple[Complex, float]:
-        m, n = moments(frame, e).covariance, frame.n
-        highest = HIGHEST * float(np.sqrt(eigh(m[n:, n:], m[:n, :n], eigvals_only=True)[-1]))
         step = _steps(progress, "relaxation", e.degrees)
-        parities = (False, True) if e.basis.mirrored else (False,)
-        parts = [eigenvalues(Generator.of(frame, e, odd=odd), highest, step) for odd in parities]
-        return np.concatenate([x for x, _ in parts]), min(complete for _, complete in parts)
+        odd = Generator.of(frame, e, odd=e.basis.mirrored)
+        even = Generator.of(frame, e, odd=False) if e.basis.mirrored else odd
+        stationary = np.concatenate([u.ravel() for u in e.levels])
+        solve, answers = odd.resolvent(0.0, step), []
+        for row in range(frame.n):
+            c, b = _displaced(frame, e, row, odd)
+            answers.append(rates_in(solve, c, b))
+        solve = even.resolvent(0.0, step) if e.basis.mirrored else solve
+        for row in range(frame.n):
+            form = _form(frame, e, row)
+            c, b = (
+                times(odd.functions, odd.shaped(x), form, even)
+                for x in _displaced(frame, e, row, odd)
+            )
+            mean = float(even.one @ even.split(b)[0])
+            answers.append(rates_in(solve, c, b - mean * stationary))
+        return np.concatenate([x for x, _ in answers]), min(end for _, end in answers)
 
     once = _once(measured)
 
     def compare(ladder: Ladder, progress: Progress) -> Compared:
-        (fine, complete), (coarse, _) = (once(e, progress) for e in (ladder.finest, ladder.coarser))
-        slowest = fine[np.argsort(fine.real)][:count]
-        distance = np.min(np.abs(slowest[:, None] - coarse), axis=1)
-        return Compared(slowest, distance, np.abs(slowest), complete=complete)
+        (fine, end), (coarse, _) = (once(e, progress) for e in (ladder.finest, ladder.coarser))
+        slowest = _unlike(fine[np.argsort(fine.real)])[:count]
+        distance = np.min(np.abs(slowest[:, None] - coarse), axis=1, initial=np.abs(slowest).max())
+        return Compared(slowest, distance, np.abs(slowest), end=end)
 
     return _adapted(frame, [momentum], compare, options)
+
+
+def _unlike(rates: Complex) -> Complex:
+    """``rates`` without those that an earlier one equals: several correlations show one rate."""
+    return np.array(
+        [x for k, x in enumerate(rates) if not np.any(np.abs(rates[:k] - x) <= SAME * abs(x))]
+    )
 
 
 def _adapted(
@@ -239,9 +252,22 @@ def _once(
     return once
 
 
-def _mean(frame: Frame, e: Expansion, row: int) -> float:
-    place = frame.order.index(row)
-    return float(moments(frame, e).mean[place] / np.sqrt(frame.system.mass[row]))
+def _form(frame: Frame, e: Expansion, row: int) -> Form:
+    """A displacement less its mean, in its own unit."""
+    form, place = form_of(frame, e, Coordinate("q", row)), frame.order.index(row)
+    mean = moments(frame, e).mean[place] / np.sqrt(frame.system.mass[row])
+    return replace(form, offset=form.offset - float(mean))
+
+
+def _displaced(frame: Frame, e: Expansion, row: int, A: Generator) -> tuple[Array, Array]:
+    """q' of a mass times the state of the reference alone, 1 in level 0, and times p, for ``A``.
+
+    A product with the first is ∫ q' ….
+    """
+    form = _form(frame, e, row)
+    reference = [np.zeros_like(u) for u in e.levels]
+    reference[0][0] = e.basis.of_one(0)
+    return times(e.basis, reference, form, A), times(e.basis, e.levels, form, A)
 
 
 def _sizes(frame: Frame, e: Expansion, row: int) -> tuple[float, float]:

@@ -8,7 +8,7 @@ from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.phase_space import dynamics, refinement, resolvent
 from averaging.phase_space.elimination import Degrees, expanded
-from averaging.phase_space.frame import Reference, contact_frame, gibbs_reference
+from averaging.phase_space.frame import Reference, contact_frame, gibbs_reference, linear_part
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.resolvent import Generator, transforms
 from fpk.density import moment
@@ -120,3 +120,40 @@ def test_what_the_expansion_does_not_hold_for_is_refused():
     ):
         with pytest.raises(NotApplicable, match="2 masses meet stops"):
             ask(PhaseSpace(), question, system, *arguments)
+
+
+def test_relaxation_rates_of_a_linear_system_are_sums_of_eigenvalues():
+    exact = ask(Linear(), "relaxation", TURNED, 30).values
+    answer = ask(PhaseSpace(), "relaxation", TURNED, 6, tol=1e-6)
+    distance = np.min(np.abs(answer.values[:, None] - exact), axis=1)
+    assert len(answer.values) == 6 and np.all(distance <= answer.errors)
+    # Displacements show single eigenvalues, their squares sums of two: the four slowest of all.
+    assert answer.values[:4].real == pytest.approx(exact[:4].real, rel=1e-8)
+
+
+def test_relaxation_rates_keep_to_their_error_against_a_finer_solution():
+    coarse = ask(PhaseSpace(), "relaxation", GIBBS, 4, tol=3e-2)
+    fine = ask(PhaseSpace(), "relaxation", GIBBS, 4, tol=1e-3)
+    assert np.all(np.abs(coarse.values - fine.values) <= coarse.errors + fine.errors)
+    assert np.all(fine.values.real > 0.0) and np.all(fine.values.imag >= 0.0)
+
+
+def test_rates_of_the_truncation_are_not_listed():
+    # A has the eigenvalues of minus the matrix F of all but y, too, in functions of y that are
+    # orthogonal to the slopes of those a level below: no correlation shows them.
+    frame = contact_frame(TURNED)
+    F, _, _ = linear_part(frame, gibbs_reference(frame))
+    values = ask(PhaseSpace(), "relaxation", TURNED, 6, tol=1e-6).values
+    for artefact in np.linalg.eigvals(-F):
+        assert np.min(np.abs(values - artefact)) > 1e-3
+
+
+def test_a_correlation_falls_with_its_rates():
+    # The spectrum of one mass between its stops from the resolvent, and by its rates: near the
+    # slowest one, of real part a and frequency w, S has a peak of width a.
+    system = fpk.System([1.0], [1.0], [0.1], [0.02], contacts=(ONE_SIDED,))
+    rates = ask(PhaseSpace(), "relaxation", system, 8, tol=2e-2).values
+    slowest = rates[rates.imag > 0.1][0]
+    w = np.linspace(0.5, 2.0, 151)
+    S = ask(PhaseSpace(), "spectrum", system, 0, w, tol=1e-2).values
+    assert abs(w[S.argmax()] - slowest.imag) < slowest.real

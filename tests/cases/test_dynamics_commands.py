@@ -98,3 +98,26 @@ REFUSED = [
 def test_what_does_not_apply_is_refused_with_the_reason(arguments, word, fpk):
     status, out, err = fpk(*arguments)
     assert (status, out) == (2, "") and err.count("\n") == 1 and word in err
+
+
+@pytest.mark.parametrize(("command", "key"), [("crossings", "rate"), ("spectrum", "spectrum")])
+def test_the_full_equation_answers_as_the_exact_one(command, key, linear_scene, fpk):
+    answers = [
+        record(fpk, command, linear_scene, *asked(method)) for method in ("linear", "phase-space")
+    ]
+    assert [a["solver"] for a in answers] == ["closed-form", "hermite"]
+    for exact, value, error in zip(
+        answers[0][key], answers[1][key], answers[1]["error"], strict=True
+    ):
+        assert abs(exact - value) <= error + 1e-12 * exact
+    assert answers[1]["settings"]["highest degree"] > 0
+
+
+def test_what_is_not_certified_is_said(linear_scene, fpk, monkeypatch):
+    monkeypatch.setattr("averaging.phase_space.refinement.MEMORY", 1e6)
+    scene = linear_scene.parent / "contact.toml"
+    stop = '[[contact]]\nmass = 2\nside = "both"\nstiffness = 10.0\nclearance = 0.5\n'
+    scene.write_text(linear_scene.read_text().replace("[observe]", stop + "[observe]"))
+    status, out, err = fpk("crossings", scene, *asked("phase-space"), "--tol", "1e-9", "--json")
+    assert status == 1 and not json.loads(out)["certificate"]["certified"]
+    assert "GB of memory" in err and "exceeds the tolerance" in err
