@@ -127,23 +127,27 @@ def transforms(A: Generator, c: Array, b: Array, at: Array, step: Step) -> tuple
 
     One elimination, at a shift s, serves the frequencies about it: with B = (s − A)⁻¹ the solution
     of (1 + (iω − s) B) u = B b is taken from the Krylov space of B and B b, one for all ω, by
-    Galerkin's method (Arnoldi). The first shift is 0 and real, unless there are few frequencies;
-    the next ones are in the middle of what is left, where one vector is enough. The residual is
-    that of this equation, relative to its solution.
+    Galerkin's method (Arnoldi). The first shift is 0, in real numbers; the next ones are in the
+    middle of what is left, where one vector is enough. The residual is that of this equation,
+    relative to its solution. The backward equation, with c on its right side, which has two levels
+    only, would cost as much: its answer is needed on all levels of b.
     """
     values, worst = np.zeros(at.size, dtype=complex), 0.0
-    left = [(np.arange(at.size), at.size > 2 or not at.all())]
-    while left:
-        group, from_zero = left.pop()
-        shift = 0.0 if from_zero else 1j * at[group[group.size // 2]]
-        found, residuals = _near(A.resolvent(shift, step), c, b, np.asarray(1j * at[group] - shift))
+    groups, shift = [np.arange(at.size)], 0.0
+    while groups:
+        group = groups.pop()
+        away = np.asarray(1j * (at[group] - shift))
+        found, residuals = _near(A.resolvent(1j * shift, step), c, b, away)
+        if not np.all(np.isfinite(residuals)):
+            raise np.linalg.LinAlgError(f"no resolvent at the frequency {shift:.3g}")
         solved = residuals <= RESIDUAL
         values[group[solved]] = found[solved]
         worst = max(worst, float(np.max(residuals[solved], initial=0.0)))
         rest = group[~solved]
-        middle = at[group[group.size // 2]] if shift else -1.0
-        sides = (rest[at[rest] < middle], rest[at[rest] > middle])
-        left += [(side, False) for side in sides if side.size]
+        sides = (rest[at[rest] < shift], rest[at[rest] > shift])
+        groups += [side for side in sides if side.size]
+        if groups:
+            shift = float(at[groups[-1][groups[-1].size // 2]])
     return values, worst
 
 
