@@ -126,6 +126,8 @@ def rates_text(record: Record) -> str:
     """Return the rates, their frequencies and errors in columns."""
     rows = zip(record["rates"], record["frequencies"], record["errors"], strict=True)
     lines = [_row([rate, frequency], error) for rate, frequency, error in rows]
+    end = record["settings"].get("sought up to the modulus")
+    lines += [f"# rates of a modulus above {end:.3g} may be missing"] if end else []
     return "\n".join(["# rate   angular frequency   numerical error", *lines])
 
 
