@@ -11,9 +11,11 @@ from averaging.closed_form import state_closed_form
 from averaging.energy_process import damping_by_energy, energy_process
 from averaging.theory import Theory, energy_only_refusal
 from fpk.arrays import Array
+from fpk.density import Density, moment
+from fpk.dynamics import Curve, certified_curve, upcrossings
 from fpk.errors import NotApplicable
 from fpk.method import Plan, Progress, Result
-from fpk.observable import Observable
+from fpk.observable import Coordinate, Observable
 from fpk.system import System
 
 PROPORTION_SLACK = 1e-12
@@ -80,6 +82,19 @@ class Exact(Theory):
             return Result(self, densities, settings=settings)
 
         return Plan(partial(energy_only_refusal, system, exponential=h.size == 1), solve)
+
+    def crossings(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return the upcrossings per unit time of q from its joint density with p."""
+        observable = (Coordinate("q", row), Coordinate("p", row))
+        (joint,) = self.solve(system, [observable], progress=progress).densities
+        assert isinstance(joint, Density)
+        mass = float(system.mass[row])
+        values, errors = upcrossings(joint, mass, at)
+        q, v = np.sqrt(moment(joint, 2, 0)), np.sqrt(moment(joint, 0, 2)) / mass
+        scale = float(v / (2.0 * np.pi * q))
+        return certified_curve(values, errors, scale=scale, of=joint, tol=tol or self.tol)
 
 
 Exact.register()

@@ -6,12 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from averaging.gaussian_state import Gaussian
+from averaging.gaussian_state import Gaussian, state_rows
+from averaging.linear_dynamics import eigenvalue_sums, rice_rates, spectral_density
 from averaging.theory import Theory, energy_only_refusal
+from fpk.arrays import Array
+from fpk.certificate import Measured, certify
+from fpk.density import Density
+from fpk.dynamics import Curve, Rates, certified_curve
 from fpk.errors import NotApplicable
-from fpk.linear import linear_covariance
+from fpk.linear import linear_covariance, stationary_covariance
 from fpk.method import Plan, Progress, Result
-from fpk.observable import Observable
+from fpk.observable import Coordinate, Observable
 from fpk.system import System
 
 
@@ -51,6 +56,46 @@ class Linear(Theory):
             return Result(self, densities, settings={"equation": "Lyapunov"})
 
         return Plan(lambda observable: energy_only_refusal(system, observable), solve)
+
+    def crossings(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return the upcrossings per unit time of q, by Rice's formula for a Gaussian."""
+        density, q, v = self._state(system, row)
+        values, errors = rice_rates(q, v, system.fact(linear_covariance).relative_error, at)
+        return certified_curve(
+            values, errors, scale=v / (2.0 * np.pi * q), of=density, tol=self.tol
+        )
+
+    def spectrum(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return the power spectral density of q from the transfer functions."""
+        density, q, v = self._state(system, row)
+        values, errors = spectral_density(system, row, at)
+        return certified_curve(values, errors, scale=q**3 / v, of=density, tol=tol or self.tol)
+
+    def relaxation(
+        self, system: System, count: int, *, tol: float | None, progress: Progress
+    ) -> Rates:
+        """Return sums of eigenvalues of the drift matrix: those of −L are no others."""
+        self.prepare(system)
+        residual = system.fact(linear_covariance).residual
+        values, errors = eigenvalue_sums(system, count)
+        relative = float(np.max(errors / np.abs(values)))
+        certificate = certify(Measured(relative, 0.0, 0.0, residual, 0.0), tol=tol or self.tol)
+        return Rates(values, errors, certificate)
+
+    def _state(self, system: System, row: int) -> tuple[Density, float, float]:
+        """Density of q, and the standard deviations of q and of the velocity; both not 0."""
+        (density,) = self.solve(system, [(Coordinate("q", row),)]).densities
+        assert isinstance(density, Density)
+        at = state_rows((Coordinate("q", row), Coordinate("p", row)), system.n)
+        variances = np.diag(stationary_covariance(system))[at]
+        if not np.min(variances) > 0.0:
+            raise NotApplicable(f"no noise reaches mass {row + 1}, which is at rest")
+        q, p = np.sqrt(variances)
+        return density, float(q), float(p / system.mass[row])
 
 
 Linear.register()

@@ -86,6 +86,17 @@ def others_to(most: int, d: int) -> tuple[Others, ...]:
     return tuple(out)
 
 
+def lowered(others: tuple[Others, ...], level: int, v: Array, e: Array) -> Array:
+    """Return Σ_i e_i a_i v, for ``level``, of coefficients v of the level above."""
+    highest = len(others) - 1
+    parts = np.split(v, np.cumsum([o.k.shape[0] for o in others[: level + 2]])[:-1])
+    out = [e[0] * np.sqrt(level - m + 1.0) * part for m, part in enumerate(parts[: level + 1])]
+    for m in range(min(level, highest - 1) + 1):
+        for a, A in zip(e[1:], others[m].raising, strict=True):
+            out[m] = out[m] + a * (A.T @ parts[m + 1])
+    return np.concatenate(out)
+
+
 def _of_sum(total: int, d: int) -> Indices:
     """All d numbers >= 0 of this sum, (count, d)."""
     if d == 0:

@@ -319,6 +319,14 @@ class Chain:
             given -= applied(self.above[n], inverses[n + 1] @ beyond, self.size(n))
         return np.asarray(given[:, 0])
 
+    def packed(self, n: int, u: Array) -> Array:
+        """Return the unknowns of level n in (count, functions), without those it does not have."""
+        parts, row = [], 0
+        for g in self.groups[n]:
+            parts.append(u[row : row + g.count, : g.functions].ravel())
+            row += g.count
+        return np.concatenate(parts)
+
     def shaped(self, n: int, u: Array) -> Array:
         """Return unknowns of level n as (count, functions), 0 where a degree has no function."""
         count, most = sum(g.count for g in self.groups[n]), max(g.functions for g in self.groups[n])

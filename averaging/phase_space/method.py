@@ -1,7 +1,7 @@
 """Method ``phase-space``: the stationary FPK equation of the full system (6), deterministic."""
 
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -10,18 +10,20 @@ from scipy.ndimage import map_coordinates, maximum_filter
 
 from averaging.exact import Exact
 from averaging.gaussian import Linear
-from averaging.phase_space.frame import Reference, contact_frame, gibbs_reference
+from averaging.phase_space import dynamics
+from averaging.phase_space.frame import Frame, Reference, contact_frame, gibbs_reference
 from averaging.phase_space.identities import heat_into_masses, identities
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import moments
 from averaging.phase_space.refinement import ROUND_OFF, WORK, Ladder, solved_to
 from averaging.theory import Theory
 from fpk.arrays import Array
-from fpk.certificate import Measured
+from fpk.certificate import Measured, certify
 from fpk.density import Density, certified_density
+from fpk.dynamics import Curve, Rates, certified_curve
 from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Plan, Progress, Result
-from fpk.observable import Observable, observable_name
+from fpk.observable import Coordinate, Observable, observable_name
 from fpk.system import System
 
 MOST_MASSES = 3
@@ -34,6 +36,9 @@ UNASKED_ACCEPTED = 1e-2
 """Largest L1 error of a judge: a tenth of that up to which a theory is called acceptable."""
 UNASKED_WORK = 6.6e11
 """Multiplications that a solution may need unasked: some 25 s on one core, with all before it."""
+CROSSINGS_TOL, SPECTRUM_TOL, RELAXATION_TOL = 1e-3, 1e-2, 5e-2
+"""Relative errors wanted where none is asked for. Spectra and rates converge more slowly than
+densities, and take an elimination in complex numbers for every piece of the frequencies."""
 GRID = {1: 721, 2: 181}
 """Points of an axis at which the distance to the coarser solution is sampled, by the axes."""
 WINDOW = {1: 41, 2: 11}
@@ -89,16 +94,10 @@ class PhaseSpace(Theory):
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where the expansion is not."""
-        if system.n > MOST_MASSES:
-            raise NotApplicable(
-                f"{system.n} masses have {2 * system.n} coordinates; the expansion is for "
-                f"{2 * MOST_MASSES} at the most"
-            )
-        frame = contact_frame(system)
-        gibbs_reference(frame)
+        frame = _frame(system)
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
-            try:
+            with _breakdowns():
                 ladder = solved_to(
                     frame,
                     observables,
@@ -109,8 +108,6 @@ class PhaseSpace(Theory):
                     progress=progress,
                     reference=self.reference,
                 )
-            except np.linalg.LinAlgError as error:
-                raise NotCertified(f"the expansion breaks down: {error}") from None
             if self.accepted and (worst := max(ladder.errors.values())) > self.accepted:
                 raise NotCertified(f"an L1 error of {worst:.1g} was reached: {ladder.limit}")
             return Result(
@@ -121,6 +118,81 @@ class PhaseSpace(Theory):
             )
 
         return Plan(_refusal, solve)
+
+    def crossings(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return the upcrossings per unit time of q from the joint density of (q, p)."""
+        options = (tol or CROSSINGS_TOL, progress, self.reference)
+        with _breakdowns():
+            return _curve(dynamics.crossings(_frame(system), row, at, options), row, options[0])
+
+    def spectrum(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return the power spectral density of q from the resolvent of the FPK operator."""
+        options = (tol or SPECTRUM_TOL, progress, self.reference)
+        with _breakdowns():
+            return _curve(dynamics.spectrum(_frame(system), row, at, options), row, options[0])
+
+    def relaxation(
+        self, system: System, count: int, *, tol: float | None, progress: Progress
+    ) -> Rates:
+        """Return the slowest eigenvalues of the expansion's FPK operator."""
+        options = (tol or RELAXATION_TOL, progress, self.reference)
+        with _breakdowns():
+            answer = dynamics.relaxation(_frame(system), count, options)
+        measured = Measured(
+            l1_error=answer.relative,
+            mass_defect=0.0,
+            minimum=0.0,
+            residual=answer.ladder.finest.residual,
+            tail_mass=0.0,
+            failures=_limits(answer, options[0]),
+        )
+        certificate = certify(measured, tol=options[0])
+        values = np.asarray(answer.last.values, dtype=complex)
+        settings = _settings(answer.ladder) | {"sought up to the modulus": answer.last.end}
+        return Rates(values, answer.errors, certificate, settings)
+
+
+@contextmanager
+def _breakdowns() -> Iterator[None]:
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise NotCertified(f"the expansion breaks down: {error}") from None
+
+
+def _frame(system: System) -> Frame:
+    """Return the frame; raise ``NotApplicable`` where the expansion is not for the system."""
+    if system.n > MOST_MASSES:
+        raise NotApplicable(
+            f"{system.n} masses have {2 * system.n} coordinates; the expansion is for "
+            f"{2 * MOST_MASSES} at the most"
+        )
+    frame = contact_frame(system)
+    gibbs_reference(frame)
+    return frame
+
+
+def _curve(answer: dynamics.Answer, row: int, tol: float) -> Curve:
+    ladder = answer.ladder
+    density = _density(ladder, (Coordinate("q", row),), tol)
+    return certified_curve(
+        np.asarray(answer.last.values, dtype=float),
+        answer.errors,
+        scale=float(answer.last.scale),
+        of=density,
+        tol=tol,
+        residual=answer.last.residual,
+        failures=_limits(answer, tol),
+        settings=_settings(ladder),
+    )
+
+
+def _limits(answer: dynamics.Answer, tol: float) -> tuple[str, ...]:
+    return (answer.limit,) if answer.limit and answer.relative > tol else ()
 
 
 def _refusal(observable: Observable) -> str | None:

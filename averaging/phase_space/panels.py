@@ -91,7 +91,7 @@ class Basis:
     ``counts[s][c]`` is how many functions of set s, in front, have c polynomials beyond a stop.
 
     Where state and mirror image are equally likely (``mirrored``) the first are even and the
-    second are odd.
+    second are odd, or the other way round.
     """
 
     reference: Reference
@@ -215,8 +215,12 @@ def _bare_panels(frame: Frame, reference: Reference, degrees: Degrees) -> list[P
     return panels
 
 
-def basis(frame: Frame, reference: Reference, degrees: Degrees) -> Basis:
-    """Return the functions of y of an expansion. Panels end at the stops."""
+def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = False) -> Basis:
+    """Return the functions of y of an expansion. Panels end at the stops.
+
+    ``odd``: those of what changes its sign with the mirror image, odd ones for even ones and even
+    ones for odd ones.
+    """
     panels = _bare_panels(frame, reference, degrees)
     y, dy = (np.concatenate(x) for x in zip(*(p.rule(RULE_POINTS) for p in panels), strict=True))
     w = dy * np.exp(log_weight(frame, reference, y))
@@ -228,9 +232,9 @@ def basis(frame: Frame, reference: Reference, degrees: Degrees) -> Basis:
         panels[k] = replace(panel, first=first, recurrence=recurrence)
     mirrored = frame.symmetric and not reference.weight[0]
     rows = _continuity(frame, reference, panels)
-    even, odd = (_of_parity(panels, sign) if mirrored else rows[:0] for sign in (1, -1))
-    continuous = _nested(panels, degrees, np.vstack([rows, even]), fewer=0)
-    broken = _nested(panels, degrees, odd, fewer=1)
+    parity = [_of_parity(panels, sign) if mirrored else rows[:0] for sign in (1, -1)]
+    continuous = _nested(panels, degrees, np.vstack([rows, parity[odd]]), fewer=0)
+    broken = _nested(panels, degrees, parity[not odd], fewer=1)
     return Basis(
         reference,
         frame,

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import count
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -80,6 +79,7 @@ def solved_to(
     threads: int | None = None,
     progress: Progress,
     reference: Reference | None = None,
+    at_least: int = 2,
 ) -> Ladder:
     """Return the first solution whose L1 errors of all ``observables`` are at most ``tol``.
 
@@ -87,6 +87,7 @@ def solved_to(
     distances d between solutions; it is d/(r − 1) at the last one. Where solutions that need more
     than ``work`` would be called for, the last before them is returned, early if not even the error
     ``accepted`` can be met by then. ``reference`` is where to start, None for the Gibbs state.
+    ``at_least`` is how many solutions are made where none is refused.
     """
     whole = any(needs_all_levels(frame, o) for o in observables)
     about = reference or gibbs_reference(frame)
@@ -104,15 +105,16 @@ def solved_to(
         factors = dict.fromkeys(observables, np.inf)
         errors = dict.fromkeys(observables, np.inf)
         limit = ""
-        while not max(errors.values()) <= tol:
+        while len(solutions) < at_least or not max(errors.values()) <= tol:
             limit = why_not(len(solutions))
             if len(solutions) > 1:
                 # Even if all that is allowed gained the most that is believed.
-                left = next(k for k in count() if why_not(len(solutions) + k))
-                best = SAFETY * max(distance.values()) / (FASTEST - 1.0) / FASTEST**left
-                if best > (accepted or tol):
-                    why = why_not(len(solutions) + left)
-                    limit = f"the tolerance {accepted or tol:.2g} is out of reach: {why}"
+                wanted, left = accepted or tol, len(solutions)
+                best = SAFETY * max(distance.values()) / (FASTEST - 1.0)
+                while best > wanted and not (why := why_not(left)):
+                    best, left = best / FASTEST, left + 1
+                if best > wanted:
+                    limit = f"the tolerance {wanted:.2g} is out of reach: {why}"
                 if limit:
                     break
             degrees = degrees_of(len(solutions), frame.n)

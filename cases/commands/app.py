@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from cases.commands import parts
+from cases.commands.dynamics import crossings, relaxation, spectrum
 from cases.commands.export import export
 from cases.commands.studies import converge, cost, regime
 from cases.commands.verify import verify
@@ -134,7 +135,7 @@ def density(scene: str, method: str, of: str, at: str, solver: str | None, **set
     parts.end(record, lambda: density_text(record), problems=problems)
 
 
-for _command in (converge, cost, export, verify, regime):
+for _command in (crossings, spectrum, relaxation, converge, cost, export, verify, regime):
     app.add_command(_command)
 
 

@@ -8,7 +8,10 @@ from pydantic_core import to_jsonable_python
 
 from cases.scene.scene import Scene
 from fpk.arrays import Array
-from fpk.method import Result
+from fpk.certificate import Certificate
+from fpk.dynamics import Curve, Rates
+from fpk.method import Method, Result
+from fpk.observable import Observable, observable_name
 
 Record = dict[str, Any]
 
@@ -48,23 +51,86 @@ def density_record(scene: Scene, result: Result, points: tuple[Array, ...]) -> R
             "density": values,
             "error": errors,
             "error_kind": density.error_kind,
-            "certificate": {
-                **vars(density.certificate),
-                "certified": density.certificate.certified,
-            },
+            "certificate": _certificate(density.certificate),
             "settings": dict(result.settings),
             "seconds": result.seconds,
         }
     )
 
 
+def curve_record(
+    scene: Scene,
+    method: Method,
+    observable: Observable,
+    points: Array,
+    key: str,
+    curve: Curve,
+    seconds: float,
+) -> Record:
+    """Return the record of ``fpk crossings`` and ``fpk spectrum``; the values are under ``key``."""
+    return plain(
+        {
+            "scene": scene.name,
+            "method": method.name,
+            "solver": method.solver,
+            "observable": observable_name(observable),
+            "points": points,
+            key: curve.values,
+            "error": curve.errors,
+            "error_kind": "numerical",
+            "certificate": _certificate(curve.certificate),
+            "settings": dict(curve.settings),
+            "seconds": seconds,
+        }
+    )
+
+
+def rates_record(scene: Scene, method: Method, rates: Rates, seconds: float) -> Record:
+    """Return the record of ``fpk relaxation``."""
+    return plain(
+        {
+            "scene": scene.name,
+            "method": method.name,
+            "solver": method.solver,
+            "rates": rates.values.real,
+            "frequencies": rates.values.imag,
+            "errors": rates.errors,
+            "certificate": _certificate(rates.certificate),
+            "settings": dict(rates.settings),
+            "seconds": seconds,
+        }
+    )
+
+
+def _certificate(certificate: Certificate) -> Record:
+    return {**vars(certificate), "certified": certificate.certified}
+
+
 def density_text(record: Record) -> str:
     """Return the points, the density and its error in columns."""
+    return curve_text(record, "density")
+
+
+def curve_text(record: Record, key: str) -> str:
+    """Return the points, the values under ``key`` and their error in columns."""
     kind = "one standard error" if record["error_kind"] == "sampling" else "numerical error"
-    lines = [f"# {record['observable']}   density   {kind}"]
-    rows = zip(record["points"], record["density"], record["error"], strict=True)
+    lines = [f"# {record['observable']}   {key}   {kind}"]
+    rows = zip(record["points"], record[key], record["error"], strict=True)
     for point, value, error in rows:
         at = point if isinstance(point, list) else [point]
-        words = ["nan" if x is None else f"{x:.12g}" for x in (*at, value)]
-        lines.append("  ".join([*words, "nan" if error is None else f"{error:.2g}"]))
+        lines.append(_row([*at, value], error))
     return "\n".join(lines)
+
+
+def rates_text(record: Record) -> str:
+    """Return the rates, their frequencies and errors in columns."""
+    rows = zip(record["rates"], record["frequencies"], record["errors"], strict=True)
+    lines = [_row([rate, frequency], error) for rate, frequency, error in rows]
+    end = record["settings"].get("sought up to the modulus")
+    lines += [f"# rates of a modulus above {end:.3g} may be missing"] if end else []
+    return "\n".join(["# rate   angular frequency   numerical error", *lines])
+
+
+def _row(values: list[float | None], error: float | None) -> str:
+    words = ["nan" if x is None else f"{x:.12g}" for x in values]
+    return "  ".join([*words, "nan" if error is None else f"{error:.2g}"])

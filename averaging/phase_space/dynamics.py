@@ -1,0 +1,283 @@
+"""Crossings, spectra and relaxation rates to a tolerance, each with its error."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d
+from threadpoolctl import threadpool_limits
+
+from averaging.phase_space.crossings import crossing_rates
+from averaging.phase_space.degrees import Degrees
+from averaging.phase_space.elimination import Expansion
+from averaging.phase_space.frame import Frame, Reference
+from averaging.phase_space.marginals import Form, form_of, marginal
+from averaging.phase_space.moments import moments
+from averaging.phase_space.refinement import (
+    FASTEST,
+    MEMORY,
+    ROUND_OFF,
+    SAFETY,
+    SLOWEST,
+    WORK,
+    Ladder,
+    cost,
+    solved_to,
+)
+from averaging.phase_space.resolvent import Generator, rates_in, times, transforms
+from fpk.arrays import Array
+from fpk.cores import usable_cores
+from fpk.dynamics import Complex
+from fpk.method import Progress
+from fpk.observable import Coordinate, Observable
+
+Value = TypeVar("Value")
+
+GRID, WINDOW = 181, 11
+"""Levels between the ends of the support at which the distance of crossing rates is sampled, and
+over how many of them its largest value is taken: it does not vanish where the error is not small.
+"""
+SAME = 1e-6
+"""Relative distance of two rates of different correlations that are one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """Values by the last solution of a ladder, and their ``distance`` to those by the one before.
+
+    ``scale`` is what a tolerance is relative to. ``added`` is an error beside the one that follows
+    from the distance, ``residual`` that of equations beyond those of the densities; ``end``
+    is the modulus up to which eigenvalues are known.
+    """
+
+    values: Array | Complex
+    distance: Array
+    scale: Array
+    added: Array | float = 0.0
+    residual: float = 0.0
+    end: float = np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What was compared last, on which ladder, and the errors that follow from all distances.
+
+    ``limit`` says why there is no finer answer, empty where the tolerance is met.
+    """
+
+    last: Compared
+    ladder: Ladder
+    errors: Array
+    limit: str
+
+    @property
+    def relative(self) -> float:
+        """The largest error in units of the scale."""
+        return float(np.max(self.errors / self.last.scale))
+
+
+Compare = Callable[[Ladder, Progress], Compared]
+Options = tuple[float, Progress, Reference | None]
+"""Tolerance, progress, and where the expansion starts."""
+
+
+def crossings(frame: Frame, row: int, at: Array, options: Options) -> Answer:
+    """Return the rates of upcrossing of the levels ``at``; their scale is σ_v/(2πσ_q).
+
+    The distance is the largest one about a level. What flows past the level is added to the error.
+    """
+    q, p = (Coordinate("q", row),), (Coordinate("p", row),)
+
+    def compare(ladder: Ladder, progress: Progress) -> Compared:
+        (ends,), _ = marginal(frame, ladder.finest, q)
+        grid = np.linspace(ends[0], ends[-1], GRID)
+        (fine, net), (coarse, _) = (
+            crossing_rates(frame, e, row, np.append(grid, at))
+            for e in (ladder.finest, ladder.coarser)
+        )
+        distance = np.abs(fine - coarse)
+        about = np.interp(at, grid, maximum_filter1d(distance[:GRID], WINDOW))
+        sizes = _sizes(frame, ladder.finest, row)
+        return Compared(
+            fine[GRID:],
+            np.maximum(about, distance[GRID:]),
+            np.array(sizes[1] / (2.0 * np.pi * sizes[0])),
+            added=np.abs(net[GRID:]),
+        )
+
+    return _adapted(frame, [q, p], compare, options)
+
+
+def spectrum(frame: Frame, row: int, at: Array, options: Options) -> Answer:
+    """Return the power spectral density S of q at ``at``; its scale is σ_q³/σ_v.
+
+    S(ω) = Re G(iω)/π, G(s) = ∫ q' (s − L)⁻¹ q' p, q' = q less its mean. Where S happens to be the
+    same in both solutions, on the flank of a peak that moves, Im G is not: the distance is that of
+    all of G, less what its first terms at high frequency have of it, σ_q²/s − σ_v²/s³, in which S
+    has no part: G − σ_q² (s + κ)/(s² + κ s + κ²), κ = σ_v/σ_q.
+    """
+    q, p = (Coordinate("q", row),), (Coordinate("p", row),)
+    w, place = np.unique(np.abs(at), return_inverse=True)
+
+    def measured(e: Expansion, progress: Progress) -> tuple[Complex, float]:
+        A = Generator.of(frame, e, odd=e.basis.mirrored)
+        c, b = _displaced(frame, e, row, A)
+        return transforms(A, c, b, w, _steps(progress, "spectrum", e.degrees))
+
+    once = _once(measured)
+
+    def compare(ladder: Ladder, progress: Progress) -> Compared:
+        (fine, residual), (coarse, _) = (once(e, progress) for e in (ladder.finest, ladder.coarser))
+        sizes = [_sizes(frame, e, row) for e in (ladder.finest, ladder.coarser)]
+        first, second = (
+            q**2 * (1j * w + v / q) / ((1j * w) ** 2 + 1j * w * v / q + (v / q) ** 2)
+            for q, v in sizes
+        )
+        distance = np.abs(fine - coarse - (first - second))
+        distance = np.maximum(distance, np.abs((fine - coarse).real)) / np.pi
+        scale = np.array(sizes[0][0] ** 3 / sizes[0][1])
+        return Compared(fine.real[place] / np.pi, distance[place], scale, residual=residual)
+
+    # A momentum, so that all levels of the stationary state are computed.
+    return _adapted(frame, [q, p], compare, options)
+
+
+def relaxation(frame: Frame, count: int, options: Options) -> Answer:
+    """Return the ``count`` slowest rates λ of correlations, Im λ >= 0; their scale is |λ|.
+
+    Of those that the correlations of displacements with themselves show, and those of their
+    squares: e^(−λt) with a share of ``SEEN`` and more. They are eigenvalues of −L. The distance of
+    each is that to the nearest one of the coarser solution.
+    """
+    momentum = (Coordinate("p", frame.contact),)
+
+    def measured(e: Expansion, progress: Progress) -> tuple[Complex, float]:
+        step = _steps(progress, "relaxation", e.degrees)
+        odd = Generator.of(frame, e, odd=e.basis.mirrored)
+        even = Generator.of(frame, e, odd=False) if e.basis.mirrored else odd
+        stationary = even.packed(e.levels)
+        solve, answers = odd.resolvent(0.0, step), []
+        for row in range(frame.n):
+            c, b = _displaced(frame, e, row, odd)
+            answers.append(rates_in(solve, c, b))
+        solve = even.resolvent(0.0, step) if e.basis.mirrored else solve
+        for row in range(frame.n):
+            form = _form(frame, e, row)
+            c, b = (
+                times(odd.functions, odd.shaped(x), form, even)
+                for x in _displaced(frame, e, row, odd)
+            )
+            mean = float(even.one @ even.split(b)[0])
+            answers.append(rates_in(solve, c, b - mean * stationary))
+        return np.concatenate([x for x, _ in answers]), min(end for _, end in answers)
+
+    once = _once(measured)
+
+    def compare(ladder: Ladder, progress: Progress) -> Compared:
+        (fine, end), (coarse, _) = (once(e, progress) for e in (ladder.finest, ladder.coarser))
+        slowest = _unlike(fine[np.argsort(fine.real)])[:count]
+        distance = np.min(np.abs(slowest[:, None] - coarse), axis=1, initial=np.abs(slowest).max())
+        return Compared(slowest, distance, np.abs(slowest), end=end)
+
+    return _adapted(frame, [momentum], compare, options)
+
+
+def _unlike(rates: Complex) -> Complex:
+    """``rates`` without those that an earlier one equals: several correlations show one rate."""
+    return np.array(
+        [x for k, x in enumerate(rates) if not np.any(np.abs(rates[:k] - x) <= SAME * abs(x))]
+    )
+
+
+def _adapted(
+    frame: Frame, observables: Sequence[Observable], compare: Compare, options: Options
+) -> Answer:
+    """Return the first answer with a relative error of at most the tolerance, else the finest one.
+
+    As for densities: the error is ``SAFETY`` d/(r − 1), r the factor by which the largest relative
+    distance d falls from one solution to the next.
+    """
+    tol, progress, reference = options
+    at_least, before, answer = 2, np.inf, None
+    while True:
+        ladder = solved_to(
+            frame,
+            observables,
+            tol=tol,
+            progress=progress,
+            reference=reference,
+            at_least=at_least,
+        )
+        limit = ladder.limit if ladder.solutions < at_least else _refusal(frame, ladder)
+        if answer is not None and limit:
+            return replace(answer, limit=limit)
+        with threadpool_limits(limits=usable_cores(), user_api="blas"):
+            last = compare(ladder, progress)
+        own = float(np.max(last.distance / last.scale))
+        before = before if np.isfinite(before) else SLOWEST * own
+        # A distance may be small by chance: it is believed to fall no faster than this.
+        least = max(own, before / FASTEST)
+        rate = max(before / least, SLOWEST) if least > 0.0 else SLOWEST
+        factor = SAFETY / (rate - 1.0) * (least / own if own > 0.0 else 1.0)
+        errors = factor * last.distance + last.added + ROUND_OFF * last.scale
+        answer = Answer(last, ladder, np.broadcast_to(errors, last.distance.shape), "")
+        if answer.relative <= tol:
+            return answer
+        if ladder.limit:
+            return replace(answer, limit=ladder.limit)
+        at_least, before = ladder.solutions + 1, least
+
+
+def _refusal(frame: Frame, ladder: Ladder) -> str:
+    """Why an elimination in complex numbers with the degrees of the last solution is not begun."""
+    e = ladder.finest
+    size, work = (2.0 * x for x in cost(frame, e.basis.reference, e.degrees, whole=True))
+    if size > MEMORY:
+        return f"a finer one needs {size / 1e9:.2g} GB of memory, at most {MEMORY / 1e9:.2g}"
+    if 2.0 * work > WORK:
+        return f"a finer one needs {2.0 * work:.1g} multiplications, at most {WORK:.1g}"
+    return ""
+
+
+def _once(
+    measured: Callable[[Expansion, Progress], Value],
+) -> Callable[[Expansion, Progress], Value]:
+    """Return the function with the values of earlier calls, by their degrees."""
+    values: dict[Degrees, Value] = {}
+
+    def once(e: Expansion, progress: Progress) -> Value:
+        if e.degrees not in values:
+            values[e.degrees] = measured(e, progress)
+        return values[e.degrees]
+
+    return once
+
+
+def _form(frame: Frame, e: Expansion, row: int) -> Form:
+    """A displacement less its mean, in its own unit."""
+    form, place = form_of(frame, e, Coordinate("q", row)), frame.order.index(row)
+    mean = moments(frame, e).mean[place] / np.sqrt(frame.system.mass[row])
+    return replace(form, offset=form.offset - float(mean))
+
+
+def _displaced(frame: Frame, e: Expansion, row: int, A: Generator) -> tuple[Array, Array]:
+    """q' of a mass times the state of the reference alone, 1 in level 0, and times p, for ``A``.
+
+    A product with the first is ∫ q' ….
+    """
+    form = _form(frame, e, row)
+    reference = [np.zeros_like(u) for u in e.levels]
+    reference[0][0] = e.basis.of_one()
+    return times(e.basis, reference, form, A), times(e.basis, e.levels, form, A)
+
+
+def _sizes(frame: Frame, e: Expansion, row: int) -> tuple[float, float]:
+    """Standard deviations of q and of the velocity."""
+    place, variances = frame.order.index(row), np.diag(moments(frame, e).covariance)
+    q, v = np.sqrt(variances[[place, frame.n + place]] / frame.system.mass[row])
+    return float(q), float(v)
+
+
+def _steps(progress: Progress, what: str, degrees: Degrees) -> Callable[[float], None]:
+    return lambda share: progress(int(100 * share), 100, f"{what}, degree {degrees.total}")

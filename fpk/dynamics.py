@@ -1,0 +1,122 @@
+"""What a stationary state does in time: crossings of levels, power spectra, relaxation rates.
+
+A method that gives one of them has the method of this name; which those are is found out from the
+three protocols. ``tol`` is the largest error wanted, of curves in units of a natural size of the
+quantity (σ_v/(2πσ_q) of crossings, σ_q³/σ_v of spectra), of rates relative to each; None: what the
+method does by default. ``progress`` is as everywhere.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from fpk.arrays import Array
+from fpk.certificate import Certificate, Measured, certify
+from fpk.density import SMALLEST, Density, gauss_grid
+from fpk.method import Progress
+from fpk.system import System
+
+Complex = np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Values at the points asked for, with an error each, and the certificate of all of them."""
+
+    values: Array
+    errors: Array
+    certificate: Certificate
+    settings: Mapping[str, str | float | int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Eigenvalues λ of −L, L the generator, in ascending order of their real parts.
+
+    Correlations fall as e^(−λt). Of a conjugate pair the one with Im λ > 0 stands for both.
+    """
+
+    values: Complex
+    errors: Array
+    certificate: Certificate
+    settings: Mapping[str, str | float | int] = field(default_factory=dict)
+
+
+@runtime_checkable
+class Crossings(Protocol):
+    """A method that gives the rates at which a displacement crosses levels upwards."""
+
+    def crossings(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return the upcrossings per unit time of the levels ``at`` by q of mass ``row`` (of 0)."""
+
+
+@runtime_checkable
+class Spectrum(Protocol):
+    """A method that gives power spectral densities of displacements.
+
+    They are two-sided, in angular frequency: S(ω) = (1/2π) ∫ C(t) e^(−iωt) dt, C the covariance
+    of q(0) and q(t), so that ∫ S dω over all real ω is the variance.
+    """
+
+    def spectrum(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return S of q of mass ``row`` (of 0) at the angular frequencies ``at``."""
+
+
+@runtime_checkable
+class Relaxation(Protocol):
+    """A method that gives the slowest rates at which the system forgets its past."""
+
+    def relaxation(
+        self, system: System, count: int, *, tol: float | None, progress: Progress
+    ) -> Rates:
+        """Return the ``count`` eigenvalues of −L with the least real parts but 0 itself."""
+
+
+def certified_curve(
+    values: Array,
+    errors: Array,
+    *,
+    scale: float,
+    of: Density,
+    tol: float,
+    residual: float = 0.0,
+    failures: tuple[str, ...] = (),
+    settings: Mapping[str, str | float | int] | None = None,
+) -> Curve:
+    """Return a curve that rests on the stationary density ``of``, with its certificate.
+
+    ``tol`` is the error wanted in units of ``scale``, a natural size of the quantity that is not
+    zero where its values are. Mass and tails are those of the density; so is the residual, unless
+    that of the curve's own equation is larger. Values that are negative by more than their error
+    fail.
+    """
+    relative = float(np.max(errors)) / scale
+    measured = Measured(
+        l1_error=relative,
+        mass_defect=of.certificate.mass_defect,
+        minimum=float(np.min(values)) / scale,
+        residual=max(residual, of.certificate.residual),
+        tail_mass=of.certificate.tail_mass,
+        failures=failures,
+        absolute_error=relative,
+    )
+    certificate = certify(measured, tol=tol)
+    return Curve(values, errors + SMALLEST, certificate, settings or {})
+
+
+def upcrossings(joint: Density, mass: float, at: Array) -> tuple[Array, Array]:
+    """Return the rates ∫_0^∞ (p/m) f(q, p) dp of a joint density of (q, p) at q = ``at``.
+
+    Rice's formula. The error is the integral of that of the density.
+    """
+    nodes = joint.panels[1]
+    _, [(p, w)] = gauss_grid([np.union1d(0.0, nodes[nodes > 0.0])], points=20)
+    density, error = joint.at(at[:, None], p)
+    flux = w * p / mass
+    return density @ flux, error @ flux

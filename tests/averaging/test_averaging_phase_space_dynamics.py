@@ -1,0 +1,159 @@
+"""Crossings, spectra and relaxation rates of the unreduced equation against exact ones."""
+
+import numpy as np
+import pytest
+
+import fpk
+from averaging.exact import Exact
+from averaging.gaussian import Linear
+from averaging.phase_space import dynamics, refinement, resolvent
+from averaging.phase_space.elimination import Degrees, expanded
+from averaging.phase_space.frame import Reference, contact_frame, gibbs_reference, linear_part
+from averaging.phase_space.method import PhaseSpace
+from averaging.phase_space.resolvent import Generator, transforms
+from fpk.density import moment
+from fpk.errors import NotApplicable
+from fpk.method import silent
+from fpk.observable import parse_observable
+
+TURNED = fpk.System([1, 2], [1, 1.5], [[0.08, 0.06], [-0.04, 0.05]], [0.01, 0.02])
+"""Unequal temperatures and an antisymmetric part of the damping."""
+ONE_SIDED = fpk.Contact(mass=1, side="right", stiffness=10.0, clearance=0.3)
+GIBBS = fpk.System([2.0], [1.0], [0.4], [0.1], contacts=(ONE_SIDED,))
+"""One mass, T = ¼; the mean of q is not 0."""
+
+
+@pytest.fixture(autouse=True)
+def one_thread(monkeypatch):
+    """Tests run side by side, one on each core."""
+    for module in (refinement, dynamics):
+        monkeypatch.setattr(module, "usable_cores", lambda: 1)
+
+
+def ask(method, question, system, *arguments, tol=None):
+    answer = getattr(method, question)(system, *arguments, tol=tol, progress=silent)
+    assert answer.certificate.certified, answer.certificate.failures
+    return answer
+
+
+def wrong(system, factor):
+    """The reference of a Gibbs state with a temperature that is off by ``factor``."""
+    right = gibbs_reference(contact_frame(system))
+    return Reference(right.slope, right.offset, factor * right.covariance, right.weight / factor)
+
+
+@pytest.mark.parametrize("row", [0, 1])
+def test_crossings_of_a_gibbs_state_are_exact_from_a_wrong_temperature(row):
+    contact = fpk.Contact(mass=2, side="both", stiffness=10.0, clearance=0.5)
+    system = fpk.System([1, 2], [1, 1], [0.08, 0.08], [0.02, 0.02], contacts=(contact,))
+    a = np.linspace(-1.2, 1.2, 9)
+    exact = ask(Exact(), "crossings", system, row, a)
+    for tol in (1e-2, 1e-4):
+        answer = ask(PhaseSpace(reference=wrong(system, 1.3)), "crossings", system, row, a, tol=tol)
+        assert np.all(np.abs(answer.values - exact.values) <= answer.errors + exact.errors)
+        assert np.all(answer.errors <= tol * 0.5 / np.pi)  # the scale is below 0.5/π
+
+
+def test_crossings_of_a_linear_system_are_those_of_rice():
+    a = np.linspace(-2.0, 2.0, 9)
+    for row in (0, 1):
+        exact = ask(Linear(), "crossings", TURNED, row, a)
+        answer = ask(PhaseSpace(), "crossings", TURNED, row, a, tol=1e-8)
+        assert np.all(np.abs(answer.values - exact.values) <= answer.errors + exact.errors)
+
+
+@pytest.mark.parametrize("row", [0, 1])
+def test_the_spectrum_of_a_linear_system_is_that_of_its_transfer_functions(row):
+    w = np.array([0.0, -0.3, 0.3, 0.5, 0.55, 0.7, 1.0, 1.3, 2.0, 4.0])
+    exact = ask(Linear(), "spectrum", TURNED, row, w)
+    answer = ask(PhaseSpace(), "spectrum", TURNED, row, w, tol=1e-6)
+    assert np.all(np.abs(answer.values - exact.values) <= answer.errors + exact.errors)
+    assert answer.values == pytest.approx(exact.values, rel=1e-8)
+
+
+def test_sums_over_the_spectrum_of_a_gibbs_state_with_contact_are_exact():
+    # ω = tan θ; the rectangle rule of what is periodic and analytic in θ. ∫ S dω is the variance
+    # of q, ∫ ω² S dω that of the velocity, T/m, and ω⁴ S goes to D/(π m²).
+    count = 160
+    w = np.tan((np.arange(count) + 0.5) * 0.5 * np.pi / count)
+    answer = ask(PhaseSpace(), "spectrum", GIBBS, 0, w, tol=1e-4)
+    weight = np.pi / count * (1.0 + w**2)
+    settings = answer.settings
+    (q,) = Exact().solve(GIBBS, [parse_observable("q1", 1)]).densities
+    mean, square = (moment(q, k) for k in (1, 2))
+    assert settings["E q1²"] == pytest.approx(square, abs=1e-6)
+    S, errors = answer.values, answer.errors
+    assert weight @ S == pytest.approx(square - mean**2, abs=weight @ errors)
+    assert (weight * w**2) @ S == pytest.approx(0.125, abs=(weight * w**2) @ errors)
+    # The next term of the expansion in 1/ω is ω⁻² of the first times E[U''] and c², below 50.
+    assert S[-1] * w[-1] ** 4 == pytest.approx(0.1 / (4.0 * np.pi), rel=50.0 / w[-1] ** 2)
+
+
+def test_one_elimination_serves_the_frequencies_about_its_shift(monkeypatch):
+    frame = contact_frame(GIBBS)
+    e = expanded(frame, gibbs_reference(frame), Degrees(14, 0, 14), whole=True)
+    A = Generator.of(frame, e, odd=False)
+    b = np.random.default_rng(20261123).normal(size=A.ends[-1])
+    b[: A.ends[0]] -= A.one * (A.one @ b[: A.ends[0]])
+    w = np.array([0.0, 0.2, 0.9, 1.0, 3.0])
+    shifts = []
+    solve = Generator.resolvent
+    monkeypatch.setattr(
+        Generator, "resolvent", lambda A, s, step: shifts.append(s) or solve(A, s, step)
+    )
+    values, residual = transforms(A, b, b, w, lambda share: None)
+    assert residual <= resolvent.RESIDUAL and shifts[0] == 0.0 and len(shifts) <= 3
+    for x, value in zip(w, values, strict=True):
+        direct = b @ solve(A, 1j * x if x else 0.0, lambda share: None)(b)
+        assert value == pytest.approx(direct, rel=1e-9)
+
+
+def test_what_the_expansion_does_not_hold_for_is_refused():
+    contacts = tuple(
+        fpk.Contact(mass=m, side="right", stiffness=1.0, clearance=0.1) for m in (1, 2)
+    )
+    system = fpk.System([1, 1], [1, 1], [0.1, 0.1], [0.1, 0.1], contacts=contacts)
+    for question, arguments in (
+        ("crossings", (0, np.zeros(1))),
+        ("spectrum", (0, np.zeros(1))),
+        ("relaxation", (3,)),
+    ):
+        with pytest.raises(NotApplicable, match="2 masses meet stops"):
+            ask(PhaseSpace(), question, system, *arguments)
+
+
+def test_relaxation_rates_of_a_linear_system_are_sums_of_eigenvalues():
+    exact = ask(Linear(), "relaxation", TURNED, 30).values
+    answer = ask(PhaseSpace(), "relaxation", TURNED, 6, tol=1e-6)
+    distance = np.min(np.abs(answer.values[:, None] - exact), axis=1)
+    assert len(answer.values) == 6 and np.all(distance <= answer.errors)
+    # Displacements show single eigenvalues, their squares sums of two: the four slowest of all.
+    assert answer.values[:4].real == pytest.approx(exact[:4].real, rel=1e-8)
+
+
+def test_relaxation_rates_keep_to_their_error_against_a_finer_solution():
+    coarse = ask(PhaseSpace(), "relaxation", GIBBS, 4, tol=3e-2)
+    fine = ask(PhaseSpace(), "relaxation", GIBBS, 4, tol=1e-3)
+    assert np.all(np.abs(coarse.values - fine.values) <= coarse.errors + fine.errors)
+    assert np.all(fine.values.real > 0.0) and np.all(fine.values.imag >= 0.0)
+
+
+def test_rates_of_the_truncation_are_not_listed():
+    # A has the eigenvalues of minus the matrix F of all but y, too, in functions of y that are
+    # orthogonal to the slopes of those a level below: no correlation shows them.
+    frame = contact_frame(TURNED)
+    F, _, _ = linear_part(frame, gibbs_reference(frame))
+    values = ask(PhaseSpace(), "relaxation", TURNED, 6, tol=1e-6).values
+    for artefact in np.linalg.eigvals(-F):
+        assert np.min(np.abs(values - artefact)) > 1e-3
+
+
+def test_a_correlation_falls_with_its_rates():
+    # The spectrum of one mass between its stops from the resolvent, and by its rates: near the
+    # slowest one, of real part a and frequency w, S has a peak of width a.
+    system = fpk.System([1.0], [1.0], [0.1], [0.02], contacts=(ONE_SIDED,))
+    rates = ask(PhaseSpace(), "relaxation", system, 8, tol=2e-2).values
+    slowest = rates[rates.imag > 0.1][0]
+    w = np.linspace(0.5, 2.0, 151)
+    S = ask(PhaseSpace(), "spectrum", system, 0, w, tol=1e-2).values
+    assert abs(w[S.argmax()] - slowest.imag) < slowest.real

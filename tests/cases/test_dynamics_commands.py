@@ -1,0 +1,123 @@
+"""``fpk crossings``, ``fpk spectrum`` and ``fpk relaxation``: keys, refusals, exit statuses."""
+
+import json
+
+import numpy as np
+import pytest
+
+from fpk.linear import stationary_covariance
+from fpk.system import System
+
+CERTIFICATE = {"mass_defect", "minimum", "residual", "tail_mass", "certified"}
+CURVE = {
+    "scene", "method", "solver", "observable", "points", "error", "error_kind", "certificate",
+    "seconds",
+}  # fmt: skip
+RELAXATION = {"scene", "method", "solver", "rates", "errors", "certificate", "seconds"}
+
+
+@pytest.fixture
+def linear_scene(scene_text, tmp_path):
+    path = tmp_path / "linear.toml"
+    system, rest = scene_text.split("[[contact]]")
+    path.write_text(system + rest[rest.index("[observe]") :])
+    return path
+
+
+def record(fpk, *arguments):
+    status, out, err = fpk(*arguments, "--json")
+    assert (status, err) == (0, "")
+    assert out.count("\n") == 1
+    return json.loads(out)
+
+
+def asked(method, at="-0.5:1:0.25", of="q2"):
+    return ["--method", method, "--of", of, "--at", at]
+
+
+@pytest.mark.parametrize(("command", "key"), [("crossings", "rate"), ("spectrum", "spectrum")])
+def test_keys_of_a_curve(command, key, linear_scene, fpk):
+    answer = record(fpk, command, linear_scene, *asked("linear"))
+    assert answer.keys() >= CURVE | {key} and answer["certificate"].keys() >= CERTIFICATE
+    assert answer["points"] == [-0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0]
+    assert len(answer[key]) == len(answer["error"]) == 7
+    assert (answer["observable"], answer["error_kind"]) == ("q2", "numerical")
+    assert answer[key][1::2] == pytest.approx([answer[key][3], answer[key][3], answer[key][5]])
+
+
+def test_keys_of_relaxation(linear_scene, fpk):
+    answer = record(fpk, "relaxation", linear_scene, "--method", "linear", "--rates", 7)
+    assert answer.keys() >= RELAXATION | {"frequencies"}
+    assert len(answer["rates"]) == len(answer["frequencies"]) == len(answer["errors"]) == 7
+    assert answer["rates"] == sorted(answer["rates"]) and min(answer["rates"]) > 0.0
+    status, out, _ = fpk("relaxation", linear_scene, "--method", "linear")
+    assert status == 0 and len(out.splitlines()) == 1 + 5
+
+
+def test_columns_of_a_curve(linear_scene, fpk):
+    status, out, err = fpk("crossings", linear_scene, *asked("linear", at="0"))
+    assert (status, err) == (0, "")
+    # Rice: the zero-crossing rate of a Gaussian.
+    system = System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02])
+    C = stationary_covariance(system)
+    level, rate, _ = map(float, out.splitlines()[1].split())
+    assert (level, rate) == (0.0, pytest.approx(np.sqrt(C[3, 3] / C[1, 1]) / (2.0 * np.pi)))
+
+
+def test_exact_crossings_with_contact(fpk):
+    answer = record(fpk, "crossings", "fig3a", *asked("exact", of="q1"))
+    assert answer["certificate"]["certified"] and min(answer["rate"]) > 0.0
+
+
+REFUSED = [
+    (["crossings", "fig6a", *asked("linear")], "contacts"),
+    (["crossings", "fig6a", *asked("exact")], "condition (8)"),
+    (["spectrum", "fig6a", *asked("linear")], "contacts"),
+    (["relaxation", "fig6a", "--method", "linear"], "contacts"),
+    (["spectrum", "fig3a", *asked("exact")], "use one of linear, phase-space"),
+    (["relaxation", "fig3a", "--method", "exact"], "use one of linear, phase-space"),
+    (["crossings", "fig3a", *asked("montecarlo")], "use one of exact, linear, phase-space"),
+    (["crossings", "fig3a", *asked("guess")], "use one of exact"),
+    (["crossings", "fig3a", *asked("exact"), "--solver", "fem"], "leave it out"),
+    (["crossings", "fig3a", *asked("exact", of="p1")], "use a displacement, q1..q2"),
+    (["spectrum", "fig3a", *asked("phase-space", of="q1,p1")], "use a displacement, q1..q2"),
+    (["spectrum", "fig3a", *asked("phase-space", of="H")], "use a displacement, q1..q2"),
+    (["spectrum", "fig3a", *asked("phase-space", of="q3")], "q1..q2"),
+    (["spectrum", "fig3a", *asked("phase-space", at="0,y")], "not a finite number"),
+    (["spectrum", "fig3a", *asked("phase-space", at="0 x 1")], "one list"),
+    (["spectrum", "fig3a", *asked("phase-space"), "--tol", "2"], "--tol"),
+    (["spectrum", "fig3a", "--method", "phase-space", "--of", "q2"], "--at"),
+    (["relaxation", "fig3a", "--method", "phase-space", "--rates", "0"], "--rates"),
+    (["relaxation", "fig3a", "--method", "phase-space", "--rates", "x"], "--rates"),
+    (["spectrum", "chain-10", *asked("phase-space")], "10 masses have 20 coordinates"),
+    (["spectrum", "missing", *asked("phase-space")], "missing"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "word"), REFUSED)
+def test_what_does_not_apply_is_refused_with_the_reason(arguments, word, fpk):
+    status, out, err = fpk(*arguments)
+    assert (status, out) == (2, "") and err.count("\n") == 1 and word in err
+
+
+@pytest.mark.parametrize(("command", "key"), [("crossings", "rate"), ("spectrum", "spectrum")])
+def test_the_full_equation_answers_as_the_exact_one(command, key, linear_scene, fpk):
+    answers = [
+        record(fpk, command, linear_scene, *asked(method)) for method in ("linear", "phase-space")
+    ]
+    assert [a["solver"] for a in answers] == ["closed-form", "hermite"]
+    for exact, value, error in zip(
+        answers[0][key], answers[1][key], answers[1]["error"], strict=True
+    ):
+        assert abs(exact - value) <= error + 1e-12 * exact
+    assert answers[1]["settings"]["highest degree"] > 0
+
+
+def test_what_is_not_certified_is_said(linear_scene, fpk, monkeypatch):
+    monkeypatch.setattr("averaging.phase_space.refinement.MEMORY", 1e6)
+    scene = linear_scene.parent / "contact.toml"
+    stop = '[[contact]]\nmass = 2\nside = "both"\nstiffness = 10.0\nclearance = 0.5\n'
+    scene.write_text(linear_scene.read_text().replace("[observe]", stop + "[observe]"))
+    status, out, err = fpk("crossings", scene, *asked("phase-space"), "--tol", "1e-9", "--json")
+    assert status == 1 and not json.loads(out)["certificate"]["certified"]
+    assert "GB of memory" in err and "exceeds the tolerance" in err
