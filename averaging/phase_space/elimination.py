@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import lu_factor, lu_solve
 
 from averaging.phase_space.degrees import Degrees, Indices, Others, others_to
 from averaging.phase_space.frame import Frame, Reference, linear_part
@@ -168,9 +169,14 @@ def expanded(
     kept = degrees.total if whole else 2
     inverses, A = factored(chain, kept=kept, step=step)
     one = functions.of_one()[: A.shape[0]]
-    scale = float(np.abs(A).max())
+    scale = float(np.max(np.abs(A) @ np.abs(one)))
     # The equation of the mass is 0 = 0: in its place that the mass is one.
-    u = [np.asarray(np.linalg.solve(A + scale * np.outer(one, one), scale * one), dtype=float)]
+    with_mass = A + scale * np.outer(one, one)
+    factors = lu_factor(with_mass)
+    first = lu_solve(factors, scale * one)
+    # 1 is nearly the solution, and its equations are far smaller than others: a second solution for
+    # what the first leaves makes the residual as small as their terms.
+    u = [np.asarray(first + lu_solve(factors, scale * one - with_mass @ first), dtype=float)]
     for n in range(1, kept + 1):
         u.append(-(inverses[n] @ chain.from_below(n, u, inverses)))
     residual = float(np.max(np.abs(A @ u[0])) / np.max(np.abs(A) @ np.abs(u[0])))
@@ -363,6 +369,9 @@ def _between_sets(
     value, slope = functions.functions(functions.points)
     continuous, broken = value @ functions.continuous, value @ functions.broken
     to_continuous = (slope @ functions.continuous).T @ (w[:, None] * broken)
+    # The derivative of 1 is 0: with round-off in its place mass would not be conserved.
+    one = functions.of_one()
+    to_continuous -= np.outer(one, one @ to_continuous)
     descent = slope @ functions.continuous + functions.log_slope()[:, None] * continuous
     to_broken = -broken.T @ (w[:, None] * descent)
     adjoint = (C[0, 0] * to_continuous, C[0, 0] * to_broken)

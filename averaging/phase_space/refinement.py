@@ -19,12 +19,13 @@ from fpk.observable import Coordinate, Observable
 REFITS = 2
 """Solutions of the lowest degrees from which the reference takes its moments: the second changes
 the first by less than a thousandth of what the degrees leave."""
-SLOWEST, FASTEST = 1.5, 3.0
+SLOWEST, FASTEST = 1.5, 2.0
 """Factors by which the error is believed to fall from one solution to the next, at the least and
 at the most, whatever the last two distances say."""
 SAFETY = 3.0
-"""Factor on the error that follows from the last two distances between solutions: with half of it
-errors were up to 1.9 times the stated one, at damping ratios below 0.005."""
+"""Factor on the error that follows from the last two distances between solutions. Of 496 errors of
+51 random systems against finer solutions, 0.99 of the stated one was the most and three in a
+hundred were above a half; with a fastest fall of 3 ten were above it, up to 2.4 times."""
 ROUND_OFF = 1e-11
 """L1 error of the arithmetic in double precision: on exact densities it was up to 2.3e-12."""
 MEMORY = 4.0e9

@@ -128,8 +128,8 @@ def test_a_bound_of_the_work_leaves_it_out_and_fails_nothing(scene):
     assert not outcome.problems
 
 
-def test_what_a_bound_of_the_work_reaches_is_certified_with_its_own_error(scene):
-    outcome = run_scene(scene, [PhaseSpace(work=1.0)])
+def test_what_a_bound_of_the_work_reaches_is_certified_with_its_own_error():
+    outcome = run_scene(load_scene("fig8b"), [PhaseSpace(work=1.0)])
     density, (note,) = outcome.curves[0]["q2"], outcome.curves[0].notes
     assert "phase-space: certified to" in note
     assert UNASKED_TOL < density.l1_error <= 1e-2 and density.certificate.certified

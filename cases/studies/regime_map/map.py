@@ -5,6 +5,7 @@ A grid on the command line is ``contact.stiffness=0.01:1000:log25``.
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -22,6 +23,7 @@ from cases.scene.scene import Scene
 from cases.scene.vary import VARIED, changed
 from cases.studies.regime_map.points import MapPoint, PointStore, map_point
 from fpk.arrays import Array
+from fpk.cores import usable_cores
 from fpk.errors import InvalidInput
 from fpk.method import Progress, silent
 from fpk.observable import Observable, observable_name
@@ -93,8 +95,8 @@ def build_map(
 
     Finished points are stored in ``folder``, and the map goes on from them. ``reference`` is the
     method that the theories are held against where the full system's density is not exact: that of
-    ``simulation``, or one that solves (6) to ``REFERENCE_TOL``, with ``simulation`` where it does
-    not. The ``cluster`` of ``simulation`` takes whole points.
+    ``simulation``, or one that solves (6) to ``REFERENCE_TOL``, or to what its work unasked allows;
+    ``simulation`` where it does not apply. The ``cluster`` of ``simulation`` takes whole points.
 
     Raises ``InvalidInput`` for a reference that is no method.
     """
@@ -121,7 +123,8 @@ def build_map(
                 system = changed(system, axis.key, value)
             todo.append(partial(map_point, system, observable, values, solver))
         progress(0, len(todo), "points of the map")
-        for done, point in enumerate(_finished(todo, simulation), start=1):
+        finished = _finished(todo, simulation, side_by_side=not simulated)
+        for done, point in enumerate(finished, start=1):
             store.add(point)
             progress(done, len(todo), "points of the map")
     points, reused = tuple(store.points[values] for values in wanted), len(wanted) - len(todo)
@@ -129,14 +132,26 @@ def build_map(
     return RegimeMap(scene, observable, tuple(axes), points, reused, seconds)
 
 
-def _finished(todo: Sequence[Callable[..., MapPoint]], method: MonteCarlo) -> Iterator[MapPoint]:
-    """Yield the points as they are finished: one after the other, or each a task of a cluster."""
-    if method.cluster is None:
-        yield from (point(method) for point in todo)
-        return
+def _finished(
+    todo: Sequence[Callable[..., MapPoint]], method: MonteCarlo, *, side_by_side: bool
+) -> Iterator[MapPoint]:
+    """Yield the points as they are finished, each a task of a cluster if there is one.
+
+    Else one after the other, as a simulation takes all cores; ``side_by_side``: one on each core.
+    """
     alone = replace(method, cluster=None, threads=1)
-    with workers_of(method.cluster) as workers:
-        yield from workers.as_finished([partial(point, alone) for point in todo])
+    if method.cluster is not None:
+        with workers_of(method.cluster) as workers:
+            yield from workers.as_finished([partial(point, alone) for point in todo])
+    elif side_by_side:
+        pool = ThreadPoolExecutor(usable_cores())
+        try:
+            for future in as_completed([pool.submit(point, alone) for point in todo]):
+                yield future.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+    else:
+        yield from (point(method) for point in todo)
 
 
 def parse_axes(texts: Sequence[str], system: System) -> tuple[Axis, ...]:

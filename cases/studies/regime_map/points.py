@@ -1,6 +1,7 @@
 """The points of a map: what each theory is worth at one, and the finished ones on disk."""
 
 import json
+from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from os.path import lexists
@@ -14,6 +15,7 @@ from cases.scene.errors import BadInput
 from cases.scene.reading import read_text
 from cases.studies.simulation import best_answer, deterministic
 from fpk.clearance import stop_clearances
+from fpk.errors import NotApplicable
 from fpk.method import Method
 from fpk.observable import Observable
 from fpk.system import System
@@ -65,7 +67,8 @@ def map_point(
     problems: list[str] = []
     reference = best_answer(deterministic("full"), system, observable, problems)
     if reference is None and solver is not None:
-        reference = best_answer([solver], system, observable, [])
+        with suppress(NotApplicable):
+            reference = best_answer([solver.unasked(system)], system, observable, [])
         if reference is not None and not reference[1].certificate.certified:
             reference = None
     reference = reference or best_answer([simulation], system, observable, problems)

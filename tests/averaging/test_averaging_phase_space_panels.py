@@ -1,0 +1,124 @@
+"""Functions of the contact displacement: derivatives, nesting, and what is left of their number."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import fpk
+from averaging.phase_space import degrees as degrees_module
+from averaging.phase_space.degrees import Degrees, lowered, others_to, raised
+from averaging.phase_space.elimination import expanded, inverted
+from averaging.phase_space.frame import contact_frame, gibbs_reference, reference_of
+from averaging.phase_space.marginals import marginal
+from averaging.phase_space.moments import refitted
+from averaging.phase_space.panels import basis
+from fpk.density import gauss_grid, integral
+from fpk.observable import parse_observable
+
+DEGREES = Degrees(total=16, others=6, outer=18)
+
+
+def frame_of(*contacts, clearance=0.5):
+    both = fpk.Contact(mass=2, side="both", stiffness=10.0, clearance=clearance)
+    return contact_frame(
+        fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02], contacts=contacts or (both,))
+    )
+
+
+def right(stiffness=10.0, clearance=0.5):
+    return fpk.Contact(mass=2, side="right", stiffness=stiffness, clearance=clearance)
+
+
+@pytest.mark.parametrize("odd", [False, True])
+@pytest.mark.parametrize(
+    "frame",
+    [
+        frame_of(),
+        frame_of(clearance=1.5),
+        frame_of(right()),
+        frame_of(right(), right(clearance=0.8)),
+        contact_frame(fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02])),
+    ],
+    ids=["both", "distant", "right", "two on a side", "none"],
+)
+def test_derivatives_map_one_set_of_functions_onto_the_other(frame, odd):
+    b = basis(frame, gibbs_reference(frame), DEGREES, odd=odd)
+    values, slopes = b.functions(b.points)
+    w = b.weights[:, None]
+    for functions in (b.continuous, b.broken):
+        unit = (values @ functions).T @ (w * (values @ functions))
+        assert unit == pytest.approx(np.eye(functions.shape[1]), abs=1e-11)
+    D = (values @ b.broken).T @ (w * (slopes @ b.continuous))
+    # The function 1 has no derivative; where all functions are odd it is not among them.
+    kernel = int(b.mirrored is False or not odd)
+    assert b.broken.shape[1] == b.continuous.shape[1] - kernel
+    sizes = np.linalg.svd(D, compute_uv=False)[: b.broken.shape[1]]
+    # The slowest function between the ends of the support has one half-wave: none is slower by far.
+    length = b.nodes[-1] - b.nodes[0]
+    assert sizes[-1] > 1.0 / length
+    if kernel:
+        assert b.of_one() @ b.of_one() == pytest.approx(1.0, abs=1e-12)
+        assert D @ b.of_one() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_sets_with_fewer_polynomials_are_the_front_of_larger_ones():
+    b = basis(frame_of(), gibbs_reference(frame_of()), DEGREES)
+    for columns, counts in zip((b.continuous, b.broken), b.counts, strict=True):
+        assert counts == tuple(sorted(counts)) and counts[-1] == columns.shape[1]
+    degree = np.concatenate([np.arange(p.degree) for p in b.panels])
+    outer = np.concatenate([np.full(p.degree, p.last) for p in b.panels])
+    for count in range(4, DEGREES.outer + 1):
+        front = b.continuous[:, : b.counts[0][count]]
+        assert front[outer & (degree >= count)] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_more_polynomials_between_stops_change_nothing(monkeypatch):
+    """With continuous functions in levels of all degrees the change was some 1e-3."""
+    frame, about = frame_of(clearance=1.5), gibbs_reference(frame_of(clearance=1.5))
+    for _ in range(2):
+        about = refitted(frame, expanded(frame, about, DEGREES, whole=False))
+    densities = []
+    for more in (0, 2, 4, 8):
+        monkeypatch.setattr(
+            Degrees, "between", lambda self, width, more=more: 2 * (self.outer // 2) + 1 + more
+        )
+        e = expanded(frame, about, Degrees(40, 6, 20), whole=False)
+        densities.append(marginal(frame, e, parse_observable("q2", 2)))
+    mesh, grids = gauss_grid(densities[0][0])
+    last = densities[-1][1](*mesh)
+    distances = [integral(np.abs(pdf(*mesh) - last), grids) for _, pdf in densities[:-1]]
+    # Polynomials of degree 20 leave 1e-6 of a function that varies over a standard deviation.
+    assert max(distances) < 1e-5
+
+
+def test_raising_is_the_adjoint_of_lowering():
+    rng, others = np.random.default_rng(20261123), others_to(4, 5)
+    e = rng.normal(size=5)
+    for level in range(7):
+        counts = [sum(o.k.shape[0] for o in others[: n + 1]) for n in (level, level + 1)]
+        below, above = rng.normal(size=counts[0]), rng.normal(size=counts[1])
+        up, down = raised(others, level, below, e), lowered(others, level, above, e)
+        assert up @ above == pytest.approx(below @ down, rel=1e-12)
+
+
+def test_a_block_that_is_singular_in_front_is_inverted_between_its_cuts():
+    turn = np.array([[0.0, 1.0], [-1.0, -0.1]])
+    A = np.kron(np.eye(300), turn)
+    A[:300, 300:] += 0.1 * np.eye(300)
+    assert inverted(A, range(0, 600, 2)) @ A == pytest.approx(np.eye(600), abs=1e-11)
+
+
+def test_high_levels_have_fewer_polynomials_but_not_too_few():
+    counts = [[DEGREES.beyond(n, m) for m in range(7)] for n in range(17)]
+    assert counts[0][0] == counts[1][0] == DEGREES.outer
+    assert all(a >= b for row in counts for a, b in pairwise(row))
+    least = int(degrees_module.LEAST_MIXED * DEGREES.outer)
+    assert min(map(min, counts)) >= least > 1
+
+
+def test_a_reference_that_is_no_distribution_is_refused():
+    frame = frame_of()
+    good = gibbs_reference(frame)
+    with pytest.raises(np.linalg.LinAlgError):
+        reference_of(frame, good.slope, good.offset, -good.covariance)
