@@ -11,6 +11,7 @@ import os
 
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 
+from itertools import product
 from pathlib import Path
 
 from report import machine, markdown_table
@@ -20,14 +21,16 @@ from averaging.nonintegrable import NonIntegrable
 from averaging.phase_space.method import PhaseSpace
 from cases.comparison.compare import distance_between
 from cases.scene.scene import load_scene
+from fpk.contact import Contact
 from fpk.errors import NotApplicable
 from fpk.method import Method
-from fpk.observable import Observable, observable_name
+from fpk.observable import Coordinate, Observable, observable_name
 from fpk.system import System
 
 SCENES = ("fig6a", "fig6b", "fig6c", "fig7", "fig8a", "fig8b")
 THEORIES = (NonIntegrable(tol=1e-8), Integrable(tol=1e-8))
 TOL = 1e-4
+LIGHTER_TOL = 3e-4
 
 
 def cell(theory: Method, system: System, observable: Observable, full: object) -> str:
@@ -65,7 +68,27 @@ def main() -> None:
     text += "p_full solves the full equation (method `phase-space`), and its stated error is that "
     text += "of the distances: the theories are solved to 1e-8.\n\n"
     head = ["scene", "density", "energy averaging (11)", "modal averaging (34)", "error"]
-    out.write_text(text + markdown_table(head, rows))
+    text += markdown_table(head, rows) + "\n## Lighter damping\n\np(q2) of Fig. 6(a) with damping "
+    text += "and noise times ε. Averaging of one energy has a limit that is not 0: the motion of "
+    text += "little energy does not touch the stops and keeps both modal energies, which no "
+    text += "theory of one energy knows. Without contact the error of modal averaging is of "
+    text += "the order ε² (a default test).\n\n"
+    head = ["B", "ε", "energy averaging (11)", "modal averaging (34)", "error"]
+    out.write_text(text + markdown_table(head, lighter()))
+
+
+def lighter() -> list[list[str]]:
+    """Return the averaging errors with damping and noise times ε."""
+    rows, q2 = [], (Coordinate("q", 1),)
+    for B, share in product((1.0, 10.0), (2.0, 1.0, 0.5, 0.25)):
+        stop = Contact(2, "both", B, 0.5)
+        damping, noise = [0.08 * share, 0.04 * share], [0.01 * share, 0.02 * share]
+        system = System([1, 1], [1, 1], damping, noise, contacts=(stop,))
+        (full,) = PhaseSpace(tol=LIGHTER_TOL, accepted=1.0).solve(system, [q2]).densities
+        cells = [cell(t, system, q2, full) for t in THEORIES]
+        rows.append([f"{B:g}", f"{share:g}", *cells, f"{full.l1_error:.1e}"])  # type: ignore[union-attr]
+        print(*rows[-1], flush=True)
+    return rows
 
 
 if __name__ == "__main__":

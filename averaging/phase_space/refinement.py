@@ -30,8 +30,8 @@ ROUND_OFF = 1e-11
 """L1 error of the arithmetic in double precision: on exact densities it was up to 2.3e-12."""
 MEMORY = 4.0e9
 """Bytes that a solution may need; one that needs more is not begun."""
-WORK = 2.0e13
-"""Multiplications that a solution may need, some five minutes on two cores; likewise."""
+WORK = 1.0e13
+"""Multiplications that a solution may need, some two minutes on two cores; likewise."""
 
 
 @dataclass(frozen=True, eq=False)
