@@ -51,7 +51,7 @@ def main() -> None:
 Written by `benchmarks/regime_page.py` on {date.today()}. Both averaged theories against the full
 system over stiffness and clearance of the stops of Fig. 6(a): the L1 distance of p(q2).
 References: {of}; {record["seconds"] / 60.0:.0f} minutes on two cores. The error of a distance is
-at most {FINE:g} at {fine} of {len(points)} points, {max(errors):.1g} at the most, with stiff stops.
+at most {FINE:g} at {fine} of {len(points)} points, {max(errors):.2g} at the most, with stiff stops.
 
 ```sh
 fpk regime fig6a --vary contact.stiffness=0.01:1000:log25 \\
@@ -102,7 +102,7 @@ def border(points: list[dict[str, Any]]) -> list[list[str]]:
             wide = float(np.interp(root, x, error)) / slope
             wide = max(wide, float(np.min(np.abs(others - root), initial=np.inf)))
             B, distance = float(np.exp(root)), float(PchipInterpolator(x, one)(root))
-            rows.append([f"{clearance:g}", f"{B:.3g}", f"{B * wide:.1g}", f"{distance:.4f}"])
+            rows.append([f"{clearance:g}", f"{B:.4g}", f"{B * wide:.1g}", f"{distance:.4f}"])
     return rows
 
 

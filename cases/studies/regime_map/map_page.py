@@ -24,7 +24,7 @@ from fpk.clearance import CLEARANCE_RULE
 from fpk.observable import observable_name
 
 PALE = "#d9d9d4"
-"""Colour of points at which the difference is within the noise."""
+"""Colour of points at which the difference is within the errors."""
 SMALLEST = 1e-4
 """L1 distance at which the colours end: chance moves it by more."""
 
@@ -129,7 +129,7 @@ def _fields(x: Axis, y: Axis, L1: Array, ratio: Array, winner: Any, words: str) 
     bar.set_label(words)
     rule = Line2D([], [], color=INK, linestyle=DASHES, linewidth=1.2)
     handles: list[Any] = [*(Patch(color=colour) for colour in colours), rule]
-    legend = [*THEORIES, "within the noise", f"clearance = {CLEARANCE_RULE:g} rms"]
+    legend = [*THEORIES, "within the errors", f"clearance = {CLEARANCE_RULE:g} rms"]
     figure.legend(handles, legend, loc="outside lower center", ncols=4)
     return figure
 
