@@ -114,9 +114,9 @@ def solved_to(
             if len(solutions) > 1:
                 # Even if all that is allowed gained the most that is believed.
                 wanted, left = accepted or tol, len(solutions)
-                best = SAFETY * max(distance.values()) / (FASTEST - 1.0)
+                best = SAFETY * max(distance.values()) / (FASTEST_STEADY - 1.0)
                 while best > wanted and not (why := why_not(left)):
-                    best, left = best / FASTEST, left + 1
+                    best, left = best / FASTEST_STEADY, left + 1
                 if best > wanted:
                     limit = f"the tolerance {wanted:.2g} is out of reach: {why}"
                 if limit:
