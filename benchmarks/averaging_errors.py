@@ -69,9 +69,10 @@ def main() -> None:
     text += "of the distances: the theories are solved to 1e-8.\n\n"
     head = ["scene", "density", "energy averaging (11)", "modal averaging (34)", "error"]
     text += markdown_table(head, rows) + "\n## Lighter damping\n\np(q2) of Fig. 6(a) with damping "
-    text += "and noise times ε. Averaging of one energy has a limit that is not 0: the motion of "
-    text += "little energy does not touch the stops and keeps both modal energies, which no "
-    text += "theory of one energy knows. Without contact the error of modal averaging is of "
+    text += "and noise times ε. The error of averaging of one energy tends to a limit that is not "
+    text += "0. Motion of little energy does not touch the stops and keeps both modal energies, "
+    text += "which no theory of one energy knows; that this is the reason is not proven. "
+    text += "Without contact the error of modal averaging is of "
     text += "the order ε² (a default test).\n\n"
     head = ["B", "ε", "energy averaging (11)", "modal averaging (34)", "error"]
     out.write_text(text + markdown_table(head, lighter()))
