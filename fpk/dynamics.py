@@ -1,9 +1,10 @@
-"""What a stationary state does in time: crossings of levels, power spectra, relaxation rates.
+"""Quantities of the stationary motion in time: level crossings, power spectra, relaxation rates.
 
-A method that gives one of them has the method of this name; which those are is found out from the
-three protocols. ``tol`` is the largest error wanted, of curves in units of a natural size of the
-quantity (σ_v/(2πσ_q) of crossings, σ_q³/σ_v of spectra), of rates relative to each; None: what the
-method does by default. ``progress`` is as everywhere.
+A ``Method`` gives crossing rates if it has a method ``crossings``, as the protocol ``Crossings``
+says, and likewise ``spectrum`` and ``relaxation``. In all three ``tol`` is the largest error
+wanted: of curves in units of a natural size of the quantity (σ_v/(2πσ_q) of crossings, σ_q³/σ_v of
+spectra), of rates relative to each; None for the default of the method. ``progress`` as of
+``Method.solve``.
 """
 
 from collections.abc import Mapping

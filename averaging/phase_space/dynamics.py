@@ -2,11 +2,10 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
-from threadpoolctl import threadpool_limits
 
 from averaging.phase_space.crossings import crossing_rates
 from averaging.phase_space.degrees import Degrees
@@ -15,19 +14,16 @@ from averaging.phase_space.frame import Frame, Reference
 from averaging.phase_space.marginals import Form, form_of, marginal
 from averaging.phase_space.moments import moments
 from averaging.phase_space.refinement import (
-    FASTEST,
-    MEMORY,
     ROUND_OFF,
-    SAFETY,
-    SLOWEST,
-    WORK,
     Ladder,
     cost,
-    solved_to,
+    falling,
+    ladders,
+    refusal,
+    steps,
 )
 from averaging.phase_space.resolvent import Generator, rates_in, times, transforms
 from fpk.arrays import Array
-from fpk.cores import usable_cores
 from fpk.dynamics import Complex
 from fpk.method import Progress
 from fpk.observable import Coordinate, Observable
@@ -61,8 +57,9 @@ class Compared:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What was compared last, on which ladder, and the errors that follow from all distances.
+    """Values with their errors, from two expansions and the distances of coarser ones.
 
+    ``last`` holds the values, ``ladder`` the two expansions, ``errors`` the error of each value.
     ``limit`` says why there is no finer answer, empty where the tolerance is met.
     """
 
@@ -78,8 +75,16 @@ class Answer:
 
 
 Compare = Callable[[Ladder, Progress], Compared]
-Options = tuple[float, Progress, Reference | None]
-"""Tolerance, progress, and where the expansion starts."""
+
+
+class Options(NamedTuple):
+    """The relative error wanted, and the settings of ``PhaseSpace`` for how to get it."""
+
+    tol: float
+    progress: Progress
+    work: float
+    threads: int | None
+    reference: Reference | None
 
 
 def crossings(frame: Frame, row: int, at: Array, options: Options) -> Answer:
@@ -123,7 +128,7 @@ def spectrum(frame: Frame, row: int, at: Array, options: Options) -> Answer:
     def measured(e: Expansion, progress: Progress) -> tuple[Complex, float]:
         A = Generator.of(frame, e, odd=e.basis.mirrored)
         c, b = _displaced(frame, e, row, A)
-        return transforms(A, c, b, w, _steps(progress, "spectrum", e.degrees))
+        return transforms(A, c, b, w, steps(progress, "spectrum", e.degrees))
 
     once = _once(measured)
 
@@ -153,7 +158,7 @@ def relaxation(frame: Frame, count: int, options: Options) -> Answer:
     momentum = (Coordinate("p", frame.contact),)
 
     def measured(e: Expansion, progress: Progress) -> tuple[Complex, float]:
-        step = _steps(progress, "relaxation", e.degrees)
+        step = steps(progress, "relaxation", e.degrees)
         odd = Generator.of(frame, e, odd=e.basis.mirrored)
         even = Generator.of(frame, e, odd=False) if e.basis.mirrored else odd
         stationary = even.packed(e.levels)
@@ -195,49 +200,38 @@ def _adapted(
 ) -> Answer:
     """Return the first answer with a relative error of at most the tolerance, else the finest one.
 
-    As for densities: the error is ``SAFETY`` d/(r − 1), r the factor by which the largest relative
-    distance d falls from one solution to the next.
+    The error follows from the largest relative distance as that of densities does, which are solved
+    to the tolerance before.
     """
-    tol, progress, reference = options
-    at_least, before, answer = 2, np.inf, None
-    while True:
-        ladder = solved_to(
-            frame,
-            observables,
-            tol=tol,
-            progress=progress,
-            reference=reference,
-            at_least=at_least,
-        )
-        limit = ladder.limit if ladder.solutions < at_least else _refusal(frame, ladder)
+    answer, fall = None, None
+    for ladder in ladders(
+        frame,
+        observables,
+        wanted=options.tol,
+        work=options.work,
+        threads=options.threads,
+        progress=options.progress,
+        reference=options.reference,
+    ):
+        if max(ladder.errors.values()) > options.tol and not ladder.limit:
+            continue
+        # Two eliminations in complex numbers, of four multiplications each, where one was.
+        e = ladder.finest
+        size, work = cost(frame, e.basis.reference, e.degrees, whole=True)
+        limit = refusal(2.0 * size, 4.0 * work, most=options.work)
         if answer is not None and limit:
             return replace(answer, limit=limit)
-        with threadpool_limits(limits=usable_cores(), user_api="blas"):
-            last = compare(ladder, progress)
+        last = compare(ladder, options.progress)
         own = float(np.max(last.distance / last.scale))
-        before = before if np.isfinite(before) else SLOWEST * own
-        # A distance may be small by chance: it is believed to fall no faster than this.
-        least = max(own, before / FASTEST)
-        rate = max(before / least, SLOWEST) if least > 0.0 else SLOWEST
-        factor = SAFETY / (rate - 1.0) * (least / own if own > 0.0 else 1.0)
+        fall = falling(own, fall)
+        factor = fall.error / own if own > 0.0 else 0.0
         errors = factor * last.distance + last.added + ROUND_OFF * last.scale
         answer = Answer(last, ladder, np.broadcast_to(errors, last.distance.shape), "")
-        if answer.relative <= tol:
+        if answer.relative <= options.tol:
             return answer
-        if ladder.limit:
-            return replace(answer, limit=ladder.limit)
-        at_least, before = ladder.solutions + 1, least
-
-
-def _refusal(frame: Frame, ladder: Ladder) -> str:
-    """Why an elimination in complex numbers with the degrees of the last solution is not begun."""
-    e = ladder.finest
-    size, work = (2.0 * x for x in cost(frame, e.basis.reference, e.degrees, whole=True))
-    if size > MEMORY:
-        return f"a finer one needs {size / 1e9:.2g} GB of memory, at most {MEMORY / 1e9:.2g}"
-    if 2.0 * work > WORK:
-        return f"a finer one needs {2.0 * work:.1g} multiplications, at most {WORK:.1g}"
-    return ""
+        answer = replace(answer, limit=ladder.limit)
+    assert answer is not None
+    return answer
 
 
 def _once(
@@ -277,7 +271,3 @@ def _sizes(frame: Frame, e: Expansion, row: int) -> tuple[float, float]:
     place, variances = frame.order.index(row), np.diag(moments(frame, e).covariance)
     q, v = np.sqrt(variances[[place, frame.n + place]] / frame.system.mass[row])
     return float(q), float(v)
-
-
-def _steps(progress: Progress, what: str, degrees: Degrees) -> Callable[[float], None]:
-    return lambda share: progress(int(100 * share), 100, f"{what}, degree {degrees.total}")

@@ -19,7 +19,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lu_factor, lu_solve
 
 from averaging.phase_space.degrees import Degrees, Indices, Others, others_to
 from averaging.phase_space.frame import Frame, Reference, linear_part
@@ -80,10 +79,11 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """What the unknowns ``of`` one group add to the equations ``to`` another: a Kronecker product.
+    """A block of the matrix of the equations, from unknowns of one group to equations of another.
 
-    ``degrees`` acts on k, (count, count) or a multiple of the unit matrix, and ``functions`` on
-    functions of y, (functions, functions) or None for those that both groups have, unchanged.
+    The groups are ``of`` and ``to``; the block is a Kronecker product. ``degrees`` acts on k,
+    (count, count) or a multiple of the unit matrix, ``functions`` on functions of y, (functions,
+    functions) or None for those that both groups have, unchanged.
     """
 
     to: Group
@@ -169,19 +169,24 @@ def expanded(
     kept = degrees.total if whole else 2
     inverses, A = factored(chain, kept=kept, step=step)
     one = functions.of_one()[: A.shape[0]]
-    scale = float(np.max(np.abs(A) @ np.abs(one)))
-    # The equation of the mass is 0 = 0: in its place that the mass is one.
-    with_mass = A + scale * np.outer(one, one)
-    factors = lu_factor(with_mass)
-    first = lu_solve(factors, scale * one)
-    # 1 is nearly the solution, and its equations are far smaller than others: a second solution for
-    # what the first leaves makes the residual as small as their terms.
-    u = [np.asarray(first + lu_solve(factors, scale * one - with_mass @ first), dtype=float)]
+    mass, scale = with_mass(A, one)
+    u = [np.asarray(np.linalg.solve(mass, scale * one), dtype=float)]
     for n in range(1, kept + 1):
         u.append(-(inverses[n] @ chain.from_below(n, u, inverses)))
     residual = float(np.max(np.abs(A @ u[0])) / np.max(np.abs(A) @ np.abs(u[0])))
     shaped = tuple(chain.shaped(n, x) for n, x in enumerate(u))
     return Expansion(functions, chain.factor, degrees, shaped, chain.others, residual)
+
+
+def with_mass(A: Array, one: Array) -> tuple[Array, float]:
+    """Return the equations of level 0 with that of the mass, and what stands before the mass in it.
+
+    The equation of the function 1 is 0 = 0 in ``A``; here it is that the mass, ``one`` times the
+    unknowns, is given. Its size is that of the terms of 1, which is nearly the solution: were it
+    the largest entry, their round-off would be a thousand times as large as they.
+    """
+    scale = float(np.max(np.abs(A) @ np.abs(one)))
+    return A + scale * np.outer(one, one), scale
 
 
 def factored(
@@ -385,7 +390,7 @@ def _between_sets(
 
 
 def _own(others: tuple[Others, ...], drift: Array, groups: tuple[Group, ...], n: int) -> Terms:
-    """F'_ij a_i⁺ a_j within level n."""
+    """Return the blocks within level n: F'_ij a_i⁺ a_j."""
     terms = []
     for m, (group, o) in enumerate(zip(groups, others, strict=False)):
         same = drift[0, 0] * (n - m) * np.eye(group.count)
@@ -410,7 +415,7 @@ def _forced(
     groups: tuple[tuple[Group, ...], ...],
     n: int,
 ) -> Terms:
-    """What level n − 1 adds to level n by a_i⁺: the forces and ∂*."""
+    """Return the blocks from unknowns of level n − 1 to equations of level n: h'_i a_i⁺ and ∂*."""
     terms = []
     for m, of in enumerate(groups[n - 1]):
         to = groups[n][m]
@@ -427,7 +432,7 @@ def _forced(
 def _paired(
     others: tuple[Others, ...], pair: Array, groups: tuple[tuple[Group, ...], ...], n: int
 ) -> Terms:
-    """What level n − 2 adds to level n by a_i⁺ a_j⁺."""
+    """Return the blocks from unknowns of level n − 2 to equations of level n: a_i⁺ a_j⁺."""
     terms = []
     for m, of in enumerate(groups[n - 2]):
         alone = n - 1.0 - m

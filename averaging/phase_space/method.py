@@ -1,7 +1,7 @@
 """Method ``phase-space``: the stationary FPK equation of the full system (6), deterministic."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -35,7 +35,7 @@ UNASKED_TOL = 1e-4
 UNASKED_ACCEPTED = 1e-2
 """Largest L1 error of a judge: a tenth of that up to which a theory is called acceptable."""
 UNASKED_WORK = 6.6e11
-"""Multiplications that a solution may need unasked: some 25 s on one core, with all before it."""
+"""Multiplications that a solution may need unasked: some 12 s on one core, with all before it."""
 CROSSINGS_TOL, SPECTRUM_TOL, RELAXATION_TOL = 1e-3, 1e-2, 5e-2
 """Relative errors wanted where none is asked for. Spectra and rates converge more slowly than
 densities, and take an elimination in complex numbers for every piece of the frequencies."""
@@ -79,18 +79,15 @@ class PhaseSpace(Theory):
         if system.n > UNASKED_MASSES:
             raise NotApplicable(f"{system.n} masses may take minutes; ask for it by its name")
         for closed in (Exact(), Linear()):
-            with suppress(NotApplicable):
-                closed.prepare(system)
-                break
-        else:
-            return replace(
-                self,
-                tol=max(self.tol, UNASKED_TOL),
-                accepted=max(self.tol, UNASKED_ACCEPTED),
-                work=min(self.work, share * UNASKED_WORK),
-                threads=self.threads or 1,
-            )
-        raise NotApplicable(f"{closed.name} has the same density to more digits")
+            if closed.refusal(system, (Coordinate("q", 0),)) is None:
+                raise NotApplicable(f"{closed.name} has the same density to more digits")
+        return replace(
+            self,
+            tol=max(self.tol, UNASKED_TOL),
+            accepted=max(self.tol, UNASKED_ACCEPTED),
+            work=min(self.work, share * UNASKED_WORK),
+            threads=self.threads or 1,
+        )
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where the expansion is not."""
@@ -123,23 +120,23 @@ class PhaseSpace(Theory):
         self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
     ) -> Curve:
         """Return the upcrossings per unit time of q from the joint density of (q, p)."""
-        options = (tol or CROSSINGS_TOL, progress, self.reference)
+        options = self._options(tol or CROSSINGS_TOL, progress)
         with _breakdowns():
-            return _curve(dynamics.crossings(_frame(system), row, at, options), row, options[0])
+            return _curve(dynamics.crossings(_frame(system), row, at, options), row, options.tol)
 
     def spectrum(
         self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
     ) -> Curve:
         """Return the power spectral density of q from the resolvent of the FPK operator."""
-        options = (tol or SPECTRUM_TOL, progress, self.reference)
+        options = self._options(tol or SPECTRUM_TOL, progress)
         with _breakdowns():
-            return _curve(dynamics.spectrum(_frame(system), row, at, options), row, options[0])
+            return _curve(dynamics.spectrum(_frame(system), row, at, options), row, options.tol)
 
     def relaxation(
         self, system: System, count: int, *, tol: float | None, progress: Progress
     ) -> Rates:
         """Return the slowest eigenvalues of the expansion's FPK operator."""
-        options = (tol or RELAXATION_TOL, progress, self.reference)
+        options = self._options(tol or RELAXATION_TOL, progress)
         with _breakdowns():
             answer = dynamics.relaxation(_frame(system), count, options)
         measured = Measured(
@@ -148,12 +145,15 @@ class PhaseSpace(Theory):
             minimum=0.0,
             residual=answer.ladder.finest.residual,
             tail_mass=0.0,
-            failures=_limits(answer, options[0]),
+            failures=(answer.limit,) if answer.limit else (),
         )
-        certificate = certify(measured, tol=options[0])
+        certificate = certify(measured, tol=options.tol)
         values = np.asarray(answer.last.values, dtype=complex)
         settings = _settings(answer.ladder) | {"sought up to the modulus": answer.last.end}
         return Rates(values, answer.errors, certificate, settings)
+
+    def _options(self, tol: float, progress: Progress) -> dynamics.Options:
+        return dynamics.Options(tol, progress, self.work, self.threads, self.reference)
 
 
 @contextmanager
@@ -186,13 +186,9 @@ def _curve(answer: dynamics.Answer, row: int, tol: float) -> Curve:
         of=density,
         tol=tol,
         residual=answer.last.residual,
-        failures=_limits(answer, tol),
+        failures=(answer.limit,) if answer.limit else (),
         settings=_settings(ladder),
     )
-
-
-def _limits(answer: dynamics.Answer, tol: float) -> tuple[str, ...]:
-    return (answer.limit,) if answer.limit and answer.relative > tol else ()
 
 
 def _refusal(observable: Observable) -> str | None:

@@ -1,7 +1,8 @@
 """Degrees and reference that adapt until the distance to the coarser solution meets a tolerance."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -41,7 +42,7 @@ class Ladder:
     """A solution, the coarser one before it, and the L1 error of each observable.
 
     ``errors`` is by observable, and ``factors`` the error over the distance of the two solutions;
-    ``limit`` says in words why no finer solution was made, empty where the tolerance is met.
+    ``limit`` says in words why no finer solution is made, empty where one may be.
     ``solutions`` is how many were made.
     """
 
@@ -72,6 +73,78 @@ def cost(
     return 8.0 * float(8.0 * np.max(size) ** 2 + stored), float(4.0 * np.sum(size**3))
 
 
+@dataclass(frozen=True)
+class Falling:
+    """How the distance between solutions falls with their degrees, and the error that is left.
+
+    ``distance`` is the last one that is believed, ``fell`` the factor by which the last one had
+    fallen, ``error`` the error of the finer solution in the units of the distance.
+    """
+
+    distance: float
+    fell: float
+    error: float
+
+
+def falling(last: float, earlier: Falling | None) -> Falling:
+    """Return what the distance ``last`` of two solutions says, after ``earlier`` ones.
+
+    With the factor r by which distances d fall the error is ``SAFETY`` d/(r − 1). A distance may be
+    small by chance, so that r is bounded.
+    """
+    before = earlier.distance if earlier else SLOWEST * last
+    fell = before / last if last > 0.0 else FASTEST
+    steady = min(earlier.fell, fell) if earlier else FASTEST
+    distance = max(last, before / min(max(FASTEST, steady), FASTEST_STEADY))
+    rate = max(before / distance, SLOWEST) if distance > 0.0 else SLOWEST
+    return Falling(distance, fell, SAFETY * distance / (rate - 1.0))
+
+
+def ladders(
+    frame: Frame,
+    observables: Sequence[Observable],
+    *,
+    wanted: float,
+    work: float,
+    threads: int | None,
+    progress: Progress,
+    reference: Reference | None,
+) -> Iterator[Ladder]:
+    """Yield solutions of rising degrees, each with the one before it.
+
+    The last one says what ends them: memory, more than ``work``, or that not even the L1 error
+    ``wanted`` can be met by then. ``threads`` and ``reference`` as of ``PhaseSpace``.
+    """
+    whole = any(needs_all_levels(frame, o) for o in observables)
+    about = reference or gibbs_reference(frame)
+
+    def why_not(level: int) -> str:
+        needed = cost(frame, about, degrees_of(level, frame.n), whole=whole)
+        return refusal(*needed, most=work)
+
+    with threadpool_limits(limits=threads or usable_cores(), user_api="blas"):
+        for _ in range(REFITS):
+            first = expanded(frame, about, degrees_of(0, frame.n), whole=False)
+            about = refitted(frame, first)
+        coarser: Expansion | None = None
+        fall: dict[Observable, Falling] = {}
+        for level in count():
+            degrees = degrees_of(level, frame.n)
+            step = steps(progress, "phase space", degrees)
+            finest = expanded(frame, about, degrees, whole=whole, step=step)
+            if coarser is not None:
+                least = _common_distance(frame, finest, coarser)
+                own = {o: _distance(frame, finest, coarser, o) for o in observables}
+                fall = {o: falling(max(d, least), fall.get(o)) for o, d in own.items()}
+                limit = why_not(level + 1) or _out_of_reach(fall, wanted, level, why_not)
+                errors = {o: f.error + ROUND_OFF for o, f in fall.items()}
+                factors = {o: f.error / own[o] if own[o] > 0.0 else 0.0 for o, f in fall.items()}
+                yield Ladder(frame, finest, coarser, errors, factors, limit, level + 1)
+                if limit:
+                    return
+            coarser = finest
+
+
 def solved_to(
     frame: Frame,
     observables: Sequence[Observable],
@@ -82,68 +155,40 @@ def solved_to(
     threads: int | None = None,
     progress: Progress,
     reference: Reference | None = None,
-    at_least: int = 2,
 ) -> Ladder:
     """Return the first solution whose L1 errors of all ``observables`` are at most ``tol``.
 
-    From level to level the error of an observable falls by a factor r, judged from the last two
-    distances d between solutions; it is d/(r − 1) at the last one. Where solutions that need more
-    than ``work`` would be called for, the last before them is returned, early if not even the error
-    ``accepted`` can be met by then. ``reference`` is where to start, None for the Gibbs state.
-    ``at_least`` is how many solutions are made where none is refused.
+    Else the last one that ``ladders`` gives, where the error ``accepted`` is wanted.
     """
-    whole = any(needs_all_levels(frame, o) for o in observables)
-    about = reference or gibbs_reference(frame)
-
-    def why_not(level: int) -> str:
-        degrees = degrees_of(level, frame.n)
-        return _refusal(*cost(frame, about, degrees, whole=whole), most=work)
-
-    with threadpool_limits(limits=threads or usable_cores(), user_api="blas"):
-        for _ in range(REFITS):
-            first = expanded(frame, about, degrees_of(0, frame.n), whole=False)
-            about = refitted(frame, first)
-        solutions: list[Expansion] = []
-        distance: dict[Observable, float] = {}
-        fell: dict[Observable, float] = {}
-        factors = dict.fromkeys(observables, np.inf)
-        errors = dict.fromkeys(observables, np.inf)
-        limit = ""
-        while len(solutions) < at_least or not max(errors.values()) <= tol:
-            limit = why_not(len(solutions))
-            if len(solutions) > 1:
-                # Even if all that is allowed gained the most that is believed.
-                wanted, left = accepted or tol, len(solutions)
-                best = SAFETY * max(distance.values()) / (FASTEST_STEADY - 1.0)
-                while best > wanted and not (why := why_not(left)):
-                    best, left = best / FASTEST_STEADY, left + 1
-                if best > wanted:
-                    limit = f"the tolerance {wanted:.2g} is out of reach: {why}"
-                if limit:
-                    break
-            degrees = degrees_of(len(solutions), frame.n)
-            step = _steps(progress, degrees)
-            solutions.append(expanded(frame, about, degrees, whole=whole, step=step))
-            if len(solutions) == 1:
-                continue
-            least = _common_distance(frame, solutions[-1], solutions[-2])
-            for o in errors:
-                own = _distance(frame, solutions[-1], solutions[-2], o)
-                last = max(own, least)
-                # A distance may be small by chance: it is believed to fall no faster than this.
-                before, steady = distance.get(o, SLOWEST * last), fell.get(o, FASTEST)
-                fell[o] = before / last if last > 0.0 else FASTEST
-                fastest = min(max(FASTEST, min(steady, fell[o])), FASTEST_STEADY)
-                distance[o] = max(last, before / fastest)
-                rate = max(before / distance[o], SLOWEST) if distance[o] > 0.0 else SLOWEST
-                error = SAFETY * distance[o] / (rate - 1.0)
-                errors[o] = error + ROUND_OFF
-                factors[o] = error / own if own > 0.0 else 0.0
-    coarser, finest = solutions[-2:]
-    return Ladder(frame, finest, coarser, errors, factors, limit, len(solutions))
+    for ladder in ladders(
+        frame,
+        observables,
+        wanted=accepted or tol,
+        work=work,
+        threads=threads,
+        progress=progress,
+        reference=reference,
+    ):
+        if max(ladder.errors.values()) <= tol:
+            return replace(ladder, limit="")
+    return ladder
 
 
-def _refusal(size: float, work: float, *, most: float) -> str:
+def _out_of_reach(
+    fall: dict[Observable, Falling], wanted: float, level: int, why_not: Callable[[int], str]
+) -> str:
+    """Say that even the most that is believed of what is allowed does not meet ``wanted``."""
+    best = SAFETY * max(f.distance for f in fall.values()) / (FASTEST_STEADY - 1.0)
+    while best > wanted:
+        level += 1
+        if why := why_not(level):
+            return f"the tolerance {wanted:.2g} is out of reach: {why}"
+        best /= FASTEST_STEADY
+    return ""
+
+
+def refusal(size: float, work: float, *, most: float) -> str:
+    """Say why a solution of these bytes and multiplications is not begun; empty where it may."""
     if size > MEMORY:
         return f"a finer solution needs {size / 1e9:.2g} GB of memory, at most {MEMORY / 1e9:.2g}"
     if work > most:
@@ -151,11 +196,9 @@ def _refusal(size: float, work: float, *, most: float) -> str:
     return ""
 
 
-def _steps(progress: Progress, degrees: Degrees) -> Callable[[float], None]:
-    def step(share: float) -> None:
-        progress(int(100 * share), 100, f"phase space, degree {degrees.total}")
-
-    return step
+def steps(progress: Progress, what: str, degrees: Degrees) -> Callable[[float], None]:
+    """Return the function that reports a share of the work on ``what``."""
+    return lambda share: progress(int(100 * share), 100, f"{what}, degree {degrees.total}")
 
 
 def _common_distance(frame: Frame, a: Expansion, b: Expansion) -> float:

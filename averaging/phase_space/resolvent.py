@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from averaging.phase_space.degrees import lowered, raised
-from averaging.phase_space.elimination import Chain, Expansion, applied, factored
+from averaging.phase_space.elimination import Chain, Expansion, applied, factored, with_mass
 from averaging.phase_space.frame import Frame
 from averaging.phase_space.marginals import Form
 from averaging.phase_space.panels import Basis, basis
@@ -82,9 +82,7 @@ class Generator:
         """
         chain, top = self.chain, self.chain.top
         inverses, A = factored(chain, kept=top, shift=shift, step=step)
-        if not shift:
-            A = A + float(np.abs(A).max()) * np.outer(self.one, self.one)
-        inverses[0] = np.asarray(np.linalg.inv(A))
+        inverses[0] = np.asarray(np.linalg.inv(A if shift else with_mass(A, self.one)[0]))
 
         def solve(b: Array) -> Array:
             right = self.split(b)

@@ -6,7 +6,7 @@ import pytest
 import fpk
 from averaging.exact import Exact
 from averaging.gaussian import Linear
-from averaging.phase_space import dynamics, refinement, resolvent
+from averaging.phase_space import refinement, resolvent
 from averaging.phase_space.elimination import Degrees, expanded
 from averaging.phase_space.frame import Reference, contact_frame, gibbs_reference, linear_part
 from averaging.phase_space.method import PhaseSpace
@@ -26,8 +26,7 @@ GIBBS = fpk.System([2.0], [1.0], [0.4], [0.1], contacts=(ONE_SIDED,))
 @pytest.fixture(autouse=True)
 def one_thread(monkeypatch):
     """Tests run side by side, one on each core."""
-    for module in (refinement, dynamics):
-        monkeypatch.setattr(module, "usable_cores", lambda: 1)
+    monkeypatch.setattr(refinement, "usable_cores", lambda: 1)
 
 
 def ask(method, question, system, *arguments, tol=None):
