@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from averaging.phase_space.basis import Basis, basis
 from averaging.phase_space.degrees import lowered, raised
-from averaging.phase_space.elimination import Chain, Expansion, applied, factored, with_mass
+from averaging.phase_space.elimination import Expansion, factored, with_mass
+from averaging.phase_space.equations import Chain, applied
 from averaging.phase_space.frame import Frame
 from averaging.phase_space.marginals import Form
-from averaging.phase_space.panels import Basis, basis
 from fpk.arrays import Array
 from fpk.dynamics import Complex
 

@@ -1,7 +1,7 @@
 """The unreduced equation against exact densities, exact moments and identities."""
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 import pytest
@@ -17,10 +17,12 @@ from averaging.phase_space.frame import contact_frame, gibbs_reference, referenc
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.moments import moments
+from averaging.phase_space.refinement import ladders
 from cases.comparison.compare import compared
 from fpk.density import gauss_grid, integral, l1_distance
 from fpk.errors import NotApplicable
 from fpk.linear import stationary_covariance
+from fpk.method import silent
 from fpk.observable import Coordinate, parse_observable
 from sim.montecarlo import MonteCarlo
 
@@ -274,3 +276,35 @@ def replaced(system, contact):
         system.noise_intensity,
         contacts=(contact,),
     )
+
+
+@pytest.mark.slow
+def test_errors_of_random_systems_are_within_the_stated_ones_of_a_finer_solution():
+    """Other systems than those by which the factor on the error was chosen."""
+    rng = np.random.default_rng(20261124)
+    observables = [parse_observable(o, 2) for o in ("q1", "q2", "p1", "p2")]
+    above = []
+    for number in range(24):
+        system, _ = drawn(rng)
+        frame = contact_frame(system)
+        *coarser, finer = islice(
+            ladders(
+                frame,
+                observables,
+                wanted=np.inf,
+                work=2e11,
+                threads=1,
+                progress=silent,
+                reference=None,
+            ),
+            4,
+        )
+        for ladder in coarser:
+            for o in observables:
+                panels, pdf = marginal(frame, ladder.finest, o)
+                mesh, grids = gauss_grid(panels)
+                _, right = marginal(frame, finer.finest, o)
+                error = integral(np.abs(pdf(*mesh) - right(*mesh)), grids)
+                if error > ladder.errors[o]:
+                    above.append((number, ladder.solutions, o, error / ladder.errors[o]))
+    assert not above

@@ -7,7 +7,8 @@ import fpk
 from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.phase_space import refinement, resolvent
-from averaging.phase_space.elimination import Degrees, expanded
+from averaging.phase_space.degrees import Degrees
+from averaging.phase_space.elimination import expanded
 from averaging.phase_space.frame import Reference, contact_frame, gibbs_reference, linear_part
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.resolvent import Generator, transforms

@@ -7,12 +7,12 @@ import pytest
 
 import fpk
 from averaging.phase_space import degrees as degrees_module
+from averaging.phase_space.basis import basis
 from averaging.phase_space.degrees import Degrees, lowered, others_to, raised
 from averaging.phase_space.elimination import expanded, inverted
 from averaging.phase_space.frame import contact_frame, gibbs_reference, reference_of
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import refitted
-from averaging.phase_space.panels import basis
 from fpk.density import gauss_grid, integral
 from fpk.observable import parse_observable
 
