@@ -217,7 +217,7 @@ def _adapted(
             continue
         # Two eliminations in complex numbers, of four multiplications each, where one was.
         e = ladder.finest
-        size, work = cost(frame, e.basis.reference, e.degrees, whole=True)
+        size, work = cost(frame, e.basis.reference, e.degrees)
         limit = refusal(2.0 * size, 4.0 * work, most=options.work)
         if answer is not None and limit:
             return replace(answer, limit=limit)

@@ -15,17 +15,23 @@ from averaging.phase_space.frame import Frame, Reference
 from averaging.phase_space.panels import polynomials
 from fpk.arrays import Array
 
+CONVERGED = 1e-12
+"""Residual, relative to the terms that cancel, of a solution in double precision: it has 1e-15."""
+MOST_REFINEMENTS = 20
+"""Corrections by the residual; each takes the error down by the error of the elimination."""
+REFINED = 1e-15
+"""Relative change that the next correction would make, at which there is none."""
 LEAF = 200
 """Order of a matrix up to which LAPACK inverts it; above, by quarters: products are faster."""
 
 
 @dataclass(frozen=True, eq=False)
 class Expansion:
-    """Coefficients of a solution: ``levels[n]`` is (count, functions) of level n, of what is kept.
+    """Coefficients of a solution: ``levels[n]`` is (count, functions) of level n.
 
     ``basis`` has the functions of y, ``factor`` C; ``others`` the degrees in the variables other
-    than the contact velocity. ``residual`` is that of the equations of level 0, into which all
-    others are eliminated, relative to the terms that cancel in them.
+    than the contact velocity. ``residual`` is that of the equations, relative to the terms that
+    cancel in them.
     """
 
     basis: Basis
@@ -59,7 +65,7 @@ def sizes(frame: Frame, reference: Reference, degrees: Degrees) -> Array:
     ]
     out = np.zeros(degrees.total + 1)
     for level in range(degrees.total + 1):
-        for o in others_to(degrees.others, 2 * frame.n - 1)[: level + 1]:
+        for o in others_to(degrees.others, 2 * frame.n - 1)[: degrees.others_at(level) + 1]:
             out[level] += o.k.shape[0] * functions[degrees.beyond(level, o.total)]
     return out / (2.0 if frame.symmetric else 1.0)
 
@@ -69,27 +75,75 @@ def expanded(
     reference: Reference,
     degrees: Degrees,
     *,
-    whole: bool,
+    again: bool = True,
     step: Callable[[float], None] = lambda share: None,
 ) -> Expansion:
     """Return the stationary expansion about ``reference``.
 
-    ``whole``: with all levels; else the lowest three, from which the moments and the density of the
-    contact displacement follow. ``step`` is called with the share of the work that is done. Double
-    precision throughout: in single precision, at ten times lighter damping, errors were 4e-3.
+    ``step`` is called with the share of the work that is done. The elimination is in single
+    precision, half the time and memory of double, and its solution is refined by the residual in
+    double precision. Where that does not converge it is done ``again`` in double precision.
     """
     functions = basis(frame, reference, degrees)
     chain = Chain.of(frame, reference, functions, degrees)
-    kept = degrees.total if whole else 2
-    inverses, A = factored(chain, kept=kept, step=step)
-    one = functions.of_one()[: A.shape[0]]
-    mass, scale = with_mass(A, one)
-    u = [np.asarray(np.linalg.solve(mass, scale * one), dtype=float)]
-    for n in range(1, kept + 1):
-        u.append(-(inverses[n] @ chain.from_below(n, u, inverses)))
-    residual = float(np.max(np.abs(A @ u[0])) / np.max(np.abs(A) @ np.abs(u[0])))
+    one = functions.of_one()[: chain.size(0)]
+    for kind in (np.float32, np.float64) if again else (np.float32,):
+        factors, scale = factored(chain, kind=kind, one=one, step=step)
+        u, residual = _refined(factors, scale * one, one)
+        if residual < CONVERGED:
+            break
     shaped = tuple(chain.shaped(n, x) for n, x in enumerate(u))
     return Expansion(functions, chain.factor, degrees, shaped, chain.others, residual)
+
+
+@dataclass(frozen=True, eq=False)
+class Factors:
+    """Equations of a chain, eliminated: solves them for any right side.
+
+    ``inverses[n]`` is that of what level n meets in itself after the levels above it.
+    """
+
+    chain: Chain
+    inverses: Sequence[Array]
+
+    def solve(self, right: Sequence[Array]) -> list[Array]:
+        """Return u of A u = right, both by levels."""
+        chain, inverses, top = self.chain, self.inverses, self.chain.top
+        # From the top down what each level makes without those below it, and back up.
+        alone = [inverses[top] @ right[top].astype(inverses[top].dtype, copy=False)]
+        for n in range(top - 1, -1, -1):
+            beyond = applied(chain.above[n], alone[0][:, None], chain.size(n))[:, 0]
+            alone.insert(0, inverses[n] @ (right[n] - beyond).astype(inverses[n].dtype, copy=False))
+        u = [alone[0]]
+        for n in range(1, top + 1):
+            below = chain.from_below(n, u, inverses).astype(inverses[n].dtype, copy=False)
+            u.append(alone[n] - inverses[n] @ below)
+        return u
+
+
+def _refined(factors: Factors, given: Array, one: Array) -> tuple[list[Array], float]:
+    """Return the stationary solution and its residual, relative to the terms that cancel in it.
+
+    ``given`` is the right side of level 0, the others have none. The equation of the mass, which
+    ``factors`` have, is added to those of the chain.
+    """
+    chain = factors.chain
+    right = [given, *(np.zeros(chain.size(n)) for n in range(1, chain.top + 1))]
+    u, rest = [np.zeros(x.size) for x in right], right
+    before, size = 2.0, 1.0
+    for _ in range(MOST_REFINEMENTS):
+        change = factors.solve(rest)
+        u = [x + dx for x, dx in zip(u, change, strict=True)]
+        product, size = chain.times(u)
+        product[0] = product[0] + given * (one @ u[0])
+        rest = [b - Au for b, Au in zip(right, product, strict=True)]
+        changed = float(np.sqrt(sum(x @ x for x in change) / sum(x @ x for x in u)))
+        if not changed < before or changed**2 < REFINED * before:
+            break
+        before = changed
+    # The terms of the function 1 are those in the equation of the mass.
+    size = max(size, float(np.max(np.abs(given))))
+    return u, max(float(np.max(np.abs(r))) for r in rest) / size
 
 
 def with_mass(A: Array, one: Array) -> tuple[Array, float]:
@@ -106,22 +160,23 @@ def with_mass(A: Array, one: Array) -> tuple[Array, float]:
 def factored(
     chain: Chain,
     *,
-    kept: int,
+    one: Array,
     shift: complex = 0.0,
+    kind: type = np.float64,
     step: Callable[[float], None] = lambda share: None,
-) -> tuple[dict[int, Array], Array]:
-    """Eliminate all levels but the lowest from the equations less ``shift`` times the unknowns.
+) -> tuple[Factors, float]:
+    """Eliminate the levels of the equations less ``shift`` times the unknowns, from the top down.
 
-    Returned are the inverses of what each level meets in itself after those above it, of levels 1
-    to ``kept`` + 1, and the equations of level 0. ``step`` is called with the share of the work
-    done.
+    Without a shift the equation of the mass, ``one`` times the unknowns of level 0, is added as
+    ``with_mass`` does; returned is what stands before the mass in it, too. ``step`` is called with
+    the share of the work done.
     """
     top = chain.top
     work = np.cumsum([float(chain.size(n)) ** 3 for n in range(top, -1, -1)])
-    inverses: dict[int, Array] = {}
+    inverses: list[Array] = []
     R = Q = np.zeros((0, 0))
     for n in range(top, 0, -1):
-        A, size = chain.within(n, shift=shift), chain.size(n)
+        A, size = chain.within(n, shift=shift, kind=kind), chain.size(n)
         if n < top:
             A += applied(chain.above[n], R, size)
         inverse = inverted(A, [group.start for group in chain.groups[n]])
@@ -132,10 +187,13 @@ def factored(
         R = np.negative(R_next, out=R_next)
         if n > 1:
             Q = -applied_from_right(inverse, chain.paired[n], chain.size(n - 2))
-        if n <= kept + 1:
-            inverses[n] = inverse
+        inverses.insert(0, inverse)
         step(work[top - n] / work[-1])
-    return inverses, chain.within(0, shift=shift) + applied(chain.above[0], R, chain.size(0))
+    A = chain.within(0, shift=shift) + applied(chain.above[0], R, chain.size(0))
+    scale = 0.0
+    if not shift:
+        A, scale = with_mass(A, one)
+    return Factors(chain, [np.asarray(np.linalg.inv(A), dtype=A.dtype), *inverses]), scale
 
 
 def inverted(A: Array, cuts: Sequence[int]) -> Array:

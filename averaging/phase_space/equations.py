@@ -67,22 +67,29 @@ class Term:
         """Add the term times X (unknowns, columns) to ``out`` (equations, columns)."""
         part = X[self.of.span].reshape(self.of.count, self.of.functions, -1)
         if self.functions is not None:
-            part = np.matmul(self.functions, part)
+            part = np.matmul(self.functions.astype(X.real.dtype, copy=False), part)
         common = min(part.shape[1], self.to.functions)
         part = part[:, :common]
         if isinstance(self.degrees, float):
             part = self.degrees * part
         else:
-            part = np.tensordot(self.degrees, part, axes=1)
+            part = np.tensordot(self.degrees.astype(X.real.dtype, copy=False), part, axes=1)
         whole = out[self.to.span].reshape(self.to.count, self.to.functions, -1)
         whole[:, :common] += part
 
     def add_matrix_to(self, A: Array) -> None:
-        """Add the term itself, of functions unchanged, to a matrix (equations, unknowns)."""
+        """Add the term itself to a matrix (equations, unknowns).
+
+        It is of functions unchanged, or of a multiple of the unit matrix on k.
+        """
         to, of = self.to, self.of
         whole = A[to.span, of.span].reshape(to.count, to.functions, of.count, of.functions)
-        each = np.arange(min(to.functions, of.functions))
-        whole[:, each, :, each] += self.degrees
+        if self.functions is None:
+            each = np.arange(min(to.functions, of.functions))
+            whole[:, each, :, each] += self.degrees
+        else:
+            k = np.arange(to.count)
+            whole[k, :, k] += self.degrees * self.functions
 
 
 Terms = Sequence[Term]
@@ -108,8 +115,8 @@ class Chain:
 
     ``factor`` C. ``groups[n]`` are the unknowns of level n by their degree in the others. Level n
     meets itself by ``own[n]``, level n + 1 by ``above[n]``, level n − 1 by ``forced[n]`` and
-    n − 2 by ``paired[n]``. ``radiation[m]`` is l₁ (∂* ∂)^½ on the functions of group m of the
-    highest level, which stands for the levels above it.
+    n − 2 by ``paired[n]``. The highest level of each degree in the others meets itself by
+    l₁ (∂* ∂)^½, too, which stands for the levels above it.
     """
 
     factor: Array
@@ -119,7 +126,6 @@ class Chain:
     above: tuple[Terms, ...]
     forced: tuple[Terms, ...]
     paired: tuple[Terms, ...]
-    radiation: tuple[Array, ...]
 
     @classmethod
     def of(cls, frame: Frame, reference: Reference, functions: Basis, degrees: Degrees) -> "Chain":
@@ -149,13 +155,13 @@ class Chain:
             )
             forced.append(_forced(others, force_by_y[n % 2], groups, n) if n else [])
             paired.append(_paired(others, pair, groups, n) if n > 1 else [])
-        # The level above the highest would have as many functions as the one below it.
-        radiation = []
-        for m, group in enumerate(groups[top]):
-            beyond = _functions(functions, degrees, top - 1, m)
-            E = adjoint[top % 2][: group.functions, :beyond]
+        for m in range(max(map(len, groups))):
+            # The level above the highest would have as many functions as the one below it.
+            n = max(n for n, level in enumerate(groups) if len(level) > m)
+            group, beyond = groups[n][m], _functions(functions, degrees, n - 1, m)
+            E = adjoint[n % 2][: group.functions, :beyond]
             U, s, _ = np.linalg.svd(E, full_matrices=False)
-            radiation.append((U * s) @ U.T)
+            own[n].append(Term(group, group, -float(np.sqrt(n - m + 1.0)), (U * s) @ U.T))
         return cls(
             C,
             others,
@@ -164,7 +170,6 @@ class Chain:
             tuple(above),
             tuple(forced),
             tuple(paired),
-            tuple(radiation),
         )
 
     @property
@@ -177,27 +182,37 @@ class Chain:
         last = self.groups[n][-1]
         return last.start + last.count * last.functions
 
-    def within(self, n: int, *, shift: complex = 0.0) -> Array:
+    def within(self, n: int, *, shift: complex = 0.0, kind: type = np.float64) -> Array:
         """Return the equations of level n in itself, less ``shift`` times its unknowns.
 
-        Those of the highest level are closed by radiation. A shift that is not real makes them and
-        all that follows from them complex.
+        ``kind`` is that of the numbers. A shift that is not real makes them and all that follows
+        from them complex.
         """
-        A = np.zeros((self.size(n), self.size(n)), np.result_type(float, shift))
+        A = np.zeros((self.size(n), self.size(n)), np.result_type(kind, shift))
         for term in self.own[n]:
             term.add_matrix_to(A)
-        if n == self.top:
-            for m, (group, loss) in enumerate(zip(self.groups[n], self.radiation, strict=True)):
-                block = A[group.span, group.span]
-                block -= np.kron(np.eye(group.count), np.sqrt(n - m + 1.0) * loss)
         if shift:
             A[np.diag_indices_from(A)] -= shift
         return A
 
-    def from_below(self, n: int, u: Sequence[Array], inverses: dict[int, Array]) -> Array:
+    def times(self, u: Sequence[Array]) -> tuple[list[Array], float]:
+        """Return the equations times u, and the size of the terms that cancel in them."""
+        out, size = [], 0.0
+        for n in range(self.top + 1):
+            parts = [applied(self.own[n], u[n][:, None], self.size(n))]
+            if n < self.top:
+                parts.append(applied(self.above[n], u[n + 1][:, None], self.size(n)))
+            for below, terms in ((1, self.forced[n]), (2, self.paired[n])):
+                if terms:
+                    parts.append(applied(terms, u[n - below][:, None], self.size(n)))
+            size = max(size, sum(float(np.max(np.abs(part))) for part in parts))
+            out.append(np.sum(parts, axis=0)[:, 0])
+        return out, size
+
+    def from_below(self, n: int, u: Sequence[Array], inverses: Sequence[Array]) -> Array:
         """Return what u of the levels below n adds to level n, directly and through level n + 1.
 
-        ``inverses`` as of ``factored``.
+        ``inverses`` as of ``Factors``.
         """
         given = applied(self.forced[n], u[n - 1][:, None], self.size(n))
         if n > 1:
@@ -218,8 +233,9 @@ class Chain:
 
     def shaped(self, n: int, u: Array) -> Array:
         """Return unknowns of level n as (count, functions), 0 where a degree has no function."""
-        count, most = sum(g.count for g in self.groups[n]), max(g.functions for g in self.groups[n])
-        out, row = np.zeros((count, most), u.dtype), 0
+        count = sum(o.k.shape[0] for o in self.others[: n + 1])
+        out = np.zeros((count, max(g.functions for g in self.groups[n])), u.dtype)
+        row = 0
         for g in self.groups[n]:
             out[row : row + g.count, : g.functions] = u[g.span].reshape(g.count, g.functions)
             row += g.count
@@ -235,7 +251,7 @@ def _groups(
     functions: Basis, degrees: Degrees, others: tuple[Others, ...], n: int
 ) -> tuple[Group, ...]:
     groups, start = [], 0
-    for m, o in enumerate(others[: n + 1]):
+    for m, o in enumerate(others[: degrees.others_at(n) + 1]):
         groups.append(Group(start, o.k.shape[0], _functions(functions, degrees, n, m)))
         start = groups[-1].span.stop
     return tuple(groups)
@@ -267,7 +283,7 @@ def _between_sets(
     return adjoint, forces
 
 
-def _own(others: tuple[Others, ...], drift: Array, groups: tuple[Group, ...], n: int) -> Terms:
+def _own(others: tuple[Others, ...], drift: Array, groups: tuple[Group, ...], n: int) -> list[Term]:
     """Return the blocks within level n: F'_ij a_i⁺ a_j."""
     terms = []
     for m, (group, o) in enumerate(zip(groups, others, strict=False)):
@@ -296,6 +312,8 @@ def _forced(
     """Return the blocks from unknowns of level n − 1 to equations of level n: h'_i a_i⁺ and ∂*."""
     terms = []
     for m, of in enumerate(groups[n - 1]):
+        if m >= len(groups[n]):
+            continue
         to = groups[n][m]
         first = force[0][: to.functions, : of.functions]
         terms.append(Term(to, of, float(np.sqrt(n - m)), first))
@@ -314,6 +332,8 @@ def _paired(
     terms = []
     for m, of in enumerate(groups[n - 2]):
         alone = n - 1.0 - m
+        if m >= len(groups[n]):
+            continue
         terms.append(Term(groups[n][m], of, float(pair[0, 0] * np.sqrt(alone * (alone + 1.0)))))
         if m + 1 < len(groups[n]):
             up = sum(c * A for c, A in zip(pair[0, 1:], others[m].raising, strict=True))

@@ -51,11 +51,6 @@ def form_of(frame: Frame, expansion: Expansion, c: Coordinate) -> Form:
     return Form(float(offset), float(slope), C[frame.n + j - 1] / root)
 
 
-def needs_all_levels(frame: Frame, observable: Observable) -> bool:
-    """Whether the density needs more than the lowest level: all but that of the contact mass."""
-    return observable != (Coordinate("q", frame.contact),)
-
-
 def marginal(
     frame: Frame, expansion: Expansion, observable: Observable, *, share: float = 1.0
 ) -> tuple[tuple[Array, ...], Callable[..., Array]]:

@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from averaging.phase_space.degrees import Degrees
 from averaging.phase_space.elimination import Expansion, expanded, sizes
 from averaging.phase_space.frame import Frame, Reference, gibbs_reference
-from averaging.phase_space.marginals import marginal, needs_all_levels
+from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import moments, refitted
 from fpk.cores import usable_cores
 from fpk.density import gauss_grid, integral
@@ -65,12 +65,15 @@ def degrees_of(level: int, n: int) -> Degrees:
 
 
 def cost(
-    frame: Frame, reference: Reference, degrees: Degrees, *, whole: bool
+    frame: Frame, reference: Reference, degrees: Degrees, *, number: int = 4
 ) -> tuple[float, float]:
-    """Return the bytes and the multiplications that a solution takes."""
+    """Return the bytes and the multiplications that a solution takes.
+
+    ``number`` is how many bytes a number of the elimination has.
+    """
     size = sizes(frame, reference, degrees)
-    stored = np.sum(size**2) if whole else 0.0
-    return 8.0 * float(8.0 * np.max(size) ** 2 + stored), float(4.0 * np.sum(size**3))
+    bytes_ = number * float(8.0 * np.max(size) ** 2 + np.sum(size**2))
+    return bytes_, float(4.0 * np.sum(size**3))
 
 
 @dataclass(frozen=True)
@@ -115,23 +118,23 @@ def ladders(
     The last one says what ends them: memory, more than ``work``, or that not even the L1 error
     ``wanted`` can be met by then. ``threads`` and ``reference`` as of ``PhaseSpace``.
     """
-    whole = any(needs_all_levels(frame, o) for o in observables)
     about = reference or gibbs_reference(frame)
 
     def why_not(level: int) -> str:
-        needed = cost(frame, about, degrees_of(level, frame.n), whole=whole)
+        needed = cost(frame, about, degrees_of(level, frame.n))
         return refusal(*needed, most=work)
 
     with threadpool_limits(limits=threads or usable_cores(), user_api="blas"):
         for _ in range(REFITS):
-            first = expanded(frame, about, degrees_of(0, frame.n), whole=False)
+            first = expanded(frame, about, degrees_of(0, frame.n))
             about = refitted(frame, first)
         coarser: Expansion | None = None
         fall: dict[Observable, Falling] = {}
         for level in count():
             degrees = degrees_of(level, frame.n)
             step = steps(progress, "phase space", degrees)
-            finest = expanded(frame, about, degrees, whole=whole, step=step)
+            again = cost(frame, about, degrees, number=8)[0] <= MEMORY
+            finest = expanded(frame, about, degrees, again=again, step=step)
             if coarser is not None:
                 least = _common_distance(frame, finest, coarser)
                 own = {o: _distance(frame, finest, coarser, o) for o in observables}

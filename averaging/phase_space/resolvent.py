@@ -14,8 +14,8 @@ import numpy as np
 
 from averaging.phase_space.basis import Basis, basis
 from averaging.phase_space.degrees import lowered, raised
-from averaging.phase_space.elimination import Expansion, factored, with_mass
-from averaging.phase_space.equations import Chain, applied
+from averaging.phase_space.elimination import Expansion, factored
+from averaging.phase_space.equations import Chain
 from averaging.phase_space.frame import Frame
 from averaging.phase_space.marginals import Form
 from fpk.arrays import Array
@@ -81,23 +81,13 @@ class Generator:
 
         At s = 0, where A is singular, b is freed of its mass before, and the answer has none.
         """
-        chain, top = self.chain, self.chain.top
-        inverses, A = factored(chain, kept=top, shift=shift, step=step)
-        inverses[0] = np.asarray(np.linalg.inv(A if shift else with_mass(A, self.one)[0]))
+        factors, _ = factored(self.chain, one=self.one, shift=shift, step=step)
 
         def solve(b: Array) -> Array:
             right = self.split(b)
             if not shift:
                 right[0] = right[0] - self.one * (self.one @ right[0])
-            # From the top down what each level makes without those below it, and back up.
-            alone = [inverses[top] @ right[-1]]
-            for n in range(top - 1, -1, -1):
-                beyond = applied(chain.above[n], alone[0][:, None], chain.size(n))[:, 0]
-                alone.insert(0, inverses[n] @ (right[n] - beyond))
-            u = [alone[0]]
-            for n in range(1, top + 1):
-                u.append(alone[n] - inverses[n] @ chain.from_below(n, u, inverses))
-            return -np.concatenate(u)
+            return -np.concatenate(factors.solve(right))
 
         return solve
 

@@ -104,7 +104,7 @@ def test_the_expansion_converges_to_gibbs_about_a_wrong_temperature(factor):
     errors = [
         true_error(
             frame,
-            expanded(frame, wrong(frame, factor), Degrees(N, 6, N + 4), whole=False),
+            expanded(frame, wrong(frame, factor), Degrees(N, 6, N + 4)),
             exact,
         )
         for N in (10, 14, 18, 22)
@@ -117,7 +117,7 @@ def test_moments_of_a_linear_system_are_those_of_the_lyapunov_equation():
     # Unequal temperatures: probability circulates, and no Gibbs state is the answer.
     system = fpk.System(**FIG6, noise_intensity=[0.01, 0.02])
     frame = contact_frame(system)
-    expansion = expanded(frame, gibbs_reference(frame), Degrees(8, 6, 8), whole=False)
+    expansion = expanded(frame, gibbs_reference(frame), Degrees(8, 6, 8))
     order = [*frame.order, *(2 + i for i in frame.order)]
     exact = stationary_covariance(system)[np.ix_(order, order)]
     assert moments(frame, expansion).covariance == pytest.approx(exact, rel=1e-10, abs=1e-12)

@@ -91,7 +91,7 @@ def test_sums_over_the_spectrum_of_a_gibbs_state_with_contact_are_exact():
 
 def test_one_elimination_serves_the_frequencies_about_its_shift(monkeypatch):
     frame = contact_frame(GIBBS)
-    e = expanded(frame, gibbs_reference(frame), Degrees(14, 0, 14), whole=True)
+    e = expanded(frame, gibbs_reference(frame), Degrees(14, 0, 14))
     A = Generator.of(frame, e, odd=False)
     b = np.random.default_rng(20261123).normal(size=A.ends[-1])
     b[: A.ends[0]] -= A.one * (A.one @ b[: A.ends[0]])

@@ -77,13 +77,13 @@ def test_more_polynomials_between_stops_change_nothing(monkeypatch):
     """With continuous functions in levels of all degrees the change was some 1e-3."""
     frame, about = frame_of(clearance=1.5), gibbs_reference(frame_of(clearance=1.5))
     for _ in range(2):
-        about = refitted(frame, expanded(frame, about, DEGREES, whole=False))
+        about = refitted(frame, expanded(frame, about, DEGREES))
     densities = []
     for more in (0, 2, 4, 8):
         monkeypatch.setattr(
             Degrees, "between", lambda self, width, more=more: 2 * (self.outer // 2) + 1 + more
         )
-        e = expanded(frame, about, Degrees(40, 6, 20), whole=False)
+        e = expanded(frame, about, Degrees(40, 6, 20))
         densities.append(marginal(frame, e, parse_observable("q2", 2)))
     mesh, grids = gauss_grid(densities[0][0])
     last = densities[-1][1](*mesh)
