@@ -15,6 +15,8 @@ from averaging.phase_space.frame import Frame, Reference
 from averaging.phase_space.panels import polynomials
 from fpk.arrays import Array
 
+FIRST: type = np.float32
+"""Numbers of the first elimination, before any in double precision."""
 CONVERGED = 1e-12
 """Residual, relative to the terms that cancel, of a solution in double precision: it has 1e-15."""
 MOST_REFINEMENTS = 20
@@ -87,7 +89,7 @@ def expanded(
     functions = basis(frame, reference, degrees)
     chain = Chain.of(frame, reference, functions, degrees)
     one = functions.of_one()[: chain.size(0)]
-    for kind in (np.float32, np.float64) if again else (np.float32,):
+    for kind in (FIRST, np.float64) if again else (FIRST,):
         factors, scale = factored(chain, kind=kind, one=one, step=step)
         u, residual = _refined(factors, scale * one, one)
         if residual < CONVERGED:
