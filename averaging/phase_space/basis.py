@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -33,7 +34,8 @@ class Basis:
     the derivatives of the first. The derivative of the first is then as good as any function of the
     second, and none of either is lost on the other. Levels of even degree have continuous
     functions, those of odd degree broken ones, as ∂/∂y connects a level with its neighbours only.
-    ``counts[s][c]`` is how many functions of set s, in front, have c polynomials beyond a stop.
+    ``counts[s][c]`` is how many functions of set s, in front, have c polynomials beyond a stop, 0
+    for fewer than any degree has.
 
     Where state and mirror image are equally likely (``mirrored``) the first are even and the
     second are odd, or the other way round.
@@ -63,7 +65,7 @@ class Basis:
 
     def of_one(self) -> Array:
         """Coefficients of the function 1 in the continuous functions."""
-        values, _ = self.functions(self.points)
+        values, _ = self.at_points
         return np.asarray(self.continuous.T @ (values.T @ self.weights))
 
     def density(self, y: Array) -> Array:
@@ -80,6 +82,11 @@ class Basis:
     def fine_nodes(self, count: int) -> Array:
         """Ends of ``count`` parts of each panel."""
         return np.unique(np.concatenate([p.parts(count) for p in self.panels]))
+
+    @cached_property
+    def at_points(self) -> tuple[Array, Array]:
+        """Functions of all panels and their derivatives at the points."""
+        return self.functions(self.points)
 
     def functions(self, y: Array) -> tuple[Array, Array]:
         """Functions of all panels at y (points,) inside the support, and their derivatives in y."""
@@ -142,6 +149,9 @@ def _nested(
     degree = np.concatenate([np.arange(p.degree) for p in panels])
     columns, counts = np.zeros((degree.size, 0)), []
     for count in range(degrees.outer + 1):
+        if count < degrees.least:
+            counts.append(0)
+            continue
         numbers = [
             (count if p.last else degrees.fewer(p.degree, count))
             - (2 if p.direction else 1) * fewer

@@ -40,6 +40,11 @@ class Degrees:
         """
         return min(level, self.others, 2 * (self.total - level))
 
+    @property
+    def least(self) -> int:
+        """Least number of polynomials beyond a stop."""
+        return int(LEAST_MIXED * self.outer)
+
     def beyond(self, level: int, others: int) -> int:
         """Number of polynomials beyond a stop, of |k| = ``level`` and a degree in the others.
 
@@ -48,7 +53,7 @@ class Degrees:
         derivatives of the functions of one are those of the next.
         """
         alone = max(self.outer - level // 2 * 2, int(LEAST * self.outer))
-        return max(alone - int(FEWER * others), int(LEAST_MIXED * self.outer))
+        return max(alone - int(FEWER * others), self.least)
 
     def between(self, width: float) -> int:
         """Number of polynomials of a panel between stops, odd; one without end has ``outer`` + 1.

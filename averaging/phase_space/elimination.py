@@ -17,6 +17,8 @@ from fpk.arrays import Array
 
 FIRST: type = np.float32
 """Numbers of the first elimination, before any in double precision."""
+SMALL = 1e8
+"""Sum of the cubes of the levels' sizes up to which double precision takes no longer at once."""
 CONVERGED = 1e-12
 """Residual, relative to the terms that cancel, of a solution in double precision: it has 1e-15."""
 MOST_REFINEMENTS = 20
@@ -50,7 +52,8 @@ class Expansion:
 
     def functions(self, n: int, y: Array) -> Array:
         """u_k(y) of all k of level n, (count, points)."""
-        values, _ = self.basis.functions(y)
+        b = self.basis
+        values, _ = b.at_points if y is b.points else b.functions(y)
         return np.asarray(self.of_panels(n) @ values.T)
 
     def of_panels(self, n: int) -> Array:
@@ -89,7 +92,9 @@ def expanded(
     functions = basis(frame, reference, degrees)
     chain = Chain.of(frame, reference, functions, degrees)
     one = functions.of_one()[: chain.size(0)]
-    for kind in (FIRST, np.float64) if again else (FIRST,):
+    small = sum(chain.size(n) ** 3 for n in range(chain.top + 1)) < SMALL
+    kinds = (np.float64,) if small else (FIRST, np.float64) if again else (FIRST,)
+    for kind in kinds:
         factors, scale = factored(chain, kind=kind, one=one, step=step)
         u, residual = _refined(factors, scale * one, one)
         if residual < CONVERGED:

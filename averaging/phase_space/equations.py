@@ -265,7 +265,7 @@ def _between_sets(
     ``force`` h' (d, points).
     """
     w = functions.weights
-    value, slope = functions.functions(functions.points)
+    value, slope = functions.at_points
     continuous, broken = value @ functions.continuous, value @ functions.broken
     to_continuous = (slope @ functions.continuous).T @ (w[:, None] * broken)
     # The derivative of 1 is 0: with round-off in its place mass would not be conserved.

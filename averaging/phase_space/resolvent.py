@@ -100,7 +100,7 @@ def times(b: Basis, levels: Sequence[Array], form: Form, to: Generator) -> Array
     ``offset + slope y + direction·ζ``, and ζ_j He_k = √k_j He_(k−e_j) + √(k_j + 1) He_(k+e_j).
     """
     new, others, e = to.functions, to.chain.others, form.direction
-    values, _ = b.functions(b.points)
+    values, _ = b.at_points
     by_y = values.T @ ((b.weights * (form.offset + form.slope * b.points))[:, None] * values)
     old = [u @ b.of_level(n)[:, : u.shape[1]].T for n, u in enumerate(levels)]
     product = [u @ by_y @ new.of_level(n) for n, u in enumerate(old)]
