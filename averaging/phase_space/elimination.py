@@ -1,6 +1,6 @@
-"""Elimination of the chain of levels from the highest down, and the stationary expansion.
+"""Elimination of the chain of stages from the highest down, and the stationary expansion.
 
-``equations`` has the chain. Each level costs the inverse of one dense block.
+``equations`` has the chain. Each stage costs the inverse of one dense block.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,10 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from averaging.phase_space.basis import Basis, basis
-from averaging.phase_space.degrees import Degrees, Indices, Others, others_to
-from averaging.phase_space.equations import Chain, applied, applied_from_right
+from averaging.phase_space.degrees import (
+    Degrees,
+    Indices,
+    Others,
+    degrees_of_level,
+    others_to,
+)
+from averaging.phase_space.damping import reach, stages_to
+from averaging.phase_space.equations import Chain
 from averaging.phase_space.frame import Frame, Reference
 from averaging.phase_space.panels import polynomials
+from averaging.phase_space.terms import applied, applied_from_right
 from fpk.arrays import Array
 
 LEAF = 200
@@ -37,8 +45,7 @@ class Expansion:
 
     def degree(self, n: int) -> Indices:
         """The degrees k of level n, (count, d)."""
-        parts = [np.insert(o.k, 0, n - o.total, axis=1) for o in self.others[: n + 1]]
-        return np.concatenate(parts)
+        return degrees_of_level(self.others, n)
 
     def functions(self, n: int, y: Array) -> Array:
         """u_k(y) of all k of level n, (count, points)."""
@@ -51,7 +58,7 @@ class Expansion:
 
 
 def sizes(frame: Frame, reference: Reference, degrees: Degrees) -> Array:
-    """Return about how many unknowns each level has."""
+    """Return about how many unknowns each stage has."""
     panels = polynomials(frame, reference, degrees)
     functions = [
         sum(count if p == degrees.outer else degrees.fewer(p, count) for p in panels)
@@ -61,7 +68,8 @@ def sizes(frame: Frame, reference: Reference, degrees: Degrees) -> Array:
     for level in range(degrees.total + 1):
         for o in others_to(degrees.others, 2 * frame.n - 1)[: level + 1]:
             out[level] += o.k.shape[0] * functions[degrees.beyond(level, o.total)]
-    return out / (2.0 if frame.symmetric else 1.0)
+    stages = np.add.reduceat(out, [levels[0] for levels in stages_to(frame, degrees.total)])
+    return np.asarray(stages / (2.0 if frame.symmetric else 1.0))
 
 
 def expanded(
@@ -74,13 +82,13 @@ def expanded(
 ) -> Expansion:
     """Return the stationary expansion about ``reference``.
 
-    ``whole``: with all levels; else the lowest three, from which the moments and the density of the
-    contact displacement follow. ``step`` is called with the share of the work that is done. Double
+    ``whole``: with all levels; else the lowest three, and with damping terms those that their means
+    need, from which the moments and the density of the contact displacement follow. ``step`` is called with the share of the work that is done. Double
     precision throughout: in single precision, at ten times lighter damping, errors were 4e-3.
     """
     functions = basis(frame, reference, degrees)
     chain = Chain.of(frame, reference, functions, degrees)
-    kept = degrees.total if whole else 2
+    kept = chain.stage_of(degrees.total if whole else 2 + reach(frame))
     inverses, A = factored(chain, kept=kept, step=step)
     one = functions.of_one()[: A.shape[0]]
     mass, scale = with_mass(A, one)
@@ -88,7 +96,7 @@ def expanded(
     for n in range(1, kept + 1):
         u.append(-(inverses[n] @ chain.from_below(n, u, inverses)))
     residual = float(np.max(np.abs(A @ u[0])) / np.max(np.abs(A) @ np.abs(u[0])))
-    shaped = tuple(chain.shaped(n, x) for n, x in enumerate(u))
+    shaped = tuple(level for n, x in enumerate(u) for level in chain.shaped(n, x))
     return Expansion(functions, chain.factor, degrees, shaped, chain.others, residual)
 
 
@@ -110,9 +118,9 @@ def factored(
     shift: complex = 0.0,
     step: Callable[[float], None] = lambda share: None,
 ) -> tuple[dict[int, Array], Array]:
-    """Eliminate all levels but the lowest from the equations less ``shift`` times the unknowns.
+    """Eliminate all stages but the lowest from the equations less ``shift`` times the unknowns.
 
-    Returned are the inverses of what each level meets in itself after those above it, of levels 1
+    Returned are the inverses of what each stage meets in itself after those above it, of stages 1
     to ``kept`` + 1, and the equations of level 0. ``step`` is called with the share of the work
     done.
     """
@@ -124,7 +132,7 @@ def factored(
         A, size = chain.within(n, shift=shift), chain.size(n)
         if n < top:
             A += applied(chain.above[n], R, size)
-        inverse = inverted(A, [group.start for group in chain.groups[n]])
+        inverse = inverted(A, chain.starts(n))
         # u_n = R u_(n−1) + Q u_(n−2).
         R_next = applied_from_right(inverse, chain.forced[n], chain.size(n - 1))
         if n < top:

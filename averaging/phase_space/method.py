@@ -287,7 +287,7 @@ def _settings(ladder: Ladder) -> dict[str, str | float | int]:
         settings[f"E q{i + 1}²"] = float(square / mass[i])
         velocity = m.covariance[n + place, n + place] + m.mean[n + place] ** 2
         settings[f"E p{i + 1}²"] = float(velocity * mass[i])
-    for i, heat in zip(order, heat_into_masses(ladder.frame, m), strict=True):
+    for i, heat in zip(order, heat_into_masses(ladder.frame, ladder.finest), strict=True):
         settings[f"net power of damping and noise on mass {i + 1}"] = heat
     return settings
 
