@@ -118,8 +118,8 @@ def state(frame: Frame, reference: Reference, C: Array, space: Space) -> State:
 def product(a: Polynomial, b: Polynomial) -> Polynomial:
     """Return the product of two polynomials, whose matrices commute."""
     out: Polynomial = {}
-    for (m, l), X in a.items():
-        out = added(out, {(m + p, l + q): X @ Y for (p, q), Y in b.items()})
+    for (m, e), X in a.items():
+        out = added(out, {(m + p, e + q): X @ Y for (p, q), Y in b.items()})
     return out
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from averaging.phase_space.basis import Basis, basis
+from averaging.phase_space.damping import reach, stages_to
 from averaging.phase_space.degrees import (
     Degrees,
     Indices,
@@ -16,7 +17,6 @@ from averaging.phase_space.degrees import (
     degrees_of_level,
     others_to,
 )
-from averaging.phase_space.damping import reach, stages_to
 from averaging.phase_space.equations import Chain
 from averaging.phase_space.frame import Frame, Reference
 from averaging.phase_space.panels import polynomials
@@ -82,9 +82,10 @@ def expanded(
 ) -> Expansion:
     """Return the stationary expansion about ``reference``.
 
-    ``whole``: with all levels; else the lowest three, and with damping terms those that their means
-    need, from which the moments and the density of the contact displacement follow. ``step`` is called with the share of the work that is done. Double
-    precision throughout: in single precision, at ten times lighter damping, errors were 4e-3.
+    ``whole``: with all levels; else the lowest three, and those that the means of damping terms
+    need, from which the moments and the density of the contact displacement follow. ``step`` is
+    called with the share of the work that is done. Double precision throughout: in single
+    precision, at ten times lighter damping, errors were 4e-3.
     """
     functions = basis(frame, reference, degrees)
     chain = Chain.of(frame, reference, functions, degrees)

@@ -82,10 +82,10 @@ class Chain:
             )
             forced.append(_forced(others, force_by_y[n % 2], groups, n) if n else [])
             paired.append(_paired(others, pair, groups, n) if n > 1 else [])
+        blocks: Sequence[Sequence[Terms]] = (own, above, forced, paired)
         if frame.system.damping_terms:
-            both = own, above, forced, paired
             terms = damped(frame, functions, degrees, C, groups)
-            own, above, forced, paired = _by_stages(stages, groups, both, terms)
+            blocks = _by_stages(stages, groups, (own, above, forced, paired), terms)
         # The level above the highest would have as many functions as the one below it.
         radiation = []
         for m, group in enumerate(groups[top]):
@@ -98,10 +98,10 @@ class Chain:
             others,
             stages,
             groups,
-            tuple(own),
-            tuple(above),
-            tuple(forced),
-            tuple(paired),
+            tuple(blocks[0]),
+            tuple(blocks[1]),
+            tuple(blocks[2]),
+            tuple(blocks[3]),
             tuple(radiation),
         )
 
@@ -178,13 +178,14 @@ class Chain:
 
 def _size(stage: range, groups: Sequence[tuple[Group, ...]]) -> int:
     """Number of unknowns of a stage, the last of which are those of its lowest level."""
-    return groups[stage[0]][-1].span.stop
+    last = groups[stage[0]][-1]
+    return last.start + last.count * last.functions
 
 
 def _by_stages(
     stages: tuple[range, ...],
     groups: tuple[tuple[Group, ...], ...],
-    constant: Sequence[Sequence[Terms]],
+    constant: Sequence[Sequence[Sequence[Term]]],
     damping: Iterable[tuple[int, int, Term]],
 ) -> Sequence[list[Terms]]:
     """Return ``own``, ``above``, ``forced`` and ``paired`` of stages.
@@ -260,7 +261,7 @@ def _between_sets(
     return adjoint, forces
 
 
-def _own(others: tuple[Others, ...], drift: Array, groups: tuple[Group, ...], n: int) -> Terms:
+def _own(others: tuple[Others, ...], drift: Array, groups: tuple[Group, ...], n: int) -> list[Term]:
     """Return the blocks within level n: F'_ij a_i⁺ a_j."""
     terms = []
     for m, (group, o) in enumerate(zip(groups, others, strict=False)):
@@ -285,7 +286,7 @@ def _forced(
     force: list[Array],
     groups: tuple[tuple[Group, ...], ...],
     n: int,
-) -> Terms:
+) -> list[Term]:
     """Return the blocks from unknowns of level n − 1 to equations of level n: h'_i a_i⁺ and ∂*."""
     terms = []
     for m, of in enumerate(groups[n - 1]):
@@ -302,7 +303,7 @@ def _forced(
 
 def _paired(
     others: tuple[Others, ...], pair: Array, groups: tuple[tuple[Group, ...], ...], n: int
-) -> Terms:
+) -> list[Term]:
     """Return the blocks from unknowns of level n − 2 to equations of level n: a_i⁺ a_j⁺."""
     terms = []
     for m, of in enumerate(groups[n - 2]):

@@ -115,8 +115,8 @@ def reference_of(frame: Frame, slope: Array, offset: Array, covariance: Array) -
 def gibbs_reference(frame: Frame) -> Reference:
     """Return the Gibbs state of the temperature tr D/tr c, of mass-normalised D and c.
 
-    It is the stationary state where damping and noise are in one proportion; elsewhere a start. With
-    damping terms T is the one at which they balance the noise. Raises ``NotApplicable`` where
+    It is the stationary state where damping and noise are in one proportion; elsewhere a start.
+    With damping terms T is the one at which they balance the noise. Raises ``NotApplicable`` where
     nothing is damped or no noise acts.
     """
     K, n = frame.stiffness, frame.n

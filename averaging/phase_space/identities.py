@@ -54,11 +54,10 @@ def force_means(frame: Frame, e: Expansion) -> Means:
             total += by_y(frame, b, powers) * by_z
         return total
 
+    pairs = tuple(zip(s.v, s.r, s.forces, strict=True))
     return Means(
-        *(
-            np.array([given(x, f).sum() for x, f in zip(of, s.forces, strict=True)])
-            for of in (s.v, s.r)
-        ),
+        np.array([np.sum(given(v, f)) for v, _, f in pairs]),
+        np.array([np.sum(given(r, f)) for _, r, f in pairs]),
         np.array([given(f) for f in s.forces]),
     )
 

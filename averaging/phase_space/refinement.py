@@ -55,10 +55,17 @@ class Ladder:
     solutions: int
 
 
-def degrees_of(level: int, n: int) -> Degrees:
-    """Return the degrees of a level of refinement, from 0, so that all have like errors."""
+def degrees_of(level: int, frame: Frame) -> Degrees:
+    """Return the degrees of a level of refinement, from 0, so that all have like errors.
+
+    Damping terms make all coordinates as unlike a Gaussian as a stop makes its mass: degrees in the
+    others and in y rise with that in the velocity of the contact mass.
+    """
+    n, terms = frame.n, bool(frame.system.damping_terms)
     if n == 1:
-        return Degrees(16 + 8 * level, 0, 18 + 4 * level)
+        return Degrees(16 + 8 * level, 0, 18 + (8 if terms else 4) * level)
+    if n == 2 and terms:
+        return Degrees(16 + 4 * level, 8 + 2 * level, 18 + 3 * level)
     if n == 2:
         return Degrees(16 + 6 * level, 6 + 2 * level, 18 + 2 * level)
     return Degrees(10 + 4 * level, 4 + level, 12 + 2 * level)
@@ -119,17 +126,17 @@ def ladders(
     about = reference or gibbs_reference(frame)
 
     def why_not(level: int) -> str:
-        needed = cost(frame, about, degrees_of(level, frame.n), whole=whole)
+        needed = cost(frame, about, degrees_of(level, frame), whole=whole)
         return refusal(*needed, most=work)
 
     with threadpool_limits(limits=threads or usable_cores(), user_api="blas"):
         for _ in range(REFITS):
-            first = expanded(frame, about, degrees_of(0, frame.n), whole=False)
+            first = expanded(frame, about, degrees_of(0, frame), whole=False)
             about = refitted(frame, first)
         coarser: Expansion | None = None
         fall: dict[Observable, Falling] = {}
         for level in count():
-            degrees = degrees_of(level, frame.n)
+            degrees = degrees_of(level, frame)
             step = steps(progress, "phase space", degrees)
             finest = expanded(frame, about, degrees, whole=whole, step=step)
             if coarser is not None:

@@ -1,6 +1,6 @@
 """Blocks of the matrix of the equations: sums of Kronecker products between groups of unknowns."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
