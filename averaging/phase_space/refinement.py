@@ -31,6 +31,8 @@ SAFETY = 3.0
 hundred were above a half; with 3 for a single step, too, ten were above it, up to 2.4 times."""
 ROUND_OFF = 1e-11
 """L1 error of the arithmetic in double precision: on exact densities it was up to 2.3e-12."""
+MOST_OUTER = 125
+"""Polynomials on a panel up to which its Gauss points keep them orthonormal to round-off."""
 MEMORY = 4.0e9
 """Bytes that a solution may need; one that needs more is not begun."""
 WORK = 1.0e13
@@ -59,13 +61,18 @@ def degrees_of(level: int, frame: Frame) -> Degrees:
     """Return the degrees of a level of refinement, from 0, so that all have like errors.
 
     Damping terms make all coordinates as unlike a Gaussian as a stop makes its mass: degrees in the
-    others and in y rise with that in the velocity of the contact mass.
+    others and in y rise with that in the velocity of the contact mass. Errors then oscillate with
+    the degree, and more slowly the higher it is: steps that grow with it see that.
     """
     n, terms = frame.n, bool(frame.system.damping_terms)
-    if n == 1:
-        return Degrees(16 + 8 * level, 0, 18 + (8 if terms else 4) * level)
+    if n == 1 and terms:
+        half = round(8 * 1.4**level)
+        return Degrees(2 * half, 0, 2 * half + 2)
     if n == 2 and terms:
-        return Degrees(16 + 4 * level, 8 + 2 * level, 18 + 3 * level)
+        half = round(8 * 1.25**level)
+        return Degrees(2 * half, half, half + 10)
+    if n == 1:
+        return Degrees(16 + 8 * level, 0, 18 + 4 * level)
     if n == 2:
         return Degrees(16 + 6 * level, 6 + 2 * level, 18 + 2 * level)
     return Degrees(10 + 4 * level, 4 + level, 12 + 2 * level)
@@ -126,8 +133,10 @@ def ladders(
     about = reference or gibbs_reference(frame)
 
     def why_not(level: int) -> str:
-        needed = cost(frame, about, degrees_of(level, frame), whole=whole)
-        return refusal(*needed, most=work)
+        degrees = degrees_of(level, frame)
+        if degrees.outer > MOST_OUTER:
+            return f"a finer solution needs more than {MOST_OUTER} functions of a displacement"
+        return refusal(*cost(frame, about, degrees, whole=whole), most=work)
 
     with threadpool_limits(limits=threads or usable_cores(), user_api="blas"):
         for _ in range(REFITS):
