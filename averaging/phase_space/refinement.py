@@ -31,8 +31,9 @@ SAFETY = 3.0
 hundred were above a half; with 3 for a single step, too, ten were above it, up to 2.4 times."""
 ROUND_OFF = 1e-11
 """L1 error of the arithmetic in double precision: on exact densities it was up to 2.3e-12."""
-MOST_OUTER = 125
-"""Polynomials on a panel up to which its Gauss points keep them orthonormal to round-off."""
+MOST_OUTER = 90
+"""Polynomials on a panel up to which its Gauss points keep them orthonormal: with 88 to 6e-11, with
+100 to 2e-4, as they are none of a polynomial beyond a stop."""
 MEMORY = 4.0e9
 """Bytes that a solution may need; one that needs more is not begun."""
 WORK = 1.0e13
