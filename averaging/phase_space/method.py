@@ -87,6 +87,8 @@ class PhaseSpace(Theory):
         self.prepare(system)
         if system.n > UNASKED_MASSES:
             raise NotApplicable(f"{system.n} masses may take minutes; ask for it by its name")
+        if system.damping_terms:
+            raise NotApplicable("damping terms may take minutes; ask for it by its name")
         for closed in (Exact(), Linear()):
             if closed.refusal(system, (Coordinate("q", 0),)) is None:
                 raise NotApplicable(f"{closed.name} has the same density to more digits")
