@@ -44,6 +44,7 @@ class Carried:
     elements: Modes
     matrices: Matrices
     g: Array
+    residual: float
 
     def density(self, x: Array) -> Array:
         """Return p (times, points) at energies x > 0 in the elements."""
@@ -90,8 +91,9 @@ def modulated_transient(
 
     def carried(e: Modes, level: int) -> Carried:
         m = matrices(process, e)
-        g = stepped(m, start_of(m, e, source), modulation, unit, times, level=level)
-        return Carried(process, e, m, g)
+        return Carried(
+            process, e, m, *stepped(m, start_of(m, e, source), modulation, unit, times, level=level)
+        )
 
     for _ in range(MOST_ROUNDS):
         x, w = points(process, answer)
@@ -124,7 +126,7 @@ def modulated_transient(
         + float((common @ w.ravel()).max()) + 2.0 * tail,
         mass_defect=float(np.abs(p @ w.ravel() - 1.0).max()),
         minimum=float((p.min(axis=1) / p.max(axis=1)).min()),
-        residual=0.0,
+        residual=solved.residual,
         tail_mass=float(tail),
         absolute_error=float((pointwise.max(axis=1) / p.max(axis=1)).max()),
     )  # fmt: skip

@@ -98,23 +98,26 @@ def start_of(m: Matrices, e: Modes, source: Source) -> Array:
 
 def stepped(
     m: Matrices, load: Array, modulation: Modulation, unit: float, times: Array, *, level: int
-) -> Array:
-    """Return g (times, functions) at ``times`` > 0; e² is in units of ``unit``, the reference's.
+) -> tuple[Array, float]:
+    """Return g (times, functions) at ``times`` > 0, and the residual of the equations of steps.
 
-    Steps end at the times and at the kinks of e; they are 2^``level`` in each of the level 0.
+    e² is in units of ``unit``, the reference's. Steps end at the times and at the kinks of e; they are 2^``level`` in each of the level 0.
     """
     A, c = radau(STAGES)
     eye = np.eye(STAGES)
-    g, found, before = None, [], 0.0
+    g, found, before, residual = None, [], 0.0, 0.0
     for end, step in _intervals(modulation, times, level):
         r = modulation(before + step * c) ** 2 / unit
-        system = kron(m.M, eye) + kron(m.K, step * A * r) - kron(m.C, step * A * (1.0 - r))
-        right = load if g is None else m.M @ g
-        g = splu(csc_array(system)).solve(np.repeat(right, STAGES))[STAGES - 1 :: STAGES]
+        system = csc_array(kron(m.M, eye) + kron(m.K, step * A * r) - kron(m.C, step * A * (1.0 - r)))
+        right = np.repeat(load if g is None else m.M @ g, STAGES)
+        stages = splu(system).solve(right)
+        size = np.max(abs(system) @ np.abs(stages))
+        residual = max(residual, float(np.max(np.abs(system @ stages - right)) / size))
+        g = stages[STAGES - 1 :: STAGES]
         before = end
         if np.any(times == end):
             found.append(g)
-    return np.array(found)
+    return np.array(found), residual
 
 
 def _intervals(modulation: Modulation, times: Array, level: int) -> list[tuple[float, float]]:
