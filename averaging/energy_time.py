@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from averaging.energy_process import damping_and_noise, energy_process
 from fpk.arrays import Array
 from fpk.dynamics import Rates

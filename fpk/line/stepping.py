@@ -1,10 +1,12 @@
 """Densities of one energy in time under modulated noise, by implicit Runge-Kutta steps.
 
-With noise e² times that of a reference and π that of the reference, J = π ((1 − e²) F g − e² ½ b g')
-for p = π g, F the part of the drift due to damping: M ∂g/∂t = (−e² K + (1 − e²) C) g.
+With noise e² times that of a reference and π that of the reference, p = π g has the flux
+J = π ((1 − e²) F g − e² ½ b g'), F the part of the drift due to damping, so that
+M ∂g/∂t = (−e² K + (1 − e²) C) g.
 """
 
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +24,7 @@ from fpk.process import Process
 STAGES = 5
 """Stages of a step of Radau IIA: of the order 2 · 5 − 1."""
 FIRST = 1e-3
-"""The first step, in units of the first time or the first kink of e: what it errs by is forgotten."""
+"""The first step, in units of the first time or kink of e: what it errs by is forgotten."""
 RATIO = 3.0
 """Ratio of the ends of a step at the level 0, as long as steps grow with the time."""
 
@@ -69,11 +71,9 @@ def matrices(process: Process, e: Modes) -> Matrices:
     pair = factor[:, :, None] * factor[:, None, :]
     rows, columns = (np.broadcast_to(p, pair.shape) for p in (place[:, :, None], place[:, None, :]))
     keep = (rows >= 0) & (columns >= 0)
-    made = (
-        csc_array(coo_array(((A * pair)[keep], (rows[keep], columns[keep])), 2 * (numbers.size,)))
-        for A in (M, K, C)
-    )
-    return Matrices(*made, place, -0.5 * scale)
+    at, shape = (rows[keep], columns[keep]), (numbers.size, numbers.size)
+    made = [csc_array(coo_array(((A * pair)[keep], at), shape)) for A in (M, K, C)]
+    return Matrices(made[0], made[1], made[2], place, -0.5 * scale)
 
 
 def _functions(e: Modes, x: Array) -> tuple[Array, Array]:
@@ -101,14 +101,17 @@ def stepped(
 ) -> tuple[Array, float]:
     """Return g (times, functions) at ``times`` > 0, and the residual of the equations of steps.
 
-    e² is in units of ``unit``, the reference's. Steps end at the times and at the kinks of e; they are 2^``level`` in each of the level 0.
+    e² is in units of ``unit``, the reference's. Steps end at the times and at the kinks of e; there
+    are 2^``level`` of them in each of the level 0.
     """
     A, c = radau(STAGES)
     eye = np.eye(STAGES)
     g, found, before, residual = None, [], 0.0, 0.0
     for end, step in _intervals(modulation, times, level):
         r = modulation(before + step * c) ** 2 / unit
-        system = csc_array(kron(m.M, eye) + kron(m.K, step * A * r) - kron(m.C, step * A * (1.0 - r)))
+        system = csc_array(
+            kron(m.M, eye) + kron(m.K, step * A * r) - kron(m.C, step * A * (1.0 - r))
+        )
         right = np.repeat(load if g is None else m.M @ g, STAGES)
         stages = splu(system).solve(right)
         size = np.max(abs(system) @ np.abs(stages))
@@ -132,7 +135,7 @@ def _intervals(modulation: Modulation, times: Array, level: int) -> list[tuple[f
         ends += [*inner.tolist(), stop]
     parts = 2**level
     steps: list[tuple[float, float]] = []
-    for a, b in zip(ends[:-1], ends[1:], strict=True):
+    for a, b in pairwise(ends):
         inner = a + (b - a) * np.arange(1.0, parts + 1.0) / parts
         inner[-1] = b
         steps += [(float(x), (b - a) / parts) for x in inner]

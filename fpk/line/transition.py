@@ -75,9 +75,7 @@ class Transition:
         return p_there, np.where(x >= 0.0, error + SMALLEST, 0.0)
 
 
-def transition(
-    process: Process, source: Source, times: Array, *, tol: float = 1e-10
-) -> Transition:
+def transition(process: Process, source: Source, times: Array, *, tol: float = 1e-10) -> Transition:
     """Return the density at ``times`` > 0 after ``source``, to the L1 tolerance ``tol``.
 
     The mesh adapts, fine at the start; what is not met is said in the certificate. Raises
@@ -143,7 +141,9 @@ def _judged(
     far, far_w = far[answer.count :], far_w[answer.count :]
     at = np.append(far.ravel(), [end, last])
     beyond = np.abs(finer.density(at)[0])
-    tail = (beyond[:, :-2] @ far_w.ravel()).max() + probe.tail_bound(last, float(beyond[:, -1].max()))
+    tail = (beyond[:, :-2] @ far_w.ravel()).max() + probe.tail_bound(
+        last, float(beyond[:, -1].max())
+    )
     distance = np.abs(p - better).reshape(shape)
     common = common_error(answer, (source.energy, width), p, size + other, x.ravel())
     pointwise = SAFETY * distance.reshape(p.shape) + common
@@ -183,9 +183,7 @@ def extent(process: Process, source: Source, tail: float, log_share: float) -> f
     return max(end, 1.05 * source.energy)
 
 
-def common_error(
-    e: Modes, start: tuple[float, float], p: Array, size: Array, x: Array
-) -> Array:
+def common_error(e: Modes, start: tuple[float, float], p: Array, size: Array, x: Array) -> Array:
     """Errors that the answer and the enriched solution have in common.
 
     ``start`` is the first energy and the width of the density at the first time.
@@ -199,4 +197,4 @@ def common_error(
     steep = 2.0 + np.log(top) - np.log(np.clip(np.abs(p), SMALLEST, top))
     floor = ROUND_OFF * EPS * (size + top)
     coefficients = 2.0 * e.coefficient_error(upto) * steep + e.relative_error[e.element_of(x)]
-    return (coefficients + rounding) * np.abs(p) + floor
+    return np.asarray((coefficients + rounding) * np.abs(p) + floor)
