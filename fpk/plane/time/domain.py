@@ -17,8 +17,11 @@ class Domain(Protocol):
     def coordinates(self, H1: Array, H2: Array) -> tuple[Array, Array]:
         """Return the coordinates of energies that broadcast together."""
 
-    def pulled_back(self, y: tuple[Array, Array], F: Array, b: Array) -> tuple[Array, Array, Array]:
-        """Return |∂H/∂y|, G F and G b Gᵀ with G = ∂y/∂H, the axes of energies last.
+    def jacobian(self, first: Array, second: Array) -> Array:
+        """Return |∂H/∂y| at coordinates that broadcast together."""
+
+    def pulled_back(self, y: tuple[Array, Array], F: Array, b: Array) -> tuple[Array, Array]:
+        """Return G F and G b Gᵀ with G = ∂y/∂H, the axes of energies last.
 
         So that ∇_H u = Gᵀ ∇_y u turns ∫ (F u − ½ b ∇u)·∇v dH into an integral of the same form.
         """
@@ -37,9 +40,13 @@ class Rectangle:
         """Return the energies themselves."""
         return self.energies(H1, H2)
 
-    def pulled_back(self, y: tuple[Array, Array], F: Array, b: Array) -> tuple[Array, Array, Array]:
-        """Return 1, F and b."""
-        return np.ones(np.broadcast_shapes(y[0].shape, y[1].shape)), F, b
+    def jacobian(self, first: Array, second: Array) -> Array:
+        """Return 1."""
+        return np.ones(np.broadcast_shapes(first.shape, second.shape))
+
+    def pulled_back(self, y: tuple[Array, Array], F: Array, b: Array) -> tuple[Array, Array]:
+        """Return F and b."""
+        return F, b
 
 
 @dataclass(frozen=True)
@@ -60,9 +67,13 @@ class Triangle:
         H = H1 + H2
         return H, np.divide(H1, H, out=np.full(H.shape, 0.5), where=H > 0.0)
 
-    def pulled_back(self, y: tuple[Array, Array], F: Array, b: Array) -> tuple[Array, Array, Array]:
-        """Return H, and the rest with G = ((1, 1), ((1 − x)/H, −x/H))."""
+    def jacobian(self, first: Array, second: Array) -> Array:
+        """Return H."""
+        return np.asarray(np.broadcast_arrays(first, second)[0])
+
+    def pulled_back(self, y: tuple[Array, Array], F: Array, b: Array) -> tuple[Array, Array]:
+        """Return both with G = ((1, 1), ((1 − x)/H, −x/H))."""
         H, x = np.broadcast_arrays(*y)
         G = np.stack([np.ones_like(H), np.ones_like(H), (1.0 - x) / H, -x / H], axis=-1)
         G = G.reshape(*H.shape, 2, 2)
-        return H, np.einsum("...ij,...j->...i", G, F), G @ b @ np.swapaxes(G, -1, -2)
+        return np.einsum("...ij,...j->...i", G, F), G @ b @ np.swapaxes(G, -1, -2)

@@ -60,13 +60,11 @@ def factorised(matrix: csc_array) -> SuperLU:
         raise NotCertified("the equations of a step in time have no unique solution") from error
 
 
-def solved(factors: SuperLU, matrix: csc_array, right: Array) -> tuple[Array, float]:
-    """Return the solution after one step of iterative refinement, and its relative residual."""
-    x = factors.solve(right)
-    x = x + factors.solve(right - matrix @ x)
-    terms = abs(matrix) @ np.abs(x) + np.abs(right)
-    worst = np.abs(right - matrix @ x) / np.where(terms > 0.0, terms, 1.0)
-    return x, float(np.max(worst))
+def relative_residual(matrix: csc_array, sizes: csc_array, x: Array, right: Array) -> float:
+    """Return the largest entry of ``right − matrix x`` over that of its terms; ``sizes`` |matrix|.
+    """
+    defect = np.abs(right - matrix @ x)
+    return float(np.max(defect) / (np.max(np.abs(right)) + np.max(sizes @ np.abs(x))))
 
 
 def evolved(A: csc_array, M: csc_array, dual: Array, times: Array, *, tol: float) -> Evolved:
@@ -75,7 +73,8 @@ def evolved(A: csc_array, M: csc_array, dual: Array, times: Array, *, tol: float
     The reduced matrix is that of (M − γA)⁻¹ M, whose eigenvalues give the slow rates to
     round-off/γ: at times as large as those of rare failure their digits are there.
     """
-    start, residual = solved(factorised(M), M, dual)
+    start = factorised(M).solve(dual)
+    residual = relative_residual(M, abs(M), start, dual)
     parts = [_of_group(A, M, start, times[group], tol) for group in _groups(times)]
     values, change, rounding = (
         np.concatenate([part[k] for part in parts]) for k in range(3)
@@ -101,7 +100,7 @@ def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float
         if k:
             v = factors.solve(MV[k - 1])
             if k % CHUNK == 1:
-                residual = max(residual, _residual(matrix, sizes, v, MV[k - 1]))
+                residual = max(residual, relative_residual(matrix, sizes, v, MV[k - 1]))
             for _ in range(2):
                 along = MV[:k] @ v
                 H[:k, k - 1] += along
@@ -123,11 +122,6 @@ def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float
                 break
     relative = rounding / np.linalg.norm(more, axis=1)
     return Evolved(norm * more @ V[:k], norm * change @ V[:k], relative, residual)
-
-
-def _residual(matrix: csc_array, sizes: csc_array, x: Array, right: Array) -> float:
-    defect = np.abs(right - matrix @ x)
-    return float(np.max(defect) / (np.max(np.abs(right)) + np.max(sizes @ np.abs(x))))
 
 
 def _symmetric(A: csc_array) -> bool:

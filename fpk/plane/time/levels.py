@@ -40,10 +40,19 @@ class Frame:
             return weight, self.balanced
         return replace(weight, coefficients=share * weight.coefficients), False
 
+    @property
+    def relative_error(self) -> float:
+        """Relative error of the equation by that of a balanced weight, whose flux is dropped."""
+        return self.stationary.relative_error if self.balanced else 0.0
+
+    def heights(self, H1: Array, H2: Array) -> Array:
+        """Return the rise of −ln w from its least value to energies (points,) each."""
+        weight = self.stationary.weight
+        return np.zeros(H1.shape) if weight is None else weight.exponent(H1, H2)
+
     def height(self, H1: float, H2: float) -> float:
         """Return the rise of −ln w from its least value to an energy."""
-        weight = self.stationary.weight
-        return 0.0 if weight is None else float(weight.exponent(np.array(H1), np.array(H2)))
+        return float(self.heights(np.array([H1]), np.array([H2]))[0])
 
     def ends(self, tol: float, height: float, level: int) -> Array:
         """Return the energies (2,) beyond which p is negligible: −ln w has risen so far there.

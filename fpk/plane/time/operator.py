@@ -165,8 +165,8 @@ class PlaneOperator:
         else:
             a = (c.drift - 0.5 * c.divergence).reshape(*H1.shape, 2)
             a = a + 0.5 * np.einsum("...ij,...j->...i", b, slope)
-        jacobian, a, b = self.domain.pulled_back((first, second), a, b)
-        of_y = w * jacobian
+        a, b = self.domain.pulled_back((first, second), a, b)
+        of_y = w * self.domain.jacobian(first, second)
         return of_y * np.stack([a[..., 0], a[..., 1], b[..., 0, 0], b[..., 0, 1], b[..., 1, 1]]), of_y
 
     def _weight_and_slope(self, H1: Array, H2: Array) -> tuple[Array, Array]:

@@ -9,10 +9,11 @@ from fpk.arrays import Array
 from fpk.certificate import Measured, certify
 from fpk.density import SMALLEST
 from fpk.evolution import Transient
-from fpk.plane.solution import Nodes, PlaneSolution, gauss_grid, graded
+from fpk.plane.solution import Nodes, graded
 from fpk.plane.time.exponential import Evolved, evolved
 from fpk.plane.time.levels import Frame, operators
 from fpk.plane.time.operator import PlaneOperator
+from fpk.plane.time.start import PointStart, Start
 from fpk.plane.time.view import View
 
 HEIGHT = 12.0
@@ -25,24 +26,6 @@ ROUNDING = 8.0
 """Multiple of the estimated relative round-off that is stated: up to 3 times it was measured."""
 KRYLOV = 1e-2
 """Fraction of the tolerance to which e^(tA) is computed."""
-
-
-class Start(NamedTuple):
-    """A start: energies (2,), or the stationary density of another noise."""
-
-    energies: Array | None
-    density: PlaneSolution | None = None
-    factor: float = 1.0
-
-    def dual(self, op: PlaneOperator) -> Array:
-        """∫ p_0 φ of the free unknowns."""
-        if self.density is None:
-            assert self.energies is not None
-            return op.at(self.energies[:1], self.energies[1:])[0]
-        (x, y), (v, w) = gauss_grid(op.nodes, op.points + 8)
-        p = v[:, None] * self.density.enriched_density(x[:, None], y) * w
-        rows = op.along(0, x).T @ p @ op.along(1, y)
-        return op.gathered(rows.reshape(-1))
 
 
 class _Level(NamedTuple):
@@ -83,10 +66,10 @@ def transient_densities(
 def _levels(frame: Frame, start: Start, times: Array, tol: float) -> Iterator[_Level]:
     height, share = 0.0, 1.0
     least = np.zeros(2)
-    if start.energies is not None:
-        height = frame.height(*map(float, start.energies))
+    if isinstance(start, PointStart):
+        height = frame.height(*start.energies)
         share = min(1.0, HEIGHT / max(height, HEIGHT))
-    if start.density is not None:
+    else:
         share = min(1.0, 1.0 / start.factor)
         least = np.array([x[-1] for x in start.density.nodes])
 
@@ -137,9 +120,7 @@ def _compared(
             model[k] = float(np.sum(area * np.abs(p[k]) * coefficients_error(t, *grid)))
     negative = np.min(np.broadcast_arrays(*at), axis=0) < 0.0
     errors = np.where(negative, 0.0, errors) + SMALLEST
-    l1 = (lost * area).reshape(times.size, -1).sum(axis=1) + model + rounding
-    if start.density is not None:
-        l1 = l1 + start.density.l1_error
+    l1 = (lost * area).reshape(times.size, -1).sum(axis=1) + model + rounding + start.l1_error
     inside = np.all(
         [x <= y[-1] for x, y in zip(np.meshgrid(*axes, indexing="ij"), _ends(view, coarse.op), strict=True)],
         axis=0,
