@@ -177,7 +177,9 @@ class PlaneOperator:
             a = a + 0.5 * np.einsum("...ij,...j->...i", b, (1.0 - held)[..., None] * slope)
         a, b = self.domain.pulled_back((first, second), a, b)
         of_y = w * self.domain.jacobian(first, second)
-        return of_y * np.stack([a[..., 0], a[..., 1], b[..., 0, 0], b[..., 0, 1], b[..., 1, 1]]), of_y
+        return of_y * np.stack(
+            [a[..., 0], a[..., 1], b[..., 0, 0], b[..., 0, 1], b[..., 1, 1]]
+        ), of_y
 
     def _weight_and_slope(self, H1: Array, H2: Array) -> tuple[Array, Array, Array]:
         """w, the slope ∇Φ of the weight without its floor, and the floor's share of w."""

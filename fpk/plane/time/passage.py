@@ -20,7 +20,7 @@ from fpk.plane.time.domain import Domain, Rectangle, Triangle
 from fpk.plane.time.exponential import evolved, factorised, relative_residual
 from fpk.plane.time.levels import Frame, operators
 from fpk.plane.time.operator import PlaneOperator
-from fpk.plane.time.start import Start, PointStart
+from fpk.plane.time.start import PointStart, Start
 
 FOLDS = 5.0
 """Largest rise of −ln w over a panel, on average: over the last one the elimination loses the root
@@ -64,7 +64,7 @@ class PlaneLimit:
         if self.total is not None:
             return bool(energies.sum() >= self.total)
         limits = (self.first, self.second)
-        return any(a is not None and H >= a for a, H in zip(limits, energies, strict=True))
+        return any(a is not None and a <= H for a, H in zip(limits, energies, strict=True))
 
     def edge(self, far: Array) -> tuple[Array, Array]:
         """Return energies along the limit, up to ``far`` where there is none."""
@@ -111,7 +111,9 @@ def first_passage(
     for op in _operators(frame, start, limit, tol):
         level = _answer(op, start, times, tol)
         if previous is not None:
-            answer = _compared(previous, level, op, frame, start, limit, times, tol, coefficients_error)
+            answer = _compared(
+                previous, level, op, frame, start, limit, times, tol, coefficients_error
+            )
             if answer.certificate.certified:
                 return answer
         previous = level
@@ -135,11 +137,17 @@ def _operators(
     def nodes(rise: float, panels: int) -> Nodes:
         far = frame.ends(rise)
         if limit.total is not None:
-            corners = frame.heights(limit.total * np.array([0.0, 1.0]), limit.total * np.array([1.0, 0.0]))
+            corners = frame.heights(
+                limit.total * np.array([0.0, 1.0]), limit.total * np.array([1.0, 0.0])
+            )
             rise, across = float(corners.max()), abs(float(corners[1] - corners[0]))
             angles = np.linspace(0.0, 0.5 * np.pi, 1 + max(panels, int(across / FOLDS)))
-            return graded((limit.total, 1.0), max(panels, int(rise / FOLDS)))[0], np.sin(angles) ** 2
-        ends = [e if x is None else x for x, e in zip((limit.first, limit.second), far, strict=True)]
+            return graded((limit.total, 1.0), max(panels, int(rise / FOLDS)))[0], np.sin(
+                angles
+            ) ** 2
+        ends = [
+            e if x is None else x for x, e in zip((limit.first, limit.second), far, strict=True)
+        ]
         rises = frame.heights(np.array([ends[0], 0.0]), np.array([0.0, ends[1]]))
         first, second = (
             graded((end, 1.0), max(panels, int(rise / FOLDS)))[0]

@@ -42,7 +42,9 @@ def relaxation_rates(frame: Frame, count: int, *, tol: float, relative: float = 
             continue
         values, residual = _eigenvalues(op, sought, shift)
         if previous is not None:
-            errors = SAFETY * np.array([float(np.min(np.abs(previous - z))) for z in values[:count]])
+            errors = SAFETY * np.array(
+                [float(np.min(np.abs(previous - z))) for z in values[:count]]
+            )
             size = np.abs(values[:count])
             errors += ROUNDING * (size + shift) ** 2 / shift
             errors += (relative + 2.0 * frame.relative_error) * size

@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from fpk.arrays import Array
 from fpk.plane.solution import PlaneSolution, gauss_grid
 from fpk.plane.time.operator import PlaneOperator

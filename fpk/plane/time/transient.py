@@ -124,7 +124,10 @@ def _compared(
     errors = np.where(negative, 0.0, errors) + SMALLEST
     l1 = (lost * area).reshape(times.size, -1).sum(axis=1) + model + rounding + start.l1_error
     inside = np.all(
-        [x <= y[-1] for x, y in zip(np.meshgrid(*axes, indexing="ij"), _ends(view, coarse.op), strict=True)],
+        [
+            x <= y[-1]
+            for x, y in zip(np.meshgrid(*axes, indexing="ij"), _ends(view, coarse.op), strict=True)
+        ],
         axis=0,
     )
     tail = np.abs(p * area * ~inside).reshape(times.size, -1).sum(axis=1)
