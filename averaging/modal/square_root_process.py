@@ -19,7 +19,7 @@ DEEPEST = 300.0
 RULE = (12, 2.0)
 """Gauss points of a panel and its largest length: e^x is integrated to round-off."""
 ROUNDING = 64.0 * EPS
-"""Relative round-off of an integral of positive terms, and of a density per unit of its exponent."""
+"""Relative round-off of integrals of positive terms, and of densities per unit of exponent."""
 
 
 class Moments(NamedTuple):
@@ -44,13 +44,13 @@ def transition_density(x: Array, start: float, t: float, n: float = 1.0) -> tupl
     if y > 0.0 and n == 1.0:
         p = np.exp(exponent) * ive(0.0, z) / tau
     else:
-        # (x/y)^ν I_ν(z) e^(−z), ν = n − 1, by its limit (x/τ)^ν/Γ(n) where z is small.
+        # (x/y)^ν I_ν(z) e^(−z), ν = n − 1, by its limit e^(−z)/Γ(n) (z/2)^ν where z is small.
         nu = n - 1.0
         small = z < 1e-8
         safe = np.where(small, 1.0, z)
         scaled = ive(nu, safe) * (2.0 / safe) ** nu
-        log_power = np.exp(-gammaln(n)) * np.ones_like(z)
-        p = np.exp(exponent) * np.where(small, log_power, scaled) * (inside / tau) ** nu / tau
+        limit = np.exp(-z - gammaln(n))
+        p = np.exp(exponent) * np.where(small, limit, scaled) * (inside / tau) ** nu / tau
     terms = (inside + y) / tau + 8.0
     return np.where(x >= 0.0, p, 0.0), np.where(x >= 0.0, ROUNDING * terms * p, 0.0)
 

@@ -37,7 +37,7 @@ from fpk.system import System
 TOL = 1e-8
 """Error wanted where none is named."""
 STATIONARY_TOL = (1e-2, 1e-11)
-"""Share of the tolerance to which the stationary density, the weight, is computed, and its least."""
+"""Share of the tolerance to which the stationary density is computed, and the least such."""
 EQUAL = 1e-12
 """Relative difference of decay or temperature, beyond round-off, up to which modes are alike."""
 REACH = 7.0
@@ -52,7 +52,7 @@ SETTLED = 40.0
 
 @dataclass(frozen=True, eq=False)
 class _Beginning:
-    """Modal energies (n,) at the start, or the factor on the noise that they are stationary under."""
+    """Modal energies (n,) at the start, or the factor on the noise under which it is stationary."""
 
     energies: Array
     factor: float | None = None
@@ -339,7 +339,7 @@ def _closed_passage(
         alike = EQUAL + 4.0 * modes.relative_error
         if np.ptp(theta) > alike * theta[0] or np.ptp(c) > alike * c[0]:
             raise NotApplicable(
-                "the sum of modal energies has a closed form for equal decay and temperature; use fem"
+                "of modes of unequal decay or temperature H has no closed form in time; use fem"
             )
         parts = [
             (
@@ -416,7 +416,7 @@ def _first_of(decays: Sequence[tuple[cir.Decay, float]]) -> tuple[Number, Number
 
 
 def modal_relaxation(modes: ModalAnalysis, solver: str, count: int, *, tol: float | None) -> Rates:
-    """Return the ``count`` slowest rates but 0: sums of multiples of c*_ii, or by finite elements."""
+    """Return the ``count`` slowest rates but 0: sums of multiples of c*_ii in closed form."""
     if solver != "closed-form":
         if modes.n != 2:
             raise NotApplicable("relaxation rates by fem are those of two modal energies")

@@ -64,7 +64,10 @@ def factorised(matrix: csc_array) -> SuperLU:
 
 
 def relative_residual(matrix: csc_array, sizes: csc_array, x: Array, right: Array) -> float:
-    """Return the largest entry of ``right − matrix x`` over that of its terms; ``sizes`` |matrix|."""
+    """Return the largest entry of ``right − matrix x`` over the largest of its terms.
+
+    ``sizes`` is |matrix|.
+    """
     defect = np.abs(right - matrix @ x)
     return float(np.max(defect) / (np.max(np.abs(right)) + np.max(sizes @ np.abs(x))))
 

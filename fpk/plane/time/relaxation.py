@@ -82,8 +82,9 @@ def _eigenvalues(op: PlaneOperator, sought: int, shift: float) -> tuple[Complexe
     s, X = eigs(inverse, k=sought, ncv=VECTORS[0] * sought + VECTORS[1], v0=start, tol=0.0)
     values = 1.0 / s - shift
     values = np.where(np.abs(values.imag) <= REAL * np.abs(values), values.real, values)
-    right, terms = A @ X + (M @ X) * values, abs(A) @ np.abs(X) + (M @ np.abs(X)) * np.abs(values)
-    residual = float(np.max(np.abs(right), initial=0.0) / np.max(terms))
+    defect = np.asarray(A @ X + (M @ X) * values)
+    terms = np.asarray(abs(A) @ np.abs(X) + (M @ np.abs(X)) * np.abs(values))
+    residual = float(np.max(np.abs(defect)) / np.max(terms))
     order = np.lexsort((values.imag, values.real))
     order = order[(values.imag[order] >= 0.0)]
     stationary = int(np.argmin(np.abs(values[order])))
