@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf, isfinite
 from typing import Any, Literal
 
 from fpk.errors import InvalidInput
@@ -66,3 +67,22 @@ def require_observables(observables: Sequence[Any]) -> None:
             raise InvalidInput(
                 "observable", observable, 'is not parsed; use parse_observable("q2", system.n)'
             )
+
+
+def parse_numbers(key: str, text: str, remedy: str) -> dict[str, float]:
+    """Return the numbers that ``text`` gives by name, as ``a=1,b=2``.
+
+    Raises ``InvalidInput`` of ``key`` where it does not read so, a name comes twice, or a number is
+    not finite.
+    """
+    values: dict[str, float] = {}
+    for part in text.split(","):
+        name, equals, number = (word.strip() for word in part.partition("="))
+        try:
+            value = float(number)
+        except ValueError:
+            value = inf
+        if not (name and equals and isfinite(value)) or name in values:
+            raise InvalidInput(key, text, remedy)
+        values[name] = value
+    return values

@@ -1,0 +1,120 @@
+"""Questions of a motion that begins at a given time: transient densities and first passage.
+
+A ``Method`` answers them if it has the method ``transient`` or ``passage``, as the protocols
+``Transients`` and ``Passages`` say. ``tol`` is the largest error wanted, None for the default of
+the method; ``progress`` as of ``Method.solve``. Both raise ``NotApplicable`` where the method does
+not answer for this system, observable, limit or start, and ``InvalidInput`` for a start at or
+beyond the limit or times that do not ascend from 0 or later.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, Protocol, runtime_checkable
+
+from fpk.arrays import Array
+from fpk.certificate import Certificate
+from fpk.limit import Limit
+from fpk.method import Progress
+from fpk.observable import Observable
+from fpk.start import Start
+from fpk.system import System
+
+ErrorKind = Literal["numerical", "sampling"]
+
+
+@dataclass(frozen=True)
+class Transient:
+    """Densities at several times at the points asked for.
+
+    ``values`` and ``errors`` are (times, points). An error is an estimate of the numerical error,
+    or one standard error of sampling, as ``error_kind`` says.
+    """
+
+    times: Array
+    values: Array
+    errors: Array
+    error_kind: ErrorKind
+    certificate: Certificate
+    settings: Mapping[str, str | float | int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number and its error."""
+
+    value: float
+    error: float
+
+
+@dataclass(frozen=True)
+class StartCurve:
+    """Moments of the first-passage time over the start: of an energy below its limit.
+
+    ``starts``, ``mean``, ``mean_error``, ``variance`` and ``variance_error`` are (starts,).
+    """
+
+    starts: Array
+    mean: Array
+    mean_error: Array
+    variance: Array
+    variance_error: Array
+
+
+@dataclass(frozen=True)
+class Passage:
+    """First passage of a limit: moments of its time T, the failure rate, the reliability.
+
+    ``rate`` is −d ln P(T > t)/dt for t → ∞, the least eigenvalue with an absorbing limit, None
+    where the method does not give it. ``survival`` is P(T > t) at ``times``, with
+    ``survival_error``, (times,) each. ``starts`` has moments for all starts at once where the
+    method gives them. ``error_kind`` as of ``Transient``.
+    """
+
+    mean: Number
+    variance: Number
+    rate: Number | None
+    times: Array
+    survival: Array
+    survival_error: Array
+    error_kind: ErrorKind
+    certificate: Certificate
+    starts: StartCurve | None = None
+    settings: Mapping[str, str | float | int] = field(default_factory=dict)
+
+
+@runtime_checkable
+class Transients(Protocol):
+    """A method that gives densities at times after a start."""
+
+    def transient(
+        self,
+        system: System,
+        observable: Observable,
+        start: Start,
+        times: Array,
+        at: tuple[Array, ...],
+        *,
+        tol: float | None,
+        progress: Progress,
+    ) -> Transient:
+        """Return the densities of ``observable`` at ``times`` at the points ``at``.
+
+        ``at`` is one array (points,) for each coordinate of the observable.
+        """
+
+
+@runtime_checkable
+class Passages(Protocol):
+    """A method that gives the first passage of a limit."""
+
+    def passage(
+        self,
+        system: System,
+        limit: Limit,
+        start: Start,
+        times: Array,
+        *,
+        tol: float | None,
+        progress: Progress,
+    ) -> Passage:
+        """Return the first passage of ``limit`` from ``start``, the reliability at ``times``."""
