@@ -1,0 +1,119 @@
+"""Answers in time of one energy: transients, first passage and relaxation by finite elements."""
+
+import numpy as np
+
+from fpk.arrays import Array
+from fpk.certificate import Measured, certify
+from fpk.contour import contours
+from fpk.dynamics import Rates
+from fpk.errors import InvalidInput
+from fpk.evolution import Number, Passage, StartCurve, Transient
+from fpk.line import chain
+from fpk.line.modes import EPS, Modes
+from fpk.line.passage import FirstPassage, first_passage
+from fpk.line.spectrum import spectrum
+from fpk.line.propagation import Source
+from fpk.line.transition import transition
+from fpk.process import Process
+
+STARTS = 101
+"""Starts at which moments are given as a curve, from rest to the limit."""
+
+
+def fem_transient(
+    process: Process, source: Source, times: Array, at: Array, *, tol: float
+) -> Transient:
+    """Return the densities of the energy at ``times`` > 0 after ``source`` at energies ``at``."""
+    solved = transition(process, source, times, tol=tol)
+    values, errors = solved.density(at)
+    settings: dict[str, str | float | int] = {
+        "degree": solved.elements.degree,
+        "elements": solved.elements.count,
+        "last energy": float(solved.elements.right[-1]),
+        "tol": tol,
+    }
+    return Transient(times, values, errors, "numerical", solved.certificate, settings)
+
+
+def fem_rates(process: Process, count: int, *, tol: float) -> Rates:
+    """Return the ``count`` least eigenvalues of −L but 0, all of them real."""
+    solved = spectrum(process, count, tol=tol)
+    settings = {"elements": solved.elements, "tol": tol}
+    return Rates(solved.rates.astype(complex), solved.errors, solved.certificate, settings)
+
+
+def fem_passage(
+    process: Process, limit: float, source: Source, times: Array, *, tol: float
+) -> Passage:
+    """Return the first passage of the energy through ``limit`` from ``source``.
+
+    Of a density that begins beyond the limit in part, that part has failed at the time 0. Raises
+    ``InvalidInput`` where it begins there, or the mean time is beyond double precision.
+    """
+    solved = first_passage(process, limit, times=times, tol=tol)
+    e = solved.answer.elements
+    x, weights = source.samples(e)
+    (T, T_error), (U, U_error) = solved.mean(x), solved.second(x)
+    (F, F_error), unit = solved.failure(times, x), solved.longest
+    if source.process is None:
+        ((variance,), (variance_error,)) = solved.variance(x)
+        mean, mean_error, beyond = float(T[0]), float(T_error[0]), 0.0
+    else:
+        mean, mean_error, beyond = float(weights @ T), float(weights @ T_error), 1.0 - weights.sum()
+        with np.errstate(over="ignore"):
+            variance = 2.0 * (weights @ U) * unit * unit - mean * mean
+            variance_error = 2.0 * (weights @ U_error) * unit * unit + 2.0 * mean * mean_error
+    failure, failure_error = F @ weights + beyond, F_error @ weights
+    rate, rate_error = solved.rate()
+    by_mean = np.array([mean]) if not times.size else times
+    kept, residual = _forward(e, source, by_mean)
+    expected = 1.0 - beyond - solved.failure(by_mean, x)[0] @ weights
+    relative = max(
+        mean_error / mean, float(variance_error / variance) if np.isfinite(variance) else 0.0,
+        rate_error / rate, float(failure_error.max(initial=0.0)),
+    )  # fmt: skip
+    measured = Measured(
+        l1_error=relative,
+        mass_defect=float(np.abs(kept - expected).max()),
+        minimum=float(np.min(1.0 - failure, initial=1.0)),
+        residual=residual,
+        tail_mass=0.0,
+        absolute_error=float(failure_error.max(initial=0.0)),
+    )
+    settings: dict[str, str | float | int] = {
+        "degree": e.degree, "elements": e.count, "tol": tol
+    }  # fmt: skip
+    if source.process is not None:
+        settings["beyond the limit at the start"] = float(beyond)
+    return Passage(
+        Number(mean, mean_error),
+        Number(float(variance), float(variance_error)),
+        Number(rate, rate_error),
+        times,
+        1.0 - failure,
+        failure_error,
+        "numerical",
+        certify(measured, tol=tol),
+        _curve(solved),
+        settings,
+    )
+
+
+def _curve(solved: FirstPassage) -> StartCurve:
+    starts = np.linspace(0.0, solved.limit, STARTS)
+    return StartCurve(starts, *solved.mean(starts), *solved.variance(starts))
+
+
+def _forward(e: Modes, source: Source, times: Array) -> tuple[Array, float]:
+    """Return ∫p at ``times`` where the limit absorbs, by the forward equation, and its residual."""
+    at_ends, inner = source.load(e)
+    turned = np.einsum("ew,ewv->ev", inner, e.diagonal[1])
+    mass, residual = np.zeros(times.size), 0.0
+    later = np.flatnonzero(times > 0.0)
+    mass[times == 0.0] = at_ends.sum() + 0.0
+    for c in contours(times[later]):
+        y = chain.admittances(e, c.z)
+        p = chain.resolvent(e, y, at_ends, turned, absorbing=True)
+        residual = max(residual, chain.residual(e, y, p, at_ends, turned))
+        mass[later[c.index]] = (c.factors @ chain.kept(e, p)).imag
+    return mass, residual

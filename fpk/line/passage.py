@@ -1,0 +1,232 @@
+"""First passage of one energy through a limit: moments, failure rate and probability of failure."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import log10
+
+import numpy as np
+
+from fpk.arrays import Array, Flags
+from fpk.contour import contours
+from fpk.errors import InvalidInput
+from fpk.line import chain
+from fpk.line.modes import EPS, Modes, modes, refined
+from fpk.line.time_mesh import HIGHEST, time_nodes
+from fpk.process import Process
+
+ENRICHMENT = 2
+"""Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
+SAFETY = 2.0
+"""Factor on the distance to the enriched solution."""
+ROUND_OFF = 4.0
+"""Roundings of sums along the chain, for each element and each unit of ln π from end to end."""
+MOST_ROUNDS = 12
+"""Most rounds of cutting elements in two."""
+MOST_ELEMENTS = 3_000
+"""Elements beyond which none is cut any more."""
+BRACKET = 1e-9
+"""Relative distance of the two bounds of the failure rate that ends the iteration: the Rayleigh
+quotient is then known to the square of it."""
+MOST_STEPS = 2_000
+"""Most iterations for the failure rate; a hundred do for a hundred masses."""
+LAYER = 0.5
+"""Length of the elements at the limit, in units of √(b t) of the shortest time."""
+LARGEST_MEAN = 1e300
+"""Mean times beyond it are out of the range of double precision in what is made of them."""
+SAMPLES = np.array([0.0, 0.1, 0.35, 0.65, 0.9])
+"""Points of an element, as shares of its length, at which the answer is compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """First passage of the right end of the last element, on one mesh in one degree."""
+
+    elements: Modes
+    more: int = 0
+
+    @cached_property
+    def mean(self) -> chain.Solution:
+        """T: mean time of first passage over the start, L T = −1."""
+        return chain.inverse(self.elements, *chain.loads(self.elements, chain.constant(self.elements)))
+
+    @cached_property
+    def longest(self) -> float:
+        """Mean time from H = 0, the longest."""
+        return float(chain.values(self.elements, self.mean, np.zeros(1))[0])
+
+    @cached_property
+    def second(self) -> chain.Solution:
+        """(−L)⁻¹ T in units of the square of the longest T: half of the second moment."""
+        unit = self.longest
+        of_mean = _scaled(self.mean, 1.0 / unit)
+        f = chain.inverse(self.elements, *chain.loads(self.elements, of_mean))
+        return _scaled(f, 1.0 / unit)
+
+    def moments(self, x: Array) -> tuple[Array, Array]:
+        """Return the mean time, and half the mean square in units of ``longest``², at starts x."""
+        e = self.elements
+        return chain.values(e, self.mean, x), chain.values(e, self.second, x)
+
+    @cached_property
+    def rate(self) -> tuple[float, float]:
+        """The least eigenvalue λ of −L, and an error of the iteration.
+
+        By powers of (−L)⁻¹, which is positive: f/(−L)⁻¹f, at its largest and least, are bounds of
+        λ (Barta), whatever its size; of the Rayleigh quotient the error is of second order.
+        """
+        e, f = self.elements, self.mean
+        quotient = bracket = np.nan
+        for _ in range(MOST_STEPS):
+            f = _scaled(f, 1.0 / f.high[0])
+            at_ends, inner = chain.loads(e, f)
+            g = chain.inverse(e, at_ends, inner)
+            ratio = f.low / g.low
+            quotient = _product(e, f, at_ends, inner) / _product(e, g, at_ends, inner)
+            before, bracket = bracket, float(np.ptp(ratio)) / quotient
+            if bracket < BRACKET or (bracket < 1e-6 and not bracket < before):
+                break
+            f = g
+        return quotient, quotient * bracket**2
+
+    def failure(self, times: Array, x: Array) -> tuple[Array, Array]:
+        """Return P(T <= t) (times, points) from the starts x, and its round-off."""
+        e = self.elements
+        p, size = np.zeros((2, times.size, x.size))
+        later = np.flatnonzero(times > 0.0)
+        for c in contours(times[later], more=self.more):
+            f = chain.lifted(e, chain.admittances(e, c.z), 1.0 / c.z)
+            transform, at = chain.values(e, f, x, turned=True).T, later[c.index]
+            p[at] = (c.factors @ transform).imag
+            size[at] = np.abs(c.factors) @ np.abs(transform)
+        return p, EPS * size
+
+
+def _scaled(f: chain.Solution, factor: float) -> chain.Solution:
+    return chain.Solution(*(part * factor for part in f))
+
+
+def _product(e: Modes, f: chain.Solution, at_ends: Array, inner: Array) -> float:
+    """∫f of a load, in the unit of the last element; what underflows there counts nothing."""
+    each = at_ends[:, 0] * f.low + at_ends[:, 1] * f.high + (inner * f.inner).sum(axis=1)
+    return float(np.exp(e.log_scale - e.log_mass.max()) @ each)
+
+
+@dataclass(frozen=True, eq=False)
+class FirstPassage:
+    """First passage of an energy through a ``limit`` with errors: ``answer`` and ``enriched``."""
+
+    process: Process
+    limit: float
+    tol: float
+    answer: Answers
+    enriched: Answers
+
+    @property
+    def round_off(self) -> float:
+        """Relative round-off of sums along the chain."""
+        e = self.answer.elements
+        return ROUND_OFF * EPS * (e.count + float(np.ptp(e.log_scale)) + e.degree)
+
+    @property
+    def relative(self) -> float:
+        """Relative error by coefficients and round-off of what is a product of one π and one 1/m."""
+        return 2.0 * self.answer.elements.coefficient_error + self.round_off
+
+    def mean(self, x: Array) -> tuple[Array, Array]:
+        """Return the mean time from the starts x and its error."""
+        T, better = self.answer.moments(x)[0], self.enriched.moments(x)[0]
+        rounding = self.round_off * self._amplified(self.answer.mean, x)
+        return T, SAFETY * np.abs(T - better) + self.relative * T + rounding
+
+    def second(self, x: Array) -> tuple[Array, Array]:
+        """Return E T²/2 in units of the squared ``longest`` mean time, and its error."""
+        (_, U), (_, better) = self.answer.moments(x), self.enriched.moments(x)
+        better = better * (self.enriched.longest / self.longest) ** 2
+        rounding = self.round_off * self._amplified(self.answer.second, x)
+        return U, SAFETY * np.abs(U - better) + 2.0 * self.relative * U + rounding
+
+    def _amplified(self, f: chain.Solution, x: Array) -> Array:
+        return chain.amplified(self.answer.elements, f, x)
+
+    @property
+    def longest(self) -> float:
+        """Mean time from H = 0."""
+        return self.answer.longest
+
+    def variance(self, x: Array) -> tuple[Array, Array]:
+        """Return the variance of the time from the starts x and its error."""
+        (T, T_error), (U, U_error) = self.mean(x), self.second(x)
+        T, T_error = T / self.longest, T_error / self.longest
+        better, half = self.enriched.moments(x)
+        better, half = better / self.longest, half * (self.enriched.longest / self.longest) ** 2
+        value = 2.0 * U - T**2
+        distance = np.abs(value - 2.0 * half + better**2)
+        error = SAFETY * distance + self.relative * (4.0 * U + 2.0 * T**2)
+        error += self.round_off * 2.0 * self._amplified(self.answer.second, x)
+        error += self.round_off * 2.0 * T * self._amplified(self.answer.mean, x) / self.longest
+        with np.errstate(over="ignore"):
+            return value * self.longest * self.longest, error * self.longest * self.longest
+
+    def rate(self) -> tuple[float, float]:
+        """Return the failure rate and its error."""
+        (value, left), (better, other) = self.answer.rate, self.enriched.rate
+        error = SAFETY * abs(value - better) + left + other + self.relative * value
+        return value, error
+
+    def failure(self, times: Array, x: Array) -> tuple[Array, Array]:
+        """Return P(T <= t), (times, points), from the starts x and its error."""
+        (p, rounding), (better, other) = self.answer.failure(times, x), self.enriched.failure(times, x)
+        # At short times ln P ~ −(distance)²/(2 b t): so much more the coefficients count.
+        steep = 2.0 - np.log(np.clip(np.abs(p), 1e-300, 1.0))
+        error = SAFETY * np.abs(p - better) + self.relative * steep * np.abs(p)
+        return p, error + ROUND_OFF * (rounding + other) + EPS**2
+
+
+def first_passage(
+    process: Process, limit: float, *, times: Array, tol: float = 1e-10
+) -> FirstPassage:
+    """Return the first passage of ``limit`` > 0 with errors below ``tol`` where that is possible.
+
+    Errors are relative ones of the moments and of the rate, absolute ones of the probability of
+    failure at ``times`` >= 0. The mesh adapts. Raises ``InvalidInput`` for a limit whose mean time
+    is beyond double precision.
+    """
+    degree = int(np.clip(round(-log10(tol)) + 4, 8, HIGHEST))
+    later = times[times > 0.0]
+    fine = ()
+    if later.size:
+        b = float(process.coefficients(np.array([limit])).diffusion[0])
+        fine = ((limit, LAYER * np.sqrt(b * float(later.min()))),)
+    nodes = time_nodes(process, limit, degree, fine=fine)
+    pair = [modes(process, nodes[:-1], nodes[1:], degree + more) for more in (0, ENRICHMENT)]
+    for _ in range(MOST_ROUNDS):
+        # Sums to beyond the range are judged below.
+        with np.errstate(over="ignore", invalid="ignore"):
+            solved = FirstPassage(
+                process, limit, tol, Answers(pair[0]), Answers(pair[1], more=ENRICHMENT)
+            )
+            longest = solved.longest
+        if not longest < LARGEST_MEAN:
+            remedy = "the mean time to it is beyond the range of double precision; take a lower one"
+            raise InvalidInput("limit", limit, remedy)
+        marked = _marked(solved, times)
+        if not marked.any() or marked.size > MOST_ELEMENTS:
+            break
+        pair = [refined(process, e, marked) for e in pair]
+    return solved
+
+
+def _marked(solved: FirstPassage, times: Array) -> Flags:
+    """Elements whose part of the answer is not known to the tolerance."""
+    a, b = solved.answer.elements, solved.enriched.elements
+    wanted = 0.25 * solved.tol
+    unit = np.exp(a.log_local - b.log_local)
+    marked = np.zeros(a.count, dtype=bool)
+    for own, better in ((a.conductance, b.conductance), (a.load.sum(axis=1), b.load.sum(axis=1))):
+        marked |= np.abs(own * unit - better) > wanted * better
+    if times.size:
+        x = (a.left[:, None] + (a.right - a.left)[:, None] * SAMPLES).ravel()
+        p, error = solved.failure(times, x)
+        distance = np.abs(p - solved.enriched.failure(times, x)[0])
+        marked |= (distance.max(axis=0) > wanted).reshape(a.count, -1).any(axis=1)
+    return np.asarray(marked)

@@ -1,0 +1,116 @@
+"""A density of one energy carried along in time, by inverse transforms of the resolvent."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fpk.arrays import Array
+from fpk.contour import Contour, contours
+from fpk.line import chain
+from fpk.line.modes import EPS, Modes, log_density, log_phase_density, modes, rule
+from fpk.line.time_mesh import HIGHEST, time_nodes
+from fpk.probe import probed
+from fpk.process import Process
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """What a density begins with: an energy, or the stationary density of another process."""
+
+    energy: float = 0.0
+    process: Process | None = None
+
+    def load(self, e: Modes) -> tuple[Array, Array]:
+        """Return its moments with h_a and v_j in each element."""
+        at_ends, inner = np.zeros((e.count, 2)), np.zeros(e.gram.shape[:2])
+        if self.process is None:
+            (k,), (h,), v = e.shapes(np.array([self.energy]))
+            at_ends[k], inner[k] = (1.0 - h if k else 0.0, h if k else 1.0), v[0]
+            return at_ends, inner
+        x, weights = self.samples(e)
+        _, h, v = e.shapes(x)
+        weights = weights.reshape(e.count, -1)
+        at_ends[:, 1] = (weights * h.reshape(weights.shape)).sum(axis=1)
+        at_ends[1:, 0] = weights.sum(axis=1)[1:] - at_ends[1:, 1]
+        return at_ends, np.einsum("eq,eqv->ev", weights, v.reshape(*weights.shape, -1))
+
+    def samples(self, e: Modes) -> tuple[Array, Array]:
+        """Return energies within the elements, and their weights in a mean over the source."""
+        if self.process is None:
+            return np.array([self.energy]), np.ones(1)
+        x, w = (part.ravel() for part in points(self.process, e))
+        own = modes(self.process, e.left, e.right, e.degree)
+        return x, w * np.exp(log_density(self.process, own, x) - self._log_total)
+
+    @cached_property
+    def _log_total(self) -> float:
+        """ln ∫π of the process, in the unit in which u = 1 at H = 0."""
+        assert self.process is not None
+        nodes = time_nodes(self.process, probed(self.process).extent(EPS), HIGHEST)
+        return modes(self.process, nodes[:-1], nodes[1:], HIGHEST).log_total
+
+
+@dataclass(frozen=True, eq=False)
+class Propagation:
+    """The density at ``times`` after a start on one mesh: its transform on contours in ``parts``.
+
+    ``residual`` is what the solutions leave of their equations at the nodes.
+    """
+
+    process: Process
+    elements: Modes
+    times: Array
+    parts: Sequence[tuple[Contour, chain.Solution]]
+    residual: float
+
+    def density(self, x: Array) -> tuple[Array, Array]:
+        """Return p (times, points) at energies x > 0 in the elements, and the size of its terms."""
+        factor = np.exp(log_density(self.process, self.elements, x) - self._unit(x))
+        p, size = np.zeros((2, self.times.size, x.size))
+        for contour, f in self.parts:
+            g = chain.values(self.elements, f, x, turned=True).T
+            factors = contour.factors
+            p[contour.index] = (factors @ g).imag * factor
+            size[contour.index] = np.abs(factors) @ np.abs(g) * factor
+        return p, size
+
+    def phase_density(self, time: int, x: Array) -> Array:
+        """Return u = p/T (points,) at one of the times."""
+        factor = np.exp(log_phase_density(self.process, self.elements, x) - self._unit(x))
+        contour, f = next((c, f) for c, f in self.parts if time in c.index)
+        g = chain.values(self.elements, f, x, turned=True)
+        row = int(np.flatnonzero(contour.index == time)[0])
+        return (g @ contour.factors[row]).imag * factor
+
+    def _unit(self, x: Array) -> Array:
+        return self.elements.log_scale[self.elements.element_of(x)]
+
+
+def propagated(
+    process: Process, e: Modes, source: Source, times: Array, *, more: int = 0
+) -> Propagation:
+    """Return the density at ``times`` > 0 after ``source``, ``more`` points on each contour."""
+    at_ends, inner = source.load(e)
+    turned = np.einsum("ew,ewv->ev", inner, e.diagonal[1])
+    parts, residual = [], 0.0
+    for c in contours(times, more=more):
+        y = chain.admittances(e, c.z)
+        f = chain.resolvent(e, y, at_ends, turned)
+        residual = max(residual, chain.residual(e, y, f, at_ends, turned))
+        parts.append((c, f))
+    return Propagation(process, e, times, parts, residual)
+
+
+def points(process: Process, e: Modes) -> tuple[Array, Array]:
+    """Return points and weights (elements, points) that integrate π times a polynomial."""
+    special = np.isin(e.left, np.array(process.nonsmooth))
+    count = max(rule(e.degree, bool(s), 0).t.size for s in np.unique(special))
+    x, w = np.zeros((2, e.count, count))
+    for contact in np.unique(special):
+        k, r = np.flatnonzero(special == contact), rule(e.degree, bool(contact), 0)
+        h, size = (e.right[k] - e.left[k])[:, None], r.t.size
+        x[k, :size], w[k, :size] = e.left[k, None] + h * r.t, h * r.weight
+        x[k, size:] = x[k, size - 1 : size]
+    return x, w

@@ -1,0 +1,199 @@
+"""Densities of one energy at times after a start, from its transition density."""
+
+import math
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from fpk.arrays import Array
+from fpk.certificate import Certificate, Measured, certify
+from fpk.density import SMALLEST
+from fpk.errors import InvalidInput
+from fpk.line.modes import EPS, Modes, modes, refined
+from fpk.line.propagation import Propagation, Source, points, propagated
+from fpk.line.time_mesh import HIGHEST, time_nodes
+from fpk.probe import Probe, probed
+from fpk.process import Process
+
+ENRICHMENT = 2
+"""Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
+SAFETY = 3.0
+"""Factor on the distance to the enriched solution."""
+ROUND_OFF = 8.0
+"""Roundings of the terms that cancel in the rule of the inverse transform."""
+LAYER = 0.5
+"""Length of the elements at the start, in units of the width of the density at the first time."""
+TAIL = (1e-3, 1e-8)
+"""Share of the tolerance that may lie beyond the mesh: of the answer, and of the enriched one."""
+NEAR_ZERO = 1e-9
+"""Energy, in units of the scale, that stands for H = 0 where b' is wanted there."""
+LENGTHENED = 1.02
+"""Least ratio of the last energy of the enriched solution to that of the answer."""
+FARTHEST = -600.0
+"""ln of the least stationary probability beyond a start that double precision can relate to one."""
+MOST_ROUNDS, MOST_ELEMENTS = 12, 1_000
+"""Rounds of cutting elements in two, and elements beyond which none is cut."""
+STALLED = 0.9
+"""Ratio of the error to that of the round before that shows that finer elements do not help."""
+CHECKED_TIMES = 6
+"""Times at which the mesh is adapted; the error is that of all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Transition:
+    """The density of an energy at ``times`` after a start, with its error and certificate.
+
+    ``distance`` (times, elements) is the largest distance to the enriched solution in each element.
+    """
+
+    propagation: Propagation
+    distance: Array
+    width: float
+    measured: Measured
+    certificate: Certificate
+
+    @property
+    def elements(self) -> Modes:
+        """The elements of the answer."""
+        return self.propagation.elements
+
+    def density(self, x: Array) -> tuple[Array, Array]:
+        """Return p and its error at energies x (points,): two arrays (times, points).
+
+        Below 0 both are 0; beyond the last element p is 0 and the error what it is at the end.
+        """
+        e = self.elements
+        end = float(e.right[-1])
+        inside = np.clip(x, SMALLEST, end)
+        p, size = self.propagation.density(inside)
+        error = SAFETY * self.distance[:, e.element_of(inside)]
+        error = error + _common_error(e, self.width, p, size, inside)
+        p_there = np.where((x >= 0.0) & (x <= end), p, 0.0)
+        error = np.where(x > end, error + np.abs(p), error)
+        return p_there, np.where(x >= 0.0, error + SMALLEST, 0.0)
+
+
+def transition(
+    process: Process, source: Source, times: Array, *, tol: float = 1e-10
+) -> Transition:
+    """Return the density at ``times`` > 0 after ``source``, to the L1 tolerance ``tol``.
+
+    The mesh adapts, fine at the start; what is not met is said in the certificate. Raises
+    ``InvalidInput`` for a start beyond the range of double precision.
+    """
+    degree = int(np.clip(round(-math.log10(tol)) + 4, 8, HIGHEST))
+    probe, start = probed(process), source.energy
+    share = _log_share_above(probe, start)
+    if share < FARTHEST:
+        remedy = "the stationary probability beyond it is out of the range of double precision"
+        raise InvalidInput("start", f"H={start:g}", remedy)
+    ends = [_extent(process, source, probe, tail * tol, share) for tail in TAIL]
+    if source.process is None:
+        width = _width(process, start, float(times.min()))
+        nodes = time_nodes(process, ends[0], degree, fine=((start, LAYER * width),))
+    else:
+        width = process.energy_scale
+        nodes = time_nodes(process, ends[0], degree)
+        nodes = np.union1d(nodes, time_nodes(source.process, ends[0], degree))
+    ends[1] = max(ends[1], LENGTHENED * ends[0])
+    length = float(nodes[-1] - nodes[-2])
+    beyond = np.linspace(ends[0], ends[1], 1 + max(1, math.ceil((ends[1] - ends[0]) / length)))
+    answer = modes(process, nodes[:-1], nodes[1:], degree)
+    nodes = np.append(nodes, beyond[1:])
+    enriched = modes(process, nodes[:-1], nodes[1:], degree + ENRICHMENT)
+    chosen = np.unique(np.linspace(0, times.size - 1, CHECKED_TIMES).astype(int))
+    judged = partial(_judged, process, source, probe, tol, width)
+    before = math.inf
+    for _ in range(MOST_ROUNDS):
+        solved, own, rounding = judged(times[chosen], answer, enriched)
+        marked = own > np.maximum(0.1 * tol / own.size, rounding)
+        small = SAFETY * own.sum() <= 0.5 * tol or not own.sum() < STALLED * before
+        if small or not marked.any() or marked.size > MOST_ELEMENTS:
+            break
+        before = own.sum()
+        answer = refined(process, answer, marked)
+        more = np.append(marked, np.zeros(enriched.count - marked.size, dtype=bool))
+        enriched = refined(process, enriched, more)
+    if chosen.size == times.size:
+        return solved
+    return judged(times, answer, enriched)[0]
+
+
+def _width(process: Process, start: float, time: float) -> float:
+    """Width of the density at a short ``time`` after an energy: √(b t), b ~ H at H = 0."""
+    c = process.coefficients(np.array([max(start, NEAR_ZERO * process.energy_scale)]))
+    spread = math.sqrt(float(c.diffusion[0]) * time) if start > 0.0 else 0.0
+    return max(spread, 0.5 * float(c.divergence[0]) * time)
+
+
+def _judged(
+    process: Process, source: Source, probe: Probe, tol: float, width: float, times: Array,
+    answer: Modes, enriched: Modes,
+) -> tuple[Transition, Array, Array]:  # fmt: skip
+    """Return the solution, judged, each element's part of its error, and of its round-off."""
+    x, w = points(process, answer)
+    shape = (times.size, *x.shape)
+    own = propagated(process, answer, source, times)
+    finer = propagated(process, enriched, source, times, more=ENRICHMENT)
+    (p, size), (better, other) = own.density(x.ravel()), finer.density(x.ravel())
+    end, last = float(answer.right[-1]), float(enriched.right[-1])
+    # What the enriched solution has beyond the last element of the answer.
+    far, far_w = points(process, enriched)
+    far, far_w = far[answer.count :], far_w[answer.count :]
+    at = np.append(far.ravel(), [end, last])
+    beyond = np.abs(finer.density(at)[0])
+    tail = (beyond[:, :-2] @ far_w.ravel()).max() + probe.tail_bound(last, float(beyond[:, -1].max()))
+    distance = np.abs(p - better).reshape(shape)
+    common = _common_error(answer, width, p, size + other, x.ravel())
+    pointwise = SAFETY * distance.reshape(p.shape) + common
+    common = common.reshape(shape) * w
+    measured = Measured(
+        l1_error=float(((SAFETY * distance * w) + common).sum(axis=(1, 2)).max() + 2.0 * tail),
+        mass_defect=float(np.abs(p @ w.ravel() - 1.0).max()),
+        minimum=float((p.min(axis=1) / p.max(axis=1)).min()),
+        residual=own.residual,
+        tail_mass=float(tail),
+        absolute_error=float((pointwise.max(axis=1) / p.max(axis=1)).max()),
+    )
+    certificate = certify(measured, tol=tol)
+    solved = Transition(own, distance.max(axis=2), width, measured, certificate)
+    each = (distance * w).sum(axis=2).max(axis=0)
+    return solved, each, common.sum(axis=2).max(axis=0)
+
+
+def _log_share_above(probe: Probe, energy: float) -> float:
+    """About ln of the stationary probability above ``energy``."""
+    if energy <= 0.0:
+        return 0.0
+    top = int(probe.log_mass.argmax())
+    at = np.interp(np.log(energy), np.log(probe.energy), probe.log_mass)
+    return float(min(at - probe.log_mass[top], 0.0)) if energy > probe.energy[top] else 0.0
+
+
+def _extent(
+    process: Process, source: Source, probe: Probe, tail: float, log_share: float
+) -> float:
+    """Return an energy above which no more than ``tail`` is at any time after the start.
+
+    From a start in the stationary state beyond the energy H_0 it is not more, at any energy, than
+    the stationary tail over that beyond H_0; and from H_0 itself still less.
+    """
+    end = probe.extent(math.exp(math.log(tail) + log_share))
+    if source.process is not None:
+        end = max(end, probed(source.process).extent(tail))
+    return max(end, 1.05 * source.energy)
+
+
+def _common_error(e: Modes, width: float, p: Array, size: Array, x: Array) -> Array:
+    """Errors that the answer and the enriched solution have in common.
+
+    By the coefficients: at short times ln p ~ −(distance)²/(2 b t), so that they count the more
+    the smaller p is. By the rounding of energies: p changes over the width of the density at
+    the first time. By the rule of the inverse transform: what cancels in it.
+    """
+    rounding = ROUND_OFF * EPS * (1.0 + x / width + float(np.ptp(e.log_scale)))
+    top = np.abs(p).max(axis=1, keepdims=True) + SMALLEST
+    steep = 2.0 + np.log(top) - np.log(np.clip(np.abs(p), SMALLEST, top))
+    floor = ROUND_OFF * EPS * (size + top)
+    return (2.0 * e.coefficient_error * steep + rounding) * np.abs(p) + floor
