@@ -47,7 +47,7 @@ class Skeleton(NamedTuple):
 @lru_cache(maxsize=32)
 def skeleton(counts: tuple[int, int], degree: int, first: int = 0) -> Skeleton:
     """Return the skeleton of ``counts`` elements along each axis; vertex ``first`` is unknown 0."""
-    along = [_axis_numbers(count, degree) for count in counts]
+    along = [axis_numbers(count, degree) for count in counts]
     width = counts[1] * degree + 1
     flat = along[0][:, None, :, None] * width + along[1][None, :, None, :]
     order, boundary = local_order(degree)
@@ -65,8 +65,8 @@ def skeleton(counts: tuple[int, int], degree: int, first: int = 0) -> Skeleton:
     return Skeleton(numbers, np.searchsorted(used, corners), indices, starts, places)
 
 
-def _axis_numbers(elements: int, degree: int) -> Integers:
-    """Global numbers (elements, degree + 1) of the shape functions of one axis: vertices first."""
+def axis_numbers(elements: int, degree: int) -> Integers:
+    """Return the global numbers (elements, degree + 1) of one axis's functions: vertices first."""
     vertex = np.arange(elements)[:, None] + np.array([0, 1])
     bubbles = elements + 1 + np.arange(elements * (degree - 1)).reshape(elements, degree - 1)
     return np.hstack([vertex, bubbles])

@@ -117,3 +117,15 @@ def element_matrices(coefficients: Array, sizes: Array, degree: int) -> Array:
     for matrix, *parts in zip(matrices, *inner, strict=True):
         np.take((factors @ np.concatenate(parts)).ravel(), places, out=matrix.reshape(-1))
     return matrices
+
+
+def mass_matrices(weights: Array, sizes: Array, degree: int) -> Array:
+    """Return ∫ w φ_i φ_j of each element (elements, m, m), in ``local_order``.
+
+    ``weights`` (elements, q, q) is w at Gauss points, ``sizes`` (elements, 2) as above.
+    """
+    vv, places = _products(degree, weights.shape[-1])[0], _places(degree)
+    m = (degree + 1) ** 2
+    area = sizes[:, 0, None, None] * sizes[:, 1, None, None]
+    matrices = vv.T @ (area * weights) @ vv
+    return np.take(matrices.reshape(len(sizes), -1), places, axis=1).reshape(-1, m, m)

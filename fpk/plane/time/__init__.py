@@ -1,0 +1,1 @@
+"""Two energies in time: the FPK operator, transients, relaxation rates and first passage."""

@@ -1,0 +1,148 @@
+"""Actions of exp(t A) by shift-and-invert Krylov spaces, one for times of like size."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import SuperLU, splu
+
+from fpk.arrays import Array, Integers
+from fpk.errors import NotCertified
+
+RATIO = 30.0
+"""Largest over smallest time of one Krylov space."""
+POLE = 0.03
+"""Shift γ over the largest time. A rational function of one pole approximates e^(−x) on the whole
+half-axis with an error that falls by (√2 − 1) a degree (Andersson 1981), of a pole of this order,
+so that the number of solves does not depend on the mesh."""
+CHUNK = 8
+"""Dimensions by which a space grows; the answer without the last ones gives the error."""
+MOST = 160
+"""Largest dimension."""
+NOTHING = 1e-12
+"""Eigenvalues of (M − γA)⁻¹ M below are round-off: e^(tλ) of such a one is e^(−t/γ · 1e12) = 0."""
+
+LARGEST = 20.0
+"""Largest growth of a mode of a small space, whose numerical range leans into the right half plane;
+e^20 of anything is far from converged, and NaN says so."""
+EPS = float(np.finfo(float).eps)
+
+
+class Evolved(NamedTuple):
+    """g at times (times, unknowns), its change by the last ``CHUNK`` dimensions, and residuals.
+
+    ``rounding`` (times,) estimates the relative round-off in the norm ∫ w g²; ``residual`` is the
+    largest of the linear systems relative to the terms that cancel in it.
+    """
+
+    values: Array
+    change: Array
+    rounding: Array
+    residual: float
+
+
+def factorised(matrix: csc_array) -> SuperLU:
+    """Return the factors with pivots on the diagonal.
+
+    The matrices are of the form ∫ w (...): with w over many orders of magnitude such an elimination
+    does not depend on how rows and columns are scaled. Raises ``NotCertified`` where it breaks
+    down.
+    """
+    try:
+        return splu(
+            matrix.tocsc(),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+    except RuntimeError as error:
+        raise NotCertified("the equations of a step in time have no unique solution") from error
+
+
+def relative_residual(matrix: csc_array, sizes: csc_array, x: Array, right: Array) -> float:
+    """Return the largest entry of ``right − matrix x`` over that of its terms; ``sizes`` |matrix|.
+    """
+    defect = np.abs(right - matrix @ x)
+    return float(np.max(defect) / (np.max(np.abs(right)) + np.max(sizes @ np.abs(x))))
+
+
+def evolved(A: csc_array, M: csc_array, dual: Array, times: Array, *, tol: float) -> Evolved:
+    """Return g = e^(t M⁻¹A) M⁻¹ ``dual`` at ascending ``times`` > 0, to ``tol`` of its norm ∫ w g².
+
+    The reduced matrix is that of (M − γA)⁻¹ M, whose eigenvalues give the slow rates to
+    round-off/γ: at times as large as those of rare failure their digits are there.
+    """
+    start = factorised(M).solve(dual)
+    residual = relative_residual(M, abs(M), start, dual)
+    parts = [_of_group(A, M, start, times[group], tol) for group in _groups(times)]
+    values, change, rounding = (
+        np.concatenate([part[k] for part in parts]) for k in range(3)
+    )
+    return Evolved(values, change, rounding, max(residual, *(part.residual for part in parts)))
+
+
+def _groups(times: Array) -> Iterator[Integers]:
+    first = 0
+    while first < times.size:
+        last = int(np.searchsorted(times, RATIO * times[first], side="right"))
+        yield np.arange(first, last)
+        first = last
+
+
+def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float) -> Evolved:
+    gamma = POLE * float(times[-1])
+    matrix = (M - gamma * A).tocsc()
+    factors, sizes, symmetric = factorised(matrix), abs(matrix), _symmetric(A)
+    V, MV = np.empty((MOST, start.size)), np.empty((MOST, start.size))
+    H, norm, residual, v = np.zeros((MOST, MOST)), 0.0, 0.0, start
+    for k in range(MOST):
+        if k:
+            v = factors.solve(MV[k - 1])
+            if k % CHUNK == 1:
+                residual = max(residual, relative_residual(matrix, sizes, v, MV[k - 1]))
+            for _ in range(2):
+                along = MV[:k] @ v
+                H[:k, k - 1] += along
+                v = v - along @ V[:k]
+        Mv = M @ v
+        size = float(np.sqrt(v @ Mv))
+        if k:
+            H[k, k - 1] = size
+        else:
+            norm = size
+        V[k], MV[k] = v / size, Mv / size
+        if k + 1 >= 3 * CHUNK and (k + 1) % CHUNK == 0:
+            more, rounding = _reduced(H[:k, :k], times, gamma, symmetric)
+            less, _ = _reduced(H[: k - CHUNK, : k - CHUNK], times, gamma, symmetric)
+            change = more.copy()
+            change[:, : k - CHUNK] -= less
+            relative = np.linalg.norm(change, axis=1) / np.linalg.norm(more, axis=1)
+            if float(np.max(relative)) <= tol or k + CHUNK >= MOST:
+                break
+    relative = rounding / np.linalg.norm(more, axis=1)
+    return Evolved(norm * more @ V[:k], norm * change @ V[:k], relative, residual)
+
+
+def _symmetric(A: csc_array) -> bool:
+    difference = abs(A - A.T)
+    return bool(difference.max() <= 1e-13 * abs(A).max())
+
+
+def _reduced(H: Array, times: Array, gamma: float, symmetric: bool) -> tuple[Array, Array]:
+    """e^(tA) of the first basis vector (times, m) with A = (1 − S⁻¹)/γ, and how round-off grows."""
+    condition = 1.0
+    if symmetric:
+        s, X = np.linalg.eigh(0.5 * (H + H.T))
+        first = X[0]
+    else:
+        s, X = np.linalg.eig(H)
+        condition = float(np.linalg.cond(X))
+        first = np.linalg.solve(X, np.eye(len(H))[0])
+    live = np.abs(s) > NOTHING
+    rate = (1.0 - 1.0 / s[live]) / gamma
+    if np.any(rate.real * times[-1] > LARGEST):
+        return np.full((times.size, len(H)), np.nan), np.full(times.size, np.nan)
+    values = (np.exp(np.outer(times, rate)) * first[live]) @ X[:, live].T
+    # Eigenvectors are known to ε over the gaps of s, those of slow modes γ/t.
+    return np.asarray(values.real), EPS * condition * (1.0 + times / gamma)

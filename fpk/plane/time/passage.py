@@ -1,0 +1,242 @@
+"""First passage of two energies: moments of its time, the failure rate, the reliability.
+
+u(t) = P(T > t) of a start solves ∂u/∂t = L u with u = 0 on the limit, its mean L T = −1 and
+L E[T²] = −2 T: the transpose of the operator of the density.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csc_array
+
+from fpk.arrays import Array
+from fpk.certificate import Measured, certify
+from fpk.errors import NotCertified
+from fpk.evolution import Number, Passage
+from fpk.plane.solution import Nodes, gauss_grid, graded
+from fpk.plane.time.domain import Domain, Rectangle, Triangle
+from fpk.plane.time.exponential import evolved, factorised, relative_residual
+from fpk.plane.time.levels import Frame, operators
+from fpk.plane.time.operator import PlaneOperator
+from fpk.plane.time.start import Start, PointStart
+
+FOLDS = 5.0
+"""Largest rise of −ln w over a panel, on average: over the last one the elimination loses the root
+of its exponential."""
+HIGHEST = 600.0
+"""Largest rise of −ln w up to a limit: e^600 units of time is within double precision."""
+ITERATIONS = 400
+"""Steps of the inverse iteration, each of which gains the ratio of the least two rates."""
+CONVERGED = 1e-15
+"""Relative change of the rate at which the iteration ends."""
+KRYLOV = 1e-2
+"""Fraction of the tolerance to which the reliability is computed in its norm."""
+ROUNDING = 4.0
+"""Multiple of the change by a step of iterative refinement that is stated as round-off."""
+LEAST = 1e-14
+"""Relative round-off that is always stated."""
+
+
+@dataclass(frozen=True)
+class PlaneLimit:
+    """Limits of H1, of H2 (None: none), whichever is passed first, or of H1 + H2."""
+
+    first: float | None = None
+    second: float | None = None
+    total: float | None = None
+
+    @property
+    def domain(self) -> Domain:
+        """The coordinates in which the limit is an edge of a rectangle."""
+        return Rectangle() if self.total is None else Triangle()
+
+    @property
+    def absorbing(self) -> tuple[bool, bool]:
+        """Which far edges are limits."""
+        if self.total is not None:
+            return True, False
+        return self.first is not None, self.second is not None
+
+    def beyond(self, energies: Array) -> bool:
+        """Whether energies (2,) are at or beyond the limit."""
+        if self.total is not None:
+            return bool(energies.sum() >= self.total)
+        limits = (self.first, self.second)
+        return any(a is not None and H >= a for a, H in zip(limits, energies, strict=True))
+
+    def edge(self, far: Array) -> tuple[Array, Array]:
+        """Return energies along the limit, up to ``far`` where there is none."""
+        t = np.linspace(0.0, 1.0, 41)
+        if self.total is not None:
+            return self.total * t, self.total * (1.0 - t)
+        a, b = (far[k] if x is None else x for k, x in enumerate((self.first, self.second)))
+        lines = [
+            (np.full(41, a), b * t) if self.first is not None else None,
+            (a * t, np.full(41, b)) if self.second is not None else None,
+        ]
+        first, second = zip(*(line for line in lines if line is not None), strict=True)
+        return np.concatenate(first), np.concatenate(second)
+
+
+class _Answer(NamedTuple):
+    """Mean, E[T²], variance and rate (4,), the reliability, round-off and residual of one level."""
+
+    numbers: Array
+    rounding: Array
+    survival: Array
+    survival_error: Array
+    least: float
+    residual: float
+
+
+def first_passage(
+    frame: Frame,
+    start: Start,
+    limit: PlaneLimit,
+    times: Array,
+    *,
+    tol: float,
+    coefficients_error: float = 0.0,
+) -> Passage:
+    """Return the first passage of ``limit``, with the reliability at ascending ``times`` >= 0.
+
+    Levels rise until two of them agree to ``tol``, relative to mean, variance and rate; the answer
+    is that of the finer one. What a density at the start has beyond the limit fails at 0.
+    ``coefficients_error`` is the relative error of the coefficients. Raises ``NotCertified`` where
+    the limit is beyond what double precision reaches.
+    """
+    previous: _Answer | None = None
+    for op in _operators(frame, start, limit, tol):
+        level = _answer(op, start, times, tol)
+        if previous is not None:
+            answer = _compared(previous, level, op, frame, start, limit, times, tol, coefficients_error)
+            if answer.certificate.certified:
+                return answer
+        previous = level
+    return answer
+
+
+def _operators(
+    frame: Frame, start: Start, limit: PlaneLimit, tol: float
+) -> Iterator[PlaneOperator]:
+    height = 0.0
+    if isinstance(start, PointStart):
+        height = frame.height(*start.energies)
+    lowest = float(np.min(frame.heights(*limit.edge(frame.ends(tol, height, 0)))))
+    if lowest > HIGHEST:
+        raise NotCertified(
+            f"the limit is practically never passed: the density falls by exp(−{lowest:.0f}) up to it"
+        )
+
+    def nodes(level: int, panels: int) -> Nodes:
+        far = frame.ends(tol, height, level)
+        if limit.total is not None:
+            corners = frame.heights(limit.total * np.array([0.0, 1.0]), limit.total * np.array([1.0, 0.0]))
+            rise, across = float(corners.max()), abs(float(corners[1] - corners[0]))
+            angles = np.linspace(0.0, 0.5 * np.pi, 1 + max(panels, int(across / FOLDS)))
+            return graded((limit.total, 1.0), max(panels, int(rise / FOLDS)))[0], np.sin(angles) ** 2
+        ends = [e if x is None else x for x, e in zip((limit.first, limit.second), far, strict=True)]
+        rises = frame.heights(np.array([ends[0], 0.0]), np.array([0.0, ends[1]]))
+        first, second = (
+            graded((end, 1.0), max(panels, int(rise / FOLDS)))[0]
+            for end, rise in zip(ends, rises, strict=True)
+        )
+        return first, second
+
+    yield from operators(frame, nodes, absorbing=limit.absorbing, domain=limit.domain)
+
+
+def _answer(op: PlaneOperator, start: Start, times: Array, tol: float) -> _Answer:
+    A, M, shares = op.matrices
+    K, factors, dual = (-A).tocsc(), factorised(-A), start.dual(op)
+    transposed = K.T.tocsc()
+    sizes = abs(transposed)
+
+    def solved(right: Array) -> tuple[Array, Array, float]:
+        """K⁻ᵀ of a vector, what one step of refinement changed, and the residual."""
+        first = factors.solve(right, "T")
+        change = factors.solve(right - transposed @ first, "T")
+        x = first + change
+        return x, change, relative_residual(transposed, sizes, x, right)
+
+    T, change, residual = solved(shares)
+    square, _, _ = solved(2.0 * (M @ T))
+    mean, second = float(dual @ T), float(dual @ square)
+    relative = ROUNDING * abs(float(dual @ change)) / mean + LEAST
+    rate = _least_rate(M, factors, T)
+    numbers = np.array([mean, second - mean**2, rate])
+    rounding = relative * np.array([mean, second + 2.0 * mean**2, rate])
+    survival, lost = np.full(times.size, float(np.nan)), np.zeros(times.size)
+    at_zero = times <= 0.0
+    if isinstance(start, PointStart):
+        survival[at_zero] = 1.0
+    else:
+        survival[at_zero] = float(dual @ factorised(M).solve(shares))
+    if np.any(~at_zero):
+        u = evolved(A.T.tocsc(), M, shares, times[~at_zero], tol=KRYLOV * tol)
+        survival[~at_zero] = u.values @ dual
+        lost[~at_zero] = np.abs(u.change @ dual) + ROUNDING * u.rounding
+        residual = max(residual, u.residual)
+    (x, y), _ = gauss_grid(op.nodes, 4)
+    on_grid = op.along(0, x) @ op.spread(T) @ op.along(1, y).T
+    least = float(on_grid.min() / on_grid.max())
+    return _Answer(numbers, rounding, survival, lost, least, residual)
+
+
+def _least_rate(M: csc_array, factors: object, u: Array) -> float:
+    """The least λ of K u = λ M u, with left and right vectors: it is real and simple."""
+    right, left, last = u, u, np.inf
+    for _ in range(ITERATIONS):
+        Mu = M @ right
+        solved = factors.solve(Mu, "T")
+        left = factors.solve(M @ left)
+        rate = float((left @ Mu) / (left @ (M @ solved)))
+        right, left = solved / np.abs(solved).max(), left / np.abs(left).max()
+        if abs(rate - last) <= CONVERGED * abs(rate):
+            break
+        last = rate
+    return rate
+
+
+def _compared(
+    coarse: _Answer,
+    fine: _Answer,
+    op: PlaneOperator,
+    frame: Frame,
+    start: Start,
+    limit: PlaneLimit,
+    times: Array,
+    tol: float,
+    coefficients_error: float,
+) -> Passage:
+    """The finer answer, with its distance to the coarser one as the error."""
+    edge = limit.edge(np.array([op.nodes[0][-1], op.nodes[1][-1]]))
+    model = coefficients_error * (2.0 + 2.0 * float(np.min(frame.heights(*edge))))
+    model += 2.0 * frame.relative_error + start.l1_error
+    errors = np.abs(fine.numbers - coarse.numbers) + fine.rounding + model * np.abs(fine.numbers)
+    # The variance is the difference of two moments, each with the error of the coefficients.
+    errors[1] += model * 2.0 * fine.numbers[0] ** 2
+    lost = np.abs(fine.survival - coarse.survival) + fine.survival_error + model
+    (mean, variance, rate), (mean_error, variance_error, rate_error) = fine.numbers, errors
+    relative = float(np.max(errors / np.abs(fine.numbers)))
+    measured = Measured(
+        l1_error=max(relative, float(np.max(lost, initial=0.0))),
+        mass_defect=0.0,
+        minimum=fine.least,
+        residual=max(fine.residual, coarse.residual),
+        tail_mass=0.0,
+        absolute_error=relative,
+    )
+    return Passage(
+        Number(float(mean), float(mean_error)),
+        Number(float(variance), float(variance_error)),
+        Number(float(rate), float(rate_error)),
+        times,
+        fine.survival,
+        lost,
+        "numerical",
+        certify(measured, tol=tol),
+        settings={"unknowns": int(op.free.size), "degree": op.degree},
+    )
