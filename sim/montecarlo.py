@@ -9,10 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from fpk.arrays import Array
 from fpk.errors import InvalidInput, NotApplicable
+from fpk.evolution import Passage
+from fpk.limit import Limit
 from fpk.method import Method, Plan, Progress, Result
 from fpk.observable import Observable
 from fpk.route import ROUTES, Route, register
+from fpk.start import Start
 from fpk.system import System
 from sim.arrays import LANES, MAX_TRAJECTORIES
 from sim.relaxation import relaxation_time, undamped_mode
@@ -116,6 +120,22 @@ class MonteCarlo(Method):
             return result
 
         return Plan(lambda observable: None, solve)
+
+    def passage(
+        self,
+        system: System,
+        limit: Limit,
+        start: Start,
+        times: Array,
+        *,
+        tol: float | None,
+        progress: Progress,
+    ) -> Passage:
+        """Return first passage: Brownian bridges or cubics between steps; see ``sim.motion``."""
+        answer: Passage = import_module("sim.motion.passage").passage(
+            self, system, limit, start, times, tol=tol, progress=progress
+        )
+        return answer
 
     def refined(self) -> "MonteCarlo":
         """Return the method with four times the sample: half the sampling error.
