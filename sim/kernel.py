@@ -99,8 +99,9 @@ def _compiled(key: KernelKey) -> Any:
         Observes at the start of a step where ``(phase + step number) % stride == 0``, never with
         ``stride`` 0: adds to ``sums`` (first blocks, moments·W), ``folded`` (other blocks,
         moments·FOLDED) and ``counts`` (batches, bins) of the ``batch`` (blocks,) of each, which
-        ascends by ones; writes to ``trace`` (blocks, rows) from its second sample on. Returns the checksum of its sources, a constant of the kernel: where it has
-        changed, numba's disk cache compiles anew.
+        ascends by ones, and writes to ``trace`` (blocks, samples·rows·W) from its second sample on.
+        Returns the checksum of its sources, a constant of the kernel: where it has changed, numba's
+        disk cache compiles anew.
         """
         n, at, terms = step.matrix.shape[0] // 2, watch.at, step.terms
         matrix = step.substeps.matrix if substeps else step.matrix
@@ -170,9 +171,7 @@ def _compiled(key: KernelKey) -> Any:
                 if halved:  # the second half of the time between two kicks
                     for pair in range(pairs):
                         to = z[2 * pair * W : 2 * (pair + 1) * W]
-                        fill_normals(
-                            to, words, trajectory, word + np.uint64(pairs + pair), offset
-                        )
+                        fill_normals(to, words, trajectory, word + np.uint64(pairs + pair), offset)
                     map_state(s, z, matrix, step, loop, (False, False), pairs, force, slope)
                 if substeps:
                     word += np.uint64(pairs)

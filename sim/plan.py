@@ -19,9 +19,7 @@ from sim.statistics import Product
 from sim.substeps import substep_arrays
 
 
-def step_arrays(
-    system: System, scheme: Scheme, dt: float, *, halved: bool = False
-) -> StepArrays:
+def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = False) -> StepArrays:
     """Return the numbers of one step of ``dt``; a stop equal on both sides counts as one.
 
     Of a long step they belong to its small ones; ``substeps`` has the long one. ``halved``: the

@@ -140,13 +140,13 @@ class Motion:
 
 
 def in_blocks(rows: Array) -> Array:
-    """Return ``rows`` (paths, k) as blocks (blocks, k, LANES)."""
-    return np.ascontiguousarray(rows.T.reshape(rows.shape[1], -1, LANES).transpose(1, 0, 2))
+    """Return a copy of ``rows`` (paths, k) as blocks (blocks, k, LANES)."""
+    return np.array(rows.T.reshape(rows.shape[1], -1, LANES).transpose(1, 0, 2), order="C")
 
 
 def in_rows(blocks: Array) -> Array:
-    """Return ``blocks`` (blocks, k, LANES) as rows (paths, k)."""
-    return np.ascontiguousarray(blocks.transpose(0, 2, 1).reshape(-1, blocks.shape[1]))
+    """Return a copy of ``blocks`` (blocks, k, LANES) as rows (paths, k)."""
+    return np.array(blocks.transpose(0, 2, 1).reshape(-1, blocks.shape[1]), order="C")
 
 
 def gathered(blocks: Array, lanes: Integers) -> Array:

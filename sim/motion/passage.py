@@ -2,8 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from math import ceil, inf, isfinite, pi
+from math import ceil, inf, isfinite, pi, sqrt
 from time import perf_counter
 from typing import Any
 
@@ -16,15 +15,14 @@ from fpk.evolution import Passage
 from fpk.limit import Limit
 from fpk.linear import natural_modes
 from fpk.method import Progress
-from fpk.observable import Coordinate
 from fpk.start import Start
 from fpk.system import System
 from sim.arrays import LANES
 from sim.checkpoint import interruptible
 from sim.ensemble import MAX_COORDINATE
 from sim.montecarlo import MonteCarlo
-from sim.motion.motion import Motion, Reader, gathered, in_blocks
-from sim.motion.passing import pass_displacement, pass_energies
+from sim.motion.motion import Motion, gathered, in_blocks
+from sim.motion.passing import energies_of, reader_of
 from sim.motion.starts import Origin, largest_energy
 from sim.motion.survival import Times, passage_of
 from sim.random import OTHER_SEED
@@ -112,8 +110,10 @@ def passage(
 
 def require_times(times: Array, *, least: float = 0.0) -> None:
     """Raise ``InvalidInput`` for times that do not ascend from ``least`` or later."""
-    if np.any(~np.isfinite(times)) or np.any(np.diff(times, prepend=least - 1.0) <= 0.0) or np.any(
-        times < least
+    if (
+        np.any(~np.isfinite(times))
+        or np.any(np.diff(times, prepend=least - 1.0) <= 0.0)
+        or np.any(times < least)
     ):
         raise InvalidInput("times", times, f"must be finite, ascend, and be {least:g} or later")
 
@@ -176,7 +176,7 @@ class Rounds:
         beyond = _beyond(self.system, self.limit, q, p)
         if np.all(beyond):
             raise InvalidInput("start", str(self.origin.start), f"is beyond the limit {self.limit}")
-        energies, make = _reading(self.system, self.limit)
+        energies = energies_of(self.limit, self.system.n)
         seed = (self.method.seed + number * OTHER_SEED) % 2**64
         pair = [
             Motion(
@@ -184,6 +184,7 @@ class Rounds:
             )
             for dt, halved in ((0.5 * self.dt, False), (self.dt, True))
         ]
+        readers = [reader_of(self.system, self.limit, motion.dt) for motion in pair]
         stream = np.random.Generator(
             np.random.Philox(key=np.array([seed, number + 2**63], dtype=np.uint64))
         )
@@ -196,9 +197,8 @@ class Rounds:
         steps = ceil(self.horizon / self.dt)
         while True:
             chunk = min(CHUNK, steps - pair[1].samples)
-            for motion, times, chance in zip(pair, found, chances, strict=True):
-                read = make(motion.dt)
-                motion.advance(chunk * (2 if motion is pair[0] else 1), *read(times, chance))
+            for motion, read, *arrays in zip(pair, readers, found, chances, strict=True):
+                motion.advance(chunk if motion.halved else 2 * chunk, read, *arrays)
             now = np.array([times.transpose(0, 2, 1).ravel()[: lanes.size] for times in found])
             failed[:, lanes] = now
             finite = np.ones(lanes.size, dtype=bool)
@@ -229,7 +229,7 @@ def _ends(stopped: Callable[[], bool], begin: float, seconds: float) -> Callable
 
 def _relative_error(sampled: Times) -> float:
     """About the relative standard error of the mean: times are nearly exponential."""
-    return 1.1 / np.sqrt(max(1, sampled.failed))
+    return 1.1 / sqrt(max(1, sampled.failed))
 
 
 def _energy_reached(system: System, limit: Limit, start: Start) -> float:
@@ -255,53 +255,3 @@ def _beyond(system: System, limit: Limit, q: Array, p: Array) -> Any:
     modal = 0.5 * ((p @ shapes) ** 2 + (omega * (q @ (system.mass[:, None] * shapes))) ** 2)
     most = np.array([limit.values.get(f"H{m + 1}", inf) for m in range(system.n)])
     return np.any(modal >= most, axis=1)
-
-
-def _reading(
-    system: System, limit: Limit
-) -> tuple[tuple[Coordinate, ...], Callable[[float], Callable[[Array, Array], tuple[Any, ...]]]]:
-    """The energies that are observed, and what reads them at the step dt, with its arrays."""
-    n, N = system.n, system.noise_matrix
-    if limit.kind == "q":
-        row = limit.observable(n)[0].row
-        mobility = 1.0 / float(system.mass[row])
-
-        def of_displacement(dt: float) -> Callable[[Array, Array], tuple[Any, ...]]:
-            read: Reader = partial(
-                _pass_displacement, dt=dt, row=row, inverse_mass=mobility, limit=limit.value
-            )
-            return lambda times, chance: (read, times)
-
-        return (), of_displacement
-    if limit.kind == "H":
-        energies, forms = (Coordinate("H"),), [2.0 * N / np.outer(system.mass, system.mass)]
-    else:
-        named = sorted(int(name[1:]) - 1 for name in limit.values)
-        shapes = natural_modes(system)[0]
-        energies = tuple(Coordinate("H", m) for m in named)
-        forms = [
-            2.0 * float(shapes[:, m] @ N @ shapes[:, m]) * np.outer(shapes[:, m], shapes[:, m])
-            for m in named
-        ]
-    limits = np.array([limit.values[str(c)] for c in energies])
-    rows = 2 * n + np.arange(len(energies))
-
-    def of_energies(dt: float) -> Callable[[Array, Array], tuple[Any, ...]]:
-        read: Reader = partial(
-            _pass_energies, dt=dt, first=n, rows=rows, limits=limits, forms=np.array(forms)
-        )
-        return lambda times, chance: (read, times, chance)
-
-    return energies, of_energies
-
-
-def _pass_displacement(trace: Array, samples: int, done: int, time: Array, **rest: Any) -> None:
-    values = (rest[key] for key in ("dt", "row", "inverse_mass", "limit"))
-    pass_displacement(trace, samples, done, time, *values)
-
-
-def _pass_energies(
-    trace: Array, samples: int, done: int, time: Array, chance: Array, **rest: Any
-) -> None:
-    values = (rest[key] for key in ("dt", "first", "rows", "limits", "forms"))
-    pass_energies(trace, samples, done, time, chance, *values)

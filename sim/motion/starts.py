@@ -79,9 +79,7 @@ class Origin:
         return states[:, :n], states[:, n : 2 * n]
 
 
-def by_modes(
-    system: System, energies: Array, paths: int, stream: Generator
-) -> tuple[Array, Array]:
+def by_modes(system: System, energies: Array, paths: int, stream: Generator) -> tuple[Array, Array]:
     """Return states of modal ``energies`` (n,) with uniform phases."""
     shapes, omega = natural_modes(system)
     phase = 2.0 * np.pi * stream.random((paths, system.n))

@@ -19,7 +19,7 @@ TAILS = 48
 LEAST_FAILURES = 100
 """Failures in the tail below which its rate, and what is continued by it, is not certified."""
 
-CONSISTENT = 2.0
+CONSISTENT = 2.5
 """Standard errors within which two failure rates agree (Lepski's rule)."""
 
 UPPER_BOUND = 3.0
@@ -44,7 +44,9 @@ class Times:
         if self.coarse is not None and other.coarse is not None:
             coarse = np.concatenate([self.coarse, other.coarse])
         return Times(
-            np.concatenate([self.fine, other.fine]), coarse, np.concatenate([self.until, other.until])
+            np.concatenate([self.fine, other.fine]),
+            coarse,
+            np.concatenate([self.until, other.until]),
         )
 
     @property
@@ -130,7 +132,9 @@ def passage_of(
     best = estimates(fine, until, times, begin)
     error = _jackknife(fine, until, times, begin)
     survival = best[3:]
-    at_least = np.maximum(np.sqrt(np.maximum(survival * (1.0 - survival), 0.0) / paths), 1.0 / paths)
+    at_least = np.maximum(
+        np.sqrt(np.maximum(survival * (1.0 - survival), 0.0) / paths), 1.0 / paths
+    )
     error[3:] = np.maximum(error[3:], at_least)
     bias = np.zeros(best.size)
     if sampled.coarse is not None:
@@ -187,7 +191,7 @@ def _bound(events: int) -> float:
 
 
 def _jackknife(time: Array, until: Array, times: Array, begin: float) -> Array:
-    """Standard errors of ``estimates``: √((G − 1)/G Σ (left out − mean)²) over ``GROUPS`` groups."""
+    """Standard errors of ``estimates``: √((G − 1)/G Σ (left out − mean)²), G of ``GROUPS``."""
     group: Integers = np.arange(time.size) % GROUPS
     rows = []
     for g in range(GROUPS):
