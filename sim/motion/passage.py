@@ -47,6 +47,9 @@ AT_ONCE = 32768
 CHUNK = 256
 """Steps, of the coarser simulation, after which trajectories that have failed make room."""
 
+PROGRESS = 1000
+"""Steps of the bar of progress."""
+
 
 def passage(
     method: MonteCarlo,
@@ -69,7 +72,8 @@ def passage(
     energy = _energy_reached(system, limit, start)
     dt = motion_step(method, system, energy=energy, error=wanted)
     seconds = method.seconds or (method.longest if wanted is not None else inf)
-    horizon = method.time or max(method.most_steps * dt, float(np.max(times, initial=0.0)))
+    steps = method.most_steps / 3.0  # two of the finer simulation to one of the coarser
+    horizon = method.time or max(steps * dt, float(np.max(times, initial=0.0)))
     begin = perf_counter()
     with (
         workers_of(method.cluster, method.threads or usable_cores()) as workers,
@@ -208,7 +212,8 @@ class Rounds:
             lost = int(np.count_nonzero(~finite & np.isinf(now).any(axis=0)))
             running = np.isinf(now).any(axis=0)
             alive = int(np.count_nonzero(running))
-            progress(paths - alive, paths, "first passage")
+            done = max(1.0 - alive / paths, pair[1].samples / steps)
+            progress(int(PROGRESS * done), PROGRESS, "first passage")
             if not alive or lost or pair[1].samples >= steps or ends():
                 break
             if 2 * alive <= pair[1].last.shape[0] * LANES and pair[1].last.shape[0] > 1:
