@@ -13,13 +13,13 @@ from fpk.evolution import Number, Passage
 GROUPS = 64
 """Groups of trajectories that are left out, one at a time, for errors (jackknife)."""
 
-TAILS = 48
+TAILS = 20
 """Times from which failure rates are compared, to see from where on there is one rate."""
 
 LEAST_FAILURES = 100
 """Failures in the tail below which its rate, and what is continued by it, is not certified."""
 
-CONSISTENT = 2.5
+CONSISTENT = 3.0
 """Standard errors within which two failure rates agree (Lepski's rule)."""
 
 UPPER_BOUND = 3.0
