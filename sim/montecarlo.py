@@ -11,7 +11,7 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import Passage
+from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.method import Method, Plan, Progress, Result
 from fpk.observable import Observable
@@ -134,6 +134,23 @@ class MonteCarlo(Method):
         """Return first passage: Brownian bridges or cubics between steps; see ``sim.motion``."""
         answer: Passage = import_module("sim.motion.passage").passage(
             self, system, limit, start, times, tol=tol, progress=progress
+        )
+        return answer
+
+    def transient(
+        self,
+        system: System,
+        observable: Observable,
+        start: Start,
+        times: Array,
+        at: tuple[Array, ...],
+        *,
+        tol: float | None,
+        progress: Progress,
+    ) -> Transient:
+        """Return densities at ``times`` from histograms of an ensemble; see ``sim.motion``."""
+        answer: Transient = import_module("sim.motion.transient").transient(
+            self, system, observable, start, times, at, tol=tol, progress=progress
         )
         return answer
 
