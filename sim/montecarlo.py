@@ -6,10 +6,12 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from math import inf, isfinite
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fpk.arrays import Array
+from fpk.dynamics import Curve
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
@@ -151,6 +153,25 @@ class MonteCarlo(Method):
         """Return densities at ``times`` from histograms of an ensemble; see ``sim.motion``."""
         answer: Transient = import_module("sim.motion.transient").transient(
             self, system, observable, start, times, at, tol=tol, progress=progress
+        )
+        return answer
+
+    def crossings(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return upcrossing rates, counted between steps too; see ``sim.motion``."""
+        return self._stationary("crossings", system, row, at, tol, progress)
+
+    def spectrum(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return power spectral densities by Welch's method; see ``sim.motion``."""
+        return self._stationary("spectrum", system, row, at, tol, progress)
+
+    def _stationary(self, question: str, *asked: Any) -> Curve:
+        *asked_of, tol, progress = asked
+        answer: Curve = getattr(import_module("sim.motion.stationary"), question)(
+            self, *asked_of, tol=tol, progress=progress
         )
         return answer
 
