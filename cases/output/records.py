@@ -77,7 +77,7 @@ def curve_record(
             "points": points,
             key: curve.values,
             "error": curve.errors,
-            "error_kind": "numerical",
+            "error_kind": curve.error_kind,
             "certificate": _certificate(curve.certificate),
             "settings": dict(curve.settings),
             "seconds": seconds,
