@@ -23,7 +23,7 @@ NAMES = ("random", "splitting/arrays", "splitting/parts", "splitting/averaged")
 CELLS = 4096
 """Cells of the table of the damping over R = √X up to the limit."""
 
-STEPS = 32
+STEPS = 16
 """Least number of steps in the time and in 1/γ: the bridge has no damping between its ends."""
 
 WHOLE = 1e-9
@@ -36,8 +36,8 @@ _COMPILING = Lock()
 class EnergyProblem:
     """Failure at the energy ``limit`` before ``time`` from ``start``; see ``replicas.Problem``.
 
-    ``form`` holds d, β, γ₀; ``table`` γ − γ₀ over R = √X up to ``top``, that of the limit. ``first``
-    is X of the start.
+    ``numbers`` are d, β, γ₀; ``table`` is γ − γ₀ over R = √X up to ``top``, that of the limit;
+    ``first`` is X of the start.
     """
 
     numbers: tuple[float, float, float]

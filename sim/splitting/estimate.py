@@ -74,14 +74,16 @@ def mean_and_error(log_values: Array) -> tuple[float, float]:
 def estimated(done: Repetitions, count: int, *, dt: float, settings: Splitting) -> RareFailure:
     """Return the probability from the first ``count`` repetitions, ``dt`` being the shorter step.
 
-    The bias at dt/2 is at most the difference from dt where it falls as dt or faster.
+    The bias at dt/2 is at most the difference from dt where it falls as dt or faster. A difference
+    below its own standard error counts as that: it may be small by chance.
     """
     coarse, fine = done.log_probability[:, :count]
     unit = float(np.max([coarse, fine]))
     unit = unit if np.isfinite(unit) else 0.0
     (at_long, long_error), (mean, own) = (mean_and_error(x - unit) for x in (coarse, fine))
     bias, scale = at_long - mean, exp(unit)
-    error = hypot(own, bias)
+    bias_error = hypot(own, long_error)
+    error = hypot(own, max(abs(bias), bias_error))
     bound = (mean + DEVIATIONS * error) * scale
     if not mean > 0.0:
         bound = -float(np.expm1(np.log(DOUBT) / (settings.replicas * count)))
@@ -92,7 +94,7 @@ def estimated(done: Repetitions, count: int, *, dt: float, settings: Splitting) 
         log_probability=log(mean) + unit if mean > 0.0 else -np.inf,
         sampling_error=own * scale,
         bias=bias * scale,
-        bias_error=hypot(own, long_error) * scale,
+        bias_error=bias_error * scale,
         values=np.exp(fine),
         extinct=int(np.sum(~np.isfinite(fine))),
         levels=float(done.levels[1, :count].mean()),

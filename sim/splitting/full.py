@@ -148,6 +148,8 @@ def require_inside(system: System, limit: Limit, start: Start) -> None:
     if start.kind == "noise":
         return  # of which a share may have failed at once
     reached = dict(start.values)
+    if start.kind == "modal":
+        reached["H"] = sum(reached.values())  # contact adds to it
     if start.kind == "state":
         q, p = start.state(system.n)
         shapes, omega = natural_modes(system)

@@ -12,7 +12,7 @@ from sim.splitting.arrays import Paths
 
 @dataclass(eq=False)
 class CompiledReplicas:
-    """Replicas of ``algorithm.Replicas``: ``function`` renews ``paths`` by the numbers in ``model``.
+    """Replicas of ``algorithm.Replicas``: ``function`` renews ``paths`` by numbers, the ``model``.
 
     Every renewed path has a stream of its own, of those that ``offset``, a finalised seed, begins.
     """

@@ -46,8 +46,8 @@ def rare_failure(
     the least potential energy at that displacement.
 
     Raises ``InvalidInput`` for a start at or beyond the limit or a time that is not finite and > 0,
-    ``NotApplicable`` where no noise acts, ``NotCertified`` where ``seconds`` or Ctrl-C leave too few
-    repetitions.
+    ``NotApplicable`` where no noise acts, ``NotCertified`` where ``seconds`` or Ctrl-C leave too
+    few repetitions.
     """
     own = settings or Splitting()
     _require_time(time)
@@ -117,8 +117,8 @@ def failure_of(problem: Problem, settings: Splitting, progress: Progress) -> Rar
     whole = done.whole
     if whole < LEAST_REPETITIONS:
         raise NotCertified(
-            f"{whole} repetitions were finished in {done.seconds:.3g} s, and {LEAST_REPETITIONS} are"
-            " needed: allow more seconds or fewer replicas"
+            f"{whole} repetitions were finished in {done.seconds:.3g} s, and {LEAST_REPETITIONS}"
+            " are needed: allow more seconds or take fewer replicas"
         )
     return estimated(done, whole, dt=0.5 * problem.time / steps, settings=s)
 

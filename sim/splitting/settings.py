@@ -63,7 +63,8 @@ class RareFailure:
     """The probability that a limit is passed before a time, and how well it is known.
 
     ``probability`` is the mean of ``values`` (repetitions,) at the step ``dt``; ``error`` is one
-    standard error of it and the difference ``bias`` from the mean at 2 dt, added in squares.
+    standard error of it and the difference ``bias`` of the mean at 2 dt from it, or the standard
+    error of that if it is larger, added in squares.
     ``upper_bound`` holds with 95 % confidence; where no replica has failed, so that the probability
     is given as 0, it is that of the paths from the start alone. ``sampling_error`` and
     ``bias_error`` are standard errors; ``extinct`` repetitions had no replica left.
