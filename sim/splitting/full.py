@@ -28,6 +28,7 @@ from sim.step_size import (
     REACHED,
     STEP_PER_FREQUENCY,
     STEP_PER_RATE,
+    STEP_WITH_TERMS,
     highest_frequency,
     sampling_interval,
     temperature,
@@ -62,8 +63,9 @@ class SystemProblem:
         """Return ``count`` paths of ``steps`` steps from their starts, drawn from ``stream``."""
         dt, effects = self.time / steps, effects_of(self.system)
         step = step_arrays(self.system, EXACT_FLOW, dt)
+        kind: Any = self.limit.kind
         key = PathKey(
-            kind=self.limit.kind,
+            kind=kind,
             laws=effects.laws,
             damping=effects.state_damping,
             energy_damping=effects.energy_damping,
@@ -211,10 +213,11 @@ def chosen_step(system: System, limit: Limit) -> float:
         energy = float(limit_energy(system, mass, np.array(limit.value)))
     if isfinite(kT):
         energy = max(energy, REACHED * kT)
+    share = STEP_WITH_TERMS if system.damping_terms else STEP_PER_FREQUENCY
     for stop in system.stops:
         slope = float(stop.slope(stop.overlap_at(energy)))
         m, K = system.mass[stop.index], system.stiffness_matrix[stop.index, stop.index]
-        steps.append(STEP_PER_FREQUENCY / sqrt((slope + K) / m))
+        steps.append(share / sqrt((slope + K) / m))
     if system.damping_terms:
         steps += [STEP_PER_RATE / term_rate(system), STEP_PER_FREQUENCY / highest_frequency(system)]
     return min(steps)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from math import sqrt
 from pathlib import Path
 from threading import Lock
 from typing import Any, Literal
@@ -86,7 +87,7 @@ def energy_of(x: Array, step: StepArrays, law: Any) -> float:
         _, o = overlap_of(x[step.slot_mass[step.stop_slot[stop]]], sign, clearance)
         if o > 0.0:
             H += B * of_law(law, kind, o, e)
-    return H
+    return float(H)
 
 
 @inlined
@@ -152,7 +153,7 @@ def watch(
 @njit(inline="always")
 def share_of(kind: str, ratio: float) -> float:
     """Return x of the score: of an energy the root of its share of the limit."""
-    return np.abs(ratio) if kind == "q" else np.sqrt(max(ratio, 0.0))
+    return abs(ratio) if kind == "q" else sqrt(max(ratio, 0.0))
 
 
 @lru_cache

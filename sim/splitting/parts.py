@@ -1,5 +1,7 @@
 """Parts of the compiled paths: records, levels of the score, largest values between steps."""
 
+from math import log, sqrt
+
 import numpy as np
 
 from fpk.arrays import Array
@@ -73,7 +75,7 @@ def bridge_maximum(a: float, b: float, variance: float, at: np.uint64) -> float:
     P(max > m) = exp(−2 (m − a)(m − b)/variance); the uniform number is that at the place ``at``.
     """
     u = (np.float64(mixed_word(at) >> _S11) + 0.5) * 2.0**-53
-    return 0.5 * (a + b + np.sqrt((b - a) * (b - a) - 2.0 * variance * np.log(u)))
+    return 0.5 * (a + b + sqrt((b - a) * (b - a) - 2.0 * variance * log(u)))
 
 
 @inlined

@@ -395,7 +395,7 @@ def test_questions_that_cannot_be_asked():
     with pytest.raises(InvalidInput, match="dt"):
         rare_failure(system, limit, REST, 1e9, settings=Splitting(dt=1e-3))
     with pytest.raises(InvalidInput, match="score"):
-        two = parse_limit("H1=1,H2=1", 2)
+        two = parse_limit("H1=1.3,H2=1.3", 2)
         rare_failure(system, two, REST, 1.0, score=lambda H, t: np.outer(t, H))
     silent = System(mass=[1.0], stiffness=[1.0], damping=[0.1], noise_intensity=[0.0])
     with pytest.raises(NotApplicable, match="noise"):
@@ -464,7 +464,7 @@ def direct(system, limit, time, *, dt, paths, seed, start=None):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("system", "limit", "time"), [(fig6, 2.5, 40.0), (exact, 3.5, 12.0), (mixed, 1.2, 20.0)]
+    ("system", "limit", "time"), [(fig6, 2.5, 40.0), (exact, 3.5, 12.0), (mixed, 3.0, 20.0)]
 )
 def test_the_full_system_against_plain_sampling(system, limit, time):
     """Of 1e-2 to 1e-3, 4.5 standard errors of the difference."""
@@ -479,24 +479,21 @@ def test_the_full_system_against_plain_sampling(system, limit, time):
 
 @pytest.mark.slow
 def test_other_starts_limits_and_damping_terms():
-    """Every kind of start and limit, damping terms with energies: splitting against no splitting.
-
-    With a score that no path can raise but by failing, all of the estimate is plain sampling.
-    """
+    """Every kind of start and limit, and damping terms: splitting against paths without it."""
     terms = (DampingTerm(1, 1, 0.05, q=((1, 2),)), DampingTerm(2, 1, 0.02, energy=1))
     damped = replace_system(fig6(), damping_terms=terms)
     for system, limit, start in (
-        (damped, "H=2.5", "H=0.3"),
+        (damped, "H=1.5", "H=0.3"),
         (fig6(), "q2=1.05", "noise=0.5"),
-        (fig6(), "H1=1.2,H2=1.2", "H1=0.1,H2=0.2"),
-        (mixed(), "q3=1.2", "rest"),
+        (fig6(), "H1=1.3,H2=1.3", "H1=0.1,H2=0.2"),
+        (mixed(), "q3=0.8", "rest"),
     ):
         asked = parse_limit(limit, system.n)
         begun = parse_start(start, system)
         rare = rare_failure(system, asked, begun, 20.0, settings=Splitting(seed=5))
-        plain = plain_failure(system, asked, begun, 20.0, paths=200_000)
-        error = np.hypot(rare.error, np.sqrt(plain / 200_000))
-        assert 1e-4 < plain < 0.1
+        plain = plain_failure(system, asked, begun, 20.0, paths=40_000)
+        error = np.hypot(rare.error, np.sqrt(plain / 40_000))
+        assert 1e-3 < plain < 0.1
         assert abs(rare.probability - plain) < 4.5 * error, (limit, start)
 
 
