@@ -7,15 +7,23 @@ from functools import partial
 from averaging.back_transformation import back_transformed
 from averaging.closed_form import averaged_rate, state_closed_form
 from averaging.energy_process import energy_process
+from averaging.energy_time import total_energy, total_energy_start
 from averaging.quadrature import solve_by_quadrature
 from averaging.theory import Theory, energy_only_refusal
 from averaging.weyl import Solution, StateDensity, tabulated
+from fpk.arrays import Array
+from fpk.dynamics import Rates
+from fpk.errors import NotApplicable
+from fpk.evolution import Passage, Transient
+from fpk.limit import Limit
 from fpk.line.stationary import solve_stationary
 from fpk.method import Plan, Progress, Result
-from fpk.observable import Observable
+from fpk.observable import Coordinate, Observable, observable_name
 from fpk.process import Process
+from fpk.start import Start
 from fpk.system import System
 
+ENERGY = Coordinate("H")
 Settings = dict[str, str | float | int]
 
 
@@ -50,6 +58,51 @@ class NonIntegrable(Theory):
             return Result(self, densities, settings=settings)
 
         return Plan(partial(energy_only_refusal, system, exponential=exponential), solve)
+
+    def transient(
+        self,
+        system: System,
+        observable: Observable,
+        start: Start,
+        times: Array,
+        at: tuple[Array, ...],
+        *,
+        tol: float | None,
+        progress: Progress,
+    ) -> Transient:
+        """Return the densities of the energy at ``times`` at the points ``at``."""
+        one = total_energy(system)
+        if observable != (ENERGY,):
+            raise NotApplicable(
+                f"{observable_name(observable)}: in time this theory gives the total energy H only"
+            )
+        begins = total_energy_start(system, start)
+        return one.transient(self.solver, begins, times, at[0], tol=tol or self.tol)
+
+    def passage(
+        self,
+        system: System,
+        limit: Limit,
+        start: Start,
+        times: Array,
+        *,
+        tol: float | None,
+        progress: Progress,
+    ) -> Passage:
+        """Return the first passage of the energy through ``limit``."""
+        one = total_energy(system)
+        if limit.kind != "H":
+            raise NotApplicable(
+                f"{limit}: this theory knows the total energy only; give a limit H=.."
+            )
+        begins = total_energy_start(system, start)
+        return one.passage(self.solver, begins, limit.value, times, tol=tol or self.tol)
+
+    def relaxation(
+        self, system: System, count: int, *, tol: float | None, progress: Progress
+    ) -> Rates:
+        """Return the slowest rates at which the energy forgets its past."""
+        return total_energy(system).relaxation(self.solver, count, tol=tol or self.tol)
 
     def _state_density(self, system: System, process: Process) -> tuple[StateDensity, Settings]:
         if self.solver == "closed-form":

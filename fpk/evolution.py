@@ -11,8 +11,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, Protocol, runtime_checkable
 
+import numpy as np
+
 from fpk.arrays import Array
 from fpk.certificate import Certificate
+from fpk.errors import InvalidInput
 from fpk.limit import Limit
 from fpk.method import Progress
 from fpk.observable import Observable
@@ -20,6 +23,16 @@ from fpk.start import Start
 from fpk.system import System
 
 ErrorKind = Literal["numerical", "sampling"]
+
+
+def checked_times(times: Array) -> Array:
+    """Return ``times`` if they are finite, not negative and ascend; raise ``InvalidInput`` if not.
+
+    Of ``NaN`` no comparison holds.
+    """
+    if not (np.all(np.isfinite(times)) and np.all(times >= 0.0) and np.all(np.diff(times) > 0.0)):
+        raise InvalidInput("times", times, "must be finite, 0 or later, and ascend")
+    return times
 
 
 @dataclass(frozen=True)
@@ -66,8 +79,9 @@ class Passage:
 
     ``rate`` is −d ln P(T > t)/dt for t → ∞, the least eigenvalue with an absorbing limit, None
     where the method does not give it. ``survival`` is P(T > t) at ``times``, with
-    ``survival_error``, (times,) each. ``starts`` has moments for all starts at once where the
-    method gives them. ``error_kind`` as of ``Transient``.
+    ``survival_error``, (times,) each; where the method knows it better than 1 − ``survival``,
+    ``failure`` is P(T <= t), with ``failure_error``. ``starts`` has moments for all starts at once
+    where the method gives them. ``error_kind`` as of ``Transient``.
     """
 
     mean: Number
@@ -80,6 +94,8 @@ class Passage:
     certificate: Certificate
     starts: StartCurve | None = None
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
+    failure: Array | None = None
+    failure_error: Array | None = None
 
 
 @runtime_checkable

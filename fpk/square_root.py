@@ -98,6 +98,8 @@ class SquareRoot:
         rate is c times the least a with 1F1(−a; n; x_f) = 0. Raises ``InvalidInput`` where the mean
         time is beyond double precision, ``NotApplicable`` where at a short time the series cancels.
         """
+        if not start < limit:
+            raise InvalidInput("start", f"H={start:g}", f"must be below the limit {limit:g}")
         scale = self.c / self.d
         x0, xf = start * scale, limit * scale
         if not xf <= FARTHEST:
@@ -126,6 +128,9 @@ class SquareRoot:
             "numerical",
             certify(measured, tol=tol),
             StartCurve(starts, mean[:-1], mean_error[:-1], variance[:-1], variance_error[:-1]),
+            {},
+            failure,
+            failure_error,
         )
 
     def _moments(self, x: Array, xf: float) -> tuple[Array, Array, Array, Array]:

@@ -13,6 +13,7 @@ import click
 
 from cases.commands import parts
 from cases.commands.dynamics import crossings, relaxation, spectrum
+from cases.commands.evolution import passage, transient
 from cases.commands.export import export
 from cases.commands.studies import converge, cost, regime
 from cases.commands.verify import verify
@@ -135,7 +136,9 @@ def density(scene: str, method: str, of: str, at: str, solver: str | None, **set
     parts.end(record, lambda: density_text(record), problems=problems)
 
 
-for _command in (crossings, spectrum, relaxation, converge, cost, export, verify, regime):
+for _command in (
+    transient, passage, crossings, spectrum, relaxation, converge, cost, export, verify, regime
+):  # fmt: skip
     app.add_command(_command)
 
 

@@ -48,6 +48,11 @@ def method_for(name: str, solver: str | None = None, **settings: Any) -> Method:
     return _made(_routes_of(name, solver)[0], settings)
 
 
+def methods_of(name: str, solver: str | None = None, **settings: Any) -> tuple[Method, ...]:
+    """Return the method ``name`` by ``solver``, or by each of its solvers, its default first."""
+    return tuple(_made(route, settings) for route in _routes_of(name, solver))
+
+
 def all_methods(*, tol: float | None = None, **settings: Any) -> tuple[Method, ...]:
     """Return every route with the settings that it has; ``tol`` is for deterministic ones only.
 

@@ -1,5 +1,6 @@
 """Plain records: what JSON has of numbers, arrays and the program's own records."""
 
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -10,8 +11,11 @@ from cases.scene.scene import Scene
 from fpk.arrays import Array
 from fpk.certificate import Certificate
 from fpk.dynamics import Curve, Rates
+from fpk.evolution import Passage, Transient
+from fpk.limit import Limit
 from fpk.method import Method, Result
 from fpk.observable import Observable, observable_name
+from fpk.start import Start
 
 Record = dict[str, Any]
 
@@ -41,21 +45,15 @@ def density_record(scene: Scene, result: Result, points: tuple[Array, ...]) -> R
     """Return the record of ``fpk density`` at ``points``, one array per axis."""
     density = result.densities[0]
     values, errors = density.at(*points)
-    return plain(
-        {
-            "scene": scene.name,
-            "method": result.method.name,
-            "solver": result.method.solver,
-            "observable": density.name,
-            "points": points[0] if len(points) == 1 else np.stack(points, axis=-1),
-            "density": values,
-            "error": errors,
-            "error_kind": density.error_kind,
-            "certificate": _certificate(density.certificate),
-            "settings": dict(result.settings),
-            "seconds": result.seconds,
-        }
-    )
+    own = {
+        "observable": density.name,
+        "points": _listed(points),
+        "density": values,
+        "error": errors,
+        "error_kind": density.error_kind,
+    }
+    facts = density.certificate, result.settings, result.seconds
+    return _record(scene, result.method, own, *facts)
 
 
 def curve_record(
@@ -68,38 +66,92 @@ def curve_record(
     seconds: float,
 ) -> Record:
     """Return the record of ``fpk crossings`` and ``fpk spectrum``; the values are under ``key``."""
-    return plain(
-        {
-            "scene": scene.name,
-            "method": method.name,
-            "solver": method.solver,
-            "observable": observable_name(observable),
-            "points": points,
-            key: curve.values,
-            "error": curve.errors,
-            "error_kind": curve.error_kind,
-            "certificate": _certificate(curve.certificate),
-            "settings": dict(curve.settings),
-            "seconds": seconds,
-        }
-    )
+    own = {
+        "observable": observable_name(observable),
+        "points": points,
+        key: curve.values,
+        "error": curve.errors,
+        "error_kind": curve.error_kind,
+    }
+    return _record(scene, method, own, curve.certificate, curve.settings, seconds)
 
 
 def rates_record(scene: Scene, method: Method, rates: Rates, seconds: float) -> Record:
     """Return the record of ``fpk relaxation``."""
-    return plain(
-        {
-            "scene": scene.name,
-            "method": method.name,
-            "solver": method.solver,
-            "rates": rates.values.real,
-            "frequencies": rates.values.imag,
-            "errors": rates.errors,
-            "certificate": _certificate(rates.certificate),
-            "settings": dict(rates.settings),
-            "seconds": seconds,
-        }
-    )
+    own = {
+        "rates": rates.values.real,
+        "frequencies": rates.values.imag,
+        "errors": rates.errors,
+    }
+    return _record(scene, method, own, rates.certificate, rates.settings, seconds)
+
+
+def transient_record(
+    scene: Scene,
+    observable: Observable,
+    start: Start,
+    points: tuple[Array, ...],
+    method: Method,
+    answer: Transient,
+    seconds: float,
+) -> Record:
+    """Return the record of ``fpk transient``: ``density`` and ``error`` have a list per time."""
+    own = {
+        "observable": observable_name(observable),
+        "start": str(start),
+        "times": answer.times,
+        "points": _listed(points),
+        "density": answer.values,
+        "error": answer.errors,
+        "error_kind": answer.error_kind,
+    }
+    return _record(scene, method, own, answer.certificate, answer.settings, seconds)
+
+
+def passage_record(
+    scene: Scene, limit: Limit, start: Start, method: Method, answer: Passage, seconds: float
+) -> Record:
+    """Return the record of ``fpk passage``; numbers that there are not, or beyond range, are null.
+
+    ``failure`` is P(T <= t), whose relative digits 1 − survival has lost.
+    """
+    own = {
+        "limit": str(limit),
+        "start": str(start),
+        "mean": answer.mean.value,
+        "mean_error": answer.mean.error,
+        "variance": answer.variance.value,
+        "variance_error": answer.variance.error,
+        "rate": answer.rate and answer.rate.value,
+        "rate_error": answer.rate and answer.rate.error,
+        "times": answer.times,
+        "survival": answer.survival,
+        "survival_error": answer.survival_error,
+    }
+    if answer.failure is not None:
+        own |= {"failure": answer.failure, "failure_error": answer.failure_error}
+    own["error_kind"] = answer.error_kind
+    if answer.starts is not None:
+        own["starts"] = vars(answer.starts)
+    return _record(scene, method, own, answer.certificate, answer.settings, seconds)
+
+
+def _listed(points: tuple[Array, ...]) -> Array:
+    return points[0] if len(points) == 1 else np.stack(points, axis=-1)
+
+
+def _record(
+    scene: Scene,
+    method: Method,
+    own: Record,
+    certificate: Certificate,
+    settings: Mapping[str, str | float | int],
+    seconds: float,
+) -> Record:
+    """Return what all answers say, with their ``own`` in the middle."""
+    head = {"scene": scene.name, "method": method.name, "solver": method.solver}
+    tail = {"certificate": _certificate(certificate), "settings": dict(settings)}
+    return plain({**head, **own, **tail, "seconds": seconds})
 
 
 def _certificate(certificate: Certificate) -> Record:
@@ -119,6 +171,32 @@ def curve_text(record: Record, key: str) -> str:
     for point, value, error in rows:
         at = point if isinstance(point, list) else [point]
         lines.append(_row([*at, value], error))
+    return "\n".join(lines)
+
+
+def transient_text(record: Record) -> str:
+    """Return the times, the points, the density and its error in columns."""
+    kind = "one standard error" if record["error_kind"] == "sampling" else "numerical error"
+    lines = [f"# time   {record['observable']}   density   {kind}"]
+    for time, density, errors in zip(
+        record["times"], record["density"], record["error"], strict=True
+    ):
+        for point, value, error in zip(record["points"], density, errors, strict=True):
+            at = point if isinstance(point, list) else [point]
+            lines.append(_row([time, *at, value], error))
+    return "\n".join(lines)
+
+
+def passage_text(record: Record) -> str:
+    """Return the moments and the failure rate, and the reliability at the times in columns."""
+    kind = "one standard error" if record["error_kind"] == "sampling" else "numerical error"
+    lines = [f"# first passage of {record['limit']} from {record['start']}   {kind}"]
+    for key in ("mean", "variance", "rate"):
+        lines.append(f"{key:8}  " + _row([record[key]], record[f"{key}_error"]))
+    if record["times"]:
+        lines.append(f"# time   survival   {kind}")
+        rows = zip(record["times"], record["survival"], record["survival_error"], strict=True)
+        lines += [_row([time, value], error) for time, value, error in rows]
     return "\n".join(lines)
 
 

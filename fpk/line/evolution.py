@@ -50,6 +50,8 @@ def fem_passage(
     Of a density that begins beyond the limit in part, that part has failed at the time 0. Raises
     ``InvalidInput`` where it begins there, or the mean time is beyond double precision.
     """
+    if not source.energy < limit:
+        raise InvalidInput("start", f"H={source.energy:g}", f"must be below the limit {limit:g}")
     solved = first_passage(process, limit, times=times, tol=tol)
     e = solved.answer.elements
     x, weights = source.samples(e)
@@ -91,11 +93,13 @@ def fem_passage(
         Number(rate, rate_error),
         times,
         1.0 - failure,
-        failure_error,
+        failure_error + EPS,
         "numerical",
         certify(measured, tol=tol),
         _curve(solved),
         settings,
+        failure,
+        failure_error,
     )
 
 

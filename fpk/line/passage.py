@@ -161,7 +161,9 @@ class FirstPassage:
         better, half = better / self.longest, half * (self.enriched.longest / self.longest) ** 2
         value = 2.0 * U - T**2
         distance = np.abs(value - 2.0 * half + better**2)
-        error = SAFETY * distance + self.relative * (4.0 * U + 2.0 * T**2)
+        # The variance is ∫dx/m ∫2 m T'² dy with T' = −∫π/m: no term of it cancels.
+        error = SAFETY * distance + 6.0 * self.answer.elements.coefficient_error * value
+        error += self.round_off * (4.0 * U + 2.0 * T**2)
         error += self.round_off * 2.0 * self._amplified(self.answer.second, x)
         error += self.round_off * 2.0 * T * self._amplified(self.answer.mean, x) / self.longest
         with np.errstate(over="ignore"):

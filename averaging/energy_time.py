@@ -1,0 +1,121 @@
+"""Transients, first passage and relaxation of one averaged energy of a system."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from averaging.energy_process import damping_and_noise, energy_process
+from fpk.arrays import Array
+from fpk.dynamics import Rates
+from fpk.errors import InvalidInput, NotApplicable
+from fpk.evolution import Passage, Transient, checked_times
+from fpk.line.evolution import fem_passage, fem_rates, fem_transient
+from fpk.line.propagation import Source
+from fpk.process import Process
+from fpk.square_root import SquareRoot
+from fpk.start import Start
+from fpk.system import System
+
+STATIONARY_ONLY = "quadrature gives stationary densities only; in time, use fem or closed-form"
+
+
+@dataclass(frozen=True)
+class EnergyStart:
+    """The energy at time 0, or the multiple ``noise`` of D under which it is stationary."""
+
+    energy: float = 0.0
+    noise: float | None = None
+
+
+@dataclass(frozen=True)
+class OneEnergy:
+    """An averaged energy that no other acts on, and how its equation is solved in time.
+
+    ``under(F)`` is the process under F times the noise intensity. ``closed`` is the same process
+    where it is the square-root process, ``reason`` why it is not.
+    """
+
+    under: Callable[[float], Process]
+    closed: SquareRoot | None
+    reason: str = ""
+
+    def transient(
+        self, solver: str, start: EnergyStart, times: Array, at: Array, *, tol: float
+    ) -> Transient:
+        """Return the densities at energies ``at``; ``InvalidInput`` at the time 0 of an energy."""
+        checked_times(times)
+        if times.size and times[0] == 0.0 and start.noise is None:
+            remedy = "at time 0 the energy is one value and has no density; give later times"
+            raise InvalidInput("times", 0.0, remedy)
+        if solver == "fem":
+            return fem_transient(self.under(1.0), self._source(start), times, at, tol=tol)
+        return self._closed(solver).transient(start.energy, start.noise, times, at, tol=tol)
+
+    def passage(
+        self, solver: str, start: EnergyStart, limit: float, times: Array, *, tol: float
+    ) -> Passage:
+        """Return the first passage of ``limit``; ``InvalidInput`` for a start that is not below."""
+        checked_times(times)
+        if solver == "fem":
+            return fem_passage(self.under(1.0), limit, self._source(start), times, tol=tol)
+        closed = self._closed(solver)
+        if start.noise is not None:
+            raise NotApplicable("from a stationary state it has no closed form; use fem")
+        return closed.passage(limit, start.energy, times, tol=tol)
+
+    def relaxation(self, solver: str, count: int, *, tol: float) -> Rates:
+        """Return the ``count`` least rates."""
+        if solver == "fem":
+            return fem_rates(self.under(1.0), count, tol=tol)
+        return self._closed(solver).rates(count, tol=tol)
+
+    def _source(self, start: EnergyStart) -> Source:
+        if start.noise is None:
+            return Source(start.energy)
+        return Source(process=self.under(start.noise))
+
+    def _closed(self, solver: str) -> SquareRoot:
+        if solver != "closed-form":
+            raise NotApplicable(STATIONARY_ONLY)
+        if self.closed is None:
+            raise NotApplicable(f"{self.reason}: in time there is no closed form; use fem")
+        return self.closed
+
+
+def total_energy(system: System) -> OneEnergy:
+    """Return the averaged total energy, Eq. (24).
+
+    Without contact τ = H/n, so that dH = (n d − c H) dt + √(2 d H) dB with c = Σ (c_ii/m_i)/n and
+    d = Σ (D_ii/m_i)/n: a square-root process.
+    """
+
+    def under(factor: float) -> Process:
+        return energy_process(_with_noise(system, factor))
+
+    energy_process(system)  # it refuses what has no stationary density
+    if system.contacts or system.damping_terms:
+        what = "contacts" if system.contacts else "damping terms"
+        return OneEnergy(under, None, f"the system has {what}")
+    damping, noise = damping_and_noise(system)
+    n = system.n
+    return OneEnergy(under, SquareRoot(n, damping / n, noise / n))
+
+
+def total_energy_start(system: System, start: Start) -> EnergyStart:
+    """Return where the total energy begins; raise ``NotApplicable`` for energies of the modes."""
+    if start.kind == "noise":
+        factor = start.values["noise"]
+        return EnergyStart(noise=factor) if factor > 0.0 else EnergyStart()
+    if start.kind == "energy":
+        return EnergyStart(start.values["H"])
+    if start.kind == "modal" and not start.rest:
+        raise NotApplicable("this theory knows the total energy only; start from H=.. or a state")
+    q, p = start.state(system.n)
+    return EnergyStart(float(system.hamiltonian(q, p)))
+
+
+def _with_noise(system: System, factor: float) -> System:
+    if factor == 1.0:
+        return system
+    return replace(system, noise_intensity=factor * system.noise_intensity)
