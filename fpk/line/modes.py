@@ -29,6 +29,8 @@ CONTACT_POINTS = 8
 """Points beyond three times the degree, in the cubic root of H − H_c, above a contact energy."""
 MOST_POWERS = 7
 """Powers of H in π that the points of Gauss and Legendre integrate beside a polynomial."""
+BEYOND_BULK = 1e-6
+"""Share of the mass beyond the bulk, which ends where errors are weighted."""
 EPS = float(np.finfo(float).eps)
 
 
@@ -154,10 +156,18 @@ class Modes:
         """
         return np.linalg.eigh(self.gram)
 
-    @property
-    def coefficient_error(self) -> float:
-        """Relative error of π and of m by the coefficients of the process."""
-        return float(self.relative_error.max() + self.slope_error.sum())
+    def coefficient_error(self, upto: float = 0.0) -> float:
+        """Relative error that the coefficients leave in densities and rates.
+
+        An element counts by its share of the mass and of the way through the bulk, in units of
+        √b: near a contact energy errors are large on very short elements. ``upto`` is an energy
+        that the way reaches at least.
+        """
+        mass = np.exp(self.log_mass - self.log_total)
+        bulk = (mass[::-1].cumsum()[::-1] > BEYOND_BULK) | (self.left < upto)
+        way = np.sqrt(np.trace(self.gram, axis1=1, axis2=2))
+        weights = mass + way / way[bulk].sum()
+        return float(weights @ self.relative_error + self.slope_error.sum())
 
     def element_of(self, x: Array) -> Integers:
         """Elements that hold the points x."""

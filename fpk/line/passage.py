@@ -8,6 +8,7 @@ import numpy as np
 
 from fpk.arrays import Array, Flags
 from fpk.contour import contours
+from fpk.density import SMALLEST
 from fpk.errors import InvalidInput
 from fpk.line import chain
 from fpk.line.modes import EPS, Modes, modes, refined
@@ -127,16 +128,31 @@ class FirstPassage:
         e = self.answer.elements
         return ROUND_OFF * EPS * (e.count + float(np.ptp(e.log_scale)) + e.degree)
 
+    @cached_property
+    def _coefficients(self) -> Array:
+        """Error of T, by those of the coefficients, at the left ends of the elements.
+
+        T = ∫dx/m ∫π: an element counts by what T falls over it, and by its mass in all below.
+        """
+        e, T = self.answer.elements, self.answer.mean
+        mass = np.exp(e.log_mass - e.log_mass.max())
+        below = np.cumsum(e.relative_error * mass) / np.maximum(np.cumsum(mass), SMALLEST)
+        fall = T.low - T.high
+        fall[0] = self.longest - T.high[0]
+        own = (e.relative_error + below + e.slope_error.sum()) * fall
+        return np.asarray(own[::-1].cumsum()[::-1])
+
     @property
     def relative(self) -> float:
-        """Relative error by coefficients and round-off of what is a product of one π and one 1/m."""
-        return 2.0 * self.answer.elements.coefficient_error + self.round_off
+        """Relative error of the mean time from H = 0 by coefficients and round-off."""
+        return float(self._coefficients[0]) / self.longest + self.round_off
 
     def mean(self, x: Array) -> tuple[Array, Array]:
         """Return the mean time from the starts x and its error."""
         T, better = self.answer.moments(x)[0], self.enriched.moments(x)[0]
-        rounding = self.round_off * self._amplified(self.answer.mean, x)
-        return T, SAFETY * np.abs(T - better) + self.relative * T + rounding
+        rounding = self.round_off * (T + self._amplified(self.answer.mean, x))
+        by_coefficients = self._coefficients[self.answer.elements.element_of(x)]
+        return T, SAFETY * np.abs(T - better) + rounding + by_coefficients
 
     def second(self, x: Array) -> tuple[Array, Array]:
         """Return E T²/2 in units of the squared ``longest`` mean time, and its error."""
@@ -162,7 +178,7 @@ class FirstPassage:
         value = 2.0 * U - T**2
         distance = np.abs(value - 2.0 * half + better**2)
         # The variance is ∫dx/m ∫2 m T'² dy with T' = −∫π/m: no term of it cancels.
-        error = SAFETY * distance + 6.0 * self.answer.elements.coefficient_error * value
+        error = SAFETY * distance + 3.0 * self.relative * value
         error += self.round_off * (4.0 * U + 2.0 * T**2)
         error += self.round_off * 2.0 * self._amplified(self.answer.second, x)
         error += self.round_off * 2.0 * T * self._amplified(self.answer.mean, x) / self.longest
@@ -172,7 +188,7 @@ class FirstPassage:
     def rate(self) -> tuple[float, float]:
         """Return the failure rate and its error."""
         (value, left), (better, other) = self.answer.rate, self.enriched.rate
-        error = SAFETY * abs(value - better) + left + other + self.relative * value
+        error = SAFETY * abs(value - better) + left + other + 2.0 * self.relative * value
         return value, error
 
     def failure(self, times: Array, x: Array) -> tuple[Array, Array]:
@@ -180,7 +196,7 @@ class FirstPassage:
         (p, rounding), (better, other) = self.answer.failure(times, x), self.enriched.failure(times, x)
         # At short times ln P ~ −(distance)²/(2 b t): so much more the coefficients count.
         steep = 2.0 - np.log(np.clip(np.abs(p), 1e-300, 1.0))
-        error = SAFETY * np.abs(p - better) + self.relative * steep * np.abs(p)
+        error = SAFETY * np.abs(p - better) + 2.0 * self.relative * steep * np.abs(p)
         return p, error + ROUND_OFF * (rounding + other) + EPS**2
 
 

@@ -44,12 +44,13 @@ CHECKED_TIMES = 6
 class Transition:
     """The density of an energy at ``times`` after a start, with its error and certificate.
 
-    ``distance`` (times, elements) is the largest distance to the enriched solution in each element.
+    ``distance`` (times, elements) is the largest distance to the enriched solution in each element,
+    ``start`` the energy that it begins with and its width at the first time.
     """
 
     propagation: Propagation
     distance: Array
-    width: float
+    start: tuple[float, float]
     measured: Measured
     certificate: Certificate
 
@@ -68,7 +69,7 @@ class Transition:
         inside = np.clip(x, SMALLEST, end)
         p, size = self.propagation.density(inside)
         error = SAFETY * self.distance[:, e.element_of(inside)]
-        error = error + _common_error(e, self.width, p, size, inside)
+        error = error + _common_error(e, self.start, p, size, inside)
         p_there = np.where((x >= 0.0) & (x <= end), p, 0.0)
         error = np.where(x > end, error + np.abs(p), error)
         return p_there, np.where(x >= 0.0, error + SMALLEST, 0.0)
@@ -144,7 +145,7 @@ def _judged(
     beyond = np.abs(finer.density(at)[0])
     tail = (beyond[:, :-2] @ far_w.ravel()).max() + probe.tail_bound(last, float(beyond[:, -1].max()))
     distance = np.abs(p - better).reshape(shape)
-    common = _common_error(answer, width, p, size + other, x.ravel())
+    common = _common_error(answer, (source.energy, width), p, size + other, x.ravel())
     pointwise = SAFETY * distance.reshape(p.shape) + common
     common = common.reshape(shape) * w
     measured = Measured(
@@ -156,7 +157,7 @@ def _judged(
         absolute_error=float((pointwise.max(axis=1) / p.max(axis=1)).max()),
     )
     certificate = certify(measured, tol=tol)
-    solved = Transition(own, distance.max(axis=2), width, measured, certificate)
+    solved = Transition(own, distance.max(axis=2), (source.energy, width), measured, certificate)
     each = (distance * w).sum(axis=2).max(axis=0)
     return solved, each, common.sum(axis=2).max(axis=0)
 
@@ -184,15 +185,20 @@ def _extent(
     return max(end, 1.05 * source.energy)
 
 
-def _common_error(e: Modes, width: float, p: Array, size: Array, x: Array) -> Array:
+def _common_error(
+    e: Modes, start: tuple[float, float], p: Array, size: Array, x: Array
+) -> Array:
     """Errors that the answer and the enriched solution have in common.
 
+    ``start`` is the first energy and the width of the density at the first time.
     By the coefficients: at short times ln p ~ −(distance)²/(2 b t), so that they count the more
     the smaller p is. By the rounding of energies: p changes over the width of the density at
     the first time. By the rule of the inverse transform: what cancels in it.
     """
+    upto, width = start
     rounding = ROUND_OFF * EPS * (1.0 + x / width + float(np.ptp(e.log_scale)))
     top = np.abs(p).max(axis=1, keepdims=True) + SMALLEST
     steep = 2.0 + np.log(top) - np.log(np.clip(np.abs(p), SMALLEST, top))
     floor = ROUND_OFF * EPS * (size + top)
-    return (2.0 * e.coefficient_error * steep + rounding) * np.abs(p) + floor
+    coefficients = 2.0 * e.coefficient_error(upto) * steep + e.relative_error[e.element_of(x)]
+    return (coefficients + rounding) * np.abs(p) + floor

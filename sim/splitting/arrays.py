@@ -36,12 +36,17 @@ class Score(NamedTuple):
 
 
 class Watched(NamedTuple):
-    """What the limit is on; c counts the modal energies that have one, 1 otherwise."""
+    """What the limit is on; c counts the modal energies that have one, 1 otherwise.
+
+    Of a displacement the score is on E_i/E_f, see ``full.watched``, and has all modes.
+    """
 
     inverse: Array  # (c,), 1/limit
     noise: Array  # (n, n), 2 f D fᵀ; of modal energies (c, 1), of the momentum of each mode
-    mode_q: Array  # (c, n), rows of Q_m ω_m; no rows where no modal energy is watched
-    mode_p: Array  # (c, n), rows of P_m
+    mode_q: Array  # (c, n) or, of a displacement, (n, n), rows of Q_m ω_m; none for the energy
+    mode_p: Array  # the same of P_m
+    reach: Array  # (n,), √(H_m/E_f) times these add up to √(E_i/E_f) without contact
+    energy: float  # E_f
     mass: int  # of the displacement, from 0
     damping: Array  # (n, slots), c_ik of the masses k that touch something
 

@@ -104,20 +104,31 @@ class SystemProblem:
 
 
 def watched(system: System, limit: Limit) -> Watched:
-    """Return the numbers of what ``limit`` is on."""
+    """Return the numbers of what ``limit`` is on.
+
+    Of |q_i| these are, for the score, of E_i = ½ k A² + U_i(q_i), A = Σ_m |T_im| √(2 H_m)/ω_m the
+    largest |q_i| of free motion and k the static stiffness at mass i. E_i is not above H, and not
+    below its value E_f = ½ k a² + U_i(a) where |q_i| passes a. |q_i| itself would be a poor score:
+    the next peak of a path that has set out for it is no longer open.
+    """
     values, n = limit.values, system.n
-    noise, none = 2.0 * system.noise_matrix, np.zeros((0, n))
-    mode_q, mode_p, mass = none, none, 0
-    if limit.kind == "modal":
+    noise, mode_q = 2.0 * system.noise_matrix, np.zeros((0, n))
+    mode_p, reach, energy, mass = mode_q, np.zeros(n), 1.0, 0
+    if limit.kind != "H":
         shapes, omega = natural_modes(system)
-        T = shapes.T[[int(name[1:]) - 1 for name in values]]
-        own = omega[[int(name[1:]) - 1 for name in values]]
-        mode_q, mode_p = own[:, None] * T * system.mass, np.ascontiguousarray(T)
-        noise = np.einsum("mi,ij,mj->m", T, noise, T)[:, None]
-    elif limit.kind == "q":
-        mass = int(next(iter(values))[1:]) - 1
+        chosen = list(range(n))
+        if limit.kind == "modal":
+            chosen = [int(name[1:]) - 1 for name in values]
+        else:
+            mass, energy = displaced(system, limit)
+            reach = np.abs(shapes[mass]) / omega / np.sqrt(energy * system.compliance[mass, mass])
+        T = np.ascontiguousarray(shapes.T[chosen])
+        mode_q, mode_p = omega[chosen, None] * T * system.mass, T
+        if limit.kind == "modal":
+            noise = np.einsum("mi,ij,mj->m", T, noise, T)[:, None]
     damping = np.ascontiguousarray(system.damping[:, list(system.contact_masses)])
-    return Watched(1.0 / np.array(list(values.values())), noise, mode_q, mode_p, mass, damping)
+    inverse = 1.0 / np.array(list(values.values()))
+    return Watched(inverse, noise, mode_q, mode_p, reach, energy, mass, damping)
 
 
 def system_problem(
@@ -136,11 +147,12 @@ def system_problem(
     if not np.any(system.noise_matrix):
         raise NotApplicable("no noise reaches a mass: whether the limit is passed is no chance")
     require_inside(system, limit, start)
-    scores, energies = scores_of(system, limit)
+    scores, tops = scores_of(system, limit)
     if score is not None:
         if len(scores) > 1:
             raise InvalidInput("score", score, "must be left out where there are several limits")
         scores = [score]
+    energies = [partial(_at_share, top=top) for top in tops]
     table = score_table(scores, energies, time=time, steps=1)
     return SystemProblem(system, limit, start, time, dt or chosen_step(system, limit), table)
 
@@ -164,41 +176,37 @@ def require_inside(system: System, limit: Limit, start: Start) -> None:
             raise InvalidInput("start", str(start), f"must lie below the limit {limit}")
 
 
-def limit_energy(system: System, mass: int, q: Array) -> Array:
-    """Return the least potential energy with the displacement ``q`` of one mass (from 0)."""
-    return np.asarray(0.5 * q**2 / system.compliance[mass, mass] + system.contact_energy(mass, q))
+def displaced(system: System, limit: Limit) -> tuple[int, float]:
+    """Return the mass (from 0) whose displacement has a limit, and the least V there."""
+    (name, value) = next(iter(limit.values.items()))
+    i = int(name[1:]) - 1
+    return i, 0.5 * value**2 / float(system.compliance[i, i]) + float(
+        min(system.contact_energy(i, value), system.contact_energy(i, -value))
+    )
 
 
-def scores_of(system: System, limit: Limit) -> tuple[list[ScoreFunction], list[Any]]:
-    """Return the score of least action of each coordinate, and energies by x in [0, 1]."""
-
-    def square(x: Array, value: float) -> Array:
-        return np.asarray(value * x**2)
-
-    values = list(limit.values.values())
+def scores_of(system: System, limit: Limit) -> tuple[list[ScoreFunction], list[float]]:
+    """Return the score of least action of each coordinate, and the energies of the limit."""
+    energies = list(limit.values.values())
     if limit.kind == "modal":
         shapes, _ = natural_modes(system)
         modes = [int(name[1:]) - 1 for name in limit.values]
         noise = np.einsum("im,ij,jm->m", shapes, system.noise_matrix, shapes)[modes]
         decay = np.einsum("im,ij,jm->m", shapes, system.damping, shapes)[modes]
-        scores = [
-            cost_score(value, noise=float(D), decay=float(c))
-            for value, D, c in zip(values, noise, decay, strict=True)
-        ]
-        return scores, [partial(square, value=value) for value in values]
-    noise = float(np.mean(np.diag(system.noise_matrix) / system.mass))
-    kT = temperature(system)
-    decay = noise / kT if isfinite(kT) else 0.0
-    if limit.kind == "H":
-        return [cost_score(values[0], noise=noise, decay=decay)], [partial(square, value=values[0])]
-    mass = int(next(iter(limit.values))[1:]) - 1
-    top = float(limit_energy(system, mass, np.array(values[0])))
-    energy = partial(_at_share, system=system, mass=mass, most=values[0])
-    return [cost_score(top, noise=noise, decay=decay)], [energy]
+    else:
+        if limit.kind == "q":
+            energies = [displaced(system, limit)[1]]
+        kT = temperature(system)
+        noise = np.mean(np.diag(system.noise_matrix) / system.mass, keepdims=True)
+        decay = noise / kT if isfinite(kT) else np.zeros(1)
+    return [
+        cost_score(energy, noise=float(D), decay=float(c))
+        for energy, D, c in zip(energies, noise, decay, strict=True)
+    ], energies
 
 
-def _at_share(x: Array, system: System, mass: int, most: float) -> Array:
-    return limit_energy(system, mass, x * most)
+def _at_share(x: Array, top: float) -> Array:
+    return np.asarray(top * x**2)
 
 
 def chosen_step(system: System, limit: Limit) -> float:
@@ -209,8 +217,7 @@ def chosen_step(system: System, limit: Limit) -> float:
     steps, kT = [sampling_interval(system)], temperature(system)
     energy = sum(limit.values.values())
     if limit.kind == "q":
-        mass = int(next(iter(limit.values))[1:]) - 1
-        energy = float(limit_energy(system, mass, np.array(limit.value)))
+        _, energy = displaced(system, limit)
     if isfinite(kT):
         energy = max(energy, REACHED * kT)
     share = STEP_WITH_TERMS if system.damping_terms else STEP_PER_FREQUENCY

@@ -32,6 +32,9 @@ from sim.splitting.parts import (
 
 OWN = tuple(f"sim/splitting/{name}.py" for name in ("arrays", "parts", "kernel"))
 
+BELOW = 1.0 - 2.0**-53
+"""Share of the limit at most of what has not passed it."""
+
 _COMPILING = Lock()
 
 
@@ -143,17 +146,45 @@ def watch(
                 spread[0] += watched.noise[i, j] * u * w
     else:
         for c in range(watched.mode_q.shape[0]):
-            Q, P = 0.0, 0.0
-            for r in range(n):
-                Q += watched.mode_q[c, r] * x[r]
-                P += watched.mode_p[c, r] * x[n + r]
-            value[c], spread[c] = 0.5 * (Q * Q + P * P), watched.noise[c, 0] * P * P
+            value[c], P = modal_energy(x, watched, c)
+            spread[c] = watched.noise[c, 0] * P * P
+
+
+@inlined
+def modal_energy(x: Array, watched: Watched, m: int) -> tuple[float, float]:
+    """Return H_m of row m at the observed state x, and P_m."""
+    n, Q, P = watched.mode_q.shape[1], 0.0, 0.0
+    for r in range(n):
+        Q += watched.mode_q[m, r] * x[r]
+        P += watched.mode_p[m, r] * x[n + r]
+    return 0.5 * (Q * Q + P * P), P
+
+
+@inlined
+def reached_share(x: Array, step: StepArrays, watched: Watched, law: Any) -> float:
+    """Return √(E_i/E_f) of the displacement of one mass at the observed state x, below 1."""
+    root, contact = 0.0, 0.0
+    for m in range(watched.reach.size):
+        root += watched.reach[m] * sqrt(modal_energy(x, watched, m)[0])
+    for stop in range(step.stop_slot.size):
+        if step.slot_mass[step.stop_slot[stop]] == watched.mass:
+            sign, clearance, B, e, kind, _ = numbers_of(step, stop)
+            _, o = overlap_of(x[watched.mass], sign, clearance)
+            if o > 0.0:
+                contact += B * of_law(law, kind, o, e)
+    return min(sqrt(root * root + contact / watched.energy), BELOW)
 
 
 @njit(inline="always")
-def share_of(kind: str, ratio: float) -> float:
-    """Return x of the score: of an energy the root of its share of the limit."""
-    return abs(ratio) if kind == "q" else sqrt(max(ratio, 0.0))
+def share_of(
+    kind: str, x: Array, most: float, step: StepArrays, watched: Watched, law: Any, m: int
+) -> float:
+    """Return x of the score at the observed state x; 1 or more where ``most`` passes the limit."""
+    if kind == "q":
+        if most * watched.inverse[0] >= 1.0:
+            return 1.0
+        return reached_share(x, step, watched, law)
+    return sqrt(max(most, 0.0) * watched.inverse[m])
 
 
 @lru_cache
@@ -197,7 +228,7 @@ def _compiled(key: PathKey) -> Any:
             watch(kind, observed, step, watched, law, value, spread)
             if level < 0:
                 for m in range(c):
-                    share = share_of(kind, value[m] * watched.inverse[m])
+                    share = share_of(kind, observed, abs(value[m]), step, watched, law, m)
                     top = max(top, level_of(score, m, share, 0))
                 record(paths, i, 0, x, top, 0)
 
@@ -224,7 +255,7 @@ def _compiled(key: PathKey) -> Any:
                         variance = 0.5 * h * (spread0[m] + spread[m])
                         u = at + np.uint64(pairs + m) * GOLDEN
                         most = bridge_maximum(value0[m], value[m], variance, u)
-                    share = share_of(kind, most * watched.inverse[m])
+                    share = share_of(kind, observed, most, step, watched, law, m)
                     reached = max(reached, level_of(score, m, share, done))
                 if reached > top:
                     top = reached

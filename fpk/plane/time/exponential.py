@@ -20,8 +20,9 @@ CHUNK = 8
 """Dimensions by which a space grows; the answer without the last ones gives the error."""
 MOST = 160
 """Largest dimension."""
-NOTHING = 1e-12
-"""Eigenvalues of (M − γA)⁻¹ M below are round-off: e^(tλ) of such a one is e^(−t/γ · 1e12) = 0."""
+NOTHING = 1e-3
+"""Eigenvalues s of (M − γA)⁻¹ M below are left out: with t/γ > 1/(RATIO · POLE) = 1.1 the factor
+e^(t(1 − 1/s)/γ) is e^−1100, less than the smallest number."""
 
 LARGEST = 20.0
 """Largest growth of a mode of a small space, whose numerical range leans into the right half plane;

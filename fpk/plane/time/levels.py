@@ -18,6 +18,9 @@ LEVELS = ((3, 7), (4, 9), (5, 11), (6, 13), (8, 14), (11, 15))
 LENGTHENING = 3.0
 """Rise of −ln w from the far edges of one level to those of the next, whose difference then
 contains what ending the mesh costs."""
+MARGIN = 3.0
+"""Rise of −ln w beyond that of the far edges up to which it is followed: in the corner of a mesh it
+may rise by hundreds, and elements over which it rises by 40 have singular matrices."""
 BEYOND = 1e-3
 """Fraction of the tolerance that w falls to at the far edges of the first level."""
 
@@ -54,13 +57,16 @@ class Frame:
         """Return the rise of −ln w from its least value to an energy."""
         return float(self.heights(np.array([H1]), np.array([H2]))[0])
 
-    def ends(self, tol: float, height: float, level: int) -> Array:
-        """Return the energies (2,) beyond which p is negligible: −ln w has risen so far there.
+    def rise(self, tol: float, height: float, level: int) -> float:
+        """Return the rise of −ln w from its least value beyond which p is negligible.
 
         From a start at which −ln w is ``height`` a density reaches w e^height at the most, up to a
         factor.
         """
-        rise = height - float(np.log(BEYOND * tol)) + level * LENGTHENING
+        return height - float(np.log(BEYOND * tol)) + level * LENGTHENING
+
+    def ends(self, rise: float) -> Array:
+        """Return the energies (2,) beyond which −ln w exceeds ``rise``."""
         if self.stationary.weight is None:
             return np.array([x[-1] for x in self.stationary.nodes])
         return np.array(self.stationary.weight.ends(rise))
@@ -68,21 +74,28 @@ class Frame:
 
 def operators(
     frame: Frame,
-    nodes: Callable[[int, int], Nodes],
+    nodes: Callable[[float, int], Nodes],
     *,
+    tol: float,
+    height: float = 0.0,
     share: float = 1.0,
     absorbing: tuple[bool, bool] = (False, False),
     domain: Domain | None = None,
 ) -> Iterator[PlaneOperator]:
-    """Yield operators, each finer than the last, on ``nodes(level, panels)``."""
+    """Yield operators, each finer than the last, on ``nodes(rise, panels)``.
+
+    Where −ln w would exceed the rise by ``MARGIN`` the weight is flat.
+    """
     weight, balanced = frame.tempered(share)
     for level, (panels, degree) in enumerate(LEVELS):
+        rise = frame.rise(tol, height, level)
+        floor = float(np.exp(-share * (rise + MARGIN)))
         yield PlaneOperator(
             process=frame.process,
             domain=domain or Rectangle(),
-            nodes=nodes(level, panels),
+            nodes=nodes(rise, panels),
             degree=degree,
-            weight=weight,
+            weight=weight and replace(weight, floor=floor),
             balanced=balanced,
             absorbing=absorbing,
         )

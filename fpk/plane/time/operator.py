@@ -37,8 +37,8 @@ class Matrices(NamedTuple):
 class PlaneOperator:
     """``M ∂g/∂t = A g`` with tensor elements of one ``degree`` between ``nodes`` of a ``domain``.
 
-    ``balanced`` says that w is the stationary density and no probability flows: a = 0 exactly, and
-    A is symmetric. ``absorbing`` says at which last nodes, of the first and of the second
+    ``balanced`` says that w without its floor is the stationary density and no probability flows:
+    but for the floor a = 0 exactly. ``absorbing`` says at which last nodes, of the first and of the second
     coordinate, g = 0: first passage. There one vertex function, that where w is largest, gives way
     to the sum of all of them, which is 1 but beside the limit: its matrix entries are integrals
     beside the limit, as small as the failure rate, and computed as such, not as a difference of
@@ -123,7 +123,7 @@ class PlaneOperator:
             return Matrices(A, M, shares)
         # The sum e of the free vertex functions is 1 − (that of the held ones, b).
         b = vertices * self._held
-        flux = np.zeros(vertices.size) if self.balanced else np.asarray(A @ vertices)
+        flux = self._flux_of_one(coefficients)
         rows, columns = -np.asarray(A.T @ b)[self.free], (flux - A @ b)[self.free]
         both = float(b @ (A @ b) - b @ flux)
         e = (vertices - b)[self.free]
@@ -148,6 +148,15 @@ class PlaneOperator:
         columns = np.concatenate([others.col[keep], np.full(i.size, k), j])
         return csc_array((data, (rows, columns)), shape=matrix[self.free][:, self.free].shape)
 
+    def _flux_of_one(self, coefficients: Array) -> Array:
+        """∫ w a·∇φ of all shape functions: A times 1, not as a sum that cancels."""
+        (x, y), (v, u) = gauss_grid(self.nodes, self.points)
+        first, second = self.along(0, x), self.along(1, y)
+        slopes = self.along(0, x, slope=True), self.along(1, y, slope=True)
+        area = v[:, None] * u
+        total = slopes[0].T @ (area * coefficients[0]) @ second
+        return np.asarray(total + first.T @ (area * coefficients[1]) @ slopes[1]).ravel()
+
     def _assembled(self, local: Integers, parts: Array) -> csc_array:
         m = local.shape[1]
         rows, columns = np.repeat(local, m, axis=1).ravel(), np.tile(local, (1, m)).ravel()
@@ -159,41 +168,42 @@ class PlaneOperator:
         H1, H2 = self.domain.energies(first, second)
         c = self.process.coefficients(np.stack([H1.ravel(), H2.ravel()], axis=1))
         b = c.diffusion.reshape(*H1.shape, 2, 2)
-        w, slope = self._weight_and_slope(H1, H2)
+        w, slope, held = self._weight_and_slope(H1, H2)
         if self.balanced:
-            a = np.zeros((*H1.shape, 2))
+            # s − ½ ∇·b is −½ b ∇Φ: what is left is of the size of the floor, without cancellation.
+            a = -0.5 * np.einsum("...ij,...j->...i", b, held[..., None] * slope)
         else:
             a = (c.drift - 0.5 * c.divergence).reshape(*H1.shape, 2)
-            a = a + 0.5 * np.einsum("...ij,...j->...i", b, slope)
+            a = a + 0.5 * np.einsum("...ij,...j->...i", b, (1.0 - held)[..., None] * slope)
         a, b = self.domain.pulled_back((first, second), a, b)
         of_y = w * self.domain.jacobian(first, second)
         return of_y * np.stack([a[..., 0], a[..., 1], b[..., 0, 0], b[..., 0, 1], b[..., 1, 1]]), of_y
 
-    def _weight_and_slope(self, H1: Array, H2: Array) -> tuple[Array, Array]:
-        """w and −∇ ln w."""
+    def _weight_and_slope(self, H1: Array, H2: Array) -> tuple[Array, Array, Array]:
+        """w, the slope ∇Φ of the weight without its floor, and the floor's share of w."""
         if self.weight is None:
-            return np.ones(H1.shape), np.zeros((*H1.shape, 2))
-        phi, scales = self.weight.coefficients, self.weight.scales
+            return np.ones(H1.shape), np.zeros((*H1.shape, 2)), np.zeros(H1.shape)
+        phi, scales, floor = self.weight.coefficients, self.weight.scales, self.weight.floor
         x, y = H1 / scales[0], H2 / scales[1]
-        w = np.exp(-polyval2d(x, y, phi))
-        total = w + self.weight.floor
+        w = np.exp(-polyval2d(x, y, phi)) + floor
         slopes = [polyval2d(x, y, polyder(phi, axis=k)) / scales[k] for k in (0, 1)]
-        share = np.divide(w, total, out=np.ones_like(w), where=total > 0.0)
-        return total, share[..., None] * np.stack(slopes, axis=-1)
+        return w, np.stack(slopes, axis=-1), floor / w
 
     def weight_at(self, H1: Array, H2: Array) -> Array:
         """Return w at energies that broadcast together."""
         H1, H2 = np.broadcast_arrays(H1, H2)
         return np.ones(H1.shape) if self.weight is None else self.weight(H1, H2)
 
-    def along(self, axis: int, y: Array) -> Array:
-        """Return the shape functions of one axis (points, functions) at coordinates y; 0 outside."""
+    def along(self, axis: int, y: Array, *, slope: bool = False) -> Array:
+        """Return the shape functions of one axis, or their slopes, at coordinates y; 0 outside."""
         nodes, k = self.nodes[axis], self.degree
         panel = np.clip(np.searchsorted(nodes, y, side="right") - 1, 0, nodes.size - 2)
         t = (y - nodes[panel]) / (nodes[panel + 1] - nodes[panel])
         values = np.zeros((y.size, self.sizes[axis]))
         inside = ((y >= nodes[0]) & (y <= nodes[-1]))[:, None]
-        phi = shape_functions(k, np.clip(t, 0.0, 1.0))[0].T * inside
+        phi = shape_functions(k, np.clip(t, 0.0, 1.0))[int(slope)].T * inside
+        if slope:
+            phi = phi / np.diff(nodes)[panel][:, None]
         np.put_along_axis(values, axis_numbers(nodes.size - 1, k)[panel], phi, axis=1)
         return values
 

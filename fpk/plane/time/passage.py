@@ -124,14 +124,16 @@ def _operators(
     height = 0.0
     if isinstance(start, PointStart):
         height = frame.height(*start.energies)
-    lowest = float(np.min(frame.heights(*limit.edge(frame.ends(tol, height, 0)))))
+    lowest = float(np.min(frame.heights(*limit.edge(frame.ends(frame.rise(tol, height, 0))))))
     if lowest > HIGHEST:
         raise NotCertified(
             f"the limit is practically never passed: the density falls by exp(−{lowest:.0f}) up to it"
         )
 
-    def nodes(level: int, panels: int) -> Nodes:
-        far = frame.ends(tol, height, level)
+    height = max(height, lowest)
+
+    def nodes(rise: float, panels: int) -> Nodes:
+        far = frame.ends(rise)
         if limit.total is not None:
             corners = frame.heights(limit.total * np.array([0.0, 1.0]), limit.total * np.array([1.0, 0.0]))
             rise, across = float(corners.max()), abs(float(corners[1] - corners[0]))
@@ -145,7 +147,9 @@ def _operators(
         )
         return first, second
 
-    yield from operators(frame, nodes, absorbing=limit.absorbing, domain=limit.domain)
+    yield from operators(
+        frame, nodes, tol=tol, height=height, absorbing=limit.absorbing, domain=limit.domain
+    )
 
 
 def _answer(op: PlaneOperator, start: Start, times: Array, tol: float) -> _Answer:
@@ -222,7 +226,7 @@ def _compared(
     (mean, variance, rate), (mean_error, variance_error, rate_error) = fine.numbers, errors
     relative = float(np.max(errors / np.abs(fine.numbers)))
     measured = Measured(
-        l1_error=max(relative, float(np.max(lost, initial=0.0))),
+        l1_error=float(np.max([relative, *lost])),
         mass_defect=0.0,
         minimum=fine.least,
         residual=max(fine.residual, coarse.residual),

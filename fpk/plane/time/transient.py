@@ -73,11 +73,13 @@ def _levels(frame: Frame, start: Start, times: Array, tol: float) -> Iterator[_L
         share = min(1.0, 1.0 / start.factor)
         least = np.array([x[-1] for x in start.density.nodes])
 
-    def nodes(level: int, panels: int) -> Nodes:
-        ends = frame.ends(tol, height, level)
-        return graded(np.maximum(ends, least * (1.0 + 0.1 * level)), panels)
+    longest = frame.rise(tol, height, 0)
 
-    for op in operators(frame, nodes, share=share):
+    def nodes(rise: float, panels: int) -> Nodes:
+        longer = 1.0 + 0.03 * (rise - longest)
+        return graded(np.maximum(frame.ends(rise), least * longer), panels)
+
+    for op in operators(frame, nodes, tol=tol, height=height, share=share):
         A, M, _ = op.matrices
         parts = evolved(A, M, start.dual(op), times, tol=KRYLOV * tol)
         yield _Level(op, parts, op.spread(parts.values), op.spread(parts.change))
@@ -128,10 +130,10 @@ def _compared(
     tail = np.abs(p * area * ~inside).reshape(times.size, -1).sum(axis=1)
     absolute = float(np.max(highest / largest))
     measured = Measured(
-        l1_error=max(float(np.max(l1)), absolute),
+        l1_error=float(np.max([*l1, absolute])),
         mass_defect=float(np.max(np.abs(mass - 1.0))),
         minimum=float(np.min(flat.min(axis=1) / largest)),
-        residual=max(fine.evolved.residual, coarse.evolved.residual),
+        residual=float(np.max([fine.evolved.residual, coarse.evolved.residual])),
         tail_mass=float(np.max(tail)),
         absolute_error=absolute,
     )

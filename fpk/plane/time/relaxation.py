@@ -1,0 +1,88 @@
+"""The slowest relaxation rates of two energies."""
+
+import numpy as np
+from scipy.sparse.linalg import LinearOperator, eigs
+
+from fpk.arrays import Array, Complexes
+from fpk.certificate import Measured, certify
+from fpk.dynamics import Rates
+from fpk.errors import NotCertified
+from fpk.plane.solution import SAFETY, Nodes, graded
+from fpk.plane.time.exponential import factorised
+from fpk.plane.time.levels import Frame, operators
+from fpk.plane.time.operator import PlaneOperator
+
+VECTORS = (4, 30)
+"""Arnoldi vectors: so many times those sought, and so many more. Rates of the same size are common,
+of modes that decay alike, and a small space may miss one."""
+ROUNDING = 50.0 * float(np.finfo(float).eps)
+"""Round-off of an eigenvalue of the shifted inverse, relative to its largest."""
+HEIGHT = 8.0
+"""Rise of −ln w by which meshes are longer than for densities: modes grow with the energy."""
+REAL = 1e-9
+"""Imaginary part, relative to the modulus, below which an eigenvalue counts as real: that of a
+double one splits by the root of round-off."""
+
+
+def relaxation_rates(frame: Frame, count: int, *, tol: float, relative: float = 0.0) -> Rates:
+    """Return the ``count`` eigenvalues of −L with the least real parts but 0.
+
+    Levels rise until two of them agree to ``tol``, relative to each; the answer is that of the
+    finer one. ``relative`` is the relative error of the coefficients. Raises ``NotCertified`` where
+    the finest level has fewer unknowns than that.
+    """
+
+    def nodes(rise: float, panels: int) -> Nodes:
+        return graded(frame.ends(rise), panels)
+
+    shift, previous = _scale(frame), None
+    for op in operators(frame, nodes, tol=tol, height=HEIGHT):
+        sought = 2 * count + 2
+        if VECTORS[0] * sought + VECTORS[1] >= op.free.size:
+            continue
+        values, residual = _eigenvalues(op, sought, shift)
+        if previous is not None:
+            errors = SAFETY * np.array([float(np.min(np.abs(previous - z))) for z in values[:count]])
+            size = np.abs(values[:count])
+            errors += ROUNDING * (size + shift) ** 2 / shift
+            errors += (relative + 2.0 * frame.relative_error) * size
+            measured = Measured(
+                l1_error=float(np.max(errors / size)),
+                mass_defect=0.0,
+                minimum=0.0,
+                residual=residual,
+                tail_mass=0.0,
+            )
+            certificate = certify(measured, tol=tol)
+            settings = {"unknowns": int(op.free.size), "degree": op.degree}
+            answer = Rates(values[:count], errors, certificate, settings)
+            if certificate.certified:
+                return answer
+        previous = values
+    if previous is None:
+        raise NotCertified(f"{count} rates take more unknowns than are affordable")
+    return answer
+
+
+def _scale(frame: Frame) -> float:
+    """A rate of the order of the slowest: b/H² of the energies at their scales, the lesser one."""
+    scales = np.array(frame.process.energy_scales)
+    b = frame.process.coefficients(scales[None, :]).diffusion[0]
+    return float(np.min(np.diag(b) / scales**2))
+
+
+def _eigenvalues(op: PlaneOperator, sought: int, shift: float) -> tuple[Complexes, float]:
+    """Return the eigenvalues of −L but 0 with Im λ >= 0, and the residual of their equation."""
+    A, M, _ = op.matrices
+    factors = factorised((shift * M - A).tocsc())
+    inverse = LinearOperator(A.shape, matvec=lambda x: factors.solve(M @ x), dtype=float)
+    start: Array = np.random.default_rng(0).normal(size=A.shape[0])
+    s, X = eigs(inverse, k=sought, ncv=VECTORS[0] * sought + VECTORS[1], v0=start, tol=0.0)
+    values = 1.0 / s - shift
+    values = np.where(np.abs(values.imag) <= REAL * np.abs(values), values.real, values)
+    right, terms = A @ X + (M @ X) * values, abs(A) @ np.abs(X) + (M @ np.abs(X)) * np.abs(values)
+    residual = float(np.max(np.abs(right), initial=0.0) / np.max(terms))
+    order = np.lexsort((values.imag, values.real))
+    order = order[(values.imag[order] >= 0.0)]
+    stationary = int(np.argmin(np.abs(values[order])))
+    return np.asarray(np.delete(values[order], stationary)), residual
