@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import get_args
 
-from cases.comparison.answers import Answers, Outcome, Refusal
+from cases.comparison.answers import Answers, Outcome
 from cases.comparison.claims import Verdict, findings
 from cases.comparison.compare import Comparison
 from cases.output.facts import facts_record

@@ -1,6 +1,6 @@
 """Averaging rows once for each pair of theories, refusals with the same reason joined."""
 
-from cases.comparison.answers import Refusal
+from cases.comparison.refusal import Refusal
 from cases.comparison.compare import Comparison
 from cases.comparison.routes import register_routes
 from cases.output.digest import comparison_rows, refusal_record, refusals_of
