@@ -11,6 +11,7 @@ from averaging.exact import compatibility
 from cases.comparison.compare import Comparison, compared, discrepancies
 from cases.comparison.in_time import Replies, replies_of
 from cases.comparison.refusal import INTERRUPTED, Refusal
+from cases.scene.questions import Question
 from cases.scene.scene import Scene
 from fpk.density import AnyDensity, Density
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
@@ -21,6 +22,7 @@ from fpk.system import System
 
 LOOSEST = 1e-4
 """Largest tolerance by which a default one that is missed is replaced: simulations tell no less."""
+
 
 @dataclass(frozen=True, repr=False)
 class Answers(Mapping[Any, AnyDensity]):
@@ -275,7 +277,8 @@ def _with_time(
 ) -> Answers:
     """Return the answers with the replies to the scene's questions about motion in time."""
     replies: list[Replies] = []
-    for question in (*scene.passages, *scene.transients):
+    questions: tuple[Question, ...] = (*scene.passages, *scene.transients)
+    for question in questions:
         wanted = [] if any(r.interrupted for r in replies) else methods
         replies.append(
             replies_of(answers.system, question, wanted, progress=progress, partial=partial)

@@ -18,6 +18,7 @@ from cases.comparison.compare import (
     FALSE_ALARMS,
     ROUND_OFF,
     Comparison,
+    Norm,
     discrepancies,
     what_is_measured,
 )
@@ -50,6 +51,10 @@ SHARE = 0.3
 """Largest relative error of a number that is compared."""
 
 
+Distance = tuple[str, Norm, float, float, float]
+"""Of one number or density: its name, the norm, the distance, its own error, and its band."""
+
+
 @dataclass(frozen=True, eq=False)
 class Given:
     """The answer of a route to a question and the seconds that it took."""
@@ -78,15 +83,19 @@ class Replies:
     def comparisons(self) -> tuple[Comparison, ...]:
         """What separates all pairs of routes, but of two theories: that says nothing."""
         rows: list[Comparison] = []
+        solved = {g.route.method for g in self.given if not g.route.sampled}
         for a, b in combinations(self.given, 2):
             kind = what_is_measured(a.route, b.route, averaging_is_exact=False)
             if kind == "averaging" and "full" not in (a.route.solves, b.route.solves):
                 continue
             if b.route.solves == "averaged":  # the full system is what others are held against
                 a, b = b, a
+            if kind == "averaging" and a.route.sampled and a.route.method in solved:
+                continue  # a solution of the same equation says it better
             uncertified = tuple(g.route for g in (a, b) if not g.answer.certificate.certified)
-            for name, norm, distance, error, band in self._distances(a, b):
-                allowed = None if kind == "averaging" else band
+            judged = kind != "averaging"
+            for name, norm, distance, error, band in self._distances(a, b, judged):
+                allowed = band if judged else None
                 words = f"{self.question.name}: {name}"
                 rows.append(
                     Comparison(
@@ -108,12 +117,12 @@ class Replies:
         none = [] if self.given or failed else [f"{name}: no route answers"]
         return (*discrepancies(self.comparisons), *uncertified, *failed, *none)
 
-    def _distances(self, a: Given, b: Given) -> Iterator[tuple[str, str, float, float, float]]:
+    def _distances(self, a: Given, b: Given, judged: bool) -> Iterator[Distance]:
         if isinstance(a.answer, Passage) and isinstance(b.answer, Passage):
-            return _passage_distances(a.answer, b.answer)
+            return _passage_distances(a.answer, b.answer, judged)
         assert isinstance(a.answer, Transient) and isinstance(b.answer, Transient)
         assert self.points is not None
-        return _density_distances(a.answer, b.answer, self.points, self.windows)
+        return _density_distances(a.answer, b.answer, self.points, self.windows, judged)
 
 
 def replies_of(
@@ -159,9 +168,7 @@ def replies_of(
             continue
         tried(method.route, lambda m=method: _answer(m, system, question, points, progress))
     simulation = next((m for m in able if m.route.solves == "full" and m.route.sampled), None)
-    known = any(
-        g.answer.certificate.certified for g in given if g.route.solves == "full"
-    )
+    known = any(g.answer.certificate.certified for g in given if g.route.solves == "full")
     if simulation and isinstance(question, PassageQuestion) and question.times and not known:
         before = len(given)
         tried(SPLITTING, lambda: split_passage(system, question, simulation, progress))
@@ -184,7 +191,7 @@ def _too_rare(question: Question, method: Method, given: Sequence[Given]) -> str
         return None
     paths = float(getattr(method, "paths", 0))
     known = [
-        (float(_failure(g.answer)[0][-1]), g.route.label)
+        (float(failure_of(g.answer)[0][-1]), g.route.label)
         for g in given
         if isinstance(g.answer, Passage) and not g.route.sampled
     ]
@@ -201,7 +208,7 @@ def _answer(
     method: Any, system: System, question: Question, points: Array | None, progress: Progress
 ) -> Passage | Transient:
     """The answer of one method, at the least tolerance that it meets where none was asked for."""
-    bounds = {"checkpoint": None, "partial": False}
+    bounds: dict[str, Any] = {"checkpoint": None, "partial": False}
     if isinstance(question, PassageQuestion) and question.times:
         bounds["time"] = question.times[-1]
     known = {f.name for f in fields(method)}
@@ -222,17 +229,15 @@ def _answer(
     return answer
 
 
-def _failure(p: Passage) -> tuple[Array, Array]:
-    """P(T <= t) and its error."""
+def failure_of(p: Passage) -> tuple[Array, Array]:
+    """Return P(T <= t) and its error."""
     if p.failure is not None and p.failure_error is not None:
         return p.failure, p.failure_error
     return 1.0 - p.survival, p.survival_error
 
 
-def _passage_distances(
-    a: Passage, b: Passage
-) -> Iterator[tuple[str, str, float, float, float]]:
-    """Yield name, norm, distance, its error and its band of every number that both know."""
+def _passage_distances(a: Passage, b: Passage, judged: bool) -> Iterator[Distance]:
+    """Yield the distances of every number that both know."""
     sampled = [p.error_kind == "sampling" for p in (a, b)]
     both = [("mean time", a.mean, b.mean)]
     if a.rate is not None and b.rate is not None:
@@ -246,7 +251,8 @@ def _passage_distances(
     if not a.times.size:
         return
     if a.failure is not None and b.failure is not None:
-        yield from _worst("P(T ≤ {:g})", a.times, _failure(a), _failure(b), sampled, norm="relative")
+        both_fail = failure_of(a), failure_of(b)
+        yield from _worst("P(T ≤ {:g})", a.times, both_fail, sampled, "relative", judged)
     # By the chance with which a binomial number of failures differs from what the other expects.
     pairs = [(p.survival, p.survival_error) for p in (a, b)]
     if sampled[0] != sampled[1]:
@@ -255,19 +261,19 @@ def _passage_distances(
         paths = np.max(np.where((S > 0.0) & (S < 1.0), S * (1.0 - S) / error**2, 1.0 / error))
         expected = np.clip(pairs[other][0], 0.0, 1.0)
         pairs[own] = S, np.maximum(error, np.sqrt(expected * (1.0 - expected) / paths))
-    yield from _worst("P(T > {:g})", a.times, *pairs, sampled, norm="absolute")
+    yield from _worst("P(T > {:g})", a.times, pairs, sampled, "absolute", judged)
 
 
 def _worst(
     name: str,
     times: Array,
-    a: tuple[Array, Array],
-    b: tuple[Array, Array],
+    pair: Sequence[tuple[Array, Array]],
     sampled: Sequence[bool],
-    *,
-    norm: str,
-) -> Iterator[tuple[str, str, float, float, float]]:
-    """Yield the distance at that of the times where it is largest in units of its band."""
+    norm: Norm,
+    judged: bool,
+) -> Iterator[Distance]:
+    """Yield the largest of the distances at the times, in units of their bands where judged."""
+    a, b = pair
     unit = np.abs(b[0]) if norm == "relative" else np.ones(times.size)
     known = (unit > 0.0) & np.isfinite(a[1]) & np.isfinite(b[1])
     if norm == "relative":
@@ -276,7 +282,7 @@ def _worst(
         return
     band, error = _band(np.array([a[1], b[1]])[:, known], sampled, int(np.count_nonzero(known)))
     off, unit = np.abs(a[0] - b[0])[known], unit[known]
-    k = int(np.argmax(off / (band + ROUND_OFF)))
+    k = int(np.argmax(off / ((band + ROUND_OFF) if judged else unit)))
     distance, error, band = (float(v[k] / unit[k]) for v in (off, error, band))
     yield name.format(times[known][k]), norm, distance, error, band + ROUND_OFF
 
@@ -294,9 +300,9 @@ def _band(errors: Any, sampled: Sequence[bool], count: int) -> tuple[Any, Any]:
 
 
 def _density_distances(
-    a: Transient, b: Transient, points: Array, windows: Sequence[Any]
-) -> Iterator[tuple[str, str, float, float, float]]:
-    """Yield the L1 distance over its window of the time where it is largest in units of its band.
+    a: Transient, b: Transient, points: Array, windows: Sequence[Any], judged: bool
+) -> Iterator[Distance]:
+    """Yield the largest L1 distance over its window of all times, as ``_worst`` does.
 
     By the trapezoidal rule, of distance and band alike. By chance each |deviation| has the mean
     √(2/π) of its standard error and the variance 1 − 2/π of its square.
@@ -319,5 +325,5 @@ def _density_distances(
         spread = np.sqrt((1.0 - 2.0 / np.pi) * dependent * float(np.sum((w * chance) ** 2)))
         distance = float(w @ np.abs(a.values[k, inside] - b.values[k, inside]))
         rows.append((distance, mean + stated, mean + z * spread + stated + ROUND_OFF, k))
-    distance, error, band, k = max(rows, key=lambda row: row[0] / row[2])
+    distance, error, band, k = max(rows, key=lambda row: row[0] / (row[2] if judged else 1.0))
     yield f"density at t = {a.times[k]:g}", "L1", distance, error, band

@@ -51,12 +51,12 @@ def split_passage(
     )
     times = np.array(question.times)
     failure, errors = np.zeros((2, times.size))
-    score: dict[str, ScoreFunction | None] = {"score": averaged_score(system, question)}
+    score = averaged_score(system, question)
     rows = []
     for k, t in enumerate(times):
         if t > 0.0:
             asked = system, question.limit, question.start, float(t)
-            rows.append(rare_failure(*asked, **score, settings=settings, progress=progress))
+            rows.append(rare_failure(*asked, score=score, settings=settings, progress=progress))
             failure[k], errors[k] = rows[-1].probability, rows[-1].error
             if not failure[k] > 0.0:
                 errors[k] = rows[-1].upper_bound
@@ -73,7 +73,7 @@ def split_passage(
             "replicas": settings.replicas,
             "repetitions": settings.repetitions,
             "seed": settings.seed,
-            "score": "averaged reliability" if score["score"] else "least action",
+            "score": "averaged reliability" if score else "least action",
             "dt": min(row.dt for row in rows),
         },
         failure, errors,

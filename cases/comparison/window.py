@@ -11,6 +11,7 @@ from fpk.arrays import Array
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.method import silent
 from fpk.system import System
+from sim.montecarlo import LEAST_PATHS
 
 POINTS = 129
 """Points in the window of one time."""
@@ -24,7 +25,7 @@ REACH = 12.0
 SHOWN = 1e-3
 """Share of the largest density below which it lies outside the window of its time."""
 
-SCOUT = {"paths": 2048, "seconds": None, "tol": None, "checkpoint": None, "partial": False}
+SCOUT = {"paths": LEAST_PATHS, "seconds": None, "checkpoint": None, "partial": False}
 """Settings of a simulation that is run to see where the densities are."""
 
 TOL = 1e-3
@@ -41,7 +42,7 @@ def window_of(
     at = _wide(system, question)
     for method in methods:
         known = {f.name for f in fields(method)}
-        quick = replace(method, **{k: v for k, v in SCOUT.items() if k in known and k != "tol"})
+        quick = replace(method, **{k: v for k, v in SCOUT.items() if k in known})
         asked = system, question.of, question.start, np.array(question.times), (at,)
         try:
             answer = quick.transient(
@@ -69,7 +70,7 @@ def _wide(system: System, question: TransientQuestion) -> Array:
         return np.concatenate([[0.0], energy * np.logspace(*DECADES, MANY)])
     row = coordinate.row
     unit = system.mass[row] if coordinate.kind == "p" else system.compliance[row, row]
-    return np.linspace(-REACH, REACH, MANY) * np.sqrt(2.0 * energy * unit)
+    return np.linspace(-REACH, REACH, MANY) * float(np.sqrt(2.0 * energy * unit))
 
 
 def _window(at: Array, density: Array) -> Array:

@@ -36,7 +36,8 @@ class PassageQuestion:
     """The first passage of a limit from a start, with the reliability at ``times``.
 
     ``rate_error`` and ``failure_error`` are claims about the averaging error of ``theory``: the
-    relative difference of its failure rate, and of its P(T <= last time), from the full system's.
+    relative difference from the full system of its failure rate, and the largest of its P(T <= t)
+    at the times.
     """
 
     limit: Limit
@@ -58,9 +59,7 @@ CLAIMS = ("rate_error", "failure_error")
 """Keys of a question that claim something of the averaging error."""
 
 
-def passages_of(
-    tables: Sequence[Mapping[str, Any]], system: System
-) -> tuple[PassageQuestion, ...]:
+def passages_of(tables: Sequence[Mapping[str, Any]], system: System) -> tuple[PassageQuestion, ...]:
     """Return the questions of [[passage]]; raise ``InvalidInput`` naming table, key and value."""
     questions = []
     for k, table in enumerate(tables, start=1):
@@ -70,11 +69,13 @@ def passages_of(
             start = _start(table, system)
             _require_below(system, limit, start)
             times = _times(table)
-        claims = {key: _range(f"{place}.{key}", table) for key in CLAIMS if key in table}
+        claims: dict[str, Any] = {
+            key: _range(f"{place}.{key}", table) for key in CLAIMS if key in table
+        }
         if "failure_error" in claims and not times:
-            raise InvalidInput(f"{place}.times", None, "failure_error is about the last of them")
-        theory = {"theory": table["theory"]} if "theory" in table else {}
-        questions.append(PassageQuestion(limit, start, times, **theory, **claims))
+            raise InvalidInput(f"{place}.times", None, "failure_error is about them; add them")
+        claims |= {key: table[key] for key in ("theory",) if key in table}
+        questions.append(PassageQuestion(limit, start, times, **claims))
     return tuple(questions)
 
 

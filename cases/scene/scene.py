@@ -25,7 +25,7 @@ class Scene:
     """A checked scene file.
 
     ``name`` is the file's stem; ``text`` the file as it was read; ``curves`` holds the scene's own
-    system first, then those that ``[vary]`` adds. ``passages`` and ``transients`` are asked of each.
+    system first, then those that ``[vary]`` adds. Of each, ``passages`` and ``transients`` ask.
     """
 
     name: str
