@@ -279,9 +279,11 @@ def _with_time(
     replies: list[Replies] = []
     questions: tuple[Question, ...] = (*scene.passages, *scene.transients)
     for question in questions:
-        wanted = [] if any(r.interrupted for r in replies) else methods
+        if any(r.interrupted for r in replies):
+            replies.append(Replies(question, interrupted=True))
+            continue
         replies.append(
-            replies_of(answers.system, question, wanted, progress=progress, partial=partial)
+            replies_of(answers.system, question, methods, progress=progress, partial=partial)
         )
     count = len(scene.passages)
     return replace(

@@ -114,7 +114,8 @@ class Replies:
             for failure in g.answer.certificate.failures
         ]
         failed = [f"{name}: {r.route.label} failed: {r.reason}" for r in self.refused if r.failed]
-        none = [] if self.given or failed else [f"{name}: no route answers"]
+        reason = "not run: the program was interrupted" if self.interrupted else "no route answers"
+        none = [] if self.given or failed else [f"{name}: {reason}"]
         return (*discrepancies(self.comparisons), *uncertified, *failed, *none)
 
     def _distances(self, a: Given, b: Given, judged: bool) -> Iterator[Distance]:
@@ -141,7 +142,8 @@ def replies_of(
     """
     given: list[Given] = []
     refused: list[Refusal] = []
-    interrupted, points, windows = False, None, ()
+    interrupted, points = False, None
+    windows: tuple[Any, ...] = ()
     able = [m for m in methods if _is_able(m, question)]
 
     def tried(route: Route, work: Any) -> None:
@@ -161,7 +163,12 @@ def replies_of(
             refused.append(Refusal(route, (question.name,), str(error), failed))
 
     if isinstance(question, TransientQuestion):
-        points, windows = window_of(system, question, able)
+        try:
+            points, windows = window_of(system, question, able)
+        except KeyboardInterrupt:
+            if not partial:
+                raise
+            interrupted = True
     for method in able:
         if (reason := _too_rare(question, method, given)) is not None:
             refused.append(Refusal(method.route, (question.name,), reason))
@@ -169,7 +176,8 @@ def replies_of(
         tried(method.route, lambda m=method: _answer(m, system, question, points, progress))
     simulation = next((m for m in able if m.route.solves == "full" and m.route.sampled), None)
     known = any(g.answer.certificate.certified for g in given if g.route.solves == "full")
-    if simulation and isinstance(question, PassageQuestion) and question.times and not known:
+    wanted = isinstance(question, PassageQuestion) and question.times and not known
+    if simulation and wanted and not interrupted:
         before = len(given)
         tried(SPLITTING, lambda: split_passage(system, question, simulation, progress))
         if len(given) > before:  # it takes the place of what saw too little
@@ -253,15 +261,24 @@ def _passage_distances(a: Passage, b: Passage, judged: bool) -> Iterator[Distanc
     if a.failure is not None and b.failure is not None:
         both_fail = failure_of(a), failure_of(b)
         yield from _worst("P(T ≤ {:g})", a.times, both_fail, sampled, "relative", judged)
-    # By the chance with which a binomial number of failures differs from what the other expects.
-    pairs = [(p.survival, p.survival_error) for p in (a, b)]
-    if sampled[0] != sampled[1]:
-        own, other = (1, 0) if sampled[1] else (0, 1)
-        S, error = pairs[own]
-        paths = np.max(np.where((S > 0.0) & (S < 1.0), S * (1.0 - S) / error**2, 1.0 / error))
-        expected = np.clip(pairs[other][0], 0.0, 1.0)
-        pairs[own] = S, np.maximum(error, np.sqrt(expected * (1.0 - expected) / paths))
+    pairs = _survivals(a, b)
     yield from _worst("P(T > {:g})", a.times, pairs, sampled, "absolute", judged)
+
+
+def _survivals(a: Passage, b: Passage) -> list[tuple[Array, Array]]:
+    """P(T > t) of both with errors; of a sample at least those by what a solution expects.
+
+    Of few failures the sample itself does not know how many might have been.
+    """
+    pairs = [(p.survival, p.survival_error) for p in (a, b)]
+    if (a.error_kind == "sampling") != (b.error_kind == "sampling"):
+        own = int(b.error_kind == "sampling")
+        S, error = pairs[own]
+        expected = np.clip(pairs[1 - own][0], 0.0, 1.0)
+        # Its error is at least that of binomial numbers of its paths, or one of them.
+        paths = np.max(np.where((S > 0.0) & (S < 1.0), S * (1.0 - S) / error**2, 1.0 / error))
+        pairs[own] = S, np.maximum(error, np.sqrt(expected * (1.0 - expected) / paths))
+    return pairs
 
 
 def _worst(
@@ -307,6 +324,8 @@ def _density_distances(
     By the trapezoidal rule, of distance and band alike. By chance each |deviation| has the mean
     √(2/π) of its standard error and the variance 1 − 2/π of its square.
     """
+    if not windows:
+        return
     rows = []
     for k, inside in enumerate(windows):
         x = points[inside]

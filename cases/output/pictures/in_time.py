@@ -45,7 +45,7 @@ def time_pictures(curve: Answers, label: str) -> Iterator[tuple[str, str, Figure
             caption = f"First passage of {replies.question.name}{suffix}: {words}"
             yield f"passage_{k}{label}", caption, figure
     for k, replies in enumerate(curve.transients, start=1):
-        if replies.given:
+        if replies.given and replies.windows:
             caption = (
                 f"Density after the start, {replies.question.name}{suffix}, dark to light in time:"
                 " theory as lines, simulation as points with two standard errors."
