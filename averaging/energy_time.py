@@ -3,15 +3,15 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from averaging.energy_process import damping_and_noise, energy_process
 from fpk.arrays import Array
 from fpk.dynamics import Rates
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import Passage, Transient, checked_times
 from fpk.line.evolution import fem_passage, fem_rates, fem_transient
+from fpk.line.modulated import modulated_transient
 from fpk.line.propagation import Source
+from fpk.modulation import Modulation
 from fpk.process import Process
 from fpk.square_root import SquareRoot
 from fpk.start import Start
@@ -33,12 +33,13 @@ class OneEnergy:
     """An averaged energy that no other acts on, and how its equation is solved in time.
 
     ``under(F)`` is the process under F times the noise intensity. ``closed`` is the same process
-    where it is the square-root process, ``reason`` why it is not.
+    where it is the square-root process, ``reason`` why it is not. ``modulation`` is of the noise.
     """
 
     under: Callable[[float], Process]
     closed: SquareRoot | None
     reason: str = ""
+    modulation: Modulation | None = None
 
     def transient(
         self, solver: str, start: EnergyStart, times: Array, at: Array, *, tol: float
@@ -48,6 +49,12 @@ class OneEnergy:
         if times.size and times[0] == 0.0 and start.noise is None:
             remedy = "at time 0 the energy is one value and has no density; give later times"
             raise InvalidInput("times", 0.0, remedy)
+        if self.modulation is not None:
+            if solver != "fem":
+                raise NotApplicable("the noise is modulated; in time, use fem")
+            return modulated_transient(
+                self.under, self.modulation, self._source(start), times, at, tol=tol
+            )
         if solver == "fem":
             return fem_transient(self.under(1.0), self._source(start), times, at, tol=tol)
         return self._closed(solver).transient(start.energy, start.noise, times, at, tol=tol)
@@ -57,6 +64,10 @@ class OneEnergy:
     ) -> Passage:
         """Return the first passage of ``limit``; ``InvalidInput`` for a start that is not below."""
         checked_times(times)
+        if self.modulation is not None:
+            raise NotApplicable(
+                "the noise is modulated, and first passage is solved for constant noise only"
+            )
         if solver == "fem":
             return fem_passage(self.under(1.0), limit, self._source(start), times, tol=tol)
         closed = self._closed(solver)
@@ -96,10 +107,11 @@ def total_energy(system: System) -> OneEnergy:
     energy_process(system)  # it refuses what has no stationary density
     if system.contacts or system.damping_terms:
         what = "contacts" if system.contacts else "damping terms"
-        return OneEnergy(under, None, f"the system has {what}")
+        return OneEnergy(under, None, f"the system has {what}", system.modulation)
     damping, noise = damping_and_noise(system)
     n = system.n
-    return OneEnergy(under, SquareRoot(n, damping / n, noise / n))
+    closed = SquareRoot(n, damping / n, noise / n)
+    return OneEnergy(under, closed, modulation=system.modulation)
 
 
 def total_energy_start(system: System, start: Start) -> EnergyStart:

@@ -24,6 +24,9 @@ from fpk.system import System
 
 ErrorKind = Literal["numerical", "sampling"]
 
+BEYOND_RANGE = "the mean time to it is beyond the range of double precision; take a lower one"
+"""Why a limit is refused that is hardly ever reached."""
+
 
 def checked_times(times: Array) -> Array:
     """Return ``times`` if they are finite, not negative and ascend; raise ``InvalidInput`` if not.

@@ -10,12 +10,12 @@ import numpy as np
 from scipy.special import gammaln, ive, xlogy
 
 from fpk.arrays import Array
-from fpk.certificate import Certificate, Measured, certify
+from fpk.certificate import Measured, certify
 from fpk.contour import contours
 from fpk.density import SMALLEST
 from fpk.dynamics import Complex, Rates
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import Number, Passage, StartCurve, Transient
+from fpk.evolution import BEYOND_RANGE, Number, Passage, StartCurve, Transient
 from fpk.quadrature import panel_rule
 
 EPS = float(np.finfo(float).eps)
@@ -103,18 +103,16 @@ class SquareRoot:
         scale = self.c / self.d
         x0, xf = start * scale, limit * scale
         if not xf <= FARTHEST:
-            remedy = "the mean time to it is beyond the range of double precision; take a lower one"
-            raise InvalidInput("limit", limit, remedy)
+            raise InvalidInput("limit", limit, BEYOND_RANGE)
         starts = np.linspace(0.0, limit, STARTS)
         mean, mean_error, variance, variance_error = self._moments(
             np.append(starts * scale, x0), xf
         )
         rate, rate_error = self._rate(xf)
         failure, failure_error = self._failure(x0, xf, times, tol)
-        relative = max(
-            mean_error[-1] / mean[-1], variance_error[-1] / variance[-1] if variance[-1] < inf else 0,
-            rate_error / rate, failure_error.max(initial=0.0),
-        )  # fmt: skip
+        relative = max(mean_error[-1] / mean[-1], rate_error / rate, failure_error.max(initial=0.0))
+        if variance[-1] < inf:
+            relative = max(relative, variance_error[-1] / variance[-1])
         least = float(np.min(1.0 - failure, initial=1.0))
         error = float(failure_error.max(initial=0.0))
         measured = Measured(float(relative), 0.0, least, 0.0, 0.0, absolute_error=error)
@@ -145,7 +143,7 @@ class SquareRoot:
         with np.errstate(divide="ignore"):
             less = -np.expm1(k * np.log(x / xf)[:, None])
         harmonic = np.cumsum(1.0 / k) - 1.0 / k
-        A1, A2 = terms.sum(), (terms * harmonic).sum()
+        A1 = terms.sum()
         first, second = less @ terms, less @ (terms * harmonic)
         unit, relative = A1, 4.0 * EPS * (k.size + 2.0)
         # Per unit²: A_1(x_f)² − A_1(x)² = first (2 A_1 − first).
@@ -174,9 +172,7 @@ class SquareRoot:
         error = relative * (1.0 + a * np.abs(rest).sum()) / abs(slope) + 2.0 * EPS * a
         return self.c * a, self.c * error
 
-    def _failure(
-        self, x0: float, xf: float, times: Array, tol: float
-    ) -> tuple[Array, Array]:
+    def _failure(self, x0: float, xf: float, times: Array, tol: float) -> tuple[Array, Array]:
         """P(T <= t) by inverse transform, and its error."""
         p, error = np.zeros((2, times.size))
         later = np.flatnonzero(times > 0.0)
@@ -206,7 +202,9 @@ def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
     few = x * y < FEW
     k = np.arange(MOST_POWERS)
     with np.errstate(divide="ignore", invalid="ignore"):
-        power = np.exp(xlogy(k, np.where(few, x * y, 0.0)[..., None]) - gammaln(k + 1.0) - gammaln(n + k))
+        power = np.exp(
+            xlogy(k, np.where(few, x * y, 0.0)[..., None]) - gammaln(k + 1.0) - gammaln(n + k)
+        )
         by_series = xlogy(n - 1, x) - x - y + np.log(power.sum(axis=-1))
         root, other = np.sqrt(x), np.sqrt(y)
         ratio = 0.0 if n == 1 else (n - 1) * np.log(root / other)

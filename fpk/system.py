@@ -12,6 +12,7 @@ from fpk.arrays import Array
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput
+from fpk.modulation import Modulation
 
 Fact = TypeVar("Fact")
 
@@ -34,6 +35,8 @@ class System:
     ``noise_gain`` f: (n, l), the identity when left out. ``contacts``: any number on any masses.
     ``damping_terms``: what entries of c gain with the state; one without any power joins the
     constant matrix, one with the coefficient 0 is dropped.
+    ``modulation`` e(t) multiplies the noise intensity by e² in what begins at a time 0; it ends
+    with 1, so that the stationary state, and every method that solves for it, is without it.
     All arrays are kept read-only, in float64 and full matrix form.
 
     Raises ``InvalidInput`` naming the field that cannot be used.
@@ -46,6 +49,7 @@ class System:
     noise_gain: Array | None = None
     contacts: tuple[Contact, ...] = ()
     damping_terms: tuple[DampingTerm, ...] = ()
+    modulation: Modulation | None = None
     noise_matrix: Array = field(init=False)
     stiffness_matrix: Array = field(init=False)
     _facts: dict[Callable[..., Any], Any] = field(init=False, repr=False, default_factory=dict)

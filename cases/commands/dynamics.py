@@ -53,9 +53,7 @@ def relaxation(scene: str, method: str, solver: str | None, rates: int, tol: flo
 
     answered = answer_of(
         (Relaxation, "relaxation rates", loaded.name, method, solver),
-        lambda asked, progress: asked.relaxation(
-            loaded.system, rates, tol=tol, progress=progress
-        ),
+        lambda asked, progress: asked.relaxation(loaded.system, rates, tol=tol, progress=progress),
     )
     record = rates_record(loaded, *answered)
     parts.end(record, lambda: rates_text(record), problems=problems_of("relaxation", record))

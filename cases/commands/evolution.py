@@ -3,7 +3,6 @@
 from typing import Any
 
 import click
-import numpy as np
 
 from cases.commands import parts
 from cases.commands.questions import answer_of, problems_of, question
@@ -79,7 +78,7 @@ def passage(
 
     begin = _read("start", start, lambda: parse_start(start, loaded.system))
     end = _read("limit", limit, lambda: parse_limit(limit, loaded.system.n))
-    later = np.zeros(0) if times is None else _times(times)
+    later = _times(times)
     answered = answer_of(
         (Passages, "first passage", loaded.name, method, solver),
         lambda asked, progress: asked.passage(
@@ -90,10 +89,15 @@ def passage(
     parts.end(record, lambda: passage_text(record), problems=problems_of("first passage", record))
 
 
-def _times(text: str) -> Any:
+def _times(text: str | None) -> Any:
+    """Return the times that ``text`` lists, none where there is no text."""
+    import numpy as np
+
     from cases.scene.points import parse_points
     from fpk.evolution import checked_times
 
+    if text is None:
+        return np.zeros(0)
     (times,) = parse_points(text, 1)
     return _read("times", text, lambda: checked_times(times))
 

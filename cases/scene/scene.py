@@ -84,7 +84,12 @@ def _scene(path: Path, label: str) -> Scene:
 def _system(tables: dict[str, Any]) -> System:
     contacts, terms = (tuple(tables.get(key, ())) for key in ("contact", "damping_term"))
     try:
-        return System(**tables["system"], contacts=contacts, damping_terms=terms)
+        return System(
+            **tables["system"],
+            contacts=contacts,
+            damping_terms=terms,
+            modulation=tables.get("modulation"),
+        )
     except InvalidInput as error:
         place = "system." if error.key in tables["system"] else ""
         raise InvalidInput(place + error.key, error.value, error.remedy) from None

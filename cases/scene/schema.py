@@ -16,6 +16,7 @@ from cases.scene.expect import RELATIONS
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput
+from fpk.modulation import Modulation
 
 MAX_MASSES = 500
 """Matrices are full: a chain longer than this is not what they are for."""
@@ -110,6 +111,7 @@ CONTACT = _table(
 DAMPING_TERM = _table(
     {"i": MASS, "j": MASS, "coefficient": NUMBER}, {"q": POWERS, "v": POWERS, "energy": WHOLE}
 )
+MODULATION = _table({"times": NUMBERS, "factor": NUMBERS}, {})
 VARY = {
     "contact": _table({}, {"stiffness": VALUES, "clearance": VALUES}),
     "system": _table({}, {"noise_intensity": MATRICES, "damping": MATRICES}),
@@ -140,6 +142,7 @@ SCENE = _table(
         ),
         "passage": _list(PASSAGE, least=0, most=MOST_QUESTIONS),
         "transient": _list(TRANSIENT, least=0, most=MOST_QUESTIONS),
+        "modulation": _then(lambda keys: Modulation(**keys), MODULATION),
         "observe": _table({"densities": _list(TEXT, most=16)}, {}),
         "vary": _table({}, VARY),
         "expect": _table({}, EXPECT),

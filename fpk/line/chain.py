@@ -5,7 +5,7 @@ admittances to ground. Eliminated from one side, all terms of all sums have one 
 lie in one sector of the complex plane: nothing cancels, whatever range the density spans.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from fpk.arrays import Array
 from fpk.dynamics import Complex
 from fpk.line.modes import Modes
 
-
+Numbers = np.ndarray[tuple[Any, ...], np.dtype[Any]]
+"""Real numbers, or complex ones where the Laplace variables are."""
 TINY = float(np.finfo(float).tiny)
 
 
@@ -24,9 +25,9 @@ class Solution(NamedTuple):
     v_j of ``Modes`` as they are, or, of a resolvent, turned as in ``Modes.diagonal``.
     """
 
-    low: Array
-    high: Array
-    inner: Array
+    low: Numbers
+    high: Numbers
+    inner: Numbers
 
 
 def loads(e: Modes, f: Solution) -> tuple[Array, Array]:
@@ -69,20 +70,22 @@ class Admittances(NamedTuple):
     ∫π v_j h_a.
     """
 
-    z: Complex
-    series: Complex
-    shunt: Complex
-    damped: Complex
+    z: Numbers
+    series: Numbers
+    shunt: Numbers
+    damped: Numbers
     coupling: Array
 
 
-def admittances(e: Modes, z: Complex) -> Admittances:
+def admittances(e: Modes, z: Numbers) -> Admittances:
     """Return the elements at the Laplace variables ``z`` (points,)."""
     nu, turn = e.diagonal
     coupling = np.einsum("evw,eva->ewa", turn, e.coupling)
     damped = 1.0 + nu[:, :, None] * z
     both = coupling.sum(axis=2)
-    pairs = np.stack([coupling[:, :, 0] * coupling[:, :, 1], *(coupling[:, :, a] * both for a in (0, 1))])
+    pairs = np.stack(
+        [coupling[:, :, 0] * coupling[:, :, 1], *(coupling[:, :, a] * both for a in (0, 1))]
+    )
     sums = np.einsum("aev,evz->aez", pairs, 1.0 / damped)
     series = e.conductance[:, None] - z * (e.mass[:, 1, None] - z * sums[0])
     shunt = z * (e.load[:, :, None] - z * np.moveaxis(sums[1:], 0, 1))
@@ -128,9 +131,11 @@ def residual(e: Modes, y: Admittances, f: Solution, at_ends: Array, inner: Array
 
 def kept(e: Modes, f: Solution) -> Complex:
     """Return ∫p of a density that ``resolvent`` gives, (points,)."""
-    nu, turn = e.diagonal
+    turn = e.diagonal[1]
     own = np.einsum("ewv,ew->ev", turn, e.coupling.sum(axis=2))
-    return np.asarray(e.load[:, 0] @ f.low + e.load[:, 1] @ f.high + np.einsum("ev,evz->z", own, f.inner))
+    return np.asarray(
+        e.load[:, 0] @ f.low + e.load[:, 1] @ f.high + np.einsum("ev,evz->z", own, f.inner)
+    )
 
 
 def lifted(e: Modes, y: Admittances, end: Complex) -> Solution:
@@ -154,12 +159,13 @@ class Eliminated(NamedTuple):
     the rest is seen through it from the right. The first element conducts nothing.
     """
 
-    total: Complex
-    ratio: Complex
-    passed: Complex
+    total: Numbers
+    ratio: Numbers
+    passed: Numbers
 
 
 def eliminated(e: Modes, y: Admittances) -> Eliminated:
+    """Return the elements of the chain, each with all below it eliminated."""
     s = Eliminated(np.ones_like(y.series), np.zeros_like(y.series), np.zeros_like(y.series))
     for k in range(1, e.count):
         below = (s.passed[k - 1] + y.shunt[k - 1, 1]) * e.steps[k - 1] + y.shunt[k, 0]

@@ -11,8 +11,8 @@ from fpk.evolution import Number, Passage, StartCurve, Transient
 from fpk.line import chain
 from fpk.line.modes import EPS, Modes
 from fpk.line.passage import FirstPassage, first_passage
-from fpk.line.spectrum import spectrum
 from fpk.line.propagation import Source
+from fpk.line.spectrum import spectrum
 from fpk.line.transition import transition
 from fpk.process import Process
 

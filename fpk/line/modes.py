@@ -76,8 +76,8 @@ def rule(degree: int, contact: bool, steepness: int) -> Rule:
         weight=weight,
         running=running,
         total=total,
-        values=legvander(2.0 * t - 1.0, degree),
-        antiderivative=0.5 * legint(np.eye(degree), lbnd=-1.0, axis=0),
+        values=np.asarray(legvander(2.0 * t - 1.0, degree), dtype=float),
+        antiderivative=np.asarray(0.5 * legint(np.eye(degree), lbnd=-1.0, axis=0), dtype=float),
     )
 
 
@@ -116,7 +116,7 @@ class Modes:
     @property
     def degree(self) -> int:
         """Degree of the polynomials."""
-        return self.series.shape[1] - 1
+        return int(self.series.shape[1]) - 1
 
     @property
     def nodes(self) -> Array:
@@ -258,7 +258,7 @@ def _batch(
         columns = r.values[:, :own]
     else:
         own, columns = count, np.roll(r.values[:, :degree], -1, axis=1)
-    R = np.linalg.qr(half[:, :, None] * columns, mode="r")
+    R: Array = np.asarray(np.linalg.qr(half[:, :, None] * columns, mode="r"), dtype=float)
     inverse = np.linalg.inv(R[:, :own, :own])
     slopes = np.zeros((left.size, degree, 1 + count))
     if first:

@@ -1,8 +1,8 @@
 """First passage of one energy through a limit: moments, failure rate and probability of failure."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
-from math import log10
 
 import numpy as np
 
@@ -10,9 +10,11 @@ from fpk.arrays import Array, Flags
 from fpk.contour import contours
 from fpk.density import SMALLEST
 from fpk.errors import InvalidInput
+from fpk.evolution import BEYOND_RANGE
 from fpk.line import chain
 from fpk.line.modes import EPS, Modes, modes, refined
 from fpk.line.time_mesh import HIGHEST, time_nodes
+from fpk.probe import probed
 from fpk.process import Process
 
 ENRICHMENT = 2
@@ -32,6 +34,8 @@ MOST_STEPS = 2_000
 """Most iterations for the failure rate; a hundred do for a hundred masses."""
 LAYER = 0.5
 """Length of the elements at the limit, in units of √(b t) of the shortest time."""
+FARTHEST = 900.0
+"""Fall of ln(π H) from its maximum to the limit beyond which none is solved for: e^900 times."""
 LARGEST_MEAN = 1e300
 """Mean times beyond it are out of the range of double precision in what is made of them."""
 SAMPLES = np.array([0.0, 0.1, 0.35, 0.65, 0.9])
@@ -48,7 +52,9 @@ class Answers:
     @cached_property
     def mean(self) -> chain.Solution:
         """T: mean time of first passage over the start, L T = −1."""
-        return chain.inverse(self.elements, *chain.loads(self.elements, chain.constant(self.elements)))
+        return chain.inverse(
+            self.elements, *chain.loads(self.elements, chain.constant(self.elements))
+        )
 
     @cached_property
     def longest(self) -> float:
@@ -171,8 +177,8 @@ class FirstPassage:
 
     def variance(self, x: Array) -> tuple[Array, Array]:
         """Return the variance of the time from the starts x and its error."""
-        (T, T_error), (U, U_error) = self.mean(x), self.second(x)
-        T, T_error = T / self.longest, T_error / self.longest
+        T, U = self.answer.moments(x)
+        T = T / self.longest
         better, half = self.enriched.moments(x)
         better, half = better / self.longest, half * (self.enriched.longest / self.longest) ** 2
         value = 2.0 * U - T**2
@@ -193,7 +199,10 @@ class FirstPassage:
 
     def failure(self, times: Array, x: Array) -> tuple[Array, Array]:
         """Return P(T <= t), (times, points), from the starts x and its error."""
-        (p, rounding), (better, other) = self.answer.failure(times, x), self.enriched.failure(times, x)
+        (p, rounding), (better, other) = (
+            self.answer.failure(times, x),
+            self.enriched.failure(times, x),
+        )
         # At short times ln P ~ −(distance)²/(2 b t): so much more the coefficients count.
         steep = 2.0 - np.log(np.clip(np.abs(p), 1e-300, 1.0))
         error = SAFETY * np.abs(p - better) + 2.0 * self.relative * steep * np.abs(p)
@@ -209,12 +218,17 @@ def first_passage(
     failure at ``times`` >= 0. The mesh adapts. Raises ``InvalidInput`` for a limit whose mean time
     is beyond double precision.
     """
-    degree = int(np.clip(round(-log10(tol)) + 4, 8, HIGHEST))
+    degree = int(np.clip(round(-math.log10(tol)) + 4, 8, HIGHEST))
+    beyond = InvalidInput("limit", limit, BEYOND_RANGE)
     later = times[times > 0.0]
-    fine = ()
+    fine: tuple[tuple[float, float], ...] = ()
     if later.size:
         b = float(process.coefficients(np.array([limit])).diffusion[0])
         fine = ((limit, LAYER * np.sqrt(b * float(later.min()))),)
+    probe = probed(process)
+    log_mass = np.interp(math.log(limit), np.log(probe.energy), probe.log_mass)
+    if not probe.log_mass.max() - log_mass < FARTHEST:
+        raise beyond
     nodes = time_nodes(process, limit, degree, fine=fine)
     pair = [modes(process, nodes[:-1], nodes[1:], degree + more) for more in (0, ENRICHMENT)]
     for _ in range(MOST_ROUNDS):
@@ -225,8 +239,7 @@ def first_passage(
             )
             longest = solved.longest
         if not longest < LARGEST_MEAN:
-            remedy = "the mean time to it is beyond the range of double precision; take a lower one"
-            raise InvalidInput("limit", limit, remedy)
+            raise beyond
         marked = _marked(solved, times)
         if not marked.any() or marked.size > MOST_ELEMENTS:
             break
@@ -244,7 +257,7 @@ def _marked(solved: FirstPassage, times: Array) -> Flags:
         marked |= np.abs(own * unit - better) > wanted * better
     if times.size:
         x = (a.left[:, None] + (a.right - a.left)[:, None] * SAMPLES).ravel()
-        p, error = solved.failure(times, x)
-        distance = np.abs(p - solved.enriched.failure(times, x)[0])
+        p, better = (a.failure(times, x)[0] for a in (solved.answer, solved.enriched))
+        distance = np.abs(p - better)
         marked |= (distance.max(axis=0) > wanted).reshape(a.count, -1).any(axis=1)
     return np.asarray(marked)

@@ -9,7 +9,7 @@ import numpy as np
 from fpk.arrays import Array
 from fpk.contour import Contour, contours
 from fpk.line import chain
-from fpk.line.modes import EPS, Modes, log_density, log_phase_density, modes, rule
+from fpk.line.modes import EPS, Modes, log_density, modes, rule
 from fpk.line.time_mesh import HIGHEST, time_nodes
 from fpk.probe import probed
 from fpk.process import Process
@@ -76,16 +76,8 @@ class Propagation:
             size[contour.index] = np.abs(factors) @ np.abs(g) * factor
         return p, size
 
-    def phase_density(self, time: int, x: Array) -> Array:
-        """Return u = p/T (points,) at one of the times."""
-        factor = np.exp(log_phase_density(self.process, self.elements, x) - self._unit(x))
-        contour, f = next((c, f) for c, f in self.parts if time in c.index)
-        g = chain.values(self.elements, f, x, turned=True)
-        row = int(np.flatnonzero(contour.index == time)[0])
-        return (g @ contour.factors[row]).imag * factor
-
     def _unit(self, x: Array) -> Array:
-        return self.elements.log_scale[self.elements.element_of(x)]
+        return np.asarray(self.elements.log_scale[self.elements.element_of(x)])
 
 
 def propagated(

@@ -105,7 +105,7 @@ def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Spectrum:
 
 
 def _extent(process: Process, count: int, tail: float) -> float:
-    """Return an energy beyond which π φ² has the share ``tail``, φ ~ H^``count`` in temperatures."""
+    """Return an energy beyond which π φ² has the share ``tail``; φ ~ H^``count``."""
     probe = probed(process)
     ln_energy = np.arange(np.log(probe.energy[0]), np.log(probe.energy[-1]), np.log(10.0) / GRID)
     log_mass = np.interp(ln_energy, np.log(probe.energy), probe.log_mass)

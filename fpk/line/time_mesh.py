@@ -15,7 +15,7 @@ GROWTH = 1.6
 """Ratio of neighbouring lengths away from a point where f changes fast: a function of the distance
 over it is as smooth on each element as on the one before."""
 SAME = 1e-3
-"""Distance of two nodes, relative to the elements beside it, below which one of them is left out."""
+"""Distance of two nodes, relative to the elements beside it, below which one is left out."""
 FEWEST = 4
 """Elements that there are at least."""
 STEEP_NATS = 4.0
@@ -48,7 +48,7 @@ def time_nodes(
     n = process.degrees_of_freedom
     nodes = initial_nodes(probed(process), end, process.nonsmooth, nats=SMOOTH_NATS)
     nodes = _with(nodes, end * np.arange(1.0, FEWEST) / FEWEST)
-    kept = [0.0, end, *(H for H in process.nonsmooth if H < end)]
+    kept = [0.0, end, *(H for H in process.nonsmooth if end > H)]
     beside_zero = [length for energy, length in fine if energy == 0.0]
     if n > 2:
         # Of degree k the first element gives k + 2 times as many digits as its share of the scale.

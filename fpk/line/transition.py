@@ -69,15 +69,13 @@ class Transition:
         inside = np.clip(x, SMALLEST, end)
         p, size = self.propagation.density(inside)
         error = SAFETY * self.distance[:, e.element_of(inside)]
-        error = error + _common_error(e, self.start, p, size, inside)
+        error = error + common_error(e, self.start, p, size, inside)
         p_there = np.where((x >= 0.0) & (x <= end), p, 0.0)
         error = np.where(x > end, error + np.abs(p), error)
         return p_there, np.where(x >= 0.0, error + SMALLEST, 0.0)
 
 
-def transition(
-    process: Process, source: Source, times: Array, *, tol: float = 1e-10
-) -> Transition:
+def transition(process: Process, source: Source, times: Array, *, tol: float = 1e-10) -> Transition:
     """Return the density at ``times`` > 0 after ``source``, to the L1 tolerance ``tol``.
 
     The mesh adapts, fine at the start; what is not met is said in the certificate. Raises
@@ -85,13 +83,13 @@ def transition(
     """
     degree = int(np.clip(round(-math.log10(tol)) + 4, 8, HIGHEST))
     probe, start = probed(process), source.energy
-    share = _log_share_above(probe, start)
+    share = log_share_above(probe, start)
     if share < FARTHEST:
         remedy = "the stationary probability beyond it is out of the range of double precision"
         raise InvalidInput("start", f"H={start:g}", remedy)
-    ends = [_extent(process, source, probe, tail * tol, share) for tail in TAIL]
+    ends = [extent(process, source, tail * tol, share) for tail in TAIL]
     if source.process is None:
-        width = _width(process, start, float(times.min()))
+        width = width_of(process, start, float(times.min()))
         nodes = time_nodes(process, ends[0], degree, fine=((start, LAYER * width),))
     else:
         width = process.energy_scale
@@ -120,7 +118,7 @@ def transition(
     return solved
 
 
-def _width(process: Process, start: float, time: float) -> float:
+def width_of(process: Process, start: float, time: float) -> float:
     """Width of the density at a short ``time`` after an energy: √(b t), b ~ H at H = 0."""
     c = process.coefficients(np.array([max(start, NEAR_ZERO * process.energy_scale)]))
     spread = math.sqrt(float(c.diffusion[0]) * time) if start > 0.0 else 0.0
@@ -143,9 +141,11 @@ def _judged(
     far, far_w = far[answer.count :], far_w[answer.count :]
     at = np.append(far.ravel(), [end, last])
     beyond = np.abs(finer.density(at)[0])
-    tail = (beyond[:, :-2] @ far_w.ravel()).max() + probe.tail_bound(last, float(beyond[:, -1].max()))
+    tail = (beyond[:, :-2] @ far_w.ravel()).max() + probe.tail_bound(
+        last, float(beyond[:, -1].max())
+    )
     distance = np.abs(p - better).reshape(shape)
-    common = _common_error(answer, (source.energy, width), p, size + other, x.ravel())
+    common = common_error(answer, (source.energy, width), p, size + other, x.ravel())
     pointwise = SAFETY * distance.reshape(p.shape) + common
     common = common.reshape(shape) * w
     measured = Measured(
@@ -162,7 +162,7 @@ def _judged(
     return solved, each, common.sum(axis=2).max(axis=0)
 
 
-def _log_share_above(probe: Probe, energy: float) -> float:
+def log_share_above(probe: Probe, energy: float) -> float:
     """About ln of the stationary probability above ``energy``."""
     if energy <= 0.0:
         return 0.0
@@ -171,23 +171,19 @@ def _log_share_above(probe: Probe, energy: float) -> float:
     return float(min(at - probe.log_mass[top], 0.0)) if energy > probe.energy[top] else 0.0
 
 
-def _extent(
-    process: Process, source: Source, probe: Probe, tail: float, log_share: float
-) -> float:
+def extent(process: Process, source: Source, tail: float, log_share: float) -> float:
     """Return an energy above which no more than ``tail`` is at any time after the start.
 
     From a start in the stationary state beyond the energy H_0 it is not more, at any energy, than
     the stationary tail over that beyond H_0; and from H_0 itself still less.
     """
-    end = probe.extent(math.exp(math.log(tail) + log_share))
+    end = probed(process).extent(math.exp(math.log(tail) + log_share))
     if source.process is not None:
         end = max(end, probed(source.process).extent(tail))
     return max(end, 1.05 * source.energy)
 
 
-def _common_error(
-    e: Modes, start: tuple[float, float], p: Array, size: Array, x: Array
-) -> Array:
+def common_error(e: Modes, start: tuple[float, float], p: Array, size: Array, x: Array) -> Array:
     """Errors that the answer and the enriched solution have in common.
 
     ``start`` is the first energy and the width of the density at the first time.
@@ -201,4 +197,4 @@ def _common_error(
     steep = 2.0 + np.log(top) - np.log(np.clip(np.abs(p), SMALLEST, top))
     floor = ROUND_OFF * EPS * (size + top)
     coefficients = 2.0 * e.coefficient_error(upto) * steep + e.relative_error[e.element_of(x)]
-    return (coefficients + rounding) * np.abs(p) + floor
+    return np.asarray((coefficients + rounding) * np.abs(p) + floor)

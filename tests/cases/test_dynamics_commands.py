@@ -75,7 +75,7 @@ REFUSED = [
     (["spectrum", "fig6a", *asked("linear")], "contacts"),
     (["relaxation", "fig6a", "--method", "linear"], "contacts"),
     (["spectrum", "fig3a", *asked("exact")], "use one of linear, phase-space"),
-    (["relaxation", "fig3a", "--method", "exact"], "use one of linear, phase-space"),
+    (["relaxation", "fig3a", "--method", "exact"], "use one of linear, nonintegrable, phase-space"),
     (["crossings", "fig3a", *asked("montecarlo")], "use one of exact, linear, phase-space"),
     (["crossings", "fig3a", *asked("guess")], "use one of exact"),
     (["crossings", "fig3a", *asked("exact"), "--solver", "fem"], "leave it out"),

@@ -1,0 +1,156 @@
+"""Averaged energies in time: the method nonintegrable, closed forms, modulated noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from averaging.nonintegrable import NonIntegrable
+from fpk.contact import Contact
+from fpk.errors import InvalidInput, NotApplicable
+from fpk.evolution import Passages, Transients
+from fpk.limit import parse_limit
+from fpk.method import silent
+from fpk.modulation import Modulation
+from fpk.observable import parse_observable
+from fpk.quadrature import panel_rule
+from fpk.start import parse_start
+from fpk.system import System
+
+FREE = System([1.0, 2.0], [1.0, 3.0], [0.1, 0.3], [0.02, 0.05])
+"""c = Σ(c_i/m_i)/2 = 0.125 and d = Σ(D_i/m_i)/2 = 0.0225, so that the temperature is 0.18."""
+TOUCHING = replace(FREE, contacts=(Contact(2, "both", 10.0, 0.5),))
+SETTINGS = {"tol": None, "progress": silent}
+
+
+def transient(system, start, times, at, solver="fem", observable="H"):
+    method = NonIntegrable(solver=solver)
+    assert isinstance(method, Transients)
+    named = parse_observable(observable, system.n), parse_start(start, system)
+    return method.transient(system, *named, np.array(times), (np.array(at),), **SETTINGS)
+
+
+def passage(system, limit, start="rest", times=(), solver="fem"):
+    method = NonIntegrable(solver=solver)
+    assert isinstance(method, Passages)
+    named = parse_limit(limit, system.n), parse_start(start, system)
+    return method.passage(system, *named, np.array(times), **SETTINGS)
+
+
+@pytest.mark.parametrize("start", ["rest", "H=0.5", "q1=0.3,p2=-0.4", "noise=0.5", "noise=0"])
+def test_solvers_agree_on_the_transient_density(start):
+    times, at = [0.1, 3.0, 100.0], np.linspace(-0.1, 2.0, 15)
+    a, b = (transient(FREE, start, times, at, solver) for solver in ("fem", "closed-form"))
+    assert a.certificate.certified and b.certificate.certified
+    assert np.all(np.abs(a.values - b.values) <= a.errors + b.errors)
+    assert a.errors.max() < 1e-9 and np.all(a.values[:, 0] == 0.0)
+
+
+def test_a_state_begins_with_its_energy():
+    start = parse_start("q1=0.3,p2=-0.4", TOUCHING)
+    energy = float(TOUCHING.hamiltonian(*start.state(2)))
+    a, b = (passage(TOUCHING, "H=2", name) for name in ("q1=0.3,p2=-0.4", f"H={energy!r}"))
+    assert a.mean == b.mean
+
+
+def test_solvers_agree_on_first_passage_and_rates():
+    times = [0.0, 5.0, 50.0]
+    a, b = (passage(FREE, "H=0.9", times=times, solver=s) for s in ("fem", "closed-form"))
+    for x, y in ((a.mean, b.mean), (a.variance, b.variance), (a.rate, b.rate)):
+        assert abs(x.value - y.value) <= x.error + y.error < 1e-10 * x.value
+    assert np.all(np.abs(a.survival - b.survival) <= a.survival_error + b.survival_error)
+    fem, closed = (
+        NonIntegrable(solver=s).relaxation(FREE, 4, **SETTINGS) for s in ("fem", "closed-form")
+    )
+    np.testing.assert_allclose(closed.values, 0.125 * np.arange(1, 5), rtol=1e-14)
+    assert np.all(np.abs(fem.values - closed.values) <= fem.errors + closed.errors)
+
+
+def test_with_contact_it_ends_in_the_stationary_density():
+    at = np.linspace(0.05, 2.0, 9)
+    late = transient(TOUCHING, "rest", [1.0, 2e3], at)
+    (density,) = NonIntegrable().solve(TOUCHING, [parse_observable("H", 2)]).densities
+    p, error = density.at(at)
+    assert np.all(np.abs(late.values[1] - p) <= late.errors[1] + error)
+    # Without the time the assertion fails.
+    assert np.max(np.abs(late.values[0] - p)) > 0.1
+
+
+REFUSED = [
+    (lambda: transient(FREE, "rest", [1.0], [0.1], observable="q1"), NotApplicable, "total energy"),
+    (lambda: transient(FREE, "rest", [1.0], [0.1], "quadrature"), NotApplicable, "use fem"),
+    (lambda: transient(TOUCHING, "rest", [1.0], [0.1], "closed-form"), NotApplicable, "contacts"),
+    (lambda: transient(FREE, "H1=1,H2=1", [1.0], [0.1]), NotApplicable, "total energy"),
+    (lambda: transient(FREE, "rest", [0.0, 1.0], [0.1]), InvalidInput, "no density"),
+    (lambda: transient(FREE, "rest", [2.0, 1.0], [0.1]), InvalidInput, "ascend"),
+    (lambda: transient(FREE, "rest", [np.nan], [0.1]), InvalidInput, "finite"),
+    (lambda: passage(FREE, "H1=1"), NotApplicable, "total energy"),
+    (lambda: passage(FREE, "q1=1"), NotApplicable, "total energy"),
+    (lambda: passage(FREE, "H=1", "H=1"), InvalidInput, "below the limit"),
+    (lambda: passage(FREE, "H=1000"), InvalidInput, "beyond the range"),
+    (lambda: passage(FREE, "H=1", times=[-1.0]), InvalidInput, "0 or later"),
+    (lambda: passage(FREE, "H=1", "noise=2", solver="closed-form"), NotApplicable, "use fem"),
+    (lambda: passage(replace(FREE, noise_intensity=[0, 0]), "H=1"), NotApplicable, "no noise"),
+]
+
+
+@pytest.mark.parametrize(("ask", "error", "word"), REFUSED)
+def test_what_is_not_given_is_refused(ask, error, word):
+    with pytest.raises(error, match=word):
+        ask()
+
+
+MODULATION = Modulation([0.0, 4.0, 20.0], [0.2, 1.4, 1.0])
+
+
+def temperature(time):
+    """θ(t) = ∫ d e² exp(−c (t − s)) ds, of which a gamma density from rest keeps its shape."""
+    nodes = np.unique([*np.linspace(0.0, time, 41), *(t for t in (4.0, 20.0) if t < time)])
+    s, w = panel_rule(nodes, 20)
+    return float((w * 0.0225 * MODULATION(s) ** 2 * np.exp(-0.125 * (time - s))).sum())
+
+
+def test_modulated_noise_against_the_exact_gamma_density():
+    system, times, at = replace(FREE, modulation=MODULATION), [1.0, 8.0, 40.0], [0.02, 0.3, 0.8]
+    solved = transient(system, "rest", times, at)
+    assert solved.certificate.certified
+    theta = np.array([[temperature(t)] for t in times])
+    exact = np.array(at) / theta**2 * np.exp(-np.array(at) / theta)
+    assert np.all(np.abs(solved.values - exact) <= solved.errors)
+    assert solved.errors.max() < 1e-8
+    # Radau IIA of five stages.
+    assert solved.settings["observed order"] == pytest.approx(9.0, abs=0.6)
+
+
+def test_modulation_is_of_what_begins_only():
+    system = replace(FREE, modulation=MODULATION)
+    names = [parse_observable("H", 2)]
+    a, b = (NonIntegrable().solve(s, names).densities[0] for s in (FREE, system))
+    assert a(0.3) == b(0.3)
+    with pytest.raises(NotApplicable, match="modulated"):
+        passage(system, "H=1")
+    with pytest.raises(NotApplicable, match="modulated"):
+        transient(system, "rest", [1.0], [0.1], "closed-form")
+
+
+@pytest.mark.parametrize(
+    ("times", "factor", "word"),
+    [
+        ([0, 1], [1.0], "one per time"),
+        ([1, 2], [0.5, 1.0], "begin with 0"),
+        ([0, 2, 2], [0.5, 0.6, 1.0], "ascend"),
+        ([0, 1], [-0.5, 1.0], "negative"),
+        ([0, 1], [1.0, 0.5], "end with 1"),
+        ([], [], "list"),
+        ([0, np.inf], [1.0, 1.0], "finite"),
+        ("x", [1.0], "finite"),
+    ],
+)
+def test_modulations_that_make_no_sense_are_refused(times, factor, word):
+    with pytest.raises(InvalidInput, match=word):
+        Modulation(times, factor)
+
+
+def test_the_energy_of_the_modulation():
+    s, w = panel_rule(np.array([0.0, 4.0, 20.0, 30.0]), 4)
+    assert MODULATION.energy(30.0) == pytest.approx(float((w * MODULATION(s) ** 2).sum()))

@@ -1,0 +1,139 @@
+"""``fpk transient``, ``fpk passage`` and averaged ``fpk relaxation``: keys, refusals, statuses."""
+
+import json
+
+import numpy as np
+import pytest
+
+DENSITY = {
+    "scene", "method", "solver", "observable", "points", "density", "error", "error_kind",
+    "certificate", "seconds", "times",
+}  # fmt: skip
+PASSAGE = {
+    "scene", "method", "solver", "limit", "start", "mean", "mean_error", "variance",
+    "variance_error", "rate", "rate_error", "times", "survival", "survival_error", "error_kind",
+    "certificate", "seconds",
+}  # fmt: skip
+CERTIFICATE = {"mass_defect", "minimum", "residual", "tail_mass", "certified"}
+MODULATION = "\n[modulation]\ntimes = [0, 10]\nfactor = [0.5, 1.0]\n"
+
+
+@pytest.fixture
+def linear_scene(scene_text, tmp_path):
+    path = tmp_path / "linear.toml"
+    system, rest = scene_text.split("[[contact]]")
+    path.write_text(system + rest[rest.index("[observe]") :])
+    return path
+
+
+def asked(command, *options, scene="fig6a", method="nonintegrable"):
+    given = {"transient": {"--of": "H", "--times": "1,10", "--at": "0.1,0.5,1"}, "passage": {}}
+    defaults = {**given[command], **({"--limit": "H=1"} if command == "passage" else {})}
+    own = dict(zip(options[::2], options[1::2], strict=True))
+    words = [str(word) for pair in ({**defaults, **own}).items() for word in pair]
+    return [command, str(scene), "--method", method, *words]
+
+
+def record(fpk, *arguments):
+    status, out, err = fpk(*arguments, "--json")
+    assert (status, err) == (0, "")
+    assert out.count("\n") == 1
+    return json.loads(out)
+
+
+def test_keys_of_a_transient(fpk):
+    answer = record(fpk, *asked("transient"))
+    assert answer.keys() >= DENSITY and answer["certificate"].keys() >= CERTIFICATE
+    assert answer["times"] == [1.0, 10.0] and answer["points"] == [0.1, 0.5, 1.0]
+    assert np.shape(answer["density"]) == np.shape(answer["error"]) == (2, 3)
+    assert (answer["observable"], answer["start"], answer["solver"]) == ("H", "rest", "fem")
+    # From rest the energy rises.
+    assert 0.0 < answer["density"][0][1] < answer["density"][1][1]
+
+
+def test_keys_of_a_passage(fpk):
+    answer = record(fpk, *asked("passage", "--times", "0:100:50", "--start", "H=0.2"))
+    assert answer.keys() >= PASSAGE and answer["certificate"].keys() >= CERTIFICATE
+    assert (answer["limit"], answer["start"]) == ("H=1", "H=0.2")
+    assert answer["survival"] == sorted(answer["survival"], reverse=True)
+    assert answer["survival"][0] == 1.0 and len(answer["survival_error"]) == 3
+    for time, failure in zip(answer["times"], answer["failure"], strict=True):
+        assert failure == pytest.approx(1.0 - answer["survival"][answer["times"].index(time)])
+    k = answer["starts"]["starts"].index(0.2)
+    assert answer["starts"]["mean"][k] == pytest.approx(answer["mean"], rel=1e-12)
+    assert record(fpk, *asked("passage"))["survival"] == []
+
+
+def test_columns(fpk):
+    status, out, err = fpk(*asked("transient"))
+    assert (status, err) == (0, "") and len(out.splitlines()) == 1 + 2 * 3
+    status, out, err = fpk(*asked("passage", "--times", "1,2"))
+    assert (status, err) == (0, "") and len(out.splitlines()) == 1 + 3 + 1 + 2
+    status, out, err = fpk("relaxation", "fig6a", "--method", "nonintegrable", "--rates", 3)
+    assert (status, err) == (0, "") and len(out.splitlines()) == 1 + 3
+
+
+def test_a_solver_that_refuses_is_passed_over(linear_scene, fpk):
+    answers = [
+        record(fpk, *asked("passage", *solver, scene=linear_scene))
+        for solver in ([], ["--solver", "closed-form"])
+    ]
+    assert [a["solver"] for a in answers] == ["fem", "closed-form"]
+    for key in ("mean", "variance", "rate"):
+        errors = sum(a[f"{key}_error"] for a in answers)
+        assert abs(answers[0][key] - answers[1][key]) <= errors
+
+
+def test_a_variance_beyond_range_is_null(linear_scene, fpk):
+    answer = record(fpk, *asked("passage", "--limit", "H=100", scene=linear_scene))
+    assert answer["mean"] > 1e160 and answer["variance"] is None
+    assert answer["mean_error"] < 1e-12 * answer["mean"]
+
+
+def test_modulated_noise(scene_text, tmp_path, fpk):
+    scene = tmp_path / "modulated.toml"
+    scene.write_text(scene_text + MODULATION)
+    answer = record(fpk, *asked("transient", "--times", "5", "--tol", "1e-5", scene=scene))
+    steady = record(fpk, *asked("transient", "--times", "5", "--tol", "1e-5"))
+    # Less noise at first, less energy.
+    assert answer["density"][0][2] < 0.5 * steady["density"][0][2]
+    for factor, word in (("[0.5, 0.9]", "end with 1"), ("[1.0]", "one per time")):
+        scene.write_text(scene_text + MODULATION.replace("[0.5, 1.0]", factor))
+        status, out, err = fpk(*asked("transient", scene=scene))
+        assert (status, out) == (2, "") and "modulation.factor" in err and word in err
+
+
+REFUSED = [
+    (asked("passage", "--start", "H=1"), "below the limit"),
+    (asked("passage", "--start", "H=-1"), "negative"),
+    (asked("passage", "--start", "q9=1"), "use rest"),
+    (asked("passage", "--limit", "H=1e6"), "beyond the range"),
+    (asked("passage", "--limit", "H=0"), "> 0"),
+    (asked("passage", "--limit", "q2=1"), "total energy only"),
+    (asked("passage", "--limit", "energy=1"), "use H=1.5"),
+    (asked("passage", "--times", "2,1"), "ascend"),
+    (asked("passage", "--times", "-1,1"), "0 or later"),
+    (asked("passage", "--times", "nan"), "finite"),
+    (asked("passage", "--solver", "closed-form"), "contacts"),
+    (asked("passage", "--solver", "quadrature"), "use fem"),
+    (asked("passage", "--solver", "magic"), "fem"),
+    (asked("passage", method="exact"), "use one of nonintegrable"),
+    (asked("passage", method="guess"), "use one of"),
+    (asked("passage", "--tol", "2"), "--tol"),
+    (asked("transient", "--times", "0,1"), "no density"),
+    (asked("transient", "--of", "H7"), "H1..H2"),
+    (asked("transient", "--of", "H,q1"), "two lists"),
+    (asked("transient", method="exact"), "use one of nonintegrable"),
+    (asked("transient", scene="missing"), "missing"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "word"), REFUSED)
+def test_what_cannot_be_used_is_refused_in_one_line(arguments, word, fpk):
+    status, out, err = fpk(*arguments)
+    assert (status, out) == (2, "") and err.count("\n") == 1 and word in err
+
+
+def test_what_is_not_certified_is_said(fpk):
+    status, out, err = fpk(*asked("transient", "--start", "H=0.5", "--times", "1e-22"))
+    assert status == 1 and out and "exceeds the tolerance" in err

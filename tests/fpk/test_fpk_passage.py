@@ -1,0 +1,165 @@
+"""First passage of one energy: exact answers of the square-root process, and of any process."""
+
+import numpy as np
+import pytest
+from fpk_processes import both, chain, cox_ingersoll_ross
+from mpmath import findroot, hyp1f1, mpf
+from square_root_exact import failure, moments
+
+from averaging.energy_process import energy_process
+from fpk.contact import Contact
+from fpk.errors import InvalidInput, NotApplicable
+from fpk.line.evolution import fem_passage
+from fpk.line.passage import first_passage
+from fpk.line.propagation import Source
+from fpk.quadrature import panel_rule
+from fpk.square_root import SquareRoot
+
+NONE = np.zeros(0)
+
+
+def process(n, c=1.0, d=1.0):
+    return cox_ingersoll_ross(a=n * d, c=c, d=d)
+
+
+# Masses, limit in temperatures: mean times of 1e-4 to 4e291 units.
+CASES = [(1, 1e-4), (1, 3.0), (1, 200.0), (2, 30.0), (4, 680.0), (20, 40.0), (100, 150.0)]
+
+
+@pytest.mark.parametrize(("n", "x"), CASES)
+@pytest.mark.parametrize("solver", ["fem", "closed-form"])
+def test_mean_and_variance_keep_their_digits_at_any_size(n, x, solver):
+    c, d = 2.0, 0.5
+    exact = moments(n, x)
+    for share in (0.0, 0.5, 0.95):
+        start = share * x * d / c
+        if solver == "fem":
+            answer = fem_passage(process(n, c, d), x * d / c, Source(start), NONE, tol=1e-10)
+        else:
+            answer = SquareRoot(n, c, d).passage(x * d / c, start, NONE, tol=1e-10)
+        assert answer.certificate.certified
+        below = moments(n, share * x)
+        for number, power in ((answer.mean, 1), (answer.variance, 2)):
+            true = (exact[power - 1] - below[power - 1]) / mpf(c) ** power
+            if true > 1e308:
+                assert number.value == np.inf
+                continue
+            # The rounding of H_f alone changes ln T by x ε.
+            assert number.error < 1e-11 * true * (1.0 + x / 100.0)
+            assert abs(number.value - true) <= number.error
+
+
+@pytest.mark.parametrize(("n", "x"), CASES)
+def test_the_failure_rate_is_the_least_zero_of_the_confluent_function(n, x):
+    value, error = first_passage(process(n), x, times=NONE).rate()
+    closed = SquareRoot(n, 1.0, 1.0).passage(x, 0.0, NONE, tol=1e-10).rate
+    assert error < 1e-11 * value and closed.error < 1e-11 * value
+    assert abs(value - closed.value) <= error + closed.error
+    if x < 100.0:
+        root = findroot(lambda a: hyp1f1(-a, n, x, maxterms=10**6), value)
+        assert abs(value - root) <= error
+
+
+def test_the_failure_rate_of_the_literature_value():
+    value, error = first_passage(process(1, 0.1, 0.05), 1.5, times=NONE).rate()
+    assert value == pytest.approx(0.013742123052434, abs=5e-16) and error < 1e-14
+
+
+@pytest.mark.parametrize(("n", "x"), [(1, 3.0), (4, 12.0)])
+def test_the_probability_of_failure_at_any_time(n, x):
+    times = np.array([0.0, 1e-2, 0.1, 1.0, 100.0])
+    starts = np.array([0.0, 0.3, 0.99]) * x
+    solved = first_passage(process(n), x, times=times)
+    p, error = solved.failure(times, starts)
+    assert error.max() < 1e-10
+    assert np.all(p[0] == 0.0)
+    for i, t in enumerate(times[1:], start=1):
+        for j, start in enumerate(starts):
+            assert abs(p[i, j] - float(failure(n, start, x, t))) <= error[i, j]
+
+
+def test_the_closed_form_of_the_reliability_or_the_reason_why_not():
+    times = np.array([0.0, 0.3, 1.0, 5.0, 20.0])
+    closed = SquareRoot(2, 1.0, 1.0).passage(4.0, 0.0, times, tol=1e-10)
+    solved = fem_passage(process(2), 4.0, Source(0.0), times, tol=1e-10)
+    assert np.all(
+        np.abs(closed.survival - solved.survival) <= closed.survival_error + solved.survival_error
+    )
+    with pytest.raises(NotApplicable, match="cancels"):
+        SquareRoot(2, 1.0, 1.0).passage(4.0, 3.9, np.array([1e-6]), tol=1e-10)
+
+
+def nested(process, limit, start):
+    """∫dx/m ∫π by Gauss panels graded to both sides of all singular points; u = e^(−αH)."""
+    nodes = np.unique([*np.linspace(0.0, limit, 31), start])
+    for H in (0.0, *process.nonsmooth):
+        gaps = 0.01 * 0.25 ** np.arange(20)
+        nodes = np.unique([*nodes, H, *(H + gaps), *(H - gaps[gaps < H])])
+    x, w = panel_rule(nodes, 24)
+    t = np.polynomial.legendre.leggauss(24)[0]
+    V = np.polynomial.legendre.legvander
+    inner = V(t, 24) @ np.polynomial.legendre.legint(np.linalg.inv(V(t, 23)), lbnd=-1)
+    c = process.coefficients(x.ravel())
+    pi = np.exp(c.log_density_of_states + np.median(2.0 * c.dissipation / c.diffusion) * x.ravel())
+    m, pi = 0.5 * c.diffusion.reshape(x.shape) * pi.reshape(x.shape), pi.reshape(x.shape)
+    below = np.append(0.0, np.cumsum((w * pi).sum(axis=1)))[:-1, None]
+    running = below + 0.5 * np.diff(nodes)[:, None] * (pi @ inner.T)
+    return float((w * running / m).sum(axis=1)[nodes[:-1] >= start].sum())
+
+
+CONTACTS = {
+    "two masses": chain(2, both(10.0)),
+    "one mass": chain(1, (Contact(1, "both", 10.0, 0.3),)),
+    "bilinear, one side": chain(1, (Contact(1, "right", 50.0, 0.2, "bilinear"),)),
+    "stiff": chain(2, both(1e6, 0.3)),
+    "no clearance": chain(2, both(10.0, 0.0)),
+}
+
+
+@pytest.mark.parametrize("name", CONTACTS)
+def test_contacts_by_the_formula_of_the_mean_and_the_forward_equation(name):
+    p = energy_process(CONTACTS[name])
+    limit, start = 3.0 * p.energy_scale, 0.6 * p.energy_scale
+    times = np.array([0.5, 5.0, 50.0, 500.0])
+    answer = fem_passage(p, limit, Source(start), times, tol=1e-10)
+    assert answer.certificate.certified
+    # The reliability by the backward equation is the mass that the forward equation leaves.
+    assert answer.certificate.mass_defect < 1e-10 and answer.certificate.residual < 1e-13
+    # Gauss panels that end in layers of 1e-14 have the round-off of as many sums.
+    assert answer.mean.value == pytest.approx(nested(p, limit, start), rel=1e-12)
+    assert answer.mean.error < 1e-11 * answer.mean.value
+    # ∫_0^∞ P(T > t) dt = E T, by the trapezoidal rule in ln t from e^(−12) E T on.
+    s = np.arange(-12.0, 12.0, 0.05)
+    t = answer.mean.value * np.exp(s)
+    survival = 1.0 - first_passage(p, limit, times=t[::40]).failure(t, np.array([start]))[0][:, 0]
+    late = t < 40.0 / answer.rate.value
+    total = 0.05 * (t * survival)[late].sum()
+    assert total == pytest.approx(answer.mean.value, rel=1e-4)
+
+
+def test_starts_at_once_and_stationary_starts():
+    curve = fem_passage(process(2), 5.0, Source(0.0), NONE, tol=1e-10).starts
+    for k in (0, 30, 99):
+        one = fem_passage(process(2), 5.0, Source(curve.starts[k]), NONE, tol=1e-10)
+        assert one.mean.value == pytest.approx(curve.mean[k], rel=1e-12)
+        assert one.variance.value == pytest.approx(curve.variance[k], rel=1e-12)
+    assert curve.mean[-1] <= curve.mean_error[-1] < 1e-12
+    assert curve.variance[-1] <= curve.variance_error[-1] < 1e-10
+    # From the stationary state: E T is the mean over gamma, what is beyond the limit has failed.
+    mixed = fem_passage(process(2), 5.0, Source(process=process(2)), np.array([0.0]), tol=1e-10)
+    assert mixed.survival[0] == pytest.approx(1.0 - 6.0 * np.exp(-5.0), abs=1e-12)
+    x, w = panel_rule(np.linspace(0.0, 5.0, 9), 20)
+    mean, _ = first_passage(process(2), 5.0, times=NONE).mean(x.ravel())
+    expected = (w * x * np.exp(-x)).ravel() @ mean
+    assert abs(mixed.mean.value - expected) < 1e-12 * expected
+
+
+def test_limits_and_starts_that_make_no_sense_are_refused():
+    for solver in (
+        lambda limit, start: fem_passage(process(1), limit, Source(start), NONE, tol=1e-10),
+        lambda limit, start: SquareRoot(1, 1.0, 1.0).passage(limit, start, NONE, tol=1e-10),
+    ):
+        with pytest.raises(InvalidInput, match="below the limit"):
+            solver(1.0, 1.0)
+        with pytest.raises(InvalidInput, match="beyond the range"):
+            solver(800.0, 0.0)

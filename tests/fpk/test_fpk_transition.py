@@ -1,0 +1,153 @@
+"""Densities of one energy in time, relaxation rates, and the contour that makes them."""
+
+import numpy as np
+import pytest
+from fpk_processes import both, chain, cox_ingersoll_ross
+from scipy.sparse.linalg import splu
+from square_root_exact import density
+
+from averaging.energy_process import energy_process
+from fpk.contact import Contact
+from fpk.contour import contours
+from fpk.errors import InvalidInput
+from fpk.line.evolution import fem_passage
+from fpk.line.propagation import Source
+from fpk.line.spectrum import eigenvalues_below, spectrum
+from fpk.line.stationary import solve_stationary
+from fpk.line.transition import transition
+from fpk.operator import Operator
+from fpk.square_root import SquareRoot
+
+DECADES = np.array([1e-3, 0.1, 1.0, 1e3])
+
+
+@pytest.mark.parametrize("rate", [0.0, 1e-4, 1.0, 1e4])
+def test_the_contour_gives_exponentials_at_all_times(rate):
+    times = np.geomspace(1e-3, 1e3, 40)[::-1]
+    value = np.empty(40)
+    for c in contours(times):
+        value[c.index] = (c.factors @ (1.0 / (c.z + rate))).imag
+    # Some seventy terms of the size e^3.
+    np.testing.assert_allclose(value, np.exp(-rate * times), atol=1e-14)
+
+
+@pytest.mark.parametrize("start", [0.0, 0.5, 1.5, 8.0])
+@pytest.mark.parametrize("n", [1, 2, 4, 20])
+def test_the_transition_density_of_the_square_root_process(n, start):
+    c, d = 0.5, 0.2
+    theta, h = d / c, start * n * d / c
+    p = cox_ingersoll_ross(a=n * d, c=c, d=d)
+    solved = transition(p, Source(h), DECADES / c)
+    assert solved.certificate.certified
+    for k, t in enumerate(DECADES):
+        left, grown = h * np.exp(-t), -theta * np.expm1(-t)
+        width = np.sqrt(grown * (n * grown + 2.0 * left))
+        x = np.abs(n * grown + left + width * np.array([-5.0, -2.0, -0.5, 1.0, 6.0]))
+        exact = np.array([float(density(n, a / theta, h / theta, t)) for a in x]) / theta
+        values, errors = solved.density(x)
+        assert np.all(np.abs(values[k] - exact) <= errors[k])
+        assert errors[k].max() < 1e-9 * exact.max()
+        closed = SquareRoot(n, c, d).transient(h, None, DECADES[k : k + 1] / c, x, tol=1e-10)
+        assert closed.certificate.certified and closed.errors.max() < 1e-10 * exact.max()
+        assert np.all(np.abs(closed.values[0] - exact) <= closed.errors[0])
+
+
+@pytest.mark.parametrize("factor", [0.3, 1.0, 2.5])
+def test_from_the_stationary_state_of_another_noise_it_stays_a_gamma_density(factor):
+    n, c, d = 2, 0.5, 0.2
+    process, other = (cox_ingersoll_ross(a=n * f * d, c=c, d=f * d) for f in (1.0, factor))
+    x, times = np.linspace(0.0, 6.0, 25), DECADES / c
+    solved = transition(process, Source(process=other), times)
+    values, errors = solved.density(x)
+    exact = SquareRoot(n, c, d).transient(0.0, factor, times, x, tol=1e-10)
+    assert solved.certificate.certified and exact.certificate.certified
+    assert np.all(np.abs(values - exact.values) <= errors + exact.errors)
+    assert errors.max() < 1e-9
+
+
+CONTACTS = {
+    "two masses": chain(2, both(10.0)),
+    "one mass": chain(1, (Contact(1, "both", 10.0, 0.3),)),
+    "stiff": chain(2, both(1e6, 0.3)),
+    "no clearance": chain(2, both(10.0, 0.0)),
+}
+
+
+@pytest.mark.parametrize("name", CONTACTS)
+def test_contacts_the_stationary_end_and_time_reversal(name):
+    process = energy_process(CONTACTS[name])
+    scale = process.energy_scale
+    x = np.linspace(0.05, 4.0, 12) * scale
+    stationary = solve_stationary(process, tol=1e-11)
+    pi = stationary.density(x)
+    late = transition(process, Source(0.0), np.array([3e3]))
+    values, errors = late.density(x)
+    assert late.certificate.certified
+    assert np.all(np.abs(values[0] - pi) <= errors[0] + stationary.pointwise_error(x))
+    # π(x) p(y, t | x) = π(y) p(x, t | y), two solutions on two meshes.
+    a, b, times = 0.3 * scale, 1.4 * scale, np.array([0.3, 3.0, 30.0])
+    forth, back = transition(process, Source(a), times), transition(process, Source(b), times)
+    (p, p_error), (q, q_error) = forth.density(np.array([b])), back.density(np.array([a]))
+    at_a, at_b = stationary.density(np.array([a, b]))
+    bound = at_a * p_error + at_b * q_error
+    bound += 2e-11 * (at_a * p + at_b * q) + 1e-300
+    assert np.all(np.abs(at_a * p - at_b * q) <= bound)
+
+
+def test_the_mesh_follows_and_many_times_cost_one_solution():
+    process = energy_process(chain(2, both(10.0)))
+    times = np.linspace(1.0, 300.0, 200)
+    solved = transition(process, Source(0.0), times)
+    values, errors = solved.density(np.linspace(0.0, 2.0, 21))
+    assert solved.certificate.certified
+    assert np.all(errors < 1e-10 * values.max(axis=1, keepdims=True))
+    assert len(solved.propagation.parts) == 3
+
+
+def test_the_forward_matrices_of_the_operator_agree():
+    # Of scikit-fem, without and with an absorbing end; no contact, where its quadrature is exact.
+    process, times = cox_ingersoll_ross(a=2.0), np.array([0.5, 2.0, 8.0])
+    start, limit, x = 1.5, 9.0, np.linspace(0.1, 8.0, 9)
+    nodes = np.unique([*np.linspace(0.0, 36.0, 37), *(start + np.array([-0.3, 0.0, 0.3]))])
+    carried = {}
+    for absorbing in ((), (0,)):
+        own = nodes[nodes <= limit] if absorbing else nodes
+        operator = Operator(process, (own,), 14, 40, flux_form=True, absorbing=absorbing)
+        point = operator.basis.probes(np.array([[start]])).toarray()[0][operator.free]
+        u = np.zeros((times.size, point.size))
+        for c in contours(times):
+            solutions = [
+                splu((z * operator.M - operator.A).tocsc()).solve(point.astype(complex))
+                for z in c.z
+            ]
+            u[c.index] = (c.factors @ np.array(solutions)).imag
+        carried[absorbing] = operator, u
+    operator, u = carried[()]
+    values, _ = transition(process, Source(start), times).density(x)
+    for k in range(times.size):
+        np.testing.assert_allclose(operator.density(u[k], x), values[k], atol=1e-10)
+    operator, u = carried[0,]
+    answer = fem_passage(process, limit, Source(start), times, tol=1e-10)
+    np.testing.assert_allclose(u @ operator.shares, answer.survival, atol=1e-10)
+
+
+def test_a_time_too_short_for_double_precision_is_said():
+    process = cox_ingersoll_ross(a=2.0)
+    solved = transition(process, Source(1.0), np.array([1e-24]))
+    assert not solved.certificate.certified
+    with pytest.raises(InvalidInput, match="out of the range"):
+        transition(process, Source(800.0), np.array([1.0]))
+
+
+@pytest.mark.parametrize(("n", "count"), [(1, 5), (2, 25), (4, 10), (20, 5), (100, 3)])
+def test_the_rates_of_the_square_root_process(n, count):
+    solved = spectrum(cox_ingersoll_ross(a=n * 0.3, c=2.0, d=0.3), count)
+    exact = 2.0 * np.arange(1.0, count + 1.0)
+    assert solved.certificate.certified and solved.errors.max() < 1e-10 * exact[-1]
+    assert np.all(np.abs(solved.rates - exact) <= solved.errors)
+
+
+def test_eigenvalues_are_counted():
+    solved = transition(cox_ingersoll_ross(a=3.0), Source(0.0), np.array([1.0]))
+    rates = np.array([1e-9, 0.5, 1.5, 2.5, 3.5])
+    assert eigenvalues_below(solved.elements, rates).tolist() == [1, 1, 2, 3, 4]
