@@ -1,7 +1,7 @@
 """Stochastic averaging of quasi-integrable Hamiltonian systems as a method, sections 5 and 6.3."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,11 +9,17 @@ from averaging.modal.analysis import ModalAnalysis, modal_analysis
 from averaging.modal.groups import unsolved
 from averaging.modal.observables import gaussian_modes, modal_densities
 from averaging.modal.resonance import correlations, nearest_resonance, require_no_resonance
+from averaging.modal.time import modal_passage, modal_relaxation, modal_transient
 from averaging.theory import Theory
+from fpk.arrays import Array
 from fpk.clearance import CLEARANCE_RULE
+from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
+from fpk.evolution import Passage, Transient
+from fpk.limit import Limit
 from fpk.method import Plan, Progress, Result
 from fpk.observable import Observable, observable_name
+from fpk.start import Start
 from fpk.system import System
 
 
@@ -65,6 +71,55 @@ class Integrable(Theory):
 
         return Plan(lambda observable: self._refusal(observable, modes), solve)
 
+    def transient(
+        self,
+        system: System,
+        observable: Observable,
+        start: Start,
+        times: Array,
+        at: tuple[Array, ...],
+        *,
+        tol: float | None,
+        progress: Progress,
+    ) -> Transient:
+        """Return the densities of modal energies at times, as ``fpk.evolution`` says."""
+        modes = self._in_time(system)
+        answer = modal_transient(system, modes, self.solver, observable, start, times, at, tol=tol)
+        return replace(answer, settings=_time_settings(answer.settings, system, modes))
+
+    def passage(
+        self,
+        system: System,
+        limit: Limit,
+        start: Start,
+        times: Array,
+        *,
+        tol: float | None,
+        progress: Progress,
+    ) -> Passage:
+        """Return the first passage of modal energies or of their sum."""
+        modes = self._in_time(system)
+        answer = modal_passage(system, modes, self.solver, limit, start, times, tol=tol)
+        return replace(answer, settings=_time_settings(answer.settings, system, modes))
+
+    def relaxation(
+        self, system: System, count: int, *, tol: float | None, progress: Progress
+    ) -> Rates:
+        """Return the slowest relaxation rates of the modal energies."""
+        modes = self._in_time(system)
+        answer = modal_relaxation(modes, self.solver, count, tol=tol)
+        return replace(answer, settings=_time_settings(answer.settings, system, modes))
+
+    def _in_time(self, system: System) -> ModalAnalysis:
+        """The modes; raises ``NotApplicable`` where the theory or the solver does not hold."""
+        modes = system.fact(modal_analysis)
+        require_no_resonance(system, modes)
+        if self.solver == "quadrature":
+            raise NotApplicable("quadrature gives stationary densities; use closed-form or fem")
+        if reason := unsolved(modes, self.solver):
+            raise NotApplicable(reason)
+        return modes
+
     def _refusal(self, observable: Observable, modes: ModalAnalysis) -> str | None:
         """Why the solver does not give this observable."""
         name, kinds = observable_name(observable), [c.kind for c in observable]
@@ -74,6 +129,13 @@ class Integrable(Theory):
         if modes.constant and self.solver != "closed-form" and (total or kinds[0] != "H"):
             return f"{name}: by {self.solver}, only modal energies H1, H2, … ; use closed-form"
         return None
+
+
+def _time_settings(
+    settings: Mapping[str, str | float | int], system: System, modes: ModalAnalysis
+) -> Mapping[str, str | float | int]:
+    neglected = _contacts_left_out(system, modes)
+    return {**settings, **({"contacts left out": neglected} if neglected else {})}
 
 
 def _contacts_left_out(system: System, modes: ModalAnalysis) -> str:

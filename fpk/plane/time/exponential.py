@@ -24,6 +24,8 @@ NOTHING = 1e-3
 """Eigenvalues s of (M − γA)⁻¹ M below are left out: with t/γ > 1/(RATIO · POLE) = 1.1 the factor
 e^(t(1 − 1/s)/γ) is e^−1100, less than the smallest number."""
 
+INVARIANT = 1e-12
+"""Part of a vector outside the space, relative to it, that is round-off: the space is complete."""
 LARGEST = 20.0
 """Largest growth of a mode of a small space, whose numerical range leans into the right half plane;
 e^20 of anything is far from converged, and NaN says so."""
@@ -62,7 +64,9 @@ def factorised(matrix: csc_array) -> SuperLU:
 
 
 def relative_residual(matrix: csc_array, sizes: csc_array, x: Array, right: Array) -> float:
-    """Return the largest entry of ``right − matrix x`` over that of its terms; ``sizes`` |matrix|.
+    """Return the largest entry of ``right − matrix x`` over the largest of its terms.
+
+    ``sizes`` is |matrix|.
     """
     defect = np.abs(right - matrix @ x)
     return float(np.max(defect) / (np.max(np.abs(right)) + np.max(sizes @ np.abs(x))))
@@ -77,9 +81,7 @@ def evolved(A: csc_array, M: csc_array, dual: Array, times: Array, *, tol: float
     start = factorised(M).solve(dual)
     residual = relative_residual(M, abs(M), start, dual)
     parts = [_of_group(A, M, start, times[group], tol) for group in _groups(times)]
-    values, change, rounding = (
-        np.concatenate([part[k] for part in parts]) for k in range(3)
-    )
+    values, change, rounding = (np.concatenate([part[k] for part in parts]) for k in range(3))
     return Evolved(values, change, rounding, max(residual, *(part.residual for part in parts)))
 
 
@@ -102,12 +104,17 @@ def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float
             v = factors.solve(MV[k - 1])
             if k % CHUNK == 1:
                 residual = max(residual, relative_residual(matrix, sizes, v, MV[k - 1]))
+            before = float(np.sqrt(v @ (M @ v)))
             for _ in range(2):
                 along = MV[:k] @ v
                 H[:k, k - 1] += along
                 v = v - along @ V[:k]
         Mv = M @ v
         size = float(np.sqrt(v @ Mv))
+        if k and size <= INVARIANT * before:
+            more, rounding = _reduced(H[:k, :k], times, gamma, symmetric)
+            change = np.zeros_like(more)
+            break
         if k:
             H[k, k - 1] = size
         else:
@@ -122,7 +129,9 @@ def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float
             if float(np.max(relative)) <= tol or k + CHUNK >= MOST:
                 break
     relative = rounding / np.linalg.norm(more, axis=1)
-    return Evolved(norm * more @ V[:k], norm * change @ V[:k], relative, residual)
+    return Evolved(
+        norm * more @ V[: more.shape[1]], norm * change @ V[: more.shape[1]], relative, residual
+    )
 
 
 def _symmetric(A: csc_array) -> bool:

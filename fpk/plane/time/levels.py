@@ -24,6 +24,7 @@ may rise by hundreds, and elements over which it rises by 40 have singular matri
 BEYOND = 1e-3
 """Fraction of the tolerance that w falls to at the far edges of the first level."""
 
+
 @dataclass(frozen=True, eq=False)
 class Frame:
     """A process of two energies, its stationary density, and the weight that goes with it."""

@@ -38,11 +38,11 @@ class PlaneOperator:
     """``M ∂g/∂t = A g`` with tensor elements of one ``degree`` between ``nodes`` of a ``domain``.
 
     ``balanced`` says that w without its floor is the stationary density and no probability flows:
-    but for the floor a = 0 exactly. ``absorbing`` says at which last nodes, of the first and of the second
-    coordinate, g = 0: first passage. There one vertex function, that where w is largest, gives way
-    to the sum of all of them, which is 1 but beside the limit: its matrix entries are integrals
-    beside the limit, as small as the failure rate, and computed as such, not as a difference of
-    large ones. ``more_points`` Gauss points are added along each axis.
+    but for the floor a = 0 exactly. ``absorbing`` says at which last nodes, of the first and of the
+    second coordinate, g = 0: first passage. There one vertex function, that where w is largest,
+    gives way to the sum of all of them, which is 1 but beside the limit: its matrix entries are
+    integrals beside the limit, as small as the failure rate, and computed as such, not as a
+    difference of large ones. ``more_points`` Gauss points are added along each axis.
     """
 
     process: Process
@@ -177,7 +177,9 @@ class PlaneOperator:
             a = a + 0.5 * np.einsum("...ij,...j->...i", b, (1.0 - held)[..., None] * slope)
         a, b = self.domain.pulled_back((first, second), a, b)
         of_y = w * self.domain.jacobian(first, second)
-        return of_y * np.stack([a[..., 0], a[..., 1], b[..., 0, 0], b[..., 0, 1], b[..., 1, 1]]), of_y
+        return of_y * np.stack(
+            [a[..., 0], a[..., 1], b[..., 0, 0], b[..., 0, 1], b[..., 1, 1]]
+        ), of_y
 
     def _weight_and_slope(self, H1: Array, H2: Array) -> tuple[Array, Array, Array]:
         """w, the slope ∇Φ of the weight without its floor, and the floor's share of w."""
@@ -208,7 +210,7 @@ class PlaneOperator:
         return values
 
     def at(self, H1: Array, H2: Array) -> Array:
-        """Return the functions of the free unknowns at points (points,) each: (points, unknowns)."""
+        """Return the functions of the free unknowns at points, (points, unknowns)."""
         y = self.domain.coordinates(np.atleast_1d(H1), np.atleast_1d(H2))
         first, second = self.along(0, y[0]), self.along(1, y[1])
         rows = (first[:, :, None] * second[:, None, :]).reshape(y[0].size, -1)
@@ -220,6 +222,11 @@ class PlaneOperator:
         if self._pinned is not None:
             free[..., self._pinned] = rows[..., self._vertices & ~self._held].sum(axis=-1)
         return free
+
+    def vertex_values(self, g: Array) -> Array:
+        """Return the values (..., vertices) of functions at the vertices of the mesh."""
+        full = self.spread(g)
+        return full[..., : self.counts[0] + 1, : self.counts[1] + 1].reshape(*g.shape[:-1], -1)
 
     def spread(self, g: Array) -> Array:
         """Return the coefficients (..., *sizes) of all shape functions from free unknowns."""

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csc_array
+from scipy.sparse.linalg import SuperLU
 
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
@@ -20,7 +21,7 @@ from fpk.plane.time.domain import Domain, Rectangle, Triangle
 from fpk.plane.time.exponential import evolved, factorised, relative_residual
 from fpk.plane.time.levels import Frame, operators
 from fpk.plane.time.operator import PlaneOperator
-from fpk.plane.time.start import Start, PointStart
+from fpk.plane.time.start import PointStart, Start
 
 FOLDS = 5.0
 """Largest rise of −ln w over a panel, on average: over the last one the elimination loses the root
@@ -64,7 +65,7 @@ class PlaneLimit:
         if self.total is not None:
             return bool(energies.sum() >= self.total)
         limits = (self.first, self.second)
-        return any(a is not None and H >= a for a, H in zip(limits, energies, strict=True))
+        return any(a is not None and a <= H for a, H in zip(limits, energies, strict=True))
 
     def edge(self, far: Array) -> tuple[Array, Array]:
         """Return energies along the limit, up to ``far`` where there is none."""
@@ -111,7 +112,9 @@ def first_passage(
     for op in _operators(frame, start, limit, tol):
         level = _answer(op, start, times, tol)
         if previous is not None:
-            answer = _compared(previous, level, op, frame, start, limit, times, tol, coefficients_error)
+            answer = _compared(
+                previous, level, op, frame, start, limit, times, tol, coefficients_error
+            )
             if answer.certificate.certified:
                 return answer
         previous = level
@@ -127,7 +130,7 @@ def _operators(
     lowest = float(np.min(frame.heights(*limit.edge(frame.ends(frame.rise(tol, height, 0))))))
     if lowest > HIGHEST:
         raise NotCertified(
-            f"the limit is practically never passed: the density falls by exp(−{lowest:.0f}) up to it"
+            f"the limit is never passed: up to it the density falls by exp(−{lowest:.0f})"
         )
 
     height = max(height, lowest)
@@ -135,11 +138,17 @@ def _operators(
     def nodes(rise: float, panels: int) -> Nodes:
         far = frame.ends(rise)
         if limit.total is not None:
-            corners = frame.heights(limit.total * np.array([0.0, 1.0]), limit.total * np.array([1.0, 0.0]))
+            corners = frame.heights(
+                limit.total * np.array([0.0, 1.0]), limit.total * np.array([1.0, 0.0])
+            )
             rise, across = float(corners.max()), abs(float(corners[1] - corners[0]))
             angles = np.linspace(0.0, 0.5 * np.pi, 1 + max(panels, int(across / FOLDS)))
-            return graded((limit.total, 1.0), max(panels, int(rise / FOLDS)))[0], np.sin(angles) ** 2
-        ends = [e if x is None else x for x, e in zip((limit.first, limit.second), far, strict=True)]
+            return graded((limit.total, 1.0), max(panels, int(rise / FOLDS)))[0], np.sin(
+                angles
+            ) ** 2
+        ends = [
+            e if x is None else x for x, e in zip((limit.first, limit.second), far, strict=True)
+        ]
         rises = frame.heights(np.array([ends[0], 0.0]), np.array([0.0, ends[1]]))
         first, second = (
             graded((end, 1.0), max(panels, int(rise / FOLDS)))[0]
@@ -154,14 +163,14 @@ def _operators(
 
 def _answer(op: PlaneOperator, start: Start, times: Array, tol: float) -> _Answer:
     A, M, shares = op.matrices
-    K, factors, dual = (-A).tocsc(), factorised(-A), start.dual(op)
-    transposed = K.T.tocsc()
+    transposed, dual = (-A.T).tocsc(), start.dual(op)
+    backward, forward = factorised(transposed), factorised(-A)
     sizes = abs(transposed)
 
     def solved(right: Array) -> tuple[Array, Array, float]:
         """K⁻ᵀ of a vector, what one step of refinement changed, and the residual."""
-        first = factors.solve(right, "T")
-        change = factors.solve(right - transposed @ first, "T")
+        first = backward.solve(right)
+        change = backward.solve(right - transposed @ first)
         x = first + change
         return x, change, relative_residual(transposed, sizes, x, right)
 
@@ -169,7 +178,7 @@ def _answer(op: PlaneOperator, start: Start, times: Array, tol: float) -> _Answe
     square, _, _ = solved(2.0 * (M @ T))
     mean, second = float(dual @ T), float(dual @ square)
     relative = ROUNDING * abs(float(dual @ change)) / mean + LEAST
-    rate = _least_rate(M, factors, T)
+    rate = _least_rate(M, backward, forward, T)
     numbers = np.array([mean, second - mean**2, rate])
     rounding = relative * np.array([mean, second + 2.0 * mean**2, rate])
     survival, lost = np.full(times.size, float(np.nan)), np.zeros(times.size)
@@ -181,7 +190,8 @@ def _answer(op: PlaneOperator, start: Start, times: Array, tol: float) -> _Answe
     if np.any(~at_zero):
         u = evolved(A.T.tocsc(), M, shares, times[~at_zero], tol=KRYLOV * tol)
         survival[~at_zero] = u.values @ dual
-        lost[~at_zero] = np.abs(u.change @ dual) + ROUNDING * u.rounding
+        largest = np.max(np.abs(op.vertex_values(u.values)), axis=1)
+        lost[~at_zero] = np.abs(u.change @ dual) + ROUNDING * u.rounding * largest
         residual = max(residual, u.residual)
     (x, y), _ = gauss_grid(op.nodes, 4)
     on_grid = op.along(0, x) @ op.spread(T) @ op.along(1, y).T
@@ -189,13 +199,13 @@ def _answer(op: PlaneOperator, start: Start, times: Array, tol: float) -> _Answe
     return _Answer(numbers, rounding, survival, lost, least, residual)
 
 
-def _least_rate(M: csc_array, factors: object, u: Array) -> float:
+def _least_rate(M: csc_array, backward: SuperLU, forward: SuperLU, u: Array) -> float:
     """The least λ of K u = λ M u, with left and right vectors: it is real and simple."""
     right, left, last = u, u, np.inf
     for _ in range(ITERATIONS):
         Mu = M @ right
-        solved = factors.solve(Mu, "T")
-        left = factors.solve(M @ left)
+        solved = backward.solve(Mu)
+        left = forward.solve(M @ left)
         rate = float((left @ Mu) / (left @ (M @ solved)))
         right, left = solved / np.abs(solved).max(), left / np.abs(left).max()
         if abs(rate - last) <= CONVERGED * abs(rate):

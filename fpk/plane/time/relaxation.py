@@ -42,7 +42,9 @@ def relaxation_rates(frame: Frame, count: int, *, tol: float, relative: float = 
             continue
         values, residual = _eigenvalues(op, sought, shift)
         if previous is not None:
-            errors = SAFETY * np.array([float(np.min(np.abs(previous - z))) for z in values[:count]])
+            errors = SAFETY * np.array(
+                [float(np.min(np.abs(previous - z))) for z in values[:count]]
+            )
             size = np.abs(values[:count])
             errors += ROUNDING * (size + shift) ** 2 / shift
             errors += (relative + 2.0 * frame.relative_error) * size
@@ -80,8 +82,9 @@ def _eigenvalues(op: PlaneOperator, sought: int, shift: float) -> tuple[Complexe
     s, X = eigs(inverse, k=sought, ncv=VECTORS[0] * sought + VECTORS[1], v0=start, tol=0.0)
     values = 1.0 / s - shift
     values = np.where(np.abs(values.imag) <= REAL * np.abs(values), values.real, values)
-    right, terms = A @ X + (M @ X) * values, abs(A) @ np.abs(X) + (M @ np.abs(X)) * np.abs(values)
-    residual = float(np.max(np.abs(right), initial=0.0) / np.max(terms))
+    defect = np.asarray(A @ X + (M @ X) * values)
+    terms = np.asarray(abs(A) @ np.abs(X) + (M @ np.abs(X)) * np.abs(values))
+    residual = float(np.max(np.abs(defect)) / np.max(terms))
     order = np.lexsort((values.imag, values.real))
     order = order[(values.imag[order] >= 0.0)]
     stationary = int(np.argmin(np.abs(values[order])))

@@ -21,7 +21,7 @@ class PointStart:
 
     def dual(self, op: PlaneOperator) -> Array:
         """Return φ at the start, of the free unknowns."""
-        return op.at(self.energies[:1], self.energies[1:])[0]
+        return np.asarray(op.at(self.energies[:1], self.energies[1:])[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,11 @@ SHARE = 0.05
 their difference crosses zero."""
 ROUNDING = 8.0
 """Multiple of the estimated relative round-off that is stated: up to 3 times it was measured."""
+UNRESOLVED = 0.1
+"""L1 distance of two levels above which neither resolves the density: the error is unknown."""
+GIVEN_UP = (13, 0.5)
+"""Degree from which on an L1 distance larger than that ends the search: the last level resolves
+times a quarter as long, and no shorter ones."""
 KRYLOV = 1e-2
 """Fraction of the tolerance to which e^(tA) is computed."""
 
@@ -56,8 +61,11 @@ def transient_densities(
     previous: _Level | None = None
     for level in _levels(frame, start, times, tol):
         if previous is not None:
-            answer = _compared(previous, level, start, view, times, at, tol, coefficients_error)
-            if answer.certificate.certified:
+            answer, unresolved = _compared(
+                previous, level, start, view, times, at, tol, coefficients_error
+            )
+            hopeless = level.op.degree >= GIVEN_UP[0] and answer.certificate.failures
+            if answer.certificate.certified or (hopeless and unresolved > GIVEN_UP[1]):
                 return answer
         previous = level
     return answer
@@ -94,8 +102,8 @@ def _compared(
     at: tuple[Array, ...],
     tol: float,
     coefficients_error: Callable[..., Array] | None,
-) -> Transient:
-    """The finer answer, with its distance to the coarser one as the error."""
+) -> tuple[Transient, float]:
+    """The finer answer, its error by the distance to the coarser one, the largest distance."""
     axes, area = view.grid(fine.op)
     p, other = (view.on_grid(level.op, level.g, axes) for level in (fine, coarse))
     flat = p.reshape(times.size, -1)
@@ -121,10 +129,16 @@ def _compared(
             grid = np.meshgrid(*axes, indexing="ij", sparse=True)
             model[k] = float(np.sum(area * np.abs(p[k]) * coefficients_error(t, *grid)))
     negative = np.min(np.broadcast_arrays(*at), axis=0) < 0.0
+    distance = np.sum((lost * area).reshape(times.size, -1), axis=1)
+    unresolved = ~(distance <= UNRESOLVED)
+    errors = np.where(unresolved[:, None], np.inf, errors)
     errors = np.where(negative, 0.0, errors) + SMALLEST
     l1 = (lost * area).reshape(times.size, -1).sum(axis=1) + model + rounding + start.l1_error
     inside = np.all(
-        [x <= y[-1] for x, y in zip(np.meshgrid(*axes, indexing="ij"), _ends(view, coarse.op), strict=True)],
+        [
+            x <= y[-1]
+            for x, y in zip(np.meshgrid(*axes, indexing="ij"), _ends(view, coarse.op), strict=True)
+        ],
         axis=0,
     )
     tail = np.abs(p * area * ~inside).reshape(times.size, -1).sum(axis=1)
@@ -136,6 +150,7 @@ def _compared(
         residual=float(np.max([fine.evolved.residual, coarse.evolved.residual])),
         tail_mass=float(np.max(tail)),
         absolute_error=absolute,
+        failures=tuple(f"the time {t:.4g} is too short for the mesh" for t in times[unresolved]),
     )
     settings = {
         "unknowns": fine.g[0].size,
@@ -144,7 +159,8 @@ def _compared(
         "L1 error at the last time": float(l1[-1]),
     }
     certificate = certify(measured, tol=tol)
-    return Transient(times, values, errors, "numerical", certificate, settings)
+    answer = Transient(times, values, errors, "numerical", certificate, settings)
+    return answer, float(np.max(distance))
 
 
 def _ends(view: View, op: PlaneOperator) -> tuple[Array, ...]:

@@ -1,0 +1,201 @@
+"""Two energies in time: transients, rates and first passage of the plane's operator."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.linalg import expm
+from scipy.sparse.linalg import splu
+from scipy.special import ive
+from test_fpk_plane import COUPLED, FIG8, manufactured, square_root_process
+
+from fpk.errors import NotCertified
+from fpk.operator import Operator
+from fpk.plane.solution import graded
+from fpk.plane.stationary import solve_plane
+from fpk.plane.time.domain import Rectangle, Triangle
+from fpk.plane.time.exponential import evolved
+from fpk.plane.time.levels import Frame
+from fpk.plane.time.operator import PlaneOperator
+from fpk.plane.time.passage import PlaneLimit, first_passage
+from fpk.plane.time.relaxation import relaxation_rates
+from fpk.plane.time.start import PointStart
+from fpk.plane.time.transient import transient_densities
+from fpk.plane.time.view import View
+from fpk.quadrature import panel_rule
+
+
+def frame(process):
+    return Frame(process, solve_plane(process, tol=1e-11))
+
+
+def square_root_density(h0, t, c, d, x):
+    """p(x, t | h0) of dH = (d − c H) dt + √(2 d H) dB."""
+    tau, h = d / c * -np.expm1(-c * t), h0 * np.exp(-c * t)
+    z = 2.0 * np.sqrt(x * h) / tau
+    return np.exp(-((np.sqrt(x) - np.sqrt(h)) ** 2) / tau) * ive(0.0, z) / tau
+
+
+def assert_within(seed):
+    """A random pair of square-root processes, seen at a random time: the error is within."""
+    rng = np.random.default_rng(seed)
+    c, d = 10.0 ** rng.uniform(-2, 0, 2), 10.0 ** rng.uniform(-2, 0, 2)
+    c[1] = c[0] * 3.0 ** rng.uniform(-1, 1)
+    start = d / c * rng.choice([0.0, 1.0], 2) * rng.exponential(1.5, 2)
+    t = float(10.0 ** rng.uniform(-0.3, 1.0) / c.max())
+    x, y = (theta * rng.exponential(1.5, 40) for theta in d / c)
+    tol = 10.0 ** rng.uniform(-8, -3)
+    answer = transient_densities(
+        frame(square_root_process(tuple(c), tuple(d))), PointStart(start), View("pair"),
+        np.array([t]), (x, y), tol=tol,
+    )  # fmt: skip
+    exact = np.prod(
+        [square_root_density(*a, z) for *a, z in zip(start, (t, t), c, d, (x, y), strict=True)],
+        axis=0,
+    )
+    assert np.all(np.abs(answer.values[0] - exact) <= answer.errors[0]), f"seed {seed}"
+    return answer.certificate.certified
+
+
+def test_random_transients_are_within_their_stated_errors():
+    assert sum(map(assert_within, range(4))) >= 3
+
+
+@pytest.mark.slow
+def test_a_hundred_random_transients():
+    assert sum(map(assert_within, range(4, 104))) >= 80
+
+
+@pytest.mark.parametrize("limit", [PlaneLimit(0.6, 0.5), PlaneLimit(total=0.7)])
+def test_one_equation_written_twice(limit):
+    # The process as it is, and with a weight: the matrices differ, u and T do not.
+    process, _ = manufactured(0.4, 0.2)
+    start, times = PointStart(np.array([0.2, 0.1])), np.array([0.1, 0.4])
+    by_weight = first_passage(frame(process), start, limit, times, tol=1e-9)
+    assert by_weight.certificate.certified, by_weight.certificate.failures
+    nodes = (
+        graded((0.6, 0.5), 4)
+        if limit.total is None
+        else (graded((0.7, 1.0), 4)[0], np.linspace(0, 1, 5))
+    )
+    op = PlaneOperator(process, limit.domain, nodes, 14, absorbing=limit.absorbing)
+    A, M, shares = op.matrices
+    forward = evolved(A, M, start.dual(op), times, tol=1e-13)
+    assert_allclose(forward.values @ shares, by_weight.survival, atol=1e-9)
+    mean = start.dual(op) @ splu((-A).T.tocsc()).solve(shares)
+    assert_allclose(mean, by_weight.mean.value, rtol=1e-9)
+
+
+def test_reliability_is_the_mass_that_the_absorbing_forward_equation_keeps():
+    # Another assembly, of scikit-fem, and another exponential.
+    process, _ = manufactured(0.4, 0.2)
+    nodes = (np.array([0.0, 0.1, 0.3, 0.6]), np.array([0.0, 0.1, 0.25, 0.5]))
+    forward = Operator(process, nodes, 10, 26, absorbing=(0, 1))
+    at = forward.basis.probes(np.array([[0.2], [0.15]])).toarray()[0][forward.free]
+    step = expm(0.2 * np.linalg.solve(forward.M.toarray(), forward.A.toarray()))
+    p = step @ np.linalg.solve(forward.M.toarray(), at)
+    start, times = PointStart(np.array([0.2, 0.15])), np.array([0.2])
+    answer = first_passage(frame(process), start, PlaneLimit(0.6, 0.5), times, tol=1e-10)
+    assert answer.certificate.certified, answer.certificate.failures
+    assert abs(answer.survival[0] - forward.shares @ p) <= 1e-10 + answer.survival_error[0]
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "ridge")) for n in COUPLED]
+)
+def test_the_slowest_rate_is_that_of_a_finer_tolerance(name):
+    process, _ = COUPLED[name]
+    coarse, fine = (relaxation_rates(frame(process), 3, tol=tol) for tol in (1e-4, 1e-9))
+    assert fine.certificate.certified, fine.certificate.failures
+    assert np.all(np.abs(coarse.values - fine.values) <= coarse.errors + fine.errors)
+    assert np.all(fine.values.real > 0.0)
+
+
+def test_degenerate_rates_are_all_there():
+    rates = relaxation_rates(frame(square_root_process((0.1, 0.1), (0.02, 0.03))), 9, tol=1e-8)
+    exact = 0.1 * np.array([1, 1, 2, 2, 2, 3, 3, 3, 3])
+    assert np.all(np.abs(rates.values - exact) <= rates.errors)
+
+
+@pytest.mark.parametrize("name", ["Gibbs of H1 + H2", "ridge"])
+@pytest.mark.parametrize("seen", ["pair", "first", "sum"])
+def test_coupled_transients_relax_to_the_exact_density(name, seen):
+    process, log_p = COUPLED[name]
+    of = frame(process)
+    x = np.linspace(0.05, 1.0, 5)
+    at = (x, x) if seen == "pair" else (x,)
+    start = PointStart(0.5 * np.array(process.energy_scales))
+    answer = transient_densities(of, start, View(seen), np.array([600.0]), at, tol=1e-8)
+    assert answer.certificate.certified, answer.certificate.failures
+    nodes = np.linspace(0.0, 1.0, 41)
+    ends = (x[-1] for x in of.stationary.nodes)
+    (a, v), (b, u) = ((z.ravel() for z in panel_rule(end * nodes, 12)) for end in ends)
+    mass = v @ np.exp(log_p(a[:, None], b)) @ u
+    if seen == "pair":
+        exact = np.exp(log_p(x, x)) / mass
+    elif seen == "first":
+        exact = np.exp(log_p(x[:, None], b)) @ u / mass
+    else:
+        s, r = (z.ravel() for z in panel_rule(nodes, 12))
+        exact = x * (np.exp(log_p(x[:, None] * s, x[:, None] * (1.0 - s))) @ r) / mass
+    assert np.all(np.abs(answer.values[0] - exact) <= answer.errors[0] + 1e-12)
+
+
+@pytest.mark.slow
+def test_coupled_passage_at_a_loose_tolerance_is_within_its_error():
+    process, _ = COUPLED["one of two modes"]
+    of, times = frame(process), np.array([5.0, 50.0])
+    for limit in (PlaneLimit(total=2.0), PlaneLimit(1.8, None)):
+        loose, tight = (
+            first_passage(of, PointStart(np.array([0.1, 0.3])), limit, times, tol=tol)
+            for tol in (1e-3, 1e-8)
+        )
+        assert tight.certificate.certified, tight.certificate.failures
+        for key in ("mean", "variance", "rate"):
+            a, b = getattr(loose, key), getattr(tight, key)
+            assert abs(a.value - b.value) <= a.error + b.error
+        gap = np.abs(loose.survival - tight.survival)
+        assert np.all(gap <= loose.survival_error + tight.survival_error)
+
+
+def test_a_failure_of_probability_1e_17_keeps_its_digits():
+    c, d = 0.1, 0.05
+    answer = first_passage(
+        frame(square_root_process((c, c), (d, d))), PointStart(np.zeros(2)),
+        PlaneLimit(total=40.0 * d / c), np.array([1e15, 1e17]), tol=1e-8,
+    )  # fmt: skip
+    assert answer.certificate.certified, answer.certificate.failures
+    # E T of the gamma process of two: ∫_0^40 e^z (1 − (1 + z) e^−z)/z² dz/c (mpmath).
+    exact = RARE_MEAN / c
+    assert abs(answer.mean.value - exact) <= answer.mean.error <= 1e-8 * exact
+    # The reliability at such times is e^(−λt).
+    expected = np.exp(-answer.rate.value * answer.times)
+    assert_allclose(answer.survival, expected, rtol=0.0, atol=1e-8)
+
+
+RARE_MEAN = 155086592685738.702
+
+
+def test_a_limit_that_nobody_reaches_is_refused():
+    c, d = FIG8
+    with pytest.raises(NotCertified, match="never passed"):
+        first_passage(
+            frame(square_root_process(c, d)), PointStart(np.zeros(2)), PlaneLimit(total=1e4),
+            np.zeros(0), tol=1e-8,
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("domain", [Rectangle(), Triangle()])
+def test_coordinates_and_energies_are_inverse(domain):
+    H = np.array([[0.2, 0.7], [0.0, 0.4], [0.3, 0.0]]).T
+    back = domain.energies(*domain.coordinates(*H))
+    assert_allclose(back, H, atol=1e-15)
+    # G is the inverse of ∂H/∂y.
+    y, h = (np.array([0.5]), np.array([0.3])), 1e-6
+    columns = [
+        (np.array(domain.energies(y[0] + h * a, y[1] + h * b)) - domain.energies(*y)) / h
+        for a, b in ((1.0, 0.0), (0.0, 1.0))
+    ]
+    jacobian = np.stack([z[:, 0] for z in columns], axis=1)
+    F, _ = domain.pulled_back(y, np.array([[1.0, 2.0]]), np.eye(2)[None])
+    assert_allclose(jacobian @ F[0], [1.0, 2.0], rtol=1e-5)
+    assert_allclose(abs(np.linalg.det(jacobian)), domain.jacobian(*y)[0], rtol=1e-5)
