@@ -76,7 +76,7 @@ REFUSED = [
     (["relaxation", "fig6a", "--method", "linear"], "contacts"),
     (["spectrum", "fig3a", *asked("exact")], "use one of linear, phase-space"),
     (["relaxation", "fig3a", "--method", "exact"], "use one of linear, phase-space"),
-    (["crossings", "fig3a", *asked("montecarlo")], "use one of exact, linear, phase-space"),
+    (["crossings", "fig3a", *asked("integrable")], "use one of exact, linear, phase-space"),
     (["crossings", "fig3a", *asked("guess")], "use one of exact"),
     (["crossings", "fig3a", *asked("exact"), "--solver", "fem"], "leave it out"),
     (["crossings", "fig3a", *asked("exact", of="p1")], "use a displacement, q1..q2"),
