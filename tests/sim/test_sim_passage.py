@@ -277,6 +277,14 @@ def test_bad_input_is_one_line(words: str, change: dict[str, Any]) -> None:
     assert "\n" not in str(error.value)
 
 
+def test_an_overdamped_velocity_is_followed_and_too_long_a_step_is_not_certified() -> None:
+    system = oscillator(20.0)
+    chosen, finer = (passed(system, "H=1.5", dt=dt, seed=k) for k, dt in ((1, None), (2, 0.003)))
+    assert alike(chosen, finer) and chosen.certificate.certified
+    coarse = passed(system, "H=1.5", dt=0.3)
+    assert any("not all is seen" in words for words in coarse.certificate.failures)
+
+
 def test_no_noise_is_refused_and_the_method_has_the_protocol() -> None:
     assert isinstance(MonteCarlo(), Passages)
     with pytest.raises(NotApplicable, match="no noise"):
