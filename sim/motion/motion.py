@@ -76,15 +76,16 @@ class Motion:
         )  # fmt: skip
         wanted = in_blocks(np.hstack([self.q, self.p]))
         self._states = wanted.copy()
+        enough = INVERTED * np.max(np.abs(wanted))
         for _ in range(INVERSIONS):
             states = self._states.copy()
             trace = self._first_step(states)
-            missing = wanted - trace[:, : 2 * n]
-            size = np.max(np.abs(wanted), axis=(0, 2), keepdims=True)
-            if not np.any(np.abs(missing) > INVERTED * np.max(size)):
-                self.last, self._states = trace, states
-                return
-            self._states += missing
+            with np.errstate(over="ignore", invalid="ignore"):  # not a number is not enough
+                missing = wanted - trace[:, : 2 * n]
+                if np.all(np.abs(missing) <= enough):
+                    self.last, self._states = trace, states
+                    return
+                self._states += missing
         raise NotApplicable(f"no step of {self.dt:g} begins in the start; use a smaller dt")
 
     @property

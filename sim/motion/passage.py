@@ -41,6 +41,13 @@ from sim.workers import Workers, workers_of
 STEPS_PER_PERIOD = 20
 """Steps, of the coarser of both simulations, in the shortest natural period."""
 
+STEP_PER_DECAY = 0.2
+"""Step, of the coarser simulation, in units of the fastest decay of a velocity."""
+
+TOO_LONG = 4.0
+"""Steps of one's own, in units of the longest that is chosen, that are not certified: the
+difference from half of it may then be less than the error."""
+
 AT_ONCE = 32768
 """Trajectories that run together: a chunk of them takes less than a second."""
 
@@ -97,6 +104,8 @@ def passage(
                 enough = False
             if enough or (number + 1) * AT_ONCE > 1 << 24:
                 break
+    if dt > TOO_LONG * (longest := longest_step(system)):
+        failures.append(f"between steps as long as dt = {dt:g} not all is seen; use {longest:.2g}")
     if stopped():
         failures.append("partial: interrupted by Ctrl-C")
     if lost:
@@ -122,6 +131,13 @@ def require_times(times: Array, *, least: float = 0.0) -> None:
         raise InvalidInput("times", times, f"must be finite, ascend, and be {least:g} or later")
 
 
+def longest_step(system: System) -> float:
+    """Return the step in which velocities change little enough to see what is between two steps."""
+    period = 2.0 * pi / highest_frequency(system)
+    decay = float(np.max(np.abs(np.linalg.eigvals(system.damping / system.mass))))
+    return min(period / STEPS_PER_PERIOD, STEP_PER_DECAY / decay if decay > 0.0 else inf)
+
+
 def motion_step(
     method: MonteCarlo, system: System, *, energy: float = 0.0, error: float | None = None
 ) -> float:
@@ -136,9 +152,8 @@ def motion_step(
         raise InvalidInput("checkpoint", method.checkpoint, "motions in time save no state")
     if not np.any(system.noise_matrix):
         raise NotApplicable("no noise reaches a mass: the motion is not random")
-    period = 2.0 * pi / highest_frequency(system)
     dt = method.dt or method.step_factor * min(
-        period / STEPS_PER_PERIOD,
+        longest_step(system),
         chosen_step(system, energy=energy),
         step_for(system, error or method.paths**-0.5),
     )

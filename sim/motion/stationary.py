@@ -22,7 +22,7 @@ from sim.checkpoint import interruptible
 from sim.diagnostics import drift_limit, drifts
 from sim.ensemble import MAX_COORDINATE
 from sim.montecarlo import MonteCarlo
-from sim.motion.counting import add_fourier, add_lagged, count_upcrossings
+from sim.motion.counting import add_fourier, add_lagged, compiled_counting, count_upcrossings
 from sim.motion.motion import Motion, in_rows, needs_steps
 from sim.motion.passage import motion_step
 from sim.motion.starts import Origin
@@ -67,6 +67,7 @@ class Watch:
 @contextmanager
 def _working(method: MonteCarlo, system: System, tol: float | None) -> Iterator[tuple[Any, ...]]:
     """Yield workers, the watch, and what draws stationary states."""
+    compiled_counting()  # here: threads that read find it
     seconds = method.seconds or (method.longest if tol is not None else inf)
     with (
         workers_of(method.cluster, method.threads or usable_cores()) as workers,

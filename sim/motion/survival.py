@@ -93,9 +93,9 @@ def tail_begin(time: Array, until: Array, memory: float) -> float:
     """
     seen, failed = np.minimum(time, until), time <= until
     events = np.sort(seen[failed])
-    if events.size < 2 * LEAST_FAILURES:
+    if events.size < 2 * LEAST_FAILURES + 1:
         return 0.0
-    latest = float(events[-LEAST_FAILURES])
+    latest = float(events[-LEAST_FAILURES - 1])
     begins = latest * np.linspace(0.0, 1.0, TAILS)
     if memory < latest:
         begins = np.union1d(np.linspace(0.0, min(8.0 * memory, latest), TAILS), begins)
@@ -147,8 +147,8 @@ def passage_of(
     if unfailed and late < LEAST_FAILURES:
         words.append(
             f"{unfailed} of {paths} trajectories had not failed by t = {np.max(until):.4g}, and"
-            f" {late} failures are too few to go on from: the rate is at most"
-            f" {_bound(events) / exposure:.2g} (95 %); simulate for longer, or split"
+            f" {late} failures in the tail are too few to go on from: the mean rate until then is"
+            f" {_bound(events) / exposure:.2g} at most (95 %); simulate for longer, or split"
         )
     measured = Measured(
         l1_error=float(error[0] / best[0]) if best[0] < inf else inf,

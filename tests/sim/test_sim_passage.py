@@ -9,6 +9,7 @@ from scipy.stats import kstest
 from sim_systems import exact, fig6, linear
 
 from fpk.contact import Contact
+from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import Passage, Passages
 from fpk.limit import parse_limit
@@ -172,6 +173,51 @@ def test_from_the_stationary_state_the_share_beyond_the_limit_has_failed_at_once
     assert answer.survival[1] < answer.survival[0]
 
 
+def alike(a: Passage, b: Passage) -> bool:
+    """Whether the means differ by no more than four standard errors of the difference."""
+    return abs(a.mean.value - b.mean.value) < 4.0 * float(np.hypot(a.mean.error, b.mean.error))
+
+
+def test_the_unit_of_energy_changes_nothing() -> None:
+    # From a displacement without momentum: σ and what the noise makes of it vanish there.
+    def system(unit: float) -> System:
+        noise = [0.01 * unit**2, 0.02 * unit**2]
+        return System([unit, unit], [unit, unit], [0.08 * unit, 0.04 * unit], noise)
+
+    for limit in ("H={0!r}", "H1={0!r},H2={0!r}"):
+        one, small = (
+            passed(system(unit), limit.format(0.4 * unit), "q2=0.5", seed=seed)
+            for unit, seed in ((1.0, 2), (1e-9, 3))
+        )
+        assert alike(one, small)
+
+
+def test_an_energy_without_noise_passes_where_it_is_driven_and_only_there() -> None:
+    # The noise drives the first mode alone: T2 N T2 = 0. Damping a M does not couple them.
+    K = np.array([[2.0, -1.0], [-1.0, 1.0]])
+    first = np.linalg.eigh(K)[1][:, :1]
+    system = System([1.0, 1.0], [1.0, 1.0], [0.1, 0.1], [0.05], noise_gain=first)
+    answer = passed(system, "H2=1e-6", times=[20.0], time=30.0)
+    assert answer.survival[0] == 1.0 and not answer.certificate.certified
+    assert alike(passed(system, "H1=0.4,H2=1e-6"), passed(system, "H1=0.4", seed=2))
+
+
+def test_seconds_end_it_in_time_and_without_bias() -> None:
+    whole = passed(oscillator(), "H=1.5")
+    short = passed(oscillator(), "H=1.5", seconds=0.3, dt=0.1, seed=5)
+    assert int(short.settings["not failed"]) > 0 and alike(whole, short)
+
+
+def test_damping_that_depends_on_the_state_is_stepped() -> None:
+    # A limit cycle of |q| = 2: the limit beyond it is passed by noise, that below it by the growth.
+    term = DampingTerm(1, 1, 0.2, q=((1, 2),))
+    system = System([1.0], [1.0], [-0.2], [0.005], damping_terms=(term,))
+    below = passed(system, "q1=1.8", "q1=1", times=[60.0])
+    assert below.survival[0] < 0.01 and below.mean.value < 20.0
+    one, half = (passed(system, "H=2.6", "q1=1", dt=dt, seed=k) for k, dt in ((1, 0.1), (2, 0.03)))
+    assert alike(one, half)
+
+
 def test_the_same_for_any_threads_and_another_seed_is_another_answer() -> None:
     asked: Any = {"limit": "q2=0.8", "start": "H=0.2", "times": [20.0]}
     one, two = (passed(fig6(), threads=k, **asked) for k in (1, 2))
@@ -229,6 +275,14 @@ def test_bad_input_is_one_line(words: str, change: dict[str, Any]) -> None:
     with pytest.raises(InvalidInput, match=words) as error:
         passed(**asked)
     assert "\n" not in str(error.value)
+
+
+def test_an_overdamped_velocity_is_followed_and_too_long_a_step_is_not_certified() -> None:
+    system = oscillator(20.0)
+    chosen, finer = (passed(system, "H=1.5", dt=dt, seed=k) for k, dt in ((1, None), (2, 0.003)))
+    assert alike(chosen, finer) and chosen.certificate.certified
+    coarse = passed(system, "H=1.5", dt=0.3)
+    assert any("not all is seen" in words for words in coarse.certificate.failures)
 
 
 def test_no_noise_is_refused_and_the_method_has_the_protocol() -> None:
