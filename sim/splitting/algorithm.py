@@ -27,10 +27,14 @@ class Replicas(Protocol):
 
 
 class Repetition(NamedTuple):
-    """One estimate: ln of the probability, −inf where no replica was left, levels, and steps."""
+    """One estimate: ln of the probability, −inf where no replica was left, levels, and steps.
+
+    ``failed`` counts the replicas that failed before any was killed: plain sampling.
+    """
 
     log_probability: float
     levels: int
+    failed: int
     steps: int = 0
 
 
@@ -40,14 +44,15 @@ def split(replicas: Replicas, failure: int, killed: int, stream: np.random.Gener
     ``killed`` is the least number of ``replicas`` that each level kills; ties may make it more.
     """
     log_probability, levels = 0.0, 0
+    failed = int(np.sum(replicas.best >= failure))
     while True:
         best = replicas.best
         level = int(np.partition(best, killed - 1)[killed - 1])
         if level >= failure:
-            return Repetition(log_probability + log(np.mean(best >= failure)), levels)
+            return Repetition(log_probability + log(np.mean(best >= failure)), levels, failed)
         dead, alive = np.flatnonzero(best <= level), np.flatnonzero(best > level)
         if alive.size == 0:
-            return Repetition(-inf, levels)
+            return Repetition(-inf, levels, failed)
         log_probability += log(alive.size / best.size)
         replicas.renew(dead, alive[stream.integers(alive.size, size=dead.size)], level)
         levels += 1

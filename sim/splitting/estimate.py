@@ -1,13 +1,15 @@
 """Finished repetitions at two steps, and the probability and error that follow from them."""
 
 from dataclasses import asdict, dataclass, field
-from math import exp, hypot, log
+from math import exp, hypot, inf, log
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import betaincinv
 
 from fpk.arrays import Array
+from sim.splitting.algorithm import Repetition
 from sim.splitting.settings import RareFailure, Splitting
 
 DOUBT = 0.05
@@ -15,6 +17,9 @@ DOUBT = 0.05
 
 DEVIATIONS = 1.645
 """Standard deviations that a normal variable exceeds with that probability."""
+
+RESOLVED = 0.3
+"""Relative standard error up to which the spread of a few repetitions tells it."""
 
 LARGEST_SPREAD = 500.0
 """Variance of ln P at most from which an error is made, so that it stays a number."""
@@ -29,6 +34,7 @@ class Repetitions:
 
     log_probability: Array = field(default_factory=lambda: np.full((2, 0), np.nan))
     levels: Array = field(default_factory=lambda: np.zeros((2, 0)))
+    failed: Array = field(default_factory=lambda: np.zeros((2, 0)))
     steps: Array = field(default_factory=lambda: np.zeros((2, 0)))
     seconds: float = 0.0
 
@@ -36,12 +42,18 @@ class Repetitions:
         """Make room for ``count`` repetitions at each step."""
         missing = ((0, 0), (0, max(0, count - self.levels.shape[1])))
         self.log_probability = np.pad(self.log_probability, missing, constant_values=np.nan)
-        self.levels, self.steps = np.pad(self.levels, missing), np.pad(self.steps, missing)
+        for name in ("levels", "failed", "steps"):
+            setattr(self, name, np.pad(getattr(self, name), missing))
+
+    def finish(self, fine: int, number: int, result: Repetition) -> None:
+        """Note a finished repetition."""
+        for name, value in result._asdict().items():
+            getattr(self, name)[fine, number] = value
 
     def saved(self) -> dict[str, NDArray[Any]]:
         """Return everything, as arrays."""
-        names = ("log_probability", "levels", "steps")
-        return {name: getattr(self, name) for name in names} | {"seconds": np.array(self.seconds)}
+        arrays = {name: getattr(self, name) for name in Repetition._fields}
+        return arrays | {"seconds": np.array(self.seconds)}
 
     def restore(self, saved: dict[str, NDArray[Any]]) -> None:
         """Go on from what ``saved`` returned."""
@@ -60,15 +72,18 @@ def mean_and_error(log_values: Array) -> tuple[float, float]:
 
     Estimates of splitting are nearly log-normal. Of few with a large spread the largest ones are
     missing, and mean and deviation are both too small: the error is that by the variance s² of the
-    logarithms, mean √((e^{s²} − 1)/count), where it is the larger one.
+    logarithms, with a share e of zeros ``mean √((e^{s²}/(1 − e) − 1)/count)``, where it is the
+    larger one; and inf where it exceeds ``RESOLVED``, as the mean may then be off by decades.
     """
     values = np.exp(log_values)
     mean, error = float(values.mean()), float(values.std(ddof=1))
     positive = log_values[np.isfinite(log_values)]
-    if positive.size > 1:
-        spread = min(float(positive.var(ddof=1)), LARGEST_SPREAD)
-        error = max(error, mean * float(np.sqrt(np.expm1(spread))))
-    return mean, error / float(np.sqrt(values.size))
+    if positive.size == 0:
+        return 0.0, 0.0
+    spread = float(positive.var(ddof=1)) if positive.size > 1 else LARGEST_SPREAD
+    square = np.exp(min(spread, LARGEST_SPREAD)) * values.size / positive.size - 1.0
+    error = max(error, mean * float(np.sqrt(square))) / float(np.sqrt(values.size))
+    return mean, error if error <= RESOLVED * mean else inf
 
 
 def estimated(done: Repetitions, count: int, *, dt: float, settings: Splitting) -> RareFailure:
@@ -85,13 +100,14 @@ def estimated(done: Repetitions, count: int, *, dt: float, settings: Splitting) 
     bias_error = hypot(own, long_error)
     error = hypot(own, max(abs(bias), bias_error))
     bound = (mean + DEVIATIONS * error) * scale
-    if not mean > 0.0:
-        bound = -float(np.expm1(np.log(DOUBT) / (settings.replicas * count)))
+    if not mean > 0.0 or error == inf:
+        failed, paths = float(done.failed[1, :count].sum()), settings.replicas * count
+        bound = float(betaincinv(failed + 1.0, paths - failed, 1.0 - DOUBT))  # Clopper, Pearson
     return RareFailure(
         probability=mean * scale,
-        error=error * scale,
+        error=error * scale if mean > 0.0 else bound,
         upper_bound=bound,
-        log_probability=log(mean) + unit if mean > 0.0 else -np.inf,
+        log_probability=log(mean) + unit if mean > 0.0 else -inf,
         sampling_error=own * scale,
         bias=bias * scale,
         bias_error=bias_error * scale,

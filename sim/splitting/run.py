@@ -142,8 +142,7 @@ def _repeat(
             tasks = left[first : first + workers.threads]
             calls = [partial(_numbered, problem, settings, fine, number) for number, fine in tasks]
             for number, fine, result in workers.as_finished(calls):
-                done.log_probability[fine, number] = result.log_probability
-                done.levels[fine, number], done.steps[fine, number] = result.levels, result.steps
+                done.finish(fine, number, result)
                 done.seconds = perf_counter() - begin
                 checkpoint.save(done)
             progress(done.whole, wanted, "splitting")

@@ -64,10 +64,12 @@ class RareFailure:
 
     ``probability`` is the mean of ``values`` (repetitions,) at the step ``dt``; ``error`` is one
     standard error of it and the difference ``bias`` of the mean at 2 dt from it, or the standard
-    error of that if it is larger, added in squares.
-    ``upper_bound`` holds with 95 % confidence; where no replica has failed, so that the probability
-    is given as 0, it is that of the paths from the start alone. ``sampling_error`` and
-    ``bias_error`` are standard errors; ``extinct`` repetitions had no replica left.
+    error of that if it is larger, added in squares. It is inf where the repetitions are so
+    scattered that their mean may be off by more than they show: take more replicas.
+    ``upper_bound`` holds with 95 % confidence. Where the error is inf it is that of the paths from
+    the start alone; so it is where no replica has failed: the probability is then given as 0, with
+    that bound as its error. ``sampling_error`` and ``bias_error`` are standard errors; ``extinct``
+    repetitions had no replica left.
     ``levels`` is the mean number of levels, ``steps`` all that were simulated, ``seconds`` their
     wall time. ``log_probability`` is right where the probability is too small to be a number.
     """

@@ -23,6 +23,7 @@ from sim.random import GOLDEN, mixed_seed
 from sim.splitting import RareFailure, Splitting, rare_failure, rare_failure_of_process
 from sim.splitting.algorithm import split
 from sim.splitting.arrays import LEVELS
+from sim.splitting.estimate import mean_and_error
 from sim.splitting.full import system_problem
 from sim.splitting.parts import bridge_maximum, cubic_maximum, draw_normals
 from sim.splitting.starts import microcanonical
@@ -360,9 +361,23 @@ def test_a_limit_that_nobody_reaches_has_a_bound():
     found = rare_failure_of_process(
         square_root(), 1e300, 1.0, settings=replace(QUICK, replicas=128, killed=127)
     )
-    assert found.probability == 0.0 and found.extinct == 8 and found.error == 0.0
-    assert found.upper_bound == pytest.approx(3.0 / 1024, rel=0.01)
+    assert found.probability == 0.0 and found.extinct == 8
+    assert found.error == found.upper_bound == pytest.approx(3.0 / 1024, rel=0.01)
     assert found.log_probability == -np.inf and found.relative_error == np.inf
+
+
+def test_scattered_repetitions_have_no_finite_error():
+    """Log-normal estimates of the mean 1: few of s = 2 look precise, and those of s = 0.3 are."""
+    stream = np.random.default_rng(1402)
+    for s, most in ((0.3, 0.0), (2.0, 0.98)):
+        logs = s * stream.standard_normal((2000, 16)) - 0.5 * s * s
+        means, errors = np.array([mean_and_error(x) for x in logs]).T
+        assert np.mean(np.isinf(errors)) >= most
+        # 15 degrees of freedom: beyond 4.1 errors with a probability of 1e-3, and skewed.
+        assert np.mean(np.abs(means - 1.0) > 4.1 * errors) < 5e-3
+        naive = logs.shape[1] ** -0.5 * np.exp(logs).std(axis=1, ddof=1)
+        assert (np.mean(np.abs(means - 1.0) > 4.1 * naive) > 0.05) == (s == 2.0)
+    assert mean_and_error(np.array([-np.inf] * 7 + [0.0]))[1] == np.inf
 
 
 def test_certain_failure_is_one():
