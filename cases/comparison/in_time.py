@@ -7,6 +7,7 @@ its stationary density: what is left between it and the full system is its avera
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from functools import partial as partial_of
 from itertools import combinations
 from time import perf_counter
 from typing import Any, TypeGuard
@@ -173,13 +174,13 @@ def replies_of(
         if (reason := _too_rare(question, method, given)) is not None:
             refused.append(Refusal(method.route, (question.name,), reason))
             continue
-        tried(method.route, lambda m=method: _answer(m, system, question, points, progress))
+        tried(method.route, partial_of(_answer, method, system, question, points, progress))
     simulation = next((m for m in able if m.route.solves == "full" and m.route.sampled), None)
     known = any(g.answer.certificate.certified for g in given if g.route.solves == "full")
-    wanted = isinstance(question, PassageQuestion) and question.times and not known
-    if simulation and wanted and not interrupted:
+    seen = known or interrupted or system.modulation is not None
+    if isinstance(question, PassageQuestion) and question.times and simulation and not seen:
         before = len(given)
-        tried(SPLITTING, lambda: split_passage(system, question, simulation, progress))
+        tried(SPLITTING, partial_of(split_passage, system, question, simulation, progress))
         if len(given) > before:  # it takes the place of what saw too little
             plain = [g for g in given if g.route == simulation.route]
             given = [g for g in given if g not in plain]
@@ -220,7 +221,7 @@ def _answer(
     if isinstance(question, PassageQuestion) and question.times:
         bounds["time"] = question.times[-1]
     known = {f.name for f in fields(method)}
-    method = replace(method, **{k: v for k, v in bounds.items() if k in known})
+    method = replace(for_motion(method, system), **{k: v for k, v in bounds.items() if k in known})
     own = getattr(method, "tol", None)
     unasked = not method.route.sampled and own == getattr(method.route.make(), "tol", None)
     answer: Passage | Transient

@@ -86,4 +86,5 @@ def test_shipped_scenes_in_time_ask_something():
     for name in names:
         scene = load_scene(name)
         assert scene.passages or scene.transients, name
-        assert any(p.rate_error or p.failure_error for p in scene.passages), name
+        for passage in scene.passages[:1]:
+            assert passage.rate_error or passage.failure_error, name
