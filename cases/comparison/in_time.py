@@ -25,6 +25,7 @@ from cases.comparison.compare import (
 )
 from cases.comparison.rare import SPLITTING, split_passage
 from cases.comparison.refusal import INTERRUPTED, Refusal
+from cases.comparison.routes import for_motion
 from cases.comparison.window import window_of
 from cases.scene.questions import PassageQuestion, Question, TransientQuestion
 from fpk.arrays import Array
