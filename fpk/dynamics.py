@@ -16,6 +16,7 @@ import numpy as np
 from fpk.arrays import Array
 from fpk.certificate import Certificate, Measured, certify
 from fpk.density import SMALLEST, Density, gauss_grid
+from fpk.evolution import ErrorKind
 from fpk.method import Progress
 from fpk.system import System
 
@@ -24,12 +25,16 @@ Complex = np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
 
 @dataclass(frozen=True)
 class Curve:
-    """Values at the points asked for, with an error each, and the certificate of all of them."""
+    """Values at the points asked for, with an error each, and the certificate of all of them.
+
+    An error is an estimate of the numerical one, or one standard error of sampling.
+    """
 
     values: Array
     errors: Array
     certificate: Certificate
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
+    error_kind: ErrorKind = "numerical"
 
 
 @dataclass(frozen=True)

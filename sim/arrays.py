@@ -90,3 +90,4 @@ class WatchArrays(NamedTuple):
     bins: Integers  # (histograms, 2)
     start: Integers  # (histograms,), first bin of each in the counts
     products: Integers  # (moments, 2), rows whose products are summed
+    traced: Integers  # rows that are handed out

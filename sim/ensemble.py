@@ -87,7 +87,7 @@ def advanced(
     flat = (a.reshape(a.shape[0], a.shape[1] * a.shape[2]) for a in blocks)
     compiled_kernel(key)(
         *flat, counts, live, batch, first, np.uint64(done * step.words), steps, phase, stride,
-        offset, step, watch,
+        offset, step, watch, np.zeros((0, 0)),
     )  # fmt: skip
     return arrays
 

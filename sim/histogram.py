@@ -54,14 +54,14 @@ def extremes(system: System, observables: Sequence[Observable], q: Array, p: Arr
     ranges = []
     for coordinate in (c for observable in observables for c in observable):
         with np.errstate(over="ignore", invalid="ignore"):
-            x = _values(system, coordinate, q, p)
+            x = values_of(system, coordinate, q, p)
         x = x[np.isfinite(x)]
         ranges.append((x.min(initial=np.inf), x.max(initial=-np.inf)))
     return np.array(ranges).reshape(-1, 2)
 
 
-def _values(system: System, coordinate: Coordinate, q: Array, p: Array) -> Array:
-    """One coordinate of states ``q``, ``p`` (samples, n); H_m is the energy of a springs' mode."""
+def values_of(system: System, coordinate: Coordinate, q: Array, p: Array) -> Array:
+    """Return one coordinate of states ``q``, ``p`` (samples, n); H_m is that of a springs' mode."""
     if coordinate.kind == "H" and coordinate.index is not None:
         shapes, frequency = natural_modes(system)
         shape, omega = shapes[:, coordinate.index], frequency[coordinate.index]

@@ -20,9 +20,10 @@ from sim.parts.damping import damping_forces, spring_energy, term_flow, whole_en
 from sim.parts.linear import ONE_LOOP, map_state
 from sim.parts.observed import add_products, count_all, observe
 from sim.parts.substeps import AT_ONCE, NARROW, gather, near_lanes, places, scatter, small_steps
+from sim.parts.traced import trace_state
 from sim.random import GOLDEN, fill_normals
 
-PARTS = ("contact", "damping", "linear", "observed", "substeps")
+PARTS = ("contact", "damping", "linear", "observed", "substeps", "traced")
 NAMES = ("arrays", "kernel", "lanes", "random", *(f"parts/{part}" for part in PARTS))
 KERNEL = tuple(f"sim/{name}.py" for name in NAMES)
 """Files of this room that a kernel is compiled from."""
@@ -42,6 +43,7 @@ class KernelKey:
     ``laws`` are the contact laws that act; ``damping`` and ``energy_damping`` say whether there are
     damping terms, and some with H. A step draws ``pairs`` of normals, ``kicked`` are the masses
     (from 0) whose kick is fused with the map, ``substeps`` whether there are small steps.
+    ``traced`` says whether observed states are handed out, ``halved`` whether a step has two maps.
     """
 
     laws: tuple[str, ...] = ()
@@ -57,6 +59,8 @@ class KernelKey:
     pairs: int = 2
     kicked: tuple[int, ...] = ()
     substeps: bool = False
+    traced: bool = False
+    halved: bool = False
 
 
 def compiled_kernel(key: KernelKey) -> Any:
@@ -71,6 +75,7 @@ def _compiled(key: KernelKey) -> Any:
     contact, observed, kick_first = bool(key.laws), key.observed, key.kick_first
     damping, energy_damping = key.damping, key.energy_damping
     momenta, energy, modes, moments = key.momenta, key.energy, key.modes, key.moments
+    traced, halved = key.traced, key.halved
     pairs, substeps, fused = key.pairs, key.substeps, bool(key.kicked)
     loop = key.masses if (key.masses, pairs) in ONE_LOOP else 0
     small_loop = loop if fused else 0
@@ -87,15 +92,16 @@ def _compiled(key: KernelKey) -> Any:
     def advance(
         x: Array, sums: Array, folded: Array, counts: Integers, live: Integers, batch: Integers,
         first: int, counter: np.uint64, steps: int, phase: int, stride: int, offset: np.uint64,
-        step: StepArrays, watch: WatchArrays,
+        step: StepArrays, watch: WatchArrays, trace: Array,
     ) -> int:  # fmt: skip
         """Advance blocks ``x`` (blocks, 2n·W), the first being block ``first`` of the ensemble.
 
         Observes at the start of a step where ``(phase + step number) % stride == 0``, never with
         ``stride`` 0: adds to ``sums`` (first blocks, moments·W), ``folded`` (other blocks,
         moments·FOLDED) and ``counts`` (batches, bins) of the ``batch`` (blocks,) of each, which
-        ascends by ones. Returns the checksum of its sources, a constant of the kernel: where it has
-        changed, numba's disk cache compiles anew.
+        ascends by ones, and writes to ``trace`` (blocks, samples·rows·W) from its second sample on.
+        Returns the checksum of its sources, a constant of the kernel: where it has changed, numba's
+        disk cache compiles anew.
         """
         n, at, terms = step.matrix.shape[0] // 2, watch.at, step.terms
         matrix = step.substeps.matrix if substeps else step.matrix
@@ -137,6 +143,8 @@ def _compiled(key: KernelKey) -> Any:
                     if moments:
                         add_products(s, b, sums, folded, live, watch)
                     count_all(s, index, second, live[b], watch, counts[batch[b] - batch[0]])
+                    if traced:
+                        trace_state(s, trace[b], watch, 1 + t // stride)
 
                 # Kicks, and the second half of the terms in reverse: a symmetric step.
                 if apart and kick_first:
@@ -160,6 +168,11 @@ def _compiled(key: KernelKey) -> Any:
                     to = z[2 * pair * W : 2 * (pair + 1) * W]
                     fill_normals(to, words, trajectory, word + np.uint64(pair), offset)
                 map_state(s, z, matrix, step, loop, (now1, now2), pairs, force, slope)
+                if halved:  # the second half of the time between two kicks
+                    for pair in range(pairs):
+                        to = z[2 * pair * W : 2 * (pair + 1) * W]
+                        fill_normals(to, words, trajectory, word + np.uint64(pairs + pair), offset)
+                    map_state(s, z, matrix, step, loop, (False, False), pairs, force, slope)
                 if substeps:
                     word += np.uint64(pairs)
                     place = ((trajectory << np.uint64(40)) + word) * GOLDEN + offset

@@ -6,13 +6,19 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from math import inf, isfinite
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from fpk.arrays import Array
+from fpk.dynamics import Curve
 from fpk.errors import InvalidInput, NotApplicable
+from fpk.evolution import Passage, Transient
+from fpk.limit import Limit
 from fpk.method import Method, Plan, Progress, Result
 from fpk.observable import Observable
 from fpk.route import ROUTES, Route, register
+from fpk.start import Start
 from fpk.system import System
 from sim.arrays import LANES, MAX_TRAJECTORIES
 from sim.relaxation import relaxation_time, undamped_mode
@@ -116,6 +122,58 @@ class MonteCarlo(Method):
             return result
 
         return Plan(lambda observable: None, solve)
+
+    def passage(
+        self,
+        system: System,
+        limit: Limit,
+        start: Start,
+        times: Array,
+        *,
+        tol: float | None,
+        progress: Progress,
+    ) -> Passage:
+        """Return first passage: Brownian bridges or cubics between steps; see ``sim.motion``."""
+        answer: Passage = import_module("sim.motion.passage").passage(
+            self, system, limit, start, times, tol=tol, progress=progress
+        )
+        return answer
+
+    def transient(
+        self,
+        system: System,
+        observable: Observable,
+        start: Start,
+        times: Array,
+        at: tuple[Array, ...],
+        *,
+        tol: float | None,
+        progress: Progress,
+    ) -> Transient:
+        """Return densities at ``times`` from histograms of an ensemble; see ``sim.motion``."""
+        answer: Transient = import_module("sim.motion.transient").transient(
+            self, system, observable, start, times, at, tol=tol, progress=progress
+        )
+        return answer
+
+    def crossings(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return upcrossing rates, counted between steps too; see ``sim.motion``."""
+        return self._stationary("crossings", system, row, at, tol, progress)
+
+    def spectrum(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return power spectral densities by Welch's method; see ``sim.motion``."""
+        return self._stationary("spectrum", system, row, at, tol, progress)
+
+    def _stationary(self, question: str, *asked: Any) -> Curve:
+        *asked_of, tol, progress = asked
+        answer: Curve = getattr(import_module("sim.motion.stationary"), question)(
+            self, *asked_of, tol=tol, progress=progress
+        )
+        return answer
 
     def refined(self) -> "MonteCarlo":
         """Return the method with four times the sample: half the sampling error.

@@ -19,14 +19,15 @@ from sim.statistics import Product
 from sim.substeps import substep_arrays
 
 
-def step_arrays(system: System, scheme: Scheme, dt: float) -> StepArrays:
+def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = False) -> StepArrays:
     """Return the numbers of one step of ``dt``; a stop equal on both sides counts as one.
 
-    Of a long step they belong to its small ones; ``substeps`` has the long one.
+    Of a long step they belong to its small ones; ``substeps`` has the long one. ``halved``: the
+    linear map is that of dt/2, of which a step makes two, with the normals of two steps dt/2.
     """
     n, small, H = system.n, scheme.small, dt
     dt = H / small
-    linear = scheme.linear_map(system, dt)
+    linear = scheme.linear_map(system, 0.5 * dt if halved else dt)
     springs = dt * system.stiffness_matrix if scheme.springs_kicked else np.zeros((0, 0))
     terms = term_arrays(system, springs) if system.damping_terms else None
     if springs.size and terms is None:
@@ -57,7 +58,7 @@ def step_arrays(system: System, scheme: Scheme, dt: float) -> StepArrays:
         stop_slot=slot,
         stops=np.ascontiguousarray(stops[:, 1:]),
         terms=terms,
-        words=pairs * (small + 1) if small > 1 else pairs,
+        words=pairs * (small + 1) if small > 1 else pairs * (1 + halved),
         substeps=substep_arrays(system, H, small, masses[slot]) if small > 1 else None,
     )
 
@@ -90,10 +91,13 @@ def watched(
     step: StepArrays,
     histograms: Sequence[Histogram],
     products: Sequence[Product],
+    traced: Sequence[Coordinate] = (),
+    *,
+    halved: bool = False,
 ) -> tuple[KernelKey, WatchArrays]:
     """Return what the kernel must be compiled for, and the numbers that it reads to observe."""
     n, slots, effects = system.n, step.slot_mass, effects_of(system)
-    observed = {c for histogram in histograms for c in histogram.observable}
+    observed = {c for histogram in histograms for c in histogram.observable} | {*traced}
     kinds = {c.kind for c in observed}
     modes = sorted(c.row for c in observed if c.kind == "H" and c.index is not None)
     forces = 0 if step.terms is None else n
@@ -132,6 +136,7 @@ def watched(
         products=np.array(
             [(first[a] + i, first[b] + j) for a, i, b, j in products], dtype=np.int64
         ).reshape(-1, 2),
+        traced=np.array([row_of(c) for c in traced], dtype=np.int64),
     )
     one_loop = (n, step.pairs) in ONE_LOOP and not effects.state_damping
     alone = step.stop_slot.size == slots.size and scheme.kick_first
@@ -149,5 +154,7 @@ def watched(
         pairs=step.pairs,
         kicked=tuple(slots.tolist()) if one_loop and alone else (),
         substeps=step.substeps is not None,
+        traced=bool(traced),
+        halved=halved,
     )
     return key, watch

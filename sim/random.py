@@ -26,7 +26,10 @@ Halves = NDArray[np.uint32]
 START = 1 << 39
 """First counter, within a trajectory's words, of those that draw its initial state."""
 
-GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+OTHER_SEED = 0x9E3779B97F4A7C15
+"""Added to a seed for a second simulation: 2**64 over the golden ratio."""
+
+GOLDEN = np.uint64(OTHER_SEED)
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX2 = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S40 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(40)

@@ -11,14 +11,12 @@ from fpk.observable import Observable
 from fpk.system import System
 from sim.histogram import Histogram
 from sim.montecarlo import MonteCarlo
+from sim.random import OTHER_SEED
 from sim.report import Report, StepBias
 from sim.setup import setup_of
 from sim.simulation import simulate
 from sim.statistics import l1_difference
 from sim.workers import workers_of
-
-OTHER_SEED = 0x9E3779B97F4A7C15
-"""Added to the seed for the second simulation of a pair: 2**64 over the golden ratio."""
 
 
 def run(

@@ -58,12 +58,12 @@ def temperature(system: System) -> float:
     return noise / loss if loss > 0 else inf
 
 
-def contact_frequency(system: System, *, springs: bool = False) -> float:
+def contact_frequency(system: System, *, springs: bool = False, energy: float = 0.0) -> float:
     """Return the largest √(g'/m) that is reached, with ``springs`` √((g' + K_ii)/m_i); 0 if none.
 
     A mass that moves alone, the others following statically, has the potential
     ``½ k_eff q² + U(q)`` with k_eff the Schur complement of K. It reaches ``REACHED`` kT, or one kT
-    of contact energy where the stop is too far for that.
+    of contact energy where the stop is too far for that, or ``energy`` where that is more.
     """
     kT, largest = temperature(system), 0.0
 
@@ -73,7 +73,7 @@ def contact_frequency(system: System, *, springs: bool = False) -> float:
     for stop in system.stops:
         i, sign = stop.index, stop.sign
         k_eff = 1.0 / system.compliance[i, i]
-        level = max(REACHED * kT, 0.5 * k_eff * stop.clearance**2 + kT)
+        level = max(REACHED * kT, 0.5 * k_eff * stop.clearance**2 + kT, energy)
         most = sqrt(2.0 * level / k_eff) * (1.0 + 1e-9)
         q = scipy.optimize.brentq(excess, 0.0, most, args=(i, sign, k_eff, level))
         stiffness = sum(
@@ -115,12 +115,14 @@ def sampling_interval(system: System) -> float:
     return 2.0 * pi / highest_frequency(system) / SAMPLES_PER_PERIOD
 
 
-def chosen_step(system: System) -> float:
+def chosen_step(system: System, *, energy: float = 0.0) -> float:
     """Return the step of ``exact_flow``; of a linear system any is exact: the sampling interval.
 
-    Damping terms need it short beside their own rates and the natural periods.
+    Damping terms need it short beside their own rates and the natural periods. ``energy`` is as of
+    ``contact_frequency``.
     """
-    frequency, steps = contact_frequency(system, springs=True), [sampling_interval(system)]
+    frequency = contact_frequency(system, springs=True, energy=energy)
+    steps = [sampling_interval(system)]
     share = STEP_PER_FREQUENCY
     if system.damping_terms:
         steps.append(STEP_PER_RATE / term_rate(system))
@@ -161,9 +163,9 @@ def samples_in(system: System, dt: float, seconds: float) -> float:
     return seconds / (STEP_SECONDS * max(1.0, interval / dt) + SAMPLE_SECONDS)
 
 
-def stability_limit(system: System, scheme: Scheme) -> float:
+def stability_limit(system: System, scheme: Scheme, *, energy: float = 0.0) -> float:
     """Return 2/ω, where steps become unstable; ω of the contact, with the springs if they kick."""
-    square = contact_frequency(system) ** 2
+    square = contact_frequency(system, energy=energy) ** 2
     if scheme.springs_kicked or not scheme.kick_first:
         square += highest_frequency(system) ** 2
     return 2.0 / sqrt(square) if square > 0 else inf

@@ -91,10 +91,11 @@ def run(scene: str, out: Path | None, **settings: Any) -> None:
         digest["notes"].append(f"--tol {asked:g} is for the solvers; simulations take --seconds")
     if out is not None:
         from cases.output.report import write_report
+        from cases.output.vtk import write_time_pvd
 
         with progress_bar() as progress:
             report, *pictures = write_report(outcome, digest, out, progress=progress)
-        written = [report, out / parts.FIELDS, *pictures]
+        written = [report, out / parts.FIELDS, *pictures, *write_time_pvd(outcome, out)]
     digest["seconds"] = perf_counter() - start
     text = partial(rendered, "run.txt", {"digest": digest})
     parts.end(digest, text, written, problems=outcome.problems)

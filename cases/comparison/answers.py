@@ -9,6 +9,9 @@ from typing import Any
 
 from averaging.exact import compatibility
 from cases.comparison.compare import Comparison, compared, discrepancies
+from cases.comparison.in_time import Replies, replies_of
+from cases.comparison.refusal import INTERRUPTED, Refusal
+from cases.scene.questions import Question
 from cases.scene.scene import Scene
 from fpk.density import AnyDensity, Density
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
@@ -20,19 +23,6 @@ from fpk.system import System
 LOOSEST = 1e-4
 """Largest tolerance by which a default one that is missed is replaced: simulations tell no less."""
 
-INTERRUPTED = "not finished: the program was interrupted"
-"""Reason of a route that Ctrl-C ended or that would have come after it."""
-
-
-@dataclass(frozen=True)
-class Refusal:
-    """A route not taken for some observables; ``failed`` when it was tried and did not succeed."""
-
-    route: Route
-    observables: tuple[str, ...]
-    reason: str
-    failed: bool = False
-
 
 @dataclass(frozen=True, repr=False)
 class Answers(Mapping[Any, AnyDensity]):
@@ -41,7 +31,8 @@ class Answers(Mapping[Any, AnyDensity]):
     ``answers["q2"]`` will do where one method alone gives q2; ``answers.of("q2")`` returns all by
     method. ``results`` has what each method returned, ``refused`` who gives not all that was asked
     for. Of a scene's curve ``label`` and ``value`` are as in ``Curve``; ``notes`` say in words what
-    was done that nobody asked for, ``interrupted`` whether Ctrl-C ended the work.
+    was done that nobody asked for, ``interrupted`` whether Ctrl-C ended the work. ``passages`` and
+    ``transients`` are what was said to the scene's questions about motion in time.
     """
 
     system: System
@@ -51,6 +42,13 @@ class Answers(Mapping[Any, AnyDensity]):
     value: float | None = None
     notes: tuple[str, ...] = ()
     interrupted: bool = False
+    passages: tuple[Replies, ...] = ()
+    transients: tuple[Replies, ...] = ()
+
+    @property
+    def in_time(self) -> tuple[Replies, ...]:
+        """The replies to all questions about motion in time."""
+        return self.passages + self.transients
 
     @property
     def refusals(self) -> dict[str, str]:
@@ -122,6 +120,7 @@ class Answers(Mapping[Any, AnyDensity]):
             for failure in d.certificate.failures
         ]
         problems += [f"{r.route.label} failed: {r.reason}" for r in self.refused if r.failed]
+        problems += [problem for replies in self.in_time for problem in replies.problems]
         if not self.refused and not self.results:
             problems.append("not run: the program was interrupted")
         elif not self.results and not problems:
@@ -262,9 +261,34 @@ def run_scene(
         interrupted = any(c.interrupted for c in curves)
         wanted = [] if interrupted else methods
         answers = answers_of(curve.system, scene.observables, wanted, **options)
-        curves.append(replace(answers, label=curve.label, value=curve.value))
+        answers = replace(answers, label=curve.label, value=curve.value)
+        if not (interrupted or answers.interrupted):
+            answers = _with_time(answers, scene, methods, progress=progress, partial=partial)
+        curves.append(answers)
         save(Outcome(scene, tuple(curves), perf_counter() - start))
         progress(k - 1, len(scene.curves), "comparing")
-        _ = curves[-1].comparisons
+        _ = curves[-1].comparisons, [replies.comparisons for replies in curves[-1].in_time]
         progress(k, len(scene.curves), "comparing")
     return Outcome(scene, tuple(curves), perf_counter() - start)
+
+
+def _with_time(
+    answers: Answers, scene: Scene, methods: Sequence[Method], *, progress: Progress, partial: bool
+) -> Answers:
+    """Return the answers with the replies to the scene's questions about motion in time."""
+    replies: list[Replies] = []
+    questions: tuple[Question, ...] = (*scene.passages, *scene.transients)
+    for question in questions:
+        if any(r.interrupted for r in replies):
+            replies.append(Replies(question, interrupted=True))
+            continue
+        replies.append(
+            replies_of(answers.system, question, methods, progress=progress, partial=partial)
+        )
+    count = len(scene.passages)
+    return replace(
+        answers,
+        passages=tuple(replies[:count]),
+        transients=tuple(replies[count:]),
+        interrupted=any(r.interrupted for r in replies),
+    )

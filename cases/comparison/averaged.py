@@ -8,19 +8,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil, inf, isfinite
-from typing import Self
+from typing import Any, Self
 
 from cases.scene.expect import Theory
+from fpk.arrays import Array
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
+from fpk.evolution import Passage
+from fpk.limit import Limit
 from fpk.method import Method, Plan, Progress, Result
 from fpk.observable import Coordinate, Observable, observable_name
 from fpk.process import Process
 from fpk.route import ROUTES, Route, register
+from fpk.start import Start
 from fpk.system import System
 
 BURN_IN, SAMPLED = 10.0, 20.0
 """Relaxation times that each path runs before it is sampled, and that it is sampled for."""
+
+PER_PATH, MOST_PATHS = 1.1, 1 << 22
+"""Relative standard error of a mean time by one path, about, and paths at most."""
 
 
 @dataclass(frozen=True)
@@ -66,15 +73,83 @@ class AveragedSimulation(Method):
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
+        return Plan(self._unknown, partial(self._sampled, self._process(system)))
+
+    def passage(
+        self,
+        system: System,
+        limit: Limit,
+        start: Start,
+        times: Array,
+        *,
+        tol: float | None,
+        progress: Progress,
+    ) -> Passage:
+        """Return the first passage of an energy by simulation in steps of ``step`` and of half it.
+
+        ``tol``, the relative error wanted of the mean, makes more of the ``paths`` where needed.
+        A state begins at its energies, H of the integrable theory anywhere on H1 + H2 + … = H.
+        """
+        from cases.comparison.averaged_passage import limits_of
+        from sim.averaged.passage import energy_passage
+        from sim.motion.passage import require_times
+
+        require_times(times)
+        wanted = self.tol if tol is None else tol
+        form = self._form(self._process(system))
+        scales = form.scales / form.noise
+        paths = self.paths if wanted is None else max(self.paths, ceil((PER_PATH / wanted) ** 2))
+        return energy_passage(
+            form,
+            limits_of(self.theory, form, limit),
+            self._starts(system, start),
+            times,
+            dt=self.step * float(scales.min()),
+            memory=2.0 * float(scales.max()),
+            paths=min(paths, MOST_PATHS),
+            seed=self.seed,
+            threads=self.threads or usable_cores(),
+            tol=inf if wanted is None else wanted,
+            progress=progress,
+        )
+
+    def _process(self, system: System) -> Process:
+        """The averaged process; raise ``NotApplicable`` where the theory does not hold."""
         from averaging.energy_process import energy_process
         from averaging.modal.analysis import modal_analysis
         from averaging.modal.resonance import require_no_resonance
 
         if self.theory == "nonintegrable":
-            return Plan(self._unknown, partial(self._sampled, energy_process(system)))
+            return energy_process(system)
         modes = system.fact(modal_analysis)
         require_no_resonance(system, modes)
-        return Plan(self._unknown, partial(self._sampled, modes.process()))
+        return modes.process()
+
+    def _form(self, process: Process) -> Any:
+        from sim.averaged.square_root import line_form, square_root_form
+
+        return (line_form if self.theory == "nonintegrable" else square_root_form)(process)
+
+    def _starts(self, system: System, start: Start) -> Any:
+        """What draws the energies at time 0: of other noise by its own burn-in."""
+        from cases.comparison.averaged_passage import starts_of
+        from sim.averaged.paths import burnt_in
+
+        factor = start.values.get("noise", 0.0)
+        if not factor:
+            return starts_of(self.theory, system, start)
+        louder = replace(system, noise_intensity=factor * system.noise_intensity)
+        form = self._form(self._process(louder))
+        slowest, steps = self._steps(form)
+        interval, time = 0.5 * slowest, BURN_IN * slowest
+        begun = partial(burnt_in, form, interval=interval, steps=steps, time=time)
+        return lambda paths, stream: form.energies(begun(paths, stream))
+
+    def _steps(self, form: Any) -> tuple[float, int]:
+        """The slowest time, and the steps of half of it."""
+        times, exact = form.scales / form.noise, form.damping is None
+        slowest, longest = float(times.max()), self.step * float(times.min())
+        return slowest, 1 if exact else ceil(0.5 * slowest / longest - 1e-9)
 
     def _unknown(self, observable: Observable) -> str | None:
         """Why the averaged energies do not give the observable, None where they do."""
@@ -91,13 +166,10 @@ class AveragedSimulation(Method):
         self, process: Process, observables: Sequence[Observable], progress: Progress
     ) -> Result:
         from sim.averaged.paths import simulate_energies
-        from sim.averaged.square_root import line_form, square_root_form
 
-        form = (line_form if self.theory == "nonintegrable" else square_root_form)(process)
-        times, exact = form.scales / form.noise, form.damping is None
-        slowest, longest = float(times.max()), self.step * float(times.min())
+        form = self._form(process)
+        slowest, steps = self._steps(form)
         interval = 0.5 * slowest
-        steps = 1 if exact else ceil(interval / longest - 1e-9)
         densities = simulate_energies(
             form,
             observables,
@@ -115,7 +187,7 @@ class AveragedSimulation(Method):
             "equation": self.route.equation,
             "relaxation time": slowest,
             "dt": interval / steps,
-            "steps": "exact" if exact else "Strang splitting",
+            "steps": "exact" if form.damping is None else "Strang splitting",
             "paths": self.paths,
             "time": SAMPLED * slowest,
             "seed": self.seed,

@@ -12,7 +12,7 @@ from scipy.special import ndtr
 
 from cases.comparison.answers import Answers
 from cases.comparison.compare import distance_between
-from cases.scene.expect import RELATIONS, Expect
+from cases.scene.expect import RELATIONS, Expect, Range
 from fpk.clearance import stop_clearances
 from fpk.density import AnyDensity, gauss_grid, integral, moment
 from fpk.observable import Observable, observable_name
@@ -183,6 +183,12 @@ def _distance(curve: Answers, of: Observable, name: str) -> tuple[float, float] 
 def _below(value: float, limit: float, slack: float) -> bool | None:
     """Whether value < limit; None where the difference does not exceed what both may be off."""
     return None if abs(value - limit) <= slack else value < limit
+
+
+def verdict_within(value: float, slack: float, limits: Range) -> Verdict:
+    """Whether a value is in the range; undecided where the limit is no farther than ``slack``."""
+    holds = RELATIONS[limits.relation][1](value, limits.limit)
+    return _verdict(None if abs(value - limits.limit) <= slack else holds)
 
 
 def _verdict(holds: bool | None) -> Verdict:

@@ -28,6 +28,9 @@ from fpk.sampled_density import SampledDensity
 
 Measures = Literal["numerical", "sampling", "averaging"]
 
+Norm = Literal["L1", "relative", "absolute"]
+"""How a difference is measured: of densities in L1, of numbers relative to the second or not."""
+
 FALSE_ALARMS = 1e-4
 """How often a right simulation may be called wrong, chosen before anything was compared."""
 
@@ -50,6 +53,8 @@ stops to count, and it is off by eps times its exponent: 8e-15."""
 class Comparison:
     """Two answers to one question: ``L1 = ∫|p_a − p_b|`` and what it is allowed to be.
 
+    Of numbers ``L1`` is their difference, as ``norm`` says.
+
     ``band`` is None where the difference is reported, not judged; ``error`` says how far chance
     and the solvers may have moved ``L1`` itself. ``uncertified`` are those of the two routes whose
     own checks fail: the difference says nothing against the other one then.
@@ -63,6 +68,7 @@ class Comparison:
     band: float | None
     error: float
     uncertified: tuple[Route, ...] = ()
+    norm: Norm = "L1"
 
     @property
     def holds(self) -> bool:
@@ -104,8 +110,8 @@ def discrepancies(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
     answers that share theirs, two can be wrong in the same way.
     """
     return tuple(
-        f"{c.observable}: {c.a.label} and {c.b.label} differ by L1 = {c.L1:.3g}, allowed is"
-        f" {c.band:.3g} ({c.measures}){_doubt(c, comparisons)}"
+        f"{c.observable}: {c.a.label} and {c.b.label} differ by {c.norm} = {c.L1:.3g}, allowed"
+        f" is {c.band:.3g} ({c.measures}){_doubt(c, comparisons)}"
         for c in comparisons
         if not c.holds
     )

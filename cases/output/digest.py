@@ -4,21 +4,32 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import get_args
 
-from cases.comparison.answers import Answers, Outcome, Refusal
+from cases.comparison.answers import Answers, Outcome
 from cases.comparison.claims import Verdict, findings
 from cases.comparison.compare import Comparison
+from cases.comparison.in_time import Replies
+from cases.comparison.refusal import Refusal
+from cases.comparison.time_claims import time_findings
 from cases.output.facts import facts_record
-from cases.output.records import Record, plain
+from cases.output.records import Record, answer_tail, passage_numbers, plain
 from fpk.density import AnyDensity
+from fpk.evolution import Passage
 from fpk.method import Result
 from fpk.route import Route, solvers_of
 from sim.report import Report, StepBias
+
+ROW = ("observable", "measures", "norm", "L1", "band", "error")
+"""Fields of a comparison that its row has as they are."""
 
 
 def digest_of(outcome: Outcome) -> Record:
     """Return the record of ``fpk run``: the scene's own system, and beside it the other curves."""
     base, *others = outcome.curves
-    judged = [c for curve in outcome.curves for c in curve.comparisons if c.band is not None]
+    compared = [c for curve in outcome.curves for c in curve.comparisons]
+    in_time = [replies for curve in outcome.curves for replies in curve.in_time]
+    compared += [c for replies in in_time for c in replies.comparisons]
+    judged = [c for c in compared if c.band is not None]
+    claims = *findings(outcome.scene.expect, outcome.curves), *time_findings(outcome.curves)
     return plain(
         {
             "scene": outcome.scene.name,
@@ -27,7 +38,7 @@ def digest_of(outcome: Outcome) -> Record:
             "curves": [_curve(c) for c in others],
             "judged": len(judged),
             "problems": outcome.problems,
-            "claims": list(findings(outcome.scene.expect, outcome.curves)),
+            "claims": claims,
             "seconds": outcome.seconds,
         }
     )
@@ -78,6 +89,8 @@ def _curve(curve: Answers) -> Record:
         "methods": [*map(method_record, curve.results), *map(refusal_record, curve.refused)],
         "notes": curve.notes,
         "comparisons": comparison_rows(curve.comparisons),
+        "passages": [_replies(replies) for replies in curve.passages],
+        "transients": [_replies(replies) for replies in curve.transients],
         "errors": [
             _three_errors(r.method.route, d, r.report.step_biases.get(d.name), curve.comparisons)
             for r in curve.results
@@ -89,6 +102,30 @@ def _curve(curve: Answers) -> Record:
             for r in curve.results
             for i in r.identities
         ],
+    }
+
+
+def _replies(replies: Replies) -> Record:
+    """The entry of a question: it, who answers what and who does not, and the comparisons.
+
+    Of a transient the densities themselves are in the files.
+    """
+    question = replies.question
+    answers = []
+    for g in replies.given:
+        own = passage_numbers(g.answer) if isinstance(g.answer, Passage) else {}
+        tail = answer_tail(g.answer.certificate, g.answer.settings, g.seconds)
+        answers.append({**_names(g.route), **own, "error_kind": g.answer.error_kind, **tail})
+    rows = comparison_rows(replies.comparisons)
+    for row in rows:
+        row["of"] = row.pop("observable").removeprefix(f"{question.name}: ")
+    return {
+        "question": question.name,
+        "start": str(question.start),
+        "times": question.times,
+        "answers": answers,
+        "comparisons": rows,
+        "methods": [refusal_record(refusal) for refusal in replies.refused],
     }
 
 
@@ -133,7 +170,7 @@ def comparison_rows(comparisons: Iterable[Comparison]) -> list[Record]:
     for c in comparisons:
         pair = (c.observable, _theory(c.a), _theory(c.b))
         repeats = c.measures == "averaging" and first.setdefault(pair, c) is not c
-        row = {key: getattr(c, key) for key in ("observable", "measures", "L1", "band", "error")}
+        row = {key: getattr(c, key) for key in ROW}
         rows.append(row | {"a": c.a.label, "b": c.b.label, "holds": c.holds, "repeats": repeats})
     return rows
 
@@ -179,11 +216,19 @@ def verify_row(digest: Record) -> Record:
     ]
     problems = [*digest["problems"], *unjudged]
     taken = [method for curve in curves for method in curve["methods"] if method["applies"]]
+    in_time = [
+        answer["certificate"]["certified"]
+        for curve in curves
+        for question in curve["passages"] + curve["transients"]
+        for answer in question["answers"]
+    ]
     return {
         "scene": digest["scene"],
         "curves": len(curves),
         "judged": digest["judged"],
-        "certificates": sum(d["certificate"]["certified"] for m in taken for d in m["densities"]),
+        "certificates": sum(
+            [d["certificate"]["certified"] for m in taken for d in m["densities"]] + in_time
+        ),
         "problems": problems,
         "claims": digest["claims"],
         "seconds": digest["seconds"],

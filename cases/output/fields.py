@@ -5,25 +5,21 @@ import json
 from collections.abc import Iterable, Mapping
 from io import BytesIO, StringIO
 from pathlib import Path
-from typing import Any
 
 import h5netcdf
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from cases.comparison.answers import Outcome
 from cases.output.digest import method_record
 from cases.output.files import write_by, write_text
 from cases.output.records import UNITS, plain, program_version
+from cases.output.time_fields import Variables, time_variables
 from cases.scene.scene import Scene
 from fpk.arrays import Array
 from fpk.density import AnyDensity
 from fpk.observable import Observable, observable_name
 from fpk.sampled_density import SampledDensity
-
-Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]]
-"""Dimensions, values and attributes by name, as ``xarray.Dataset`` takes them."""
 
 POINTS = {1: 401, 2: 101}
 """Points an axis of a grid, by the number of axes."""
@@ -40,11 +36,13 @@ def write_netcdf(outcome: Outcome, path: Path) -> list[Path]:
 
     ``p_q2`` (curve, route, q2) is the density and ``error_q2`` its error: an estimate of the
     numerical error or one standard error, as ``error_kind_q2`` says. A route that does not apply is
-    not a number. Settings and certificates are JSON in the attribute ``provenance``.
+    not a number. Settings and certificates are JSON in the attribute ``provenance``. Of answers in
+    time see ``time_variables``.
     """
     variables: Variables = {}
     for observable in outcome.scene.observables:
         variables |= _variables(outcome, observable)
+    variables |= time_variables(outcome)
     answers = [
         plain({"curve": curve.label, **method_record(result)})
         for curve in outcome.curves

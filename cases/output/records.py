@@ -71,7 +71,7 @@ def curve_record(
         "points": points,
         key: curve.values,
         "error": curve.errors,
-        "error_kind": "numerical",
+        "error_kind": curve.error_kind,
     }
     return _record(scene, method, own, curve.certificate, curve.settings, seconds)
 
@@ -115,9 +115,16 @@ def passage_record(
 
     ``failure`` is P(T <= t), whose relative digits 1 − survival has lost.
     """
+    own = {"limit": str(limit), "start": str(start), **passage_numbers(answer)}
+    own["error_kind"] = answer.error_kind
+    if answer.starts is not None:
+        own["starts"] = vars(answer.starts)
+    return _record(scene, method, own, answer.certificate, answer.settings, seconds)
+
+
+def passage_numbers(answer: Passage) -> Record:
+    """Return the moments, the failure rate and the reliability with their errors."""
     own = {
-        "limit": str(limit),
-        "start": str(start),
         "mean": answer.mean.value,
         "mean_error": answer.mean.error,
         "variance": answer.variance.value,
@@ -130,10 +137,7 @@ def passage_record(
     }
     if answer.failure is not None:
         own |= {"failure": answer.failure, "failure_error": answer.failure_error}
-    own["error_kind"] = answer.error_kind
-    if answer.starts is not None:
-        own["starts"] = vars(answer.starts)
-    return _record(scene, method, own, answer.certificate, answer.settings, seconds)
+    return own
 
 
 def _listed(points: tuple[Array, ...]) -> Array:
@@ -150,8 +154,15 @@ def _record(
 ) -> Record:
     """Return what all answers say, with their ``own`` in the middle."""
     head = {"scene": scene.name, "method": method.name, "solver": method.solver}
-    tail = {"certificate": _certificate(certificate), "settings": dict(settings)}
-    return plain({**head, **own, **tail, "seconds": seconds})
+    return plain({**head, **own, **answer_tail(certificate, settings, seconds)})
+
+
+def answer_tail(
+    certificate: Certificate, settings: Mapping[str, str | float | int], seconds: float
+) -> Record:
+    """Return what every answer says last."""
+    own = {"certificate": _certificate(certificate), "settings": dict(settings)}
+    return {**own, "seconds": seconds}
 
 
 def _certificate(certificate: Certificate) -> Record:

@@ -14,6 +14,7 @@ from cases.comparison.answers import Outcome
 from cases.comparison.claims import ACCEPTABLE_L1, ALMOST_KURTOSIS, ALMOST_L1
 from cases.output.facts import theories
 from cases.output.files import write_text
+from cases.output.pictures.in_time import time_pictures
 from cases.output.pictures.joint import joint_pictures
 from cases.output.pictures.lines import line_pictures
 from cases.output.pictures.style import STYLE, inline_svg, svg_text
@@ -38,7 +39,10 @@ def write_report(
         svg = svg_text(figure, salt=stem)
         written.append(folder / f"{stem}.svg")
         write_text(written[-1], svg)
-        pictures.append({"stem": stem, "caption": caption, "svg": inline_svg(svg, caption)})
+        in_time = stem.startswith(("passage_", "transient_"))
+        pictures.append(
+            {"stem": stem, "in_time": in_time, "caption": caption, "svg": inline_svg(svg, caption)}
+        )
     write_text(folder / "report.html", report_html(outcome.scene, digest, pictures))
     return [folder / "report.html", *written]
 
@@ -53,6 +57,8 @@ def figures(outcome: Outcome, *, progress: Progress = silent) -> Iterator[tuple[
             elif curves:
                 yield from joint_pictures(curves[0], observable)
             progress(k, len(outcome.scene.observables), "drawing")
+        for k, curve in enumerate(outcome.curves):
+            yield from time_pictures(curve, f"_{k}" if k else "")
 
 
 def report_html(scene: Scene, digest: Record, pictures: list[dict[str, Any]]) -> str:

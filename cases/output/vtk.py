@@ -13,6 +13,7 @@ from cases.output.files import write_by
 from cases.output.records import UNITS
 from fpk.arrays import Array, Flags
 from fpk.density import AnyDensity
+from fpk.evolution import Transient
 from fpk.observable import Observable, observable_name
 
 SUBDIVISION = 1e-5
@@ -48,6 +49,40 @@ def write_pvd(outcome: Outcome, path: Path) -> list[Path]:
             ElementTree.SubElement(collection, "DataSet", {**entry, "name": name})
     write_by(path, ElementTree.ElementTree(root).write)
     return [path, *written]
+
+
+def write_time_pvd(outcome: Outcome, folder: Path) -> list[Path]:
+    """Write every transient of the scene's own system as a collection over time, and its files.
+
+    One ``transient_k.pvd`` with a ``.vtu`` for each time, on the same lines between the points.
+    """
+    written = []
+    for k, replies in enumerate(outcome.curves[0].transients, start=1):
+        if not replies.given or replies.points is None:
+            continue
+        points = np.column_stack([replies.points, np.zeros((replies.points.size, 2))])
+        index = np.arange(replies.points.size)
+        lines = [("line", np.column_stack([index[:-1], index[1:]]))]
+        root = ElementTree.Element("VTKFile", type="Collection", version="0.1")
+        collection = ElementTree.SubElement(root, "Collection")
+        for j, time in enumerate(replies.question.times):
+            data: dict[str, Array] = {}
+            for g in replies.given:
+                assert isinstance(g.answer, Transient)
+                name = g.route.label.replace("/", " ")
+                data[name] = g.answer.values[j]
+                data[f"error of {name}"] = g.answer.errors[j]
+            file = folder / f"transient_{k}_{j}.vtu"
+            words: dict[str, str | float] = {**_origin(outcome)}
+            words |= {"quantity": replies.question.name, "time": time}
+            _write_mesh(meshio.Mesh(points, lines, point_data=data), words, file)
+            written.append(file)
+            entry = {"timestep": repr(time), "part": "0", "file": file.name}
+            ElementTree.SubElement(collection, "DataSet", entry)
+        path = folder / f"transient_{k}.pvd"
+        write_by(path, ElementTree.ElementTree(root).write)
+        written.append(path)
+    return written
 
 
 def field_of(densities: Mapping[str, AnyDensity]) -> tuple[meshio.Mesh, float]:
@@ -102,7 +137,7 @@ def _write(outcome: Outcome, curve: Answers, observable: Observable, path: Path)
     mesh, subdivision = field_of({route.label: density for route, density in densities})
     name = observable_name(observable)
     data: dict[str, str | float] = {
-        **{key.replace("_", " "): text for key, text in attributes_of(outcome.scene).items()},
+        **_origin(outcome),
         "curve": curve.label,
         "observable": name,
         "axes": ", ".join(map(str, observable)),
@@ -112,7 +147,14 @@ def _write(outcome: Outcome, curve: Answers, observable: Observable, path: Path)
         "subdivision error": subdivision,
         "largest density": float(mesh.point_data["density"].max()),
     }
+    _write_mesh(mesh, data, path)
 
+
+def _origin(outcome: Outcome) -> dict[str, str]:
+    return {key.replace("_", " "): text for key, text in attributes_of(outcome.scene).items()}
+
+
+def _write_mesh(mesh: meshio.Mesh, data: Mapping[str, str | float], path: Path) -> None:
     def write(temporary: Path) -> None:
         meshio.vtu.write(temporary, mesh)
         # meshio writes no field data.

@@ -8,6 +8,7 @@ from typing import Any
 
 from cases.scene.errors import BadInput, toml_value
 from cases.scene.expect import Expect, expect_of
+from cases.scene.questions import PassageQuestion, TransientQuestion, passages_of, transients_of
 from cases.scene.reading import read_toml
 from cases.scene.schema import validated
 from cases.scene.vary import Curve, curves_of
@@ -15,7 +16,7 @@ from fpk.errors import InvalidInput
 from fpk.observable import Observable, parse_observable
 from fpk.system import System
 
-SHIPPED = ("paper", "hard", "more")
+SHIPPED = ("paper", "hard", "more", "time")
 """The folders of the shipped scenes, in the order in which they are listed."""
 
 
@@ -24,7 +25,7 @@ class Scene:
     """A checked scene file.
 
     ``name`` is the file's stem; ``text`` the file as it was read; ``curves`` holds the scene's own
-    system first, then those that ``[vary]`` adds.
+    system first, then those that ``[vary]`` adds. Of each, ``passages`` and ``transients`` ask.
     """
 
     name: str
@@ -35,6 +36,8 @@ class Scene:
     observables: tuple[Observable, ...]
     curves: tuple[Curve, ...]
     expect: Expect | None = None
+    passages: tuple[PassageQuestion, ...] = ()
+    transients: tuple[TransientQuestion, ...] = ()
 
 
 def shipped_scenes() -> dict[str, Path]:
@@ -68,11 +71,14 @@ def _scene(path: Path, label: str) -> Scene:
         observables = _observables(tables.get("observe"), system)
         curves = curves_of(system, tables.get("vary"))
         expect = expect_of(tables.get("expect"), observables, curves=len(curves))
+        passages = passages_of(tables.get("passage", ()), system)
+        transients = transients_of(tables.get("transient", ()), system)
     except InvalidInput as error:
         given = "is missing" if error.value is None else f"= {toml_value(error.value)}"
         raise BadInput(f"{label}: {error.key or 'scene'} {given}: {error.remedy}") from None
     title, source = tables.get("title") or path.stem, tables.get("source", "")
-    return Scene(path.stem, title, source, text, system, observables, curves, expect)
+    asked = observables, curves, expect, passages, transients
+    return Scene(path.stem, title, source, text, system, *asked)
 
 
 def _system(tables: dict[str, Any]) -> System:

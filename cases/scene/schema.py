@@ -24,6 +24,9 @@ MAX_MASSES = 500
 MAX_TERMS = 200
 """A van der Pol damping of four modes has a hundred monomials."""
 
+MOST_QUESTIONS, MOST_TIMES = 4, 50
+"""Tables of a kind about motion in time, and times in each: each is answered by every route."""
+
 LARGEST, SMALLEST = 1e100, 1e-100
 """Beyond these a product of three inputs leaves the range of double precision."""
 
@@ -90,6 +93,7 @@ VALUES = _list(NUMBER, most=12)
 MATRICES = _list(NUMBERS_OR_MATRIX, most=12)
 RANGE = _table({}, dict.fromkeys(RELATIONS, NUMBER))
 THEORY = core.literal_schema(["nonintegrable", "integrable"])
+TIMES = _list(NUMBER, most=MOST_TIMES)
 
 SYSTEM = _table(
     {
@@ -121,6 +125,12 @@ EXPECT = {
     "acceptable": _then(_distinct, _list(THEORY, most=2)),
     "clearance_rule": _then(_in_range, core.float_schema(strict=True, allow_inf_nan=False, gt=0)),
 }
+PASSAGE = _table(
+    {"limit": TEXT},
+    {"start": TEXT, "times": TIMES, "theory": THEORY}
+    | {"rate_error": RANGE, "failure_error": RANGE},
+)
+TRANSIENT = _table({"of": TEXT, "times": TIMES}, {"start": TEXT})
 SCENE = _table(
     {"system": SYSTEM},
     {
@@ -130,6 +140,8 @@ SCENE = _table(
         "damping_term": _list(
             _then(lambda keys: DampingTerm(**keys), DAMPING_TERM), least=0, most=MAX_TERMS
         ),
+        "passage": _list(PASSAGE, least=0, most=MOST_QUESTIONS),
+        "transient": _list(TRANSIENT, least=0, most=MOST_QUESTIONS),
         "modulation": _then(lambda keys: Modulation(**keys), MODULATION),
         "observe": _table({"densities": _list(TEXT, most=16)}, {}),
         "vary": _table({}, VARY),
@@ -181,7 +193,7 @@ def _refusal(error: ErrorDetails) -> InvalidInput:
     remedy = REMEDIES.get(kind, error["msg"]).format(**context).replace("'", '"')
     if kind == "extra_forbidden":
         remedy = _known_keys(place)
-    if key in ("contact", "damping_term") and kind == "list_type":
+    if key in ("contact", "damping_term", "passage", "transient") and kind == "list_type":
         remedy = f"must be written as [[{key}]]"
     return InvalidInput(key, error["input"], remedy)
 

@@ -15,6 +15,7 @@ from cases.studies.converge import H_LEVELS
 from cases.studies.equations import EQUATIONS, Equation
 from cases.studies.law import FULL, Law, averaged_route, full_routes
 from cases.studies.levels import Discretisation, refined_levels, timed_first, timing
+from cases.studies.passage import passage_routes
 from cases.studies.prices import NotTimed, Priced, crossovers, price_list
 from cases.studies.simulation import Reference, deterministic, full_reference
 from cases.studies.solved import solved_routes
@@ -89,7 +90,10 @@ class CostStudy:
 def study_cost(
     scene: Scene, *, simulate: bool = True, seed: int = 1, progress: Progress = silent
 ) -> CostStudy:
-    """Check and time every route of ``scene``, the sampling routes where ``simulate``."""
+    """Check and time every route of ``scene``, the sampling routes where ``simulate``.
+
+    Of its first [[passage]] the failure rate is priced, too.
+    """
     start, system, study = perf_counter(), scene.system, CostStudy(scene)
     tried: list[Priced | NotTimed] = []
     for name, _, make in EQUATIONS.values():
@@ -111,6 +115,8 @@ def study_cost(
             results, study.laws = full_routes(system, reference, seed=seed, progress=progress)
             tried += results
             study.models += _models(system, reference)
+    for question in scene.passages[:1]:
+        tried += passage_routes(system, question, simulate=simulate, seed=seed, progress=progress)
     study.routes = [r for r in tried if isinstance(r, Priced)]
     study.not_timed = [r for r in tried if isinstance(r, NotTimed)]
     study.seconds = perf_counter() - start

@@ -128,6 +128,7 @@ def _figure(study: CostStudy) -> Figure:
         x, floor = "processor time in seconds, one thread", study.floors.get(equation, 0.0)
         lowest = 0.4 * min([DRAWN, *(min(curve.y) for curve in curves)])
         marks, limits = (models, (lowest, 1.0)) if equation == FULL else ((), (2e-16, 2.0))
-        panel = Panel(equation, x, "$L_1$ error", curves, max(floor, 2e-15), marks, limits=limits)
+        y = "$L_1$ error" if equation in study.floors else "relative error"
+        panel = Panel(equation, x, y, curves, max(floor, 2e-15), marks, limits=limits)
         panels.append(panel)
     return study_figure(panels, width=5.2)

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from cases.output.fields import Variables, attributes_of, write_variables
+from cases.output.fields import attributes_of, write_variables
 from cases.output.files import write_text
 from cases.output.pictures.style import svg_text
+from cases.output.time_fields import Variables
 from cases.scene.scene import Scene
 
 UNITS = ((3.156e7, "a"), (86400.0, "d"), (3600.0, "h"), (60.0, "min"), (1.0, "s"), (1e-3, "ms"))

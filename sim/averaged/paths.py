@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from math import inf, nan
+from math import ceil, inf, nan
 
 import numpy as np
 
@@ -59,21 +59,18 @@ def simulate_energies(
             X = square_root_step(form, X, interval / steps, stream)
         return X
 
-    def burnt_in(paths: int, stream: np.random.Generator) -> Array:
-        X = stream.exponential(form.scales, (paths, form.scales.size))
-        for _ in range(int(np.ceil(burn_in / interval))):
-            X = advanced(X, stream)
-        return X
+    def begun(paths: int, stream: np.random.Generator) -> Array:
+        return burnt_in(form, paths, stream, interval=interval, steps=steps, time=burn_in)
 
-    pilot = form.energies(burnt_in(PILOT_PATHS, _stream(seed, BATCHES)))
+    pilot = form.energies(begun(PILOT_PATHS, batch_stream(seed, BATCHES)))
     reached = np.array([(0.0, _column(pilot, c).max()) for o in observables for c in o])
     histograms = covering(observables, reached, mirror=False, bins=BINS)
     counts = [np.zeros((BATCHES, h.size + 1), dtype=np.int64) for h in histograms]
     lost = np.zeros(BATCHES, dtype=bool)
 
     def sample(batch: int) -> None:
-        stream = _stream(seed, batch)
-        X = burnt_in(own, stream)
+        stream = batch_stream(seed, batch)
+        X = begun(own, stream)
         for _ in range(samples):
             X = advanced(X, stream)
             H = form.energies(X)
@@ -101,7 +98,24 @@ def simulate_energies(
     return tuple(densities)
 
 
-def _stream(seed: int, batch: int) -> np.random.Generator:
+def burnt_in(
+    form: SquareRootForm,
+    paths: int,
+    stream: np.random.Generator,
+    *,
+    interval: float,
+    steps: int,
+    time: float,
+) -> Array:
+    """Return X (paths, d) after ``time``, in intervals of ``steps`` each, from exponential ones."""
+    X = stream.exponential(form.scales, (paths, form.scales.size))
+    for _ in range(ceil(time / interval) * steps):
+        X = square_root_step(form, X, interval / steps, stream)
+    return X
+
+
+def batch_stream(seed: int, batch: int) -> np.random.Generator:
+    """Return the random numbers of one batch."""
     return np.random.Generator(np.random.Philox(key=np.array([seed, batch], dtype=np.uint64)))
 
 

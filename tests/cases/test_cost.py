@@ -9,12 +9,14 @@ import pytest
 from averaging.closed_form import averaged_density
 from averaging.nonintegrable import NonIntegrable
 from cases.scene.scene import load_scene
+from cases.studies import passage
 from cases.studies.cost import CostStudy, candidates, equation_routes, study_cost
 from cases.studies.cost_page import cost_page
 from cases.studies.equations import energy_equation
 from cases.studies.law import FULL, Law, full_routes
 from cases.studies.levels import Level, density_of, errors
 from cases.studies.page import Table, cell, duration
+from cases.studies.passage import passage_routes
 from cases.studies.prices import NotTimed, Priced, crossovers, price_list
 from cases.studies.simulation import full_reference
 from cases.studies.solved import solved_routes
@@ -291,3 +293,30 @@ def test_the_page_says_where_a_solution_overtakes_sampling(solved, where):
     routes = [replace(route("p", solved), equation=FULL), Priced("s", FULL, "axis", law)]
     (table,) = [t for t in cost_page(replace(EMPTY, routes=routes)).tables if t.name == "crossings"]
     assert len(table.remarks) == 1 and f"p overtakes sampling {where}" in table.remarks[0]
+
+
+def test_the_failure_rate_is_priced_by_every_route_that_solves_it():
+    scene = load_scene("cir")
+    (question,) = scene.passages
+    routes = passage_routes(scene.system, question, simulate=False, seed=1)
+    priced = {route.route: route for route in routes if isinstance(route, Priced)}
+    assert {"nonintegrable/fem", "nonintegrable/closed-form"} <= priced.keys()
+    for route in priced.values():
+        assert "relative error of the failure rate" in route.axis
+        assert all(p.honest and p.seconds > 0.0 and p.error < 1e-10 for p in route.points)
+    refused = {route.route: route.reason for route in routes if isinstance(route, NotTimed)}
+    assert "quadrature" in refused["nonintegrable/quadrature"]
+
+
+def test_a_wrong_failure_rate_is_not_timed(monkeypatch):
+    scene = load_scene("cir")
+    right = passage._passage
+
+    def wrong(method, *asked):
+        answer = right(method, *asked)
+        off = 1.001 if method.solver == "fem" else 1.0
+        return replace(answer, rate=replace(answer.rate, value=off * answer.rate.value))
+
+    monkeypatch.setattr(passage, "_passage", wrong)
+    routes = passage_routes(scene.system, scene.passages[0], simulate=False, seed=1)
+    assert any(isinstance(route, NotTimed) and route.wrong for route in routes)

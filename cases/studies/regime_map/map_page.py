@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from cases.output.fields import Variables
 from cases.output.pictures.style import COLOURS, INK, STYLE, symbol_of
 from cases.output.records import UNITS
+from cases.output.time_fields import Variables
 from cases.studies.page import Page, Table
 from cases.studies.picture import DASHES, Curve, Panel, study_figure
 from cases.studies.regime_map.map import KEYS, Axis, RegimeMap

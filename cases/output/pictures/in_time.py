@@ -1,0 +1,134 @@
+"""Pictures of motion after a start: reliability by all routes, densities at several times."""
+
+from collections.abc import Iterator
+from itertools import cycle
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.artist import Artist
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from cases.comparison.answers import Answers
+from cases.comparison.in_time import Replies, failure_of
+from cases.output.pictures.lines import HEIGHT, LINES, MARK
+from cases.output.pictures.style import INK, SHOWN, arrange, density_words, words_of
+from cases.scene.questions import PassageQuestion, TransientQuestion
+from fpk.evolution import Passage, Transient
+from fpk.route import Route
+
+MARKS = {"full": "os", "averaged": "^v"}
+"""Markers of simulations, by what they solve."""
+
+RARE = 0.05
+"""Probability of failure at the last time below which it is drawn instead of the reliability."""
+
+LOWEST = 1e-4
+"""Least reliability that is drawn; nothing that is sampled is known below it."""
+
+WIDTHS = 1.6, 0.9
+"""Widths of the first line and of those upon it."""
+
+SHADES = 0.05, 0.88
+"""Part of the colours from the first time to the last: the rest is too light on white."""
+
+
+def time_pictures(curve: Answers, label: str) -> Iterator[tuple[str, str, Figure]]:
+    """Yield file stem, caption and figure of every question that somebody answered."""
+    suffix = f", {curve.label}" if curve.label else ""
+    for k, replies in enumerate(curve.passages, start=1):
+        if replies.given and replies.question.times:
+            assert isinstance(replies.question, PassageQuestion)
+            figure, words = passage_figure(replies)
+            caption = f"First passage of {replies.question.name}{suffix}: {words}"
+            yield f"passage_{k}{label}", caption, figure
+    for k, replies in enumerate(curve.transients, start=1):
+        if replies.given and replies.windows:
+            caption = (
+                f"Density after the start, {replies.question.name}{suffix}, dark to light in time:"
+                " theory as lines, simulation as points with two standard errors."
+            )
+            yield f"transient_{k}{label}", caption, transient_figure(replies)
+
+
+def passage_figure(replies: Replies) -> tuple[Figure, str]:
+    """Draw P(T > t), or P(T ≤ t) of rare failure, of all routes with what they state as bands.
+
+    Returned with the figure is what it shows in words.
+    """
+    figure = Figure()
+    axes = figure.subplots()
+    answers = [(r, p, style) for r, p, style in _styled(replies) if isinstance(p, Passage)]
+    rare = max(float(failure_of(p)[0][-1]) for _, p, _ in answers) < RARE
+    legend: dict[str, Artist] = {}
+    lowest, colours = 1.0, set[str]()
+    for route, p, style in answers:
+        values, errors = failure_of(p) if rare else (p.survival, p.survival_error)
+        seen = values > (0.0 if rare else LOWEST)
+        times, values, errors = p.times[seen], values[seen], errors[seen]
+        lowest = min([lowest, *values])
+        colour = INK if route.colour in colours else route.colour  # a second solver upon the first
+        colours.add(route.colour)
+        if route.sampled:
+            marks = {**MARK, "marker": style, "markersize": 4.2}
+            axes.errorbar(times, values, 2.0 * errors, color=colour, elinewidth=0.9, **marks)
+            legend[f"{route.words}, ±2 standard errors"] = Line2D([], [], color=colour, **marks)
+        else:
+            axes.plot(times, values, color=colour, linestyle=style, linewidth=WIDTHS[style != "-"])
+            low, high = np.maximum(values - errors, 1e-300), values + errors
+            axes.fill_between(times, low, high, color=colour, alpha=0.16, linewidth=0)
+            legend[route.words] = Line2D([], [], color=colour, linestyle=style)
+    name = "P(T ≤ t), failure by t" if rare else "P(T > t), reliability"
+    axes.set(yscale="log", xlabel="time t", ylabel=name)
+    axes.set_xlim(left=0.0)
+    axes.set_ylim(0.5 * lowest, None if rare else 1.3)
+    arrange(figure, HEIGHT, legend, head=0.12)
+    words = "the probability of failure by t" if rare else "the reliability P(T > t)"
+    return figure, f"{words} by every route, on a logarithmic scale."
+
+
+def transient_figure(replies: Replies) -> Figure:
+    """Draw the densities at all times: colours are times, dashes and markers routes."""
+    question, points = replies.question, replies.points
+    assert isinstance(question, TransientQuestion) and points is not None
+    figure = Figure()
+    axes = figure.subplots()
+    shades = colormaps["viridis"](np.linspace(*SHADES, len(question.times)))
+    colours = [to_hex(shade) for shade in shades]
+    legend: dict[str, Artist] = {
+        f"t = {t:g}": Line2D([], [], color=c, linewidth=3)
+        for t, c in zip(question.times, colours, strict=True)
+    }
+    for route, p, style in _styled(replies):
+        assert isinstance(p, Transient)
+        for k, (inside, colour) in enumerate(zip(replies.windows, colours, strict=True)):
+            x, values, errors = points[inside], p.values[k, inside], p.errors[k, inside]
+            if route.sampled:
+                few = slice(None, None, 6)
+                axes.errorbar(
+                    x[few], values[few], 2.0 * errors[few], color=colour, elinewidth=0.9,
+                    **{**MARK, "marker": style},
+                )  # fmt: skip
+            else:
+                own = colour if style == "-" else INK  # a second solver upon the first
+                axes.plot(x, values, color=own, linestyle=style, linewidth=WIDTHS[style != "-"])
+        drawn = {**MARK, "marker": style} if route.sampled else {"linestyle": style}
+        legend[route.words] = Line2D([], [], color=INK, **drawn)
+        tops = [float(v[i].max()) for v, i in zip(p.values, replies.windows, strict=True)]
+    if question.of[0].kind == "H":  # decades: from rest it falls exponentially at all times
+        axes.set(yscale="log", ylim=(SHOWN * min(tops), 2.0 * max(tops)))
+        axes.set_xlim(left=0.0)
+    else:
+        axes.set_ylim(bottom=0.0)
+    axes.set(xlabel=words_of(question.of[0]), ylabel=density_words(question.of))
+    arrange(figure, HEIGHT, legend, head=0.12)
+    return figure
+
+
+def _styled(replies: Replies) -> Iterator[tuple[Route, Passage | Transient, Any]]:
+    """Routes and answers, those that are solved first, each with its dashes or its marker."""
+    dashes, marks = cycle(LINES), {solves: cycle(own) for solves, own in MARKS.items()}
+    for g in sorted(replies.given, key=lambda g: g.route.sampled):
+        yield g.route, g.answer, next(marks[g.route.solves] if g.route.sampled else dashes)

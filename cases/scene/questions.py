@@ -1,0 +1,144 @@
+"""Questions of a scene about motion after a start: the tables [[transient]] and [[passage]]."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cases.scene.expect import RELATIONS, Range, Theory
+from fpk.errors import InvalidInput
+from fpk.evolution import checked_times
+from fpk.limit import Limit, parse_limit
+from fpk.linear import natural_modes
+from fpk.observable import Observable, observable_name, parse_observable
+from fpk.start import REST, Start, parse_start
+from fpk.system import System
+
+
+@dataclass(frozen=True)
+class TransientQuestion:
+    """The densities of one coordinate at ``times`` > 0 after a start."""
+
+    of: Observable
+    start: Start
+    times: tuple[float, ...]
+
+    @property
+    def name(self) -> str:
+        """What is asked for, as ``H from rest``."""
+        return f"{observable_name(self.of)} from {self.start}"
+
+
+@dataclass(frozen=True)
+class PassageQuestion:
+    """The first passage of a limit from a start, with the reliability at ``times``.
+
+    ``rate_error`` and ``failure_error`` are claims about the averaging error of ``theory``: the
+    relative difference from the full system of its failure rate, and the largest of its P(T <= t)
+    at the times.
+    """
+
+    limit: Limit
+    start: Start
+    times: tuple[float, ...] = ()
+    theory: Theory = "nonintegrable"
+    rate_error: Range | None = None
+    failure_error: Range | None = None
+
+    @property
+    def name(self) -> str:
+        """What is asked for, as ``H=1.5 from rest``."""
+        return f"{self.limit} from {self.start}"
+
+
+Question = TransientQuestion | PassageQuestion
+
+CLAIMS = ("rate_error", "failure_error")
+"""Keys of a question that claim something of the averaging error."""
+
+
+def passages_of(tables: Sequence[Mapping[str, Any]], system: System) -> tuple[PassageQuestion, ...]:
+    """Return the questions of [[passage]]; raise ``InvalidInput`` naming table, key and value."""
+    questions = []
+    for k, table in enumerate(tables, start=1):
+        place = f"passage[{k}]"
+        with _placed(place):
+            limit = parse_limit(table["limit"], system.n)
+            start = _start(table, system)
+            _require_below(system, limit, start)
+            times = _times(table)
+        claims: dict[str, Any] = {
+            key: _range(f"{place}.{key}", table) for key in CLAIMS if key in table
+        }
+        if "failure_error" in claims and not times:
+            raise InvalidInput(f"{place}.times", None, "failure_error is about them; add them")
+        claims |= {key: table[key] for key in ("theory",) if key in table}
+        questions.append(PassageQuestion(limit, start, times, **claims))
+    return tuple(questions)
+
+
+def transients_of(
+    tables: Sequence[Mapping[str, Any]], system: System
+) -> tuple[TransientQuestion, ...]:
+    """Return the questions of [[transient]]; raise ``InvalidInput`` naming table, key and value."""
+    questions = []
+    for k, table in enumerate(tables, start=1):
+        with _placed(f"transient[{k}]"):
+            try:
+                of = parse_observable(table["of"], system.n)
+            except InvalidInput as error:
+                raise InvalidInput("of", table["of"], error.remedy) from None
+            if len(of) > 1:
+                raise InvalidInput("of", table["of"], "must be one coordinate, not a pair")
+            start, times = _start(table, system), _times(table)
+            if times[0] == 0.0:
+                raise InvalidInput("times", list(times), "must be > 0: at 0 there is no density")
+        questions.append(TransientQuestion(of, start, times))
+    return tuple(questions)
+
+
+@contextmanager
+def _placed(place: str) -> Iterator[None]:
+    """Put the table before the key of an ``InvalidInput``."""
+    try:
+        yield
+    except InvalidInput as error:
+        raise InvalidInput(f"{place}.{error.key}", error.value, error.remedy) from None
+
+
+def _start(table: Mapping[str, Any], system: System) -> Start:
+    return parse_start(table["start"], system) if "start" in table else REST
+
+
+def _times(table: Mapping[str, Any]) -> tuple[float, ...]:
+    times = table.get("times", [])
+    try:
+        checked_times(np.array(times, dtype=float))
+    except InvalidInput as error:
+        raise InvalidInput("times", times, error.remedy) from None
+    return tuple(map(float, times))
+
+
+def _range(key: str, table: Mapping[str, Any]) -> Range:
+    given = table[key.rpartition(".")[2]]
+    if len(given) != 1:
+        raise InvalidInput(key, given, f"must have exactly one of {', '.join(RELATIONS)}")
+    return Range(*next(iter(given.items())))
+
+
+def _require_below(system: System, limit: Limit, start: Start) -> None:
+    """Raise ``InvalidInput`` for a start that is at or beyond the limit, whatever its phases."""
+    reached = dict(start.values)
+    if start.kind == "modal" and not system.stops:
+        reached["H"] = sum(reached.values())
+    if start.kind == "state":
+        q, p = start.state(system.n)
+        shapes, omega = natural_modes(system)
+        energies = 0.5 * ((omega * (shapes.T @ (system.mass * q))) ** 2 + (shapes.T @ p) ** 2)
+        reached = {f"H{m + 1}": float(H) for m, H in enumerate(energies)}
+        reached |= {f"q{i + 1}": abs(float(x)) for i, x in enumerate(q)}
+        reached["H"] = float(system.hamiltonian(q, p))
+    if any(reached.get(name, 0.0) >= value for name, value in limit.values.items()):
+        raise InvalidInput("start", str(start), f"must lie below the limit {limit}")

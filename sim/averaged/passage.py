@@ -1,0 +1,178 @@
+"""First passage of averaged energies by simulation: bridges between steps, at dt and dt/2."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from math import ceil, inf
+
+import numpy as np
+
+from fpk.arrays import Array
+from fpk.errors import InvalidInput
+from fpk.evolution import Passage
+from fpk.method import Progress, silent
+from sim.averaged.paths import BATCHES, batch_stream
+from sim.averaged.square_root import SquareRootForm, square_root_step
+from sim.motion.survival import Times, passage_of
+
+EMPTY = 0.75
+"""Share of a batch still running at which those that have failed make room."""
+
+MOST_DRAWS = 1e8
+"""Random numbers at most, some 20 s: paths are followed for no longer than that allows."""
+
+BISECTIONS = 60
+"""Halvings in which X of an energy is found: to the last digit."""
+
+Starts = Callable[[int, np.random.Generator], Array]
+"""Energies (paths, d) at time 0, drawn from a stream."""
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyLimits:
+    """Limits of sums of X: ``weights`` (limits, d) · X reaches ``values`` (limits,).
+
+    A sum S of square-root processes has dS = … + σ dB, σ² = Σ w² β X; as the noise moves S by 1 it
+    moves σ² by g = Σ w³ β² X/σ². In y = ∫dS/σ, σ² being linear in S, the diffusion is 1.
+    """
+
+    weights: Array
+    values: Array
+
+    def distances(self, form: SquareRootForm, X: Array) -> Array:
+        """Return how far each limit is in y, (paths, limits); not positive beyond it."""
+        w = self.weights.T
+        left = self.values - X @ w
+        square = X @ (form.slope[:, None] * w**2)
+        growth = X @ (form.slope[:, None] ** 2 * w**3)
+        # At rest the limit of both: one energy alone would begin to move.
+        rest = np.max(form.slope[:, None] * w, axis=0)
+        g = np.divide(
+            growth, square, out=np.broadcast_to(rest, left.shape).copy(), where=square > 0
+        )
+        e = square / g
+        return np.asarray(2.0 * (np.sqrt(np.maximum(e + left, 0.0)) - np.sqrt(e)) / np.sqrt(g))
+
+
+def from_energies(form: SquareRootForm, energies: Array) -> Array:
+    """Return X (paths, d) of ``energies``: by bisection, ``form.energies`` being monotone."""
+    low, high = np.zeros_like(energies), np.broadcast_to(form.scales, energies.shape).copy()
+    while np.any(below := form.energies(high) < energies):
+        high[below] *= 2.0
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        below = form.energies(middle) < energies
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return np.asarray(high)
+
+
+def energy_passage(
+    form: SquareRootForm,
+    limits: EnergyLimits,
+    starts: Starts,
+    times: Array,
+    *,
+    dt: float,
+    memory: float,
+    paths: int,
+    seed: int,
+    threads: int = 1,
+    tol: float = inf,
+    progress: Progress = silent,
+) -> Passage:
+    """Return the first passage of any of ``limits`` in steps of dt/2, beside steps of ``dt``.
+
+    Where steps are exact (``form.damping`` None) both see the same paths, else paths of their own.
+    Between steps each distance to a limit is a Brownian bridge. Streams belong to batches: the
+    answer does not depend on ``threads``. ``memory`` as of ``passage_of``.
+
+    Raises ``InvalidInput`` for starts that all lie beyond a limit.
+    """
+    own = -(-paths // BATCHES)
+    draws = 2 if form.damping is None else 3
+    horizon = MOST_DRAWS / (draws * BATCHES * own * form.noise.size) * dt
+    horizon = dt * ceil(max(horizon, float(np.max(times, initial=0.0))) / dt)
+
+    def followed(batch: int) -> tuple[Array, Array]:
+        stream = batch_stream(seed, batch)
+        X = from_energies(form, starts(own, stream))
+        if form.damping is None:
+            fine, coarse = _failed(form, limits, X, dt, horizon, stream, strides=(1, 2))
+        else:
+            (fine,) = _failed(form, limits, X, dt, horizon, stream, strides=(1,))
+            (coarse,) = _failed(form, limits, X, 2.0 * dt, horizon, stream, strides=(1,))
+        return fine, coarse
+
+    rows = []
+    with ThreadPoolExecutor(threads) as pool:
+        for done, row in enumerate(pool.map(followed, range(BATCHES)), start=1):
+            rows.append(row)
+            progress(done, BATCHES, "first passage, averaged")
+    fine, coarse = (np.concatenate(times) for times in zip(*rows, strict=True))
+    if np.all(fine == 0.0):
+        raise InvalidInput("start", "energies", "all of them lie beyond the limit")
+    sampled = Times(fine, coarse, np.full(fine.size, horizon))
+    return passage_of(
+        sampled,
+        times,
+        memory=memory,
+        tol=tol,
+        failures=(),
+        settings={
+            "dt": 0.5 * dt,
+            "coarse dt": dt,
+            "steps": "exact" if form.damping is None else "Strang splitting",
+            "seed": seed,
+        },
+    )
+
+
+def _failed(
+    form: SquareRootForm,
+    limits: EnergyLimits,
+    X: Array,
+    dt: float,
+    horizon: float,
+    stream: np.random.Generator,
+    *,
+    strides: tuple[int, ...],
+) -> tuple[Array, ...]:
+    """First passage seen every 1st, 2nd, … of steps dt/2 on the same paths, inf where none."""
+    h, paths = 0.5 * dt, len(X)
+    found = np.full((len(strides), paths), inf)
+    # One exponential number for each limit, of all strides: see ``pass_energies``.
+    chance = stream.exponential(size=(1, paths, len(limits.values))).repeat(len(strides), axis=0)
+    before = np.repeat(limits.distances(form, X)[None], len(strides), axis=0)
+    found[:, np.any(before[0] <= 0.0, axis=1)] = 0.0
+    lanes, now = np.arange(paths), found.copy()
+    for step in range(1, round(horizon / h) + 1):
+        X = square_root_step(form, X, h, stream)
+        after = limits.distances(form, X)
+        for s, stride in enumerate(strides):
+            if step % stride == 0:
+                _see(now[s], chance[s], before[s], after, step * h, stride * h)
+                before[s] = after
+        running = np.isinf(now).any(axis=0)
+        alive = int(np.count_nonzero(running))
+        if alive <= EMPTY * lanes.size:
+            found[:, lanes] = now
+            X, lanes, now = X[running], lanes[running], now[:, running]
+            chance, before = chance[:, running], before[:, running]
+        if not alive:
+            break
+    found[:, lanes] = now
+    return tuple(found)
+
+
+def _see(time: Array, chance: Array, before: Array, after: Array, end: float, h: float) -> None:
+    """Note what has passed a limit in the step up to ``end``; arrays are (paths,), (paths, limits).
+
+    The bridge over h from d0 to d1 vanishes with the probability exp(−2 d0 d1/h), then at the share
+    d0/(d0 + |d1|) of the step, the mean of which is right.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        none = -np.expm1(-2.0 * np.maximum(before, 0.0) * np.maximum(after, 0.0) / h)
+        chance += np.log(none)
+        passed = np.where(chance <= 0.0, before / (before + np.abs(after)), inf)
+    first = end - h + h * passed.min(axis=1)
+    np.copyto(time, first, where=np.isinf(time) & (first < inf))

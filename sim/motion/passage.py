@@ -1,0 +1,277 @@
+"""First passage in the full system (6): trajectories are followed until they pass the limit."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import ceil, inf, isfinite, pi, sqrt
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from fpk.arrays import Array
+from fpk.cores import usable_cores
+from fpk.errors import InvalidInput, NotApplicable
+from fpk.evolution import Passage
+from fpk.limit import Limit
+from fpk.linear import natural_modes
+from fpk.method import Progress
+from fpk.start import Start
+from fpk.system import System
+from sim.arrays import LANES
+from sim.checkpoint import interruptible
+from sim.ensemble import MAX_COORDINATE
+from sim.montecarlo import MonteCarlo
+from sim.motion.motion import Motion, gathered, in_blocks
+from sim.motion.passing import energies_of, reader_of
+from sim.motion.starts import Origin, largest_energy
+from sim.motion.survival import Times, passage_of
+from sim.random import OTHER_SEED
+from sim.relaxation import relaxation_time
+from sim.schemes import SCHEMES
+from sim.step_size import (
+    REACHED,
+    chosen_step,
+    highest_frequency,
+    stability_limit,
+    step_for,
+    temperature,
+)
+from sim.workers import Workers, workers_of
+
+STEPS_PER_PERIOD = 20
+"""Steps, of the coarser of both simulations, in the shortest natural period."""
+
+STEP_PER_DECAY = 0.2
+"""Step, of the coarser simulation, in units of the fastest decay of a velocity."""
+
+TOO_LONG = 4.0
+"""Steps of one's own, in units of the longest that is chosen, that are not certified: the
+difference from half of it may then be less than the error."""
+
+AT_ONCE = 32768
+"""Trajectories that run together: a chunk of them takes less than a second."""
+
+CHUNK = 256
+"""Steps, of the coarser simulation, after which trajectories that have failed make room."""
+
+PROGRESS = 1000
+"""Steps of the bar of progress."""
+
+
+def passage(
+    method: MonteCarlo,
+    system: System,
+    limit: Limit,
+    start: Start,
+    times: Array,
+    *,
+    tol: float | None,
+    progress: Progress,
+) -> Passage:
+    """Return the first passage of ``limit`` from ``start`` by simulation at dt/2 and at dt.
+
+    ``paths`` trajectories are followed until all have failed, or for ``time``, or the cost of
+    ``most_steps`` steps each. ``tol``, the relative error wanted of the mean, or ``seconds``: as
+    many more as they take. ``longest`` bounds the first.
+    """
+    require_times(times)
+    wanted = tol if tol is not None else method.tol
+    energy = _energy_reached(system, limit, start)
+    dt = motion_step(method, system, energy=energy, error=wanted)
+    seconds = method.seconds or (method.longest if wanted is not None else inf)
+    steps = method.most_steps / 3.0  # two of the finer simulation to one of the coarser
+    horizon = method.time or max(steps * dt, float(np.max(times, initial=0.0)))
+    begin = perf_counter()
+    with (
+        workers_of(method.cluster, method.threads or usable_cores()) as workers,
+        interruptible(method.partial) as stopped,
+    ):
+        origin = Origin(system, start, method.seed, method.burn_in, workers)
+        rounds = Rounds(method, system, limit, origin, dt, horizon, workers)
+        sampled, lost, failures = None, 0, list[str]()
+        number = 0
+        while True:
+            more = rounds.run(number, _ends(stopped, begin, seconds), progress)
+            sampled = more.times if sampled is None else sampled.joined(more.times)
+            lost, number = lost + more.lost, number + 1
+            spent = perf_counter() - begin
+            if stopped() or spent > seconds or lost:
+                break
+            enough = sampled.fine.size >= method.paths
+            if wanted is not None:
+                enough = enough and _relative_error(sampled) <= wanted
+            elif method.seconds:
+                enough = False
+            if enough or (number + 1) * AT_ONCE > 1 << 24:
+                break
+    if dt > TOO_LONG * (longest := longest_step(system)):
+        failures.append(f"between steps as long as dt = {dt:g} not all is seen; use {longest:.2g}")
+    if stopped():
+        failures.append("partial: interrupted by Ctrl-C")
+    if lost:
+        failures.append(f"{lost} trajectories left the finite range; use a smaller dt than {dt:g}")
+    relaxation = relaxation_time(system)
+    return passage_of(
+        sampled,
+        times,
+        memory=relaxation if isfinite(relaxation) else 0.0,
+        tol=inf if wanted is None else wanted,
+        failures=failures,
+        settings={"dt": 0.5 * dt, "coarse dt": dt, "scheme": method.scheme, "seed": method.seed},
+    )
+
+
+def require_times(times: Array, *, least: float = 0.0) -> None:
+    """Raise ``InvalidInput`` for times that do not ascend from ``least`` or later."""
+    if (
+        np.any(~np.isfinite(times))
+        or np.any(np.diff(times, prepend=least - 1.0) <= 0.0)
+        or np.any(times < least)
+    ):
+        raise InvalidInput("times", times, f"must be finite, ascend, and be {least:g} or later")
+
+
+def longest_step(system: System) -> float:
+    """Return the step in which velocities change little enough to see what is between two steps."""
+    period = 2.0 * pi / highest_frequency(system)
+    decay = float(np.max(np.abs(np.linalg.eigvals(system.damping / system.mass))))
+    return min(period / STEPS_PER_PERIOD, STEP_PER_DECAY / decay if decay > 0.0 else inf)
+
+
+def motion_step(
+    method: MonteCarlo, system: System, *, energy: float = 0.0, error: float | None = None
+) -> float:
+    """Return the longer of the steps of a motion up to ``energy``; ``error`` as of ``step_for``.
+
+    Raises ``InvalidInput`` for a step that is unstable, and for another scheme than exact_flow,
+    which alone can repeat a motion at half the step.
+    """
+    if method.scheme != "exact_flow":
+        raise InvalidInput("scheme", method.scheme, "motions in time take exact_flow")
+    if method.checkpoint is not None:
+        raise InvalidInput("checkpoint", method.checkpoint, "motions in time save no state")
+    if not np.any(system.noise_matrix):
+        raise NotApplicable("no noise reaches a mass: the motion is not random")
+    dt = method.dt or method.step_factor * min(
+        longest_step(system),
+        chosen_step(system, energy=energy),
+        step_for(system, error or method.paths**-0.5),
+    )
+    limit = stability_limit(system, SCHEMES[method.scheme], energy=energy)
+    if not 0.0 < dt < limit and not method.allow_unstable:
+        remedy = f"must be > 0 and below the stability limit 2/ω = {limit:.4g} of {method.scheme}"
+        raise InvalidInput("dt", dt, remedy)
+    return dt
+
+
+@dataclass(frozen=True)
+class Round:
+    """Times of some trajectories, and how many were lost."""
+
+    times: Times
+    lost: int
+
+
+@dataclass(frozen=True, eq=False)
+class Rounds:
+    """Trajectories that are followed together, a round with random numbers of its own."""
+
+    method: MonteCarlo
+    system: System
+    limit: Limit
+    origin: Origin
+    dt: float
+    horizon: float
+    workers: Workers
+
+    def run(self, number: int, ends: Callable[[], bool], progress: Progress) -> Round:
+        """Follow up to ``AT_ONCE`` trajectories until both simulations of each have failed.
+
+        They end at the ``horizon``, and after a chunk when ``ends()``; times so cut short are
+        marked by ``until``.
+        """
+        paths = -(-min(self.method.paths, AT_ONCE) // LANES) * LANES
+        q, p = self.origin.drawn(paths, number)
+        beyond = _beyond(self.system, self.limit, q, p)
+        if np.all(beyond):
+            raise InvalidInput("start", str(self.origin.start), f"is beyond the limit {self.limit}")
+        energies = energies_of(self.limit, self.system.n)
+        seed = (self.method.seed + number * OTHER_SEED) % 2**64
+        pair = [
+            Motion(
+                self.system, q, p, dt, seed, energies=energies, halved=halved, workers=self.workers
+            )
+            for dt, halved in ((0.5 * self.dt, False), (self.dt, True))
+        ]
+        readers = [reader_of(self.system, self.limit, motion.dt) for motion in pair]
+        stream = np.random.Generator(
+            np.random.Philox(key=np.array([seed, number + 2**63], dtype=np.uint64))
+        )
+        exponential = stream.exponential(size=(paths, max(1, len(energies))))
+        chances = [in_blocks(exponential), in_blocks(exponential)]
+        found = [in_blocks(np.where(beyond, 0.0, inf)[:, None]) for _ in pair]
+        failed = np.full((2, paths), inf)
+        lanes, lost = np.arange(paths), 0
+        until = np.full(paths, self.horizon)
+        steps = ceil(self.horizon / self.dt)
+        while True:
+            chunk = min(CHUNK, steps - pair[1].samples)
+            for motion, read, *arrays in zip(pair, readers, found, chances, strict=True):
+                motion.advance(chunk if motion.halved else 2 * chunk, read, *arrays)
+            now = np.array([times.transpose(0, 2, 1).ravel()[: lanes.size] for times in found])
+            failed[:, lanes] = now
+            finite = np.ones(lanes.size, dtype=bool)
+            for motion in pair:
+                own = np.abs(motion.last[:, : 2 * self.system.n]) < MAX_COORDINATE
+                finite &= own.all(axis=1).ravel()[: lanes.size]
+            lost = int(np.count_nonzero(~finite & np.isinf(now).any(axis=0)))
+            running = np.isinf(now).any(axis=0)
+            alive = int(np.count_nonzero(running))
+            done = max(1.0 - alive / paths, pair[1].samples / steps)
+            progress(int(PROGRESS * done), PROGRESS, "first passage")
+            if not alive or lost or pair[1].samples >= steps or ends():
+                break
+            if 2 * alive <= pair[1].last.shape[0] * LANES and pair[1].last.shape[0] > 1:
+                kept = np.flatnonzero(running)
+                lanes = lanes[kept]
+                for k, motion in enumerate(pair):
+                    motion.keep(kept)
+                    found[k], chances[k] = gathered(found[k], kept), gathered(chances[k], kept)
+        until = np.full(paths, min(self.horizon, pair[1].time))
+        # What passes in the part of the last step beyond the horizon counts as not failed.
+        failed[failed > until] = inf
+        return Round(Times(failed[0], failed[1], until), lost)
+
+
+def _ends(stopped: Callable[[], bool], begin: float, seconds: float) -> Callable[[], bool]:
+    return lambda: stopped() or perf_counter() - begin > seconds
+
+
+def _relative_error(sampled: Times) -> float:
+    """About the relative standard error of the mean: times are nearly exponential."""
+    return 1.1 / sqrt(max(1, sampled.failed))
+
+
+def _energy_reached(system: System, limit: Limit, start: Start) -> float:
+    """The energy for which the step must be short: that of the limit, or of the start."""
+    reached = largest_energy(system, start)
+    if limit.kind == "H":
+        return max(limit.value, reached)
+    if limit.kind == "modal":
+        return max(float(sum(limit.values.values())), reached)
+    row = limit.observable(system.n)[0].row
+    at = 0.5 * limit.value**2 / float(system.compliance[row, row])
+    at += max(float(system.contact_energy(row, side * limit.value)) for side in (-1.0, 1.0))
+    return max(at, reached + REACHED * temperature(system))
+
+
+def _beyond(system: System, limit: Limit, q: Array, p: Array) -> Any:
+    """Which states (paths, n) are at or beyond the limit."""
+    if limit.kind == "q":
+        return np.abs(q[:, limit.observable(system.n)[0].row]) >= limit.value
+    if limit.kind == "H":
+        return system.hamiltonian(q, p) >= limit.value
+    shapes, omega = natural_modes(system)
+    modal = 0.5 * ((p @ shapes) ** 2 + (omega * (q @ (system.mass[:, None] * shapes))) ** 2)
+    most = np.array([limit.values.get(f"H{m + 1}", inf) for m in range(system.n)])
+    return np.any(modal >= most, axis=1)

@@ -1,0 +1,183 @@
+"""Readers of a trace that see when each trajectory first passes its limit, between steps too."""
+
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+
+from fpk.arrays import Array, Integers
+from fpk.compiling import cached_njit, inlined
+from fpk.limit import Limit
+from fpk.linear import natural_modes
+from fpk.observable import Coordinate
+from fpk.system import System
+from sim.arrays import LANES as W
+from sim.motion.between import BULGE, cubic_of, first_passage, readers_checksum
+from sim.motion.motion import Reader
+
+NATS = 40.0
+"""−ln of a probability that counts as none: 4e-18."""
+
+SMALLEST = 1e-200
+"""Stands for the β of an energy without noise, of which the limit is then infinitely far."""
+
+
+@inlined
+def quadratic(out: Array, rows: Array, first: int, form: Array) -> None:
+    """Write Σ form_ij x_i x_j of the ``rows`` x from ``first`` on."""
+    out[:] = 0.0
+    for i in range(form.shape[0]):
+        for j in range(form.shape[1]):
+            factor = form[i, j]
+            if factor != 0.0:
+                x, y = rows[first + i], rows[first + j]
+                for w in range(W):
+                    out[w] += factor * x[w] * y[w]
+
+
+@cache
+def compiled_passing() -> tuple[Any, Any]:
+    """Return the readers of a displacement and of energies."""
+    sources = readers_checksum()
+
+    @cached_njit()
+    def pass_displacement(
+        trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, row: int,
+        momentum: int, inverse_mass: float, limit: float,
+    ) -> int:  # fmt: skip
+        """See the function of this name outside."""
+        for b in range(trace.shape[0]):
+            own = time[b, 0]
+            for k in range(samples):
+                q0, q1 = trace[b, k, row], trace[b, k + 1, row]
+                p0, p1 = trace[b, k, momentum], trace[b, k + 1, momentum]
+                slope = BULGE * dt * inverse_mass
+                near = 0
+                for w in range(W):
+                    reach = max(abs(q0[w]), abs(q1[w])) + slope * (abs(p0[w]) + abs(p1[w]))
+                    near += (reach >= limit) & (own[w] == np.inf)
+                if near == 0:
+                    continue
+                for w in range(W):
+                    reach = max(abs(q0[w]), abs(q1[w])) + slope * (abs(p0[w]) + abs(p1[w]))
+                    if reach >= limit and own[w] == np.inf:
+                        cubic = cubic_of(
+                            q0[w], inverse_mass * p0[w], q1[w], inverse_mass * p1[w], dt
+                        )
+                        share = first_passage(cubic, limit)
+                        if share <= 1.0:
+                            own[w] = (done + k + share) * dt
+        return sources
+
+    @cached_njit()
+    def pass_energies(
+        trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, first: int,
+        rows: Integers, limits: Array, diffusion: Array, growth: Array, at_rest: Array,
+    ) -> int:  # fmt: skip
+        """See the function of this name outside."""
+        variance, rise, before, after = np.empty(W), np.empty(W), np.empty(W), np.empty(W)
+        for b in range(trace.shape[0]):
+            own = time[b, 0]
+            for m in range(rows.size):
+                left, limit = chance[b, m], limits[m]
+                for k in range(samples + 1):
+                    quadratic(variance, trace[b, k], first, diffusion[m])
+                    quadratic(rise, trace[b, k], first, growth[m])
+                    H = trace[b, k, rows[m]]
+                    near = 0
+                    for w in range(W):
+                        # e = σ²/β; d = 2 (√(e + L − H) − √e)/√β.
+                        beta = rise[w] / variance[w] if rise[w] > 0.0 else at_rest[m]
+                        e = variance[w] / beta
+                        way = np.sqrt(max(e + limit - H[w], 0.0)) - np.sqrt(e)
+                        after[w] = 2.0 * way / np.sqrt(beta)
+                        near += 2.0 * before[w] * after[w] < NATS * dt
+                    if k > 0 and near > 0:
+                        end = (done + k) * dt
+                        for w in range(W):
+                            # Of several limits in one step the first one counts.
+                            if own[w] > end - dt:
+                                nats = 2.0 * before[w] * after[w] / dt
+                                if 0.0 < nats < NATS:
+                                    left[w] += np.log1p(-np.exp(-nats))
+                                if nats <= 0.0 or left[w] <= 0.0:
+                                    share = before[w] / (before[w] + abs(after[w]))
+                                    own[w] = min(own[w], end - dt * (1.0 - share))
+                    before[:] = after
+        return sources
+
+    return pass_displacement, pass_energies
+
+
+def pass_displacement(*arrays: Any, **numbers: Any) -> None:
+    """Write when |q| in ``row`` first passes ``limit`` to ``time`` (blocks, 1, LANES), where inf.
+
+    Between samples q is the cubic through q and v at both ends: no ``chance`` is in it.
+    """
+    compiled_passing()[0](*arrays, **numbers)
+
+
+def pass_energies(*arrays: Any, **numbers: Any) -> None:
+    """Write when one of the energies in ``rows`` first passes its limit to ``time``, where inf.
+
+    Energies pass by diffusion: dH = … + σ dB, σ² = p'Fp with F of ``diffusion`` (limits, n, n), and
+    as the noise moves H by 1 it moves σ² by β = p'Gp/σ², G of ``growth``, ``at_rest`` where p = 0;
+    momenta p are rows from ``first`` on. In y = ∫dH/σ, σ² being linear in H, the diffusion is 1:
+    between samples, h apart, the distance d to the limit is a Brownian bridge, and vanishes with
+    the probability exp(−2 d0 d1/h), then at the share d0/(d0 + |d1|) of the step, the mean of which
+    is right.
+    ``chance`` (blocks, limits, LANES) holds an exponential number for each: that limit is passed
+    when the sum of −ln(1 − probability) is more. One number for all steps: the same motion at
+    another step passes at nearly the same time.
+    """
+    compiled_passing()[1](*arrays, **numbers)
+
+
+def energies_of(limit: Limit, n: int) -> tuple[Coordinate, ...]:
+    """Return the energies that must be observed to see ``limit`` passed."""
+    if limit.kind == "q":
+        return ()
+    modes = [Coordinate("H", m) for m in range(n) if f"H{m + 1}" in limit.values]
+    return tuple(modes) or (Coordinate("H"),)
+
+
+def reader_of(system: System, limit: Limit, dt: float) -> Reader:
+    """Return the reader of samples ``dt`` apart that sees ``limit`` passed.
+
+    It takes the arrays ``time`` and ``chance`` of ``pass_energies``. Of H: F = 2 M⁻¹ N M⁻¹ and
+    G = 8 M⁻¹ N M⁻¹ N M⁻¹, N = f D fᵀ; of a mode with the shape T_m: the same of its own momentum.
+    """
+    compiled_passing()  # here: threads that read find it
+    n, N = system.n, system.noise_matrix
+    if limit.kind == "q":
+        row = limit.observable(n)[0].row
+        return partial(
+            pass_displacement,
+            dt=dt,
+            row=row,
+            momentum=n + row,
+            inverse_mass=1.0 / float(system.mass[row]),
+            limit=limit.value,
+        )
+    energies = energies_of(limit, n)
+    if limit.kind == "H":
+        mobility = np.diag(1.0 / system.mass)
+        diffusion = [2.0 * mobility @ N @ mobility]
+        growth = [8.0 * mobility @ N @ mobility @ N @ mobility]
+    else:
+        shapes = [natural_modes(system)[0][:, c.row] for c in energies]
+        diffusion = [2.0 * (T @ N @ T) * np.outer(T, T) for T in shapes]
+        growth = [8.0 * (T @ N @ T) ** 2 * np.outer(T, T) for T in shapes]
+    ratios = [
+        np.trace(G) / max(np.trace(F), SMALLEST) for F, G in zip(diffusion, growth, strict=True)
+    ]
+    return partial(
+        pass_energies,
+        dt=dt,
+        first=n,
+        rows=2 * n + np.arange(len(energies)),
+        limits=np.array([limit.values[str(c)] for c in energies]),
+        diffusion=np.array(diffusion),
+        growth=np.array(growth),
+        at_rest=np.maximum(ratios, SMALLEST),
+    )

@@ -1,0 +1,202 @@
+"""First passage from sampled times, some of them cut short: moments, failure rate, reliability."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, nan
+
+import numpy as np
+
+from fpk.arrays import Array, Flags, Integers
+from fpk.certificate import Measured, certify
+from fpk.evolution import Number, Passage
+
+GROUPS = 64
+"""Groups of trajectories that are left out, one at a time, for errors (jackknife)."""
+
+TAILS = 20
+"""Times from which failure rates are compared, to see from where on there is one rate."""
+
+LEAST_FAILURES = 100
+"""Failures in the tail below which its rate, and what is continued by it, is not certified."""
+
+CONSISTENT = 3.0
+"""Standard errors within which two failure rates agree (Lepski's rule)."""
+
+UPPER_BOUND = 3.0
+"""Expected failures that leave none with a probability of 5 %: 95 % bound of a rate."""
+
+
+@dataclass(frozen=True, eq=False)
+class Times:
+    """When trajectories failed, inf where not, and until when each was followed, both (paths,).
+
+    ``fine`` were found at half the step of ``coarse``, by the same random numbers where the two
+    can be coupled; ``coarse`` None where the times have no error of a step.
+    """
+
+    fine: Array
+    coarse: Array | None
+    until: Array
+
+    def joined(self, other: "Times") -> "Times":
+        """Return the times of both."""
+        coarse = None
+        if self.coarse is not None and other.coarse is not None:
+            coarse = np.concatenate([self.coarse, other.coarse])
+        return Times(
+            np.concatenate([self.fine, other.fine]),
+            coarse,
+            np.concatenate([self.until, other.until]),
+        )
+
+    @property
+    def failed(self) -> int:
+        """How many failed."""
+        return int(np.count_nonzero(self.fine <= self.until))
+
+
+def estimates(time: Array, until: Array, times: Array, begin: float) -> Array:
+    """Return E T, var T, the failure rate after ``begin``, and P(T > t) at ``times``.
+
+    P(T > t) by Kaplan and Meier (J. Amer. Stat. Assoc. 53, 1958, 457), who need no time of those
+    that have not failed; beyond the last time it falls at the failure rate, failures over the time
+    under risk after ``begin``. The moments are integrals of it: ∫ P dt and ∫ 2 t P dt.
+    """
+    seen = np.minimum(time, until)
+    order = np.argsort(seen, kind="stable")
+    seen, failed = seen[order], (time <= until)[order]
+    risk = np.arange(seen.size, 0, -1)
+    survival = np.cumprod(1.0 - failed / risk)
+    before = np.concatenate([[1.0], survival[:-1]])
+    first = float(np.sum(before * np.diff(seen, prepend=0.0)))
+    second = float(np.sum(before * np.diff(seen**2, prepend=0.0)))
+    exposure = float(np.sum(np.maximum(seen - begin, 0.0)))
+    events = int(np.count_nonzero(failed & (seen > begin)))
+    rate, last, left = events / exposure if exposure > 0.0 else nan, seen[-1], survival[-1]
+    if left > 0.0:
+        mean = 1.0 / rate if rate > 0.0 else inf
+        first += left * mean
+        second += 2.0 * left * mean * (last + mean)
+    at = np.concatenate([[1.0], survival])[np.searchsorted(seen, times, side="right")]
+    beyond = np.maximum(times - last, 0.0)
+    if left > 0.0 and rate > 0.0:
+        at = at * np.exp(-rate * beyond)
+    return np.array([first, second - first**2 if first < inf else inf, rate, *at])
+
+
+def tail_begin(time: Array, until: Array, memory: float) -> float:
+    """Return the time from which there is one failure rate, as far as the sample shows.
+
+    The earliest from which the rate agrees with those from all later times within ``CONSISTENT``
+    errors, and ``memory`` more, in which what the start has left falls below the error; no later
+    than leaves ``LEAST_FAILURES``.
+    """
+    seen, failed = np.minimum(time, until), time <= until
+    events = np.sort(seen[failed])
+    if events.size < 2 * LEAST_FAILURES + 1:
+        return 0.0
+    latest = float(events[-LEAST_FAILURES - 1])
+    begins = latest * np.linspace(0.0, 1.0, TAILS)
+    if memory < latest:
+        begins = np.union1d(np.linspace(0.0, min(8.0 * memory, latest), TAILS), begins)
+    counts = np.array([np.count_nonzero(events > b) for b in begins])
+    exposure = np.array([np.sum(np.maximum(seen - b, 0.0)) for b in begins])
+    rates = counts / exposure
+    errors = rates / np.sqrt(counts)
+    for k in range(begins.size):
+        # Of a part of the sample the variance of the difference is the difference of variances.
+        spread = np.sqrt(np.maximum(errors[k:] ** 2 - errors[k] ** 2, 0.0))
+        if np.all(np.abs(rates[k:] - rates[k]) <= CONSISTENT * spread + 1e-12 * rates[k]):
+            return min(float(begins[k]) + memory, latest)
+    return latest
+
+
+def passage_of(
+    sampled: Times,
+    times: Array,
+    *,
+    memory: float,
+    tol: float,
+    failures: Sequence[str],
+    settings: dict[str, str | float | int],
+) -> Passage:
+    """Return first passage from ``sampled`` times, with one standard error of each number.
+
+    Errors are those of leaving out groups, the difference between both steps added in quadrature:
+    it is at least the error at half the step where that falls with the step. ``memory`` is the time
+    after which a trajectory has forgotten its start.
+    """
+    fine, until, paths = sampled.fine, sampled.until, sampled.fine.size
+    events, words = sampled.failed, list(failures)
+    begin = tail_begin(fine, until, memory)
+    best = estimates(fine, until, times, begin)
+    error = _jackknife(fine, until, times, begin)
+    survival = best[3:]
+    at_least = np.maximum(
+        np.sqrt(np.maximum(survival * (1.0 - survival), 0.0) / paths), 1.0 / paths
+    )
+    error[3:] = np.maximum(error[3:], at_least)
+    bias = np.zeros(best.size)
+    if sampled.coarse is not None:
+        with np.errstate(invalid="ignore"):
+            bias = np.abs(estimates(sampled.coarse, until, times, begin) - best)
+    error = np.where(np.isfinite(bias), np.hypot(error, bias), inf)
+    exposure = float(np.sum(np.minimum(fine, until)))
+    late = int(np.count_nonzero((fine <= until) & (fine > begin)))
+    unfailed = int(np.count_nonzero(fine > until))
+    if unfailed and late < LEAST_FAILURES:
+        words.append(
+            f"{unfailed} of {paths} trajectories had not failed by t = {np.max(until):.4g}, and"
+            f" {late} failures in the tail are too few to go on from: the mean rate until then is"
+            f" {_bound(events) / exposure:.2g} at most (95 %); simulate for longer, or split"
+        )
+    measured = Measured(
+        l1_error=float(error[0] / best[0]) if best[0] < inf else inf,
+        mass_defect=0.0,
+        minimum=float(np.min(survival, initial=0.0)),
+        residual=nan,
+        tail_mass=unfailed / paths,
+        failures=tuple(words),
+    )
+    if not events:  # nothing to state but bounds: all lived through their time
+        best[:3], error[:3] = (exposure / paths, inf, 0.0), (inf, inf, UPPER_BOUND / exposure)
+    error[error != error] = inf
+    settings |= {
+        "trajectories": paths,
+        "not failed": unfailed,
+        "followed until": float(np.max(np.minimum(fine, until))),
+        "failure rate from": begin,
+    }
+    if unfailed and events:
+        settings["continued"] = "the moments, at the failure rate, where trajectories end first"
+    if sampled.coarse is not None and events:
+        settings["step bias of the mean"] = float(bias[0])
+        settings["step bias of the rate"] = float(bias[2])
+    return Passage(
+        mean=Number(float(best[0]), float(error[0])),
+        variance=Number(float(best[1]), float(error[1])),
+        rate=Number(float(best[2]), float(error[2])) if best[2] == best[2] else None,
+        times=times,
+        survival=survival,
+        survival_error=error[3:],
+        error_kind="sampling",
+        certificate=certify(measured, tol=tol, sampled=True),
+        settings=settings,
+    )
+
+
+def _bound(events: int) -> float:
+    """Upper bound, at 95 %, of the expected number of which ``events`` came (Poisson)."""
+    return UPPER_BOUND if events == 0 else events + 2.0 + 1.65 * float(np.sqrt(events))
+
+
+def _jackknife(time: Array, until: Array, times: Array, begin: float) -> Array:
+    """Standard errors of ``estimates``: √((G − 1)/G Σ (left out − mean)²), G of ``GROUPS``."""
+    group: Integers = np.arange(time.size) % GROUPS
+    rows = []
+    for g in range(GROUPS):
+        others: Flags = group != g
+        rows.append(estimates(time[others], until[others], times, begin))
+    with np.errstate(invalid="ignore"):
+        spread = np.var(rows, axis=0) * (GROUPS - 1)
+    return np.asarray(np.sqrt(spread))

@@ -1,0 +1,194 @@
+"""One averaged energy towards a limit, Eqs. (9), (17): exact steps of its square-root form."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from threading import Lock
+from typing import Any
+
+import numpy as np
+import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
+
+from fpk.arrays import Array, Integers
+from fpk.compiling import ROOT, cached_njit, checksum, inlined
+from fpk.errors import InvalidInput, NotApplicable
+from sim.averaged.square_root import SquareRootForm
+from sim.random import GOLDEN, mixed_seed
+from sim.splitting.arrays import LEVELS, Paths, Score, new_paths
+from sim.splitting.parts import begin, bridge_maximum, draw_normals, level_of, place, record
+from sim.splitting.replicas import CompiledReplicas
+from sim.splitting.score import ScoreFunction, cost_score, score_table
+
+NAMES = ("random", "splitting/arrays", "splitting/parts", "splitting/averaged")
+
+CELLS = 4096
+"""Cells of the table of the damping over R = √X up to the limit."""
+
+STEPS = 16
+"""Least number of steps in the time and in 1/γ: the bridge has no damping between its ends."""
+
+WHOLE = 1e-9
+"""Distance from a whole number up to which the degrees of freedom 4 d/β count as one."""
+
+_COMPILING = Lock()
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyProblem:
+    """Failure at the energy ``limit`` before ``time`` from ``start``; see ``replicas.Problem``.
+
+    ``numbers`` are d, β, γ₀; ``table`` is γ − γ₀ over R = √X up to ``top``, that of the limit;
+    ``first`` is X of the start.
+    """
+
+    numbers: tuple[float, float, float]
+    table: Array
+    first: float
+    top: float
+    time: float
+    dt: float
+    score: Score
+
+    @property
+    def identity(self) -> tuple[Any, ...]:
+        """Values that a checkpoint must have been made with."""
+        numbers = (*self.numbers, self.first, self.top, self.time, self.dt)
+        return (numbers, self.table, self.score.table)
+
+    def replicas(
+        self, count: int, steps: int, seed: int, stream: np.random.Generator
+    ) -> CompiledReplicas:
+        """Return ``count`` paths of ``steps`` steps from their starts."""
+        (d, beta, gamma), h = self.numbers, self.time / steps
+        # X(h) = k χ'² with (1 − e^{−γh})/γ, also for γ = 0, in k.
+        k = 0.25 * beta * (h if gamma == 0.0 else -float(np.expm1(-gamma * h)) / gamma)
+        pairs = round(2.0 * d / beta)
+        model = (
+            (h, k, float(np.exp(-gamma * h)), 0.25 * beta * h, self.top),
+            pairs, self.table, self.score._replace(steps=steps),
+        )  # fmt: skip
+        states = np.full((count, 1), self.first)
+        return CompiledReplicas(
+            compiled_energies(), model, new_paths(states, steps), mixed_seed(seed)
+        )
+
+
+def energy_problem(
+    form: SquareRootForm,
+    limit: float,
+    start: float,
+    time: float,
+    *,
+    dt: float | None,
+    score: ScoreFunction | None,
+) -> EnergyProblem:
+    """Return the problem of the energy ``form`` from ``start`` to ``limit``.
+
+    Raises ``NotApplicable`` for several energies, or degrees of freedom 4 d/β that are odd.
+    """
+    if form.noise.size != 1:
+        raise NotApplicable("splitting of averaged energies takes one of them")
+    if not 0.0 <= start < limit:
+        raise InvalidInput("start", start, f"must be an energy from 0 to below the limit {limit:g}")
+    d, beta, gamma = (float(x[0]) for x in (form.noise, form.slope, form.linear))
+    pairs = 2.0 * d / beta
+    if abs(pairs - round(pairs)) > WHOLE * pairs or round(pairs) < 1:
+        raise NotApplicable(f"4 d/β = {2.0 * pairs:g} is not an even number of degrees of freedom")
+
+    def energy(R: Array) -> Array:
+        return np.asarray(form.energies(np.square(R)[:, None])).ravel()
+
+    def root(H: float) -> float:
+        """R at the energy H."""
+        high = 1.0
+        while energy(np.array([high]))[0] < H:
+            high *= 2.0
+        find: Any = scipy.optimize.brentq
+        return float(find(lambda R: energy(np.array([R]))[0] - H, 0.0, high, xtol=1e-15 * high))
+
+    top, first = root(limit), root(start) if start > 0.0 else 0.0
+    R = np.linspace(0.0, top, CELLS + 1)
+    extra = np.zeros(2) if form.damping is None else np.ravel(form.damping(np.square(R)[:, None]))
+    # The action to reach the limit from rest is that of the mean of γ over ∫ R dR.
+    grid = np.linspace(0.0, top, extra.size)
+    mean = gamma + 2.0 * float(np.trapezoid(extra * grid, grid)) / top**2
+    own = score or (
+        lambda H, times: cost_score(top**2, noise=0.5 * beta, decay=mean)(
+            np.array([root(float(x)) for x in H]) ** 2, times
+        )
+    )
+    table = score_table([own], [lambda x: energy(top * x)], time=time, steps=1)
+    rate = max(abs(gamma), abs(mean))
+    return EnergyProblem(
+        (d, beta, gamma), extra, first**2, top, time,
+        dt or min(time, 1.0 / rate if rate > 0.0 else time) / STEPS, table,
+    )  # fmt: skip
+
+
+@inlined
+def damped(X: float, table: Array, top: float, h: float) -> float:
+    """Return X after the damping beyond the linear over h, by an exponential midpoint rule."""
+    cells = table.size - 1
+    y = X
+    for share in (0.5, 1.0):
+        u = np.sqrt(y) / top * cells
+        j = min(int(u), cells - 1)
+        gamma = table[j] + min(u - j, 1.0) * (table[j + 1] - table[j])
+        y = X * np.exp(-share * h * gamma)
+    return y
+
+
+def compiled_energies() -> Any:
+    """Return the function that renews paths of an energy, one for all threads."""
+    with _COMPILING:
+        return _compiled()
+
+
+@lru_cache
+def _compiled() -> Any:
+    sources = checksum([ROOT / f"sim/{name}.py" for name in NAMES])
+
+    @cached_njit()
+    def renew(
+        dead: Integers, parents: Integers, level: int, first: int, offset: np.uint64,
+        numbers: tuple[float, float, float, float, float], pairs: int, table: Array,
+        score: Score, paths: Paths,
+    ) -> int:  # fmt: skip
+        """Replace the paths ``dead`` by ``parents`` up to where they exceed ``level``, then anew.
+
+        ``numbers`` are h, k, e^{−γh}, the variance of R in h, and R at the limit. Returns the
+        checksum of its sources.
+        """
+        h, k, decay, variance, top_R = numbers
+        x, z = np.zeros(1), np.zeros(2 * pairs, np.float32)
+        word = np.zeros(2, np.uint32)
+        for number in range(dead.size):
+            i = dead[number]
+            done = begin(paths, i, parents[number], level, x)
+            begun, top, records = done, paths.level[i, 0], 1
+            X = x[0]
+            if level < 0:
+                top = level_of(score, 0, np.sqrt(X) / top_R, 0)
+                record(paths, i, 0, x, top, 0)
+            while done < score.steps and top < LEVELS:
+                R0 = np.sqrt(X)
+                X = damped(X, table, top_R, 0.5 * h)
+                at = place(first + number, (done - begun) * (pairs + 1), offset)
+                draw_normals(z, word, at, pairs)
+                mean = np.float64(z[0]) + np.sqrt(X * decay / k)
+                total = mean * mean
+                for r in range(1, 2 * pairs):
+                    total += np.float64(z[r]) * np.float64(z[r])
+                X = damped(k * total, table, top_R, 0.5 * h)
+                u = at + np.uint64(pairs) * GOLDEN
+                most = bridge_maximum(R0, np.sqrt(X), variance, u)
+                done += 1
+                reached = level_of(score, 0, most / top_R, done)
+                if reached > top:
+                    top, x[0] = reached, X
+                    record(paths, i, records, x, top, done)
+                    records += 1
+            paths.best[i] = top
+            paths.moved[i] += done - begun
+        return sources
+
+    return renew

@@ -1,0 +1,93 @@
+"""Parts of the compiled paths: records, levels of the score, largest values between steps."""
+
+from math import log, sqrt
+
+import numpy as np
+
+from fpk.arrays import Array
+from fpk.compiling import inlined
+from sim.random import GOLDEN, Halves, Singles, box_muller, mixed_word
+from sim.splitting.arrays import LEVELS, Paths, Score
+
+_S11, _S40 = np.uint64(11), np.uint64(40)
+
+
+@inlined
+def begin(paths: Paths, i: int, parent: int, level: int, x: Array) -> int:
+    """Make the first record of ``parent`` above ``level`` the only one of ``i``, and its state x.
+
+    Returns the number of steps made by then.
+    """
+    m = 0
+    while paths.level[parent, m] <= level:
+        m += 1
+    for r in range(paths.state.shape[2]):
+        x[r] = paths.state[parent, m, r]
+        paths.state[i, 0, r] = x[r]
+    paths.level[i, 0] = paths.level[parent, m]
+    paths.step[i, 0] = paths.step[parent, m]
+    return int(paths.step[i, 0])
+
+
+@inlined
+def record(paths: Paths, i: int, records: int, x: Array, level: int, step: int) -> None:
+    """Write a state as the record number ``records`` of replica i."""
+    for r in range(paths.state.shape[2]):
+        paths.state[i, records, r] = x[r]
+    paths.level[i, records] = level
+    paths.step[i, records] = step
+
+
+@inlined
+def level_of(score: Score, coordinate: int, x: float, step: int) -> int:
+    """Return the level of the share x of the limit after ``step`` steps, by bilinear tables."""
+    if not x < 1.0:
+        return LEVELS if x >= 1.0 else 0
+    rows, columns = score.table.shape[1] - 1, score.table.shape[2] - 1
+    u, v = x * columns, np.sqrt(1.0 - step / score.steps) * rows
+    j, k = min(int(u), columns - 1), min(int(v), rows - 1)
+    a, b = u - j, v - k
+    t = score.table[coordinate]
+    low = t[k, j] + a * (t[k, j + 1] - t[k, j])
+    high = t[k + 1, j] + a * (t[k + 1, j + 1] - t[k + 1, j])
+    return min(int(low + b * (high - low)), LEVELS - 1)
+
+
+@inlined
+def place(trajectory: int, counter: int, offset: np.uint64) -> np.uint64:
+    """Return the place of a word in the sequence of ``sim.random``."""
+    return ((np.uint64(trajectory) << _S40) + np.uint64(counter)) * GOLDEN + offset
+
+
+@inlined
+def draw_normals(z: Singles, word: Halves, at: np.uint64, pairs: int) -> None:
+    """Write ``pairs`` pairs of normals from the words that begin at the place ``at``."""
+    words = word.view(np.uint64)
+    for pair in range(pairs):
+        words[0] = mixed_word(at + np.uint64(pair) * GOLDEN)
+        box_muller(z[2 * pair :], word, 1)
+
+
+@inlined
+def bridge_maximum(a: float, b: float, variance: float, at: np.uint64) -> float:
+    """Draw the maximum of a Brownian bridge from a to b whose motion has ``variance`` in all.
+
+    P(max > m) = exp(−2 (m − a)(m − b)/variance); the uniform number is that at the place ``at``.
+    """
+    u = (np.float64(mixed_word(at) >> _S11) + 0.5) * 2.0**-53
+    return 0.5 * (a + b + sqrt((b - a) * (b - a) - 2.0 * variance * log(u)))
+
+
+@inlined
+def cubic_maximum(q0: float, v0: float, q1: float, v1: float, h: float) -> float:
+    """Return the largest |q| of the cubic through displacements and velocities at both ends."""
+    largest = max(abs(q0), abs(q1))
+    # q(s) = q0 + h v0 s + b s² + c s³, s in [0, 1]; q' = 0 where 3 c s² + 2 b s + h v0 = 0.
+    b, c = 3.0 * (q1 - q0) - h * (2.0 * v0 + v1), 2.0 * (q0 - q1) + h * (v0 + v1)
+    square = b * b - 3.0 * c * h * v0
+    if square > 0.0:
+        w = -(b + np.copysign(np.sqrt(square), b))
+        for s in (h * v0 / w if w != 0.0 else -1.0, w / (3.0 * c) if c != 0.0 else -1.0):
+            if 0.0 < s < 1.0:
+                largest = max(largest, abs(q0 + s * (h * v0 + s * (b + s * c))))
+    return largest

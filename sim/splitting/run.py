@@ -1,0 +1,162 @@
+"""Repetitions of splitting on workers, at two steps, until the error is small enough."""
+
+from functools import partial
+from math import ceil, isfinite
+from time import perf_counter
+
+import numpy as np
+
+from fpk.cores import usable_cores
+from fpk.errors import InvalidInput, NotCertified
+from fpk.limit import Limit
+from fpk.method import Progress, silent
+from fpk.process import Process
+from fpk.start import Start
+from fpk.system import System
+from sim.averaged.square_root import SquareRootForm, line_form
+from sim.checkpoint import Checkpoint, checkpoint_of, interruptible
+from sim.splitting.algorithm import Repetition, split
+from sim.splitting.arrays import LEVELS
+from sim.splitting.averaged import energy_problem
+from sim.splitting.estimate import Repetitions, estimated
+from sim.splitting.full import system_problem
+from sim.splitting.replicas import Problem
+from sim.splitting.score import ScoreFunction
+from sim.splitting.settings import LEAST_REPETITIONS, RareFailure, Splitting
+from sim.workers import Workers, workers_of
+
+MOST_STEPS = 2**32
+"""Steps of a path at most: a stream has words for 2**40 divided by a few."""
+
+
+def rare_failure(
+    system: System,
+    limit: Limit,
+    start: Start,
+    time: float,
+    *,
+    score: ScoreFunction | None = None,
+    settings: Splitting | None = None,
+    progress: Progress = silent,
+) -> RareFailure:
+    """Return P(T <= ``time``), T the first passage of ``limit`` from ``start`` by Eq. (6).
+
+    ``score`` None: that of the least action of the averaged linear system. Any score gives the same
+    mean; a good one, as ln P of an averaged equation is, gives a smaller error. Of |q_i| it takes
+    the least potential energy at that displacement.
+
+    Raises ``InvalidInput`` for a start at or beyond the limit or a time that is not finite and > 0,
+    ``NotApplicable`` where no noise acts, ``NotCertified`` where ``seconds`` or Ctrl-C leave too
+    few repetitions.
+    """
+    own = settings or Splitting()
+    _require_time(time)
+    problem = system_problem(system, limit, start, time, dt=own.dt, score=score)
+    return failure_of(problem, own, progress)
+
+
+def rare_failure_of_process(
+    process: Process | SquareRootForm,
+    limit: float,
+    time: float,
+    *,
+    start: float = 0.0,
+    score: ScoreFunction | None = None,
+    settings: Splitting | None = None,
+    progress: Progress = silent,
+) -> RareFailure:
+    """Return P(T <= ``time``) of an averaged equation of one energy, from the energy ``start``.
+
+    As ``rare_failure``; the ``score`` is of energies. A ``Process`` is brought to the form by
+    ``line_form``, whose tables are good to 1e-7.
+    """
+    own = settings or Splitting()
+    _require_time(time)
+    form = line_form(process) if isinstance(process, Process) else process
+    problem = energy_problem(form, limit, start, time, dt=own.dt, score=score)
+    return failure_of(problem, own, progress)
+
+
+def _require_time(time: float) -> None:
+    if not (isfinite(time) and time > 0.0):
+        raise InvalidInput("time", time, "must be a finite number > 0")
+
+
+def repetition(problem: Problem, settings: Splitting, fine: int, number: int) -> Repetition:
+    """Return one repetition at the step dt / 2**``fine``; each has streams of its own."""
+    key = np.array([settings.seed, 2 * number + fine], dtype=np.uint64)
+    stream = np.random.Generator(np.random.Philox(key=key))
+    steps, seed = step_count(problem) * 2**fine, int(stream.integers(2**63))
+    replicas = problem.replicas(settings.replicas, steps, seed, stream)
+    result = split(replicas, LEVELS, settings.killed, stream)
+    return result._replace(steps=replicas.moved)
+
+
+def step_count(problem: Problem) -> int:
+    """Return the number of the longer steps in the time."""
+    steps = ceil(problem.time / problem.dt * (1.0 - 1e-12))
+    if not 1 <= steps <= MOST_STEPS:
+        raise InvalidInput("dt", problem.dt, f"makes {steps:g} steps; use at most {MOST_STEPS}")
+    return steps
+
+
+def failure_of(problem: Problem, settings: Splitting, progress: Progress) -> RareFailure:
+    """Return the probability of failure in ``problem``; see ``rare_failure``."""
+    steps = step_count(problem)
+    s = settings
+    identity = (*problem.identity, s.replicas, s.killed, s.seed)
+    checkpoint = checkpoint_of(s.checkpoint, identity)
+    done = Repetitions()
+    with (
+        workers_of(s.cluster, s.threads or usable_cores()) as workers,
+        checkpoint.alone(),
+        interruptible(s.partial) as checkpoint.stopped,
+    ):
+        done.restore(checkpoint.load())
+        _repeat(problem, settings, done, workers=workers, checkpoint=checkpoint, progress=progress)
+    whole = done.whole
+    if whole < LEAST_REPETITIONS:
+        raise NotCertified(
+            f"{whole} repetitions were finished in {done.seconds:.3g} s, and {LEAST_REPETITIONS}"
+            " are needed: allow more seconds or take fewer replicas"
+        )
+    return estimated(done, whole, dt=0.5 * problem.time / steps, settings=s)
+
+
+def _repeat(
+    problem: Problem,
+    settings: Splitting,
+    done: Repetitions,
+    *,
+    workers: Workers,
+    checkpoint: Checkpoint,
+    progress: Progress,
+) -> None:
+    """Make rounds of repetitions until the error is reached or the time is over."""
+    wanted, begin = settings.repetitions, perf_counter() - done.seconds
+    step = 0.5 * problem.time / step_count(problem)
+    while True:
+        done.grow(wanted)
+        left = np.argwhere(np.isnan(done.log_probability[:, :wanted]).T).tolist()
+        for first in range(0, len(left), workers.threads):
+            tasks = left[first : first + workers.threads]
+            calls = [partial(_numbered, problem, settings, fine, number) for number, fine in tasks]
+            for number, fine, result in workers.as_finished(calls):
+                done.finish(fine, number, result)
+                done.seconds = perf_counter() - begin
+                checkpoint.save(done)
+            progress(done.whole, wanted, "splitting")
+            if checkpoint.stopped() or done.seconds >= settings.seconds:
+                return
+        if settings.tol is None:
+            return
+        now = estimated(done, wanted, dt=step, settings=settings)
+        if now.relative_error <= settings.tol:
+            return
+        wanted += settings.repetitions
+
+
+def _numbered(
+    problem: Problem, settings: Splitting, fine: int, number: int
+) -> tuple[int, int, Repetition]:
+    return number, fine, repetition(problem, settings, fine, number)

@@ -1,0 +1,284 @@
+"""Motion in time: three-way comparison, rare failure, interruption, and what is written of it."""
+
+import json
+from dataclasses import dataclass, replace
+from math import nan
+
+import h5netcdf
+import numpy as np
+import pytest
+
+from cases.comparison import in_time
+from cases.comparison.answers import run_scene
+from cases.comparison.compare import FALSE_ALARMS
+from cases.comparison.in_time import Given, Replies, replies_of
+from cases.comparison.routes import method_for, register_routes
+from cases.comparison.time_claims import time_findings
+from cases.output.digest import digest_of, verify_row
+from cases.output.fields import write_netcdf
+from cases.output.report import write_report
+from cases.output.text import rendered
+from cases.output.vtk import write_time_pvd
+from cases.scene.scene import load_scene
+from fpk.certificate import Measured, certify
+from fpk.errors import InvalidInput
+from fpk.evolution import Number, Passage, Transient
+from fpk.method import Method, silent
+from fpk.route import ROUTES
+
+register_routes()
+CIR = load_scene("cir")
+(PASSAGE,), (TRANSIENT,) = CIR.passages, CIR.transients
+SEED = 20261123
+
+
+def certificate(*failures):
+    measured = Measured(0.0, 0.0, 0.0, nan, 0.0, failures=failures)
+    return certify(measured, tol=np.inf, sampled=True)
+
+
+def survival_answer(values, errors, kind, *, mean=(1.0, 0.0), rate=(1.0, 0.0), failure=None):
+    times = np.arange(1.0, len(values) + 1.0)
+    errors = np.broadcast_to(errors, len(values)).astype(float)
+    numbers = Number(*mean), Number(1.0, 0.0), rate and Number(*rate)
+    given = (None, None) if failure is None else (np.array(failure), 1e-3 * np.array(failure))
+    return Passage(*numbers, times, np.array(values), errors, kind, certificate(), None, {}, *given)
+
+
+def compared(question, *answers):
+    given = tuple(Given(ROUTES[name], answer, 0.0) for name, answer in answers)
+    return Replies(question, given).comparisons
+
+
+FEM, CLOSED = ("nonintegrable", "fem"), ("nonintegrable", "closed-form")
+SIMULATED, FULL = ("nonintegrable", "simulation"), ("montecarlo", "simulation")
+
+
+def test_stated_errors_are_the_band_of_two_solvers():
+    a = survival_answer([0.5], [1e-3], "numerical", mean=(2.0, 0.01))
+    for off, holds in ((0.019, True), (0.021, False)):
+        b = survival_answer([0.5], [1e-3], "numerical", mean=(2.0 + off, 0.01))
+        rows = {c.observable: c for c in compared(PASSAGE, (FEM, a), (CLOSED, b))}
+        mean = rows[f"{PASSAGE.name}: mean time"]
+        assert mean.measures == "numerical" and mean.norm == "relative"
+        assert pytest.approx(off / 2.0) == mean.L1 and mean.holds is holds
+    bad = survival_answer([0.5, 0.5], [1e-3], "numerical")
+    good = survival_answer([0.501, 0.495], [1e-3], "numerical")
+    rows = {c.observable: c.holds for c in compared(PASSAGE, (FEM, bad), (CLOSED, good))}
+    assert rows[f"{PASSAGE.name}: P(T > 2)"] is False  # of both times that which is off more
+
+
+def test_averaging_is_reported_relative_to_the_full_system_and_never_judged():
+    a = survival_answer([0.9], [0.0], "numerical", rate=(2.0, 0.0), failure=[1e-9])
+    b = survival_answer([0.5], [0.01], "sampling", rate=(4.0, 0.1), failure=[4e-9])
+    for pair in (((FEM, a), (FULL, b)), ((FULL, b), (FEM, a))):
+        rows = {c.observable.split(": ")[1]: c for c in compared(PASSAGE, *pair)}
+        assert {c.measures for c in rows.values()} == {"averaging"}
+        assert all(c.band is None and c.b.method == "montecarlo" for c in rows.values())
+        assert pytest.approx(0.5) == rows["failure rate"].L1
+        assert rows["failure rate"].error == pytest.approx(0.1 / 4.0)
+        assert pytest.approx(0.75) == rows["P(T ≤ 1)"].L1
+        assert rows["P(T > 1)"].norm == "absolute"
+
+
+def test_what_is_not_known_is_not_compared():
+    a = survival_answer([1.0], [0.0], "numerical", failure=[1e-9])
+    b = survival_answer([1.0], [1e-9], "sampling", mean=(nan, np.inf), rate=None, failure=[2e-9])
+    names = [c.observable.split(": ")[1] for c in compared(PASSAGE, (FEM, a), (FULL, b))]
+    assert names == ["P(T ≤ 1)", "P(T > 1)"]
+
+
+@pytest.mark.parametrize("expected", [(0.9999, 0.99), (0.9, 0.5, 0.1), (0.999, 0.3, 0.003)])
+def test_a_right_simulation_is_rarely_called_wrong(expected):
+    draws, paths, wrong = 4000, 1024, 0
+    stream = np.random.default_rng(SEED)
+    exact = survival_answer(expected, 0.0, "numerical")
+    survive = np.minimum.accumulate(
+        stream.binomial(paths, expected, (draws, len(expected))), axis=1
+    )
+    for count in survive:
+        S = count / paths
+        errors = np.maximum(np.sqrt(S * (1.0 - S) / paths), 1.0 / paths)
+        pair = exact, survival_answer(S, errors, "sampling")
+        (row,) = in_time._worst(
+            "{}", exact.times, in_time._survivals(*pair), (False, True), "absolute", True
+        )
+        wrong += row[2] > row[4]
+    # Of 4000 draws at FALSE_ALARMS 0.4 are expected; 4 or more have a chance below 1e-3.
+    assert wrong < 4 and draws * FALSE_ALARMS < 0.5
+
+
+def test_a_wrong_reliability_is_called_wrong():
+    S = np.array([0.9, 0.5])
+    errors = np.sqrt(S * (1.0 - S) / 8192)
+    exact = survival_answer(S + np.array([0.0, 0.05]), 0.0, "numerical")
+    rows = compared(PASSAGE, (FEM, exact), (SIMULATED, survival_answer(S, errors, "sampling")))
+    assert [c.holds for c in rows if "P(T > 2)" in c.observable] == [False]
+
+
+def densities(stream=None, *, noise=0.0, tilt=0.0):
+    """An exponential density on 129 points, with noise of windows of 8 points, or tilted."""
+    x = np.linspace(0.0, 7.0, 129)
+    p = np.exp(-x)
+    chance = noise * np.sqrt(p)
+    z = np.zeros(x.size)
+    if stream is not None:
+        z = np.convolve(stream.standard_normal(x.size + 7), np.ones(8) / np.sqrt(8.0), "valid")
+    values = p * (1.0 + tilt * (x - 1.0)) + chance * z
+    kind = "sampling" if noise else "numerical"
+    errors = chance if noise else np.full(x.size, 1e-12)
+    return x, Transient(np.ones(1), values[None], errors[None], kind, certificate())
+
+
+def transient_row(a, b):
+    x, p = a
+    windows = (np.arange(x.size),)
+    given = Given(ROUTES[SIMULATED], p, 0.0), Given(ROUTES[FEM], b[1], 0.0)
+    (row,) = Replies(replace(TRANSIENT, times=(1.0,)), given, (), x, windows).comparisons
+    return row
+
+
+def test_smoothed_noise_of_a_density_holds_and_a_tilt_of_it_does_not():
+    stream = np.random.default_rng(SEED)
+    exact = densities()
+    rows = [transient_row(densities(stream, noise=0.02), exact) for _ in range(2000)]
+    assert sum(not row.holds for row in rows) < 3  # 0.2 are expected
+    assert np.mean([row.L1 for row in rows]) == pytest.approx(rows[0].error, rel=0.05)
+    # A tilt of 15 % moves 7 % of the mass: the band is 6 %.
+    assert not any(
+        transient_row(densities(stream, noise=0.02, tilt=0.15), exact).holds for _ in range(20)
+    )
+
+
+@dataclass(frozen=True)
+class Stub(Method):
+    """A method that answers as it is told."""
+
+    name_of: tuple[str, str]
+    says: object
+    paths: int = 8192
+    checkpoint: object = None
+
+    @property
+    def route(self):
+        return ROUTES[self.name_of]
+
+    def prepare(self, system):
+        raise NotImplementedError
+
+    def refined(self):
+        return self
+
+    def passage(self, *asked, tol, progress):
+        if isinstance(self.says, BaseException):
+            raise self.says
+        return self.says
+
+
+def replies(*methods, question=PASSAGE, partial=False):
+    return replies_of(CIR.system, question, methods, progress=silent, partial=partial)
+
+
+def test_rare_failure_is_left_to_splitting(monkeypatch):
+    rare = survival_answer([1.0] * 9, 0.0, "numerical", failure=[1e-9] * 9)
+    split = survival_answer([1.0] * 9, 1e-9, "sampling", rate=None, failure=[2e-9] * 9)
+    monkeypatch.setattr(in_time, "split_passage", lambda *asked: split)
+    answers = replies(Stub(FEM, rare), Stub(FULL, InvalidInput("x", 0, "was simulated")))
+    assert [g.route.label for g in answers.given] == ["nonintegrable/fem", "splitting"]
+    assert "too rare for plain simulation" in answers.refused[0].reason and not answers.problems
+    # Not known before: the simulation itself says so.
+    few = replace(rare, error_kind="sampling", certificate=certificate("3 failures are too few"))
+    answers = replies(Stub(FULL, few))
+    assert [g.route.label for g in answers.given] == ["splitting"]
+    assert answers.refused[0].reason == "3 failures are too few"
+    known = replace(rare, error_kind="sampling")
+    assert [g.answer for g in replies(Stub(FULL, known)).given] == [known]
+
+
+def test_an_answer_that_fails_is_a_problem_and_one_that_does_not_apply_is_not():
+    good = survival_answer([0.5] * 9, 0.0, "numerical")
+    answers = replies(Stub(FEM, good), Stub(CLOSED, InvalidInput("start", 1, "too high")))
+    assert [r.failed for r in answers.refused] == [True]
+    assert any("too high" in problem for problem in answers.problems)
+    answers = replies(method_for("nonintegrable", "quadrature"), Stub(FEM, good))
+    assert [r.failed for r in answers.refused] == [False] and not answers.problems
+    assert "no route answers" in replies(method_for("exact")).problems[0]
+
+
+def test_routes_that_do_not_know_of_modulated_noise_are_refused():
+    scene = load_scene("modulated")
+    (question,) = scene.transients
+    methods = [method_for("nonintegrable", "quadrature"), method_for("montecarlo")]
+    answers = replies_of(scene.system, question, methods, progress=silent, partial=False)
+    assert not answers.given and len(answers.refused) == 2
+    assert all("modulated" in r.reason and not r.failed for r in answers.refused)
+
+
+def test_interrupted_answers_are_what_there_is():
+    good = survival_answer([0.5] * 9, 0.0, "numerical")
+    methods = Stub(CLOSED, good), Stub(FEM, KeyboardInterrupt()), Stub(FULL, good)
+    answers = replies(*methods, partial=True)
+    assert answers.interrupted and [g.answer for g in answers.given] == [good]
+    assert [r.failed for r in answers.refused] == [True, False]
+    with pytest.raises(KeyboardInterrupt):
+        replies(*methods)
+
+
+@pytest.fixture(scope="module")
+def outcome():
+    solvers = [method_for("nonintegrable", s) for s in ("fem", "closed-form")]
+    full = method_for("montecarlo", paths=4096, relaxations=5.0)
+    return run_scene(CIR, [*solvers, full])
+
+
+def test_the_square_root_process_is_known_by_every_route(outcome):
+    (passage,), (transient,) = outcome.curves[0].passages, outcome.curves[0].transients
+    assert len(passage.given) == len(transient.given) == 3 and not outcome.problems
+    rate = next(g.answer.rate for g in passage.given)
+    assert rate.value == pytest.approx(0.013742123052434, rel=1e-12)  # 1F1(-λ/c; 1; c H/D) = 0
+    assert {c.measures for c in passage.comparisons} == {"numerical", "averaging"}
+    (claim,) = time_findings(outcome.curves)
+    assert claim.verdict == "holds" and "failure rate" in claim.claim
+
+
+def test_everything_is_written(outcome, tmp_path):
+    digest = digest_of(outcome)
+    assert json.loads(json.dumps(digest, allow_nan=False)) == digest
+    (passage,), (transient,) = digest["passages"], digest["transients"]
+    assert passage["question"] == "H=1.5 from rest" and len(passage["answers"]) == 3
+    assert passage["answers"][0]["rate"] == pytest.approx(0.0137421230524)
+    assert {"of", "norm", "L1", "band", "holds"} <= transient["comparisons"][0].keys()
+    judged = [c for q in (passage, transient) for c in q["comparisons"] if c["band"] is not None]
+    assert 0 < len(judged) < digest["judged"]
+    assert verify_row(digest)["holds"] and verify_row(digest)["certificates"] >= 6
+    assert "mean time" in rendered("run.txt", {"digest": digest})
+
+    page, *pictures = write_report(outcome, digest, tmp_path)
+    assert {"passage_1.svg", "transient_1.svg"} <= {path.name for path in pictures}
+    assert "In time" in page.read_text(encoding="utf-8")
+
+    write_netcdf(outcome, tmp_path / "result.nc")
+    with h5netcdf.File(tmp_path / "result.nc") as file:
+        assert file["survival_passage_1"].shape == (1, 3, len(PASSAGE.times))
+        assert file["survival_passage_1"].dimensions[-1] == "time_passage_1"
+        assert file["time_passage_1"][:].tolist() == list(PASSAGE.times)
+        points, p = file["at_transient_1"][0], file["p_transient_1"][0, 0]
+        # The density of the last time on all points, by a rule that is good to 1e-4 there.
+        assert np.trapezoid(p[-1], points) == pytest.approx(1.0, abs=5e-3)
+
+    *meshes, collection = write_time_pvd(outcome, tmp_path)
+    assert len(meshes) == len(TRANSIENT.times) and collection.name == "transient_1.pvd"
+    assert all(path.name in collection.read_text(encoding="utf-8") for path in meshes)
+    pyvista = pytest.importorskip("pyvista", reason="pyvista is not installed")
+    mesh = pyvista.read(meshes[-1])
+    assert mesh["nonintegrable fem"].size == mesh.n_points and mesh["time"][0] == 100.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["cir", "fig6-passage", "rare", "two-modes", "modulated"])
+def test_shipped_scenes_hold(fpk, name):
+    status, out, _ = fpk("run", name, "--json")
+    digest = json.loads(out)
+    assert status == 0 and not digest["problems"]
+    claims = {claim["verdict"] for claim in digest["claims"]}
+    assert claims == ({"holds"} if name != "modulated" else set())
