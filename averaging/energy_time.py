@@ -8,9 +8,9 @@ from fpk.arrays import Array
 from fpk.dynamics import Rates
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import Passage, Transient, checked_times
-from fpk.line.evolution import fem_passage, fem_rates, fem_transient
-from fpk.line.modulated import modulated_transient
-from fpk.line.propagation import Source
+from fpk.line.time.evolution import fem_passage, fem_rates, fem_transient
+from fpk.line.time.modulated import modulated_transient
+from fpk.line.time.propagation import Source
 from fpk.modulation import Modulation
 from fpk.process import Process
 from fpk.square_root import SquareRoot

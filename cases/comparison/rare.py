@@ -11,7 +11,7 @@ from fpk.arrays import Array
 from fpk.certificate import Measured, certify
 from fpk.errors import NotApplicable
 from fpk.evolution import Number, Passage
-from fpk.line.passage import first_passage
+from fpk.line.time.passage import first_passage
 from fpk.method import Progress
 from fpk.route import Route
 from fpk.system import System

@@ -9,9 +9,9 @@ from square_root_exact import failure, moments
 from averaging.energy_process import energy_process
 from fpk.contact import Contact
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.line.evolution import fem_passage
-from fpk.line.passage import first_passage
-from fpk.line.propagation import Source
+from fpk.line.time.evolution import fem_passage
+from fpk.line.time.passage import first_passage
+from fpk.line.time.propagation import Source
 from fpk.quadrature import panel_rule
 from fpk.square_root import SquareRoot
 

@@ -10,11 +10,11 @@ from averaging.energy_process import energy_process
 from fpk.contact import Contact
 from fpk.contour import contours
 from fpk.errors import InvalidInput
-from fpk.line.evolution import fem_passage
-from fpk.line.propagation import Source
-from fpk.line.spectrum import eigenvalues_below, spectrum
 from fpk.line.stationary import solve_stationary
-from fpk.line.transition import transition
+from fpk.line.time.evolution import fem_passage
+from fpk.line.time.propagation import Source
+from fpk.line.time.spectrum import eigenvalues_below, spectrum
+from fpk.line.time.transition import transition
 from fpk.operator import Operator
 from fpk.square_root import SquareRoot
 

@@ -10,9 +10,9 @@ from fpk.arrays import Array
 from fpk.certificate import Certificate, Measured, certify
 from fpk.density import SMALLEST
 from fpk.errors import InvalidInput
-from fpk.line.modes import EPS, Modes, modes, refined
-from fpk.line.propagation import Propagation, Source, points, propagated
-from fpk.line.time_mesh import HIGHEST, time_nodes
+from fpk.line.time.mesh import HIGHEST, time_nodes
+from fpk.line.time.modes import EPS, Modes, modes, refined
+from fpk.line.time.propagation import Propagation, Source, points, propagated
 from fpk.probe import Probe, probed
 from fpk.process import Process
 

@@ -16,8 +16,8 @@ from scipy.sparse.linalg import splu
 from scipy.special import roots_jacobi
 
 from fpk.arrays import Array, Integers
-from fpk.line.modes import Modes, log_phase_density
-from fpk.line.propagation import Source, points
+from fpk.line.time.modes import Modes, log_phase_density
+from fpk.line.time.propagation import Source, points
 from fpk.modulation import Modulation
 from fpk.process import Process
 

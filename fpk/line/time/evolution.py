@@ -8,12 +8,12 @@ from fpk.contour import contours
 from fpk.dynamics import Rates
 from fpk.errors import InvalidInput
 from fpk.evolution import Number, Passage, StartCurve, Transient
-from fpk.line import chain
-from fpk.line.modes import EPS, Modes
-from fpk.line.passage import FirstPassage, first_passage
-from fpk.line.propagation import Source
-from fpk.line.spectrum import spectrum
-from fpk.line.transition import transition
+from fpk.line.time import chain
+from fpk.line.time.modes import EPS, Modes
+from fpk.line.time.passage import FirstPassage, first_passage
+from fpk.line.time.propagation import Source
+from fpk.line.time.spectrum import spectrum
+from fpk.line.time.transition import transition
 from fpk.process import Process
 
 STARTS = 101

@@ -8,9 +8,9 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.contour import Contour, contours
-from fpk.line import chain
-from fpk.line.modes import EPS, Modes, log_density, modes, rule
-from fpk.line.time_mesh import HIGHEST, time_nodes
+from fpk.line.time import chain
+from fpk.line.time.mesh import HIGHEST, time_nodes
+from fpk.line.time.modes import EPS, Modes, log_density, modes, rule
 from fpk.probe import probed
 from fpk.process import Process
 

@@ -8,10 +8,10 @@ import numpy as np
 from fpk.arrays import Array, Integers
 from fpk.certificate import Certificate, Measured, certify
 from fpk.errors import NotCertified
-from fpk.line.chain import admittances, eliminated
 from fpk.line.mesh import split_points
-from fpk.line.modes import EPS, Modes, modes
-from fpk.line.time_mesh import HIGHEST, time_nodes
+from fpk.line.time.chain import admittances, eliminated
+from fpk.line.time.mesh import HIGHEST, time_nodes
+from fpk.line.time.modes import EPS, Modes, modes
 from fpk.probe import probed
 from fpk.process import Process
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.dynamics import Complex
-from fpk.line.modes import Modes
+from fpk.line.time.modes import Modes
 
 Numbers = np.ndarray[tuple[Any, ...], np.dtype[Any]]
 """Real numbers, or complex ones where the Laplace variables are."""

@@ -11,9 +11,9 @@ from fpk.contour import contours
 from fpk.density import SMALLEST
 from fpk.errors import InvalidInput
 from fpk.evolution import BEYOND_RANGE
-from fpk.line import chain
-from fpk.line.modes import EPS, Modes, modes, refined
-from fpk.line.time_mesh import HIGHEST, time_nodes
+from fpk.line.time import chain
+from fpk.line.time.mesh import HIGHEST, time_nodes
+from fpk.line.time.modes import EPS, Modes, modes, refined
 from fpk.probe import probed
 from fpk.process import Process
 

@@ -19,7 +19,7 @@ from scipy.special import roots_jacobi
 
 from fpk.arrays import Array, Flags, Integers
 from fpk.line.mesh import split_points
-from fpk.line.time_mesh import first_degree
+from fpk.line.time.mesh import first_degree
 from fpk.process import Process, log_density_slope_error
 from fpk.quadrature import gauss_legendre
 

@@ -10,11 +10,11 @@ from fpk.arrays import Array
 from fpk.certificate import Measured, certify
 from fpk.density import SMALLEST
 from fpk.evolution import Transient
-from fpk.line.modes import Modes, log_density, modes, refined
-from fpk.line.propagation import Source, points
-from fpk.line.stepping import STAGES, Matrices, matrices, start_of, stepped
-from fpk.line.time_mesh import HIGHEST, time_nodes
-from fpk.line.transition import (
+from fpk.line.time.mesh import HIGHEST, time_nodes
+from fpk.line.time.modes import Modes, log_density, modes, refined
+from fpk.line.time.propagation import Source, points
+from fpk.line.time.stepping import STAGES, Matrices, matrices, start_of, stepped
+from fpk.line.time.transition import (
     ENRICHMENT,
     LAYER,
     SAFETY,
