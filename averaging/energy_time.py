@@ -4,9 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from averaging.energy_process import damping_and_noise, energy_process
+from averaging.energy_start import FROM_NOISE, MODULATED, EnergyStart
 from fpk.arrays import Array
 from fpk.dynamics import Rates
-from fpk.errors import InvalidInput, NotApplicable
+from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient, checked_times
 from fpk.line.time.evolution import fem_passage, fem_rates, fem_transient
 from fpk.line.time.modulated import modulated_transient
@@ -14,18 +15,9 @@ from fpk.line.time.propagation import Source
 from fpk.modulation import Modulation
 from fpk.process import Process
 from fpk.square_root import SquareRoot
-from fpk.start import Start
 from fpk.system import System
 
 STATIONARY_ONLY = "quadrature gives stationary densities only; in time, use fem or closed-form"
-
-
-@dataclass(frozen=True)
-class EnergyStart:
-    """The energy at time 0, or the multiple ``noise`` of D under which it is stationary."""
-
-    energy: float = 0.0
-    noise: float | None = None
 
 
 @dataclass(frozen=True)
@@ -45,10 +37,7 @@ class OneEnergy:
         self, solver: str, start: EnergyStart, times: Array, at: Array, *, tol: float
     ) -> Transient:
         """Return the densities at energies ``at``; ``InvalidInput`` at the time 0 of an energy."""
-        checked_times(times)
-        if times.size and times[0] == 0.0 and start.noise is None:
-            remedy = "at time 0 the energy is one value and has no density; give later times"
-            raise InvalidInput("times", 0.0, remedy)
+        checked_times(times, positive=start.noise is None)
         if self.modulation is not None:
             if solver != "fem":
                 raise NotApplicable("the noise is modulated; in time, use fem")
@@ -57,7 +46,8 @@ class OneEnergy:
             )
         if solver == "fem":
             return fem_transient(self.under(1.0), self._source(start), times, at, tol=tol)
-        return self._closed(solver).transient(start.energy, start.noise, times, at, tol=tol)
+        closed = self._closed(solver)
+        return closed.transient(float(start.energies[0]), start.noise, times, at, tol=tol)
 
     def passage(
         self, solver: str, start: EnergyStart, limit: float, times: Array, *, tol: float
@@ -65,15 +55,13 @@ class OneEnergy:
         """Return the first passage of ``limit``; ``InvalidInput`` for a start that is not below."""
         checked_times(times)
         if self.modulation is not None:
-            raise NotApplicable(
-                "the noise is modulated, and first passage is solved for constant noise only"
-            )
+            raise NotApplicable(MODULATED.format("first passage"))
         if solver == "fem":
             return fem_passage(self.under(1.0), limit, self._source(start), times, tol=tol)
         closed = self._closed(solver)
         if start.noise is not None:
-            raise NotApplicable("from a stationary state it has no closed form; use fem")
-        return closed.passage(limit, start.energy, times, tol=tol)
+            raise NotApplicable(FROM_NOISE)
+        return closed.passage(limit, float(start.energies[0]), times, tol=tol)
 
     def relaxation(self, solver: str, count: int, *, tol: float) -> Rates:
         """Return the ``count`` least rates."""
@@ -83,7 +71,7 @@ class OneEnergy:
 
     def _source(self, start: EnergyStart) -> Source:
         if start.noise is None:
-            return Source(start.energy)
+            return Source(float(start.energies[0]))
         return Source(process=self.under(start.noise))
 
     def _closed(self, solver: str) -> SquareRoot:
@@ -112,19 +100,6 @@ def total_energy(system: System) -> OneEnergy:
     n = system.n
     closed = SquareRoot(n, damping / n, noise / n)
     return OneEnergy(under, closed, modulation=system.modulation)
-
-
-def total_energy_start(system: System, start: Start) -> EnergyStart:
-    """Return where the total energy begins; raise ``NotApplicable`` for energies of the modes."""
-    if start.kind == "noise":
-        factor = start.values["noise"]
-        return EnergyStart(noise=factor) if factor > 0.0 else EnergyStart()
-    if start.kind == "energy":
-        return EnergyStart(start.values["H"])
-    if start.kind == "modal" and not start.rest:
-        raise NotApplicable("this theory knows the total energy only; start from H=.. or a state")
-    q, p = start.state(system.n)
-    return EnergyStart(float(system.hamiltonian(q, p)))
 
 
 def _with_noise(system: System, factor: float) -> System:

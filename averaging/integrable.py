@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from averaging.energy_start import MODULATED, EnergyStart, modal_start
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
 from averaging.modal.groups import unsolved
 from averaging.modal.observables import gaussian_modes, modal_densities
 from averaging.modal.resonance import correlations, nearest_resonance, require_no_resonance
-from averaging.modal.time import modal_passage, modal_relaxation, modal_transient
+from averaging.modal.time import closed_form, elements
 from averaging.theory import Theory
 from fpk.arrays import Array
 from fpk.clearance import CLEARANCE_RULE
@@ -83,8 +84,9 @@ class Integrable(Theory):
         progress: Progress,
     ) -> Transient:
         """Return the densities of modal energies at times, as ``fpk.evolution`` says."""
-        modes = self._in_time(system)
-        answer = modal_transient(system, modes, self.solver, observable, start, times, at, tol=tol)
+        modes, begins = self._begun(system, start, "the transient density")
+        solved = closed_form.transient if self.solver == "closed-form" else elements.transient
+        answer = solved(modes, observable, begins, times, at, tol=tol)
         return replace(answer, settings=_time_settings(answer.settings, system, modes))
 
     def passage(
@@ -98,8 +100,9 @@ class Integrable(Theory):
         progress: Progress,
     ) -> Passage:
         """Return the first passage of modal energies or of their sum."""
-        modes = self._in_time(system)
-        answer = modal_passage(system, modes, self.solver, limit, start, times, tol=tol)
+        modes, begins = self._begun(system, start, "first passage")
+        solved = closed_form.passage if self.solver == "closed-form" else elements.passage
+        answer = solved(modes, limit, begins, times, tol=tol)
         return replace(answer, settings=_time_settings(answer.settings, system, modes))
 
     def relaxation(
@@ -107,8 +110,18 @@ class Integrable(Theory):
     ) -> Rates:
         """Return the slowest relaxation rates of the modal energies."""
         modes = self._in_time(system)
-        answer = modal_relaxation(modes, self.solver, count, tol=tol)
+        solved = closed_form.relaxation if self.solver == "closed-form" else elements.relaxation
+        answer = solved(modes, count, tol=tol)
         return replace(answer, settings=_time_settings(answer.settings, system, modes))
+
+    def _begun(
+        self, system: System, start: Start, question: str
+    ) -> tuple[ModalAnalysis, EnergyStart]:
+        """The modes and their energies at time 0; modulated noise raises ``NotApplicable``."""
+        modes = self._in_time(system)
+        if system.modulation is not None:
+            raise NotApplicable(MODULATED.format(question))
+        return modes, modal_start(system, modes, start)
 
     def _in_time(self, system: System) -> ModalAnalysis:
         """The modes; raises ``NotApplicable`` where the theory or the solver does not hold."""

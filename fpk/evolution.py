@@ -14,7 +14,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.certificate import Certificate
+from fpk.certificate import Certificate, Measured, certify
 from fpk.errors import InvalidInput
 from fpk.limit import Limit
 from fpk.method import Progress
@@ -22,19 +22,23 @@ from fpk.observable import Observable
 from fpk.start import Start
 from fpk.system import System
 
+EPS = float(np.finfo(float).eps)
 ErrorKind = Literal["numerical", "sampling"]
 
 BEYOND_RANGE = "the mean time to it is beyond the range of double precision; take a lower one"
 """Why a limit is refused that is hardly ever reached."""
 
 
-def checked_times(times: Array) -> Array:
+def checked_times(times: Array, *, positive: bool = False) -> Array:
     """Return ``times`` if they are finite, not negative and ascend; raise ``InvalidInput`` if not.
 
-    Of ``NaN`` no comparison holds.
+    Of ``NaN`` no comparison holds. With ``positive`` 0 is refused: one value has no density.
     """
     if not (np.all(np.isfinite(times)) and np.all(times >= 0.0) and np.all(np.diff(times) > 0.0)):
         raise InvalidInput("times", times, "must be finite, 0 or later, and ascend")
+    if positive and times.size and times[0] == 0.0:
+        remedy = "must be > 0: there is no density at time 0, or it is that of the start"
+        raise InvalidInput("times", 0.0, remedy)
     return times
 
 
@@ -99,6 +103,47 @@ class Passage:
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
     failure: Array | None = None
     failure_error: Array | None = None
+
+
+def certified_passage(
+    numbers: tuple[Number, Number, Number],
+    times: Array,
+    failure: Array,
+    failure_error: Array,
+    *,
+    tol: float,
+    mass_defect: float = 0.0,
+    residual: float = 0.0,
+    starts: StartCurve | None = None,
+    settings: Mapping[str, str | float | int] | None = None,
+) -> Passage:
+    """Return a numerical answer of mean, variance and failure rate, and P(T <= t) at ``times``.
+
+    The certificate counts relative errors of the numbers, but for a variance beyond double
+    precision, and absolute ones of the probabilities.
+    """
+    sizes = [x.error / x.value for x in numbers if x.value != np.inf]
+    worst = float(np.max(failure_error, initial=0.0))
+    measured = Measured(
+        l1_error=float(np.max([*sizes, worst])),
+        mass_defect=mass_defect,
+        minimum=float(np.min(1.0 - failure, initial=1.0)),
+        residual=residual,
+        tail_mass=0.0,
+        absolute_error=worst,
+    )
+    return Passage(
+        *numbers,
+        times,
+        1.0 - failure,
+        failure_error + EPS,
+        "numerical",
+        certify(measured, tol=tol),
+        starts,
+        settings or {},
+        failure,
+        failure_error,
+    )
 
 
 @runtime_checkable

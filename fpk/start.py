@@ -30,8 +30,8 @@ class Start:
 
     @property
     def rest(self) -> bool:
-        """Whether nothing moves and nothing is stretched."""
-        return self.kind != "noise" and not any(self.values.values())
+        """Whether nothing moves and nothing is stretched, as of what is stationary without noise."""
+        return not any(self.values.values())
 
     def state(self, n: int) -> tuple[Array, Array]:
         """Return q and p (n,) each, of the kind "state"."""

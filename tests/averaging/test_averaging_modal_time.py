@@ -9,7 +9,6 @@ from modal_terms import modal_van_der_pol
 from numpy.testing import assert_allclose
 
 from averaging.integrable import Integrable
-from averaging.modal import square_root_process as cir
 from averaging.modal.analysis import modal_analysis
 from fpk.contact import Contact
 from fpk.dynamics import Relaxation
@@ -18,6 +17,7 @@ from fpk.evolution import Passages, Transients
 from fpk.limit import parse_limit
 from fpk.method import silent
 from fpk.observable import parse_observable
+from fpk.square_root import SquareRoot
 from fpk.start import parse_start
 from fpk.system import System
 
@@ -52,19 +52,19 @@ def test_the_method_answers_the_questions_of_time(method):
     assert isinstance(method, Relaxation)
 
 
-@pytest.mark.parametrize("n", [1.0, 2.0, 3.0])
+@pytest.mark.parametrize("n", [1, 2, 3])
 @pytest.mark.parametrize(("start", "t"), [(0.0, 1e-3), (2.0, 1e-2), (0.7, 1.0), (3.0, 40.0)])
 def test_transition_density_is_a_noncentral_chi_square(n, start, t):
     x = np.linspace(0.01, 6.0, 9)
     tau, y = -np.expm1(-t), start * np.exp(-t)
-    p, error = cir.transition_density(x, start, t, n)
+    p, error = SquareRoot(n, 1.0, 1.0).density(start, None, t, x)
     mp.mp.dps = 30
     for k, at in enumerate(x):
         if y == 0.0:
             exact = mp.mpf(at) ** (n - 1) * mp.exp(-at / tau) / (mp.gamma(n) * mp.mpf(tau) ** n)
         else:
             root = 2 * mp.sqrt(mp.mpf(at) * y) / tau
-            power = (mp.mpf(at) / y) ** ((n - 1) / 2)
+            power = (mp.mpf(at) / y) ** (mp.mpf(n - 1) / 2)
             exact = power * mp.exp(-(at + y) / mp.mpf(tau)) * mp.besseli(n - 1, root) / tau
         # tau and y carry a rounding each, which the exponent multiplies.
         assert abs(p[k] - exact) <= error[k] + 1e-300
@@ -74,25 +74,21 @@ def test_transition_density_is_a_noncentral_chi_square(n, start, t):
 @pytest.mark.parametrize(("limit", "start"), [(0.3, 0.1), (3.0, 0.0), (12.0, 11.0)])
 def test_moments_and_failure_rate_of_the_square_root_process(n, limit, start):
     mp.mp.dps = 40
-    moments, decay = (
-        cir.passage_moments(limit, start, float(n)),
-        cir.passage_decay(limit, start, float(n)),
-    )
+    answer = SquareRoot(n, 1.0, 1.0).passage(limit, start, np.zeros(0), tol=1e-10)
     mean = mp.quad(lambda z: mp.exp(z) * mp.gammainc(n, 0, z) / z**n, mp.linspace(start, limit, 7))
-    assert abs(moments.mean - mean) <= moments.mean_error <= 1e-12 * mean
-    root = mp.findroot(lambda a: mp.hyp1f1(-a, n, limit), decay.rates[0], verify=False)
-    assert abs(decay.rates[0] - root) <= decay.rate_errors[0] <= 1e-11 * root
-    # ∫ 2t P(T > t) dt = E T²: modes are left out only where they have no time.
-    square = float(np.sum(2.0 * decay.weights / decay.rates**2))
-    # The terms fall as k^-3 at the slowest: those left out add up to less than the last, k times.
-    last = np.max(np.abs(decay.weights[-8:] / decay.rates[-8:] ** 2))
-    left_out = 2.0 * decay.rates.size * last
-    assert_allclose(square - moments.mean**2, moments.variance, rtol=1e-11, atol=left_out)
+    assert abs(answer.mean.value - mean) <= answer.mean.error <= 1e-12 * mean
+    root = mp.findroot(lambda a: mp.hyp1f1(-a, n, limit), answer.rate.value, verify=False)
+    assert abs(answer.rate.value - root) <= answer.rate.error <= 1e-11 * root
+    # ∫ 2t P(T > t) dt = E T², by the trapezoidal rule in ln t.
+    t = answer.mean.value * np.exp(np.arange(-18.0, 4.5, 0.05))
+    survival = 1.0 - SquareRoot(n, 1.0, 1.0).failure(limit, start, t, tol=1e-10)[0]
+    square = 0.05 * float(np.sum(2.0 * t**2 * survival)) - answer.mean.value**2
+    assert_allclose(square, answer.variance.value, rtol=1e-9)
 
 
 def test_the_known_failure_rate():
     # c = 0.1, D' = 0.05, H_f = 3 D'/c.
-    assert_allclose(0.1 * cir.passage_decay(3.0, 0.0).rates[0], 0.013742123052434, rtol=1e-12)
+    assert_allclose(SquareRoot(1, 0.1, 0.05).rate(1.5).value, 0.013742123052434, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -161,7 +157,7 @@ def test_the_sum_of_like_modes_is_a_gamma_process_of_two(folds):
     theta, c = modes.temperature[0], 2.0 * modes.half_bandwidth[0]
     limit, start = f"H={folds * theta}", f"H1={0.1 * folds * theta},H2={0.3 * folds * theta}"
     mp.mp.dps = 40
-    guess = cir.passage_decay(folds, 0.0, 2.0).rates[0]
+    guess = SquareRoot(2, 1.0, 1.0).rate(folds).value
     root = mp.findroot(lambda a: mp.hyp1f1(-a, 2, mp.mpf(folds)), guess, verify=False)
     for method in (CLOSED, FEM):
         answer = passage(method, ALIKE, limit, start, [1.0])

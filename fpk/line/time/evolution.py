@@ -3,13 +3,12 @@
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.certificate import Measured, certify
 from fpk.contour import contours
 from fpk.dynamics import Rates
 from fpk.errors import InvalidInput
-from fpk.evolution import Number, Passage, StartCurve, Transient
+from fpk.evolution import Number, Passage, StartCurve, Transient, certified_passage
 from fpk.line.time import chain
-from fpk.line.time.modes import EPS, Modes
+from fpk.line.time.modes import Modes
 from fpk.line.time.passage import FirstPassage, first_passage
 from fpk.line.time.propagation import Source
 from fpk.line.time.spectrum import spectrum
@@ -70,36 +69,22 @@ def fem_passage(
     by_mean = np.array([mean]) if not times.size else times
     kept, residual = _forward(e, source, by_mean)
     expected = 1.0 - beyond - solved.failure(by_mean, x)[0] @ weights
-    relative = max(
-        mean_error / mean, float(variance_error / variance) if np.isfinite(variance) else 0.0,
-        rate_error / rate, float(failure_error.max(initial=0.0)),
-    )  # fmt: skip
-    measured = Measured(
-        l1_error=relative,
-        mass_defect=float(np.abs(kept - expected).max()),
-        minimum=float(np.min(1.0 - failure, initial=1.0)),
-        residual=residual,
-        tail_mass=0.0,
-        absolute_error=float(failure_error.max(initial=0.0)),
-    )
     settings: dict[str, str | float | int] = {
         "degree": e.degree, "elements": e.count, "tol": tol
     }  # fmt: skip
     if source.process is not None:
         settings["beyond the limit at the start"] = float(beyond)
-    return Passage(
-        Number(mean, mean_error),
-        Number(float(variance), float(variance_error)),
-        Number(rate, rate_error),
+    numbers = Number(mean, mean_error), Number(float(variance), float(variance_error))
+    return certified_passage(
+        (*numbers, Number(rate, rate_error)),
         times,
-        1.0 - failure,
-        failure_error + EPS,
-        "numerical",
-        certify(measured, tol=tol),
-        _curve(solved),
-        settings,
         failure,
         failure_error,
+        tol=tol,
+        mass_defect=float(np.abs(kept - expected).max()),
+        residual=residual,
+        starts=_curve(solved),
+        settings=settings,
     )
 
 

@@ -1,0 +1,1 @@
+"""Modal energies in time: transients, first passage and relaxation, Eqs. (17), (33)."""

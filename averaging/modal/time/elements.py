@@ -1,0 +1,127 @@
+"""Two modal energies in time, coupled by damping or not, by finite elements, Eqs. (17), (33)."""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from averaging.energy_start import EnergyStart
+from averaging.modal.analysis import ModalAnalysis
+from averaging.modal.groups import unsolved
+from averaging.modal.time.questions import TOL, limited_modes, observed_modes
+from fpk.arrays import Array
+from fpk.dynamics import Rates
+from fpk.errors import NotApplicable
+from fpk.evolution import Passage, Transient, checked_times
+from fpk.limit import Limit
+from fpk.observable import Observable
+from fpk.plane.stationary import solve_plane
+from fpk.plane.time.levels import Frame
+from fpk.plane.time.passage import PlaneLimit, first_passage
+from fpk.plane.time.relaxation import relaxation_rates
+from fpk.plane.time.start import DensityStart, PointStart
+from fpk.plane.time.start import Start as PlaneStart
+from fpk.plane.time.transient import transient_densities
+from fpk.plane.time.view import View
+from fpk.process import Coefficients, Process
+
+STATIONARY_TOL = (1e-2, 1e-11)
+"""Share of the tolerance to which the stationary density is computed, and the least such."""
+Axis = Literal["first", "second"]
+AXES: tuple[Axis, Axis] = ("first", "second")
+
+
+def transient(
+    modes: ModalAnalysis,
+    observable: Observable,
+    start: EnergyStart,
+    times: Array,
+    at: tuple[Array, ...],
+    *,
+    tol: float | None,
+) -> Transient:
+    """Return the densities of one or two modal energies, or of the sum of two."""
+    checked_times(times, positive=True)
+    rows, wanted = observed_modes(observable), tol or TOL
+    pair = _pair(modes, rows or range(modes.n))
+    if rows == pair[::-1]:
+        at = at[::-1]
+    one = AXES[pair.index(rows[0])] if rows else "sum"
+    view = View("pair" if len(rows) == 2 else one)
+    theta, decay = modes.temperature[pair], 2.0 * modes.half_bandwidth[pair]
+    seen = [pair.index(r) for r in sorted(rows)]
+
+    def by_modes(t: float, *H: Array) -> Array:
+        spread = theta * -np.expm1(-decay * t)
+        each = spread[seen] if rows else [spread.min()]
+        reach = sum(np.abs(x) / s for x, s in zip(H, each, strict=True))
+        begins = np.sum(start.energies[pair] / spread)
+        return np.asarray(2.0 * modes.relative_error * (1.0 + reach + begins))
+
+    frame, first = _posed(modes, pair, start, wanted)
+    return transient_densities(
+        frame, first, view, times, at, tol=wanted, coefficients_error=by_modes
+    )
+
+
+def passage(
+    modes: ModalAnalysis, limit: Limit, start: EnergyStart, times: Array, *, tol: float | None
+) -> Passage:
+    """Return the first passage of one or two modal energies, or of the sum of two."""
+    checked_times(times)
+    limits, wanted = limited_modes(limit, start), tol or TOL
+    pair = _pair(modes, list(limits) or range(modes.n))
+    first, second = (limits.get(m) for m in pair)
+    plane = PlaneLimit(first, second, None if limits else limit.value)
+    frame, begins = _posed(modes, pair, start, wanted)
+    return first_passage(
+        frame, begins, plane, times, tol=wanted, coefficients_error=modes.relative_error
+    )
+
+
+def relaxation(modes: ModalAnalysis, count: int, *, tol: float | None) -> Rates:
+    """Return the ``count`` slowest rates but 0 of two modal energies."""
+    if modes.n != 2:
+        raise NotApplicable("relaxation rates by fem are those of two modal energies")
+    frame = _frame(modes.process(_pair(modes, range(2))), tol or TOL)
+    return relaxation_rates(frame, count, tol=tol or TOL, relative=modes.relative_error)
+
+
+def _pair(modes: ModalAnalysis, rows: Sequence[int]) -> list[int]:
+    """The two modes to solve for together, on which no other acts."""
+    if reason := unsolved(modes, "fem"):
+        raise NotApplicable(reason)
+    behind = {m for group in modes.averaged.groups if set(group) & set(rows) for m in group}
+    alone = [g[0] for g in modes.averaged.groups if len(g) == 1 and g[0] not in behind]
+    pair = sorted([*behind, *alone[: max(0, 2 - len(behind))]])
+    if len(pair) != 2:
+        raise NotApplicable(
+            f"{len(pair)} energies would have to be solved for together; fem takes two"
+        )
+    return pair
+
+
+def _posed(
+    modes: ModalAnalysis, pair: list[int], start: EnergyStart, tol: float
+) -> tuple[Frame, PlaneStart]:
+    """The operator's frame, and what the density begins with."""
+    process = modes.process(pair)
+    frame = _frame(process, tol)
+    if start.noise is None:
+        return frame, PointStart(start.energies[pair])
+    factor, quiet = start.noise, modes.noise[pair]
+
+    def louder(energies: Array) -> Coefficients:
+        c = process.coefficients(energies)
+        more = (factor - 1.0) * quiet
+        return c._replace(
+            drift=c.drift + more, diffusion=factor * c.diffusion, divergence=factor * c.divergence
+        )
+
+    other = Process(louder, tuple(factor * s for s in process.energy_scales))
+    return frame, DensityStart(_frame(other, tol).stationary, factor)
+
+
+def _frame(process: Process, tol: float) -> Frame:
+    share, least = STATIONARY_TOL
+    return Frame(process, solve_plane(process, tol=max(share * tol, least)))
