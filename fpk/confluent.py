@@ -8,6 +8,7 @@ from scipy.special import gammaln, ive, xlogy
 from fpk.arrays import Array
 from fpk.density import SMALLEST
 from fpk.dynamics import Complex
+from fpk.quadrature import panel_rule
 
 EPS = float(np.finfo(float).eps)
 MOST_TERMS = 20_000
@@ -18,6 +19,14 @@ FEW, MOST_POWERS = 60.0, 120
 """x y below which the Bessel function is summed as a power series, and its terms."""
 LARGE = 1e4
 """Argument of a Bessel function, over the square of its order, beyond which it is asymptotic."""
+MOST_FRACTIONS = 12_000
+"""Terms of a continued fraction: enough for a x = 1.5e7."""
+LEAST = 4.0
+"""Least |a|: about the relaxation rates, small negative a, 1F1 has zeros near the real x."""
+RATIO_PANELS, RATIO_POINTS = (1.5, 2.0), 14
+"""Largest ratio and difference of the ends of a panel of x, and its Gauss points."""
+RATIO_ROUNDING = 16.0
+"""Round-off of the integral in roundings of its size."""
 
 
 def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
@@ -70,6 +79,30 @@ def kummer(a: Complex, n: int, x: float) -> tuple[Complex, Array]:
         else:
             size[:] = np.inf
     return total, np.where(np.isfinite(size), 4.0 * EPS * sqrt(k) * size, np.inf)
+
+
+def log_kummer_ratio(a: Complex, n: int, low: float, high: float) -> tuple[Complex, Array]:
+    """Return ln 1F1(a; n; low)/1F1(a; n; high), 0 < low < high, and its error, at ``a`` (points,).
+
+    It is −∫ 1F1'/1F1 dx, in which nothing cancels however large a is, away from the negative axis.
+    The slope is Gauss's continued fraction, DLMF (13.5.1). The error is infinite for |a| below
+    ``LEAST``, and where that would need more than ``MOST_FRACTIONS`` terms.
+    """
+    nodes = [low]
+    while nodes[-1] < high:  # zeros of 1F1 are of angles beyond a radian, or an imaginary part of π
+        nodes.append(min(high, RATIO_PANELS[0] * nodes[-1], nodes[-1] + RATIO_PANELS[1]))
+    x, w = (part.reshape(-1, 1) for part in panel_rule(np.array(nodes), RATIO_POINTS))
+    terms = 3.0 * np.sqrt(np.abs(a) * high) + high + 60.0
+    near = (terms <= MOST_FRACTIONS) & (np.abs(a) >= LEAST)
+    inside, fraction = a[near], np.ones((x.size, int(near.sum())), dtype=complex)
+    for k in range(int(np.max(terms[near], initial=0.0)), 0, -1):
+        top = inside + k // 2 if k % 2 == 0 else inside - (n + k // 2)
+        fraction = 1.0 + top * x / ((n + k - 1) * (n + k)) / fraction
+    slopes = w * inside / n / fraction
+    value, error = np.zeros_like(a), np.full(a.size, np.inf)
+    value[near] = -slopes.sum(axis=0)
+    error[near] = RATIO_ROUNDING * EPS * (1.0 + np.abs(slopes).sum(axis=0))
+    return value, error
 
 
 def series_terms(x: float) -> int:

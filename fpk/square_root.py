@@ -10,7 +10,7 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
-from fpk.confluent import kummer, noncentral, series_terms
+from fpk.confluent import kummer, log_kummer_ratio, noncentral, series_terms
 from fpk.contour import contours
 from fpk.density import SMALLEST
 from fpk.dynamics import Complex, Rates
@@ -30,10 +30,15 @@ STARTS = 101
 """Starts at which moments are given as a curve, from rest to the limit."""
 FARTHEST = 690.0
 """Largest c H/d of a limit: the mean time is e^690 of its unit."""
+MORE = 8
+"""Points of the contour beyond those of another one, whose distance is the error of the rule."""
 CANCELLED = 1e3
-"""Error of P(T <= t), in roundings, beyond which Chernoff's bound is tried."""
-STEEPEST = 1e5
-"""Largest s x_f/c of that bound: 1F1 ~ e^(2 √(s x_f/c)) stays within double precision."""
+"""Error in roundings beyond which a transform or P(T <= t) is sought in another way."""
+STEEPEST = 5e5
+"""Largest s x_f/c of that bound: steps of the continued fraction rise as its root."""
+NEAR = (0.02, 40.0)
+"""Least x_0/x_f and largest x_f − x_0 of starts for which a series that cancels is replaced: from
+farther ones hardly any motion fails so early."""
 WIDTHS = 40.0
 """Standard deviations above the mean within which a density is integrated: e^(−√2·40) is beyond."""
 
@@ -136,19 +141,25 @@ class SquareRoot:
     ) -> tuple[Array, Array]:
         """Return P(T <= t) at ``times`` by inverse transform, and its error.
 
-        At short times the series cancels; there it is 0 within Chernoff's bound e^(st) E e^(−sT),
-        of positive terms. Raises ``NotApplicable`` where neither is known to ``tol``.
+        At short times the series of 1F1 cancel, which a continued fraction does not. Where times
+        are too short for both it is 0 within Chernoff's bound e^(st) E e^(−sT), of positive terms.
+        Raises ``NotApplicable`` where that exceeds ``tol``.
         """
         x0, xf = start * self.c / self.d, limit * self.c / self.d
         p, error = np.zeros((2, times.size))
         later = np.flatnonzero(times > 0.0)
-        for contour in contours(times[later]):
-            ratio, relative = self._transform(contour.z / self.c, x0, xf)
-            with np.errstate(invalid="ignore", over="ignore"):
-                transform = ratio / contour.z
-                at, sizes = later[contour.index], np.abs(contour.factors) * np.abs(transform)
-                p[at] = (contour.factors @ transform).imag
-                error[at] = sizes @ relative + 8.0 * EPS * sizes.sum(axis=1)
+        for contour, other in zip(
+            *(contours(times[later], more=k) for k in (MORE, 0)), strict=True
+        ):
+            at, values = later[contour.index], []
+            for c in (other, contour):
+                ratio, relative = self._transform(c.z / self.c, x0, xf)
+                with np.errstate(invalid="ignore", over="ignore"):
+                    values.append((c.factors @ (ratio / c.z)).imag)
+                    sizes = np.abs(c.factors) * np.abs(ratio / c.z)
+                    error[at] = sizes @ relative + 8.0 * EPS * sizes.sum(axis=1)
+            p[at] = values[1]
+            error[at] += np.abs(values[1] - values[0])
         short = later[~(error[later] <= EPS * CANCELLED)]
         if short.size:
             a = np.geomspace(1.0, STEEPEST / xf, 60)
@@ -171,7 +182,14 @@ class SquareRoot:
         (above, above_error), (below, below_error) = (kummer(a, self.n, x) for x in (x0, xf))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             relative = above_error / np.abs(above) + below_error / np.abs(below) + 4.0 * EPS
-            return above / below, relative
+            ratio = above / below
+        cancels = np.flatnonzero(~(relative <= CANCELLED * EPS))
+        if cancels.size and x0 > NEAR[0] * xf and xf - x0 < NEAR[1]:
+            log_ratio, error = log_kummer_ratio(a[cancels], self.n, x0, xf)
+            better = ~(relative[cancels] <= error)
+            ratio[cancels[better]] = np.exp(log_ratio[better])
+            relative[cancels[better]] = error[better]
+        return ratio, relative
 
     def _lost(self, xf: float) -> float:
         """Relative error of mean times and rates, which rise by e^(x_f) at most, by c and d."""

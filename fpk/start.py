@@ -30,7 +30,7 @@ class Start:
 
     @property
     def rest(self) -> bool:
-        """Whether nothing moves and nothing is stretched, as of what is stationary without noise."""
+        """Whether nothing moves or is stretched, as of what is stationary without noise."""
         return not any(self.values.values())
 
     def state(self, n: int) -> tuple[Array, Array]:
