@@ -34,8 +34,9 @@ MORE = 8
 """Points of the contour beyond those of another one, whose distance is the error of the rule."""
 CANCELLED = 1e3
 """Error in roundings beyond which a transform or P(T <= t) is sought in another way."""
-STEEPEST = 5e5
-"""Largest s x_f/c of that bound: steps of the continued fraction rise as its root."""
+STEEPEST, NEGLIGIBLE = 1e5, 1e-20
+"""Largest s x_f/c of Chernoff's bound: 1F1 ~ e^(2 √(s x_f/c)) is within double precision; a bound
+below which P(T <= t) is given as 0."""
 NEAR = (0.02, 40.0)
 """Least x_0/x_f and largest x_f − x_0 of starts for which a series that cancels is replaced: from
 farther ones hardly any motion fails so early."""
@@ -147,7 +148,15 @@ class SquareRoot:
         """
         x0, xf = start * self.c / self.d, limit * self.c / self.d
         p, error = np.zeros((2, times.size))
-        later = np.flatnonzero(times > 0.0)
+        if not np.any(times > 0.0):
+            return p, error
+        # Chernoff's bound, with positive terms only.
+        a = np.geomspace(1.0, STEEPEST / xf, 60)
+        ratio, relative = self._transform(a.astype(complex), x0, xf)
+        with np.errstate(over="ignore", invalid="ignore"):
+            powers = np.exp(np.multiply.outer(self.c * times, a))
+            bound = np.nanmin(powers * (ratio.real * (1.0 + relative)), axis=1)
+        later = np.flatnonzero((times > 0.0) & (bound > NEGLIGIBLE))
         for contour, other in zip(
             *(contours(times[later], more=k) for k in (MORE, 0)), strict=True
         ):
@@ -160,16 +169,9 @@ class SquareRoot:
                     error[at] = sizes @ relative + 8.0 * EPS * sizes.sum(axis=1)
             p[at] = values[1]
             error[at] += np.abs(values[1] - values[0])
-        short = later[~(error[later] <= EPS * CANCELLED)]
-        if short.size:
-            a = np.geomspace(1.0, STEEPEST / xf, 60)
-            ratio, relative = self._transform(a.astype(complex), x0, xf)
-            with np.errstate(over="ignore", invalid="ignore"):
-                powers = np.exp(np.multiply.outer(self.c * times[short], a))
-                bound = np.nanmin(powers * (ratio.real * (1.0 + relative)), axis=1)
-            below = ~(error[short] <= bound)
-            p[short[below]], error[short[below]] = 0.0, bound[below]
-        error[later] += self._lost(xf)
+        bounded = (times > 0.0) & ((bound <= NEGLIGIBLE) | ~(error <= bound))
+        p[bounded], error[bounded] = 0.0, bound[bounded]
+        error[times > 0.0] += self._lost(xf)
         if not np.all(error <= tol):
             first = times[~(error <= tol)][0]
             raise NotApplicable(
