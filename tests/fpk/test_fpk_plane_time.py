@@ -89,14 +89,14 @@ def test_reliability_is_the_mass_that_the_absorbing_forward_equation_keeps():
     # Another assembly, of scikit-fem, and another exponential.
     process, _ = manufactured(0.4, 0.2)
     nodes = (np.array([0.0, 0.1, 0.3, 0.6]), np.array([0.0, 0.1, 0.25, 0.5]))
-    forward = Operator(process, nodes, 10, 26, absorbing=(0, 1))
+    forward = Operator(process, nodes, 8, 22, absorbing=(0, 1))
     at = forward.basis.probes(np.array([[0.2], [0.15]])).toarray()[0][forward.free]
     step = expm(0.2 * np.linalg.solve(forward.M.toarray(), forward.A.toarray()))
     p = step @ np.linalg.solve(forward.M.toarray(), at)
     start, times = PointStart(np.array([0.2, 0.15])), np.array([0.2])
-    answer = first_passage(frame(process), start, PlaneLimit(0.6, 0.5), times, tol=1e-10)
+    answer = first_passage(frame(process), start, PlaneLimit(0.6, 0.5), times, tol=1e-8)
     assert answer.certificate.certified, answer.certificate.failures
-    assert abs(answer.survival[0] - forward.shares @ p) <= 1e-10 + answer.survival_error[0]
+    assert abs(answer.survival[0] - forward.shares @ p) <= 1e-9 + answer.survival_error[0]
 
 
 @pytest.mark.parametrize(
