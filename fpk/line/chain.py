@@ -16,6 +16,8 @@ from fpk.line.modes import Modes
 Numbers = np.ndarray[tuple[Any, ...], np.dtype[Any]]
 """Real numbers, or complex ones where the Laplace variables are."""
 TINY = float(np.finfo(float).tiny)
+UNDERFLOW = TINY / float(np.finfo(float).eps)
+"""Below it numbers lose digits."""
 
 
 class Solution(NamedTuple):
@@ -126,7 +128,8 @@ def residual(e: Modes, y: Admittances, f: Solution, at_ends: Array, inner: Array
     right = np.array([high, -low, y.shunt[:, 1] * f.high, -source[:, 1]])[:, :-1]
     left = np.array([low, -high, y.shunt[:, 0] * f.low, -source[:, 0]])[:, 1:]
     terms = np.concatenate([right, left])
-    return float((np.abs(terms.sum(axis=0)) / np.maximum(np.abs(terms).sum(axis=0), TINY)).max())
+    size = np.maximum(np.abs(terms).sum(axis=0), UNDERFLOW)
+    return float((np.abs(terms.sum(axis=0)) / size).max())
 
 
 def kept(e: Modes, f: Solution) -> Complex:

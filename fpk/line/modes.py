@@ -182,14 +182,19 @@ class Modes:
         return k, f[:, 0], f[:, 1:]
 
 
-def modes(process: Process, left: Array, right: Array, degree: int) -> Modes:
-    """Return the elements between ``left`` and ``right`` (elements,), sorted."""
+def modes(
+    process: Process, left: Array, right: Array, degree: int, *, enriched: bool = False
+) -> Modes:
+    """Return the elements between ``left`` and ``right`` (elements,), sorted.
+
+    The element at H = 0 may be of a lower degree; ``enriched`` has it one higher.
+    """
     contact, first = np.isin(left, np.array(process.nonsmooth)), left == 0.0
     parts = []
     for kind in ((True, True), (True, False), (False, True), (False, False)):
         k = np.flatnonzero((first == kind[0]) & (contact == kind[1]))
         if k.size:
-            parts.append(_batch(process, left[k], right[k], degree, *kind))
+            parts.append(_batch(process, left[k], right[k], degree, *kind, enriched))
     return joined(parts)
 
 
@@ -200,12 +205,13 @@ def joined(parts: Sequence[Modes]) -> Modes:
     return Modes(*(array[order] for array in arrays))
 
 
-def refined(process: Process, e: Modes, marked: Flags) -> Modes:
+def refined(process: Process, e: Modes, marked: Flags, *, enriched: bool = False) -> Modes:
     """Return the elements with those ``marked`` cut in two, towards a point that is singular."""
     left, right = e.left[marked], e.right[marked]
     special = np.array([0.0, *process.nonsmooth])
     cut = split_points(left, right, special)
-    new = modes(process, np.append(left, cut), np.append(cut, right), e.degree)
+    ends = np.append(left, cut), np.append(cut, right)
+    new = modes(process, *ends, e.degree, enriched=enriched)
     return joined([Modes(*(getattr(e, f.name)[~marked] for f in fields(Modes))), new])
 
 
@@ -234,8 +240,9 @@ def log_phase_density(process: Process, e: Modes, x: Array) -> Array:
 
 
 def _batch(
-    process: Process, left: Array, right: Array, degree: int, first: bool, contact: bool
-) -> Modes:
+    process: Process, left: Array, right: Array, degree: int, first: bool, contact: bool,
+    enriched: bool,
+) -> Modes:  # fmt: skip
     n = process.degrees_of_freedom
     r = rule(degree, contact, n - 1 if first else 0)
     h = (right - left)[:, None]
@@ -254,7 +261,7 @@ def _batch(
     half = np.sqrt(0.5 * b * density * r.weight / h)  # √(m dt/h): of slopes in t
     count = degree - 1
     if first:
-        own = first_degree(count, n)  # the functions of a higher degree are left at zero
+        own = min(first_degree(count, n) + enriched, count)  # other functions are left at zero
         columns = r.values[:, :own]
     else:
         own, columns = count, np.roll(r.values[:, :degree], -1, axis=1)

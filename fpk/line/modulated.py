@@ -87,7 +87,7 @@ def modulated_transient(
     nodes = time_nodes(process, ends[0], degree, fine=fine)
     longer = np.append(nodes, ends[1])
     answer = modes(process, nodes[:-1], nodes[1:], degree)
-    finer = modes(process, longer[:-1], longer[1:], degree + ENRICHMENT)
+    finer = modes(process, longer[:-1], longer[1:], degree + ENRICHMENT, enriched=True)
 
     def carried(e: Modes, level: int) -> Carried:
         m = matrices(process, e)
@@ -106,7 +106,7 @@ def modulated_transient(
         if SAFETY * own.sum() <= 0.25 * tol or not marked.any():
             break
         answer = refined(process, answer, marked)
-        finer = refined(process, finer, np.append(marked, False))
+        finer = refined(process, finer, np.append(marked, False), enriched=True)
     distances: list[float] = []
     for level in range(LEVELS[0] + 1, LEVELS[1] + 1):
         coarse, solved = p, carried(answer, level)

@@ -19,9 +19,9 @@ from fpk.process import Process
 
 ENRICHMENT = 2
 """Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
-SAFETY = 2.0
+SAFETY = 3.0
 """Factor on the distance to the enriched solution."""
-ROUND_OFF = 4.0
+ROUND_OFF = 8.0
 """Roundings of sums along the chain, for each element and each unit of ln π from end to end."""
 MOST_ROUNDS = 12
 """Most rounds of cutting elements in two."""
@@ -156,7 +156,7 @@ class FirstPassage:
     def mean(self, x: Array) -> tuple[Array, Array]:
         """Return the mean time from the starts x and its error."""
         T, better = self.answer.moments(x)[0], self.enriched.moments(x)[0]
-        rounding = self.round_off * (T + self._amplified(self.answer.mean, x))
+        rounding = self._rounding(x) * T + self.round_off * self._amplified(self.answer.mean, x)
         by_coefficients = self._coefficients[self.answer.elements.element_of(x)]
         return T, SAFETY * np.abs(T - better) + rounding + by_coefficients
 
@@ -166,6 +166,12 @@ class FirstPassage:
         better = better * (self.enriched.longest / self.longest) ** 2
         rounding = self.round_off * self._amplified(self.answer.second, x)
         return U, SAFETY * np.abs(U - better) + 2.0 * self.relative * U + rounding
+
+    def _rounding(self, x: Array) -> Array:
+        """Relative round-off, that of the energies included: T is about linear in H_f − x."""
+        return self.round_off + ROUND_OFF * EPS * self.limit / np.maximum(
+            self.limit - x, EPS * self.limit
+        )
 
     def _amplified(self, f: chain.Solution, x: Array) -> Array:
         return chain.amplified(self.answer.elements, f, x)
@@ -185,7 +191,7 @@ class FirstPassage:
         distance = np.abs(value - 2.0 * half + better**2)
         # The variance is ∫dx/m ∫2 m T'² dy with T' = −∫π/m: no term of it cancels.
         error = SAFETY * distance + 3.0 * self.relative * value
-        error += self.round_off * (4.0 * U + 2.0 * T**2)
+        error += self.round_off * (4.0 * U + 2.0 * T**2) + self._rounding(x) * value
         error += self.round_off * 2.0 * self._amplified(self.answer.second, x)
         error += self.round_off * 2.0 * T * self._amplified(self.answer.mean, x) / self.longest
         with np.errstate(over="ignore"):
@@ -230,7 +236,10 @@ def first_passage(
     if not probe.log_mass.max() - log_mass < FARTHEST:
         raise beyond
     nodes = time_nodes(process, limit, degree, fine=fine)
-    pair = [modes(process, nodes[:-1], nodes[1:], degree + more) for more in (0, ENRICHMENT)]
+    pair = [
+        modes(process, nodes[:-1], nodes[1:], degree + more, enriched=more > 0)
+        for more in (0, ENRICHMENT)
+    ]
     for _ in range(MOST_ROUNDS):
         # Sums to beyond the range are judged below.
         with np.errstate(over="ignore", invalid="ignore"):
@@ -243,7 +252,7 @@ def first_passage(
         marked = _marked(solved, times)
         if not marked.any() or marked.size > MOST_ELEMENTS:
             break
-        pair = [refined(process, e, marked) for e in pair]
+        pair = [refined(process, e, marked, enriched=k > 0) for k, e in enumerate(pair)]
     return solved
 
 

@@ -90,7 +90,7 @@ def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Spectrum:
             nodes = np.sort(np.append(nodes, split_points(nodes[:-1], nodes[1:], special)))
         answer = modes(process, nodes[:-1], nodes[1:], degree)
         nodes = np.append(nodes, last)
-        enriched = modes(process, nodes[:-1], nodes[1:], degree + ENRICHMENT)
+        enriched = modes(process, nodes[:-1], nodes[1:], degree + ENRICHMENT, enriched=True)
         rates, better = (eigenvalues(e, count, order) for e in (answer, enriched))
         common = 2.0 * answer.coefficient_error()
         common += ROUND_OFF * EPS * (answer.count + float(np.ptp(answer.log_scale)))

@@ -24,7 +24,7 @@ FAST = 20.0
 """Laplace variables on a contour times t, as far as they count."""
 DIGITS = 16.0
 """Digits that the first element has to give, whatever its degree."""
-LARGEST_VALUE = 1e4
+LARGEST_VALUE = 100.0
 """Largest value at H = 0, relative to the norm in π ~ H^(n−1), of a polynomial that is taken: it
 multiplies round-off."""
 
@@ -52,7 +52,7 @@ def time_nodes(
     beside_zero = [length for energy, length in fine if energy == 0.0]
     if n > 2:
         # Of degree k the first element gives k + 2 times as many digits as its share of the scale.
-        scale = min([process.energy_scale, *(n * length / FAST for length in beside_zero)])
+        scale = min([process.energy_scale, end, *(n * length / FAST for length in beside_zero)])
         first = 10.0 ** (-DIGITS / (first_degree(degree - 1, n) + 2)) * scale
         ratio = min(exp(STEEP_NATS / (n - 1)), GROWTH if beside_zero else np.inf)
         if first < 0.5 * nodes[1]:

@@ -45,12 +45,14 @@ class Transition:
     """The density of an energy at ``times`` after a start, with its error and certificate.
 
     ``distance`` (times, elements) is the largest distance to the enriched solution in each element,
-    ``start`` the energy that it begins with and its width at the first time.
+    ``start`` the energy that it begins with and its width at the first time, ``top`` (times,) the
+    largest density.
     """
 
     propagation: Propagation
     distance: Array
     start: tuple[float, float]
+    top: Array
     measured: Measured
     certificate: Certificate
 
@@ -70,6 +72,8 @@ class Transition:
         p, size = self.propagation.density(inside)
         error = SAFETY * self.distance[:, e.element_of(inside)]
         error = error + common_error(e, self.start, p, size, inside)
+        # What is left of larger numbers far from the peak.
+        error += ROUND_OFF * EPS * self.top[:, None]
         p_there = np.where((x >= 0.0) & (x <= end), p, 0.0)
         error = np.where(x > end, error + np.abs(p), error)
         return p_there, np.where(x >= 0.0, error + SMALLEST, 0.0)
@@ -100,7 +104,7 @@ def transition(process: Process, source: Source, times: Array, *, tol: float = 1
     beyond = np.linspace(ends[0], ends[1], 1 + max(1, math.ceil((ends[1] - ends[0]) / length)))
     answer = modes(process, nodes[:-1], nodes[1:], degree)
     nodes = np.append(nodes, beyond[1:])
-    enriched = modes(process, nodes[:-1], nodes[1:], degree + ENRICHMENT)
+    enriched = modes(process, nodes[:-1], nodes[1:], degree + ENRICHMENT, enriched=True)
     judged = partial(_judged, process, source, probe, tol, width)
     few = np.unique(np.linspace(0, times.size - 1, CHECKED_TIMES).astype(int))
     for chosen in (times[few], times) if few.size < times.size else (times,):
@@ -114,7 +118,7 @@ def transition(process: Process, source: Source, times: Array, *, tol: float = 1
             before = own.sum()
             answer = refined(process, answer, marked)
             more = np.append(marked, np.zeros(enriched.count - marked.size, dtype=bool))
-            enriched = refined(process, enriched, more)
+            enriched = refined(process, enriched, more, enriched=True)
     return solved
 
 
@@ -157,7 +161,8 @@ def _judged(
         absolute_error=float((pointwise.max(axis=1) / p.max(axis=1)).max()),
     )
     certificate = certify(measured, tol=tol)
-    solved = Transition(own, distance.max(axis=2), (source.energy, width), measured, certificate)
+    start, top = (source.energy, width), p.max(axis=1)
+    solved = Transition(own, distance.max(axis=2), start, top, measured, certificate)
     each = (distance * w).sum(axis=2).max(axis=0)
     return solved, each, common.sum(axis=2).max(axis=0)
 
@@ -195,6 +200,6 @@ def common_error(e: Modes, start: tuple[float, float], p: Array, size: Array, x:
     rounding = ROUND_OFF * EPS * (1.0 + x / width + float(np.ptp(e.log_scale)))
     top = np.abs(p).max(axis=1, keepdims=True) + SMALLEST
     steep = 2.0 + np.log(top) - np.log(np.clip(np.abs(p), SMALLEST, top))
-    floor = ROUND_OFF * EPS * (size + top)
+    floor = ROUND_OFF * EPS * size
     coefficients = 2.0 * e.coefficient_error(upto) * steep + e.relative_error[e.element_of(x)]
     return np.asarray((coefficients + rounding) * np.abs(p) + floor)
