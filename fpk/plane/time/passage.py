@@ -26,8 +26,8 @@ from fpk.plane.time.start import PointStart, Start
 FOLDS = 5.0
 """Largest rise of −ln w over a panel, on average: over the last one the elimination loses the root
 of its exponential."""
-HIGHEST = 600.0
-"""Largest rise of −ln w up to a limit: e^600 units of time is within double precision."""
+HIGHEST = 300.0
+"""Largest rise of −ln w up to a limit: E T² of the order of e^600 is within double precision."""
 ITERATIONS = 400
 """Steps of the inverse iteration, each of which gains the ratio of the least two rates."""
 CONVERGED = 1e-15
@@ -36,6 +36,8 @@ KRYLOV = 1e-2
 """Fraction of the tolerance to which the reliability is computed in its norm."""
 ROUNDING = 4.0
 """Multiple of the change by a step of iterative refinement that is stated as round-off."""
+SHARE = 0.1
+"""Share of the largest error of the reliability that is in each: levels agree by chance, too."""
 LEAST = 1e-14
 """Relative round-off that is always stated."""
 
@@ -233,6 +235,7 @@ def _compared(
     # The variance is the difference of two moments, each with the error of the coefficients.
     errors[1] += model * 2.0 * fine.numbers[0] ** 2
     lost = np.abs(fine.survival - coarse.survival) + fine.survival_error + model
+    lost = lost + SHARE * np.max(lost, initial=0.0)
     (mean, variance, rate), (mean_error, variance_error, rate_error) = fine.numbers, errors
     relative = float(np.max(errors / np.abs(fine.numbers)))
     measured = Measured(

@@ -29,7 +29,7 @@ class View:
         if self.seen == "pair":
             H1, H2 = points
             first, second = op.along(0, H1), op.along(1, H2)
-            values = np.einsum("pi,tij,pj->tp", first, g, second, optimize=True)
+            values = np.array([np.sum((first @ each) * second, axis=1) for each in g])
             return np.asarray(values * op.weight_at(H1, H2))
         rows = self._of_sum(op, points[0]) if self.seen == "sum" else self._of_one(op, points[0])
         return np.asarray(g.reshape(len(g), -1) @ rows.reshape(len(rows), -1).T)
