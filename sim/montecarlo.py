@@ -170,7 +170,7 @@ class MonteCarlo(Method):
 
     def _stationary(self, question: str, *asked: Any) -> Curve:
         *asked_of, tol, progress = asked
-        answer: Curve = getattr(import_module("sim.motion.stationary"), question)(
+        answer: Curve = getattr(import_module(f"sim.motion.{question}"), question)(
             self, *asked_of, tol=tol, progress=progress
         )
         return answer

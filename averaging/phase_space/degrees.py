@@ -99,6 +99,12 @@ def others_to(most: int, d: int) -> tuple[Others, ...]:
     return tuple(out)
 
 
+def degrees_of_level(others: tuple[Others, ...], n: int) -> Indices:
+    """Return the degrees k of level n, (count, d), by their sum in the others."""
+    parts = [np.insert(o.k, 0, n - o.total, axis=1) for o in others[: n + 1]]
+    return np.concatenate(parts)
+
+
 def lowered(others: tuple[Others, ...], level: int, v: Array, e: Array) -> Array:
     """Return Σ_i e_i a_i v, for ``level``, of coefficients v of the level above."""
     highest = len(others) - 1

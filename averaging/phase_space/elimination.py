@@ -1,6 +1,6 @@
-"""Elimination of the chain of levels from the highest down, and the stationary expansion.
+"""Elimination of the chain of stages from the highest down, and the stationary expansion.
 
-``equations`` has the chain. Each level costs the inverse of one dense block.
+``equations`` has the chain. Each stage costs the inverse of one dense block.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,10 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from averaging.phase_space.basis import Basis, basis
-from averaging.phase_space.degrees import Degrees, Indices, Others, others_to
-from averaging.phase_space.equations import Chain, applied, applied_from_right
+from averaging.phase_space.damping import stages_to
+from averaging.phase_space.degrees import (
+    Degrees,
+    Indices,
+    Others,
+    degrees_of_level,
+    others_to,
+)
+from averaging.phase_space.equations import Chain
 from averaging.phase_space.frame import Frame, Reference
 from averaging.phase_space.panels import polynomials
+from averaging.phase_space.terms import applied, applied_from_right
 from fpk.arrays import Array
 
 FIRST: type = np.float32
@@ -47,8 +55,7 @@ class Expansion:
 
     def degree(self, n: int) -> Indices:
         """The degrees k of level n, (count, d)."""
-        parts = [np.insert(o.k, 0, n - o.total, axis=1) for o in self.others[: n + 1]]
-        return np.concatenate(parts)
+        return degrees_of_level(self.others, n)
 
     def functions(self, n: int, y: Array) -> Array:
         """u_k(y) of all k of level n, (count, points)."""
@@ -62,7 +69,7 @@ class Expansion:
 
 
 def sizes(frame: Frame, reference: Reference, degrees: Degrees) -> Array:
-    """Return about how many unknowns each level has."""
+    """Return about how many unknowns each stage has."""
     panels = polynomials(frame, reference, degrees)
     functions = [
         sum(count if p == degrees.outer else degrees.fewer(p, count) for p in panels)
@@ -72,7 +79,8 @@ def sizes(frame: Frame, reference: Reference, degrees: Degrees) -> Array:
     for level in range(degrees.total + 1):
         for o in others_to(degrees.others, 2 * frame.n - 1)[: degrees.others_at(level) + 1]:
             out[level] += o.k.shape[0] * functions[degrees.beyond(level, o.total)]
-    return out / (2.0 if frame.symmetric else 1.0)
+    stages = np.add.reduceat(out, [levels[0] for levels in stages_to(frame, degrees.total)])
+    return np.asarray(stages / (2.0 if frame.symmetric else 1.0))
 
 
 def expanded(
@@ -99,7 +107,7 @@ def expanded(
         u, residual = _refined(factors, scale * one, one)
         if residual < CONVERGED:
             break
-    shaped = tuple(chain.shaped(n, x) for n, x in enumerate(u))
+    shaped = tuple(level for n, x in enumerate(u) for level in chain.shaped(n, x))
     return Expansion(functions, chain.factor, degrees, shaped, chain.others, residual)
 
 
@@ -172,7 +180,7 @@ def factored(
     kind: type = np.float64,
     step: Callable[[float], None] = lambda share: None,
 ) -> tuple[Factors, float]:
-    """Eliminate the levels of the equations less ``shift`` times the unknowns, from the top down.
+    """Eliminate the stages of the equations less ``shift`` times the unknowns, from the top down.
 
     Without a shift the equation of the mass, ``one`` times the unknowns of level 0, is added as
     ``with_mass`` does; returned is what stands before the mass in it, too. ``step`` is called with
@@ -186,7 +194,7 @@ def factored(
         A, size = chain.within(n, shift=shift, kind=kind), chain.size(n)
         if n < top:
             A += applied(chain.above[n], R, size)
-        inverse = inverted(A, [group.start for group in chain.groups[n]])
+        inverse = inverted(A, chain.starts(n))
         # u_n = R u_(n−1) + Q u_(n−2).
         R_next = applied_from_right(inverse, chain.forced[n], chain.size(n - 1))
         if n < top:

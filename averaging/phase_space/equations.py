@@ -13,114 +13,39 @@ the one above. Where S is not that of the linear part alone the second term is n
 
 Levels of even degree have continuous functions of y, those of odd degree broken ones (``Basis``).
 ∂* connects the two only; for a broken f and a continuous u, (f, ∂* u) is −(f, u' + (ln w)' u).
+
+Damping terms (``damping``) may connect a level with others beyond its neighbours, too. Levels are
+then eliminated in stages of several: so many that each stage meets the two below and the one above.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
 from averaging.phase_space.basis import Basis
+from averaging.phase_space.damping import damped, stages_to
 from averaging.phase_space.degrees import Degrees, Others, others_to
 from averaging.phase_space.frame import Frame, Reference, linear_part
+from averaging.phase_space.terms import Group, Sum, Term, Terms, applied
 from fpk.arrays import Array
-
-
-@dataclass(frozen=True)
-class Group:
-    """Unknowns of a level with one degree in the others: ``count`` of k times ``functions`` of y.
-
-    ``start`` is the first of them among those of the level.
-    """
-
-    start: int
-    count: int
-    functions: int
-
-    @property
-    def span(self) -> slice:
-        """Where they stand among the unknowns of the level."""
-        return slice(self.start, self.start + self.count * self.functions)
-
-
-@dataclass(frozen=True, eq=False)
-class Term:
-    """A block of the matrix of the equations, from unknowns of one group to equations of another.
-
-    The groups are ``of`` and ``to``; the block is a Kronecker product. ``degrees`` acts on k,
-    (count, count) or a multiple of the unit matrix, ``functions`` on functions of y, (functions,
-    functions) or None for those that both groups have, unchanged.
-    """
-
-    to: Group
-    of: Group
-    degrees: Array | float
-    functions: Array | None = None
-
-    def transposed(self) -> "Term":
-        """The term of the transposed matrix."""
-        degrees = self.degrees if isinstance(self.degrees, float) else self.degrees.T
-        functions = None if self.functions is None else self.functions.T
-        return Term(self.of, self.to, degrees, functions)
-
-    def add_to(self, out: Array, X: Array) -> None:
-        """Add the term times X (unknowns, columns) to ``out`` (equations, columns)."""
-        part = X[self.of.span].reshape(self.of.count, self.of.functions, -1)
-        if self.functions is not None:
-            part = np.matmul(self.functions.astype(X.real.dtype, copy=False), part)
-        common = min(part.shape[1], self.to.functions)
-        part = part[:, :common]
-        if isinstance(self.degrees, float):
-            part = self.degrees * part
-        else:
-            part = np.tensordot(self.degrees.astype(X.real.dtype, copy=False), part, axes=1)
-        whole = out[self.to.span].reshape(self.to.count, self.to.functions, -1)
-        whole[:, :common] += part
-
-    def add_matrix_to(self, A: Array) -> None:
-        """Add the term itself to a matrix (equations, unknowns).
-
-        It is of functions unchanged, or of a multiple of the unit matrix on k.
-        """
-        to, of = self.to, self.of
-        whole = A[to.span, of.span].reshape(to.count, to.functions, of.count, of.functions)
-        if self.functions is None:
-            each = np.arange(min(to.functions, of.functions))
-            whole[:, each, :, each] += self.degrees
-        else:
-            k = np.arange(to.count)
-            whole[k, :, k] += self.degrees * self.functions
-
-
-Terms = Sequence[Term]
-
-
-def applied(terms: Terms, X: Array, size: int) -> Array:
-    """Return the matrix (``size``, unknowns) of terms times X (unknowns, columns)."""
-    out = np.zeros((size, X.shape[1]), X.dtype)
-    for term in terms:
-        term.add_to(out, X)
-    return out
-
-
-def applied_from_right(X: Array, terms: Terms, size: int) -> Array:
-    """Return X (rows, equations) times the matrix (equations, ``size``) of terms."""
-    transposed = applied([t.transposed() for t in terms], np.ascontiguousarray(X.T), size)
-    return np.ascontiguousarray(transposed.T)
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """The equations between levels: of each level what it meets in itself and in the others.
+    """The equations between stages: of each one what it meets in itself and in the others.
 
-    ``factor`` C. ``groups[n]`` are the unknowns of level n by their degree in the others. Level n
-    meets itself by ``own[n]``, level n + 1 by ``above[n]``, level n − 1 by ``forced[n]`` and
-    n − 2 by ``paired[n]``. The highest level of each degree in the others meets itself by
-    l₁ (∂* ∂)^½, too, which stands for the levels above it.
+    ``factor`` C. ``groups[level]`` are the unknowns of a level by their degree in the others, and
+    ``stages[n]`` the levels of stage n, one each unless damping terms connect more of them; the
+    highest one of a stage stands first. Stage n meets itself by ``own[n]``, stage n + 1 by
+    ``above[n]``, n − 1 by ``forced[n]`` and n − 2 by ``paired[n]``. The highest level of each
+    degree in the others meets itself by l₁ (∂* ∂)^½, too, which stands for the levels above it.
     """
 
     factor: Array
     others: tuple[Others, ...]
+    stages: tuple[range, ...]
     groups: tuple[tuple[Group, ...], ...]
     own: tuple[Terms, ...]
     above: tuple[Terms, ...]
@@ -140,7 +65,8 @@ class Chain:
         force[0] -= frame.contact_force(y)
         adjoint, force_by_y = _between_sets(functions, C, inverse @ force)
         top, others = degrees.total, others_to(degrees.others, frame.n * 2 - 1)
-        groups = tuple(_groups(functions, degrees, others, n) for n in range(top + 1))
+        stages = stages_to(frame, top)
+        groups = _placed(functions, degrees, others, stages)
         own, above, forced, paired = [], [], [], []
         for n in range(top + 1):
             own.append(_own(others, drift, groups[n], n))
@@ -162,28 +88,40 @@ class Chain:
             E = adjoint[n % 2][: group.functions, :beyond]
             U, s, _ = np.linalg.svd(E, full_matrices=False)
             own[n].append(Term(group, group, -float(np.sqrt(n - m + 1.0)), (U * s) @ U.T))
+        blocks: Sequence[Sequence[Terms]] = (own, above, forced, paired)
+        if frame.system.damping_terms:
+            terms = damped(frame, functions, degrees, C, groups)
+            blocks = _by_stages(stages, groups, (own, above, forced, paired), terms)
         return cls(
             C,
             others,
+            stages,
             groups,
-            tuple(own),
-            tuple(above),
-            tuple(forced),
-            tuple(paired),
+            tuple(blocks[0]),
+            tuple(blocks[1]),
+            tuple(blocks[2]),
+            tuple(blocks[3]),
         )
 
     @property
     def top(self) -> int:
-        """The highest level."""
-        return len(self.groups) - 1
+        """The highest stage."""
+        return len(self.stages) - 1
+
+    def stage_of(self, level: int) -> int:
+        """The stage of a level."""
+        return next(n for n, levels in enumerate(self.stages) if level in levels)
 
     def size(self, n: int) -> int:
-        """Number of unknowns of level n."""
-        last = self.groups[n][-1]
-        return last.start + last.count * last.functions
+        """Number of unknowns of stage n."""
+        return _size(self.stages[n], self.groups)
+
+    def starts(self, n: int) -> list[int]:
+        """Where the groups of stage n begin, ascending."""
+        return [group.start for level in self.stages[n][::-1] for group in self.groups[level]]
 
     def within(self, n: int, *, shift: complex = 0.0, kind: type = np.float64) -> Array:
-        """Return the equations of level n in itself, less ``shift`` times its unknowns.
+        """Return the equations of stage n in itself, less ``shift`` times its unknowns.
 
         ``kind`` is that of the numbers. A shift that is not real makes them and all that follows
         from them complex.
@@ -210,7 +148,7 @@ class Chain:
         return out, size
 
     def from_below(self, n: int, u: Sequence[Array], inverses: Sequence[Array]) -> Array:
-        """Return what u of the levels below n adds to level n, directly and through level n + 1.
+        """Return what u of the stages below n adds to stage n, directly and through stage n + 1.
 
         ``inverses`` as of ``Factors``.
         """
@@ -218,28 +156,69 @@ class Chain:
         if n > 1:
             given += applied(self.paired[n], u[n - 2][:, None], self.size(n))
         if n < self.top:
-            # What u_(n−1) makes of level n + 1 without u_n comes back to level n.
+            # What u_(n−1) makes of stage n + 1 without u_n comes back to stage n.
             beyond = applied(self.paired[n + 1], u[n - 1][:, None], self.size(n + 1))
             given -= applied(self.above[n], inverses[n + 1] @ beyond, self.size(n))
         return np.asarray(given[:, 0])
 
-    def packed(self, n: int, u: Array) -> Array:
-        """Return the unknowns of level n in (count, functions), without those it does not have."""
-        parts, row = [], 0
-        for g in self.groups[n]:
-            parts.append(u[row : row + g.count, : g.functions].ravel())
-            row += g.count
-        return np.concatenate(parts)
-
-    def shaped(self, n: int, u: Array) -> Array:
-        """Return unknowns of level n as (count, functions), 0 where a degree has no function."""
-        count = sum(o.k.shape[0] for o in self.others[: n + 1])
-        out = np.zeros((count, max(g.functions for g in self.groups[n])), u.dtype)
-        row = 0
-        for g in self.groups[n]:
-            out[row : row + g.count, : g.functions] = u[g.span].reshape(g.count, g.functions)
-            row += g.count
+    def packed(self, n: int, levels: Sequence[Array]) -> Array:
+        """Return the unknowns of stage n of ``levels`` (count, functions) of the whole chain."""
+        out = np.zeros(self.size(n), levels[0].dtype)
+        for level in self.stages[n]:
+            row = 0
+            for g in self.groups[level]:
+                out[g.span] = levels[level][row : row + g.count, : g.functions].ravel()
+                row += g.count
         return out
+
+    def shaped(self, n: int, u: Array) -> list[Array]:
+        """Return the levels of stage n as (count, functions), 0 where a degree has no function."""
+        levels = []
+        for level in self.stages[n]:
+            count = sum(o.k.shape[0] for o in self.others[: level + 1])
+            most = max(g.functions for g in self.groups[level])
+            out, row = np.zeros((count, most), u.dtype), 0
+            for g in self.groups[level]:
+                out[row : row + g.count, : g.functions] = u[g.span].reshape(g.count, g.functions)
+                row += g.count
+            levels.append(out)
+        return levels
+
+
+def _size(stage: range, groups: Sequence[tuple[Group, ...]]) -> int:
+    """Number of unknowns of a stage, the last of which are those of its lowest level."""
+    last = groups[stage[0]][-1]
+    return last.start + last.count * last.functions
+
+
+def _by_stages(
+    stages: tuple[range, ...],
+    groups: tuple[tuple[Group, ...], ...],
+    constant: Sequence[Sequence[Sequence[Term]]],
+    damping: Iterable[tuple[int, int, Term]],
+) -> Sequence[list[Terms]]:
+    """Return ``own``, ``above``, ``forced`` and ``paired`` of stages.
+
+    ``constant`` has them of levels, and ``damping`` the terms to a level of a level.
+    """
+    stage_of = {level: n for n, levels in enumerate(stages) for level in levels}
+    blocks: dict[tuple[int, int], list[Term]] = {}
+    between = (
+        (level, level + away, term)
+        for away, of_levels in zip((0, 1, -1, -2), constant, strict=True)
+        for level, terms in enumerate(of_levels)
+        for term in terms
+    )
+    for to, of, term in chain(between, damping):
+        blocks.setdefault((stage_of[to], stage_of[of]), []).append(term)
+    sizes = [_size(stage, groups) for stage in stages]
+    return [
+        [
+            [Sum(sizes[n], sizes[n + away], blocks[n, n + away])] if (n, n + away) in blocks else []
+            for n in range(len(stages))
+        ]
+        for away in (0, 1, -1, -2)
+    ]
 
 
 def _functions(functions: Basis, degrees: Degrees, n: int, m: int) -> int:
@@ -247,14 +226,22 @@ def _functions(functions: Basis, degrees: Degrees, n: int, m: int) -> int:
     return functions.counts[n % 2][degrees.beyond(n, m)]
 
 
-def _groups(
-    functions: Basis, degrees: Degrees, others: tuple[Others, ...], n: int
-) -> tuple[Group, ...]:
-    groups, start = [], 0
-    for m, o in enumerate(others[: degrees.others_at(n) + 1]):
-        groups.append(Group(start, o.k.shape[0], _functions(functions, degrees, n, m)))
-        start = groups[-1].span.stop
-    return tuple(groups)
+def _placed(
+    functions: Basis, degrees: Degrees, others: tuple[Others, ...], stages: tuple[range, ...]
+) -> tuple[tuple[Group, ...], ...]:
+    """Return the groups of all levels, each placed in its stage behind those of higher levels."""
+    levels: list[tuple[Group, ...]] = []
+    for stage in stages:
+        start, placed = 0, []
+        for n in stage[::-1]:
+            groups = []
+            for m, o in enumerate(others[: degrees.others_at(n) + 1]):
+                count = _functions(functions, degrees, n, m)
+                groups.append(Group(start, o.k.shape[0], count))
+                start = groups[-1].span.stop
+            placed.append(tuple(groups))
+        levels += placed[::-1]
+    return tuple(levels)
 
 
 def _between_sets(
@@ -308,7 +295,7 @@ def _forced(
     force: list[Array],
     groups: tuple[tuple[Group, ...], ...],
     n: int,
-) -> Terms:
+) -> list[Term]:
     """Return the blocks from unknowns of level n − 1 to equations of level n: h'_i a_i⁺ and ∂*."""
     terms = []
     for m, of in enumerate(groups[n - 1]):
@@ -327,7 +314,7 @@ def _forced(
 
 def _paired(
     others: tuple[Others, ...], pair: Array, groups: tuple[tuple[Group, ...], ...], n: int
-) -> Terms:
+) -> list[Term]:
     """Return the blocks from unknowns of level n − 2 to equations of level n: a_i⁺ a_j⁺."""
     terms = []
     for m, of in enumerate(groups[n - 2]):

@@ -6,6 +6,7 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.effects import looks_the_same_mirrored
+from fpk.equivalent import equivalent_temperature
 from fpk.errors import NotApplicable
 from fpk.system import System
 
@@ -67,15 +68,14 @@ class Frame:
 def contact_frame(system: System) -> Frame:
     """Return the frame of a system with stops on one mass at the most.
 
-    Raises ``NotApplicable`` for stops on several masses and for damping that depends on the state.
+    ``damping`` is the constant part; ``damping`` of this package has the terms that depend on the
+    state. Raises ``NotApplicable`` for stops on several masses.
     """
     if len(system.contact_masses) > 1:
         raise NotApplicable(
             f"{len(system.contact_masses)} masses meet stops: the expansion is about one mass that "
             "does, all others being linear given its displacement"
         )
-    if system.damping_terms:
-        raise NotApplicable("the damping depends on the state: the expansion is for constant one")
     contact = system.contact_masses[0] if system.contacts else system.n - 1
     order = (contact, *(i for i in range(system.n) if i != contact))
     scale = 1.0 / np.sqrt(np.outer(system.mass, system.mass))
@@ -116,12 +116,17 @@ def gibbs_reference(frame: Frame) -> Reference:
     """Return the Gibbs state of the temperature tr D/tr c, of mass-normalised D and c.
 
     It is the stationary state where damping and noise are in one proportion; elsewhere a start.
-    Raises ``NotApplicable`` where nothing is damped or no noise acts.
+    With damping terms T is the one at which they balance the noise. Raises ``NotApplicable`` where
+    nothing is damped or no noise acts.
     """
-    noise, damping = float(np.trace(frame.noise)), float(np.trace(frame.damping))
-    if not (noise > 0.0 and damping > 0.0):
-        raise NotApplicable("a stationary density in phase space needs damping and noise")
-    T, K, n = noise / damping, frame.stiffness, frame.n
+    K, n = frame.stiffness, frame.n
+    if frame.system.damping_terms:
+        T = equivalent_temperature(frame.system)
+    else:
+        noise, damping = float(np.trace(frame.noise)), float(np.trace(frame.damping))
+        if not (noise > 0.0 and damping > 0.0):
+            raise NotApplicable("a stationary density in phase space needs damping and noise")
+        T = noise / damping
     slope = np.asarray(-np.linalg.solve(K[1:, 1:], K[1:, 0]), dtype=float)
     covariance = T * np.eye(2 * n - 1)
     covariance[n:, n:] = T * np.linalg.inv(K[1:, 1:])

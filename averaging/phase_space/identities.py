@@ -1,10 +1,13 @@
 """Equations that hold in any stationary state, on a solution: a judge where nothing is exact."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from averaging.phase_space.damping import Matrix, Polynomial, Space, by_y, product, reach, state
 from averaging.phase_space.elimination import Expansion
 from averaging.phase_space.frame import Frame
-from averaging.phase_space.moments import Moments, moments
+from averaging.phase_space.moments import moments
 from averaging.phase_space.refinement import SAFETY, Ladder
 from fpk.arrays import Array
 from fpk.method import Identity
@@ -14,16 +17,61 @@ MARGIN = 4.0
 densities, in units of the identity's own sides, is added."""
 
 
-def heat_into_masses(frame: Frame, m: Moments) -> list[float]:
-    """Return D_ii/m_i − Σ_j c_ij E v_i v_j of each mass, in the order of the frame.
+@dataclass(frozen=True, eq=False)
+class Means:
+    """Means of the forces f in an expansion, in the order of the frame.
+
+    ``power`` E v_i f_i and ``virial`` E r_i f_i (n,); ``given`` (n, points) is that of f given y,
+    times the density of y, in the weights of the points.
+    """
+
+    power: Array
+    virial: Array
+    given: Array
+
+
+def force_means(frame: Frame, e: Expansion) -> Means:
+    """Return the means of the forces of damping terms; 0 without any."""
+    n, top, b = frame.n, 2 + reach(frame), e.basis
+    if not frame.system.damping_terms:
+        return Means(np.zeros(n), np.zeros(n), np.zeros((n, b.points.size)))
+    space = Space.to(top, top, 2 * n - 1)
+    s = state(frame, b.reference, e.factor, space)
+    ends = np.cumsum(
+        [0, *(np.count_nonzero(space.k.sum(axis=1) == level) for level in range(top + 1))]
+    )
+    levels = [e.functions(level, b.points) for level in range(top + 1)]
+    first: Polynomial = {(0, 0): Matrix(([1.0], ([0], [0])), shape=(1, len(space.k)))}
+
+    def given(*factors: Polynomial) -> Array:
+        """Mean of a product given y, in the weights of the points."""
+        row, total = first, np.zeros(b.points.size)
+        for factor in factors:
+            row = product(row, factor)
+        for powers, X in row.items():
+            x = X.toarray()[0]
+            by_z = sum(x[k : k + len(u)] @ u for k, u in zip(ends[:-1], levels, strict=True))
+            total += by_y(frame, b, powers) * by_z
+        return total
+
+    pairs = tuple(zip(s.v, s.r, s.forces, strict=True))
+    return Means(
+        np.array([np.sum(given(v, f)) for v, _, f in pairs]),
+        np.array([np.sum(given(r, f)) for _, r, f in pairs]),
+        np.array([given(f) for f in s.forces]),
+    )
+
+
+def heat_into_masses(frame: Frame, e: Expansion) -> list[float]:
+    """Return D_ii/m_i − Σ_j E c_ij v_i v_j of each mass, in the order of the frame.
 
     What a mass takes from its noise and loses to its damping in the mean; the springs carry it to
     the others, and the sum of all vanishes.
     """
-    n = frame.n
+    n, m = frame.n, moments(frame, e)
     second = m.covariance[n:, n:] + np.outer(m.mean[n:], m.mean[n:])
     heat = np.diag(frame.noise) - np.sum(frame.damping * second, axis=1)
-    return [float(value) for value in heat]
+    return [float(value) for value in heat - force_means(frame, e).power]
 
 
 def identities(ladder: Ladder) -> tuple[Identity, ...]:
@@ -51,21 +99,24 @@ def _sides(frame: Frame, e: Expansion) -> dict[str, tuple[float, float]]:
     u0 = e.functions(0, y)[0]
     force = frame.contact_force(y)
     first = int(frame.order[0]) + 1
+    terms = force_means(frame, e)
     sides = {
         "Σ c_ij E v_i v_j": (
-            float(np.sum(frame.damping * second[n:, n:])),
+            float(np.sum(frame.damping * second[n:, n:]) + np.sum(terms.power)),
             float(np.trace(frame.noise)),
         )
     }
     for i in range(n):
         contact = float(w @ (u0 * y * force)) if i == 0 else 0.0
         right = frame.stiffness[i] @ second[:n, i] + frame.damping[i] @ second[n:, i] + contact
+        right = right + terms.virial[i]
         sides[f"E p{frame.order[i] + 1}²/m"] = (float(second[n + i, n + i]), float(right))
     s = float(np.sqrt(m.covariance[0, 0]))
     sine, cosine = np.sin(y / s), np.cos(y / s) / s
     given, square = _given(frame, e)
     left = float(w @ (square * cosine))
-    right = float(w @ (sine * (frame.stiffness[0] @ given[:n] + frame.damping[0] @ given[n:])))
+    mean_force = frame.stiffness[0] @ given[:n] + frame.damping[0] @ given[n:]
+    right = float(w @ (sine * mean_force) + sine @ terms.given[0])
     sides[f"E v{first}² cos(q{first}/s)/s"] = (left, right + float(w @ (u0 * sine * force)))
     sides[f"E v{first} sin(q{first}/s)"] = (float(m.flow @ sine), 0.0)
     return sides

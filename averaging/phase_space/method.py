@@ -15,7 +15,15 @@ from averaging.phase_space.frame import Frame, Reference, contact_frame, gibbs_r
 from averaging.phase_space.identities import heat_into_masses, identities
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import moments
-from averaging.phase_space.refinement import ROUND_OFF, WORK, Ladder, solved_to
+from averaging.phase_space.refinement import (
+    ROUND_OFF,
+    WORK,
+    Ladder,
+    cost,
+    degrees_of,
+    refusal,
+    solved_to,
+)
 from averaging.theory import Theory
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
@@ -55,11 +63,12 @@ class PhaseSpace(Theory):
     An expansion in Hermite functions of all velocities and displacements but that of the mass that
     meets the stops, and in polynomials on panels of that one, solved by elimination of levels of
     equal degree (``averaging.phase_space.elimination``). Up to three masses, stops on one of them,
-    any constant damping and noise. ``tol`` is the L1 error wanted of each density; degrees rise
-    until the estimate meets it; where memory or the highest degree ends them first, the certificate
-    says so. ``accepted`` is the largest error that is certified where it ends them, None: ``tol``.
-    ``work`` bounds the multiplications of one solution. ``threads`` of linear algebra, None: all
-    cores; where others use them, too, threads wait for each other and take ten times as long.
+    any noise and damping, damping terms as far as memory and work allow. ``tol`` is the L1 error
+    wanted of each density; degrees rise until the estimate meets it; where memory or the highest
+    degree ends them first, the certificate says so. ``accepted`` is the largest error that is
+    certified where it ends them, None: ``tol``. ``work`` bounds the multiplications of one
+    solution. ``threads`` of linear algebra, None: all cores; where others use them, too, threads
+    wait for each other and take ten times as long.
     ``reference`` is where the expansion starts, for tests of its independence; None: Gibbs.
     """
 
@@ -78,6 +87,8 @@ class PhaseSpace(Theory):
         self.prepare(system)
         if system.n > UNASKED_MASSES:
             raise NotApplicable(f"{system.n} masses may take minutes; ask for it by its name")
+        if system.damping_terms:
+            raise NotApplicable("damping terms may take minutes; ask for it by its name")
         for closed in (Exact(), Linear()):
             if closed.refusal(system, (Coordinate("q", 0),)) is None:
                 raise NotApplicable(f"{closed.name} has the same density to more digits")
@@ -91,7 +102,7 @@ class PhaseSpace(Theory):
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where the expansion is not."""
-        frame = _frame(system)
+        frame = self._frame(system)
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
             with _breakdowns():
@@ -122,7 +133,9 @@ class PhaseSpace(Theory):
         """Return the upcrossings per unit time of q from the joint density of (q, p)."""
         options = self._options(tol or CROSSINGS_TOL, progress)
         with _breakdowns():
-            return _curve(dynamics.crossings(_frame(system), row, at, options), row, options.tol)
+            return _curve(
+                dynamics.crossings(self._frame(system), row, at, options), row, options.tol
+            )
 
     def spectrum(
         self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
@@ -130,7 +143,9 @@ class PhaseSpace(Theory):
         """Return the power spectral density of q from the resolvent of the FPK operator."""
         options = self._options(tol or SPECTRUM_TOL, progress)
         with _breakdowns():
-            return _curve(dynamics.spectrum(_frame(system), row, at, options), row, options.tol)
+            return _curve(
+                dynamics.spectrum(self._frame(system), row, at, options), row, options.tol
+            )
 
     def relaxation(
         self, system: System, count: int, *, tol: float | None, progress: Progress
@@ -138,7 +153,7 @@ class PhaseSpace(Theory):
         """Return the slowest eigenvalues of the expansion's FPK operator."""
         options = self._options(tol or RELAXATION_TOL, progress)
         with _breakdowns():
-            answer = dynamics.relaxation(_frame(system), count, options)
+            answer = dynamics.relaxation(self._frame(system), count, options)
         measured = Measured(
             l1_error=answer.relative,
             mass_defect=0.0,
@@ -155,6 +170,21 @@ class PhaseSpace(Theory):
     def _options(self, tol: float, progress: Progress) -> dynamics.Options:
         return dynamics.Options(tol, progress, self.work, self.threads, self.reference)
 
+    def _frame(self, system: System) -> Frame:
+        """Return the frame; raise ``NotApplicable`` where the expansion is not for the system."""
+        if system.n > MOST_MASSES:
+            raise NotApplicable(
+                f"{system.n} masses have {2 * system.n} coordinates; the expansion is for "
+                f"{2 * MOST_MASSES} at the most"
+            )
+        frame = contact_frame(system)
+        about = gibbs_reference(frame)
+        if system.damping_terms:
+            needed = cost(frame, about, degrees_of(1, frame))
+            if words := refusal(*needed, most=self.work):
+                raise NotApplicable(f"the damping terms are of too high a degree: {words}")
+        return frame
+
 
 @contextmanager
 def _breakdowns() -> Iterator[None]:
@@ -162,18 +192,6 @@ def _breakdowns() -> Iterator[None]:
         yield
     except np.linalg.LinAlgError as error:
         raise NotCertified(f"the expansion breaks down: {error}") from None
-
-
-def _frame(system: System) -> Frame:
-    """Return the frame; raise ``NotApplicable`` where the expansion is not for the system."""
-    if system.n > MOST_MASSES:
-        raise NotApplicable(
-            f"{system.n} masses have {2 * system.n} coordinates; the expansion is for "
-            f"{2 * MOST_MASSES} at the most"
-        )
-    frame = contact_frame(system)
-    gibbs_reference(frame)
-    return frame
 
 
 def _curve(answer: dynamics.Answer, row: int, tol: float) -> Curve:
@@ -287,7 +305,7 @@ def _settings(ladder: Ladder) -> dict[str, str | float | int]:
         settings[f"E q{i + 1}²"] = float(square / mass[i])
         velocity = m.covariance[n + place, n + place] + m.mean[n + place] ** 2
         settings[f"E p{i + 1}²"] = float(velocity * mass[i])
-    for i, heat in zip(order, heat_into_masses(ladder.frame, m), strict=True):
+    for i, heat in zip(order, heat_into_masses(ladder.frame, ladder.finest), strict=True):
         settings[f"net power of damping and noise on mass {i + 1}"] = heat
     return settings
 

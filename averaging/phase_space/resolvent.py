@@ -46,7 +46,7 @@ Step = Callable[[float], None]
 class Generator:
     """A on the functions of one parity (``odd`` or not; all of them where there is no mirror).
 
-    ``ends`` is where each level ends in a vector, lowest level first. ``one`` are the coefficients
+    ``ends`` is where each stage ends in a vector, lowest first. ``one`` are the coefficients
     of the function 1 in level 0: its product with A vanishes, as mass is conserved, and it is 0
     itself where all functions of level 0 are odd.
     """
@@ -65,16 +65,16 @@ class Generator:
         return cls(functions, chain, np.cumsum(sizes), functions.of_one())
 
     def split(self, u: Array) -> list[Array]:
-        """Return the parts of a vector, one a level."""
+        """Return the parts of a vector, one a stage."""
         return np.split(u, self.ends[:-1])
 
     def shaped(self, u: Array) -> list[Array]:
         """Return the parts of a vector as ``levels`` of an ``Expansion``."""
-        return [self.chain.shaped(n, x) for n, x in enumerate(self.split(u))]
+        return [x for n, part in enumerate(self.split(u)) for x in self.chain.shaped(n, part)]
 
     def packed(self, levels: Sequence[Array]) -> Array:
         """Return ``levels`` of an ``Expansion`` as a vector."""
-        return np.concatenate([self.chain.packed(n, x) for n, x in enumerate(levels)])
+        return np.concatenate([self.chain.packed(n, levels) for n in range(self.chain.top + 1)])
 
     def resolvent(self, shift: complex, step: Step) -> Callable[[Array], Array]:
         """Return the function b → (s − A)⁻¹ b for s = ``shift``.

@@ -92,7 +92,7 @@ class AveragedSimulation(Method):
         """
         from cases.comparison.averaged_passage import limits_of
         from sim.averaged.passage import energy_passage
-        from sim.motion.passage import require_times
+        from sim.motion.steps import require_times
 
         require_times(times)
         wanted = self.tol if tol is None else tol

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import ceil, inf, isfinite, pi, sqrt
+from math import ceil, inf, isfinite, sqrt
 from time import perf_counter
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.cores import usable_cores
-from fpk.errors import InvalidInput, NotApplicable
+from fpk.errors import InvalidInput
 from fpk.evolution import Passage
 from fpk.limit import Limit
 from fpk.linear import natural_modes
@@ -24,25 +24,15 @@ from sim.montecarlo import MonteCarlo
 from sim.motion.motion import Motion, gathered, in_blocks
 from sim.motion.passing import energies_of, reader_of
 from sim.motion.starts import Origin, largest_energy
+from sim.motion.steps import longest_step, motion_step, require_times
 from sim.motion.survival import Times, passage_of
 from sim.random import OTHER_SEED
 from sim.relaxation import relaxation_time
-from sim.schemes import SCHEMES
 from sim.step_size import (
     REACHED,
-    chosen_step,
-    highest_frequency,
-    stability_limit,
-    step_for,
     temperature,
 )
 from sim.workers import Workers, workers_of
-
-STEPS_PER_PERIOD = 20
-"""Steps, of the coarser of both simulations, in the shortest natural period."""
-
-STEP_PER_DECAY = 0.2
-"""Step, of the coarser simulation, in units of the fastest decay of a velocity."""
 
 TOO_LONG = 4.0
 """Steps of one's own, in units of the longest that is chosen, that are not certified: the
@@ -119,49 +109,6 @@ def passage(
         failures=failures,
         settings={"dt": 0.5 * dt, "coarse dt": dt, "scheme": method.scheme, "seed": method.seed},
     )
-
-
-def require_times(times: Array, *, least: float = 0.0) -> None:
-    """Raise ``InvalidInput`` for times that do not ascend from ``least`` or later."""
-    if (
-        np.any(~np.isfinite(times))
-        or np.any(np.diff(times, prepend=least - 1.0) <= 0.0)
-        or np.any(times < least)
-    ):
-        raise InvalidInput("times", times, f"must be finite, ascend, and be {least:g} or later")
-
-
-def longest_step(system: System) -> float:
-    """Return the step in which velocities change little enough to see what is between two steps."""
-    period = 2.0 * pi / highest_frequency(system)
-    decay = float(np.max(np.abs(np.linalg.eigvals(system.damping / system.mass))))
-    return min(period / STEPS_PER_PERIOD, STEP_PER_DECAY / decay if decay > 0.0 else inf)
-
-
-def motion_step(
-    method: MonteCarlo, system: System, *, energy: float = 0.0, error: float | None = None
-) -> float:
-    """Return the longer of the steps of a motion up to ``energy``; ``error`` as of ``step_for``.
-
-    Raises ``InvalidInput`` for a step that is unstable, and for another scheme than exact_flow,
-    which alone can repeat a motion at half the step.
-    """
-    if method.scheme != "exact_flow":
-        raise InvalidInput("scheme", method.scheme, "motions in time take exact_flow")
-    if method.checkpoint is not None:
-        raise InvalidInput("checkpoint", method.checkpoint, "motions in time save no state")
-    if not np.any(system.noise_matrix):
-        raise NotApplicable("no noise reaches a mass: the motion is not random")
-    dt = method.dt or method.step_factor * min(
-        longest_step(system),
-        chosen_step(system, energy=energy),
-        step_for(system, error or method.paths**-0.5),
-    )
-    limit = stability_limit(system, SCHEMES[method.scheme], energy=energy)
-    if not 0.0 < dt < limit and not method.allow_unstable:
-        remedy = f"must be > 0 and below the stability limit 2/ω = {limit:.4g} of {method.scheme}"
-        raise InvalidInput("dt", dt, remedy)
-    return dt
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ class Origin:
         L = factored(np.diag(kT * system.mass))
         p = (L @ stream.standard_normal((L.shape[1], paths))).T
         steps = ceil(self.burn_in * relaxation_time(system) / dt)
-        seed = (self.seed + (2 + number) * OTHER_SEED) % 2**64
+        seed = (self.seed + number * OTHER_SEED + 2**63) % 2**64  # no seed of a round
         motion = Motion(system, q, p, dt, seed, stride=steps, workers=self.workers)
         motion.advance(1)
         states = in_rows(motion.last)

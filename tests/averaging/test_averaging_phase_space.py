@@ -195,12 +195,6 @@ def test_the_tolerances_of_a_vibro_impact_system_hold_against_a_finer_solution()
     [
         (common(stop(1) + stop(2)), "2 masses meet stops"),
         (common((), mass=(1.0,) * 4), "4 masses have 8 coordinates"),
-        (
-            fpk.System(
-                [1], [1], [0.1], [0.01], damping_terms=(fpk.DampingTerm(1, 1, 0.1, q=((1, 2),)),)
-            ),
-            "damping depends on the state",
-        ),
         (fpk.System([1, 1], [1, 1], [0.1, 0.1], [0.0, 0.0]), "needs damping and noise"),
     ],
 )

@@ -21,7 +21,9 @@ from sim.averaged.square_root import square_root_form, square_root_step
 
 def passed(theory: Any, system: System, limit: str, start: str = "rest", times: Any = (),
            **settings: Any) -> Passage:  # fmt: skip
-    return AveragedSimulation(theory, **({"threads": 1, "paths": 2048} | settings)).passage(
+    return AveragedSimulation(
+        theory, **({"threads": 1, "paths": 1024, "step": 0.2} | settings)
+    ).passage(
         system,
         parse_limit(limit, system.n),
         parse_start(start, system),
@@ -34,7 +36,7 @@ def passed(theory: Any, system: System, limit: str, start: str = "rest", times: 
 @pytest.mark.parametrize("theory", ["integrable", "nonintegrable"])
 def test_failure_rate_of_the_square_root_process_is_the_exact_one(theory: Any) -> None:
     # c = 0.1, kT = 0.5, Hf = 3 kT: λ = 0.013742123052434; 4 errors, which hold the step's bias.
-    answer = passed(theory, oscillator(0.1), "H=1.5", times=[10.0, 80.0], paths=4096, step=0.2)
+    answer = passed(theory, oscillator(0.1), "H=1.5", times=[10.0, 80.0], paths=4096)
     assert answer.certificate.certified and isinstance(AveragedSimulation(theory), Passages)
     for number, exact in ((answer.rate, 0.1 * CIR_RATE), (answer.mean, CIR_MEAN / 0.1)):
         assert number is not None
@@ -84,11 +86,11 @@ def test_distance_of_a_sum_is_that_of_one_energy_of_equal_modes() -> None:
 
 def test_with_contact_and_from_any_start() -> None:
     system, late = fig6(), [1000.0]
-    rest = passed("nonintegrable", system, "H=0.6", times=late)
-    state = passed("nonintegrable", system, "H=0.6", "q2=0.55", times=late)
-    level = float(system.hamiltonian(np.array([0.0, 0.55]), np.zeros(2)))
-    energy = passed("nonintegrable", system, "H=0.6", f"H={level!r}", times=late)
-    noise = passed("nonintegrable", system, "H=0.6", "noise=0.2", times=late)
+    rest = passed("nonintegrable", system, "H=0.5", times=late)
+    state = passed("nonintegrable", system, "H=0.5", "q2=0.5", times=late)
+    level = float(system.hamiltonian(np.array([0.0, 0.5]), np.zeros(2)))
+    energy = passed("nonintegrable", system, "H=0.5", f"H={level!r}", times=late)
+    noise = passed("nonintegrable", system, "H=0.5", "noise=0.2", times=late)
     assert state.mean == energy.mean
     assert state.mean.value < noise.mean.value < rest.mean.value + 4.0 * rest.mean.error
     assert rest.survival[0] == 0.0 and rest.certificate.certified

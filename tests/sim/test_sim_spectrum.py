@@ -14,7 +14,7 @@ from fpk.linear import drift_matrix, stationary_covariance
 from fpk.method import silent
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
-from sim.motion.stationary import autocovariance
+from sim.motion.spectrum import autocovariance
 
 Z = 4.5
 """|z| that chance explains: of 25 frequencies 2e-4."""
@@ -73,6 +73,7 @@ def test_leakage_is_what_the_windows_make_of_the_exact_spectrum_and_is_corrected
     assert abs(answer.values[0] - expected) < Z * answer.errors[0]
 
 
+@pytest.mark.slow
 def test_the_mean_of_a_system_with_one_stop_is_no_part_of_its_spectrum() -> None:
     # exp(−2 H) is exact here; its phase-space solution is the judge, near ω = 0 too.
     system = System(

@@ -1,0 +1,112 @@
+"""Upcrossing rates of the full system (6) by simulation, counted between the steps too."""
+
+from functools import partial
+from math import ceil, inf, pi
+
+import numpy as np
+
+from fpk.arrays import Array, Integers
+from fpk.dynamics import Curve
+from fpk.method import Progress
+from fpk.system import System
+from sim.arrays import LANES
+from sim.diagnostics import drift_limit, drifts
+from sim.montecarlo import MonteCarlo
+from sim.motion.counting import count_upcrossings
+from sim.motion.motion import Motion, in_rows
+from sim.motion.stationary import error_of, interruption, losses, not_met, sampled_curve, working
+from sim.motion.steps import motion_step
+from sim.relaxation import relaxation_time
+
+RELAXATIONS = 20.0
+"""Relaxation times for which crossings are counted unless a time is given."""
+
+CHUNKS, AT_ONCE = 20, 256
+"""Parts of the time, compared to see a drift, and steps after which Ctrl-C is heard."""
+
+
+def crossings(
+    method: MonteCarlo, system: System, row: int, at: Array, *, tol: float | None,
+    progress: Progress,
+) -> Curve:  # fmt: skip
+    """Return the upcrossings per unit time of the levels ``at`` by q of mass ``row``, counted.
+
+    In the error, one of sampling by independent blocks of trajectories, is what changes at the step
+    dt instead of dt/2, by the same random numbers. ``time`` of each trajectory (``RELAXATIONS``
+    relaxation times where none is given) is followed by more until ``tol`` is met or ``seconds``
+    have passed.
+    """
+    method.prepare(system)  # refuses what has no stationary state
+    wanted = tol if tol is not None else method.tol
+    dt = motion_step(method, system, error=wanted)
+    paths = -(-method.paths // LANES) * LANES
+    order = np.argsort(at, kind="stable")
+    time = method.time or RELAXATIONS * relaxation_time(system)
+    steps = ceil(time / dt)
+    mass = float(system.mass[row])
+    with working(method, system, wanted) as (workers, watch, origin):
+        q, p = origin.drawn(paths, 0)
+        pair = [
+            Motion(system, q, p, h, method.seed, halved=halved, workers=workers)
+            for h, halved in ((0.5 * dt, False), (dt, True))
+        ]
+        counts = [np.zeros((paths // LANES, at.size + 1), dtype=np.int64) for _ in pair]
+        ends: list[Array] = []
+        squares: list[Array] = []
+        scale, error, rates = inf, inf, np.zeros(0)
+        while not (done := len(ends) >= CHUNKS and not not_met(method, wanted, error)):
+            chunk = max(1, steps * (len(ends) + 1) // CHUNKS - steps * len(ends) // CHUNKS)
+            for begun in range(0, chunk, AT_ONCE):
+                piece = min(AT_ONCE, chunk - begun)
+                for motion, own in zip(pair, counts, strict=True):
+                    read = partial(
+                        count_upcrossings, dt=motion.dt, row=row, momentum=system.n + row,
+                        inverse_mass=1.0 / mass, levels=at[order],
+                    )  # fmt: skip
+                    motion.advance(piece if motion.halved else 2 * piece, read, own)
+                if watch.ends():
+                    break
+            states = in_rows(pair[0].last)
+            squares.append(np.mean(states[:, [row, system.n + row]] ** 2, axis=0))
+            ends.append(np.cumsum(counts[0], axis=1)[:, :-1].astype(float))
+            rates = _rates(counts[0], pair[0].time)
+            size = np.sqrt(np.mean(squares, axis=0))
+            scale = float(size[1] / mass / (2.0 * pi * size[0])) if size[0] > 0 else 1.0
+            error = float(np.max(error_of(rates))) / scale
+            progress(min(len(ends), CHUNKS), CHUNKS, "crossings")
+            if watch.ends():
+                break
+        failures = [] if done or method.seconds else ["it was ended before all chunks were done"]
+        failures += interruption(watch) + losses(states[:, : 2 * system.n], dt)
+    per_chunk = np.diff(np.array(ends), axis=0, prepend=0.0).transpose(2, 1, 0)
+    failures += _drifting(per_chunk)
+    total = paths * pair[0].time
+    bias = _rates(counts[1], pair[1].time).mean(axis=0) - rates.mean(axis=0)
+    errors, values = np.zeros(at.size), np.zeros(at.size)
+    values[order] = rates.mean(axis=0)
+    errors[order] = np.sqrt(error_of(rates) ** 2 + bias**2 + total**-2.0)
+    settings: dict[str, str | float | int] = {
+        "dt": 0.5 * dt,
+        "coarse dt": dt,
+        "paths": paths,
+        "time": pair[0].time,
+        "seed": method.seed,
+        "largest step bias": float(np.max(np.abs(bias))),
+    }
+    return sampled_curve(values, errors, scale, wanted, failures, settings)
+
+
+def _rates(counts: Integers, time: float) -> Array:
+    """Crossings per unit time (blocks, levels) from the counts of ``count_upcrossings``."""
+    return np.asarray(np.cumsum(counts, axis=1)[:, :-1] / (LANES * time))
+
+
+def _drifting(means: Array) -> list[str]:
+    """Words for crossings whose first part differs from the rest, none where chance explains it."""
+    if means.shape[2] < 2:
+        return ["it ended in its first chunk, where no drift shows; give it more time"]
+    z, limit = np.abs(drifts(means)), drift_limit(means.shape[1], 2 * means.shape[0])
+    if np.max(z) <= limit:
+        return []
+    words = f"by {np.max(z):.1f} standard errors (chance explains {limit:.1f})"
+    return [f"the rates drift {words}; use a longer burn_in"]
