@@ -25,7 +25,6 @@ from cases.comparison.compare import (
 )
 from cases.comparison.rare import SPLITTING, split_passage
 from cases.comparison.refusal import INTERRUPTED, Refusal
-from cases.comparison.routes import for_motion
 from cases.comparison.window import window_of
 from cases.scene.questions import PassageQuestion, Question, TransientQuestion
 from fpk.arrays import Array
@@ -224,7 +223,7 @@ def _answer(
     if isinstance(question, PassageQuestion) and question.times:
         bounds["time"] = question.times[-1]
     known = {f.name for f in fields(method)}
-    method = replace(for_motion(method, system), **{k: v for k, v in bounds.items() if k in known})
+    method = replace(method, **{k: v for k, v in bounds.items() if k in known})
     own = getattr(method, "tol", None)
     unasked = not method.route.sampled and own == getattr(method.route.make(), "tol", None)
     answer: Passage | Transient
