@@ -11,7 +11,6 @@ from fpk.start import Start
 from fpk.system import System
 
 FROM_NOISE = "from a stationary state first passage has no closed form; use fem"
-MODULATED = "the noise is modulated, and {} is solved for constant noise only"
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from averaging.energy_process import damping_and_noise, energy_process
-from averaging.energy_start import FROM_NOISE, MODULATED, EnergyStart
+from averaging.energy_start import FROM_NOISE, EnergyStart
 from fpk.arrays import Array
 from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
@@ -12,7 +12,7 @@ from fpk.evolution import Passage, Transient, checked_times
 from fpk.line.time.evolution import fem_passage, fem_rates, fem_transient
 from fpk.line.time.modulated import modulated_transient
 from fpk.line.time.propagation import Source
-from fpk.modulation import Modulation
+from fpk.modulation import Modulation, require_constant_noise
 from fpk.process import Process
 from fpk.square_root import SquareRoot
 from fpk.system import System
@@ -38,9 +38,9 @@ class OneEnergy:
     ) -> Transient:
         """Return the densities at energies ``at``; ``InvalidInput`` at the time 0 of an energy."""
         checked_times(times, positive=start.noise is None)
+        if solver != "fem":
+            require_constant_noise(self.modulation)
         if self.modulation is not None:
-            if solver != "fem":
-                raise NotApplicable("the noise is modulated; in time, use fem")
             return modulated_transient(
                 self.under, self.modulation, self._source(start), times, at, tol=tol
             )
@@ -54,8 +54,7 @@ class OneEnergy:
     ) -> Passage:
         """Return the first passage of ``limit``; ``InvalidInput`` for a start that is not below."""
         checked_times(times)
-        if self.modulation is not None:
-            raise NotApplicable(MODULATED.format("first passage"))
+        require_constant_noise(self.modulation)
         if solver == "fem":
             return fem_passage(self.under(1.0), limit, self._source(start), times, tol=tol)
         closed = self._closed(solver)

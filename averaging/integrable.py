@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from averaging.energy_start import MODULATED, EnergyStart, modal_start
+from averaging.energy_start import modal_start
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
 from averaging.modal.groups import unsolved
 from averaging.modal.observables import gaussian_modes, modal_densities
@@ -85,7 +85,8 @@ class Integrable(Theory):
         progress: Progress,
     ) -> Transient:
         """Return the densities of modal energies at times, as ``fpk.evolution`` says."""
-        modes, begins = self._begun(system, start, "the transient density")
+        modes = self._in_time(system)
+        begins = modal_start(system, modes, start)
         solved = closed_form.transient if self.solver == "closed-form" else elements.transient
         answer = solved(modes, observable, begins, times, at, tol=tol)
         return replace(answer, settings=_time_settings(answer.settings, system, modes))
@@ -101,7 +102,8 @@ class Integrable(Theory):
         progress: Progress,
     ) -> Passage:
         """Return the first passage of modal energies or of their sum."""
-        modes, begins = self._begun(system, start, "first passage")
+        modes = self._in_time(system)
+        begins = modal_start(system, modes, start)
         solved = closed_form.passage if self.solver == "closed-form" else elements.passage
         answer = solved(modes, limit, begins, times, tol=tol)
         return replace(answer, settings=_time_settings(answer.settings, system, modes))
@@ -114,15 +116,6 @@ class Integrable(Theory):
         solved = closed_form.relaxation if self.solver == "closed-form" else elements.relaxation
         answer = solved(modes, count, tol=tol)
         return replace(answer, settings=_time_settings(answer.settings, system, modes))
-
-    def _begun(
-        self, system: System, start: Start, question: str
-    ) -> tuple[ModalAnalysis, EnergyStart]:
-        """The modes and their energies at time 0; modulated noise raises ``NotApplicable``."""
-        modes = self._in_time(system)
-        if system.modulation is not None:
-            raise NotApplicable(MODULATED.format(question))
-        return modes, modal_start(system, modes, start)
 
     def _in_time(self, system: System) -> ModalAnalysis:
         """The modes; raises ``NotApplicable`` where the theory or the solver does not hold."""
