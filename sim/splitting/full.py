@@ -1,6 +1,6 @@
 """The full system (6) towards a limit: steps, score and starts of its paths."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from math import isfinite, sqrt
 from typing import Any
@@ -14,16 +14,14 @@ from fpk.limit import Limit
 from fpk.linear import natural_modes
 from fpk.start import Start
 from fpk.system import System
-from sim.ensemble import Ensemble
+from sim.motion.starts import Origin
 from sim.plan import step_arrays
 from sim.random import mixed_seed
-from sim.relaxation import relaxation_time
 from sim.schemes.exact_flow import EXACT_FLOW
 from sim.splitting.arrays import Score, Watched, new_paths
 from sim.splitting.kernel import PathKey, compiled_paths
 from sim.splitting.replicas import CompiledReplicas
 from sim.splitting.score import ScoreFunction, cost_score, score_table
-from sim.splitting.starts import start_states
 from sim.step_size import (
     REACHED,
     STEP_PER_FREQUENCY,
@@ -34,9 +32,6 @@ from sim.step_size import (
     temperature,
     term_rate,
 )
-
-BURN_IN = 10.0
-"""Relaxation times after which a motion counts as stationary."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,35 +67,13 @@ class SystemProblem:
             masses=self.system.n,
             pairs=step.pairs,
         )
-        if self.start.kind == "noise":
-            states = self.stationary(count, dt, int(stream.integers(2**63)))
-        else:
-            states = start_states(self.system, self.start, count, stream)
+        origin = Origin(self.system, self.start, int(stream.integers(2**63)))
         return CompiledReplicas(
             compiled_paths(key),
             (step, watched(self.system, self.limit), self.score._replace(steps=steps)),
-            new_paths(states, steps),
+            new_paths(np.hstack(origin.drawn(count, 0)), steps),
             mixed_seed(seed),
         )
-
-    def stationary(self, paths: int, dt: float, seed: int) -> Array:
-        """Return states (paths, 2n) that are stationary under the noise of the start."""
-        system, factor = self.system, self.start.values["noise"]
-        if factor == 0.0:
-            return np.zeros((paths, 2 * system.n))
-        other = replace(system, noise_intensity=factor * system.noise_intensity)
-        relaxation = relaxation_time(other)
-        if not isfinite(relaxation):
-            raise NotApplicable("some motion is not damped: nothing is stationary to start from")
-        ensemble = Ensemble(other, EXACT_FLOW, dt, paths, seed)
-        ensemble.advance(int(np.ceil(BURN_IN * relaxation / dt)), stride=0)
-        q, p = ensemble.phase_points()
-        # In the middle of the kick: forces of contact are those before it.
-        for stop in system.stops:
-            i = stop.index
-            force = stop.sign * stop.force(np.maximum(stop.sign * q[:, i] - stop.clearance, 0.0))
-            p[:, i] -= 0.5 * dt * force
-        return np.hstack([q, p])
 
 
 def watched(system: System, limit: Limit) -> Watched:
