@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil, inf, isfinite, sqrt
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,6 @@ from fpk.cores import usable_cores
 from fpk.errors import InvalidInput
 from fpk.evolution import Passage
 from fpk.limit import Limit
-from fpk.linear import natural_modes
 from fpk.method import Progress
 from fpk.start import Start
 from fpk.system import System
@@ -21,17 +19,14 @@ from sim.arrays import LANES
 from sim.checkpoint import interruptible
 from sim.ensemble import MAX_COORDINATE
 from sim.montecarlo import MonteCarlo
+from sim.motion.limits import beyond, energies_of, energy_reached
 from sim.motion.motion import Motion, gathered, in_blocks
-from sim.motion.passing import energies_of, reader_of
-from sim.motion.starts import Origin, largest_energy
+from sim.motion.passing import reader_of
+from sim.motion.starts import Origin
 from sim.motion.steps import longest_step, motion_step, require_times
 from sim.motion.survival import Times, passage_of
 from sim.random import OTHER_SEED
 from sim.relaxation import relaxation_time
-from sim.step_size import (
-    REACHED,
-    temperature,
-)
 from sim.workers import Workers, workers_of
 
 TOO_LONG = 4.0
@@ -66,7 +61,7 @@ def passage(
     """
     require_times(times)
     wanted = tol if tol is not None else method.tol
-    energy = _energy_reached(system, limit, start)
+    energy = energy_reached(system, limit, start)
     dt = motion_step(method, system, energy=energy, error=wanted)
     seconds = method.seconds or (method.longest if wanted is not None else inf)
     steps = method.most_steps / 3.0  # two of the finer simulation to one of the coarser
@@ -139,8 +134,8 @@ class Rounds:
         """
         paths = -(-min(self.method.paths, AT_ONCE) // LANES) * LANES
         q, p = self.origin.drawn(paths, number)
-        beyond = _beyond(self.system, self.limit, q, p)
-        if np.all(beyond):
+        past = beyond(self.system, self.limit, q, p)
+        if np.all(past):
             raise InvalidInput("start", str(self.origin.start), f"is beyond the limit {self.limit}")
         energies = energies_of(self.limit, self.system.n)
         seed = (self.method.seed + number * OTHER_SEED) % 2**64
@@ -156,7 +151,7 @@ class Rounds:
         )
         exponential = stream.exponential(size=(paths, max(1, len(energies))))
         chances = [in_blocks(exponential), in_blocks(exponential)]
-        found = [in_blocks(np.where(beyond, 0.0, inf)[:, None]) for _ in pair]
+        found = [in_blocks(np.where(past, 0.0, inf)[:, None]) for _ in pair]
         failed = np.full((2, paths), inf)
         lanes, lost = np.arange(paths), 0
         until = np.full(paths, self.horizon)
@@ -197,28 +192,3 @@ def _ends(stopped: Callable[[], bool], begin: float, seconds: float) -> Callable
 def _relative_error(sampled: Times) -> float:
     """About the relative standard error of the mean: times are nearly exponential."""
     return 1.1 / sqrt(max(1, sampled.failed))
-
-
-def _energy_reached(system: System, limit: Limit, start: Start) -> float:
-    """The energy for which the step must be short: that of the limit, or of the start."""
-    reached = largest_energy(system, start)
-    if limit.kind == "H":
-        return max(limit.value, reached)
-    if limit.kind == "modal":
-        return max(float(sum(limit.values.values())), reached)
-    row = limit.observable(system.n)[0].row
-    at = 0.5 * limit.value**2 / float(system.compliance[row, row])
-    at += max(float(system.contact_energy(row, side * limit.value)) for side in (-1.0, 1.0))
-    return max(at, reached + REACHED * temperature(system))
-
-
-def _beyond(system: System, limit: Limit, q: Array, p: Array) -> Any:
-    """Which states (paths, n) are at or beyond the limit."""
-    if limit.kind == "q":
-        return np.abs(q[:, limit.observable(system.n)[0].row]) >= limit.value
-    if limit.kind == "H":
-        return system.hamiltonian(q, p) >= limit.value
-    shapes, omega = natural_modes(system)
-    modal = 0.5 * ((p @ shapes) ** 2 + (omega * (q @ (system.mass[:, None] * shapes))) ** 2)
-    most = np.array([limit.values.get(f"H{m + 1}", inf) for m in range(system.n)])
-    return np.any(modal >= most, axis=1)

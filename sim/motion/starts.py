@@ -149,13 +149,3 @@ def _contact_slope(system: System, q: Array, direction: Array) -> Array:
         overlap = np.maximum(stop.sign * q[:, stop.index] - stop.clearance, 0.0)
         slope += stop.sign * stop.force(overlap) * direction[:, stop.index]
     return slope
-
-
-def largest_energy(system: System, start: Start) -> float:
-    """Return the energy up to which the start reaches, without that of its own noise."""
-    values = start.values
-    if start.kind == "state":
-        return float(system.hamiltonian(*start.state(system.n)))
-    if start.kind == "noise":
-        return 5.0 * values["noise"] * temperature(system)
-    return float(sum(values.values()))

@@ -21,8 +21,9 @@ from sim.arrays import LANES, MAX_TRAJECTORIES
 from sim.checkpoint import interruptible
 from sim.histogram import BINS, MARGIN, Histogram, sampled_density, values_of
 from sim.montecarlo import MonteCarlo
+from sim.motion.limits import largest_energy
 from sim.motion.motion import Motion, in_rows, needs_steps
-from sim.motion.starts import Origin, largest_energy
+from sim.motion.starts import Origin
 from sim.motion.steps import motion_step, require_times
 from sim.random import OTHER_SEED
 from sim.step_size import REACHED, temperature
