@@ -16,7 +16,7 @@ from sim.random import GOLDEN, mixed_seed
 from sim.splitting.arrays import LEVELS, Paths, Score, new_paths
 from sim.splitting.parts import begin, bridge_maximum, draw_normals, level_of, place, record
 from sim.splitting.replicas import CompiledReplicas
-from sim.splitting.score import ScoreFunction, cost_score, score_table
+from sim.splitting.score import SHARES, ScoreFunction, cost_score, score_table
 
 NAMES = ("random", "splitting/arrays", "splitting/parts", "splitting/averaged")
 
@@ -110,7 +110,7 @@ def energy_problem(
     own = score or (
         lambda H, times: cost_score(top**2, noise=0.5 * beta, decay=mean)(root(H) ** 2, times)
     )
-    table = score_table([own], [lambda x: energy(top * x)], time=time, steps=1)
+    table = score_table([own], [energy(top * SHARES)], time=time, steps=1)
     rate = max(abs(gamma), abs(mean))
     return EnergyProblem(
         (d, beta, gamma), extra, first**2, top, time,

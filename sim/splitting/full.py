@@ -1,7 +1,6 @@
 """The full system (6) towards a limit: steps, score and starts of its paths."""
 
 from dataclasses import dataclass
-from functools import partial
 from math import isfinite
 from typing import Any
 
@@ -23,7 +22,7 @@ from sim.schemes.exact_flow import EXACT_FLOW
 from sim.splitting.arrays import Score, Watched, new_paths
 from sim.splitting.kernel import PathKey, compiled_paths
 from sim.splitting.replicas import CompiledReplicas
-from sim.splitting.score import ScoreFunction, cost_score, score_table
+from sim.splitting.score import SHARES, ScoreFunction, cost_score, score_table
 from sim.step_size import chosen_step, temperature
 
 PROBES = 64
@@ -119,8 +118,7 @@ def system_problem(
         if len(scores) > 1:
             raise InvalidInput("score", score, "must be left out where there are several limits")
         scores = [score]
-    energies = [partial(_at_share, top=top) for top in tops]
-    table = score_table(scores, energies, time=time, steps=1)
+    table = score_table(scores, [top * SHARES**2 for top in tops], time=time, steps=1)
     dt = dt or chosen_step(system, energy=energy_reached(system, limit, start))
     return SystemProblem(system, limit, start, time, dt, table)
 
@@ -148,7 +146,3 @@ def scores_of(system: System, limit: Limit) -> tuple[list[ScoreFunction], Array]
         cost_score(energy, noise=float(D), decay=float(c))
         for energy, D, c in zip(at, noise, decay, strict=True)
     ], at
-
-
-def _at_share(x: Array, top: float) -> Array:
-    return np.asarray(top * x**2)
