@@ -18,6 +18,7 @@ from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.method import Plan, Progress, Result
+from fpk.modulation import require_constant_noise
 from fpk.observable import Observable, observable_name
 from fpk.start import Start
 from fpk.system import System
@@ -112,6 +113,7 @@ class Integrable(Theory):
 
     def _in_time(self, system: System) -> ModalAnalysis:
         """The modes; raises ``NotApplicable`` where the theory or the solver does not hold."""
+        require_constant_noise(system.modulation)
         modes = system.fact(modal_analysis)
         require_no_resonance(system, modes)
         if self.solver == "quadrature":

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.errors import InvalidInput
+from fpk.errors import InvalidInput, NotApplicable
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,3 +55,9 @@ class Modulation:
         # The mean of the square of a linear function.
         squares = (e[1:] ** 2 + e[1:] * e[:-1] + e[:-1] ** 2) / 3.0
         return float(np.diff(t) @ squares)
+
+
+def require_constant_noise(modulation: Modulation | None) -> None:
+    """Raise ``NotApplicable`` where there is a modulation: for methods of constant noise."""
+    if modulation is not None:
+        raise NotApplicable("the noise is modulated, which this route does not take into account")

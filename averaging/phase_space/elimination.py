@@ -147,18 +147,20 @@ def _refined(factors: Factors, given: Array, one: Array) -> tuple[list[Array], f
     u, rest = [np.zeros(x.size) for x in right], right
     before, size = 2.0, 1.0
     for _ in range(MOST_REFINEMENTS):
-        change = factors.solve(rest)
-        u = [x + dx for x, dx in zip(u, change, strict=True)]
-        product, size = chain.times(u)
-        product[0] = product[0] + given * (one @ u[0])
-        rest = [b - Au for b, Au in zip(right, product, strict=True)]
-        changed = float(np.sqrt(sum(x @ x for x in change) / sum(x @ x for x in u)))
+        # Where single precision is too coarse the corrections grow out of its range.
+        with np.errstate(over="ignore", invalid="ignore"):
+            change = factors.solve(rest)
+            u = [x + dx for x, dx in zip(u, change, strict=True)]
+            product, size = chain.times(u)
+            product[0] = product[0] + given * (one @ u[0])
+            rest = [b - Au for b, Au in zip(right, product, strict=True)]
+            changed = float(np.sqrt(sum(x @ x for x in change) / sum(x @ x for x in u)))
         if not changed < before or changed**2 < REFINED * before:
             break
         before = changed
     # The terms of the function 1 are those in the equation of the mass.
     size = max(size, float(np.max(np.abs(given))))
-    return u, max(float(np.max(np.abs(r))) for r in rest) / size
+    return u, float(np.max(np.abs(np.concatenate(rest)))) / size
 
 
 def with_mass(A: Array, one: Array) -> tuple[Array, float]:

@@ -34,7 +34,6 @@ def transient(
     """Give the density of an observable at times after a start."""
     loaded = parts.checked(scene, tol=tol)
     observable = parts.observable_of(of, loaded)
-    from cases.comparison.routes import for_motion
     from cases.output.records import transient_record, transient_text
     from cases.scene.points import parse_points
     from fpk.evolution import Transients
@@ -47,7 +46,7 @@ def transient(
     )
     answered = answer_of(
         (Transients, "densities in time", loaded.name, method, solver),
-        lambda asked, progress: for_motion(asked, loaded.system).transient(
+        lambda asked, progress: asked.transient(
             loaded.system, observable, begin, later, points, tol=tol, progress=progress
         ),
     )
@@ -72,7 +71,6 @@ def passage(
 ) -> None:
     """Give the first passage of a limit: moments of its time, failure rate, reliability."""
     loaded = parts.checked(scene, tol=tol)
-    from cases.comparison.routes import for_motion
     from cases.output.records import passage_record, passage_text
     from fpk.evolution import Passages
     from fpk.limit import parse_limit
@@ -83,7 +81,7 @@ def passage(
     later = _times(times)
     answered = answer_of(
         (Passages, "first passage", loaded.name, method, solver),
-        lambda asked, progress: for_motion(asked, loaded.system).passage(
+        lambda asked, progress: asked.passage(
             loaded.system, end, begin, later, tol=tol, progress=progress
         ),
     )

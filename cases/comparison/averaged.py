@@ -17,6 +17,7 @@ from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import Passage
 from fpk.limit import Limit
 from fpk.method import Method, Plan, Progress, Result
+from fpk.modulation import require_constant_noise
 from fpk.observable import Coordinate, Observable, observable_name
 from fpk.process import Process
 from fpk.route import ROUTES, Route, register
@@ -94,6 +95,7 @@ class AveragedSimulation(Method):
         from sim.averaged.passage import energy_passage
         from sim.motion.steps import require_times
 
+        require_constant_noise(system.modulation)
         require_times(times)
         wanted = self.tol if tol is None else tol
         form = self._form(self._process(system))

@@ -25,7 +25,6 @@ from cases.comparison.compare import (
 )
 from cases.comparison.rare import SPLITTING, split_passage
 from cases.comparison.refusal import INTERRUPTED, Refusal
-from cases.comparison.routes import for_motion
 from cases.comparison.window import window_of
 from cases.scene.questions import PassageQuestion, Question, TransientQuestion
 from fpk.arrays import Array
@@ -35,7 +34,7 @@ from fpk.method import Method, Progress
 from fpk.route import Route
 from fpk.system import System
 
-LOOSER = (1e-8, 1e-6, 1e-4)
+LOOSER = (1e-7, 1e-4)
 """Tolerances that are tried where the default one, which nobody asked for, is missed."""
 
 FEW = 400.0
@@ -97,6 +96,8 @@ class Replies:
             uncertified = tuple(g.route for g in (a, b) if not g.answer.certificate.certified)
             judged = kind != "averaging"
             for name, norm, distance, error, band in self._distances(a, b, judged):
+                if judged and not np.isfinite(band):
+                    continue  # nothing is stated: the answer is not certified
                 allowed = band if judged else None
                 words = f"{self.question.name}: {name}"
                 rows.append(
@@ -203,7 +204,7 @@ def _too_rare(question: Question, method: Method, given: Sequence[Given]) -> str
     known = [
         (float(failure_of(g.answer)[0][-1]), g.route.label)
         for g in given
-        if isinstance(g.answer, Passage) and not g.route.sampled
+        if isinstance(g.answer, Passage) and np.isfinite(g.answer.survival[-1])
     ]
     if not known or paths * max(known)[0] >= FEW:
         return None
@@ -222,7 +223,7 @@ def _answer(
     if isinstance(question, PassageQuestion) and question.times:
         bounds["time"] = question.times[-1]
     known = {f.name for f in fields(method)}
-    method = replace(for_motion(method, system), **{k: v for k, v in bounds.items() if k in known})
+    method = replace(method, **{k: v for k, v in bounds.items() if k in known})
     own = getattr(method, "tol", None)
     unasked = not method.route.sampled and own == getattr(method.route.make(), "tol", None)
     answer: Passage | Transient

@@ -9,7 +9,7 @@ from averaging.energy_process import energy_process
 from cases.scene.questions import PassageQuestion
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
-from fpk.errors import NotApplicable
+from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import Number, Passage
 from fpk.line.passage import first_passage
 from fpk.method import Progress
@@ -51,6 +51,8 @@ def split_passage(
     )
     times = np.array(question.times)
     failure, errors = np.zeros((2, times.size))
+    if not np.any(times > 0.0):
+        raise NotApplicable("splitting needs a time after the start")
     score = averaged_score(system, question)
     rows = []
     for k, t in enumerate(times):
@@ -60,8 +62,14 @@ def split_passage(
             failure[k], errors[k] = rows[-1].probability, rows[-1].error
             if not failure[k] > 0.0:
                 errors[k] = rows[-1].upper_bound
-    relative = float(np.max(errors[times > 0.0] / np.maximum(failure[times > 0.0], 1e-300)))
-    words = [] if relative <= MOST_ERROR else [f"P(T ≤ t) is known to {relative:.2g} of it only"]
+    later = times > 0.0
+    words = [
+        f"P(T ≤ {t:g}) = {p:.2g} is known to {e:.2g} only"
+        for t, p, e in zip(times[later], failure[later], errors[later], strict=True)
+        if not e <= MOST_ERROR * p
+    ]
+    shares = errors[later] / np.where(failure[later] > 0.0, failure[later], errors[later])
+    relative = float(np.max(shares))
     measured = Measured(
         l1_error=relative, mass_defect=0.0, minimum=float(failure.min()), residual=nan,
         tail_mass=0.0, failures=tuple(words),
@@ -98,5 +106,8 @@ def averaged_score(system: System, question: PassageQuestion) -> ScoreFunction |
         failure, _ = first_passage(process, limit, times=times, tol=TOL).failure(times, energies)
         return np.asarray(np.log(np.maximum(failure, 1e-300)))
 
-    at_rest = float(score(np.zeros(1), last)[0, 0])
+    try:
+        at_rest = float(score(np.zeros(1), last)[0, 0])
+    except InvalidInput:  # a limit beyond what double precision reaches
+        return None
     return score if at_rest > np.log(LEAST) else None

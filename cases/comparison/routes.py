@@ -21,9 +21,6 @@ ROUTE_MODULES = {
 }
 """The modules of the program's own methods; each registers its routes when it is imported."""
 
-MODULATED = ("nonintegrable",)
-"""The methods whose solvers know that noise is modulated in time."""
-
 
 def register_routes(method: str | None = None) -> None:
     """Import the modules of one of the program's methods, those of all where it is none of them."""
@@ -98,17 +95,6 @@ def require_settings(method: Method, name: str, settings: Mapping[str, Any]) -> 
         if value not in (None, False) and setting not in known:
             remedy = f"is not an option of {name} by {method.solver}; leave it out"
             raise InvalidInput(f"--{setting.replace('_', '-')}", value, remedy)
-
-
-def for_motion(method: Any, system: System) -> Any:
-    """Return ``method`` for questions of motion in time about ``system``.
-
-    Raises ``NotApplicable`` where the noise is modulated and the method would not notice.
-    """
-    known = method.name in MODULATED and not method.route.sampled
-    if system.modulation is not None and not known:
-        raise NotApplicable("the noise is modulated, which this route does not take into account")
-    return method
 
 
 def _routes_of(name: str, solver: str | None) -> list[Route]:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from cases.comparison.routes import for_motion
 from cases.scene.questions import TransientQuestion
 from fpk.arrays import Array
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
@@ -46,7 +45,7 @@ def window_of(
         quick = replace(method, **{k: v for k, v in SCOUT.items() if k in known})
         asked = system, question.of, question.start, np.array(question.times), (at,)
         try:
-            answer = for_motion(quick, system).transient(
+            answer = quick.transient(
                 *asked, tol=None if method.route.sampled else TOL, progress=silent
             )
         except (NotApplicable, NotCertified, InvalidInput):

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cases.comparison.routes import for_motion, listed_routes
+from cases.comparison.routes import listed_routes
 from cases.scene.questions import PassageQuestion
 from cases.studies.levels import Level, timed_first, timing
 from cases.studies.prices import NotTimed, Priced
@@ -68,7 +68,7 @@ def _passage(
 ) -> Passage:
     """First passage without the reliability: the failure rate is what is paid for."""
     asked = system, question.limit, question.start, np.zeros(0)
-    answer: Passage = for_motion(method, system).passage(*asked, tol=tol, progress=progress)
+    answer: Passage = method.passage(*asked, tol=tol, progress=progress)
     return answer
 
 

@@ -115,6 +115,7 @@ def energy_passage(
     return passage_of(
         sampled,
         times,
+        step=dt,
         memory=memory,
         tol=tol,
         failures=(),

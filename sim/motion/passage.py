@@ -79,6 +79,7 @@ def passage(
     return passage_of(
         sampled,
         times,
+        step=dt,
         memory=relaxation if isfinite(relaxation) else 0.0,
         tol=inf if wanted is None else wanted,
         failures=failures,

@@ -16,6 +16,11 @@ GROUPS = 64
 TAILS = 20
 """Times from which failure rates are compared, to see from where on there is one rate."""
 
+FEWEST_STEPS = 4.0
+"""Steps within which half of the trajectories may fail at the least: what is assumed to be constant
+in a step, the noise of the energy above all, changes by a quarter in each, and the bias is then
+measured by the difference between two steps."""
+
 LEAST_FAILURES = 100
 """Failures in the tail below which its rate, and what is continued by it, is not certified."""
 
@@ -115,6 +120,7 @@ def passage_of(
     sampled: Times,
     times: Array,
     *,
+    step: float,
     memory: float,
     tol: float,
     failures: Sequence[str],
@@ -123,7 +129,8 @@ def passage_of(
     """Return first passage from ``sampled`` times, with one standard error of each number.
 
     Errors are those of leaving out groups, the difference between both steps added in quadrature:
-    it is at least the error at half the step where that falls with the step. ``memory`` is the time
+    it is at least the error at half the step where that falls with the step. ``step`` is the longer
+    one: where trajectories fail within few of them nothing is certified. ``memory`` is the time
     after which a trajectory has forgotten its start.
     """
     fine, until, paths = sampled.fine, sampled.until, sampled.fine.size
@@ -142,6 +149,12 @@ def passage_of(
             bias = np.abs(estimates(sampled.coarse, until, times, begin) - best)
     error = np.where(np.isfinite(bias), np.hypot(error, bias), inf)
     exposure = float(np.sum(np.minimum(fine, until)))
+    moving = fine[fine > 0.0]
+    if moving.size and (typical := float(np.median(moving))) < FEWEST_STEPS * step:
+        words.append(
+            f"half of the trajectories fail within {typical / step:.2g} steps of dt = {step:.2g},"
+            f" too few to see how; use dt = {typical / (2.0 * FEWEST_STEPS):.2g}"
+        )
     late = int(np.count_nonzero((fine <= until) & (fine > begin)))
     unfailed = int(np.count_nonzero(fine > until))
     if unfailed and late < LEAST_FAILURES:

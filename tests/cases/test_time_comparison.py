@@ -12,7 +12,7 @@ from cases.comparison import in_time
 from cases.comparison.answers import run_scene
 from cases.comparison.compare import FALSE_ALARMS
 from cases.comparison.in_time import Given, Replies, replies_of
-from cases.comparison.routes import method_for, register_routes
+from cases.comparison.routes import listed_routes, method_for, register_routes
 from cases.comparison.time_claims import time_findings
 from cases.output.digest import digest_of, verify_row
 from cases.output.fields import write_netcdf
@@ -21,10 +21,12 @@ from cases.output.text import rendered
 from cases.output.vtk import write_time_pvd
 from cases.scene.scene import load_scene
 from fpk.certificate import Measured, certify
-from fpk.errors import InvalidInput
-from fpk.evolution import Number, Passage, Transient
+from fpk.errors import InvalidInput, NotApplicable
+from fpk.evolution import Number, Passage, Passages, Transient
+from fpk.limit import parse_limit
 from fpk.method import Method, silent
 from fpk.route import ROUTES
+from fpk.start import REST
 
 register_routes()
 CIR = load_scene("cir")
@@ -282,3 +284,17 @@ def test_shipped_scenes_hold(fpk, name):
     assert status == 0 and not digest["problems"]
     claims = {claim["verdict"] for claim in digest["claims"]}
     assert claims == ({"holds"} if name != "modulated" else set())
+
+
+def test_a_route_of_constant_noise_refuses_a_modulated_one():
+    system = load_scene("modulated").system
+    limit, times = parse_limit("H=1", system.n), np.ones(1)
+    refused = []
+    for route in listed_routes():
+        method = route.make()
+        if isinstance(method, Passages):
+            asked = system, limit, REST, times
+            with pytest.raises(NotApplicable, match="modulated"):
+                method.passage(*asked, tol=None, progress=silent)
+            refused.append(route.method)
+    assert {"nonintegrable", "integrable", "montecarlo"} <= set(refused)

@@ -303,7 +303,9 @@ def test_errors_of_exponential_times_hold_with_and_without_an_end() -> None:
             time = stream.exponential(size=1024)
             until = np.full(1024, end if end < np.inf else 1e9)
             sampled = Times(np.where(time > until, np.inf, time), None, until)
-            answer = passage_of(sampled, times, memory=0.0, tol=1.0, failures=(), settings={})
+            answer = passage_of(
+                sampled, times, step=0.0, memory=0.0, tol=1.0, failures=(), settings={}
+            )
             assert answer.rate is not None
             z.append([
                 (answer.mean.value - 1.0) / answer.mean.error,
@@ -327,3 +329,8 @@ def test_the_tail_begins_after_what_the_start_has_left() -> None:
     late = np.count_nonzero(time > begin)
     assert abs(rate - 1.0) < 4.0 / np.sqrt(late)
     assert abs(estimates(time, until, np.zeros(0), 0.0)[2] - 1.0) > 0.1
+
+
+def test_a_limit_that_is_passed_within_a_few_steps_is_not_certified() -> None:
+    answer = passed(oscillator(), "H=1e-6", paths=PATHS)
+    assert any("too few to see how; use dt" in text for text in answer.certificate.failures)

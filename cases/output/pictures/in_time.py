@@ -28,9 +28,6 @@ RARE = 0.05
 LOWEST = 1e-4
 """Least reliability that is drawn; nothing that is sampled is known below it."""
 
-WIDTHS = 1.6, 0.9
-"""Widths of the first line and of those upon it."""
-
 SHADES = 0.05, 0.88
 """Part of the colours from the first time to the last: the rest is too light on white."""
 
@@ -63,20 +60,19 @@ def passage_figure(replies: Replies) -> tuple[Figure, str]:
     answers = [(r, p, style) for r, p, style in _styled(replies) if isinstance(p, Passage)]
     rare = max(float(failure_of(p)[0][-1]) for _, p, _ in answers) < RARE
     legend: dict[str, Artist] = {}
-    lowest, colours = 1.0, set[str]()
+    lowest = 1.0
     for route, p, style in answers:
         values, errors = failure_of(p) if rare else (p.survival, p.survival_error)
         seen = values > (0.0 if rare else LOWEST)
         times, values, errors = p.times[seen], values[seen], errors[seen]
         lowest = min([lowest, *values])
-        colour = INK if route.colour in colours else route.colour  # a second solver upon the first
-        colours.add(route.colour)
+        colour = route.colour
         if route.sampled:
             marks = {**MARK, "marker": style, "markersize": 4.2}
             axes.errorbar(times, values, 2.0 * errors, color=colour, elinewidth=0.9, **marks)
             legend[f"{route.words}, ±2 standard errors"] = Line2D([], [], color=colour, **marks)
         else:
-            axes.plot(times, values, color=colour, linestyle=style, linewidth=WIDTHS[style != "-"])
+            axes.plot(times, values, color=colour, linestyle=style)
             low, high = np.maximum(values - errors, 1e-300), values + errors
             axes.fill_between(times, low, high, color=colour, alpha=0.16, linewidth=0)
             legend[route.words] = Line2D([], [], color=colour, linestyle=style)
@@ -112,8 +108,7 @@ def transient_figure(replies: Replies) -> Figure:
                     **{**MARK, "marker": style},
                 )  # fmt: skip
             else:
-                own = colour if style == "-" else INK  # a second solver upon the first
-                axes.plot(x, values, color=own, linestyle=style, linewidth=WIDTHS[style != "-"])
+                axes.plot(x, values, color=colour, linestyle=style)
         drawn = {**MARK, "marker": style} if route.sampled else {"linestyle": style}
         legend[route.words] = Line2D([], [], color=INK, **drawn)
         tops = [float(v[i].max()) for v, i in zip(p.values, replies.windows, strict=True)]
@@ -128,7 +123,11 @@ def transient_figure(replies: Replies) -> Figure:
 
 
 def _styled(replies: Replies) -> Iterator[tuple[Route, Passage | Transient, Any]]:
-    """Routes and answers, those that are solved first, each with its dashes or its marker."""
+    """Routes and answers with dashes or markers: of what solves an equation its first solver."""
     dashes, marks = cycle(LINES), {solves: cycle(own) for solves, own in MARKS.items()}
+    solved: set[str] = set()
     for g in sorted(replies.given, key=lambda g: g.route.sampled):
+        if not g.route.sampled and g.route.method in solved:
+            continue
+        solved.add(g.route.method)
         yield g.route, g.answer, next(marks[g.route.solves] if g.route.sampled else dashes)
