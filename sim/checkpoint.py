@@ -146,8 +146,8 @@ class Checkpoint:
         return self.interrupted or steps > 0
 
 
-def checkpoint_of(folder: Path | None, settings: Any) -> Checkpoint:
-    """Return the checkpoint in ``folder`` of the simulation with these settings.
+def checkpoint_of(folder: Path | None, settings: Any, name: str = "montecarlo") -> Checkpoint:
+    """Return the checkpoint in ``folder`` of the simulation with these settings, named ``name``-.
 
     ``settings`` are records, arrays and numbers, every digit of which counts; so does the program.
     """
@@ -155,7 +155,7 @@ def checkpoint_of(folder: Path | None, settings: Any) -> Checkpoint:
         return Checkpoint()
     text = json.dumps([program_checksum(), settings], default=_listed)
     identity = hashlib.sha256(text.encode()).hexdigest()
-    return Checkpoint(folder / f"montecarlo-{identity[:16]}.checkpoint", identity)
+    return Checkpoint(folder / f"{name}-{identity[:16]}.checkpoint", identity)
 
 
 def _listed(value: Any) -> Any:

@@ -39,6 +39,22 @@ THREADS_PER_CORE = 4
 """Threads at most, in units of the cores that there are."""
 
 
+def check_settings(own: Any, positive: Sequence[str], *ranges: tuple[str, int, int]) -> None:
+    """Raise ``InvalidInput`` for a field of a simulation's settings that cannot be used.
+
+    Of its seed and threads, and where they are given: ``ranges`` are (name, least, most).
+    """
+    most = THREADS_PER_CORE * (os.cpu_count() or 1)
+    for key, low, high in (*ranges, ("seed", 0, 2**64 - 1), ("threads", 1, most)):
+        value = getattr(own, key)
+        if value is not None and not low <= value <= high:
+            raise InvalidInput(key, value, f"use {low} to {high}")
+    for key in positive:
+        value = getattr(own, key)
+        if value is not None and not (isfinite(value) and value > 0):
+            raise InvalidInput(key, value, "must be a finite number > 0")
+
+
 @dataclass(frozen=True)
 class MonteCarlo(Method):
     """Simulation of Eq. (6) with sampling errors from independent batches.
@@ -85,20 +101,10 @@ class MonteCarlo(Method):
         """Check every field."""
         if self.scheme not in SCHEMES:
             raise InvalidInput("scheme", self.scheme, f"is none; use one of {sorted(SCHEMES)}")
-        most = THREADS_PER_CORE * (os.cpu_count() or 1)
-        for key, low, high in (
-            ("paths", LEAST_PATHS, MAX_TRAJECTORIES),
-            ("seed", 0, 2**64 - 1),
-            ("threads", 1, most),
-        ):
-            value = getattr(self, key)
-            if value is not None and not low <= value <= high:
-                raise InvalidInput(key, value, f"use {low} to {high}")
         times = ("time", "relaxations", "burn_in", "dt", "step_factor", "longest", "seconds")
-        for key in (*times, "tol", "most_steps"):
-            value = getattr(self, key)
-            if value is not None and not (isfinite(value) and value > 0):
-                raise InvalidInput(key, value, "must be a finite number > 0")
+        check_settings(
+            self, (*times, "tol", "most_steps"), ("paths", LEAST_PATHS, MAX_TRAJECTORIES)
+        )
 
     @property
     def route(self) -> Route:

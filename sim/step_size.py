@@ -1,6 +1,6 @@
 """The step: from the stiffest contact that the motion reaches, and from the shortest period."""
 
-from math import exp, inf, pi, sqrt
+from math import exp, inf, isfinite, pi, sqrt
 
 import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
@@ -66,6 +66,7 @@ def contact_frequency(system: System, *, springs: bool = False, energy: float = 
     of contact energy where the stop is too far for that, or ``energy`` where that is more.
     """
     kT, largest = temperature(system), 0.0
+    kT = kT if isfinite(kT) else 0.0  # of undamped motion ``energy`` alone counts
 
     def excess(q: float, i: int, sign: float, k_eff: float, level: float) -> float:
         return 0.5 * k_eff * q * q + float(system.contact_energy(i, sign * q)) - level

@@ -10,16 +10,20 @@ from cases.scene.errors import BadInput
 
 
 def _of_displacement(command: Any) -> Any:
-    """Add a displacement and a list of points."""
+    """Add a displacement, a list of points, and what a simulation takes."""
     of = click.option("--of", metavar="OBS", required=True, help="A displacement: q1, q2, ...")
-    return of(click.option("--at", metavar="LIST", required=True, help=LIST)(command))
+    at = click.option("--at", metavar="LIST", required=True, help=LIST)
+    return of(at(parts.seed(parts.seconds(parts.threads(command)))))
 
 
 @click.command()
 @question
 @_of_displacement
 def crossings(**settings: Any) -> None:
-    """Give the upcrossings of levels per unit time in the stationary state."""
+    """Give the upcrossings of levels per unit time in the stationary state.
+
+    By linear, exact or phase-space, or counted in a simulation by montecarlo.
+    """
     from fpk.dynamics import Crossings
 
     _curve(Crossings, "crossings", "rate", **settings)
@@ -31,7 +35,8 @@ def crossings(**settings: Any) -> None:
 def spectrum(**settings: Any) -> None:
     """Give the power spectral density at angular frequencies.
 
-    It is two-sided: its integral over all frequencies, negative ones too, is the variance.
+    It is two-sided: its integral over all frequencies, negative ones too, is the variance. By
+    linear or phase-space, or estimated from a simulation by montecarlo.
     """
     from fpk.dynamics import Spectrum
 
@@ -70,6 +75,7 @@ def _curve(
     of: str,
     at: str,
     tol: float | None,
+    **simulation: Any,
 ) -> None:
     loaded = parts.checked(scene, tol=tol)
     observable = parts.observable_of(of, loaded)
@@ -86,6 +92,7 @@ def _curve(
         lambda asked, progress: getattr(asked, asks)(
             loaded.system, row, points, tol=tol, progress=progress
         ),
+        **simulation,
     )
     record = curve_record(loaded, asked, observable, points, key, answer, seconds)
     problems = problems_of(f"{asks} of {of}", record)

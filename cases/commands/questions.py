@@ -30,19 +30,26 @@ def question(command: Any) -> Any:
 
 
 def answer_of(
-    asked: tuple[Any, str, str, str, str | None], work: Callable[[Any, Any], Any]
+    asked: tuple[Any, str, str, str, str | None], work: Callable[[Any, Any], Any], **settings: Any
 ) -> tuple[Any, Any, float]:
     """Return the method, what ``work(method, progress)`` returns and the seconds that it took.
 
     ``asked`` names the protocol, the question in words, the scene, the method and its solver. Where
     no solver is given it is the first of the method that gives the answer. Raises ``BadInput`` for
-    a method that gives none, or with the first reason why not.
+    a method that gives none or lacks one of the ``settings`` that are given (None: they are not),
+    or with the first reason why not.
     """
-    from cases.comparison.routes import listed_routes, methods_of
+    from cases.comparison.routes import listed_routes, methods_of, require_settings
     from cases.output.bar import progress_bar
 
     kind, words, scene, name, solver = asked
-    methods = [method for method in methods_of(name, solver) if isinstance(method, kind)]
+    try:
+        methods = methods_of(name, solver, **settings)
+        methods = tuple(method for method in methods if isinstance(method, kind))
+        for method in methods[:1]:
+            require_settings(method, name, settings)
+    except InvalidInput as error:
+        raise _refused(error) from None
     if not methods:
         able = dict.fromkeys(r.method for r in listed_routes() if isinstance(r.make(), kind))
         raise BadInput(f"{name} gives no {words}; use one of {', '.join(able)}")
@@ -54,8 +61,12 @@ def answer_of(
         except NotApplicable as reason:
             reasons.append(str(reason))
         except InvalidInput as error:
-            raise BadInput(f"--{error.key} {error.value}: {error.remedy}") from None
+            raise _refused(error) from None
     raise BadInput(f"{scene}: {name} does not apply: {reasons[0]}")
+
+
+def _refused(error: InvalidInput) -> BadInput:
+    return BadInput(f"--{error.key.removeprefix('--')} {error.value}: {error.remedy}")
 
 
 def problems_of(what: str, record: dict[str, Any]) -> list[str]:

@@ -83,13 +83,18 @@ def chosen(
         except NotApplicable as refusal:
             refusals.append(refusal)
             continue
-        known = {*_settings_of(method), "partial", "tol"}
-        for setting, value in sorted(settings.items()):
-            if value not in (None, False) and setting not in known:
-                remedy = f"is not an option of {name} by {method.solver}; leave it out"
-                raise InvalidInput(f"--{setting.replace('_', '-')}", value, remedy)
+        require_settings(method, name, settings)
         return plan
     raise refusals[0]
+
+
+def require_settings(method: Method, name: str, settings: Mapping[str, Any]) -> None:
+    """Raise ``InvalidInput`` for a setting that was given and ``method`` does not have."""
+    known = {*_settings_of(method), "partial", "tol"}
+    for setting, value in sorted(settings.items()):
+        if value not in (None, False) and setting not in known:
+            remedy = f"is not an option of {name} by {method.solver}; leave it out"
+            raise InvalidInput(f"--{setting.replace('_', '-')}", value, remedy)
 
 
 def _routes_of(name: str, solver: str | None) -> list[Route]:

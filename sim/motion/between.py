@@ -1,4 +1,4 @@
-"""What a displacement does between two steps: the cubic through (q, v) at both ends."""
+"""Between two steps: cubics of displacements through (q, v) at both ends, bridges of energies."""
 
 import numpy as np
 
@@ -53,6 +53,31 @@ def turning_points(c: Cubic) -> tuple[float, float]:
     s1 = s1 if 0.0 < s1 < 1.0 else 1.0
     s2 = s2 if 0.0 < s2 < 1.0 else 1.0
     return min(s1, s2), max(s1, s2)
+
+
+@inlined
+def largest_of(c: Cubic) -> float:
+    """Return the largest |q(s)|, s in [0, 1]."""
+    s = turning_points(c)
+    largest = max(abs(c[0]), abs(value_of(c, 1.0)))
+    return max(largest, abs(value_of(c, s[0])), abs(value_of(c, s[1])))
+
+
+@inlined
+def distance_to(limit: float, H: float, variance: float, beta: float) -> float:
+    """Return d = 2 (√(e + L − H) − √e)/√β, e = σ²/β, how far an energy is from its ``limit`` L.
+
+    It has the ``variance`` σ² per time, of which the noise makes β more as it adds 1 to H: in
+    y = ∫dH/σ, σ² being linear in H, the diffusion is 1. Not positive at or beyond the limit.
+    """
+    e = variance / beta
+    return float(2.0 * (np.sqrt(max(e + limit - H, 0.0)) - np.sqrt(e)) / np.sqrt(beta))
+
+
+@inlined
+def energy_at(limit: float, d: float, variance: float, beta: float) -> float:
+    """Return H at the distance d of ``distance_to``."""
+    return float(limit - d * (np.sqrt(variance) + 0.25 * beta * d))
 
 
 @inlined

@@ -3,36 +3,29 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil, inf, isfinite, sqrt
-from time import perf_counter
-from typing import Any
 
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.cores import usable_cores
 from fpk.errors import InvalidInput
 from fpk.evolution import Passage
 from fpk.limit import Limit
-from fpk.linear import natural_modes
 from fpk.method import Progress
 from fpk.start import Start
 from fpk.system import System
 from sim.arrays import LANES
-from sim.checkpoint import interruptible
 from sim.ensemble import MAX_COORDINATE
 from sim.montecarlo import MonteCarlo
+from sim.motion.limits import beyond, energies_of, energy_reached
 from sim.motion.motion import Motion, gathered, in_blocks
-from sim.motion.passing import energies_of, reader_of
-from sim.motion.starts import Origin, largest_energy
+from sim.motion.passing import reader_of
+from sim.motion.starts import Origin
+from sim.motion.stationary import interruption, lost_words, not_met, working
 from sim.motion.steps import longest_step, motion_step, require_times
 from sim.motion.survival import Times, passage_of
 from sim.random import OTHER_SEED
 from sim.relaxation import relaxation_time
-from sim.step_size import (
-    REACHED,
-    temperature,
-)
-from sim.workers import Workers, workers_of
+from sim.workers import Workers
 
 TOO_LONG = 4.0
 """Steps of one's own, in units of the longest that is chosen, that are not certified: the
@@ -66,40 +59,22 @@ def passage(
     """
     require_times(times)
     wanted = tol if tol is not None else method.tol
-    energy = _energy_reached(system, limit, start)
+    energy = energy_reached(system, limit, start)
     dt = motion_step(method, system, energy=energy, error=wanted)
-    seconds = method.seconds or (method.longest if wanted is not None else inf)
     steps = method.most_steps / 3.0  # two of the finer simulation to one of the coarser
     horizon = method.time or max(steps * dt, float(np.max(times, initial=0.0)))
-    begin = perf_counter()
-    with (
-        workers_of(method.cluster, method.threads or usable_cores()) as workers,
-        interruptible(method.partial) as stopped,
-    ):
-        origin = Origin(system, start, method.seed, method.burn_in, workers)
+    sampled, lost, number, done = Times(*np.zeros((3, 0))), 0, 0, False
+    with working(method, system, wanted, start) as (workers, watch, origin):
         rounds = Rounds(method, system, limit, origin, dt, horizon, workers)
-        sampled, lost, failures = None, 0, list[str]()
-        number = 0
-        while True:
-            more = rounds.run(number, _ends(stopped, begin, seconds), progress)
-            sampled = more.times if sampled is None else sampled.joined(more.times)
-            lost, number = lost + more.lost, number + 1
-            spent = perf_counter() - begin
-            if stopped() or spent > seconds or lost:
-                break
+        while not done:
+            more, lost = rounds.run(number, watch.ends, progress)
+            sampled, number = sampled.joined(more), number + 1
             enough = sampled.fine.size >= method.paths
-            if wanted is not None:
-                enough = enough and _relative_error(sampled) <= wanted
-            elif method.seconds:
-                enough = False
-            if enough or (number + 1) * AT_ONCE > 1 << 24:
-                break
+            enough = enough and not not_met(method, wanted, _relative_error(sampled))
+            done = bool(lost) or enough or watch.ends() or (number + 1) * AT_ONCE > 1 << 24
+    failures = interruption(watch) + lost_words(lost, dt)
     if dt > TOO_LONG * (longest := longest_step(system)):
         failures.append(f"between steps as long as dt = {dt:g} not all is seen; use {longest:.2g}")
-    if stopped():
-        failures.append("partial: interrupted by Ctrl-C")
-    if lost:
-        failures.append(f"{lost} trajectories left the finite range; use a smaller dt than {dt:g}")
     relaxation = relaxation_time(system)
     return passage_of(
         sampled,
@@ -110,14 +85,6 @@ def passage(
         failures=failures,
         settings={"dt": 0.5 * dt, "coarse dt": dt, "scheme": method.scheme, "seed": method.seed},
     )
-
-
-@dataclass(frozen=True)
-class Round:
-    """Times of some trajectories, and how many were lost."""
-
-    times: Times
-    lost: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,16 +99,16 @@ class Rounds:
     horizon: float
     workers: Workers
 
-    def run(self, number: int, ends: Callable[[], bool], progress: Progress) -> Round:
-        """Follow up to ``AT_ONCE`` trajectories until both simulations of each have failed.
+    def run(self, number: int, ends: Callable[[], bool], progress: Progress) -> tuple[Times, int]:
+        """Return the times of up to ``AT_ONCE`` trajectories, and how many of them were lost.
 
-        They end at the ``horizon``, and after a chunk when ``ends()``; times so cut short are
-        marked by ``until``.
+        They are followed until both simulations of each have failed, and end at the ``horizon``,
+        and after a chunk when ``ends()``; times so cut short are marked by ``until``.
         """
         paths = -(-min(self.method.paths, AT_ONCE) // LANES) * LANES
         q, p = self.origin.drawn(paths, number)
-        beyond = _beyond(self.system, self.limit, q, p)
-        if np.all(beyond):
+        past = beyond(self.system, self.limit, q, p)
+        if np.all(past):
             raise InvalidInput("start", str(self.origin.start), f"is beyond the limit {self.limit}")
         energies = energies_of(self.limit, self.system.n)
         seed = (self.method.seed + number * OTHER_SEED) % 2**64
@@ -157,7 +124,7 @@ class Rounds:
         )
         exponential = stream.exponential(size=(paths, max(1, len(energies))))
         chances = [in_blocks(exponential), in_blocks(exponential)]
-        found = [in_blocks(np.where(beyond, 0.0, inf)[:, None]) for _ in pair]
+        found = [in_blocks(np.where(past, 0.0, inf)[:, None]) for _ in pair]
         failed = np.full((2, paths), inf)
         lanes, lost = np.arange(paths), 0
         until = np.full(paths, self.horizon)
@@ -188,38 +155,9 @@ class Rounds:
         until = np.full(paths, min(self.horizon, pair[1].time))
         # What passes in the part of the last step beyond the horizon counts as not failed.
         failed[failed > until] = inf
-        return Round(Times(failed[0], failed[1], until), lost)
-
-
-def _ends(stopped: Callable[[], bool], begin: float, seconds: float) -> Callable[[], bool]:
-    return lambda: stopped() or perf_counter() - begin > seconds
+        return Times(failed[0], failed[1], until), lost
 
 
 def _relative_error(sampled: Times) -> float:
     """About the relative standard error of the mean: times are nearly exponential."""
     return 1.1 / sqrt(max(1, sampled.failed))
-
-
-def _energy_reached(system: System, limit: Limit, start: Start) -> float:
-    """The energy for which the step must be short: that of the limit, or of the start."""
-    reached = largest_energy(system, start)
-    if limit.kind == "H":
-        return max(limit.value, reached)
-    if limit.kind == "modal":
-        return max(float(sum(limit.values.values())), reached)
-    row = limit.observable(system.n)[0].row
-    at = 0.5 * limit.value**2 / float(system.compliance[row, row])
-    at += max(float(system.contact_energy(row, side * limit.value)) for side in (-1.0, 1.0))
-    return max(at, reached + REACHED * temperature(system))
-
-
-def _beyond(system: System, limit: Limit, q: Array, p: Array) -> Any:
-    """Which states (paths, n) are at or beyond the limit."""
-    if limit.kind == "q":
-        return np.abs(q[:, limit.observable(system.n)[0].row]) >= limit.value
-    if limit.kind == "H":
-        return system.hamiltonian(q, p) >= limit.value
-    shapes, omega = natural_modes(system)
-    modal = 0.5 * ((p @ shapes) ** 2 + (omega * (q @ (system.mass[:, None] * shapes))) ** 2)
-    most = np.array([limit.values.get(f"H{m + 1}", inf) for m in range(system.n)])
-    return np.any(modal >= most, axis=1)

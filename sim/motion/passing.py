@@ -1,7 +1,7 @@
 """Readers of a trace that see when each trajectory first passes its limit, between steps too."""
 
 from functools import cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -9,10 +9,10 @@ from fpk.arrays import Array, Integers
 from fpk.compiling import cached_njit, inlined
 from fpk.limit import Limit
 from fpk.linear import natural_modes
-from fpk.observable import Coordinate
 from fpk.system import System
 from sim.arrays import LANES as W
-from sim.motion.between import BULGE, cubic_of, first_passage, readers_checksum
+from sim.motion.between import BULGE, cubic_of, distance_to, first_passage, readers_checksum
+from sim.motion.limits import energies_at, energies_of
 from sim.motion.motion import Reader
 
 NATS = 40.0
@@ -72,7 +72,7 @@ def compiled_passing() -> tuple[Any, Any]:
     @cached_njit()
     def pass_energies(
         trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, first: int,
-        rows: Integers, limits: Array, diffusion: Array, growth: Array, at_rest: Array,
+        rows: Integers, limits: Array, diffusion: Diffusion,
     ) -> int:  # fmt: skip
         """See the function of this name outside."""
         variance, rise, before, after = np.empty(W), np.empty(W), np.empty(W), np.empty(W)
@@ -81,16 +81,13 @@ def compiled_passing() -> tuple[Any, Any]:
             for m in range(rows.size):
                 left, limit = chance[b, m], limits[m]
                 for k in range(samples + 1):
-                    quadratic(variance, trace[b, k], first, diffusion[m])
-                    quadratic(rise, trace[b, k], first, growth[m])
+                    quadratic(variance, trace[b, k], first, diffusion.variance[m])
+                    quadratic(rise, trace[b, k], first, diffusion.growth[m])
                     H = trace[b, k, rows[m]]
                     near = 0
                     for w in range(W):
-                        # e = σ²/β; d = 2 (√(e + L − H) − √e)/√β.
-                        beta = rise[w] / variance[w] if rise[w] > 0.0 else at_rest[m]
-                        e = variance[w] / beta
-                        way = np.sqrt(max(e + limit - H[w], 0.0)) - np.sqrt(e)
-                        after[w] = 2.0 * way / np.sqrt(beta)
+                        beta = rise[w] / variance[w] if rise[w] > 0.0 else diffusion.at_rest[m]
+                        after[w] = distance_to(limit, H[w], variance[w], beta)
                         near += 2.0 * before[w] * after[w] < NATS * dt
                     if k > 0 and near > 0:
                         end = (done + k) * dt
@@ -120,10 +117,9 @@ def pass_displacement(*arrays: Any, **numbers: Any) -> None:
 def pass_energies(*arrays: Any, **numbers: Any) -> None:
     """Write when one of the energies in ``rows`` first passes its limit to ``time``, where inf.
 
-    Energies pass by diffusion: dH = … + σ dB, σ² = p'Fp with F of ``diffusion`` (limits, n, n), and
-    as the noise moves H by 1 it moves σ² by β = p'Gp/σ², G of ``growth``, ``at_rest`` where p = 0;
-    momenta p are rows from ``first`` on. In y = ∫dH/σ, σ² being linear in H, the diffusion is 1:
-    between samples, h apart, the distance d to the limit is a Brownian bridge, and vanishes with
+    Energies pass by diffusion: dH = … + σ dB, σ² = p'Fp, and as the noise moves H by 1 it moves
+    σ² by β = p'Gp/σ², of ``diffusion``; momenta p are rows from ``first`` on. Between samples, h
+    apart, the distance d of ``distance_to`` is a Brownian bridge, and vanishes with
     the probability exp(−2 d0 d1/h), then at the share d0/(d0 + |d1|) of the step, the mean of which
     is right.
     ``chance`` (blocks, limits, LANES) holds an exponential number for each: that limit is passed
@@ -133,22 +129,41 @@ def pass_energies(*arrays: Any, **numbers: Any) -> None:
     compiled_passing()[1](*arrays, **numbers)
 
 
-def energies_of(limit: Limit, n: int) -> tuple[Coordinate, ...]:
-    """Return the energies that must be observed to see ``limit`` passed."""
-    if limit.kind == "q":
-        return ()
-    modes = [Coordinate("H", m) for m in range(n) if f"H{m + 1}" in limit.values]
-    return tuple(modes) or (Coordinate("H"),)
+class Diffusion(NamedTuple):
+    """How the noise moves energies, forms of the momenta p; one a limit, see ``pass_energies``."""
+
+    variance: Array  # (limits, n, n), σ² = pᵀ F p
+    growth: Array  # (limits, n, n), β σ² = pᵀ G p
+    at_rest: Array  # (limits,), β where p = 0
+
+
+def diffusion_of(system: System, limit: Limit) -> Diffusion:
+    """Return how the noise moves the energies of ``limit``, in the order of ``energies_of``.
+
+    Of H: F = 2 M⁻¹ N M⁻¹ and G = 8 M⁻¹ N M⁻¹ N M⁻¹, N = f D fᵀ; of a mode with the shape T_m: the
+    same of its own momentum.
+    """
+    N = system.noise_matrix
+    if limit.kind == "H":
+        mobility = np.diag(1.0 / system.mass)
+        F = (2.0 * mobility @ N @ mobility)[None]
+        G = (8.0 * mobility @ N @ mobility @ N @ mobility)[None]
+    else:
+        T = natural_modes(system)[0].T[[c.row for c in energies_of(limit, system.n)]]
+        noise = np.einsum("mi,ij,mj->m", T, N, T)[:, None, None]
+        F = 2.0 * noise * T[:, :, None] * T[:, None, :]
+        G = 4.0 * noise * F
+    trace_f, trace_g = (np.trace(form, axis1=1, axis2=2) for form in (F, G))
+    return Diffusion(F, G, np.maximum(trace_g / np.maximum(trace_f, SMALLEST), SMALLEST))
 
 
 def reader_of(system: System, limit: Limit, dt: float) -> Reader:
     """Return the reader of samples ``dt`` apart that sees ``limit`` passed.
 
-    It takes the arrays ``time`` and ``chance`` of ``pass_energies``. Of H: F = 2 M⁻¹ N M⁻¹ and
-    G = 8 M⁻¹ N M⁻¹ N M⁻¹, N = f D fᵀ; of a mode with the shape T_m: the same of its own momentum.
+    It takes the arrays ``time`` and ``chance`` of ``pass_energies``.
     """
     compiled_passing()  # here: threads that read find it
-    n, N = system.n, system.noise_matrix
+    n = system.n
     if limit.kind == "q":
         row = limit.observable(n)[0].row
         return partial(
@@ -159,25 +174,12 @@ def reader_of(system: System, limit: Limit, dt: float) -> Reader:
             inverse_mass=1.0 / float(system.mass[row]),
             limit=limit.value,
         )
-    energies = energies_of(limit, n)
-    if limit.kind == "H":
-        mobility = np.diag(1.0 / system.mass)
-        diffusion = [2.0 * mobility @ N @ mobility]
-        growth = [8.0 * mobility @ N @ mobility @ N @ mobility]
-    else:
-        shapes = [natural_modes(system)[0][:, c.row] for c in energies]
-        diffusion = [2.0 * (T @ N @ T) * np.outer(T, T) for T in shapes]
-        growth = [8.0 * (T @ N @ T) ** 2 * np.outer(T, T) for T in shapes]
-    ratios = [
-        np.trace(G) / max(np.trace(F), SMALLEST) for F, G in zip(diffusion, growth, strict=True)
-    ]
+    limits = energies_at(system, limit)
     return partial(
         pass_energies,
         dt=dt,
         first=n,
-        rows=2 * n + np.arange(len(energies)),
-        limits=np.array([limit.values[str(c)] for c in energies]),
-        diffusion=np.array(diffusion),
-        growth=np.array(growth),
-        at_rest=np.maximum(ratios, SMALLEST),
+        rows=2 * n + np.arange(limits.size),
+        limits=limits,
+        diffusion=diffusion_of(system, limit),
     )

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from fpk.arrays import Array, Flags
-from fpk.errors import InvalidInput, NotApplicable
+from fpk.errors import NotApplicable
 from fpk.linear import natural_modes
 from fpk.start import Start
 from fpk.system import System
+from sim.arrays import LANES
 from sim.ensemble import start_displacements
 from sim.flow import factored
 from sim.motion.motion import Motion, in_rows
@@ -20,6 +21,9 @@ from sim.step_size import chosen_step, temperature
 
 ACCEPTED = 1e-4
 """Share of the proposals on an energy shell below which no states are drawn from it."""
+
+PROPOSED, JUDGED = 4096, 2**18
+"""Proposals at once at the least, and after how many the share of the accepted ones counts."""
 
 RADIUS_STEPS = 60
 """Bisections of a radius: to the last digit."""
@@ -45,7 +49,7 @@ class Origin:
                 raise NotApplicable("some motion is not damped: no stationary state to start from")
 
     def drawn(self, paths: int, number: int) -> tuple[Array, Array]:
-        """Return q and p (paths, n) of round ``number``; ``paths`` is a multiple of ``LANES``."""
+        """Return q and p (paths, n) of round ``number``."""
         start, n = self.start, self.system.n
         stream = np.random.Generator(
             np.random.Philox(key=np.array([self.seed, number], dtype=np.uint64))
@@ -68,14 +72,15 @@ class Origin:
         """Burn in under the other noise, from displacements and momenta of its temperature."""
         system = self._louder()
         n, kT, dt = system.n, temperature(system), 0.5 * chosen_step(system)
-        q = start_displacements(system, kT, stream.standard_normal((n, paths))).T
+        whole = -(-paths // LANES) * LANES
+        q = start_displacements(system, kT, stream.standard_normal((n, whole))).T
         L = factored(np.diag(kT * system.mass))
-        p = (L @ stream.standard_normal((L.shape[1], paths))).T
+        p = (L @ stream.standard_normal((L.shape[1], whole))).T
         steps = ceil(self.burn_in * relaxation_time(system) / dt)
         seed = (self.seed + number * OTHER_SEED + 2**63) % 2**64  # no seed of a round
         motion = Motion(system, q, p, dt, seed, stride=steps, workers=self.workers)
         motion.advance(1)
-        states = in_rows(motion.last)
+        states = in_rows(motion.last)[:paths]
         return states[:, :n], states[:, n : 2 * n]
 
 
@@ -98,23 +103,23 @@ def on_shell(system: System, energy: float, paths: int, stream: Generator) -> tu
 
     Raises ``NotApplicable`` where fewer than ``ACCEPTED`` of them are.
     """
-    n = system.n
+    n, many = system.n, max(paths, PROPOSED)
     back = np.linalg.inv(np.linalg.cholesky(system.stiffness_matrix)).T
     root, most = np.sqrt(system.mass), np.sqrt(2.0 * energy)
     states: list[Array] = []
     proposed = wanted = 0
     while wanted < paths:
-        u = stream.standard_normal((paths, 2 * n))
+        u = stream.standard_normal((many, 2 * n))
         u /= np.linalg.norm(u, axis=1, keepdims=True)
         direction = np.hstack([u[:, :n] @ back.T, u[:, n:] * root])
         radius = _radius(system, direction, energy)
         q, p = radius[:, None] * direction[:, :n], radius[:, None] * direction[:, n:]
         slope = radius + _contact_slope(system, q, direction[:, :n])
         weight = (radius / most) ** (2 * n - 2) * radius / slope
-        accepted: Flags = stream.random(paths) < weight
+        accepted: Flags = stream.random(many) < weight
         states.append(np.hstack([q, p])[accepted])
-        proposed, wanted = proposed + paths, wanted + int(np.count_nonzero(accepted))
-        if wanted < ACCEPTED * proposed:
+        proposed, wanted = proposed + many, wanted + int(np.count_nonzero(accepted))
+        if proposed >= JUDGED and wanted < ACCEPTED * proposed:
             raise NotApplicable(
                 f"the shell H = {energy:g} is so far within the contacts that no states are drawn"
                 " from it; begin in a state"
@@ -144,19 +149,3 @@ def _contact_slope(system: System, q: Array, direction: Array) -> Array:
         overlap = np.maximum(stop.sign * q[:, stop.index] - stop.clearance, 0.0)
         slope += stop.sign * stop.force(overlap) * direction[:, stop.index]
     return slope
-
-
-def largest_energy(system: System, start: Start) -> float:
-    """Return the energy up to which the start reaches, without that of its own noise."""
-    values = start.values
-    if start.kind == "state":
-        return float(system.hamiltonian(*start.state(system.n)))
-    if start.kind == "noise":
-        return 5.0 * values["noise"] * temperature(system)
-    return float(sum(values.values()))
-
-
-def require_start(condition: bool, start: Start, words: str) -> None:
-    """Raise ``InvalidInput`` for the start unless ``condition`` holds."""
-    if not condition:
-        raise InvalidInput("start", str(start), words)

@@ -1,4 +1,4 @@
-"""What answers about the stationary state share: its states, the watch, errors, the curve."""
+"""What answers of motions share: workers, starts, the watch, errors, words, the curve."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +18,6 @@ from fpk.system import System
 from sim.checkpoint import interruptible
 from sim.ensemble import MAX_COORDINATE
 from sim.montecarlo import MonteCarlo
-from sim.motion.counting import compiled_counting
 from sim.motion.starts import Origin
 from sim.workers import workers_of
 
@@ -39,15 +38,16 @@ class Watch:
 
 
 @contextmanager
-def working(method: MonteCarlo, system: System, tol: float | None) -> Iterator[tuple[Any, ...]]:
-    """Yield workers, the watch, and what draws stationary states."""
-    compiled_counting()  # here: threads that read find it
+def working(
+    method: MonteCarlo, system: System, tol: float | None, start: Start = STATIONARY
+) -> Iterator[tuple[Any, ...]]:
+    """Yield workers, the watch, and what draws states of the ``start``."""
     seconds = method.seconds or (method.longest if tol is not None else inf)
     with (
         workers_of(method.cluster, method.threads or usable_cores()) as workers,
         interruptible(method.partial) as stopped,
     ):
-        origin = Origin(system, STATIONARY, method.seed, method.burn_in, workers)
+        origin = Origin(system, start, method.seed, method.burn_in, workers)
         yield workers, Watch(seconds, stopped, perf_counter()), origin
 
 
@@ -68,7 +68,11 @@ def interruption(watch: Watch) -> list[str]:
 
 def losses(states: Array, dt: float) -> list[str]:
     """Return how many ``states`` (paths, 2n) left the finite range, in words, if some did."""
-    lost = int(np.count_nonzero(~(np.abs(states) < MAX_COORDINATE).all(axis=1)))
+    return lost_words(int(np.count_nonzero(~(np.abs(states) < MAX_COORDINATE).all(axis=1))), dt)
+
+
+def lost_words(lost: int, dt: float) -> list[str]:
+    """Return how many trajectories left the finite range, in words, if some did."""
     words = f"{lost} trajectories left the finite range; use a smaller dt than {dt:g}"
     return [words] if lost else []
 

@@ -2,13 +2,11 @@
 
 from collections.abc import Iterator, Sequence
 from math import ceil, inf
-from time import perf_counter
 
 import numpy as np
 
 from fpk.arrays import Array, Integers
 from fpk.certificate import Measured, certify
-from fpk.cores import usable_cores
 from fpk.effects import effects_of
 from fpk.errors import InvalidInput
 from fpk.evolution import Transient
@@ -18,15 +16,16 @@ from fpk.sampled_density import SampledDensity
 from fpk.start import Start
 from fpk.system import System
 from sim.arrays import LANES, MAX_TRAJECTORIES
-from sim.checkpoint import interruptible
 from sim.histogram import BINS, MARGIN, Histogram, sampled_density, values_of
 from sim.montecarlo import MonteCarlo
+from sim.motion.limits import largest_energy
 from sim.motion.motion import Motion, in_rows, needs_steps
-from sim.motion.starts import Origin, largest_energy
+from sim.motion.starts import Origin
+from sim.motion.stationary import interruption, lost_words, not_met, working
 from sim.motion.steps import motion_step, require_times
 from sim.random import OTHER_SEED
 from sim.step_size import REACHED, temperature
-from sim.workers import Workers, workers_of
+from sim.workers import Workers
 
 GROUPS = 64
 """Independent batches of trajectories, from which errors are taken."""
@@ -58,30 +57,21 @@ def transient(
     wanted = tol if tol is not None else method.tol
     energy = largest_energy(system, start) + REACHED * temperature(system)
     dt = motion_step(method, system, energy=energy, error=wanted)
-    seconds = method.seconds or (method.longest if wanted is not None else inf)
     mirror = effects_of(system).mirror and (start.kind != "state" or start.rest)
-    paths, begin = -(-method.paths // LANES) * LANES, perf_counter()
+    paths = -(-method.paths // LANES) * LANES
     counted = Counted(system, observable, mirror, len(times))
-    with (
-        workers_of(method.cluster, method.threads or usable_cores()) as workers,
-        interruptible(method.partial) as stopped,
-    ):
-        origin = Origin(system, start, method.seed, method.burn_in, workers)
+    with working(method, system, wanted, start) as (workers, watch, origin):
         for number in range(MAX_TRAJECTORIES // paths):
             rows = ensembles(origin, times, paths, number, dt, workers)
             for k, (fine, coarse) in enumerate(rows):
                 counted.add(k, times[k], fine, coarse)
                 done = ROUNDS * len(times)
                 progress(min(done, number * len(times) + k + 1), done, "transient")
-            spent = perf_counter() - begin
-            enough = number + 1 >= ROUNDS
-            if wanted is not None:
-                enough = max(d.l1_error for d in counted.densities()) <= wanted
-            elif method.seconds:
-                enough = False
-            if enough or stopped() or spent > seconds:
+            error = inf if wanted is None else max(d.l1_error for d in counted.densities())
+            enough = number + 1 >= ROUNDS or wanted is not None
+            if watch.ends() or (enough and not not_met(method, wanted, error)):
                 break
-        words = ["partial: interrupted by Ctrl-C"] if stopped() else []
+        words = interruption(watch)
     return _answer(counted, times, at, dt, method, words, inf if wanted is None else wanted)
 
 
@@ -193,10 +183,7 @@ def _answer(
         values.append(value)
         errors.append(np.sqrt(error**2 + (wider - value) ** 2 + step**2))
         bias = max(bias, float(np.max(np.abs(step), initial=0.0)))
-    if counted.lost:
-        failures.append(
-            f"{counted.lost} states left the finite range; use a smaller dt than {dt:g}"
-        )
+    failures += lost_words(counted.lost, dt)
     certificates = [density.certificate for density in fine]
     failures += dict.fromkeys(words for c in certificates for words in c.failures)
     measured = Measured(

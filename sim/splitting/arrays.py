@@ -1,6 +1,6 @@
 """Plain arrays of splitting: records of paths, the score as a table, and what the limit is on."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,13 +36,13 @@ class Score(NamedTuple):
 
 
 class Watched(NamedTuple):
-    """What the limit is on; c counts the modal energies that have one, 1 otherwise.
+    """What the limit is on; c counts the energies that have one, 1 for a displacement.
 
     Of a displacement the score is on E_i/E_f, see ``full.watched``, and has all modes.
     """
 
-    inverse: Array  # (c,), 1/limit
-    noise: Array  # (n, n), 2 f D fᵀ; of modal energies (c, 1), of the momentum of each mode
+    limit: Array  # (c,)
+    diffusion: Any  # passing.Diffusion of the energies; None for a displacement
     mode_q: Array  # (c, n) or, of a displacement, (n, n), rows of Q_m ω_m; none for the energy
     mode_p: Array  # the same of P_m
     reach: Array  # (n,), √(H_m/E_f) times these add up to √(E_i/E_f) without contact

@@ -6,17 +6,17 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
-import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
 from fpk.arrays import Array, Integers
 from fpk.compiling import ROOT, cached_njit, checksum, inlined
 from fpk.errors import InvalidInput, NotApplicable
+from sim.averaged.passage import from_energies
 from sim.averaged.square_root import SquareRootForm
 from sim.random import GOLDEN, mixed_seed
 from sim.splitting.arrays import LEVELS, Paths, Score, new_paths
 from sim.splitting.parts import begin, bridge_maximum, draw_normals, level_of, place, record
 from sim.splitting.replicas import CompiledReplicas
-from sim.splitting.score import ScoreFunction, cost_score, score_table
+from sim.splitting.score import SHARES, ScoreFunction, cost_score, score_table
 
 NAMES = ("random", "splitting/arrays", "splitting/parts", "splitting/averaged")
 
@@ -97,26 +97,20 @@ def energy_problem(
     def energy(R: Array) -> Array:
         return np.asarray(form.energies(np.square(R)[:, None])).ravel()
 
-    def root(H: float) -> float:
-        """R at the energy H."""
-        high = 1.0
-        while energy(np.array([high]))[0] < H:
-            high *= 2.0
-        find: Any = scipy.optimize.brentq
-        return float(find(lambda R: energy(np.array([R]))[0] - H, 0.0, high, xtol=1e-15 * high))
+    def root(H: Array) -> Array:
+        """R at the energies H."""
+        return np.where(H > 0.0, np.sqrt(from_energies(form, H[:, None])).ravel(), 0.0)
 
-    top, first = root(limit), root(start) if start > 0.0 else 0.0
+    top, first = map(float, root(np.array([limit, start])))
     R = np.linspace(0.0, top, CELLS + 1)
     extra = np.zeros(2) if form.damping is None else np.ravel(form.damping(np.square(R)[:, None]))
     # The action to reach the limit from rest is that of the mean of γ over ∫ R dR.
     grid = np.linspace(0.0, top, extra.size)
     mean = gamma + 2.0 * float(np.trapezoid(extra * grid, grid)) / top**2
     own = score or (
-        lambda H, times: cost_score(top**2, noise=0.5 * beta, decay=mean)(
-            np.array([root(float(x)) for x in H]) ** 2, times
-        )
+        lambda H, times: cost_score(top**2, noise=0.5 * beta, decay=mean)(root(H) ** 2, times)
     )
-    table = score_table([own], [lambda x: energy(top * x)], time=time, steps=1)
+    table = score_table([own], [energy(top * SHARES)], time=time, steps=1)
     rate = max(abs(gamma), abs(mean))
     return EnergyProblem(
         (d, beta, gamma), extra, first**2, top, time,

@@ -1,8 +1,7 @@
 """The full system (6) towards a limit: steps, score and starts of its paths."""
 
-from dataclasses import dataclass, replace
-from functools import partial
-from math import isfinite, sqrt
+from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -14,29 +13,20 @@ from fpk.limit import Limit
 from fpk.linear import natural_modes
 from fpk.start import Start
 from fpk.system import System
-from sim.ensemble import Ensemble
+from sim.motion.limits import beyond, energies_at, energies_of, energy_reached
+from sim.motion.passing import diffusion_of
+from sim.motion.starts import Origin
 from sim.plan import step_arrays
 from sim.random import mixed_seed
-from sim.relaxation import relaxation_time
 from sim.schemes.exact_flow import EXACT_FLOW
 from sim.splitting.arrays import Score, Watched, new_paths
 from sim.splitting.kernel import PathKey, compiled_paths
 from sim.splitting.replicas import CompiledReplicas
-from sim.splitting.score import ScoreFunction, cost_score, score_table
-from sim.splitting.starts import start_states
-from sim.step_size import (
-    REACHED,
-    STEP_PER_FREQUENCY,
-    STEP_PER_RATE,
-    STEP_WITH_TERMS,
-    highest_frequency,
-    sampling_interval,
-    temperature,
-    term_rate,
-)
+from sim.splitting.score import SHARES, ScoreFunction, cost_score, score_table
+from sim.step_size import chosen_step, temperature
 
-BURN_IN = 10.0
-"""Relaxation times after which a motion counts as stationary."""
+PROBES = 64
+"""States of a start of which one at least must lie below the limit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,35 +62,13 @@ class SystemProblem:
             masses=self.system.n,
             pairs=step.pairs,
         )
-        if self.start.kind == "noise":
-            states = self.stationary(count, dt, int(stream.integers(2**63)))
-        else:
-            states = start_states(self.system, self.start, count, stream)
+        origin = Origin(self.system, self.start, int(stream.integers(2**63)))
         return CompiledReplicas(
             compiled_paths(key),
             (step, watched(self.system, self.limit), self.score._replace(steps=steps)),
-            new_paths(states, steps),
+            new_paths(np.hstack(origin.drawn(count, 0)), steps),
             mixed_seed(seed),
         )
-
-    def stationary(self, paths: int, dt: float, seed: int) -> Array:
-        """Return states (paths, 2n) that are stationary under the noise of the start."""
-        system, factor = self.system, self.start.values["noise"]
-        if factor == 0.0:
-            return np.zeros((paths, 2 * system.n))
-        other = replace(system, noise_intensity=factor * system.noise_intensity)
-        relaxation = relaxation_time(other)
-        if not isfinite(relaxation):
-            raise NotApplicable("some motion is not damped: nothing is stationary to start from")
-        ensemble = Ensemble(other, EXACT_FLOW, dt, paths, seed)
-        ensemble.advance(int(np.ceil(BURN_IN * relaxation / dt)), stride=0)
-        q, p = ensemble.phase_points()
-        # In the middle of the kick: forces of contact are those before it.
-        for stop in system.stops:
-            i = stop.index
-            force = stop.sign * stop.force(np.maximum(stop.sign * q[:, i] - stop.clearance, 0.0))
-            p[:, i] -= 0.5 * dt * force
-        return np.hstack([q, p])
 
 
 def watched(system: System, limit: Limit) -> Watched:
@@ -111,24 +79,22 @@ def watched(system: System, limit: Limit) -> Watched:
     below its value E_f = ½ k a² + U_i(a) where |q_i| passes a. |q_i| itself would be a poor score:
     the next peak of a path that has set out for it is no longer open.
     """
-    values, n = limit.values, system.n
-    noise, mode_q = 2.0 * system.noise_matrix, np.zeros((0, n))
-    mode_p, reach, energy, mass = mode_q, np.zeros(n), 1.0, 0
+    n, at = system.n, energies_at(system, limit)
+    values = np.array([limit.value]) if limit.kind == "q" else at
+    mode_q, reach, energy, mass = np.zeros((0, n)), np.zeros(n), 1.0, 0
+    mode_p, diffusion = mode_q, None
     if limit.kind != "H":
         shapes, omega = natural_modes(system)
-        chosen = list(range(n))
-        if limit.kind == "modal":
-            chosen = [int(name[1:]) - 1 for name in values]
-        else:
-            mass, energy = displaced(system, limit)
-            reach = np.abs(shapes[mass]) / omega / np.sqrt(energy * system.compliance[mass, mass])
+        chosen = [c.row for c in energies_of(limit, n)] or list(range(n))
         T = np.ascontiguousarray(shapes.T[chosen])
         mode_q, mode_p = omega[chosen, None] * T * system.mass, T
-        if limit.kind == "modal":
-            noise = np.einsum("mi,ij,mj->m", T, noise, T)[:, None]
+    if limit.kind == "q":
+        mass, energy = limit.observable(n)[0].row, float(np.min(at))
+        reach = np.abs(shapes[mass]) / omega / np.sqrt(energy * system.compliance[mass, mass])
+    else:
+        diffusion = diffusion_of(system, limit)
     damping = np.ascontiguousarray(system.damping[:, list(system.contact_masses)])
-    inverse = 1.0 / np.array(list(values.values()))
-    return Watched(inverse, noise, mode_q, mode_p, reach, energy, mass, damping)
+    return Watched(values, diffusion, mode_q, mode_p, reach, energy, mass, damping)
 
 
 def system_problem(
@@ -152,79 +118,31 @@ def system_problem(
         if len(scores) > 1:
             raise InvalidInput("score", score, "must be left out where there are several limits")
         scores = [score]
-    energies = [partial(_at_share, top=top) for top in tops]
-    table = score_table(scores, energies, time=time, steps=1)
-    return SystemProblem(system, limit, start, time, dt or chosen_step(system, limit), table)
+    table = score_table(scores, [top * SHARES**2 for top in tops], time=time, steps=1)
+    dt = dt or chosen_step(system, energy=energy_reached(system, limit, start))
+    return SystemProblem(system, limit, start, time, dt, table)
 
 
 def require_inside(system: System, limit: Limit, start: Start) -> None:
     """Raise ``InvalidInput`` for a start at or beyond the limit, whatever its phases."""
     if start.kind == "noise":
         return  # of which a share may have failed at once
-    reached = dict(start.values)
-    if start.kind == "modal":
-        reached["H"] = sum(reached.values())  # contact adds to it
-    if start.kind == "state":
-        q, p = start.state(system.n)
-        shapes, omega = natural_modes(system)
-        modal = 0.5 * ((omega * (shapes.T @ (system.mass * q))) ** 2 + (shapes.T @ p) ** 2)
-        reached = {f"H{m + 1}": float(H) for m, H in enumerate(modal)}
-        reached |= {f"q{i + 1}": abs(float(x)) for i, x in enumerate(q)}
-        reached["H"] = float(system.hamiltonian(q, p))
-    for name, value in limit.values.items():
-        if reached.get(name, 0.0) >= value:
-            raise InvalidInput("start", str(start), f"must lie below the limit {limit}")
+    if np.all(beyond(system, limit, *Origin(system, start, 0).drawn(PROBES, 0))):
+        raise InvalidInput("start", str(start), f"must lie below the limit {limit}")
 
 
-def displaced(system: System, limit: Limit) -> tuple[int, float]:
-    """Return the mass (from 0) whose displacement has a limit, and the least V there."""
-    (name, value) = next(iter(limit.values.items()))
-    i = int(name[1:]) - 1
-    return i, 0.5 * value**2 / float(system.compliance[i, i]) + float(
-        min(system.contact_energy(i, value), system.contact_energy(i, -value))
-    )
-
-
-def scores_of(system: System, limit: Limit) -> tuple[list[ScoreFunction], list[float]]:
+def scores_of(system: System, limit: Limit) -> tuple[list[ScoreFunction], Array]:
     """Return the score of least action of each coordinate, and the energies of the limit."""
-    energies = list(limit.values.values())
+    at = energies_at(system, limit)
     if limit.kind == "modal":
-        shapes, _ = natural_modes(system)
-        modes = [int(name[1:]) - 1 for name in limit.values]
-        noise = np.einsum("im,ij,jm->m", shapes, system.noise_matrix, shapes)[modes]
-        decay = np.einsum("im,ij,jm->m", shapes, system.damping, shapes)[modes]
+        T = natural_modes(system)[0][:, [c.row for c in energies_of(limit, system.n)]]
+        noise = np.einsum("im,ij,jm->m", T, system.noise_matrix, T)
+        decay = np.einsum("im,ij,jm->m", T, system.damping, T)
     else:
-        if limit.kind == "q":
-            energies = [displaced(system, limit)[1]]
-        kT = temperature(system)
+        at, kT = np.min(at, keepdims=True), temperature(system)
         noise = np.mean(np.diag(system.noise_matrix) / system.mass, keepdims=True)
         decay = noise / kT if isfinite(kT) else np.zeros(1)
     return [
         cost_score(energy, noise=float(D), decay=float(c))
-        for energy, D, c in zip(energies, noise, decay, strict=True)
-    ], energies
-
-
-def _at_share(x: Array, top: float) -> Array:
-    return np.asarray(top * x**2)
-
-
-def chosen_step(system: System, limit: Limit) -> float:
-    """Return the longer one of two steps: for the contact as it is at the limit.
-
-    Stops are reached with all the energy of the limit, or ``REACHED`` kT if that is more.
-    """
-    steps, kT = [sampling_interval(system)], temperature(system)
-    energy = sum(limit.values.values())
-    if limit.kind == "q":
-        _, energy = displaced(system, limit)
-    if isfinite(kT):
-        energy = max(energy, REACHED * kT)
-    share = STEP_WITH_TERMS if system.damping_terms else STEP_PER_FREQUENCY
-    for stop in system.stops:
-        slope = float(stop.slope(stop.overlap_at(energy)))
-        m, K = system.mass[stop.index], system.stiffness_matrix[stop.index, stop.index]
-        steps.append(share / sqrt((slope + K) / m))
-    if system.damping_terms:
-        steps += [STEP_PER_RATE / term_rate(system), STEP_PER_FREQUENCY / highest_frequency(system)]
-    return min(steps)
+        for energy, D, c in zip(at, noise, decay, strict=True)
+    ], at

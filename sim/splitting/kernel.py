@@ -16,6 +16,7 @@ from fpk.compiled_laws import compiled_laws, law_files, of_law
 from fpk.compiling import ROOT, cached_njit, checksum, inlined
 from sim.arrays import StepArrays
 from sim.kernel import KERNEL
+from sim.motion.between import cubic_of, distance_to, energy_at, largest_of
 from sim.parts.contact import contact_forces, kick_by_contact, numbers_of, overlap_of
 from sim.parts.linear import ONE_LOOP, map_state
 from sim.random import GOLDEN
@@ -23,14 +24,14 @@ from sim.splitting.arrays import LEVELS, Paths, Score, Watched
 from sim.splitting.parts import (
     begin,
     bridge_maximum,
-    cubic_maximum,
     draw_normals,
     level_of,
     place,
     record,
 )
 
-OWN = tuple(f"sim/splitting/{name}.py" for name in ("arrays", "parts", "kernel"))
+NAMES = ("motion/between", "splitting/arrays", "splitting/parts", "splitting/kernel")
+OWN = tuple(f"sim/{name}.py" for name in NAMES)
 
 BELOW = 1.0 - 2.0**-53
 """Share of the limit at most of what has not passed it."""
@@ -125,39 +126,46 @@ def damped(
         x[n + r] -= t * force[r]
 
 
-@njit(inline="always")
-def watch(
-    kind: str, x: Array, step: StepArrays, watched: Watched, law: Any, value: Array, spread: Array
-) -> None:
-    """Write what the limit is on at the observed state x, and the variance of its noise per time.
+@inlined
+def form_of(form: Array, p: Array) -> float:
+    """Return pᵀ ``form`` p."""
+    total = 0.0
+    for i in range(p.size):
+        for j in range(p.size):
+            total += form[i, j] * p[i] * p[j]
+    return float(total)
 
-    Of a displacement the "variance" is its velocity.
+
+@njit(inline="always")
+def watch(kind: str, x: Array, step: StepArrays, watched: Watched, law: Any, seen: Array) -> None:
+    """Write what is ``seen`` (c, 3) at the observed state x: the distance to the limit first.
+
+    Of an energy it is that of ``distance_to``; the others are σ² and β, of a displacement q and v.
     """
     n = step.half_inverse_mass.size
     if kind == "q":
         i = watched.mass
-        value[0], spread[0] = x[i], 2.0 * step.half_inverse_mass[i] * x[n + i]
-    elif kind == "H":
-        value[0], spread[0] = energy_of(x, step, law), 0.0
-        for i in range(n):
-            u = 2.0 * step.half_inverse_mass[i] * x[n + i]
-            for j in range(n):
-                w = 2.0 * step.half_inverse_mass[j] * x[n + j]
-                spread[0] += watched.noise[i, j] * u * w
+        seen[0, 0] = watched.limit[0] - abs(x[i])
+        seen[0, 1], seen[0, 2] = x[i], 2.0 * step.half_inverse_mass[i] * x[n + i]
     else:
-        for c in range(watched.mode_q.shape[0]):
-            value[c], P = modal_energy(x, watched, c)
-            spread[c] = watched.noise[c, 0] * P * P
+        p, diffusion = x[n:], watched.diffusion
+        for m in range(watched.limit.size):
+            H = energy_of(x, step, law) if kind == "H" else modal_energy(x, watched, m)
+            variance = form_of(diffusion.variance[m], p)
+            growth = form_of(diffusion.growth[m], p)
+            beta = growth / variance if growth > 0.0 else diffusion.at_rest[m]
+            seen[m, 0] = distance_to(watched.limit[m], H, variance, beta)
+            seen[m, 1], seen[m, 2] = variance, beta
 
 
 @inlined
-def modal_energy(x: Array, watched: Watched, m: int) -> tuple[float, float]:
-    """Return H_m of row m at the observed state x, and P_m."""
+def modal_energy(x: Array, watched: Watched, m: int) -> float:
+    """Return H_m of row m at the observed state x."""
     n, Q, P = watched.mode_q.shape[1], 0.0, 0.0
     for r in range(n):
         Q += watched.mode_q[m, r] * x[r]
         P += watched.mode_p[m, r] * x[n + r]
-    return 0.5 * (Q * Q + P * P), P
+    return float(0.5 * (Q * Q + P * P))
 
 
 @inlined
@@ -165,7 +173,7 @@ def reached_share(x: Array, step: StepArrays, watched: Watched, law: Any) -> flo
     """Return √(E_i/E_f) of the displacement of one mass at the observed state x, below 1."""
     root, contact = 0.0, 0.0
     for m in range(watched.reach.size):
-        root += watched.reach[m] * sqrt(modal_energy(x, watched, m)[0])
+        root += watched.reach[m] * sqrt(modal_energy(x, watched, m))
     for stop in range(step.stop_slot.size):
         if step.slot_mass[step.stop_slot[stop]] == watched.mass:
             sign, clearance, B, e, kind, _ = numbers_of(step, stop)
@@ -177,14 +185,20 @@ def reached_share(x: Array, step: StepArrays, watched: Watched, law: Any) -> flo
 
 @njit(inline="always")
 def share_of(
-    kind: str, x: Array, most: float, step: StepArrays, watched: Watched, law: Any, m: int
-) -> float:
-    """Return x of the score at the observed state x; 1 or more where ``most`` passes the limit."""
+    kind: str, x: Array, left: float, step: StepArrays, watched: Watched, law: Any, seen: Array,
+    m: int,
+) -> float:  # fmt: skip
+    """Return x of the score at the observed state x, 1 where no distance to the limit is ``left``.
+
+    ``left`` is the least since the step before; of an energy the share is that of H there.
+    """
+    if left <= 0.0:
+        return 1.0
     if kind == "q":
-        if most * watched.inverse[0] >= 1.0:
-            return 1.0
         return reached_share(x, step, watched, law)
-    return sqrt(max(most, 0.0) * watched.inverse[m])
+    limit = watched.limit[m]
+    H = energy_at(limit, left, seen[m, 1], seen[m, 2])
+    return min(sqrt(max(H, 0.0) / limit), BELOW)
 
 
 @lru_cache
@@ -206,14 +220,14 @@ def _compiled(key: PathKey) -> Any:
 
         ``first`` is the number of the stream of the first one. Returns the checksum of its sources.
         """
-        n, h, c = step.half_inverse_mass.size, step.dt, watched.inverse.size
-        matrix, words = step.matrix, pairs + watched.inverse.size
+        n, h, c = step.half_inverse_mass.size, step.dt, watched.limit.size
+        matrix, words = step.matrix, pairs + c
         g0 = matrix.shape[1] + 2 * n
         s = np.zeros(g0 + 2 * step.slot_mass.size)
         x, g = s[: 2 * n], s[g0:]
         observed, work, terms = np.zeros(2 * n), np.zeros(2 * n), np.zeros(n)
         z, word = np.zeros(2 * pairs, np.float32), np.zeros(2, np.uint32)
-        value, spread, value0, spread0 = np.zeros(c), np.zeros(c), np.zeros(c), np.zeros(c)
+        seen, before = np.zeros((c, 3)), np.zeros((c, 3))
         for number in range(dead.size):
             i = dead[number]
             done = begin(paths, i, parents[number], level, x)
@@ -225,16 +239,15 @@ def _compiled(key: PathKey) -> Any:
                     kick = 0.5 * h * g[2 * slot] * (1.0 - a * g[2 * slot + 1])
                     x[n + step.slot_mass[slot]] += kick
             observed_state(x, g, step, watched.damping, observed)
-            watch(kind, observed, step, watched, law, value, spread)
+            watch(kind, observed, step, watched, law, seen)
             if level < 0:
                 for m in range(c):
-                    share = share_of(kind, observed, abs(value[m]), step, watched, law, m)
+                    share = share_of(kind, observed, seen[m, 0], step, watched, law, seen, m)
                     top = max(top, level_of(score, m, share, 0))
                 record(paths, i, 0, x, top, 0)
 
             while done < score.steps and top < LEVELS:
-                for m in range(c):
-                    value0[m], spread0[m] = value[m], spread[m]
+                before[:] = seen
                 kick_by_contact(s, g0, step, n, 1)
                 if damping:
                     damped(x, work, terms, step, energy_damping, law)
@@ -245,17 +258,17 @@ def _compiled(key: PathKey) -> Any:
                     damped(x, work, terms, step, energy_damping, law)
                 contact_forces(s, g0, step, force, slope, 1)
                 observed_state(x, g, step, watched.damping, observed)
-                watch(kind, observed, step, watched, law, value, spread)
+                watch(kind, observed, step, watched, law, seen)
                 done += 1
                 reached = 0
                 for m in range(c):
                     if kind == "q":
-                        most = cubic_maximum(value0[0], spread0[0], value[0], spread[0], h)
+                        q0, v0, q1, v1 = before[0, 1], before[0, 2], seen[0, 1], seen[0, 2]
+                        left = watched.limit[0] - largest_of(cubic_of(q0, v0, q1, v1, h))
                     else:
-                        variance = 0.5 * h * (spread0[m] + spread[m])
                         u = at + np.uint64(pairs + m) * GOLDEN
-                        most = bridge_maximum(value0[m], value[m], variance, u)
-                    share = share_of(kind, observed, most, step, watched, law, m)
+                        left = -bridge_maximum(-before[m, 0], -seen[m, 0], h, u)
+                    share = share_of(kind, observed, left, step, watched, law, seen, m)
                     reached = max(reached, level_of(score, m, share, done))
                 if reached > top:
                     top = reached

@@ -1,4 +1,4 @@
-"""Parts of the compiled paths: records, levels of the score, largest values between steps."""
+"""Parts of the compiled paths: records, levels of the score, random numbers, bridges."""
 
 from math import log, sqrt
 
@@ -76,18 +76,3 @@ def bridge_maximum(a: float, b: float, variance: float, at: np.uint64) -> float:
     """
     u = (np.float64(mixed_word(at) >> _S11) + 0.5) * 2.0**-53
     return 0.5 * (a + b + sqrt((b - a) * (b - a) - 2.0 * variance * log(u)))
-
-
-@inlined
-def cubic_maximum(q0: float, v0: float, q1: float, v1: float, h: float) -> float:
-    """Return the largest |q| of the cubic through displacements and velocities at both ends."""
-    largest = max(abs(q0), abs(q1))
-    # q(s) = q0 + h v0 s + b s² + c s³, s in [0, 1]; q' = 0 where 3 c s² + 2 b s + h v0 = 0.
-    b, c = 3.0 * (q1 - q0) - h * (2.0 * v0 + v1), 2.0 * (q0 - q1) + h * (v0 + v1)
-    square = b * b - 3.0 * c * h * v0
-    if square > 0.0:
-        w = -(b + np.copysign(np.sqrt(square), b))
-        for s in (h * v0 / w if w != 0.0 else -1.0, w / (3.0 * c) if c != 0.0 else -1.0):
-            if 0.0 < s < 1.0:
-                largest = max(largest, abs(q0 + s * (h * v0 + s * (b + s * c))))
-    return largest

@@ -105,7 +105,7 @@ def failure_of(problem: Problem, settings: Splitting, progress: Progress) -> Rar
     steps = step_count(problem)
     s = settings
     identity = (*problem.identity, s.replicas, s.killed, s.seed)
-    checkpoint = checkpoint_of(s.checkpoint, identity)
+    checkpoint = checkpoint_of(s.checkpoint, identity, "splitting")
     done = Repetitions()
     with (
         workers_of(s.cluster, s.threads or usable_cores()) as workers,

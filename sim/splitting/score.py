@@ -15,6 +15,10 @@ ROWS, COLUMNS = 128, 256
 """Cells of the table over the root of the remaining time and over the share of the limit."""
 
 
+SHARES = np.maximum(np.arange(COLUMNS), 0.5) / COLUMNS
+"""Shares x of the limit at which scores are asked; the first stands for 0."""
+
+
 def cost_score(limit: float, *, noise: float, decay: float) -> ScoreFunction:
     """Return minus the least action by which ``dH = (D' − γ H) dt + √(2 D' H) dB`` fails in time.
 
@@ -33,22 +37,21 @@ def cost_score(limit: float, *, noise: float, decay: float) -> ScoreFunction:
 
 def score_table(
     scores: Sequence[ScoreFunction],
-    energies: Sequence[Callable[[Array], Array]],
+    energies: Sequence[Array],
     *,
     time: float,
     steps: int,
 ) -> Score:
     """Return the levels of one score a coordinate, where x is the share of its limit.
 
-    ``energies`` turn x in [0, 1] into what the score takes. A score counts from its value at
+    ``energies`` are what the score takes at ``SHARES``. A score counts from its value at
     energy 0 with all of ``time`` left; no failure has a larger one than energies just below it.
     """
-    x, left = np.arange(1, COLUMNS) / COLUMNS, time * (np.arange(1, ROWS + 1) / ROWS) ** 2
-    tables = []
+    left, tables = time * (np.arange(1, ROWS + 1) / ROWS) ** 2, []
     for score, energy in zip(scores, energies, strict=True):
         table = np.zeros((ROWS + 1, COLUMNS + 1))
         table[:, -1] = LEVELS
-        values = score(energy(np.concatenate([[0.5 / COLUMNS], x])), left)
+        values = score(energy, left)
         lowest = values[-1, 0]
         if np.isfinite(lowest) and lowest < 0.0:
             share = np.where(np.isnan(values), 0.0, 1.0 - values / lowest)

@@ -1,14 +1,11 @@
 """Settings of splitting, and what it returns."""
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import isfinite
 from pathlib import Path
 
 from fpk.arrays import Array
-from fpk.errors import InvalidInput
-from sim.montecarlo import THREADS_PER_CORE
+from sim.montecarlo import check_settings
 from sim.splitting.arrays import MOST_REPLICAS
 
 LEAST_REPETITIONS = 8
@@ -42,20 +39,13 @@ class Splitting:
 
     def __post_init__(self) -> None:
         """Check every field."""
-        for key, low, high in (
+        check_settings(
+            self,
+            ("dt", "tol", "seconds"),
             ("replicas", 2, MOST_REPLICAS),
             ("killed", 1, self.replicas - 1),
             ("repetitions", LEAST_REPETITIONS, 2**20),
-            ("seed", 0, 2**64 - 1),
-            ("threads", 1, THREADS_PER_CORE * (os.cpu_count() or 1)),
-        ):
-            value = getattr(self, key)
-            if value is not None and not low <= value <= high:
-                raise InvalidInput(key, value, f"use {low} to {high}")
-        for key in ("dt", "tol", "seconds"):
-            value = getattr(self, key)
-            if value is not None and not (isfinite(value) and value > 0):
-                raise InvalidInput(key, value, "must be a finite number > 0")
+        )
 
 
 @dataclass(frozen=True)

@@ -91,6 +91,11 @@ REFUSED = [
     (["relaxation", "fig3a", "--method", "phase-space", "--rates", "x"], "--rates"),
     (["spectrum", "chain-10", *asked("phase-space")], "10 masses have 20 coordinates"),
     (["spectrum", "missing", *asked("phase-space")], "missing"),
+    (
+        ["crossings", "fig3a", *asked("exact"), "--seed", "3"],
+        "fpk: --seed 3: is not an option",
+    ),
+    (["crossings", "fig3a", *asked("montecarlo"), "--seconds", "-1"], "--seconds -1.0: must be"),
 ]
 
 
@@ -121,3 +126,23 @@ def test_what_is_not_certified_is_said(linear_scene, fpk, monkeypatch):
     status, out, err = fpk("crossings", scene, *asked("phase-space"), "--tol", "1e-9", "--json")
     assert status == 1 and not json.loads(out)["certificate"]["certified"]
     assert "GB of memory" in err and "exceeds the tolerance" in err
+
+
+def test_a_simulation_takes_its_seed_time_and_threads(linear_scene, fpk):
+    """Rice's rate within 4.5 stated errors; the seed alone makes the answer different."""
+    exact = record(fpk, "crossings", linear_scene, *asked("linear", at="0"))["rate"][0]
+
+    def simulated(**options):
+        given = [part for key, value in options.items() for part in (f"--{key}", value)]
+        status, out, _ = fpk(
+            "crossings", linear_scene, *asked("montecarlo", at="0"), *given, "--json"
+        )
+        answer = json.loads(out)
+        assert status == 0 or not answer["certificate"]["certified"]
+        assert abs(answer["rate"][0] - exact) < 4.5 * answer["error"][0]
+        return answer
+
+    answer = simulated(seed=7, seconds=0.2, threads=1)
+    assert (answer["solver"], answer["error_kind"]) == ("simulation", "sampling")
+    assert answer["settings"]["seed"] == 7
+    assert simulated(seed=8, seconds=0.2)["rate"] != answer["rate"]

@@ -19,8 +19,9 @@ from fpk.start import parse_start
 from fpk.system import System
 from sim.arrays import LANES
 from sim.montecarlo import MonteCarlo
+from sim.motion.limits import energies_of
 from sim.motion.motion import Motion, in_blocks, in_rows
-from sim.motion.passing import energies_of, reader_of
+from sim.motion.passing import reader_of
 from sim.motion.starts import on_shell
 from sim.motion.survival import Times, estimates, passage_of, tail_begin
 

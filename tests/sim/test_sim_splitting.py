@@ -19,14 +19,15 @@ from fpk.linear import natural_modes
 from fpk.start import REST, Start, parse_start
 from sim.averaged.square_root import SquareRootForm
 from sim.flow import exact_flow
+from sim.motion.between import cubic_of, largest_of
+from sim.motion.starts import on_shell
 from sim.random import GOLDEN, mixed_seed
 from sim.splitting import RareFailure, Splitting, rare_failure, rare_failure_of_process
 from sim.splitting.algorithm import split
 from sim.splitting.arrays import LEVELS
 from sim.splitting.estimate import mean_and_error
 from sim.splitting.full import system_problem
-from sim.splitting.parts import bridge_maximum, cubic_maximum, draw_normals
-from sim.splitting.starts import microcanonical
+from sim.splitting.parts import bridge_maximum, draw_normals
 from sim.workers import workers_of
 
 QUICK = Splitting(replicas=64, killed=4, repetitions=8, threads=1)
@@ -166,22 +167,42 @@ def twin(system, limit, time, steps, *, paths, seed):
             slope[:, s.index] += np.where(o > 0.0, s.slope(np.where(o > 0.0, o, 1.0)), 0.0)
         return g, slope, h * h / (12.0 * system.mass)
 
-    def seen(x):
+    def observed(x):
         g, slope, a = contact(x[:, :n])
         p = (x[:, n:] - 0.5 * h * g * (1.0 - a * slope)) * (1.0 + a * slope)
-        q, p = x[:, :n] - a * g, p + (a * g) @ system.damping.T
+        return x[:, :n] - a * g, p + (a * g) @ system.damping.T
+
+    def reached(x):
+        """√(E_i/E_f) of a displacement, from all modes, for what has not passed the limit."""
+        (q, p), i, end = observed(x), int(names[0][1:]) - 1, limit.value
+        size = np.hypot((q * system.mass) @ shapes, p @ shapes / omega) @ np.abs(shapes[i])
+        E, E_f = (
+            0.5 * s * s / system.compliance[i, i] + system.contact_energy(i, at)
+            for s, at in ((size, q[:, i]), (np.full(2, end), np.array([end, -end])))
+        )
+        return np.minimum(np.sqrt(E / E_f.min()), 1.0 - 2.0**-53)[:, None]
+
+    def seen(x):
+        q, p = observed(x)
         if limit.kind == "q":
             i = int(names[0][1:]) - 1
             return q[:, [i]], p[:, [i]] / system.mass[i]
+        N = system.noise_matrix
         if limit.kind == "H":
-            v = p / system.mass
-            return system.hamiltonian(q, p)[:, None], 2.0 * np.einsum(
-                "ki,ij,kj->k", v, system.noise_matrix, v
-            )[:, None]
+            u = p / system.mass @ N
+            value, noise = system.hamiltonian(q, p)[:, None], 2.0 * (p / system.mass * u).sum(1)
+            # The noise makes β of σ² as it adds 1 to H; at rest the means of both count.
+            m_inverse = np.diag(1.0 / system.mass)
+            F, G = m_inverse @ N @ m_inverse, m_inverse @ N @ m_inverse @ N @ m_inverse
+            beta = np.full(len(p), 4.0 * np.trace(G) / np.trace(F))
+            moves = noise > 0.0
+            beta[moves] = (8.0 * (u * u / system.mass).sum(1))[moves] / noise[moves]
+            return value, (noise[:, None], beta[:, None])
         modes = [int(name[1:]) - 1 for name in names]
         Q, P = (q * system.mass) @ shapes * omega, p @ shapes
-        noise = np.diag(shapes.T @ system.noise_matrix @ shapes)
-        return (0.5 * (Q * Q + P * P))[:, modes], (2.0 * noise * P * P)[:, modes]
+        noise = np.diag(shapes.T @ N @ shapes)
+        energies, beta = 0.5 * (Q * Q + P * P), np.broadcast_to(4.0 * noise, P.shape)
+        return energies[:, modes], ((2.0 * noise * P * P)[:, modes], beta[:, modes])
 
     x = np.zeros((paths, 2 * n))
     states, shares = [x], []
@@ -209,10 +230,17 @@ def twin(system, limit, time, steps, *, paths, seed):
                     most[j, m] = np.abs(q).max()
                     continue
                 word = place_of(seed, j, k * (pairs + c) + pairs + m)
-                both = 0.5 * h * (rate[j, m] + spread[j, m])
-                most[j, m] = called_bridge(before[j, m], value[j, m], both, word)
+                ends = []
+                for H, (s2, beta) in ((before, rate), (value, spread)):
+                    e, end = s2[j, m] / beta[j, m], limit.values[names[m]]
+                    way = np.sqrt(max(e + end - H[j, m], 0.0)) - np.sqrt(e)
+                    ends.append(2.0 * way / np.sqrt(beta[j, m]))
+                left = -called_bridge(-ends[0], -ends[1], h, word)
+                root = np.sqrt(e) + 0.5 * np.sqrt(beta[j, m]) * left
+                most[j, m] = end if left <= 0.0 else end + e - root**2
         share = most / np.array(list(limit.values.values()))
-        shares.append(share if limit.kind == "q" else np.sqrt(share))
+        inside = reached(x) if limit.kind == "q" else np.sqrt(np.maximum(share, 0.0))
+        shares.append(np.where(share >= 1.0, 1.0, inside))
     return np.array(states), np.array(shares)
 
 
@@ -235,7 +263,7 @@ def called_bridge(a, b, variance, at):
 
 @njit
 def called_cubic(q0, v0, q1, v1, h):
-    return cubic_maximum(q0, v0, q1, v1, h)
+    return largest_of(cubic_of(q0, v0, q1, v1, h))
 
 
 TWINS = [
@@ -343,6 +371,7 @@ def test_a_run_that_was_cut_goes_on(tmp_path, monkeypatch):
     assert resumed.error == whole.error
     run(settings=settings)
     assert len(made) == 16
+    assert [p.name[:10] for p in tmp_path.glob("*.checkpoint")] == ["splitting-"]
     with pytest.raises(NotCertified, match="0 repetitions"):
         run(settings=replace(QUICK, partial=True, seconds=1e-9))
 
@@ -426,8 +455,7 @@ def test_starts_on_a_shell():
     one = System(mass=[2.0], stiffness=[1.5], damping=[0.1], noise_intensity=[0.1], contacts=stops)
     for system, H in ((one, 0.8), (fig6(), 1.2), (mixed(), 0.7)):
         n = system.n
-        x = microcanonical(system, H, 20_000, np.random.default_rng(11))
-        q, p = x[:, :n], x[:, n:]
+        q, p = on_shell(system, H, 20_000, np.random.default_rng(11))
         np.testing.assert_allclose(system.hamiltonian(q, p), H, rtol=1e-9)
         # Of uniform points of the shell E[p_i²/m_i] is the same for all i, and E q_i ∂V/∂q_i, too.
         force = q @ system.stiffness_matrix
@@ -439,7 +467,6 @@ def test_starts_on_a_shell():
             z = difference.mean() / (difference.std() / np.sqrt(len(q)))
             assert abs(z) < 4.5
             assert abs(p[:, i].mean()) < 4.5 * p[:, i].std() / np.sqrt(len(q))
-    np.testing.assert_array_equal(microcanonical(fig6(), 0.0, 3, np.random.default_rng(1)), 0.0)
 
 
 def direct(system, limit, time, *, dt, paths, seed, start=None):
