@@ -10,6 +10,7 @@ from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotCertified
 from fpk.limit import Limit
 from fpk.method import Progress, silent
+from fpk.modulation import require_constant_noise
 from fpk.process import Process
 from fpk.start import Start
 from fpk.system import System
@@ -51,6 +52,7 @@ def rare_failure(
     """
     own = settings or Splitting()
     _require_time(time)
+    require_constant_noise(system.modulation)
     problem = system_problem(system, limit, start, time, dt=own.dt, score=score)
     return failure_of(problem, own, progress)
 

@@ -20,6 +20,8 @@ from sim.kernel import KERNEL, KernelKey, kernel_checksum
 from sim.motion.between import READERS
 from sim.plan import step_arrays, watched
 from sim.schemes import SCHEMES
+from sim.splitting.averaged import NAMES as AVERAGED
+from sim.splitting.kernel import NAMES
 from sim.statistics import moment_products
 
 EXACT_FLOW = SCHEMES["exact_flow"]
@@ -122,7 +124,8 @@ def test_an_edit_changes_the_checksums_of_what_depends_on_it(tmp_path: Path) -> 
 
 
 def test_whatever_is_compiled_is_in_the_checksum() -> None:
-    files = {ROOT / name for name in (*KERNEL, *READERS)}
+    own = (f"sim/{name}.py" for name in (*NAMES, *AVERAGED))
+    files = {ROOT / name for name in (*KERNEL, *READERS, *own)}
     sources = {p: p.read_text("utf-8") for p in (ROOT / "sim").rglob("*.py")}
     decorated = re.compile(r"@(njit\(|inlined|cached_njit\()")
     compiled = {p for p, text in sources.items() if decorated.search(text)}
