@@ -98,7 +98,7 @@ def transition(process: Process, source: Source, times: Array, *, tol: float = 1
     else:
         width = process.energy_scale
         nodes = time_nodes(process, ends[0], degree)
-        nodes = np.union1d(nodes, time_nodes(source.process, ends[0], degree))
+        nodes = np.union1d(nodes, source.nodes(ends[0], degree))
     ends[1] = max(ends[1], LENGTHENED * ends[0])
     length = float(nodes[-1] - nodes[-2])
     beyond = np.linspace(ends[0], ends[1], 1 + max(1, math.ceil((ends[1] - ends[0]) / length)))
