@@ -10,7 +10,7 @@ from fpk.arrays import Array
 from fpk.contour import Contour, contours
 from fpk.line import chain
 from fpk.line.modes import EPS, Modes, log_density, modes, rule
-from fpk.line.time_mesh import HIGHEST, time_nodes
+from fpk.line.time_mesh import GROWTH, HIGHEST, time_nodes
 from fpk.probe import probed
 from fpk.process import Process
 
@@ -37,10 +37,15 @@ class Source:
         return at_ends, np.einsum("eq,eqv->ev", weights, v.reshape(*weights.shape, -1))
 
     def nodes(self, end: float, degree: int) -> Array:
-        """Return energies up to ``end`` at which elements have to end to see the source."""
+        """Return energies up to ``end`` at which elements have to end to see the source.
+
+        Beyond its extent they grow: it spreads from there.
+        """
         if self.process is None:
             return np.zeros(0)
-        return time_nodes(self.process, min(end, self._extent), degree)
+        last = min(end, self._extent)
+        steps = np.arange(1.0, np.log(end / last) / np.log(GROWTH))
+        return np.append(time_nodes(self.process, last, degree), last * GROWTH**steps)
 
     def samples(self, e: Modes) -> tuple[Array, Array]:
         """Return energies within the elements, and their weights in a mean over the source."""
@@ -64,7 +69,7 @@ class Source:
     def _log_total(self) -> float:
         """ln ∫π of the process, in the unit in which u = 1 at H = 0."""
         assert self.process is not None
-        nodes = self.nodes(self._extent, HIGHEST)
+        nodes = time_nodes(self.process, self._extent, HIGHEST)
         return modes(self.process, nodes[:-1], nodes[1:], HIGHEST).log_total
 
 
