@@ -43,7 +43,7 @@ class Source:
         """
         if self.process is None:
             return np.zeros(0)
-        last = min(end, self._extent)
+        last = min(end, self.extent)
         steps = np.arange(1.0, np.log(end / last) / np.log(GROWTH))
         return np.append(time_nodes(self.process, last, degree), last * GROWTH**steps)
 
@@ -52,7 +52,7 @@ class Source:
         if self.process is None:
             return np.array([self.energy]), np.ones(1)
         x, w = points(self.process, e)
-        k = int(np.searchsorted(e.left, self._extent))
+        k = int(np.searchsorted(e.left, self.extent))
         own = modes(self.process, e.left[:k], e.right[:k], e.degree)
         log = log_density(self.process, own, x[:k].ravel()) - self._log_total
         w[:k] *= np.exp(log).reshape(k, -1)
@@ -60,16 +60,15 @@ class Source:
         return x.ravel(), w.ravel()
 
     @cached_property
-    def _extent(self) -> float:
+    def extent(self) -> float:
         """Energy above which no more than the round-off of the source is."""
-        assert self.process is not None
-        return float(probed(self.process).extent(EPS))
+        return self.energy if self.process is None else float(probed(self.process).extent(EPS))
 
     @cached_property
     def _log_total(self) -> float:
         """ln ∫π of the process, in the unit in which u = 1 at H = 0."""
         assert self.process is not None
-        nodes = time_nodes(self.process, self._extent, HIGHEST)
+        nodes = time_nodes(self.process, self.extent, HIGHEST)
         return modes(self.process, nodes[:-1], nodes[1:], HIGHEST).log_total
 
 

@@ -65,6 +65,13 @@ def test_from_the_stationary_state_of_another_noise_it_stays_a_gamma_density(fac
     assert errors.max() < 1e-9
 
 
+def test_a_start_under_noise_too_loud_for_double_precision_is_refused():
+    for factor in (1e3, 1e90):
+        source = Source(process=cox_ingersoll_ross(a=2.0 * factor, d=factor))
+        with pytest.raises(InvalidInput, match="out of the range"):
+            transition(cox_ingersoll_ross(a=2.0), source, np.ones(1))
+
+
 CONTACTS = {
     "two masses": chain(2, both(10.0)),
     "one mass": chain(1, (Contact(1, "both", 10.0, 0.3),)),
