@@ -67,10 +67,11 @@ def fem_passage(
         # The means over the source once more, by the points and weights of the enriched elements.
         y, better = source.samples(solved.enriched.elements)
         off, beyond = solved.round_off, float(1.0 - weights.sum())
-        mean, half = float(weights @ T), weights @ U
-        mean_error = SAFETY * abs(mean - better @ solved.mean(y)[0]) + off * mean
-        half_error = SAFETY * abs(half - better @ solved.second(y)[0]) + off * half
-        mean_error, half_error = mean_error + weights @ T_error, half_error + weights @ U_error
+        mean, half = float(weights @ T), float(weights @ U)
+        mean_error = SAFETY * abs(mean - float(better @ solved.mean(y)[0])) + off * mean
+        half_error = SAFETY * abs(half - float(better @ solved.second(y)[0])) + off * half
+        mean_error += float(weights @ T_error)
+        half_error += float(weights @ U_error)
         failure, finer = failure + beyond, solved.failure(times, y)[0] @ better + 1.0 - better.sum()
         failure_error += SAFETY * np.abs(failure - finer) + off
         with np.errstate(over="ignore"):

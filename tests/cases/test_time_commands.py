@@ -122,6 +122,10 @@ REFUSED = [
     (asked("passage", method="exact"), "use one of nonintegrable"),
     (asked("passage", method="guess"), "use one of"),
     (asked("passage", "--tol", "2"), "--tol"),
+    (
+        asked("passage", "--start", "noise=1e-6", "--limit", "H1=1,H2=1", method="integrable"),
+        "so narrow a density",
+    ),
     (asked("transient", "--times", "0,1"), "no density"),
     (asked("transient", "--of", "H7"), "H1..H2"),
     (asked("transient", "--of", "H,q1"), "two lists"),
