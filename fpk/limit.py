@@ -9,6 +9,11 @@ from fpk.observable import Observable, parse_numbers, parse_observable
 REMEDY = "use H=1.5, H1=0.4 or H1=0.4,H2=0.6 (whichever is passed first), or q2=1.2 for |q2|"
 
 
+LEAST = 1e-100
+"""Least limit: of a smaller one the square of the mean time leaves the range of double precision
+in units not far from it."""
+
+
 @dataclass(frozen=True)
 class Limit:
     """The end of safe operation: the first time at which one of ``values`` is passed.
@@ -40,7 +45,7 @@ def parse_limit(text: str, n: int) -> Limit:
     """Return the limit that ``text`` names in a system of ``n`` masses.
 
     Raises ``InvalidInput`` for an unknown name, several limits that are not modal energies, or one
-    that is not a finite number > 0.
+    that is not a finite number of at least ``LEAST``.
     """
     values = parse_numbers("limit", text, REMEDY)
     names = set(values)
@@ -50,6 +55,6 @@ def parse_limit(text: str, n: int) -> Limit:
         kind = next(iter(names))[0]
     else:
         raise InvalidInput("limit", text, REMEDY)
-    if min(values.values()) <= 0.0:
-        raise InvalidInput("limit", text, "must be > 0")
+    if min(values.values()) < LEAST:
+        raise InvalidInput("limit", text, f"must be > 0, {LEAST:g} at least")
     return Limit(kind, values)

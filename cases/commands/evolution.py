@@ -98,7 +98,7 @@ def _times(text: str | None) -> Any:
 
     if text is None:
         return np.zeros(0)
-    (times,) = parse_points(text, 1)
+    (times,) = parse_points(text, 1, option="times")
     return _read("times", text, lambda: checked_times(times))
 
 

@@ -12,52 +12,55 @@ MAX_POINTS = 200_000
 """More than a picture or a table can use; a typing error in a step is caught by it."""
 
 
-def parse_points(text: str, axes: int) -> tuple[Array, ...]:
+def parse_points(text: str, axes: int, *, option: str = "at") -> tuple[Array, ...]:
     """Return one array of points per axis, for a pair every combination of its two lists.
 
-    Raises ``BadInput`` saying what of ``text`` cannot be used.
+    Raises ``BadInput`` saying what of ``text``, given by ``option``, cannot be used.
     """
+    given = f"--{option} {toml_value(text)}"
     parts = [p.strip() for p in re.split(r"[x×]", text)]
     if len(parts) != axes:
         form = "one list such as -1:1:0.1" if axes == 1 else "two lists such as -1:1:0.1 x 0,0.5"
-        raise _wrong(text, f"this observable needs {form}")
-    lists = [_list(part, text) for part in parts]
-    _require_few(float(np.prod([float(a.size) for a in lists])), text)
+        raise _wrong(given, f"this observable needs {form}")
+    lists = [_list(part, given) for part in parts]
+    _require_few(float(np.prod([float(a.size) for a in lists])), given)
     return tuple(grid.ravel() for grid in np.meshgrid(*lists, indexing="ij"))
 
 
-def _list(part: str, text: str) -> Array:
+def _list(part: str, given: str) -> Array:
     """Decimal arithmetic, so that the points are the ones that were written and reach the end."""
     points: list[Decimal] = []
     for item in part.split(","):
-        match [_number(n, text) for n in item.split(":")]:
+        match [_number(n, given) for n in item.split(":")]:
             case [start]:
                 end, step = start, Decimal(1)
             case [start, end, step]:
                 if not step or (start != end and (end - start) / step < 1):
                     remedy = f"a step of {step} does not lead from {start} to {end}"
-                    raise _wrong(text, f"{remedy}; a list is start:end:step")
+                    raise _wrong(given, f"{remedy}; a list is start:end:step")
             case _:
-                raise _wrong(text, f"{toml_value(item)} is not start:end:step")
-        _require_few(float(len(points) + (end - start) / step), text)
+                raise _wrong(given, f"{toml_value(item)} is not start:end:step")
+        _require_few(float(len(points) + (end - start) / step), given)
         points += [start + i * step for i in range(int((end - start) / step) + 1)]
     return np.array(points, dtype=float)
 
 
-def _require_few(count: float, text: str) -> None:
+def _require_few(count: float, given: str) -> None:
     if not count <= MAX_POINTS:
-        raise _wrong(text, f"asks for more than {MAX_POINTS} points; use larger steps")
+        raise _wrong(given, f"asks for more than {MAX_POINTS} points; use larger steps")
 
 
-def _number(item: str, text: str) -> Decimal:
+def _number(item: str, given: str) -> Decimal:
     try:
         number = Decimal(item.strip())
     except InvalidOperation:
         number = Decimal("nan")
-    if not number.is_finite() or (number != 0 and not -100 <= number.adjusted() < 100):
-        raise _wrong(text, f"{toml_value(item.strip())} is not a finite number")
+    if not number.is_finite():
+        raise _wrong(given, f"{toml_value(item.strip())} is not a finite number")
+    if number != 0 and not -100 <= number.adjusted() < 100:
+        raise _wrong(given, f"{item.strip()} is neither 0 nor between 1e-100 and 1e100 in size")
     return number
 
 
-def _wrong(text: str, remedy: str) -> BadInput:
-    return BadInput(f"--at {toml_value(text)}: {remedy}")
+def _wrong(given: str, remedy: str) -> BadInput:
+    return BadInput(f"{given}: {remedy}")

@@ -7,6 +7,7 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.dynamics import Curve
+from fpk.errors import InvalidInput
 from fpk.method import Progress
 from fpk.system import System
 from sim.arrays import LANES
@@ -28,6 +29,9 @@ WINDOW = 40.0
 SAMPLING, OF_CONTACT = 6.0, 3.0
 """Sampling frequency, in units of the highest that is asked for or natural, and of the highest in
 contact: what folds back into the range is (1/5)⁴ of it where the spectrum falls as ω^−4."""
+
+MOST_SAMPLES = 1 << 22
+"""Samples of a window beyond which a frequency is refused: 8192 windows take minutes and more."""
 
 MOST_SUMS = 1 << 23
 """Numbers that the windows of one round hold, 64 MB."""
@@ -128,13 +132,19 @@ def autocovariance(
 
 
 def _sampling(method: MonteCarlo, system: System, at: Array) -> tuple[float, int, int]:
-    """Time between samples, steps in it, and samples of a window (even)."""
+    """Time between samples, steps in it, and samples of a window (even).
+
+    Raises ``InvalidInput`` for a frequency so high that a window has too many.
+    """
     highest = max(float(np.max(np.abs(at))), highest_frequency(system))
     frequency = max(SAMPLING * highest, OF_CONTACT * contact_frequency(system))
     spacing = 2.0 * pi / frequency
     dt = 0.5 * motion_step(method, system)
     window = method.time or WINDOW * relaxation_time(system)
     samples = 2 * ceil(0.5 * window / spacing)
+    if samples > MOST_SAMPLES:
+        words = f"a window takes {samples:.1e} samples at the highest frequency; ask for lower ones"
+        raise InvalidInput("at", highest, words)
     return spacing, ceil(spacing / dt) if needs_steps(system) else 1, samples
 
 

@@ -89,6 +89,7 @@ REFUSED = [
     (["spectrum", "fig3a", "--method", "phase-space", "--of", "q2"], "--at"),
     (["relaxation", "fig3a", "--method", "phase-space", "--rates", "0"], "--rates"),
     (["relaxation", "fig3a", "--method", "phase-space", "--rates", "x"], "--rates"),
+    (["spectrum", "fig3a", *asked("montecarlo", at="0,1e90")], "ask for lower ones"),
     (["spectrum", "chain-10", *asked("phase-space")], "10 masses have 20 coordinates"),
     (["spectrum", "missing", *asked("phase-space")], "missing"),
     (

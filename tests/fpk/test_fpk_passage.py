@@ -154,6 +154,23 @@ def test_starts_at_once_and_stationary_starts():
     assert abs(mixed.mean.value - expected) < 1e-12 * expected
 
 
+@pytest.mark.parametrize("noise", [1e-9, 1e-3, 1e-2, 0.1, 3.0, 1e6])
+def test_a_start_under_much_less_or_more_noise_is_seen(noise):
+    source = Source(process=process(2, d=noise))
+    answer = fem_passage(process(2), 5.0, source, np.array([0.0, 1.0]), tol=1e-10)
+    # A gamma density of shape 2 and scale ``noise``; what is beyond the limit has failed.
+    beyond = (1.0 + 5.0 / noise) * np.exp(-5.0 / noise)
+    assert abs(answer.failure[0] - beyond) <= answer.failure_error[0] < 1e-12
+    x, w = panel_rule(np.linspace(0.0, min(5.0, 60.0 * noise), 41), 20)
+    x, w = x.ravel(), (w * x * np.exp(-x / noise)).ravel() / noise**2
+    solved = first_passage(process(2), 5.0, times=np.ones(1))
+    mean, failure = w @ solved.mean(x)[0], w @ solved.failure(np.ones(1), x)[0][0] + beyond
+    # The reference states 1e-12 of its own, besides.
+    assert abs(answer.mean.value - mean) <= answer.mean.error + 1e-12 * mean
+    assert abs(answer.failure[1] - failure) <= answer.failure_error[1] + 1e-12
+    assert answer.certificate.certified
+
+
 def test_limits_and_starts_that_make_no_sense_are_refused():
     for solver in (
         lambda limit, start: fem_passage(process(1), limit, Source(start), NONE, tol=1e-10),

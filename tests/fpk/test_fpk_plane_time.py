@@ -99,6 +99,18 @@ def test_reliability_is_the_mass_that_the_absorbing_forward_equation_keeps():
     assert abs(answer.survival[0] - forward.shares @ p) <= 1e-9 + answer.survival_error[0]
 
 
+def test_a_time_by_which_all_have_failed_spoils_no_other():
+    process, _ = manufactured(0.4, 0.2)
+    start, limit = PointStart(np.array([0.2, 0.15])), PlaneLimit(0.6, 0.5)
+    alone, late = (
+        first_passage(frame(process), start, limit, np.array(times), tol=1e-8)
+        for times in ([0.2], [0.2, 1e6])
+    )
+    assert late.certificate.certified, late.certificate.failures
+    assert abs(late.survival[0] - alone.survival[0]) <= late.survival_error[0]
+    assert abs(late.survival[1]) <= late.survival_error[1] < 1e-8
+
+
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "ridge")) for n in COUPLED]
 )

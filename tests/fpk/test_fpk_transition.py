@@ -52,7 +52,7 @@ def test_the_transition_density_of_the_square_root_process(n, start):
         assert np.all(np.abs(closed.values[0] - exact) <= closed.errors[0])
 
 
-@pytest.mark.parametrize("factor", [0.3, 1.0, 2.5])
+@pytest.mark.parametrize("factor", [1e-9, 0.3, 1.0, 2.5])
 def test_from_the_stationary_state_of_another_noise_it_stays_a_gamma_density(factor):
     n, c, d = 2, 0.5, 0.2
     process, other = (cox_ingersoll_ross(a=n * f * d, c=c, d=f * d) for f in (1.0, factor))
@@ -63,6 +63,13 @@ def test_from_the_stationary_state_of_another_noise_it_stays_a_gamma_density(fac
     assert solved.certificate.certified and exact.certificate.certified
     assert np.all(np.abs(values - exact.values) <= errors + exact.errors)
     assert errors.max() < 1e-9
+
+
+def test_a_start_under_noise_too_loud_for_double_precision_is_refused():
+    for factor in (1e3, 1e90):
+        source = Source(process=cox_ingersoll_ross(a=2.0 * factor, d=factor))
+        with pytest.raises(InvalidInput, match="out of the range"):
+            transition(cox_ingersoll_ross(a=2.0), source, np.ones(1))
 
 
 CONTACTS = {

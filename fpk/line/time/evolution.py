@@ -8,8 +8,9 @@ from fpk.dynamics import Rates
 from fpk.errors import InvalidInput
 from fpk.evolution import Number, Passage, StartCurve, Transient, certified_passage
 from fpk.line.time import chain
+from fpk.line.time.mesh import HIGHEST
 from fpk.line.time.modes import Modes
-from fpk.line.time.passage import FirstPassage, first_passage
+from fpk.line.time.passage import SAFETY, FirstPassage, first_passage
 from fpk.line.time.propagation import Source
 from fpk.line.time.spectrum import spectrum
 from fpk.line.time.transition import transition
@@ -51,20 +52,30 @@ def fem_passage(
     """
     if not source.energy < limit:
         raise InvalidInput("start", f"H={source.energy:g}", f"must be below the limit {limit:g}")
-    solved = first_passage(process, limit, times=times, tol=tol)
+    nodes = source.nodes(limit, HIGHEST)
+    solved = first_passage(process, limit, times=times, tol=tol, nodes=nodes)
     e = solved.answer.elements
     x, weights = source.samples(e)
     (T, T_error), (U, U_error) = solved.mean(x), solved.second(x)
     (F, F_error), unit = solved.failure(times, x), solved.longest
+    beyond, failure, failure_error = 0.0, F @ weights, F_error @ weights
     if source.process is None:
         ((variance,), (variance_error,)) = solved.variance(x)
-        mean, mean_error, beyond = float(T[0]), float(T_error[0]), 0.0
+        mean, mean_error = float(T[0]), float(T_error[0])
     else:
-        mean, mean_error, beyond = float(weights @ T), float(weights @ T_error), 1.0 - weights.sum()
+        # The means over the source once more, by the points and weights of the enriched elements.
+        y, better = source.samples(solved.enriched.elements)
+        off, beyond = solved.round_off, float(1.0 - weights.sum())
+        mean, half = float(weights @ T), float(weights @ U)
+        mean_error = SAFETY * abs(mean - float(better @ solved.mean(y)[0])) + off * mean
+        half_error = SAFETY * abs(half - float(better @ solved.second(y)[0])) + off * half
+        mean_error += float(weights @ T_error)
+        half_error += float(weights @ U_error)
+        failure, finer = failure + beyond, solved.failure(times, y)[0] @ better + 1.0 - better.sum()
+        failure_error += SAFETY * np.abs(failure - finer) + off
         with np.errstate(over="ignore"):
-            variance = 2.0 * (weights @ U) * unit * unit - mean * mean
-            variance_error = 2.0 * (weights @ U_error) * unit * unit + 2.0 * mean * mean_error
-    failure, failure_error = F @ weights + beyond, F_error @ weights
+            variance = 2.0 * half * unit * unit - mean * mean
+            variance_error = 2.0 * half_error * unit * unit + 2.0 * mean * mean_error
     rate, rate_error = solved.rate()
     by_mean = np.array([mean]) if not times.size else times
     kept, residual = _forward(e, source, by_mean)

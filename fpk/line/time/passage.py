@@ -216,13 +216,13 @@ class FirstPassage:
 
 
 def first_passage(
-    process: Process, limit: float, *, times: Array, tol: float = 1e-10
+    process: Process, limit: float, *, times: Array, tol: float = 1e-10, nodes: Array | None = None
 ) -> FirstPassage:
     """Return the first passage of ``limit`` > 0 with errors below ``tol`` where that is possible.
 
     Errors are relative ones of the moments and of the rate, absolute ones of the probability of
-    failure at ``times`` >= 0. The mesh adapts. Raises ``InvalidInput`` for a limit whose mean time
-    is beyond double precision.
+    failure at ``times`` >= 0. The mesh adapts; elements end at ``nodes``, too. Raises
+    ``InvalidInput`` for a limit whose mean time is beyond double precision.
     """
     degree = int(np.clip(round(-math.log10(tol)) + 4, 8, HIGHEST))
     beyond = InvalidInput("limit", limit, BEYOND_RANGE)
@@ -235,7 +235,8 @@ def first_passage(
     log_mass = np.interp(math.log(limit), np.log(probe.energy), probe.log_mass)
     if not probe.log_mass.max() - log_mass < FARTHEST:
         raise beyond
-    nodes = time_nodes(process, limit, degree, fine=fine)
+    own = time_nodes(process, limit, degree, fine=fine)
+    nodes = own if nodes is None else np.union1d(own, nodes)
     pair = [
         modes(process, nodes[:-1], nodes[1:], degree + more, enriched=more > 0)
         for more in (0, ENRICHMENT)

@@ -9,7 +9,7 @@ import numpy as np
 from fpk.arrays import Array
 from fpk.contour import Contour, contours
 from fpk.line.time import chain
-from fpk.line.time.mesh import HIGHEST, time_nodes
+from fpk.line.time.mesh import GROWTH, HIGHEST, time_nodes
 from fpk.line.time.modes import EPS, Modes, log_density, modes, rule
 from fpk.probe import probed
 from fpk.process import Process
@@ -36,19 +36,39 @@ class Source:
         at_ends[1:, 0] = weights.sum(axis=1)[1:] - at_ends[1:, 1]
         return at_ends, np.einsum("eq,eqv->ev", weights, v.reshape(*weights.shape, -1))
 
+    def nodes(self, end: float, degree: int) -> Array:
+        """Return energies up to ``end`` at which elements have to end to see the source.
+
+        Beyond its extent they grow: it spreads from there.
+        """
+        if self.process is None:
+            return np.zeros(0)
+        last = min(end, self.extent)
+        steps = np.arange(1.0, np.log(end / last) / np.log(GROWTH))
+        return np.append(time_nodes(self.process, last, degree), last * GROWTH**steps)
+
     def samples(self, e: Modes) -> tuple[Array, Array]:
         """Return energies within the elements, and their weights in a mean over the source."""
         if self.process is None:
             return np.array([self.energy]), np.ones(1)
-        x, w = (part.ravel() for part in points(self.process, e))
-        own = modes(self.process, e.left, e.right, e.degree)
-        return x, w * np.exp(log_density(self.process, own, x) - self._log_total)
+        x, w = points(self.process, e)
+        k = int(np.searchsorted(e.left, self.extent))
+        own = modes(self.process, e.left[:k], e.right[:k], e.degree)
+        log = log_density(self.process, own, x[:k].ravel()) - self._log_total
+        w[:k] *= np.exp(log).reshape(k, -1)
+        w[k:] = 0.0
+        return x.ravel(), w.ravel()
+
+    @cached_property
+    def extent(self) -> float:
+        """Energy above which no more than the round-off of the source is."""
+        return self.energy if self.process is None else float(probed(self.process).extent(EPS))
 
     @cached_property
     def _log_total(self) -> float:
         """ln ∫π of the process, in the unit in which u = 1 at H = 0."""
         assert self.process is not None
-        nodes = time_nodes(self.process, probed(self.process).extent(EPS), HIGHEST)
+        nodes = time_nodes(self.process, self.extent, HIGHEST)
         return modes(self.process, nodes[:-1], nodes[1:], HIGHEST).log_total
 
 

@@ -32,6 +32,8 @@ LENGTHENED = 1.02
 """Least ratio of the last energy of the enriched solution to that of the answer."""
 FARTHEST = -600.0
 """ln of the least stationary probability beyond a start that double precision can relate to one."""
+FARTHEST_EXTENT = 4.0 * FARTHEST
+"""The same beyond the extent of a density at the start: at 5000 errors exceed the answer."""
 MOST_ROUNDS, MOST_ELEMENTS = 12, 1_000
 """Rounds of cutting elements in two, and elements beyond which none is cut."""
 STALLED = 0.9
@@ -88,9 +90,9 @@ def transition(process: Process, source: Source, times: Array, *, tol: float = 1
     degree = int(np.clip(round(-math.log10(tol)) + 4, 8, HIGHEST))
     probe, start = probed(process), source.energy
     share = log_share_above(probe, start)
-    if share < FARTHEST:
+    if share < FARTHEST or log_share_above(probe, source.extent) < FARTHEST_EXTENT:
         remedy = "the stationary probability beyond it is out of the range of double precision"
-        raise InvalidInput("start", f"H={start:g}", remedy)
+        raise InvalidInput("start", f"H={start or source.extent:g}", remedy)
     ends = [extent(process, source, tail * tol, share) for tail in TAIL]
     if source.process is None:
         width = width_of(process, start, float(times.min()))
@@ -98,7 +100,7 @@ def transition(process: Process, source: Source, times: Array, *, tol: float = 1
     else:
         width = process.energy_scale
         nodes = time_nodes(process, ends[0], degree)
-        nodes = np.union1d(nodes, time_nodes(source.process, ends[0], degree))
+        nodes = np.union1d(nodes, source.nodes(ends[0], degree))
     ends[1] = max(ends[1], LENGTHENED * ends[0])
     length = float(nodes[-1] - nodes[-2])
     beyond = np.linspace(ends[0], ends[1], 1 + max(1, math.ceil((ends[1] - ends[0]) / length)))

@@ -26,6 +26,8 @@ e^(t(1 − 1/s)/γ) is e^−1100, less than the smallest number."""
 
 INVARIANT = 1e-12
 """Part of a vector outside the space, relative to it, that is round-off: the space is complete."""
+DECAYED = 1e-200
+"""Norm below which a function has decayed, relative to its start: its error is not its own."""
 LARGEST = 20.0
 """Largest growth of a mode of a small space, whose numerical range leans into the right half plane;
 e^20 of anything is far from converged, and NaN says so."""
@@ -125,13 +127,18 @@ def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float
             less, _ = _reduced(H[: k - CHUNK, : k - CHUNK], times, gamma, symmetric)
             change = more.copy()
             change[:, : k - CHUNK] -= less
-            relative = np.linalg.norm(change, axis=1) / np.linalg.norm(more, axis=1)
+            relative = np.linalg.norm(change, axis=1) / _norms(more)
             if float(np.max(relative)) <= tol or k + CHUNK >= MOST:
                 break
-    relative = rounding / np.linalg.norm(more, axis=1)
+    relative = rounding / _norms(more)
     return Evolved(
         norm * more @ V[: more.shape[1]], norm * change @ V[: more.shape[1]], relative, residual
     )
+
+
+def _norms(values: Array) -> Array:
+    """Norms of rows; of those that have decayed to nothing, ``DECAYED``."""
+    return np.asarray(np.maximum(np.linalg.norm(values, axis=1), DECAYED))
 
 
 def _symmetric(A: csc_array) -> bool:

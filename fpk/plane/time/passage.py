@@ -14,7 +14,7 @@ from scipy.sparse.linalg import SuperLU
 
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
-from fpk.errors import NotCertified
+from fpk.errors import InvalidInput, NotCertified
 from fpk.evolution import Number, Passage
 from fpk.plane.solution import Nodes, gauss_grid, graded
 from fpk.plane.time.domain import Domain, Rectangle, Triangle
@@ -179,6 +179,9 @@ def _answer(op: PlaneOperator, start: Start, times: Array, tol: float) -> _Answe
     T, change, residual = solved(shares)
     square, _, _ = solved(2.0 * (M @ T))
     mean, second = float(dual @ T), float(dual @ square)
+    if not mean > 0.0:
+        remedy = "the elements do not see so narrow a density; start from rest or louder noise"
+        raise InvalidInput("start", "stationary", remedy)
     relative = ROUNDING * abs(float(dual @ change)) / mean + LEAST
     rate = _least_rate(M, backward, forward, T)
     numbers = np.array([mean, second - mean**2, rate])
