@@ -16,12 +16,12 @@ from tempfile import TemporaryDirectory
 from time import perf_counter
 
 import numpy as np
+from fpk.line.passage import first_passage
 from passage_rare import STEP, TIME, rare
 from report import machine, markdown_table
 
 from averaging.energy_process import energy_process
 from averaging.energy_time import EnergyStart, total_energy
-from fpk.line.passage import first_passage
 from fpk.system import System
 
 try:
