@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from time import perf_counter
 
 import numpy as np
-from fpk.line.passage import first_passage
+from fpk.line.time.passage import first_passage
 from passage_rare import STEP, TIME, rare
 from report import machine, markdown_table
 

@@ -15,7 +15,7 @@ from averaging.energy_time import total_energy
 from fpk.system import System
 from sim.splitting import Splitting, rare_failure_of_process
 
-TIME, STEP, REPLICAS, RUNS = 100.0, 0.3125, 32, 3
+TIME, STEP, REPLICAS, RUNS = 100.0, 0.3125, 32, 4
 
 
 def rare(system: System, c: float, D: float) -> list[list[str]]:

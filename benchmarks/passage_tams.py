@@ -46,13 +46,17 @@ class SquareRootModel(ForwardModelBaseClass):
         self.X, self.most = state, np.sqrt(state)
 
     def score(self) -> float:
-        """Return 1 less the action that is left, over that of the start; 1 and more beyond."""
+        """Return 1 less the least action to fail in the time that is left; 1 and more beyond.
+
+        Waiting costs nothing: the climb takes the best time, or all that is left.
+        """
         c, time, top = self.p["c"], self.p["time"], np.sqrt(self.p["limit"])
         if self.most >= top:
             return float(self.most / top)
-        left = max(time - self._time, 1e-9)
-        short = 1.0 - self.most / top * np.exp(-0.5 * c * left)
-        return float(1.0 - short**2 * np.expm1(-c * time) / np.expm1(-c * left))
+        share = max(self.most / top, 1e-9)
+        climb = max(min(time - self._time, -2.0 * np.log(share) / c), 1e-9)
+        short = 1.0 - share * np.exp(-0.5 * c * climb)
+        return float(1.0 + short**2 / np.expm1(-c * climb))
 
 
 def main() -> None:
