@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from time import perf_counter
 
 import numpy as np
-from passage_rare import STEP, TIME, rare
+from passage_rare import COLUMNS, STEP, TIME, rare
 from report import machine, markdown_table
 
 from averaging.energy_process import energy_process
@@ -54,8 +54,7 @@ def ours(solver: str, asked: str, x: int) -> Answer:
     """Return the mean or the rate of vibro-fpk, computed with all else that a passage holds."""
     method, limit = NonIntegrable(solver=solver), parse_limit(f"H={x * D / C!r}", 1)
     one = method.passage(SYSTEM, limit, REST, NONE, tol=1e-10, progress=silent)
-    number = getattr(one, asked)
-    return number.value, number.error
+    return getattr(one, asked).value, getattr(one, asked).error
 
 
 def mean_alone(x: int) -> Answer:
@@ -139,12 +138,8 @@ def main() -> None:
     with TemporaryDirectory() as folder:  # pyTAMS leaves files where it runs
         os.chdir(folder)
         found = rare(SYSTEM, C, D)
-    names = ["by", "replicas", "runs", "P", "stated error", "spread", "steps", "seconds"]
-    tables = {
-        "means": (HEADER, means),
-        "rates": (HEADER, rows("rate", 3, RATE)),
-        "rare": (names, found),
-    }
+    rates = rows("rate", 3, RATE)
+    tables = {"means": (HEADER, means), "rates": (HEADER, rates), "rare": (COLUMNS, found)}
     made = {key: markdown_table(*table) for key, table in tables.items()}
     about = {"c": C, "D": D, "time": TIME, "step": STEP, "repeats": REPEATS, "machine": machine()}
     out.write_text(TEXT.format(**about, **made))

@@ -16,6 +16,7 @@ from fpk.system import System
 from sim.splitting import Splitting, rare_failure_of_process
 
 TIME, STEP, REPLICAS, RUNS = 100.0, 0.3125, 32, 4
+COLUMNS = ["by", "replicas", "runs", "P", "stated error", "spread", "steps", "seconds"]
 
 
 def rare(system: System, c: float, D: float) -> list[list[str]]:
