@@ -5,7 +5,7 @@ from typing import Any
 import click
 
 from cases.commands import parts
-from cases.commands.questions import LIST, answer_of, problems_of, question
+from cases.commands.questions import LIST, answer_of, problems_of, question, simulated
 from cases.scene.errors import BadInput
 
 
@@ -13,7 +13,7 @@ def _of_displacement(command: Any) -> Any:
     """Add a displacement, a list of points, and what a simulation takes."""
     of = click.option("--of", metavar="OBS", required=True, help="A displacement: q1, q2, ...")
     at = click.option("--at", metavar="LIST", required=True, help=LIST)
-    return of(at(parts.seed(parts.seconds(parts.threads(command)))))
+    return of(at(simulated(command)))
 
 
 @click.command()

@@ -5,7 +5,7 @@ from typing import Any
 import click
 
 from cases.commands import parts
-from cases.commands.questions import answer_of, problems_of, question
+from cases.commands.questions import answer_of, problems_of, question, simulated
 from cases.scene.errors import BadInput
 from fpk.errors import InvalidInput
 
@@ -21,6 +21,7 @@ _start = click.option("--start", metavar="START", default="rest", help=START)
 @_start
 @click.option("--times", metavar="LIST", required=True, help="Times after the start.")
 @click.option("--at", metavar="LIST", required=True, help=LIST)
+@simulated
 def transient(
     scene: str,
     method: str,
@@ -30,6 +31,7 @@ def transient(
     start: str,
     times: str,
     at: str,
+    **simulation: Any,
 ) -> None:
     """Give the density of an observable at times after a start."""
     loaded = parts.checked(scene, tol=tol)
@@ -49,6 +51,7 @@ def transient(
         lambda asked, progress: asked.transient(
             loaded.system, observable, begin, later, points, tol=tol, progress=progress
         ),
+        **simulation,
     )
     record = transient_record(loaded, observable, begin, points, *answered)
     problems = problems_of(f"the density of {of}", record)
@@ -60,6 +63,7 @@ def transient(
 @click.option("--limit", metavar="LIMIT", required=True, help="H=1.5, H1=0.4,H2=0.6 or q2=1.2.")
 @_start
 @click.option("--times", metavar="LIST", help="Times at which the reliability is given.")
+@simulated
 def passage(
     scene: str,
     method: str,
@@ -68,6 +72,7 @@ def passage(
     limit: str,
     start: str,
     times: str | None,
+    **simulation: Any,
 ) -> None:
     """Give the first passage of a limit: moments of its time, failure rate, reliability."""
     loaded = parts.checked(scene, tol=tol)
@@ -84,6 +89,7 @@ def passage(
         lambda asked, progress: asked.passage(
             loaded.system, end, begin, later, tol=tol, progress=progress
         ),
+        **simulation,
     )
     record = passage_record(loaded, end, begin, *answered)
     parts.end(record, lambda: passage_text(record), problems=problems_of("first passage", record))

@@ -1,4 +1,7 @@
-"""What the commands share that ask a method for more than stationary densities."""
+"""Options, answers and problems of the commands other than ``fpk density`` that ask one method.
+
+These are ``fpk transient``, ``passage``, ``crossings``, ``spectrum`` and ``relaxation``.
+"""
 
 from collections.abc import Callable
 from time import perf_counter
@@ -29,23 +32,27 @@ def question(command: Any) -> Any:
     return command
 
 
+def simulated(command: Any) -> Any:
+    """Add the seed, the wall time and the threads of a simulation."""
+    return parts.seed(parts.seconds(parts.threads(command)))
+
+
 def answer_of(
     asked: tuple[Any, str, str, str, str | None], work: Callable[[Any, Any], Any], **settings: Any
 ) -> tuple[Any, Any, float]:
     """Return the method, what ``work(method, progress)`` returns and the seconds that it took.
 
     ``asked`` names the protocol, the question in words, the scene, the method and its solver. Where
-    no solver is given it is the first of the method that gives the answer. Raises ``BadInput`` for
-    a method that gives none or lacks one of the ``settings`` that are given (None: they are not),
-    or with the first reason why not.
+    no solver is given it is the first of the method that gives the answer. ``settings`` are those
+    of ``simulated``, None where the user gave none. Raises ``BadInput`` for a method that has not
+    the protocol or a setting that was given, or with the first reason why it does not apply.
     """
     from cases.comparison.routes import listed_routes, methods_of, require_settings
     from cases.output.bar import progress_bar
 
     kind, words, scene, name, solver = asked
     try:
-        methods = methods_of(name, solver, **settings)
-        methods = tuple(method for method in methods if isinstance(method, kind))
+        methods = [m for m in methods_of(name, solver, **settings) if isinstance(m, kind)]
         for method in methods[:1]:
             require_settings(method, name, settings)
     except InvalidInput as error:

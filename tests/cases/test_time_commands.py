@@ -5,6 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from fpk.errors import NotApplicable
+from sim.montecarlo import MonteCarlo
+
 DENSITY = {
     "scene", "method", "solver", "observable", "points", "density", "error", "error_kind",
     "certificate", "seconds", "times",
@@ -126,6 +129,9 @@ REFUSED = [
         asked("passage", "--start", "noise=1e-6", "--limit", "H1=1,H2=1", method="integrable"),
         "so narrow a density",
     ),
+    (asked("passage", "--seed", "3"), "fpk: --seed 3: is not an option of nonintegrable by fem"),
+    (asked("transient", "--threads", "1"), "fpk: --threads 1: is not an option"),
+    (asked("passage", "--seconds", "-1", method="montecarlo"), "--seconds -1.0: must be"),
     (asked("transient", "--times", "0,1"), "no density"),
     (asked("transient", "--of", "H7"), "H1..H2"),
     (asked("transient", "--of", "H,q1"), "two lists"),
@@ -143,3 +149,25 @@ def test_what_cannot_be_used_is_refused_in_one_line(arguments, word, fpk):
 def test_what_is_not_certified_is_said(fpk):
     status, out, err = fpk(*asked("transient", "--start", "H=0.5", "--times", "1e-22"))
     assert status == 1 and out and "exceeds the tolerance" in err
+
+
+@pytest.mark.parametrize("command", ["passage", "transient"])
+def test_a_simulation_takes_its_seed_time_and_threads(command, fpk, monkeypatch):
+    def refuse(self, *asked, **options):
+        raise NotApplicable(f"asked with {self.seed}, {self.seconds} and {self.threads}")
+
+    monkeypatch.setattr(MonteCarlo, command, refuse)
+    settings = "--seed", 7, "--seconds", 0.5, "--threads", 2
+    status, _, err = fpk(*asked(command, *settings, method="montecarlo"))
+    assert status == 2 and "asked with 7, 0.5 and 2" in err
+
+
+def test_what_a_passage_that_is_not_certified_does_not_know_is_null(linear_scene, fpk):
+    """Nothing fails in a fifth of a second: no moment is known, nor is any error but a bound."""
+    options = "--limit", "H=1e3", "--seconds", 0.2, "--times", 5
+    given = asked("passage", *options, scene=linear_scene, method="montecarlo")
+    status, out, err = fpk(*given, "--json")
+    answer = json.loads(out, parse_constant=pytest.fail)  # of NaN and Infinity
+    assert status == 1 and not answer["certificate"]["certified"] and "not certified" in err
+    assert answer["mean_error"] is answer["variance"] is answer["variance_error"] is None
+    assert (answer["rate"], answer["survival"]) == (0.0, [1.0]) and answer["rate_error"] > 0.0
