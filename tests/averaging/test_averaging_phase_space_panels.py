@@ -134,7 +134,7 @@ def light(B):
 def test_an_elimination_in_single_precision_is_refined_to_double(frame, monkeypatch):
     about = gibbs_reference(frame)
     refined = expanded(frame, about, DEGREES, again=False)
-    monkeypatch.setattr(elimination, "FIRST", np.float64)
+    monkeypatch.setattr(elimination, "ELIMINATED_IN", np.float64)
     double = expanded(frame, about, DEGREES, again=False)
     for a, b in zip(refined.levels, double.levels, strict=True):
         # A residual of 1e-14 is an error of as much times the condition of the equations: with

@@ -24,7 +24,7 @@ from averaging.phase_space.equation.panels import polynomials
 from averaging.phase_space.equation.terms import applied, applied_from_right
 from fpk.arrays import Array
 
-FIRST: type = np.float32
+ELIMINATED_IN: type = np.float32
 """Numbers of the first elimination, before any in double precision."""
 SMALL = 1e8
 """Sum of the cubes of the levels' sizes up to which double precision takes no longer at once."""
@@ -102,7 +102,7 @@ def expanded(
     chain = chain_of(frame, reference, functions, degrees)
     one = functions.of_one()[: chain.size(0)]
     small = sum(chain.size(n) ** 3 for n in range(chain.top + 1)) < SMALL
-    kinds = (np.float64,) if small else (FIRST, np.float64) if again else (FIRST,)
+    kinds = (np.float64,) if small else (ELIMINATED_IN, np.float64) if again else (ELIMINATED_IN,)
     for kind in kinds:
         factors, scale = factored(chain, kind=kind, one=one, step=step)
         u, residual = _refined(factors, scale * one, one)
