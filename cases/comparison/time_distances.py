@@ -29,7 +29,7 @@ Distance = tuple[str, Norm, float, float, float]
 
 
 def failure_of(p: Passage) -> tuple[Array, Array]:
-    """Return P(T <= t) and its error."""
+    """Return P(T <= t) and its error, as the method gives them or else by 1 − P(T > t)."""
     if p.failure is not None and p.failure_error is not None:
         return p.failure, p.failure_error
     return 1.0 - p.survival, p.survival_error

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic_core import to_jsonable_python
 
+from cases.comparison.time_distances import failure_of
 from cases.scene.scene import Scene
 from fpk.arrays import Array
 from fpk.certificate import Certificate
@@ -113,7 +114,8 @@ def passage_record(
 ) -> Record:
     """Return the record of ``fpk passage``; numbers that there are not, or beyond range, are null.
 
-    ``failure`` is P(T <= t), whose relative digits 1 − survival has lost.
+    ``failure`` is P(T <= t), with the relative digits that 1 − ``survival`` has lost where the
+    method has them.
     """
     own = {"limit": str(limit), "start": str(start), **passage_numbers(answer)}
     own["error_kind"] = answer.error_kind
@@ -124,7 +126,8 @@ def passage_record(
 
 def passage_numbers(answer: Passage) -> Record:
     """Return the moments, the failure rate and the reliability with their errors."""
-    own = {
+    failure, failure_error = failure_of(answer)
+    return {
         "mean": answer.mean.value,
         "mean_error": answer.mean.error,
         "variance": answer.variance.value,
@@ -134,10 +137,9 @@ def passage_numbers(answer: Passage) -> Record:
         "times": answer.times,
         "survival": answer.survival,
         "survival_error": answer.survival_error,
+        "failure": failure,
+        "failure_error": failure_error,
     }
-    if answer.failure is not None:
-        own |= {"failure": answer.failure, "failure_error": answer.failure_error}
-    return own
 
 
 def _listed(points: tuple[Array, ...]) -> Array:
