@@ -67,7 +67,7 @@ def passages_of(tables: Sequence[Mapping[str, Any]], system: System) -> tuple[Pa
         with _placed(place):
             limit = parse_limit(table["limit"], system.n)
             start = _start(table, system)
-            _require_below(system, limit, start)
+            require_below(system, limit, start)
             times = _times(table)
         claims: dict[str, Any] = {
             key: _range(f"{place}.{key}", table) for key in CLAIMS if key in table
@@ -128,7 +128,7 @@ def _range(key: str, table: Mapping[str, Any]) -> Range:
     return Range(*next(iter(given.items())))
 
 
-def _require_below(system: System, limit: Limit, start: Start) -> None:
+def require_below(system: System, limit: Limit, start: Start) -> None:
     """Raise ``InvalidInput`` for a start that is at or beyond the limit, whatever its phases.
 
     Before any work: methods refuse it, too, by the states or energies that they begin with.
