@@ -23,7 +23,8 @@ from fpk.route import Route
 from fpk.system import System
 
 LOOSEST = 1e-4
-"""Largest tolerance by which a default one that is missed is replaced: simulations tell no less."""
+"""Largest tolerance that takes the place of a default one that is missed: it is still well below
+what simulations resolve."""
 
 
 @dataclass(frozen=True, repr=False)

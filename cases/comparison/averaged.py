@@ -133,7 +133,7 @@ class AveragedSimulation(Method):
         return (line_form if self.theory == "nonintegrable" else square_root_form)(process)
 
     def _starts(self, system: System, start: Start) -> Any:
-        """What draws the energies at time 0: of other noise by its own burn-in."""
+        """What draws the energies at time 0; for ``noise=`` by a simulation under that noise."""
         from cases.comparison.averaged_passage import starts_of
         from sim.averaged.paths import burnt_in
 

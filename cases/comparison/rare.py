@@ -26,14 +26,15 @@ SPLITTING = Route(
 """The route that takes the place of the plain simulation; it gives no densities."""
 
 REPLICAS, REPETITIONS = 256, 8
-"""Of splitting where nobody asked for it: some seconds, for 20 % of a probability of 1e-9."""
+"""Replicas of a run of splitting, and independent runs: in some seconds they give a probability of
+1e-9 to 20 %."""
 
 MOST_ERROR = 0.5
 """Relative error of a probability above which it is not certified."""
 
 TOL, LEAST = 1e-4, 1e-12
-"""Error of the averaged reliability that is good enough for a score, and the least probability of
-failure at the start of which it has digits: it is the difference of numbers about one."""
+"""Tolerance of the averaged reliability as a score, and the least probability of failure from rest
+for which it is used: as the difference of numbers about one, it has no digits far below."""
 
 
 def split_passage(
@@ -42,7 +43,7 @@ def split_passage(
     """Return P(T <= t) at the times > 0 of ``question`` by splitting, each on its own.
 
     ``method`` is the plain simulation, whose step, seed, threads and cluster are taken. The score
-    is ln P of the averaged energy where that has the limit and has digits. The moments and the
+    is that of ``averaged_score``, or least action where there is none. The moments and the
     failure rate are not given.
     """
     names = ("dt", "seed", "threads", "cluster")
@@ -91,8 +92,8 @@ def split_passage(
 def averaged_score(system: System, question: PassageQuestion) -> ScoreFunction | None:
     """Return ln P(failure | energy, time left) of the averaged energy, Eq. (24).
 
-    None where the limit is not one of H, or failure from rest by the last time is so rare that
-    its probability has no digits.
+    None where the limit is not one of H, or failure from rest by the last time is less probable
+    than ``LEAST``.
     """
     if question.limit.kind != "H":
         return None

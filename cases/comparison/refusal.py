@@ -1,4 +1,4 @@
-"""Routes that give no answer, with the reasons: by Ctrl-C, or as they say when they are asked."""
+"""Routes asked one after the other, and why some of them give no answer."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field

@@ -290,7 +290,7 @@ def test_everything_is_written(outcome, tmp_path):
         # The density of the last time on all points, by a rule that is good to 1e-4 there.
         assert np.trapezoid(p[-1], points) == pytest.approx(1.0, abs=5e-3)
 
-    *meshes, collection = write_time_pvd(outcome, tmp_path)
+    collection, *meshes = write_time_pvd(outcome, tmp_path)
     assert len(meshes) == len(TRANSIENT.times) and collection.name == "transient_1.pvd"
     assert all(path.name in collection.read_text(encoding="utf-8") for path in meshes)
     pyvista = pytest.importorskip("pyvista", reason="pyvista is not installed")
