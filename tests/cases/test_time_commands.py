@@ -93,6 +93,12 @@ def test_a_variance_beyond_range_is_null(linear_scene, fpk):
     assert answer["mean_error"] < 2e-12 * answer["mean"]
 
 
+def test_a_variance_beyond_range_is_a_dash_in_text(fpk):
+    arguments = asked("passage", "--limit", "H=300", scene="cir")
+    status, out, _ = fpk(*(word for word in arguments if word != "--json"))
+    assert status == 0 and "variance  -  -" in out and "nan" not in out
+
+
 def test_modulated_noise(scene_text, tmp_path, fpk):
     scene = tmp_path / "modulated.toml"
     scene.write_text(scene_text + MODULATION)
@@ -108,6 +114,7 @@ def test_modulated_noise(scene_text, tmp_path, fpk):
 
 REFUSED = [
     (asked("passage", "--start", "H=1"), "below the limit"),
+    (asked("passage", "--start", "H=5", method="integrable"), '--start "H=5": must lie below the'),
     (asked("passage", "--start", "H=-1"), "negative"),
     (asked("passage", "--start", "q9=1"), "use rest"),
     (asked("passage", "--limit", "H=1e6"), "beyond the range"),
