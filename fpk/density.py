@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, partial, reduce
+from functools import cache, cached_property, partial, reduce
 from typing import Any
 
 import numpy as np
@@ -10,24 +10,29 @@ from numpy.typing import ArrayLike
 
 from fpk.arrays import Array
 from fpk.certificate import Certificate, Measured, certify
+from fpk.number import Number
 from fpk.observable import Observable, observable_name
 from fpk.piecewise import PiecewiseTensor, interpolated_tensor
 from fpk.quadrature import panel_rule
+from fpk.quantities import Function, Quantities, beyond
 from fpk.sampled_density import ErrorKind, SampledDensity, described
 
 GAUSS_POINTS = {1: 20, 2: 12}
 """Nodes per panel and axis of the integrals below, by the number of axes: exact for polynomials of
 degree 39 and 23 (panels of joint densities are many, and |p_a − p_b| has kinks anyway)."""
+FEWER = {1: 16, 2: 9}
+"""Nodes of the coarser rule whose distance is the error of an expectation."""
 CHECKED, SAFETY = 7, 3.0
 """Gauss points per panel and axis at which the table of a joint density is compared with it, none
 of them one of its own; and the multiple of the distance there, an integral of few points, that is
 the error of the table."""
+EPS = float(np.finfo(float).eps)
 SMALLEST = float(np.finfo(float).tiny)
 """Smallest number (2e-308) with full relative accuracy: what is less is known to no better."""
 
 
 @dataclass(frozen=True)
-class Density:
+class Density(Quantities):
     """Density of one or two coordinates, as a function, with its numerical error.
 
     ``panels`` holds for every axis the ascending nodes between which the density is smooth; the
@@ -89,6 +94,57 @@ class Density:
     def tabulated(self, *points: Array) -> Array:
         """Return the density at ``points`` by its table; by itself where there is none."""
         return self.pdf(*points) if self.table is None else self.table(*points)
+
+    def axes(self) -> tuple[Array, ...]:
+        """Return ``panels``."""
+        return self.panels
+
+    def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
+        """Return E f(X) and its error: that of the density, weighted by |f|, and of the tails.
+
+        ``function`` takes an array per axis; ``kinks`` (one axis only) are where it is not smooth.
+        """
+        panels = [self._axis(kinks)] if kinks else self.panels
+        coarse_mesh, coarse_grids = gauss_grid(panels, points=FEWER[len(panels)])
+        coarse = integral(function(*coarse_mesh) * self.pdf(*coarse_mesh), coarse_grids)
+        mesh, grids = gauss_grid(panels)
+        f, p, e = np.asarray(function(*mesh)), self.pdf(*mesh), self.pointwise(*mesh)
+        value = integral(f * p, grids)
+        own = integral(np.abs(f) * (e + EPS * np.abs(p)), grids)
+        error = own * max(1.0, self.l1_error / integral(e, grids))
+        tail = self.certificate.tail_mass * beyond(function, self.panels)
+        return Number(value, error + abs(value - coarse) + tail)
+
+    def probability(self, low: float, high: float) -> Number:
+        """Return P(low < X <= high) and its error; as the mass is 1, no more than that beside it.
+
+        What of ``l1_error`` is not in the errors at points may lie anywhere.
+        """
+        nodes = self._axis((low, high))
+        first, last = np.clip([low, high], nodes[0], nodes[-1])
+        within = nodes[(nodes >= first) & (nodes <= last)]
+        tail = self.certificate.tail_mass
+        beyond_ends = (tail if low < nodes[0] else 0.0) + (tail if high > nodes[-1] else 0.0)
+        value, error = self._share(within)
+        beside = self._error_of_all - error
+        return Number(
+            value, max(min(error, beside), 0.0) + self._unlocated + beyond_ends + EPS * value
+        )
+
+    @cached_property
+    def _error_of_all(self) -> float:
+        """∫ of the error at points."""
+        return self._share(self.panels[0])[1]
+
+    @property
+    def _unlocated(self) -> float:
+        """What of the L1 error is not in the errors at points."""
+        return max(self.l1_error - self._error_of_all, 0.0)
+
+    def _share(self, nodes: Array) -> tuple[float, float]:
+        """∫p and ∫ of its error between ascending ``nodes``."""
+        mesh, grids = gauss_grid([nodes])
+        return integral(self.pdf(*mesh), grids), integral(self.pointwise(*mesh), grids)
 
     def cell_averages(self, *edges: Array) -> Array:
         """Return the mean of the density over each cell of the grid of ``edges``."""

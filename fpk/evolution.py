@@ -18,6 +18,7 @@ from fpk.certificate import Certificate, Measured, certify
 from fpk.errors import InvalidInput
 from fpk.limit import Limit
 from fpk.method import Progress
+from fpk.number import Number
 from fpk.observable import Observable
 from fpk.start import Start
 from fpk.system import System
@@ -56,14 +57,6 @@ class Transient:
     error_kind: ErrorKind
     certificate: Certificate
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Number:
-    """A number and its error."""
-
-    value: float
-    error: float
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,43 @@
+"""What a stop feels: how long it is touched, how deep, how hard; from the density of its mass."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from fpk.arrays import Array
+from fpk.contact import Contact
+from fpk.number import Number
+from fpk.quantities import Quantities
+
+
+def contact_quantities(stop: Contact, displacement: Quantities) -> Mapping[str, Number]:
+    """Return what a one-sided ``stop`` feels, by name, of the ``displacement`` of its mass.
+
+    "contact probability": P(overlap > 0), the share of time in contact; "mean overlap" and "mean
+    force": expectations over all time, 0 while there is no contact (force in force units, Eq. (2));
+    "overlap in contact" and "force in contact": the same over the time in contact alone, whose
+    errors count those of the probability in full.
+    """
+
+    def overlap(q: Array) -> Array:
+        return np.maximum(stop.sign * q - stop.clearance, 0.0)
+
+    at = stop.sign * stop.clearance
+    touching = displacement.exceedance(at) if stop.sign > 0 else displacement.cdf(at)
+    depth = displacement.expectation(overlap, kinks=(at,))
+    force = displacement.expectation(lambda q: stop.force(overlap(q)), kinks=(at,))
+    return {
+        "contact probability": touching,
+        "mean overlap": depth,
+        "mean force": force,
+        "overlap in contact": ratio(depth, touching),
+        "force in contact": ratio(force, touching),
+    }
+
+
+def ratio(a: Number, b: Number) -> Number:
+    """Return a/b of two numbers whose errors may conspire; its error is infinite if b may be 0."""
+    if not b.value > b.error:
+        return Number(np.nan, np.inf)
+    value = a.value / b.value
+    return Number(value, (a.error + abs(value) * b.error) / (b.value - b.error))

@@ -1,0 +1,232 @@
+"""Moments, probabilities and quantiles of densities against closed forms."""
+
+import pickle
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.linalg import solve_continuous_lyapunov
+
+from averaging.exact import Exact
+from averaging.gaussian import Linear
+from averaging.nonintegrable import NonIntegrable
+from fpk.contact import Contact
+from fpk.contact_quantities import contact_quantities
+from fpk.density import Density
+from fpk.errors import InvalidInput
+from fpk.number import Number
+from fpk.observable import parse_observable
+from fpk.sampled_density import SampledDensity
+from fpk.system import System
+from sim.montecarlo import MonteCarlo
+
+LINEAR = System([1.0, 2.0], [1.0, 0.5], [0.08, 0.04], [0.01, 0.02])
+STOP = Contact(2, "right", 10.0, 0.3)
+EXACT = System([1.0, 1.0], [1.0, 1.0], [0.08, 0.04], [0.08 * 0.3, 0.04 * 0.3], contacts=(STOP,))
+
+
+def deviation(system: System, name: str) -> float:
+    """Standard deviation of q or p without contact, from the Lyapunov equation of (q, p)."""
+    n, v = system.n, np.diag(1.0 / system.mass)
+    A = np.block([[np.zeros((n, n)), v], [-system.stiffness_matrix, -system.damping @ v]])
+    b = np.zeros((2 * n, 2 * n))
+    b[n:, n:] = 2.0 * system.noise_matrix
+    row = "qp".index(name[0]) * n + int(name[1]) - 1
+    return float(np.sqrt(solve_continuous_lyapunov(A, -b)[row, row]))
+
+
+def within(number: Number, true: float, most: float = 1.0) -> None:
+    assert abs(number.value - true) <= most * number.error, (number, true)
+
+
+def solved(method, system, name):
+    (density,) = method.solve(system, [parse_observable(name, system.n)]).densities
+    return density
+
+
+@pytest.mark.parametrize("name", ["q1", "q2", "p1"])
+def test_quantities_of_a_gaussian_are_those_of_scipy(name):
+    density = solved(Linear(), LINEAR, name)
+    normal = stats.norm(scale=deviation(LINEAR, name))
+    for number, true in (
+        (density.mean(), 0.0),
+        (density.rms(), normal.std()),
+        (density.std(), normal.std()),
+        (density.skewness(), 0.0),
+        (density.kurtosis(), 3.0),
+        (density.moment(6), 15.0 * normal.var() ** 3),
+        (density.cdf(0.3), normal.cdf(0.3)),
+        (density.exceedance(4.0 * normal.std()), normal.sf(4.0 * normal.std())),
+        *((density.quantile(p), normal.ppf(p)) for p in (1e-6, 0.1, 0.5, 0.9, 1.0 - 1e-6)),
+    ):
+        within(number, true)
+        assert number.error < 1e-7 * max(normal.std(), abs(true), 1.0)
+
+
+def gamma_energies() -> tuple[Density, object]:
+    """H of two masses in equilibrium at the temperature 0.3: a gamma distribution."""
+    free = System([1.0, 1.0], [1.0, 1.0], [0.08, 0.04], [0.08 * 0.3, 0.04 * 0.3])
+    return solved(NonIntegrable(solver="fem", tol=1e-9), free, "H"), stats.gamma(2, scale=0.3)
+
+
+def test_quantities_of_finite_elements_err_by_what_they_state():
+    density, gamma = gamma_energies()
+    mean, variance, skewness, excess = (float(x) for x in gamma.stats("mvsk"))
+    within(density.mean(), mean)
+    within(density.variance(), variance)
+    within(density.skewness(), skewness)
+    within(density.kurtosis(), 3.0 + excess)
+    for x in (0.01, 0.5, 2.0, 5.0):
+        within(density.exceedance(x), gamma.sf(x))
+        within(density.cdf(x), gamma.cdf(x))
+        within(density.probability(x, 2.0 * x), gamma.cdf(2.0 * x) - gamma.cdf(x))
+    for p in (1e-3, 0.5, 0.999):
+        within(density.quantile(p), gamma.ppf(p))
+    assert density.exceedance(5.0).error < 1e-2 * density.exceedance(5.0).value
+
+
+def test_a_wrong_density_is_seen_by_its_moments():
+    density, gamma = gamma_energies()
+    assert abs(density.mean().value - 1.001 * gamma.mean()) > 100.0 * density.mean().error
+
+
+def test_contact_in_an_exact_scene_against_quadrature():
+    density = solved(Exact(), EXACT, "q2")
+
+    def weight(q: np.ndarray) -> np.ndarray:
+        # q1 is Gaussian given q2: the springs in series have the stiffness 1/2.
+        overlap = np.maximum(q - STOP.clearance, 0.0)
+        return np.exp(-(0.25 * q**2 + STOP.energy(overlap)) / 0.3)
+
+    x, w = np.polynomial.legendre.leggauss(2000)
+    low, high = -9.0, 4.0
+    parts = []
+    for a, b in ((low, STOP.clearance), (STOP.clearance, high)):
+        # The squares of distances from the stop: the force is smooth in their roots.
+        y, v = 0.5 * (x + 1.0), 0.5 * w
+        parts.append(
+            (b + (a - b) * y**2, (b - a) * 2.0 * y * v)
+            if b == STOP.clearance
+            else (a + (b - a) * y**2, (b - a) * 2.0 * y * v)
+        )
+    total = sum(w @ weight(q) for q, w in parts)
+    (q, w) = parts[1]
+    force = w @ (weight(q) * STOP.force(q - STOP.clearance)) / total
+    touching = w @ weight(q) / total
+    felt = contact_quantities(STOP, density)
+    within(felt["contact probability"], touching)
+    within(felt["mean overlap"], w @ (weight(q) * (q - STOP.clearance)) / total)
+    within(felt["mean force"], force)
+    within(felt["force in contact"], force / touching)
+    assert felt["mean force"].error < 1e-8 * force
+
+
+def test_the_mean_force_of_stops_and_springs_balances():
+    """In any stationary state K E q + E g = 0: with one stop on the right the mean q2 is −g/k."""
+    density = solved(Exact(), EXACT, "q2")
+    force = contact_quantities(STOP, density)["mean force"]
+    within(
+        Number(2.0 * force.value, 2.0 * force.error + density.mean().error), -density.mean().value
+    )
+
+
+def test_a_stop_that_is_never_reached_has_no_force_in_contact():
+    far = Contact(2, "left", 10.0, 1e3)
+    felt = contact_quantities(far, solved(Exact(), EXACT, "q2"))
+    assert felt["contact probability"].value == 0.0
+    assert np.isinf(felt["force in contact"].error)
+
+
+def test_joint_densities_have_expectations_but_no_quantiles():
+    joint = solved(Exact(), EXACT, "q2,p2")
+    within(joint.expectation(lambda q, p: p**2), 0.3)
+    with pytest.raises(InvalidInput, match="two coordinates"):
+        joint.quantile(0.5)
+    with pytest.raises(InvalidInput, match="two coordinates"):
+        joint.mean()
+
+
+@pytest.mark.parametrize("p", [0.0, 1.0, float("nan")])
+def test_no_quantile_of_what_is_no_probability(p):
+    with pytest.raises(InvalidInput, match="probability"):
+        solved(Linear(), LINEAR, "q1").quantile(p)
+
+
+def histogram(samples: np.ndarray, bins: int, reach: float) -> SampledDensity:
+    """Histogram of independent normal samples in eight batches, made as a simulation makes one."""
+    edges = np.linspace(-reach, reach, bins + 1)
+    width = edges[1] - edges[0]
+    batches = np.array([np.histogram(s, edges)[0] for s in np.split(samples, 8)])
+    values = batches / (samples.size / 8) / width
+    template = solved(MonteCarlo(seconds=0.05, seed=1), LINEAR, "q1")
+    outside = float(np.mean(np.abs(samples) > reach))
+    certificate = replace(template.certificate, tail_mass=outside)
+    return replace(
+        template,
+        edges=(edges,),
+        values=values.mean(axis=0),
+        batch_values=values,
+        certificate=certificate,
+        one_sample=1.0 / (samples.size * width),
+        log_references=(),
+    )
+
+
+def test_sampled_quantities_scatter_by_their_standard_error():
+    """z of 60 samples: of a mean square of 1 the 1e-5 quantile of chi² is 0.42, beyond is wrong.
+
+    The correction for the bins makes errors larger, so that z² may be somewhat below 1.
+    """
+    rng = np.random.default_rng(5)
+    normal = stats.norm()
+    asked = {
+        "variance": (lambda d: d.variance(), 1.0),
+        "kurtosis": (lambda d: d.kurtosis(), 3.0),
+        "exceedance": (lambda d: d.exceedance(1.03), normal.sf(1.03)),
+        "quantile": (lambda d: d.quantile(0.9), normal.ppf(0.9)),
+    }
+    z = {name: [] for name in asked}
+    for _ in range(60):
+        density = histogram(rng.standard_normal(16_000), 120, 6.0)
+        for name, (ask, true) in asked.items():
+            number = ask(density)
+            z[name].append((number.value - true) / number.error)
+    for name, values in z.items():
+        assert 0.42 < np.mean(np.square(values)) < 2.0, name
+        assert abs(np.mean(values)) < 4.0 / np.sqrt(60.0), name
+
+
+def test_wide_bins_do_not_bias_moments():
+    """Bins of half a standard deviation: uncorrected the variance would err by 2 %."""
+    rng = np.random.default_rng(6)
+    number = histogram(rng.standard_normal(400_000), 24, 6.0).variance()
+    assert abs(number.value - 1.0) < 3.0 * np.sqrt(2.0 / 400_000) + 1e-3
+    within(number, 1.0)
+
+
+def test_what_no_sample_saw_is_not_zero_for_certain():
+    density = histogram(np.random.default_rng(7).standard_normal(800), 120, 6.0)
+    number = density.exceedance(5.0)
+    assert number.value == 0.0
+    assert number.error >= 1.0 / 800.0
+
+
+def test_quantities_of_simulation_lie_within_its_errors():
+    density = solved(MonteCarlo(seconds=2.0, seed=3), LINEAR, "q2")
+    sigma = deviation(LINEAR, "q2")
+    for number, true in (
+        (density.mean(), 0.0),
+        (density.std(), sigma),
+        (density.kurtosis(), 3.0),
+        (density.exceedance(sigma), stats.norm.sf(1.0)),
+    ):
+        within(number, true, most=4.5)
+
+
+def test_quantities_can_be_asked_of_a_copy():
+    density = solved(Linear(), LINEAR, "q1")
+    again = pickle.loads(pickle.dumps(density))
+    assert again.cdf(0.1) == density.cdf(0.1)
+    assert partial(again.moment, 2)() == density.moment(2)
