@@ -108,7 +108,7 @@ def test_the_mesh_follows_and_many_times_cost_one_solution():
     values, errors = solved.density(np.linspace(0.0, 2.0, 21))
     assert solved.certificate.certified
     assert np.all(errors < 1e-10 * values.max(axis=1, keepdims=True))
-    assert len(solved.propagation.parts) == 3
+    assert len(solved.solution.parts) == 3
 
 
 def test_the_forward_matrices_of_the_operator_agree():

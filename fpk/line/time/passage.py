@@ -12,7 +12,7 @@ from fpk.density import SMALLEST
 from fpk.errors import InvalidInput
 from fpk.evolution import BEYOND_RANGE
 from fpk.line.time import chain
-from fpk.line.time.mesh import HIGHEST, time_nodes
+from fpk.line.time.mesh import HIGHEST, NONE, time_nodes
 from fpk.line.time.modes import EPS, Modes, modes, refined
 from fpk.probe import probed
 from fpk.process import Process
@@ -216,7 +216,7 @@ class FirstPassage:
 
 
 def first_passage(
-    process: Process, limit: float, *, times: Array, tol: float = 1e-10, nodes: Array | None = None
+    process: Process, limit: float, *, times: Array, tol: float = 1e-10, nodes: Array = NONE
 ) -> FirstPassage:
     """Return the first passage of ``limit`` > 0 with errors below ``tol`` where that is possible.
 
@@ -235,8 +235,7 @@ def first_passage(
     log_mass = np.interp(math.log(limit), np.log(probe.energy), probe.log_mass)
     if not probe.log_mass.max() - log_mass < FARTHEST:
         raise beyond
-    own = time_nodes(process, limit, degree, fine=fine)
-    nodes = own if nodes is None else np.union1d(own, nodes)
+    nodes = time_nodes(process, limit, degree, fine=fine, more=nodes)
     pair = [
         modes(process, nodes[:-1], nodes[1:], degree + more, enriched=more > 0)
         for more in (0, ENRICHMENT)
