@@ -52,7 +52,7 @@ class OneEnergy:
     def passage(
         self, solver: str, start: EnergyStart, limit: float, times: Array, *, tol: float
     ) -> Passage:
-        """Return the first passage of ``limit``; ``InvalidInput`` for a start that is not below."""
+        """Return the first passage of ``limit`` from a start below it."""
         checked_times(times)
         require_constant_noise(self.modulation)
         if solver == "fem":

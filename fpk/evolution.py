@@ -122,7 +122,9 @@ def certified_passage(
     The certificate counts relative errors of the numbers, but for a variance beyond double
     precision, and absolute ones of the probabilities.
     """
-    sizes = [x.error / x.value for x in numbers if x.value != np.inf]
+    finite = np.array([(x.value, x.error) for x in numbers if x.value != np.inf])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sizes = finite[:, 1] / np.abs(finite[:, 0])
     worst = float(np.max(failure_error, initial=0.0))
     measured = Measured(
         l1_error=float(np.max([*sizes, worst])),

@@ -5,7 +5,6 @@ import numpy as np
 from fpk.arrays import Array
 from fpk.contour import contours
 from fpk.dynamics import Rates
-from fpk.errors import InvalidInput
 from fpk.evolution import Number, Passage, StartCurve, Transient, certified_passage
 from fpk.line.time import chain
 from fpk.line.time.mesh import HIGHEST
@@ -45,13 +44,11 @@ def fem_rates(process: Process, count: int, *, tol: float) -> Rates:
 def fem_passage(
     process: Process, limit: float, source: Source, times: Array, *, tol: float
 ) -> Passage:
-    """Return the first passage of the energy through ``limit`` from ``source``.
+    """Return the first passage of the energy through ``limit`` from ``source`` below it.
 
     Of a density that begins beyond the limit in part, that part has failed at the time 0. Raises
-    ``InvalidInput`` where it begins there, or the mean time is beyond double precision.
+    ``InvalidInput`` where the mean time is beyond double precision.
     """
-    if not source.energy < limit:
-        raise InvalidInput("start", f"H={source.energy:g}", f"must be below the limit {limit:g}")
     nodes = source.nodes(limit, HIGHEST)
     solved = first_passage(process, limit, times=times, tol=tol, nodes=nodes)
     e = solved.answer.elements

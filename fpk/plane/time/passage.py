@@ -6,6 +6,7 @@ L E[T²] = −2 T: the transpose of the operator of the density.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -13,10 +14,9 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU
 
 from fpk.arrays import Array
-from fpk.certificate import Measured, certify
-from fpk.errors import InvalidInput, NotCertified
-from fpk.evolution import Number, Passage
-from fpk.plane.solution import Nodes, gauss_grid, graded
+from fpk.errors import InvalidInput
+from fpk.evolution import BEYOND_RANGE, Number, Passage, certified_passage
+from fpk.plane.solution import Nodes, graded
 from fpk.plane.time.domain import Domain, Rectangle, Triangle
 from fpk.plane.time.exponential import evolved, factorised, relative_residual
 from fpk.plane.time.levels import Frame, operators
@@ -62,35 +62,24 @@ class PlaneLimit:
             return True, False
         return self.first is not None, self.second is not None
 
-    def beyond(self, energies: Array) -> bool:
-        """Whether energies (2,) are at or beyond the limit."""
-        if self.total is not None:
-            return bool(energies.sum() >= self.total)
-        limits = (self.first, self.second)
-        return any(a is not None and a <= H for a, H in zip(limits, energies, strict=True))
-
     def edge(self, far: Array) -> tuple[Array, Array]:
         """Return energies along the limit, up to ``far`` where there is none."""
         t = np.linspace(0.0, 1.0, 41)
         if self.total is not None:
             return self.total * t, self.total * (1.0 - t)
         a, b = (far[k] if x is None else x for k, x in enumerate((self.first, self.second)))
-        lines = [
-            (np.full(41, a), b * t) if self.first is not None else None,
-            (a * t, np.full(41, b)) if self.second is not None else None,
-        ]
-        first, second = zip(*(line for line in lines if line is not None), strict=True)
-        return np.concatenate(first), np.concatenate(second)
+        lines = np.array([[a + 0.0 * t, b * t], [a * t, b + 0.0 * t]])[np.array(self.absorbing)]
+        return np.concatenate(lines[:, 0]), np.concatenate(lines[:, 1])
 
 
 class _Answer(NamedTuple):
-    """Mean, E[T²], variance and rate (4,), the reliability, round-off and residual of one level."""
+    """Mean, variance and rate (3,), the reliability, round-off and residual of one level."""
 
+    op: PlaneOperator
     numbers: Array
     rounding: Array
     survival: Array
     survival_error: Array
-    least: float
     residual: float
 
 
@@ -107,19 +96,17 @@ def first_passage(
 
     Levels rise until two of them agree to ``tol``, relative to mean, variance and rate; the answer
     is that of the finer one. What a density at the start has beyond the limit fails at 0.
-    ``coefficients_error`` is the relative error of the coefficients. Raises ``NotCertified`` where
-    the limit is beyond what double precision reaches.
+    ``coefficients_error`` is the relative error of the coefficients. Raises ``InvalidInput`` for a
+    limit whose mean time is beyond double precision.
     """
-    previous: _Answer | None = None
-    for op in _operators(frame, start, limit, tol):
-        level = _answer(op, start, times, tol)
-        if previous is not None:
-            answer = _compared(
-                previous, level, op, frame, start, limit, times, tol, coefficients_error
-            )
-            if answer.certificate.certified:
-                return answer
-        previous = level
+    levels = (_answer(op, start, times, tol) for op in _operators(frame, start, limit, tol))
+    for coarse, fine in pairwise(levels):
+        edge = limit.edge(np.array([x[-1] for x in fine.op.nodes]))
+        model = coefficients_error * (2.0 + 2.0 * float(np.min(frame.heights(*edge))))
+        model += 2.0 * frame.relative_error + start.l1_error
+        answer = _compared(coarse, fine, model, times, tol)
+        if answer.certificate.certified:
+            break
     return answer
 
 
@@ -131,10 +118,8 @@ def _operators(
         height = frame.height(*start.energies)
     lowest = float(np.min(frame.heights(*limit.edge(frame.ends(frame.rise(tol, height, 0))))))
     if lowest > HIGHEST:
-        raise NotCertified(
-            f"the limit is never passed: up to it the density falls by exp(−{lowest:.0f})"
-        )
-
+        given = [x for x in (limit.first, limit.second, limit.total) if x is not None]
+        raise InvalidInput("limit", ", ".join(f"{x:g}" for x in given), BEYOND_RANGE)
     height = max(height, lowest)
 
     def nodes(rise: float, panels: int) -> Nodes:
@@ -164,7 +149,8 @@ def _operators(
 
 
 def _answer(op: PlaneOperator, start: Start, times: Array, tol: float) -> _Answer:
-    A, M, shares = op.matrices
+    # Equal factors on all three change nothing; without them small energies underflow.
+    A, M, shares = (part / op.matrices.shares.max() for part in op.matrices)
     transposed, dual = (-A.T).tocsc(), start.dual(op)
     backward, forward = factorised(transposed), factorised(-A)
     sizes = abs(transposed)
@@ -198,65 +184,43 @@ def _answer(op: PlaneOperator, start: Start, times: Array, tol: float) -> _Answe
         largest = np.max(np.abs(op.vertex_values(u.values)), axis=1)
         lost[~at_zero] = np.abs(u.change @ dual) + ROUNDING * u.rounding * largest
         residual = max(residual, u.residual)
-    (x, y), _ = gauss_grid(op.nodes, 4)
-    on_grid = op.along(0, x) @ op.spread(T) @ op.along(1, y).T
-    least = float(on_grid.min() / on_grid.max())
-    return _Answer(numbers, rounding, survival, lost, least, residual)
+    return _Answer(op, numbers, rounding, survival, lost, residual)
 
 
 def _least_rate(M: csc_array, backward: SuperLU, forward: SuperLU, u: Array) -> float:
     """The least λ of K u = λ M u, with left and right vectors: it is real and simple."""
-    right, left, last = u, u, np.inf
+    right, last = u / np.abs(u).max(), np.inf
+    left = right
     for _ in range(ITERATIONS):
         Mu = M @ right
         solved = backward.solve(Mu)
         left = forward.solve(M @ left)
         rate = float((left @ Mu) / (left @ (M @ solved)))
         right, left = solved / np.abs(solved).max(), left / np.abs(left).max()
-        if abs(rate - last) <= CONVERGED * abs(rate):
+        if not abs(rate - last) > CONVERGED * abs(rate):
             break
         last = rate
     return rate
 
 
-def _compared(
-    coarse: _Answer,
-    fine: _Answer,
-    op: PlaneOperator,
-    frame: Frame,
-    start: Start,
-    limit: PlaneLimit,
-    times: Array,
-    tol: float,
-    coefficients_error: float,
-) -> Passage:
-    """The finer answer, with its distance to the coarser one as the error."""
-    edge = limit.edge(np.array([op.nodes[0][-1], op.nodes[1][-1]]))
-    model = coefficients_error * (2.0 + 2.0 * float(np.min(frame.heights(*edge))))
-    model += 2.0 * frame.relative_error + start.l1_error
+def _compared(coarse: _Answer, fine: _Answer, model: float, times: Array, tol: float) -> Passage:
+    """The finer answer, with its distance to the coarser one as the error.
+
+    ``model`` is the relative error by coefficients, weight and start.
+    """
     errors = np.abs(fine.numbers - coarse.numbers) + fine.rounding + model * np.abs(fine.numbers)
     # The variance is the difference of two moments, each with the error of the coefficients.
     errors[1] += model * 2.0 * fine.numbers[0] ** 2
     lost = np.abs(fine.survival - coarse.survival) + fine.survival_error + model
     lost = lost + SHARE * np.max(lost, initial=0.0)
-    (mean, variance, rate), (mean_error, variance_error, rate_error) = fine.numbers, errors
-    relative = float(np.max(errors / np.abs(fine.numbers)))
-    measured = Measured(
-        l1_error=float(np.max([relative, *lost])),
-        mass_defect=0.0,
-        minimum=fine.least,
-        residual=max(fine.residual, coarse.residual),
-        tail_mass=0.0,
-        absolute_error=relative,
-    )
-    return Passage(
-        Number(float(mean), float(mean_error)),
-        Number(float(variance), float(variance_error)),
-        Number(float(rate), float(rate_error)),
+    numbers = (Number(float(x), float(e)) for x, e in zip(fine.numbers, errors, strict=True))
+    mean, variance, rate = numbers
+    return certified_passage(
+        (mean, variance, rate),
         times,
-        fine.survival,
+        1.0 - fine.survival,
         lost,
-        "numerical",
-        certify(measured, tol=tol),
-        settings={"unknowns": int(op.free.size), "degree": op.degree},
+        tol=tol,
+        residual=max(fine.residual, coarse.residual),
+        settings={"unknowns": int(fine.op.free.size), "degree": fine.op.degree},
     )
