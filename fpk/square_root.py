@@ -109,7 +109,8 @@ class SquareRoot:
     def passage(self, limit: float, start: float, times: Array, *, tol: float) -> Passage:
         """Return the first passage of ``limit`` from a ``start`` below it.
 
-        E e^(−sT) = 1F1(s/c; n; x_0)/1F1(s/c; n; x_f), x = c H/d. Moments are its derivatives at s = 0, power series of positive terms. Raises as
+        E e^(−sT) = 1F1(s/c; n; x_0)/1F1(s/c; n; x_f), x = c H/d. Moments are its derivatives at
+        s = 0, power series of positive terms. Raises ``InvalidInput`` and ``NotApplicable`` as
         ``rate`` and ``failure`` do.
         """
         rate, xf = self.rate(limit), limit * self.c / self.d

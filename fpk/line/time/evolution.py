@@ -1,17 +1,16 @@
-"""Answers in time of one energy: transients, first passage and relaxation by finite elements."""
+"""Answers in time of one energy: transients and first passage by finite elements."""
+
+from functools import partial
 
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.contour import contours
-from fpk.dynamics import Rates
 from fpk.evolution import Number, Passage, StartCurve, Transient, certified_passage
 from fpk.line.time import chain
 from fpk.line.time.mesh import HIGHEST
 from fpk.line.time.modes import Modes
 from fpk.line.time.passage import SAFETY, FirstPassage, first_passage
-from fpk.line.time.propagation import Source
-from fpk.line.time.spectrum import spectrum
+from fpk.line.time.propagation import Source, inverted, transforms
 from fpk.line.time.transition import transition
 from fpk.process import Process
 
@@ -32,13 +31,6 @@ def fem_transient(
         "tol": tol,
     }
     return Transient(times, values, errors, "numerical", solved.certificate, settings)
-
-
-def fem_rates(process: Process, count: int, *, tol: float) -> Rates:
-    """Return the ``count`` least eigenvalues of −L but 0, all of them real."""
-    solved = spectrum(process, count, tol=tol)
-    settings = {"elements": solved.elements, "tol": tol}
-    return Rates(solved.rates.astype(complex), solved.errors, solved.certificate, settings)
 
 
 def fem_passage(
@@ -103,14 +95,8 @@ def _curve(solved: FirstPassage) -> StartCurve:
 
 def _forward(e: Modes, source: Source, times: Array) -> tuple[Array, float]:
     """Return ∫p at ``times`` where the limit absorbs, by the forward equation, and its residual."""
-    at_ends, inner = source.load(e)
-    turned = np.einsum("ew,ewv->ev", inner, e.diagonal[1])
-    mass, residual = np.zeros(times.size), 0.0
-    later = np.flatnonzero(times > 0.0)
-    mass[times == 0.0] = at_ends.sum() + 0.0
-    for c in contours(times[later]):
-        y = chain.admittances(e, c.z)
-        p = chain.resolvent(e, y, at_ends, turned, absorbing=True)
-        residual = max(residual, chain.residual(e, y, p, at_ends, turned))
-        mass[later[c.index]] = (c.factors @ chain.kept(e, p)).imag
+    later = times > 0.0
+    parts, residual = transforms(e, source, times[later], absorbing=True)
+    mass = np.full(times.size, source.load(e)[0].sum())
+    mass[later] = inverted(parts, partial(chain.kept, e), int(later.sum()))[0]
     return mass, residual

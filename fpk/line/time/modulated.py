@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -10,9 +10,9 @@ from fpk.arrays import Array
 from fpk.errors import InvalidInput
 from fpk.evolution import Transient
 from fpk.line.time.modes import Modes, log_density
-from fpk.line.time.propagation import Source, points
+from fpk.line.time.propagation import Solution, Source, points
 from fpk.line.time.stepping import STAGES, Matrices, matrices, start_of, stepped
-from fpk.line.time.transition import SAFETY, Pair, Solution, adapted, judged, posed
+from fpk.line.time.transition import SAFETY, Pair, Solutions, adapted, judged, posed
 from fpk.modulation import Modulation
 from fpk.process import Process
 
@@ -20,28 +20,6 @@ LEVELS = (1, 4)
 """Halvings of all steps: those with which the mesh is adapted, and the most."""
 LEAST_TOL = 1e-9
 """Tolerances below it would take minutes of steps for a digit; the default where none is given."""
-
-
-@dataclass(frozen=True, eq=False)
-class Carried:
-    """The density at some times on one mesh, as ``stepped`` leaves it: g (times, functions)."""
-
-    process: Process
-    elements: Modes
-    matrices: Matrices
-    g: Array
-    residual: float
-
-    def density(self, x: Array) -> tuple[Array, Array]:
-        """Return p (times, points) at energies x > 0 in the elements, and the size of its terms."""
-        e, m = self.elements, self.matrices
-        k, h, v = e.shapes(x)
-        f = np.concatenate([np.where(k > 0, 1.0 - h, 0.0)[:, None], h[:, None], v], axis=1)
-        # The factor of each function may leave the range where its product with π does not.
-        log_p = log_density(self.process, e, x)[:, None] + np.append(m.scale, -np.inf)[m.place[k]]
-        terms = f * np.exp(log_p)
-        each = np.array([terms * np.append(g, 0.0)[m.place[k]] for g in self.g])
-        return each.sum(axis=2), np.abs(each).sum(axis=2)
 
 
 def modulated_transient(
@@ -66,16 +44,17 @@ def modulated_transient(
         raise InvalidInput("times", float(times[0]), "no noise has acted yet: there is no density")
     question, pair = posed(process, source, first, tol)
 
-    def carried(e: Modes, level: int) -> Carried:
+    def carried(e: Modes, level: int) -> Solution:
         m = matrices(process, e)
         start = start_of(m, e, source)
-        return Carried(process, e, m, *stepped(m, start, modulation, unit, times, level=level))
+        g, residual = stepped(m, start, modulation, unit, times, level=level)
+        return Solution(e, partial(_density, process, e, m, g), residual)
 
-    def carried_pair(pair: Pair) -> tuple[Carried, Carried]:
+    def carried_pair(pair: Pair) -> Solutions:
         return carried(pair[0], LEVELS[0]), carried(pair[1], LEVELS[0])
 
     solved, _ = adapted(question, pair, carried_pair)
-    own: Solution = solved.solution
+    own = solved.solution
     space = solved.distance
     x, w = points(process, own.elements)
     distances: list[float] = []
@@ -97,3 +76,14 @@ def modulated_transient(
     if len(distances) > 1 and distances[-1] > 0.0:
         settings["observed order"] = math.log2(distances[-2] / distances[-1])
     return Transient(times, values, errors, "numerical", solved.certificate, settings)
+
+
+def _density(process: Process, e: Modes, m: Matrices, g: Array, x: Array) -> tuple[Array, Array]:
+    """p (times, points) of g (times, functions) at energies x, and the size of its terms."""
+    k, h, v = e.shapes(x)
+    f = np.concatenate([np.where(k > 0, 1.0 - h, 0.0)[:, None], h[:, None], v], axis=1)
+    # The factor of each function may leave the range where its product with π does not.
+    log_p = log_density(process, e, x)[:, None] + np.append(m.scale, -np.inf)[m.place[k]]
+    terms = f * np.exp(log_p)
+    each = np.array([terms * np.append(row, 0.0)[m.place[k]] for row in g])
+    return each.sum(axis=2), np.abs(each).sum(axis=2)

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from fpk.evolution import BEYOND_RANGE
 from fpk.line.time import chain
 from fpk.line.time.mesh import HIGHEST, NONE, time_nodes
 from fpk.line.time.modes import EPS, Modes, modes, refined
+from fpk.line.time.propagation import inverted, values_at
 from fpk.probe import probed
 from fpk.process import Process
 
@@ -97,14 +98,14 @@ class Answers:
 
     def failure(self, times: Array, x: Array) -> tuple[Array, Array]:
         """Return P(T <= t) (times, points) from the starts x, and its round-off."""
-        e = self.elements
+        e, later = self.elements, times > 0.0
+        parts = [
+            (c, chain.lifted(e, chain.admittances(e, c.z), 1.0 / c.z))
+            for c in contours(times[later], more=self.more)
+        ]
         p, size = np.zeros((2, times.size, x.size))
-        later = np.flatnonzero(times > 0.0)
-        for c in contours(times[later], more=self.more):
-            f = chain.lifted(e, chain.admittances(e, c.z), 1.0 / c.z)
-            transform, at = chain.values(e, f, x, turned=True).T, later[c.index]
-            p[at] = (c.factors @ transform).imag
-            size[at] = np.abs(c.factors) @ np.abs(transform)
+        shape = int(later.sum()), x.size
+        p[later], size[later] = inverted(parts, partial(values_at, e, x), *shape)
         return p, EPS * size
 
 

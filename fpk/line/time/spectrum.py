@@ -1,12 +1,12 @@
 """Relaxation rates of one energy: eigenvalues of −L without flux at the ends, by counting them."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from fpk.arrays import Array, Integers
-from fpk.certificate import Certificate, Measured, certify
+from fpk.certificate import Measured, certify
+from fpk.dynamics import Rates
 from fpk.errors import NotCertified
 from fpk.line.mesh import split_points
 from fpk.line.time.chain import admittances, eliminated
@@ -33,16 +33,6 @@ SECTIONS = 32
 """Parts in which an interval that holds an eigenvalue is cut at once."""
 MOST_ROUNDS, MOST_ELEMENTS = 6, 1_000
 """Rounds, at every second of which all elements are cut in two, and elements that end them."""
-
-
-@dataclass(frozen=True, eq=False)
-class Spectrum:
-    """The least eigenvalues λ > 0 of −L, their errors and the certificate."""
-
-    rates: Array
-    errors: Array
-    elements: int
-    certificate: Certificate
 
 
 def eigenvalues_below(e: Modes, rates: Array) -> Integers:
@@ -76,8 +66,11 @@ def eigenvalues(e: Modes, count: int, scale: float) -> Array:
     return 0.5 * (low + high)
 
 
-def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Spectrum:
-    """Return the ``count`` least rates to the relative tolerance ``tol``; the mesh adapts."""
+def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
+    """Return the ``count`` least eigenvalues of −L but 0, all of them real.
+
+    To the relative tolerance ``tol``; the mesh adapts.
+    """
     degree = int(np.clip(round(-math.log10(tol)) + 4, 8, HIGHEST))
     scale = process.energy_scale
     special = np.array([0.0, *process.nonsmooth])
@@ -101,7 +94,8 @@ def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Spectrum:
     # The eigenvalue 0 of the constant is there whatever the elements: no probability is lost.
     residual = float(eigenvalues_below(answer, rates[:1] * 0.5)[0] != 1)
     measured = Measured(relative, 0.0, 0.0, residual, 0.0)
-    return Spectrum(rates, errors, answer.count, certify(measured, tol=tol))
+    settings = {"elements": answer.count, "tol": tol}
+    return Rates(rates.astype(complex), errors, certify(measured, tol=tol), settings)
 
 
 def _extent(process: Process, count: int, tail: float) -> float:

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from fpk.density import SMALLEST
 from fpk.errors import InvalidInput
 from fpk.line.time.mesh import HIGHEST, time_nodes
 from fpk.line.time.modes import EPS, Modes, modes, refined
-from fpk.line.time.propagation import Source, points, propagated
+from fpk.line.time.propagation import Solution, Source, points, propagated
 from fpk.probe import Probe, probed
 from fpk.process import Process
 
@@ -44,24 +43,6 @@ CHECKED_TIMES = 6
 """Times at which the mesh is adapted first, then at all."""
 Pair = tuple[Modes, Modes]
 """The meshes of the answer and of the enriched solution."""
-
-
-class Solution(Protocol):
-    """Densities at several times on one mesh, however they are computed.
-
-    ``residual`` is the largest of the equations solved, relative to the terms that cancel in them.
-    """
-
-    @property
-    def elements(self) -> Modes:
-        """The mesh."""
-
-    @property
-    def residual(self) -> float:
-        """How far the densities are from solving their equations."""
-
-    def density(self, x: Array) -> tuple[Array, Array]:
-        """Return p (times, points) at energies x > 0 in the elements, and the size of its terms."""
 
 
 Solutions = tuple[Solution, Solution]
