@@ -25,6 +25,8 @@ from fpk.system import System
 EPS = float(np.finfo(float).eps)
 ErrorKind = Literal["numerical", "sampling"]
 
+STARTS = 101
+"""Starts at which moments are given as a curve, from rest to the limit."""
 BEYOND_RANGE = "the mean time to it is beyond the range of double precision; take a lower one"
 """Why a limit is refused that is hardly ever reached."""
 

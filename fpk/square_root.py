@@ -17,6 +17,7 @@ from fpk.dynamics import Complex, Rates
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import (
     BEYOND_RANGE,
+    STARTS,
     Number,
     Passage,
     StartCurve,
@@ -26,8 +27,6 @@ from fpk.evolution import (
 from fpk.quadrature import panel_rule
 
 EPS = float(np.finfo(float).eps)
-STARTS = 101
-"""Starts at which moments are given as a curve, from rest to the limit."""
 FARTHEST = 690.0
 """Largest c H/d of a limit: the mean time is e^690 of its unit."""
 MORE = 8

@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.evolution import Number, Passage, StartCurve, Transient, certified_passage
+from fpk.evolution import STARTS, Number, Passage, StartCurve, Transient, certified_passage
 from fpk.line.time import chain
 from fpk.line.time.mesh import HIGHEST
 from fpk.line.time.modes import Modes
@@ -13,9 +13,6 @@ from fpk.line.time.passage import SAFETY, FirstPassage, first_passage
 from fpk.line.time.propagation import Source, inverted, transforms
 from fpk.line.time.transition import transition
 from fpk.process import Process
-
-STARTS = 101
-"""Starts at which moments are given as a curve, from rest to the limit."""
 
 
 def fem_transient(

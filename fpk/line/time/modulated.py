@@ -10,9 +10,10 @@ from fpk.arrays import Array
 from fpk.errors import InvalidInput
 from fpk.evolution import Transient
 from fpk.line.time.modes import Modes, log_density
+from fpk.line.time.pair import Pair
 from fpk.line.time.propagation import Solution, Source, points
 from fpk.line.time.stepping import STAGES, Matrices, matrices, start_of, stepped
-from fpk.line.time.transition import SAFETY, Pair, Solutions, adapted, judged, posed
+from fpk.line.time.transition import SAFETY, Solutions, adapted, judged, posed
 from fpk.modulation import Modulation
 from fpk.process import Process
 

@@ -12,20 +12,17 @@ from fpk.density import SMALLEST
 from fpk.errors import InvalidInput
 from fpk.evolution import BEYOND_RANGE
 from fpk.line.time import chain
-from fpk.line.time.mesh import HIGHEST, NONE, time_nodes
-from fpk.line.time.modes import EPS, Modes, modes, refined
+from fpk.line.time.mesh import NONE, time_nodes
+from fpk.line.time.modes import EPS, Modes
+from fpk.line.time.pair import ENRICHMENT, MOST_ROUNDS, cut, degree_for, meshed
 from fpk.line.time.propagation import inverted, values_at
 from fpk.probe import probed
 from fpk.process import Process
 
-ENRICHMENT = 2
-"""Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
 SAFETY = 3.0
 """Factor on the distance to the enriched solution."""
 ROUND_OFF = 8.0
 """Roundings of sums along the chain, for each element and each unit of ln π from end to end."""
-MOST_ROUNDS = 12
-"""Most rounds of cutting elements in two."""
 MOST_ELEMENTS = 3_000
 """Elements beyond which none is cut any more."""
 BRACKET = 1e-9
@@ -225,7 +222,7 @@ def first_passage(
     failure at ``times`` >= 0. The mesh adapts; elements end at ``nodes``, too. Raises
     ``InvalidInput`` for a limit whose mean time is beyond double precision.
     """
-    degree = int(np.clip(round(-math.log10(tol)) + 4, 8, HIGHEST))
+    degree = degree_for(tol)
     beyond = InvalidInput("limit", limit, BEYOND_RANGE)
     later = times[times > 0.0]
     fine: tuple[tuple[float, float], ...] = ()
@@ -237,10 +234,7 @@ def first_passage(
     if not probe.log_mass.max() - log_mass < FARTHEST:
         raise beyond
     nodes = time_nodes(process, limit, degree, fine=fine, more=nodes)
-    pair = [
-        modes(process, nodes[:-1], nodes[1:], degree + more, enriched=more > 0)
-        for more in (0, ENRICHMENT)
-    ]
+    pair = meshed(process, nodes, degree)
     for _ in range(MOST_ROUNDS):
         # Sums to beyond the range are judged below.
         with np.errstate(over="ignore", invalid="ignore"):
@@ -253,7 +247,7 @@ def first_passage(
         marked = _marked(solved, times)
         if not marked.any() or marked.size > MOST_ELEMENTS:
             break
-        pair = [refined(process, e, marked, enriched=k > 0) for k, e in enumerate(pair)]
+        pair = cut(process, pair, marked)
     return solved
 
 

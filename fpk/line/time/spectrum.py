@@ -10,13 +10,12 @@ from fpk.dynamics import Rates
 from fpk.errors import NotCertified
 from fpk.line.mesh import split_points
 from fpk.line.time.chain import admittances, eliminated
-from fpk.line.time.mesh import HIGHEST, time_nodes
-from fpk.line.time.modes import EPS, Modes, modes
+from fpk.line.time.mesh import time_nodes
+from fpk.line.time.modes import EPS, Modes
+from fpk.line.time.pair import degree_for, meshed
 from fpk.probe import probed
 from fpk.process import Process
 
-ENRICHMENT = 2
-"""Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
 SAFETY = 2.0
 """Factor on the distance to the enriched solution."""
 TAIL = (1e-4, 1e-9)
@@ -71,8 +70,7 @@ def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
 
     To the relative tolerance ``tol``; the mesh adapts.
     """
-    degree = int(np.clip(round(-math.log10(tol)) + 4, 8, HIGHEST))
-    scale = process.energy_scale
+    degree, scale = degree_for(tol), process.energy_scale
     special = np.array([0.0, *process.nonsmooth])
     order = float(process.coefficients(np.array([scale])).diffusion[0]) / scale**2
     wave = WAVES / count * scale / process.degrees_of_freedom
@@ -81,10 +79,8 @@ def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
         nodes = time_nodes(process, end, degree, fine=((0.0, wave),) if count > WAVES else ())
         for _ in range(turn // 2):
             nodes = np.sort(np.append(nodes, split_points(nodes[:-1], nodes[1:], special)))
-        answer = modes(process, nodes[:-1], nodes[1:], degree)
-        nodes = np.append(nodes, last)
-        enriched = modes(process, nodes[:-1], nodes[1:], degree + ENRICHMENT, enriched=True)
-        rates, better = (eigenvalues(e, count, order) for e in (answer, enriched))
+        pair = meshed(process, nodes, degree, beyond=np.array([last]))
+        answer, (rates, better) = pair[0], (eigenvalues(e, count, order) for e in pair)
         common = 2.0 * answer.coefficient_error()
         common += ROUND_OFF * EPS * (answer.count + float(np.ptp(answer.log_scale)))
         errors = SAFETY * np.abs(rates - better) + common * rates

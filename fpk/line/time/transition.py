@@ -11,14 +11,13 @@ from fpk.arrays import Array
 from fpk.certificate import Certificate, Measured, certify
 from fpk.density import SMALLEST
 from fpk.errors import InvalidInput
-from fpk.line.time.mesh import HIGHEST, time_nodes
-from fpk.line.time.modes import EPS, Modes, modes, refined
+from fpk.line.time.mesh import time_nodes
+from fpk.line.time.modes import EPS, Modes
+from fpk.line.time.pair import ENRICHMENT, MOST_ROUNDS, Pair, cut, degree_for, meshed
 from fpk.line.time.propagation import Solution, Source, points, propagated
 from fpk.probe import Probe, probed
 from fpk.process import Process
 
-ENRICHMENT = 2
-"""Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
 SAFETY = 3.0
 """Factor on the distance to the enriched solution."""
 ROUND_OFF = 8.0
@@ -35,18 +34,14 @@ FARTHEST = -600.0
 """ln of the least stationary probability beyond a start that double precision can relate to one."""
 FARTHEST_EXTENT = 4.0 * FARTHEST
 """The same beyond the extent of a density at the start: at 5000 errors exceed the answer."""
-MOST_ROUNDS, MOST_ELEMENTS = 12, 1_000
-"""Rounds of cutting elements in two, and elements beyond which none is cut."""
+MOST_ELEMENTS = 1_000
+"""Elements beyond which none is cut."""
 STALLED = 0.9
 """Ratio of the error to that of the round before that shows that finer elements do not help."""
 CHECKED_TIMES = 6
 """Times at which the mesh is adapted first, then at all."""
-Pair = tuple[Modes, Modes]
-"""The meshes of the answer and of the enriched solution."""
-
-
 Solutions = tuple[Solution, Solution]
-"""Those on the two meshes of a ``Pair``."""
+"""Densities on the two meshes of a ``Pair``."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +123,7 @@ def posed(process: Process, source: Source, time: float, tol: float) -> tuple[Qu
     Those of the answer and of the enriched solution, which reaches farther. Raises ``InvalidInput``
     for a start beyond the range of double precision.
     """
-    degree = int(np.clip(round(-math.log10(tol)) + 4, 8, HIGHEST))
+    degree = degree_for(tol)
     probe, start = probed(process), source.energy
     share = _log_share_above(probe, start)
     if share < FARTHEST or _log_share_above(probe, source.extent) < FARTHEST_EXTENT:
@@ -144,10 +139,8 @@ def posed(process: Process, source: Source, time: float, tol: float) -> tuple[Qu
     ends[1] = max(ends[1], LENGTHENED * ends[0])
     length = float(nodes[-1] - nodes[-2])
     beyond = np.linspace(ends[0], ends[1], 1 + max(1, math.ceil((ends[1] - ends[0]) / length)))
-    answer = modes(process, nodes[:-1], nodes[1:], degree)
-    nodes = np.append(nodes, beyond[1:])
-    enriched = modes(process, nodes[:-1], nodes[1:], degree + ENRICHMENT, enriched=True)
-    return Question(process, source, width, tol), (answer, enriched)
+    pair = meshed(process, nodes, degree, beyond=beyond[1:])
+    return Question(process, source, width, tol), pair
 
 
 def adapted(
@@ -162,8 +155,7 @@ def adapted(
         if small or not marked.any() or marked.size > MOST_ELEMENTS:
             break
         before = own.sum()
-        more = np.append(marked, np.zeros(pair[1].count - marked.size, dtype=bool))
-        pair = refined(process, pair[0], marked), refined(process, pair[1], more, enriched=True)
+        pair = cut(process, pair, marked)
     return solved, pair
 
 

@@ -10,8 +10,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csc_array
-from scipy.sparse.linalg import SuperLU
+from scipy.sparse.linalg import LinearOperator, eigs
 
 from fpk.arrays import Array
 from fpk.errors import InvalidInput
@@ -28,10 +27,6 @@ FOLDS = 5.0
 of its exponential."""
 HIGHEST = 300.0
 """Largest rise of −ln w up to a limit: E T² of the order of e^600 is within double precision."""
-ITERATIONS = 400
-"""Steps of the inverse iteration, each of which gains the ratio of the least two rates."""
-CONVERGED = 1e-15
-"""Relative change of the rate at which the iteration ends."""
 KRYLOV = 1e-2
 """Fraction of the tolerance to which the reliability is computed in its norm."""
 ROUNDING = 4.0
@@ -152,7 +147,7 @@ def _answer(op: PlaneOperator, start: Start, times: Array, tol: float) -> _Answe
     # Equal factors on all three change nothing; without them small energies underflow.
     A, M, shares = (part / op.matrices.shares.max() for part in op.matrices)
     transposed, dual = (-A.T).tocsc(), start.dual(op)
-    backward, forward = factorised(transposed), factorised(-A)
+    backward = factorised(transposed)
     sizes = abs(transposed)
 
     def solved(right: Array) -> tuple[Array, Array, float]:
@@ -169,7 +164,11 @@ def _answer(op: PlaneOperator, start: Start, times: Array, tol: float) -> _Answe
         remedy = "the elements do not see so narrow a density; start from rest or louder noise"
         raise InvalidInput("start", "stationary", remedy)
     relative = ROUNDING * abs(float(dual @ change)) / mean + LEAST
-    rate = _least_rate(M, backward, forward, T)
+    # The least λ of K u = λ M u is real and simple; 1/λ is of the order of the longest mean time.
+    longest = np.max(np.abs(T))
+    inverse = LinearOperator(A.shape, matvec=lambda u: backward.solve(M @ u) / longest, dtype=float)
+    (largest,) = eigs(inverse, k=1, v0=T / longest, tol=0.0, return_eigenvectors=False)
+    rate = 1.0 / (largest.real * longest)
     numbers = np.array([mean, second - mean**2, rate])
     rounding = relative * np.array([mean, second + 2.0 * mean**2, rate])
     survival, lost = np.full(times.size, float(np.nan)), np.zeros(times.size)
@@ -181,26 +180,10 @@ def _answer(op: PlaneOperator, start: Start, times: Array, tol: float) -> _Answe
     if np.any(~at_zero):
         u = evolved(A.T.tocsc(), M, shares, times[~at_zero], tol=KRYLOV * tol)
         survival[~at_zero] = u.values @ dual
-        largest = np.max(np.abs(op.vertex_values(u.values)), axis=1)
-        lost[~at_zero] = np.abs(u.change @ dual) + ROUNDING * u.rounding * largest
+        height = np.max(np.abs(op.vertex_values(u.values)), axis=1)
+        lost[~at_zero] = np.abs(u.change @ dual) + ROUNDING * u.rounding * height
         residual = max(residual, u.residual)
     return _Answer(op, numbers, rounding, survival, lost, residual)
-
-
-def _least_rate(M: csc_array, backward: SuperLU, forward: SuperLU, u: Array) -> float:
-    """The least λ of K u = λ M u, with left and right vectors: it is real and simple."""
-    right, last = u / np.abs(u).max(), np.inf
-    left = right
-    for _ in range(ITERATIONS):
-        Mu = M @ right
-        solved = backward.solve(Mu)
-        left = forward.solve(M @ left)
-        rate = float((left @ Mu) / (left @ (M @ solved)))
-        right, left = solved / np.abs(solved).max(), left / np.abs(left).max()
-        if not abs(rate - last) > CONVERGED * abs(rate):
-            break
-        last = rate
-    return rate
 
 
 def _compared(coarse: _Answer, fine: _Answer, model: float, times: Array, tol: float) -> Passage:

@@ -1,6 +1,7 @@
 """Densities of two energies at times after a start, with their errors."""
 
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -58,16 +59,11 @@ def transient_densities(
     answer is that of the finer one. A time too short for the last level is not certified.
     ``coefficients_error(t, *at)`` is the relative error of p by that of the coefficients.
     """
-    previous: _Level | None = None
-    for level in _levels(frame, start, times, tol):
-        if previous is not None:
-            answer, unresolved = _compared(
-                previous, level, start, view, times, at, tol, coefficients_error
-            )
-            hopeless = level.op.degree >= GIVEN_UP[0] and answer.certificate.failures
-            if answer.certificate.certified or (hopeless and unresolved > GIVEN_UP[1]):
-                return answer
-        previous = level
+    for coarse, fine in pairwise(_levels(frame, start, times, tol)):
+        answer, distance = _compared(coarse, fine, start, view, times, at, tol, coefficients_error)
+        hopeless = fine.op.degree >= GIVEN_UP[0] and distance > GIVEN_UP[1]
+        if answer.certificate.certified or hopeless:
+            break
     return answer
 
 
