@@ -50,9 +50,8 @@ class Answers:
     @cached_property
     def mean(self) -> chain.Solution:
         """T: mean time of first passage over the start, L T = −1."""
-        return chain.inverse(
-            self.elements, *chain.loads(self.elements, chain.constant(self.elements))
-        )
+        e = self.elements
+        return chain.inverse(e, e.load, e.coupling.sum(axis=2))
 
     @cached_property
     def longest(self) -> float:
@@ -120,9 +119,7 @@ def _product(e: Modes, f: chain.Solution, at_ends: Array, inner: Array) -> float
 class FirstPassage:
     """First passage of an energy through a ``limit`` with errors: ``answer`` and ``enriched``."""
 
-    process: Process
     limit: float
-    tol: float
     answer: Answers
     enriched: Answers
 
@@ -238,23 +235,20 @@ def first_passage(
     for _ in range(MOST_ROUNDS):
         # Sums to beyond the range are judged below.
         with np.errstate(over="ignore", invalid="ignore"):
-            solved = FirstPassage(
-                process, limit, tol, Answers(pair[0]), Answers(pair[1], more=ENRICHMENT)
-            )
+            solved = FirstPassage(limit, Answers(pair[0]), Answers(pair[1], more=ENRICHMENT))
             longest = solved.longest
         if not longest < LARGEST_MEAN:
             raise beyond
-        marked = _marked(solved, times)
+        marked = _marked(solved, times, 0.25 * tol)
         if not marked.any() or marked.size > MOST_ELEMENTS:
             break
         pair = cut(process, pair, marked)
     return solved
 
 
-def _marked(solved: FirstPassage, times: Array) -> Flags:
-    """Elements whose part of the answer is not known to the tolerance."""
+def _marked(solved: FirstPassage, times: Array, wanted: float) -> Flags:
+    """Elements whose part of the answer is not known to ``wanted``."""
     a, b = solved.answer.elements, solved.enriched.elements
-    wanted = 0.25 * solved.tol
     unit = np.exp(a.log_local - b.log_local)
     marked = np.zeros(a.count, dtype=bool)
     for own, better in ((a.conductance, b.conductance), (a.load.sum(axis=1), b.load.sum(axis=1))):

@@ -11,7 +11,8 @@ from fpk.contour import Contour, contours
 from fpk.dynamics import Complex
 from fpk.line.time import chain
 from fpk.line.time.mesh import GROWTH, HIGHEST, time_nodes
-from fpk.line.time.modes import EPS, Modes, log_density, modes, rule
+from fpk.line.time.modes import EPS, Modes, log_density, modes
+from fpk.line.time.rule import rule
 from fpk.probe import probed
 from fpk.process import Process
 
