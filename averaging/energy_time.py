@@ -9,9 +9,10 @@ from fpk.arrays import Array
 from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient, checked_times
-from fpk.line.time.evolution import fem_passage, fem_rates, fem_transient
+from fpk.line.time.evolution import fem_passage, fem_transient
 from fpk.line.time.modulated import modulated_transient
 from fpk.line.time.propagation import Source
+from fpk.line.time.spectrum import spectrum
 from fpk.modulation import Modulation, require_constant_noise
 from fpk.process import Process
 from fpk.square_root import SquareRoot
@@ -52,7 +53,7 @@ class OneEnergy:
     def passage(
         self, solver: str, start: EnergyStart, limit: float, times: Array, *, tol: float
     ) -> Passage:
-        """Return the first passage of ``limit``; ``InvalidInput`` for a start that is not below."""
+        """Return the first passage of ``limit`` from a start below it."""
         checked_times(times)
         require_constant_noise(self.modulation)
         if solver == "fem":
@@ -65,7 +66,7 @@ class OneEnergy:
     def relaxation(self, solver: str, count: int, *, tol: float) -> Rates:
         """Return the ``count`` least rates."""
         if solver == "fem":
-            return fem_rates(self.under(1.0), count, tol=tol)
+            return spectrum(self.under(1.0), count, tol=tol)
         return self._closed(solver).rates(count, tol=tol)
 
     def _source(self, start: EnergyStart) -> Source:

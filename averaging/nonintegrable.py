@@ -97,6 +97,7 @@ class NonIntegrable(Theory):
                 f"{limit}: this theory knows the total energy only; give a limit H=.."
             )
         begins = total_energy_start(system, start)
+        begins.require_below(limit)
         return one.passage(self.solver, begins, limit.value, times, tol=tol or self.tol)
 
     def relaxation(

@@ -17,6 +17,7 @@ from fpk.dynamics import Complex, Rates
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import (
     BEYOND_RANGE,
+    STARTS,
     Number,
     Passage,
     StartCurve,
@@ -26,8 +27,6 @@ from fpk.evolution import (
 from fpk.quadrature import panel_rule
 
 EPS = float(np.finfo(float).eps)
-STARTS = 101
-"""Starts at which moments are given as a curve, from rest to the limit."""
 FARTHEST = 690.0
 """Largest c H/d of a limit: the mean time is e^690 of its unit."""
 MORE = 8
@@ -107,13 +106,12 @@ class SquareRoot:
         return -theta * expm1(-self.c * t), start * left
 
     def passage(self, limit: float, start: float, times: Array, *, tol: float) -> Passage:
-        """Return the first passage of ``limit``: E e^(−sT) = 1F1(s/c; n; x_0)/1F1(s/c; n; x_f).
+        """Return the first passage of ``limit`` from a ``start`` below it.
 
-        x = c H/d. Moments are its derivatives at s = 0, power series of positive terms. Raises
-        ``InvalidInput`` for a start at or beyond the limit, and as ``rate`` and ``failure`` do.
+        E e^(−sT) = 1F1(s/c; n; x_0)/1F1(s/c; n; x_f), x = c H/d. Moments are its derivatives at
+        s = 0, power series of positive terms. Raises ``InvalidInput`` and ``NotApplicable`` as
+        ``rate`` and ``failure`` do.
         """
-        if not start < limit:
-            raise InvalidInput("start", f"H={start:g}", f"must be below the limit {limit:g}")
         rate, xf = self.rate(limit), limit * self.c / self.d
         starts = np.linspace(0.0, limit, STARTS)
         curves = self._moments(np.append(starts, start) * self.c / self.d, xf)

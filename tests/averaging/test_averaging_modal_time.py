@@ -193,8 +193,8 @@ def test_contacts_are_left_out_and_that_is_said():
         (lambda: transient(FEM, FIG8, "H1", "rest", [2.0, 1.0], [0.0]), InvalidInput, "ascend"),
         (lambda: passage(FEM, FIG8, "q2=1", "rest"), NotApplicable, "no displacement"),
         (lambda: passage(CLOSED, FIG8, "H=1", "rest"), NotApplicable, "use fem"),
-        (lambda: passage(FEM, FIG8, "H1=1", "H1=1,H2=0"), InvalidInput, "beyond the limit"),
-        (lambda: passage(FEM, FIG8, "H=1", "H1=0.5,H2=0.6"), InvalidInput, "beyond the limit"),
+        (lambda: passage(FEM, FIG8, "H1=1", "H1=1,H2=0"), InvalidInput, "below the limit"),
+        (lambda: passage(FEM, FIG8, "H=1", "H1=0.5,H2=0.6"), InvalidInput, "below the limit"),
         (lambda: passage(CLOSED, modal_van_der_pol(), "H1=1", "rest"), NotApplicable, "use fem"),
         (
             lambda: passage(Integrable("quadrature"), FIG8, "H1=1", "rest"),

@@ -122,6 +122,24 @@ def test_modulated_noise_against_the_exact_gamma_density():
     assert solved.settings["observed order"] == pytest.approx(9.0, abs=0.6)
 
 
+@pytest.mark.parametrize("factor", [1e-6, 1e-3, 3.0])
+def test_modulated_noise_after_much_less_or_more_noise(factor):
+    # From the stationary state it stays a gamma density; no element saw a narrow one.
+    at = np.array([1e-8, 1e-3, 0.02, 0.1, 0.3])
+    solved = transient(replace(FREE, modulation=MODULATION), f"noise={factor}", [0.3], at)
+    assert solved.certificate.certified
+    theta = temperature(0.3) + factor * 0.18 * np.exp(-0.125 * 0.3)
+    exact = at / theta**2 * np.exp(-at / theta)
+    assert np.all(np.abs(solved.values[0] - exact) <= solved.errors[0])
+    assert solved.errors.max() < 1e-8 * exact.max()
+
+
+def test_a_time_before_which_there_is_no_noise_is_refused():
+    system = replace(FREE, modulation=Modulation([0.0, 1.0, 2.0], [0.0, 0.0, 1.0]))
+    with pytest.raises(InvalidInput, match="no noise"):
+        transient(system, "H=0.5", [0.5], [0.1])
+
+
 def test_modulation_is_of_what_begins_only():
     system = replace(FREE, modulation=MODULATION)
     names = [parse_observable("H", 2)]

@@ -118,6 +118,8 @@ REFUSED = [
     (asked("passage", "--start", "H=-1"), "negative"),
     (asked("passage", "--start", "q9=1"), "use rest"),
     (asked("passage", "--limit", "H=1e6"), "beyond the range"),
+    (asked("passage", "--limit", "H=1e3", method="integrable"), "beyond the range"),
+    (asked("passage", "--start", "H1=1,H2=0", method="integrable"), "below the limit"),
     (asked("passage", "--limit", "H=0"), "> 0"),
     (asked("passage", "--limit", "q2=1"), "total energy only"),
     (asked("passage", "--limit", "energy=1"), "use H=1.5"),
