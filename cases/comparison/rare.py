@@ -10,9 +10,10 @@ from cases.scene.questions import PassageQuestion
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import Number, Passage
+from fpk.evolution import Passage
 from fpk.line.time.passage import first_passage
 from fpk.method import Progress
+from fpk.number import Number
 from fpk.route import Route
 from fpk.system import System
 from sim.montecarlo import MonteCarlo

@@ -11,7 +11,8 @@ from cases.comparison.in_time import Replies
 from cases.comparison.time_distances import failure_of
 from cases.output.records import UNITS
 from fpk.arrays import Array
-from fpk.evolution import Number, Passage
+from fpk.evolution import Passage
+from fpk.number import Number
 
 Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]]
 """Dimensions, values and attributes by name, as ``xarray.Dataset`` takes them."""

@@ -16,8 +16,9 @@ from cases.scene.questions import PassageQuestion
 from cases.studies.levels import Level, timed_first, timing
 from cases.studies.prices import NotTimed, Priced
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.evolution import Number, Passage, Passages
+from fpk.evolution import Passage, Passages
 from fpk.method import Progress, silent
+from fpk.number import Number
 from fpk.route import Route
 from fpk.system import System
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from fpk.arrays import Array, Flags, Integers
 from fpk.certificate import Measured, certify
-from fpk.evolution import Number, Passage
+from fpk.evolution import Passage
+from fpk.number import Number
 
 GROUPS = 64
 """Groups of trajectories that are left out, one at a time, for errors (jackknife)."""

@@ -17,8 +17,9 @@ from fpk.certificate import Measured, certify
 from fpk.density import SMALLEST
 from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
-from fpk.evolution import Number, Passage, Transient, certified_passage, checked_times
+from fpk.evolution import Passage, Transient, certified_passage, checked_times
 from fpk.limit import Limit
+from fpk.number import Number
 from fpk.observable import Observable
 from fpk.quadrature import panel_rule
 from fpk.square_root import EPS, SquareRoot
