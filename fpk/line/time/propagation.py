@@ -10,7 +10,7 @@ from fpk.arrays import Array
 from fpk.contour import Contour, contours
 from fpk.line.time import chain
 from fpk.line.time.mesh import GROWTH, HIGHEST, time_nodes
-from fpk.line.time.modes import EPS, Modes, log_density, modes, rule
+from fpk.line.time.modes import EPS, Modes, log_density, log_phase_density, modes, rule
 from fpk.probe import probed
 from fpk.process import Process
 
@@ -85,9 +85,13 @@ class Propagation:
     parts: Sequence[tuple[Contour, chain.Solution]]
     residual: float
 
-    def density(self, x: Array) -> tuple[Array, Array]:
-        """Return p (times, points) at energies x > 0 in the elements, and the size of its terms."""
-        factor = np.exp(log_density(self.process, self.elements, x) - self._unit(x))
+    def density(self, x: Array, *, of_state: bool = False) -> tuple[Array, Array]:
+        """Return p (times, points) at energies x > 0 in the elements, and the size of its terms.
+
+        Or u = p/T, with ``of_state``: by its own, as T vanishes at H = 0.
+        """
+        log_pi = (log_phase_density if of_state else log_density)(self.process, self.elements, x)
+        factor = np.exp(log_pi - self._unit(x))
         p, size = np.zeros((2, self.times.size, x.size))
         for contour, f in self.parts:
             g = chain.values(self.elements, f, x, turned=True).T

@@ -46,12 +46,13 @@ CHECKED_TIMES = 6
 class Transition:
     """The density of an energy at ``times`` after a start, with its error and certificate.
 
-    ``distance`` (times, elements) is the largest distance to the enriched solution in each element,
+    ``distance`` (times, elements) is the largest distance to the ``enriched`` one in each element,
     ``start`` the energy that it begins with and its width at the first time, ``top`` (times,) the
     largest density.
     """
 
     propagation: Propagation
+    enriched: Propagation
     distance: Array
     start: tuple[float, float]
     top: Array
@@ -164,7 +165,7 @@ def _judged(
     )
     certificate = certify(measured, tol=tol)
     start, top = (source.energy, width), p.max(axis=1)
-    solved = Transition(own, distance.max(axis=2), start, top, measured, certificate)
+    solved = Transition(own, finer, distance.max(axis=2), start, top, measured, certificate)
     each = (distance * w).sum(axis=2).max(axis=0)
     return solved, each, common.sum(axis=2).max(axis=0)
 
