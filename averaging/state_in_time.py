@@ -29,6 +29,8 @@ from fpk.system import System
 
 POINTS = (20, 24)
 """Gauss points an element of the coarser table of Ψ, and of the answer."""
+CHECKED = 21
+"""Points an element at which errors of u are measured, none of which is one of its table."""
 RULES = (10, 14)
 """Gauss points a panel over a hidden contact mass; the distance of the two is the error."""
 ERROR_POINTS = 4
@@ -108,10 +110,10 @@ class _WeylInTime:
 
     @cached_property
     def nodes(self) -> Array:
-        """Ends of the elements of the enriched solution, with layers at contact energies."""
-        return with_layers(
-            self.solved.enriched.elements.nodes, self.solved.enriched.process.nonsmooth
-        )
+        """Ends of halves of the enriched solution's elements, with layers at contact energies."""
+        nodes = self.solved.enriched.elements.nodes
+        halves = np.sort(np.append(nodes, 0.5 * (nodes[1:] + nodes[:-1])))
+        return with_layers(halves, self.solved.enriched.process.nonsmooth)
 
     def __call__(self, energy: Array) -> Array:
         """Return Ψ at ``energy``, (*shape, times)."""
@@ -150,25 +152,32 @@ class _WeylInTime:
     @cached_property
     def _of_u(self) -> Array:
         """The largest error of u in each element (elements, times)."""
-        x = panel_rule(self.nodes, POINTS[1])[0]
+        x = panel_rule(self.nodes, CHECKED)[0]
         u, size = self._answer(x.ravel())
         better, other = self.solved.enriched.density(x.ravel(), of_state=True)
-        distance = SAFETY * np.abs(u - better.T)
-        e, end = self.solved.elements, self.solved.elements.right[-1]
-        within = np.minimum(x.ravel(), end)
-        distance += common_error(e, self.solved.start, u.T, size.T + other, within).T
-        # What is left of larger numbers far from the peak.
-        distance += ROUND_OFF * EPS * np.abs(u).max(axis=0)
-        return np.asarray(distance.reshape(*x.shape, -1).max(axis=1))
+        error = SAFETY * (np.abs(u - better.T) + np.abs(u - self._u(x.ravel())))
+        within = np.minimum(x.ravel(), self.solved.elements.right[-1])
+        error += common_error(
+            self.solved.elements, self.solved.start, u.T, size.T + other, within
+        ).T
+        # What is left of larger numbers far from the peak, of u and of p = T u.
+        c = self.solved.propagation.process.coefficients(x.ravel())
+        with np.errstate(over="ignore"):
+            of_p = np.multiply.outer(np.exp(-c.log_density_of_states), self.solved.top)
+        error += ROUND_OFF * EPS * np.minimum(of_p, np.abs(u).max(axis=0))
+        return np.asarray(error.reshape(*x.shape, -1).max(axis=1))
 
     @cached_property
     def _table(self) -> Piecewise:
+        if self.order == 0.0:
+            return self._u
         return self._of_energy(lambda E: self._integral(E, POINTS[1]), POINTS[1])
 
     @cached_property
     def _moved(self) -> Array:
         """Largest distance of two tables in each element (elements, times)."""
-        coarse = self._of_energy(lambda E: self._integral(E, POINTS[0]), POINTS[0])
+        f = self._u if self.order == 0.0 else lambda E: self._integral(E, POINTS[0])
+        coarse = self._of_energy(f, POINTS[0])
         x = panel_rule(self.nodes, sum(POINTS))[0]
         distance = np.abs(coarse(x) - self._table(x)).max(axis=1)
         return np.asarray(distance + ROUND_OFF * EPS * np.abs(self._table(x)).max(axis=1))
@@ -179,8 +188,6 @@ class _WeylInTime:
 
     def _integral(self, energy: Array, points: int) -> Array:
         """Ψ at energies (points,), (points, times)."""
-        if self.order == 0.0:
-            return self._u(energy)
         left, right = self.nodes[:-1, None], self.nodes[1:, None]
         x, w = panel_rule(self.nodes, points)
         values = w[..., None] * self._u(x)
