@@ -95,7 +95,7 @@ def _marginal(source: StateDensity, observable: Observable) -> Callable[..., Arr
     over_hidden = HiddenIntegral(laws[len(q) :], source.temperature, source.end)
     order, log_factor = hidden_quadratic(system, p, laws)
     # u is in the unit of T of the process.
-    log_factor -= log_linear_states(system, source.unit)
+    log_factor -= float(log_linear_states(system, source.unit))
 
     def marginal(*x: Array, part: Part = "value", points: int = rules_of(len(hidden))[1]) -> Array:
         arrays = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in x))

@@ -1,4 +1,4 @@
-"""Displacements and momenta in time where energies are square-root processes, Eqs. (30), (35), (36).
+"""Displacements and momenta in time whose energies are square-root processes, Eqs. (30), (35).
 
 A square-root process of the shape n, from H_0, is ½|z|² of z = a e + √θ_t ξ in 2n dimensions: e is
 uniform on the unit sphere, ξ standard normal, a² = 2 H_0 e^(−ct) and θ_t = θ (1 − e^(−ct)). With
@@ -30,15 +30,15 @@ MOST_WAVES = {1: 400_000, 2: 1_000_000}
 """Largest number of waves, by the number of coordinates: seconds for each time."""
 CHUNK = 4_000_000
 """Numbers held at once: 32 MB."""
-ROUNDINGS = 8.0, 4.0
-"""Roundings of a wave, and those for each unit of its phase and of the Bessel functions' arguments."""
+ROUNDINGS = 4.0
+"""Roundings of each radian of the phase of a wave, and of the arguments of its factors."""
 
 
 @dataclass(frozen=True, eq=False)
 class OrbitPart:
-    """An energy from ``start`` and the ``shape`` (count, count), C, of its share in the coordinates.
+    """An energy from ``start``, and C of what it contributes to the coordinates.
 
-    C is the covariance of the coordinates where the energy is of temperature 1.
+    C, ``shape`` (count, count), is their covariance where the energy is of temperature 1.
     """
 
     process: SquareRoot
@@ -98,8 +98,8 @@ def _density(
     K = np.ceil(REACH * box / pi).astype(int)
     if float(np.prod(2.0 * K + 1.0)) > 2.0 * MOST_WAVES[count]:
         raise NotApplicable(
-            f"at the time {t:g} the density is too narrow about the first orbit: "
-            f"{float(np.max(radii.sum(axis=0))):.2g} times as far as it is wide; ask for later times"
+            f"at the time {t:g} the density is too narrow: the first orbit is "
+            f"{float(np.max(radii.sum(axis=0))):.2g} times as far as the noise; ask for later times"
         )
     k, m = (np.arange(low, high) for low, high in ((0, K[0] + 1), (-K[-1], K[-1] + 1)))
     grid = np.meshgrid(k, m if count == 2 else [0], indexing="ij")
@@ -110,13 +110,16 @@ def _density(
     ]
     gauss = np.exp(-0.5 * square) * np.where(grid[0] == 0, 1.0, 2.0) / np.prod(2.0 * box)
     wave = gauss * prod(_sphere(n, z) for (n, _), z in zip(orbits, arguments, strict=True))
-    # Errors: those of phases and arguments count by their size, and by the condition of y.
+    # Errors: phases count by |φ|, arguments z by |z Λ_n'| <= min(z, 1 + √z), as DLMF (10.14.1) and
+    # (10.17.3) have it; whitening by the square of its condition.
     turns = sum(np.abs(part) * b for part, b in zip(s, box, strict=True))
-    turned = sum(arguments) + turns
-    relative = max(part.process.relative_error * (1.0 + part.process.c * t) for part in parts)
-    condition = float(np.linalg.cond(factor))
-    each = EPS * (ROUNDINGS[0] + ROUNDINGS[1] * turned) + 4.0 * relative * (1.0 + square + turned)
-    floor = condition * float(np.sum(gauss * each)) + 4.0 * count * BEYOND
+    argued = sum(np.minimum(z, 1.0 + np.sqrt(z)) for z in arguments)
+    relative = max(part.process.relative_error for part in parts)
+    elapsed = max(part.process.c for part in parts) * t
+    rounded = np.abs(wave) * ROUNDINGS * turns + gauss * ROUNDINGS * (2.0 + argued + square)
+    model = 4.0 * relative * gauss * (1.0 + square + (1.0 + elapsed) * argued)
+    condition = float(np.linalg.cond(factor)) ** 2
+    floor = float(np.sum(EPS * condition * rounded + model)) + 4.0 * count * BEYOND
     y = whitened @ np.array(at)
     inside = np.all(np.abs(y) <= box[:, None], axis=0)
     p = np.where(inside, _summed(wave, s[:, :, :1], s[:, :1, :], y), 0.0)

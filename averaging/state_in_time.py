@@ -5,39 +5,31 @@ Given the energy the state is distributed over its shell as in the stationary st
 by then: all integrals have panels that end where the elements of p(H, t) end.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
-from math import gamma
+from dataclasses import replace
 
 import numpy as np
 
 from averaging.back_transformation import hidden_quadratic
 from averaging.conditional import Conditional, conditionals
 from averaging.shell.averages import log_linear_states
+from averaging.weyl_in_time import WeylInTime
 from fpk.arrays import Array
 from fpk.certificate import certify
 from fpk.density import SMALLEST
 from fpk.errors import NotApplicable
 from fpk.evolution import Transient
-from fpk.line.mesh import with_layers
-from fpk.line.time.transition import EPS, ROUND_OFF, SAFETY, Transition, common_error
+from fpk.line.time.transition import Transition
 from fpk.observable import Observable, observable_name
-from fpk.piecewise import Piecewise, interpolated
-from fpk.quadrature import gauss_legendre, panel_rule
+from fpk.quadrature import gauss_legendre
 from fpk.system import System
 
-POINTS = (20, 24)
-"""Gauss points an element of the coarser table of Ψ, and of the answer."""
-CHECKED = 21
-"""Points an element at which errors of u are measured, none of which is one of its table."""
 RULES = (10, 14)
 """Gauss points a panel over a hidden contact mass; the distance of the two is the error."""
 ERROR_POINTS = 4
 """Gauss points a panel of the integral of the error of Ψ, an estimate."""
 BISECTIONS = 50
 """Halvings by which ends of panels are found: 1e-15 of the range."""
-LAYERS = 4.0 ** -np.arange(9.0)
+LAYERS = np.append(4.0 ** -np.arange(9.0), 0.0)
 """Ends of panels beyond a stop, as shares of the way to the end: (H − V) ~ overlap^2.5 there."""
 CHUNK = 4_000_000
 """Numbers held at once: 32 MB."""
@@ -61,8 +53,8 @@ def state_transient(
         )
     laws = conditionals(system, [*q, *hidden])
     order, log_factor = hidden_quadratic(system, p, laws)
-    psi = _WeylInTime(solved, order)
-    given = {c: x for c, x in zip(observable, at, strict=True)}
+    psi = WeylInTime(solved, order)
+    given = dict(zip(observable, at, strict=True))
     Q = np.array([given[c] for c in observable if c.kind == "q"]).reshape(len(q), at[0].size)
     energy = np.zeros(at[0].size)
     for k, law in enumerate(laws[: len(q)]):
@@ -78,9 +70,14 @@ def state_transient(
     unit = solved.propagation.process.energy_scale
     factor = float(np.exp(log_factor - log_linear_states(system, unit)))
     highest = max(float(np.max(np.abs(values), initial=0.0)), SMALLEST)
+    # The largest error of the rule over hidden masses, everywhere that the last energy allows.
+    own = [
+        (np.diag(system.compliance) if c.kind == "q" else system.mass)[c.row] for c in observable
+    ]
+    volume = float(np.prod(2.0 * np.sqrt(2.0 * psi.nodes[-1] * np.array(own))))
     measured = replace(
         solved.measured,
-        l1_error=solved.measured.l1_error + psi.added + float(rule_error.max()) / highest,
+        l1_error=solved.measured.l1_error + psi.added + factor * volume * float(rule_error.max()),
         minimum=float(values.min(initial=0.0)) / highest,
         absolute_error=float(errors.max(initial=0.0)) / highest,
     )
@@ -101,115 +98,8 @@ def state_transient(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _WeylInTime:
-    """Ψ(E) = ∫_E u(H) (H − E)^(ν−1)/Γ(ν) dH at all times, ν = ``order`` = 0, ½, 1, …; Ψ_0 is u."""
-
-    solved: Transition
-    order: float
-
-    @cached_property
-    def nodes(self) -> Array:
-        """Ends of halves of the enriched solution's elements, with layers at contact energies."""
-        nodes = self.solved.enriched.elements.nodes
-        halves = np.sort(np.append(nodes, 0.5 * (nodes[1:] + nodes[:-1])))
-        return with_layers(halves, self.solved.enriched.process.nonsmooth)
-
-    def __call__(self, energy: Array) -> Array:
-        """Return Ψ at ``energy``, (*shape, times)."""
-        return self._table(energy)
-
-    def error(self, energy: Array) -> Array:
-        """Return the error of Ψ; beyond the last element Ψ is less than its error before."""
-        last = 0.5 * float(self.nodes[-2] + self.nodes[-1])
-        E = np.minimum(energy, last).ravel()
-        k = np.searchsorted(self.nodes, E, side="right") - 1
-        total = self._moved[k]
-        if self.order == 0.0:
-            total = total + self._of_u[k]
-        else:
-            with np.errstate(invalid="ignore"):
-                powers = np.maximum(self.nodes - E[:, None], 0.0) ** self.order
-            total = total + np.diff(powers, axis=1) @ self._of_u / gamma(self.order + 1.0)
-        return np.asarray(total.reshape(*np.shape(energy), -1))
-
-    @property
-    def added(self) -> float:
-        """The error of the table relative to the largest Ψ."""
-        return float(np.max(self._moved / np.max(np.abs(self._table.coefficients[:, 0]), axis=0)))
-
-    @cached_property
-    def _u(self) -> Piecewise:
-        """u at all times."""
-        return self._of_energy(lambda x: self._answer(x)[0], POINTS[1])
-
-    def _answer(self, x: Array) -> tuple[Array, Array]:
-        """u and the size of its terms (points, times); 0 beyond the last element of the answer."""
-        u, size = self.solved.propagation.density(x, of_state=True)
-        inside = x <= self.solved.elements.right[-1]
-        return (u * inside).T, (size * inside).T
-
-    @cached_property
-    def _of_u(self) -> Array:
-        """The largest error of u in each element (elements, times)."""
-        x = panel_rule(self.nodes, CHECKED)[0]
-        u, size = self._answer(x.ravel())
-        better, other = self.solved.enriched.density(x.ravel(), of_state=True)
-        error = SAFETY * (np.abs(u - better.T) + np.abs(u - self._u(x.ravel())))
-        within = np.minimum(x.ravel(), self.solved.elements.right[-1])
-        error += common_error(
-            self.solved.elements, self.solved.start, u.T, size.T + other, within
-        ).T
-        # What is left of larger numbers far from the peak, of u and of p = T u.
-        c = self.solved.propagation.process.coefficients(x.ravel())
-        with np.errstate(over="ignore"):
-            of_p = np.multiply.outer(np.exp(-c.log_density_of_states), self.solved.top)
-        error += ROUND_OFF * EPS * np.minimum(of_p, np.abs(u).max(axis=0))
-        return np.asarray(error.reshape(*x.shape, -1).max(axis=1))
-
-    @cached_property
-    def _table(self) -> Piecewise:
-        if self.order == 0.0:
-            return self._u
-        return self._of_energy(lambda E: self._integral(E, POINTS[1]), POINTS[1])
-
-    @cached_property
-    def _moved(self) -> Array:
-        """Largest distance of two tables in each element (elements, times)."""
-        f = self._u if self.order == 0.0 else lambda E: self._integral(E, POINTS[0])
-        coarse = self._of_energy(f, POINTS[0])
-        x = panel_rule(self.nodes, sum(POINTS))[0]
-        distance = np.abs(coarse(x) - self._table(x)).max(axis=1)
-        return np.asarray(distance + ROUND_OFF * EPS * np.abs(self._table(x)).max(axis=1))
-
-    def _of_energy(self, f: Callable[[Array], Array], points: int) -> Piecewise:
-        left, right = self.nodes[:-1], self.nodes[1:]
-        return Piecewise(self.nodes, interpolated(f, left, right, points - 1))
-
-    def _integral(self, energy: Array, points: int) -> Array:
-        """Ψ at energies (points,), (points, times)."""
-        left, right = self.nodes[:-1, None], self.nodes[1:, None]
-        x, w = panel_rule(self.nodes, points)
-        values = w[..., None] * self._u(x)
-        total = np.zeros((energy.size, values.shape[-1]))
-        far = left - energy >= right - left
-        for here, x_k, weighted in zip(far, x, values, strict=True):
-            total[here] += (x_k - energy[here, None]) ** (self.order - 1.0) @ weighted
-        # H = E + s² takes out the root at E.
-        k, i = np.nonzero(~far & (energy < right))
-        low, high = (
-            np.sqrt(np.maximum(self.nodes[k + end] - energy[i], 0.0))[:, None] for end in (0, 1)
-        )
-        t, t_weights = gauss_legendre(points)
-        s = 0.5 * (low + high) + 0.5 * (high - low) * t
-        kernel = (high - low) * t_weights * s ** (2.0 * self.order - 1.0)
-        near = np.einsum("ks,kst->kt", kernel, self._u(energy[i, None] + s * s))
-        np.add.at(total, i, near)
-        return np.asarray(total / gamma(self.order))
-
-
 def _over_hidden(
-    psi: _WeylInTime, law: Conditional, energy: Array, given: Array
+    psi: WeylInTime, law: Conditional, energy: Array, given: Array
 ) -> tuple[Array, Array, Array]:
     """∫Ψ(E + V(hidden | observed)), its error, and that of the rule: (points, times) each."""
     parts = []
@@ -224,7 +114,7 @@ def _over_hidden(
 
 
 def _integrals(
-    psi: _WeylInTime, law: Conditional, nodes: Array, energy: Array, mean: Array
+    psi: WeylInTime, law: Conditional, nodes: Array, energy: Array, mean: Array
 ) -> tuple[Array, Array, Array]:
     answers = []
     for points in (*RULES, ERROR_POINTS):
@@ -235,7 +125,7 @@ def _integrals(
         f = psi.error if points == ERROR_POINTS else psi
         answers.append(np.einsum("xkg,xkgt->xt", half * w, f(E)))
     coarse, fine, error = answers
-    # Beyond the panels V is above the last energy: e-folds of Ψ there, over one more panel length.
+    # Beyond the panels V is above the last energy, where Ψ is less than this error and falls.
     reach = np.sqrt(2.0 * psi.nodes[-1] / law.precision)
     return fine, error + reach * psi.error(psi.nodes[-1:]), np.abs(fine - coarse)
 
@@ -256,24 +146,18 @@ def _panels(energies: Array, law: Conditional, energy: Array, mean: Array) -> Ar
         falls = V(low + third) > V(high - third)
         low, high = np.where(falls, low + third, low), np.where(falls, high, high - third)
     rest = 0.5 * (low + high)
-    parts = []
+    ends = {}
     for sign in (-1.0, 1.0):
         inside = np.repeat(rest[:, None], energies.size, axis=1)
         outside = np.repeat((mean + sign * reach)[:, None], energies.size, axis=1)
         for _ in range(BISECTIONS):
             middle = 0.5 * (inside + outside)
             below = energy[:, None] + V(middle) < energies
-            inside = np.where(below, middle, inside)
-            outside = np.where(below, outside, middle)
-        parts.append(outside)
-        end = outside[:, -1]
-        for stop in law.stops:
-            at = stop.sign * stop.clearance
-            beyond = at + (end - at)[:, None] * np.append(LAYERS, 0.0)
-            passed = sign * stop.sign > 0.0
-            parts.append(np.clip(beyond if passed else np.full_like(beyond, at), *_ordered(rest, end)))
-    return np.sort(np.hstack(parts), axis=1)
-
-
-def _ordered(a: Array, b: Array) -> tuple[Array, Array]:
-    return np.minimum(a, b)[:, None], np.maximum(a, b)[:, None]
+            inside, outside = np.where(below, middle, inside), np.where(below, outside, middle)
+        ends[sign] = outside
+    low, high = (side[:, -1:] for side in ends.values())
+    layers = [np.empty((energy.size, 0))]
+    for stop in law.stops:
+        at = stop.sign * stop.clearance
+        layers.append(np.clip(at + (ends[stop.sign][:, -1:] - at) * LAYERS, low, high))
+    return np.sort(np.hstack([*ends.values(), *layers]), axis=1)

@@ -50,8 +50,8 @@ def transient(
     Of displacements and momenta, what follows from them with independent uniform phases, (35).
     """
     if {c.kind for c in observable} <= {"q", "p"}:
-        parts = _orbits(modes, observable, start)
-        return orbit_transient(parts, start.noise, times, at, tol=tol or TOL)
+        orbits = _orbits(modes, observable, start)
+        return orbit_transient(orbits, start.noise, times, at, tol=tol or TOL)
     checked_times(times, positive=start.noise is None)
     rows = observed_modes(observable)
     parts = [(_mode(modes, m), float(start.energies[m])) for m in rows or range(modes.n)]
@@ -126,9 +126,7 @@ def _mode(modes: ModalAnalysis, m: int) -> SquareRoot:
     return SquareRoot(1, c, d, modes.relative_error)
 
 
-def _orbits(
-    modes: ModalAnalysis, observable: Observable, start: EnergyStart
-) -> list[OrbitPart]:
+def _orbits(modes: ModalAnalysis, observable: Observable, start: EnergyStart) -> list[OrbitPart]:
     """The shares of the modes in displacements and momenta, by (q, p) = S (ω Q, P)."""
     rows = modes.state_shapes[state_rows(observable, modes.n)]
     both = [rows[:, [m, m + modes.n]] for m in range(modes.n)]
