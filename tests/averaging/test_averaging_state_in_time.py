@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from modal_terms import modal_van_der_pol
 from numpy.testing import assert_allclose
 from scipy.special import roots_gegenbauer
 from scipy.stats import multivariate_normal
@@ -64,7 +65,7 @@ def linear(system, start, t):
 def test_oscillator_is_a_gaussian_on_a_circle_of_uniform_phase(method, start, t):
     # From a point the energy is nearly sharp at first: the density has the peaks of arcsine's law.
     theta, square = linear(ONE, start, t)
-    phase = (np.arange(200_000) + 0.5) * np.pi / 200_000
+    phase = (np.arange(20_000) + 0.5) * np.pi / 20_000
     orbit = np.sqrt(square) * np.cos(phase)
     x = np.append(np.linspace(-1.0, 1.0, 12), np.array([0.99, 1.0, 1.001]) * np.sqrt(square / 2.0))
     z = np.sqrt(2.0) * x  # √k q
@@ -168,6 +169,32 @@ def test_beyond_the_last_energy_the_error_is_stated():
     assert far.values[0, 0] == 0.0 < far.errors[0, 0]
 
 
+@pytest.mark.parametrize("name", ["q1", "q2,p2"])
+def test_two_energies_by_elements_give_what_the_closed_form_gives(name):
+    at = np.random.default_rng(6).normal(0.0, 0.4, (name.count(",") + 1, 10))
+    asked = TWO, name, "H1=0.1,H2=0.3", [30.0, 300.0], *at
+    exact = transient(MODES, *asked).values
+    holds(transient(Integrable("fem"), *asked, tol=1e-8), exact)
+
+
+def test_late_state_of_coupled_energies_is_stationary():
+    system, at = modal_van_der_pol(), np.linspace(-2.0, 2.0, 9)
+    late = transient(Integrable("fem"), system, "q1", "rest", [5000.0], at, tol=1e-7)
+    (density,) = Integrable("fem", tol=1e-9).solve(system, [parse_observable("q1", 2)]).densities
+    p, error = density.at(at)
+    assert late.certificate.certified
+    assert np.all(np.abs(late.values[0] - p) <= late.errors[0] + error)
+    assert np.all(late.errors[0] <= 1e-6 * p.max())
+
+
+@pytest.mark.slow
+def test_two_energies_too_soon_after_the_start_are_not_certified():
+    asked = TWO, "q1", "H1=0.1,H2=0.3", [0.01], [0.0, 0.3]
+    soon, exact = transient(Integrable("fem"), *asked, tol=1e-6), transient(MODES, *asked)
+    assert not soon.certificate.certified
+    assert np.all(np.abs(soon.values - exact.values) <= soon.errors)
+
+
 NOISY = replace(TWO, modulation=Modulation([0.0, 5.0], [2.0, 1.0]))
 STOPS = replace(THREE, contacts=tuple(Contact(i, "both", 10.0, 0.5) for i in (1, 2)))
 
@@ -175,7 +202,7 @@ STOPS = replace(THREE, contacts=tuple(Contact(i, "both", 10.0, 0.5) for i in (1,
 @pytest.mark.parametrize(
     ("method", "system", "name", "error", "words"),
     [
-        (Integrable("fem"), TWO, "q1", NotApplicable, "by closed-form"),
+        (Integrable("fem"), THREE, "q1", NotApplicable, "fem takes two"),
         (NonIntegrable("quadrature"), TWO, "q1", NotApplicable, "stationary densities only"),
         (TOTAL, HERTZ, "q1", NotApplicable, "the system has contacts"),
         (FEM, TWO, "H1", NotApplicable, "knows the total energy only"),

@@ -33,7 +33,7 @@ KRYLOV = 1e-2
 """Fraction of the tolerance to which e^(tA) is computed."""
 
 
-class _Level(NamedTuple):
+class Level(NamedTuple):
     """The coefficients at all times, in all functions, of one operator."""
 
     op: PlaneOperator
@@ -58,20 +58,37 @@ def transient_densities(
     answer is that of the finer one. A time too short for the last level is not certified.
     ``coefficients_error(t, *at)`` is the relative error of p by that of the coefficients.
     """
-    previous: _Level | None = None
+    return resolved(frame, start, view, times, at, tol=tol, coefficients_error=coefficients_error)[
+        0
+    ]
+
+
+def resolved(
+    frame: Frame,
+    start: Start,
+    view: View,
+    times: Array,
+    at: tuple[Array, ...],
+    *,
+    tol: float,
+    coefficients_error: Callable[..., Array] | None = None,
+) -> tuple[Transient, tuple[Level, Level]]:
+    """Return the answer of ``transient_densities``, and its last two levels, the finer last."""
+    previous: Level | None = None
     for level in _levels(frame, start, times, tol):
         if previous is not None:
             answer, unresolved = _compared(
                 previous, level, start, view, times, at, tol, coefficients_error
             )
+            both = previous, level
             hopeless = level.op.degree >= GIVEN_UP[0] and answer.certificate.failures
             if answer.certificate.certified or (hopeless and unresolved > GIVEN_UP[1]):
-                return answer
+                break
         previous = level
-    return answer
+    return answer, both
 
 
-def _levels(frame: Frame, start: Start, times: Array, tol: float) -> Iterator[_Level]:
+def _levels(frame: Frame, start: Start, times: Array, tol: float) -> Iterator[Level]:
     height, share = 0.0, 1.0
     least = np.zeros(2)
     if isinstance(start, PointStart):
@@ -90,12 +107,12 @@ def _levels(frame: Frame, start: Start, times: Array, tol: float) -> Iterator[_L
     for op in operators(frame, nodes, tol=tol, height=height, share=share):
         A, M, _ = op.matrices
         parts = evolved(A, M, start.dual(op), times, tol=KRYLOV * tol)
-        yield _Level(op, parts, op.spread(parts.values), op.spread(parts.change))
+        yield Level(op, parts, op.spread(parts.values), op.spread(parts.change))
 
 
 def _compared(
-    coarse: _Level,
-    fine: _Level,
+    coarse: Level,
+    fine: Level,
     start: Start,
     view: View,
     times: Array,
