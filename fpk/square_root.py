@@ -18,12 +18,12 @@ from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import (
     BEYOND_RANGE,
     STARTS,
-    Number,
     Passage,
     StartCurve,
     Transient,
     certified_passage,
 )
+from fpk.number import Number
 from fpk.quadrature import panel_rule
 
 EPS = float(np.finfo(float).eps)
@@ -81,7 +81,7 @@ class SquareRoot:
 
     def density(self, start: float, noise: float | None, t: float, H: Array) -> tuple[Array, Array]:
         """Return the density at the time ``t`` at energies ``H`` of any shape, and its error."""
-        theta, left = self._scales(start, noise, t)
+        theta, left = self.scales(start, noise, t)
         x, y = np.maximum(H, 0.0) / theta, left / theta
         log_p, log_error = noncentral(self.n, x, y)
         # |∂ ln p/∂ ln θ| and that to ln y are below these terms.
@@ -91,15 +91,15 @@ class SquareRoot:
 
     def judged(self, start: float, noise: float | None, t: float) -> tuple[float, float, float]:
         """Return L1 error, departure of the mass from one and minus the least p, by quadrature."""
-        theta, left = self._scales(start, noise, t)
+        theta, left = self.scales(start, noise, t)
         mean, width = self.n * theta + left, sqrt(theta * (self.n * theta + 2.0 * left))
         nodes = np.linspace(max(mean - WIDTHS * width, 0.0), mean + WIDTHS * width, 161)
         H, w = (part.ravel() for part in panel_rule(nodes, 20))
         p, error = self.density(start, noise, t, H)
         return float(w @ error), abs(float(w @ p) - 1.0), -float(p.min() / p.max())
 
-    def _scales(self, start: float, noise: float | None, t: float) -> tuple[float, float]:
-        """θ_t and the mean that is left of the start."""
+    def scales(self, start: float, noise: float | None, t: float) -> tuple[float, float]:
+        """Return θ_t and the mean that is left of the start: H is half a noncentral χ² of 2n."""
         left, theta = exp(-self.c * t), self.d / self.c
         if noise is not None:
             return theta * (-expm1(-self.c * t) + noise * left), 0.0

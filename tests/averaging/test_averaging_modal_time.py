@@ -187,7 +187,11 @@ def test_contacts_are_left_out_and_that_is_said():
 @pytest.mark.parametrize(
     ("ask", "error", "words"),
     [
-        (lambda: transient(CLOSED, FIG8, "q1", "rest", [1.0], [0.0]), NotApplicable, "energies"),
+        (
+            lambda: transient(CLOSED, FIG8, "q1,H1", "rest", [1.0], [0.0], [0.0]),
+            NotApplicable,
+            "energies",
+        ),
         (lambda: transient(FEM, FIG8, "H1", "H=0.3", [1.0], [0.0]), NotApplicable, "every modal"),
         (lambda: transient(FEM, FIG8, "H1", "rest", [0.0, 1.0], [0.0]), InvalidInput, "> 0"),
         (lambda: transient(FEM, FIG8, "H1", "rest", [2.0, 1.0], [0.0]), InvalidInput, "ascend"),

@@ -12,13 +12,14 @@ TOL = 1e-8
 def observed_modes(observable: Observable) -> list[int]:
     """Return the modes whose energies are asked for, none for the sum of all.
 
-    Raises ``NotApplicable`` for displacements and momenta.
+    Raises ``NotApplicable`` for displacements and momenta beside energies.
     """
     rows = [c.row for c in observable if c.index is not None]
     if any(c.kind != "H" for c in observable) or len(observable) != max(len(rows), 1):
         name = observable_name(observable)
         raise NotApplicable(
-            f"{name}: in time only modal energies H1, H2, …, two of them, or their sum H"
+            f"{name}: in time modal energies H1, H2, …, two of them, or their sum H; "
+            "or one or two of q and p"
         )
     return rows
 

@@ -9,7 +9,7 @@ import numpy as np
 from fpk.arrays import Array
 from fpk.errors import InvalidInput
 from fpk.evolution import Transient
-from fpk.line.time.modes import Modes, log_density
+from fpk.line.time.modes import Modes
 from fpk.line.time.pair import Pair
 from fpk.line.time.propagation import Solution, Source, points
 from fpk.line.time.stepping import STAGES, Matrices, matrices, start_of, stepped
@@ -49,7 +49,7 @@ def modulated_transient(
         m = matrices(process, e)
         start = start_of(m, e, source)
         g, residual = stepped(m, start, modulation, unit, times, level=level)
-        return Solution(e, partial(_density, process, e, m, g), residual)
+        return Solution(process, e, partial(_times_factor, e, m, g), residual)
 
     def carried_pair(pair: Pair) -> Solutions:
         return carried(pair[0], LEVELS[0]), carried(pair[1], LEVELS[0])
@@ -79,12 +79,14 @@ def modulated_transient(
     return Transient(times, values, errors, "numerical", solved.certificate, settings)
 
 
-def _density(process: Process, e: Modes, m: Matrices, g: Array, x: Array) -> tuple[Array, Array]:
-    """p (times, points) of g (times, functions) at energies x, and the size of its terms."""
+def _times_factor(
+    e: Modes, m: Matrices, g: Array, log_factor: Array, x: Array
+) -> tuple[Array, Array]:
+    """p/π of g (times, functions) times a factor at energies x, and the size of its terms."""
     k, h, v = e.shapes(x)
     f = np.concatenate([np.where(k > 0, 1.0 - h, 0.0)[:, None], h[:, None], v], axis=1)
     # The factor of each function may leave the range where its product with π does not.
-    log_p = log_density(process, e, x)[:, None] + np.append(m.scale, -np.inf)[m.place[k]]
+    log_p = log_factor[:, None] + np.append(m.scale, -np.inf)[m.place[k]]
     terms = f * np.exp(log_p)
     each = np.array([terms * np.append(row, 0.0)[m.place[k]] for row in g])
     return each.sum(axis=2), np.abs(each).sum(axis=2)

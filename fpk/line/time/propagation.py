@@ -11,7 +11,7 @@ from fpk.contour import Contour, contours
 from fpk.dynamics import Complex
 from fpk.line.time import chain
 from fpk.line.time.mesh import GROWTH, HIGHEST, time_nodes
-from fpk.line.time.modes import EPS, Modes, log_density, modes
+from fpk.line.time.modes import EPS, Modes, log_density, log_phase_density, modes
 from fpk.line.time.rule import rule
 from fpk.probe import probed
 from fpk.process import Process
@@ -81,13 +81,23 @@ class Source:
 class Solution:
     """Densities at several times on one mesh, however they are computed.
 
-    ``density`` gives p (times, points) at energies x > 0 in the elements, and the size of its
-    terms. ``residual`` is the largest of the equations solved, relative to the terms that cancel.
+    ``times_factor`` gives p/π times a factor, (times, points), and the size of its terms: of the
+    ln of the factor at energies x > 0 in the elements, and these. ``residual`` is the largest of
+    the equations solved, relative to the terms that cancel.
     """
 
+    process: Process
     elements: Modes
-    density: Callable[[Array], tuple[Array, Array]]
+    times_factor: Callable[[Array, Array], tuple[Array, Array]]
     residual: float
+
+    def density(self, x: Array) -> tuple[Array, Array]:
+        """Return p (times, points) at energies x > 0 in the elements, and the size of its terms."""
+        return self.times_factor(log_density(self.process, self.elements, x), x)
+
+    def state_density(self, x: Array) -> tuple[Array, Array]:
+        """Return u = p/T likewise, by its own: T vanishes at H = 0."""
+        return self.times_factor(log_phase_density(self.process, self.elements, x), x)
 
 
 def transforms(
@@ -133,12 +143,12 @@ def propagated(
     """Return the density at ``times`` > 0 after ``source``, ``more`` points on each contour."""
     parts, residual = transforms(e, source, times, more=more)
 
-    def density(x: Array) -> tuple[Array, Array]:
-        factor = np.exp(log_density(process, e, x) - e.log_scale[e.element_of(x)])
+    def times_factor(log_factor: Array, x: Array) -> tuple[Array, Array]:
+        factor = np.exp(log_factor - e.log_scale[e.element_of(x)])
         p, size = inverted(parts, partial(values_at, e, x), times.size, x.size)
         return p * factor, size * factor
 
-    return Solution(e, density, residual)
+    return Solution(process, e, times_factor, residual)
 
 
 def points(process: Process, e: Modes) -> tuple[Array, Array]:

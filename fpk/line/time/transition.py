@@ -70,6 +70,7 @@ class Transition:
     enriched: Solution
     distance: Array
     top: Array
+    measured: Measured
     certificate: Certificate
 
     @property
@@ -87,7 +88,7 @@ class Transition:
         inside = np.clip(x, SMALLEST, end)
         p, size = self.solution.density(inside)
         error = SAFETY * self.distance.max(axis=2)[:, e.element_of(inside)]
-        error = error + _common_error(self.question, e, p, size, inside)
+        error = error + common_error(self.question, e, p, size, inside)
         # What is left of larger numbers far from the peak.
         error += ROUND_OFF * EPS * self.top[:, None]
         p_there = np.where((x >= 0.0) & (x <= end), p, 0.0)
@@ -187,7 +188,7 @@ def judged(
     beyond = np.abs(finer.density(np.append(far.ravel(), last))[0])
     tail = (beyond[:, :-1] @ far_w.ravel()).max()
     tail += probed(question.process).tail_bound(last, float(beyond[:, -1].max()))
-    common = _common_error(question, answer, p, size, x.ravel())
+    common = common_error(question, answer, p, size, x.ravel())
     pointwise = SAFETY * distance.reshape(p.shape) + common
     common = common.reshape(shape) * w
     top = p.max(axis=1)
@@ -200,7 +201,7 @@ def judged(
         absolute_error=float((pointwise.max(axis=1) / top).max()),
     )
     certificate = certify(measured, tol=question.tol)
-    solved = Transition(question, own, finer, distance, top, certificate)
+    solved = Transition(question, own, finer, distance, top, measured, certificate)
     each = (distance * w).sum(axis=2).max(axis=0)
     return solved, each, common.sum(axis=2).max(axis=0)
 
@@ -226,7 +227,7 @@ def _extent(process: Process, source: Source, tail: float, log_share: float) -> 
     return max(end, 1.05 * source.energy)
 
 
-def _common_error(question: Question, e: Modes, p: Array, size: Array, x: Array) -> Array:
+def common_error(question: Question, e: Modes, p: Array, size: Array, x: Array) -> Array:
     """Errors that the answer and the enriched solution have in common.
 
     By the coefficients: at short times ln p ~ −(distance)²/(2 b t), so that they count the more

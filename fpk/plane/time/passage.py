@@ -14,7 +14,8 @@ from scipy.sparse.linalg import LinearOperator, eigs
 
 from fpk.arrays import Array
 from fpk.errors import InvalidInput
-from fpk.evolution import BEYOND_RANGE, Number, Passage, certified_passage
+from fpk.evolution import BEYOND_RANGE, Passage, certified_passage
+from fpk.number import Number
 from fpk.plane.solution import Nodes, graded
 from fpk.plane.time.domain import Domain, Rectangle, Triangle
 from fpk.plane.time.exponential import evolved, factorised, relative_residual

@@ -34,7 +34,7 @@ KRYLOV = 1e-2
 """Fraction of the tolerance to which e^(tA) is computed."""
 
 
-class _Level(NamedTuple):
+class Level(NamedTuple):
     """The coefficients at all times, in all functions, of one operator."""
 
     op: PlaneOperator
@@ -59,15 +59,32 @@ def transient_densities(
     answer is that of the finer one. A time too short for the last level is not certified.
     ``coefficients_error(t, *at)`` is the relative error of p by that of the coefficients.
     """
+    answer, _ = resolved(
+        frame, start, view, times, at, tol=tol, coefficients_error=coefficients_error
+    )
+    return answer
+
+
+def resolved(
+    frame: Frame,
+    start: Start,
+    view: View,
+    times: Array,
+    at: tuple[Array, ...],
+    *,
+    tol: float,
+    coefficients_error: Callable[..., Array] = lambda t, *at: np.zeros(at[0].shape),
+) -> tuple[Transient, tuple[Level, Level]]:
+    """Return the answer of ``transient_densities``, and its last two levels, the finer last."""
     for coarse, fine in pairwise(_levels(frame, start, times, tol)):
         answer, distance = _compared(coarse, fine, start, view, times, at, tol, coefficients_error)
         hopeless = fine.op.degree >= GIVEN_UP[0] and distance > GIVEN_UP[1]
         if answer.certificate.certified or hopeless:
             break
-    return answer
+    return answer, (coarse, fine)
 
 
-def _levels(frame: Frame, start: Start, times: Array, tol: float) -> Iterator[_Level]:
+def _levels(frame: Frame, start: Start, times: Array, tol: float) -> Iterator[Level]:
     height, share = 0.0, 1.0
     least = np.zeros(2)
     if isinstance(start, PointStart):
@@ -86,12 +103,12 @@ def _levels(frame: Frame, start: Start, times: Array, tol: float) -> Iterator[_L
     for op in operators(frame, nodes, tol=tol, height=height, share=share):
         A, M, _ = op.matrices
         parts = evolved(A, M, start.dual(op), times, tol=KRYLOV * tol)
-        yield _Level(op, parts, op.spread(parts.values), op.spread(parts.change))
+        yield Level(op, parts, op.spread(parts.values), op.spread(parts.change))
 
 
 def _compared(
-    coarse: _Level,
-    fine: _Level,
+    coarse: Level,
+    fine: Level,
     start: Start,
     view: View,
     times: Array,
