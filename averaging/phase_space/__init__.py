@@ -1,7 +1,7 @@
-"""The stationary FPK equation of the full system, solved in phase space without sampling.
+"""The FPK equation of the full system, solved in phase space without sampling.
 
-``frame`` has the equations relative to the mass that meets the stops, ``panels`` and ``basis`` the
-functions of its displacement, ``degrees`` and ``equations`` the Hermite expansion in all else,
-``elimination`` its solution, ``marginals`` the densities of it, ``refinement`` how degrees and
-reference adapt, ``resolvent`` and ``dynamics`` what moves in time, and ``method`` the route.
+``equation`` has the expansion and its solution at given degrees, ``refinement`` how degrees and
+reference adapt to a tolerance; ``marginals``, ``moments``, ``identities`` and ``crossings`` what
+follows from a solution, ``resolvent`` and ``dynamics`` spectra and relaxation rates, and ``method``
+the route.
 """

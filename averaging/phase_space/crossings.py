@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from averaging.phase_space.elimination import Expansion
-from averaging.phase_space.frame import Frame
+from averaging.phase_space.equation.elimination import Expansion
+from averaging.phase_space.equation.frame import Frame
 from averaging.phase_space.marginals import marginal
 from fpk.arrays import Array
 from fpk.density import gauss_grid

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from averaging.phase_space.crossings import crossing_rates
-from averaging.phase_space.degrees import Degrees
-from averaging.phase_space.elimination import Expansion
-from averaging.phase_space.frame import Frame, Reference
+from averaging.phase_space.equation.degrees import Degrees
+from averaging.phase_space.equation.elimination import Expansion
+from averaging.phase_space.equation.frame import Frame, Reference
 from averaging.phase_space.marginals import Form, form_of, marginal
 from averaging.phase_space.moments import moments
 from averaging.phase_space.refinement import (
@@ -34,6 +34,8 @@ GRID, WINDOW = 181, 11
 """Levels between the ends of the support at which the distance of crossing rates is sampled, and
 over how many of them its largest value is taken: it does not vanish where the error is not small.
 """
+COMPLEX = 16
+"""Bytes of a complex number in double precision, in which the resolvent is eliminated."""
 SAME = 1e-6
 """Relative distance of two rates of different correlations that are one."""
 
@@ -215,10 +217,10 @@ def _adapted(
     ):
         if max(ladder.errors.values()) > options.tol and not ladder.limit:
             continue
-        # Two eliminations in complex numbers, of four multiplications each, where one was.
         e = ladder.finest
-        size, work = cost(frame, e.basis.reference, e.degrees)
-        limit = refusal(2.0 * size, 4.0 * work, most=options.work)
+        size, work = cost(frame, e.basis.reference, e.degrees, number=COMPLEX)
+        # A product of complex numbers takes four multiplications.
+        limit = refusal(size, 4.0 * work, most=options.work)
         if answer is not None and limit:
             return replace(answer, limit=limit)
         last = compare(ladder, options.progress)

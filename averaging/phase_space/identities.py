@@ -4,9 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from averaging.phase_space.damping import Matrix, Polynomial, Space, by_y, product, reach, state
-from averaging.phase_space.elimination import Expansion
-from averaging.phase_space.frame import Frame
+from averaging.phase_space.equation.damping import (
+    Matrix,
+    Polynomial,
+    Space,
+    by_y,
+    product,
+    reach,
+    state,
+)
+from averaging.phase_space.equation.elimination import Expansion
+from averaging.phase_space.equation.frame import Frame
 from averaging.phase_space.moments import moments
 from averaging.phase_space.refinement import SAFETY, Ladder
 from fpk.arrays import Array

@@ -11,7 +11,7 @@ from scipy.ndimage import map_coordinates, maximum_filter
 from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.phase_space import dynamics
-from averaging.phase_space.frame import Frame, Reference, contact_frame, gibbs_reference
+from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
 from averaging.phase_space.identities import heat_into_masses, identities
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import moments
@@ -62,8 +62,8 @@ class PhaseSpace(Theory):
 
     An expansion in Hermite functions of all velocities and displacements but that of the mass that
     meets the stops, and in polynomials on panels of that one, solved by elimination of levels of
-    equal degree (``averaging.phase_space.elimination``). Up to three masses, stops on one of them,
-    any noise and damping, damping terms as far as memory and work allow. ``tol`` is the L1 error
+    equal degree (``averaging.phase_space.equation``). Up to three masses, stops on one of them, any
+    noise and damping, damping terms as far as memory and work allow. ``tol`` is the L1 error
     wanted of each density; degrees rise until the estimate meets it; where memory or the highest
     degree ends them first, the certificate says so. ``accepted`` is the largest error that is
     certified where it ends them, None: ``tol``. ``work`` bounds the multiplications of one

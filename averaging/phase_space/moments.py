@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from averaging.phase_space.elimination import Expansion
-from averaging.phase_space.frame import Frame, Reference, reference_of
+from averaging.phase_space.equation.elimination import Expansion
+from averaging.phase_space.equation.frame import Frame, Reference, reference_of
 from fpk.arrays import Array
 
 

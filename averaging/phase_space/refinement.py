@@ -7,9 +7,9 @@ from itertools import count
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from averaging.phase_space.degrees import Degrees
-from averaging.phase_space.elimination import Expansion, expanded, sizes
-from averaging.phase_space.frame import Frame, Reference, gibbs_reference
+from averaging.phase_space.equation.degrees import Degrees
+from averaging.phase_space.equation.elimination import Expansion, expanded, sizes
+from averaging.phase_space.equation.frame import Frame, Reference, gibbs_reference
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import moments, refitted
 from fpk.cores import usable_cores

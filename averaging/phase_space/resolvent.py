@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from averaging.phase_space.basis import Basis, basis
-from averaging.phase_space.degrees import lowered, raised
-from averaging.phase_space.elimination import Expansion, factored
-from averaging.phase_space.equations import Chain
-from averaging.phase_space.frame import Frame
+from averaging.phase_space.equation.basis import Basis, basis
+from averaging.phase_space.equation.chain import Chain
+from averaging.phase_space.equation.degrees import lowered, raised
+from averaging.phase_space.equation.elimination import Expansion, factored
+from averaging.phase_space.equation.equations import chain_of
+from averaging.phase_space.equation.frame import Frame
 from averaging.phase_space.marginals import Form
 from fpk.arrays import Array
 from fpk.dynamics import Complex
@@ -60,7 +61,7 @@ class Generator:
     def of(cls, frame: Frame, e: Expansion, *, odd: bool) -> "Generator":
         """Return A of the degrees and the reference of an expansion with all levels."""
         functions = basis(frame, e.basis.reference, e.degrees, odd=odd)
-        chain = Chain.of(frame, e.basis.reference, functions, e.degrees)
+        chain = chain_of(frame, e.basis.reference, functions, e.degrees)
         sizes = [chain.size(n) for n in range(chain.top + 1)]
         return cls(functions, chain, np.cumsum(sizes), functions.of_one())
 

@@ -10,10 +10,9 @@ import fpk
 from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.integrable import Integrable
-from averaging.phase_space import refinement
-from averaging.phase_space.degrees import Degrees
-from averaging.phase_space.elimination import LEAF, expanded, inverted
-from averaging.phase_space.frame import contact_frame, gibbs_reference, reference_of
+from averaging.phase_space.equation.degrees import Degrees
+from averaging.phase_space.equation.elimination import LEAF, expanded, inverted
+from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.moments import moments
@@ -59,12 +58,6 @@ GIBBS = {
     "one mass": common(stop(mass=1), mass=(1.0,)),
     "three masses": common(stop(mass=2), mass=(1.0, 1.0, 1.0)),
 }
-
-
-@pytest.fixture(autouse=True)
-def one_thread(monkeypatch):
-    """Tests run side by side, one on each core."""
-    monkeypatch.setattr(refinement, "usable_cores", lambda: 1)
 
 
 def wrong(frame, factor):

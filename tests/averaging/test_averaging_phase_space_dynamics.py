@@ -6,10 +6,15 @@ import pytest
 import fpk
 from averaging.exact import Exact
 from averaging.gaussian import Linear
-from averaging.phase_space import refinement, resolvent
-from averaging.phase_space.degrees import Degrees
-from averaging.phase_space.elimination import expanded
-from averaging.phase_space.frame import Reference, contact_frame, gibbs_reference, linear_part
+from averaging.phase_space import dynamics, resolvent
+from averaging.phase_space.equation.degrees import Degrees
+from averaging.phase_space.equation.elimination import expanded
+from averaging.phase_space.equation.frame import (
+    Reference,
+    contact_frame,
+    gibbs_reference,
+    linear_part,
+)
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.resolvent import Generator, transforms
 from fpk.density import moment
@@ -22,12 +27,6 @@ TURNED = fpk.System([1, 2], [1, 1.5], [[0.08, 0.06], [-0.04, 0.05]], [0.01, 0.02
 ONE_SIDED = fpk.Contact(mass=1, side="right", stiffness=10.0, clearance=0.3)
 GIBBS = fpk.System([2.0], [1.0], [0.4], [0.1], contacts=(ONE_SIDED,))
 """One mass, T = ¼; the mean of q is not 0."""
-
-
-@pytest.fixture(autouse=True)
-def one_thread(monkeypatch):
-    """Tests run side by side, one on each core."""
-    monkeypatch.setattr(refinement, "usable_cores", lambda: 1)
 
 
 def ask(method, question, system, *arguments, tol=None):
@@ -106,6 +105,25 @@ def test_one_elimination_serves_the_frequencies_about_its_shift(monkeypatch):
     for x, value in zip(w, values, strict=True):
         direct = b @ solve(A, 1j * x if x else 0.0, lambda share: None)(b)
         assert value == pytest.approx(direct, rel=1e-9)
+
+
+def test_the_memory_that_a_spectrum_is_judged_by_holds_its_inverses(monkeypatch):
+    judged, used = [], []
+    refuse, eliminate = dynamics.refusal, resolvent.factored
+
+    def factored(*chain, **options):
+        factors, scale = eliminate(*chain, **options)
+        used.append(sum(inverse.nbytes for inverse in factors.inverses))
+        return factors, scale
+
+    monkeypatch.setattr(resolvent, "factored", factored)
+    monkeypatch.setattr(
+        dynamics,
+        "refusal",
+        lambda size, *rest, **most: judged.append(size) or refuse(size, *rest, **most),
+    )
+    PhaseSpace().spectrum(GIBBS, 0, np.array([0.5, 3.0]), tol=1e-6, progress=silent)
+    assert max(used) <= max(judged)
 
 
 def test_what_the_expansion_does_not_hold_for_is_refused():

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import fpk
-from averaging.phase_space import degrees as degrees_module
-from averaging.phase_space import elimination
-from averaging.phase_space.basis import basis
-from averaging.phase_space.degrees import Degrees, lowered, others_to, raised
-from averaging.phase_space.elimination import expanded, inverted
-from averaging.phase_space.frame import contact_frame, gibbs_reference, reference_of
+from averaging.phase_space.equation import degrees as degrees_module
+from averaging.phase_space.equation import elimination
+from averaging.phase_space.equation.basis import basis
+from averaging.phase_space.equation.degrees import Degrees, lowered, others_to, raised
+from averaging.phase_space.equation.elimination import expanded, inverted
+from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import refitted
 from fpk.density import gauss_grid, integral
@@ -134,7 +134,7 @@ def light(B):
 def test_an_elimination_in_single_precision_is_refined_to_double(frame, monkeypatch):
     about = gibbs_reference(frame)
     refined = expanded(frame, about, DEGREES, again=False)
-    monkeypatch.setattr(elimination, "FIRST", np.float64)
+    monkeypatch.setattr(elimination, "ELIMINATED_IN", np.float64)
     double = expanded(frame, about, DEGREES, again=False)
     for a, b in zip(refined.levels, double.levels, strict=True):
         # A residual of 1e-14 is an error of as much times the condition of the equations: with

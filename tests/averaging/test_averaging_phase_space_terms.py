@@ -9,11 +9,10 @@ import pytest
 import fpk
 from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
-from averaging.phase_space import refinement
-from averaging.phase_space.damping import reach, stages_to
-from averaging.phase_space.degrees import Degrees
-from averaging.phase_space.elimination import expanded
-from averaging.phase_space.frame import contact_frame, gibbs_reference, reference_of
+from averaging.phase_space.equation.damping import reach, stages_to
+from averaging.phase_space.equation.degrees import Degrees
+from averaging.phase_space.equation.elimination import expanded
+from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
 from averaging.phase_space.identities import force_means
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.method import PhaseSpace
@@ -80,12 +79,6 @@ TWO_MASSES = {
         1e-3,
     ),
 }
-
-
-@pytest.fixture(autouse=True)
-def one_thread(monkeypatch):
-    """Tests run side by side, one on each core."""
-    monkeypatch.setattr(refinement, "usable_cores", lambda: 1)
 
 
 def wrong(system, factor):

@@ -8,22 +8,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from averaging.phase_space.basis import Basis, basis
-from averaging.phase_space.damping import stages_to
-from averaging.phase_space.degrees import (
+from averaging.phase_space.equation.basis import Basis, basis
+from averaging.phase_space.equation.chain import Chain
+from averaging.phase_space.equation.damping import stages_to
+from averaging.phase_space.equation.degrees import (
     Degrees,
     Indices,
     Others,
     degrees_of_level,
     others_to,
 )
-from averaging.phase_space.equations import Chain
-from averaging.phase_space.frame import Frame, Reference
-from averaging.phase_space.panels import polynomials
-from averaging.phase_space.terms import applied, applied_from_right
+from averaging.phase_space.equation.equations import chain_of
+from averaging.phase_space.equation.frame import Frame, Reference
+from averaging.phase_space.equation.panels import polynomials
+from averaging.phase_space.equation.terms import applied, applied_from_right
 from fpk.arrays import Array
 
-FIRST: type = np.float32
+ELIMINATED_IN: type = np.float32
 """Numbers of the first elimination, before any in double precision."""
 SMALL = 1e8
 """Sum of the cubes of the levels' sizes up to which double precision takes no longer at once."""
@@ -98,10 +99,10 @@ def expanded(
     double precision. Where that does not converge it is done ``again`` in double precision.
     """
     functions = basis(frame, reference, degrees)
-    chain = Chain.of(frame, reference, functions, degrees)
+    chain = chain_of(frame, reference, functions, degrees)
     one = functions.of_one()[: chain.size(0)]
     small = sum(chain.size(n) ** 3 for n in range(chain.top + 1)) < SMALL
-    kinds = (np.float64,) if small else (FIRST, np.float64) if again else (FIRST,)
+    kinds = (np.float64,) if small else (ELIMINATED_IN, np.float64) if again else (ELIMINATED_IN,)
     for kind in kinds:
         factors, scale = factored(chain, kind=kind, one=one, step=step)
         u, residual = _refined(factors, scale * one, one)

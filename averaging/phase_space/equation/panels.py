@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import brentq
 
-from averaging.phase_space.degrees import Degrees
-from averaging.phase_space.frame import Frame, Reference
+from averaging.phase_space.equation.degrees import Degrees
+from averaging.phase_space.equation.frame import Frame, Reference
 from fpk.arrays import Array
 from fpk.quadrature import gauss_legendre
 

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from averaging.phase_space.basis import Basis
-from averaging.phase_space.degrees import Degrees, Indices, degrees_of_level, others_to
-from averaging.phase_space.frame import Frame, Reference
-from averaging.phase_space.terms import Group, Term
+from averaging.phase_space.equation.basis import Basis
+from averaging.phase_space.equation.degrees import Degrees, Indices, degrees_of_level, others_to
+from averaging.phase_space.equation.frame import Frame, Reference
+from averaging.phase_space.equation.terms import Group, Term
 from fpk.arrays import Array
 
 Matrix = sparse.csr_array

@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import null_space
 
-from averaging.phase_space.degrees import Degrees
-from averaging.phase_space.frame import Frame, Reference
-from averaging.phase_space.panels import (
+from averaging.phase_space.equation.degrees import Degrees
+from averaging.phase_space.equation.frame import Frame, Reference
+from averaging.phase_space.equation.panels import (
     RULE_POINTS,
     Panel,
     bare_panels,
