@@ -69,21 +69,25 @@ def passage(
     start: str,
     times: str | None,
 ) -> None:
-    """Give the first passage of a limit: moments of its time, failure rate, reliability."""
+    """Give the first passage of a limit: moments of its time, failure rate, reliability.
+
+    Where it is so rare by the last of the times that a plain simulation sees too few, montecarlo
+    gives the reliability by multilevel splitting, and no more.
+    """
     loaded = parts.checked(scene, tol=tol)
+    from cases.comparison.rare import passage_answer
     from cases.output.records import passage_record, passage_text
+    from cases.scene.questions import PassageQuestion
     from fpk.evolution import Passages
     from fpk.limit import parse_limit
     from fpk.start import parse_start
 
     begin = _read("start", start, lambda: parse_start(start, loaded.system))
     end = _read("limit", limit, lambda: parse_limit(limit, loaded.system.n))
-    later = _times(times)
+    asked_of = PassageQuestion(end, begin, tuple(_times(times).tolist()))
     answered = answer_of(
         (Passages, "first passage", loaded.name, method, solver),
-        lambda asked, progress: asked.passage(
-            loaded.system, end, begin, later, tol=tol, progress=progress
-        ),
+        lambda asked, progress: passage_answer(asked, loaded.system, asked_of, tol, progress),
     )
     record = passage_record(loaded, end, begin, *answered)
     parts.end(record, lambda: passage_text(record), problems=problems_of("first passage", record))

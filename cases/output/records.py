@@ -202,11 +202,17 @@ def passage_text(record: Record) -> str:
     """Return the moments and the failure rate, and the reliability at the times in columns."""
     kind = "one standard error" if record["error_kind"] == "sampling" else "numerical error"
     lines = [f"# first passage of {record['limit']} from {record['start']}   {kind}"]
+    if sampled := record["settings"].get("sampled by"):
+        lines.append(f"# {sampled}")
     for key in ("mean", "variance", "rate"):
         lines.append(f"{key:8}  " + _row([record[key]], record[f"{key}_error"]))
     if record["times"]:
         lines.append(f"# time   survival   {kind}")
         rows = zip(record["times"], record["survival"], record["survival_error"], strict=True)
+        lines += [_row([time, value], error) for time, value, error in rows]
+    if "failure" in record and record["times"]:
+        lines.append(f"# time   P(T <= t)   {kind}")
+        rows = zip(record["times"], record["failure"], record["failure_error"], strict=True)
         lines += [_row([time, value], error) for time, value, error in rows]
     return "\n".join(lines)
 
@@ -221,5 +227,5 @@ def rates_text(record: Record) -> str:
 
 
 def _row(values: list[float | None], error: float | None) -> str:
-    words = ["nan" if x is None else f"{x:.12g}" for x in values]
-    return "  ".join([*words, "nan" if error is None else f"{error:.2g}"])
+    words = ["unknown" if x is None else f"{x:.12g}" for x in values]
+    return "  ".join([*words, "unknown" if error is None else f"{error:.2g}"])

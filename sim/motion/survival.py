@@ -134,49 +134,53 @@ def passage_of(
 
     Raises ``InvalidInput`` where all times are 0.
     """
-    fine, until, paths = sampled.fine, sampled.until, sampled.fine.size
+    fine, until = sampled.fine, sampled.until
     if np.all(fine == 0.0):
-        raise InvalidInput("start", "states", "all of them pass the limit or lie beyond it at once")
+        words = "all trajectories lie beyond the limit, or pass it at once: too soon to be seen"
+        raise InvalidInput("start", "at the limit", words)
     begin = tail_begin(fine, until, memory)
     best = estimates(fine, until, times, begin)
     error, bias = _errors(sampled, times, begin, best)
-    survival, events = best[3:], sampled.failed
     exposure = float(np.sum(np.minimum(fine, until)))
-    unfailed = int(np.count_nonzero(fine > until))
     if too_soon := _too_soon(fine, step):
         error[:] = inf
     measured = Measured(
         l1_error=float(error[0] / best[0]) if best[0] < inf else inf,
         mass_defect=0.0,
-        minimum=float(np.min(survival, initial=0.0)),
+        minimum=float(np.min(best[3:], initial=0.0)),
         residual=nan,
-        tail_mass=unfailed / paths,
+        tail_mass=1.0 - sampled.failed / fine.size,
         failures=(*failures, *too_soon, *_too_few(sampled, begin, exposure)),
     )
-    if not events:  # nothing to state but bounds: all lived through their time
-        best[:3], error[:3] = (exposure / paths, inf, 0.0), (inf, inf, _bound(0) / exposure)
-    settings |= {
-        "trajectories": paths,
-        "not failed": unfailed,
-        "followed until": float(np.max(np.minimum(fine, until))),
-        "failure rate from": begin,
-    }
-    if unfailed and events:
-        settings["continued"] = "the moments, at the failure rate, where trajectories end first"
-    if sampled.coarse is not None and events:
-        settings["step bias of the mean"] = float(bias[0])
-        settings["step bias of the rate"] = float(bias[2])
+    if not sampled.failed:  # nothing to state but bounds: all lived through their time
+        best[:3], error[:3] = (exposure / fine.size, inf, 0.0), (inf, inf, _bound(0) / exposure)
     return Passage(
         mean=Number(float(best[0]), float(error[0])),
         variance=Number(float(best[1]), float(error[1])),
         rate=Number(float(best[2]), float(error[2])) if best[2] == best[2] else None,
         times=times,
-        survival=survival,
+        survival=best[3:],
         survival_error=error[3:],
         error_kind="sampling",
         certificate=certify(measured, tol=tol, sampled=True),
-        settings=settings,
+        settings=settings | _seen(sampled, begin, bias),
     )
+
+
+def _seen(sampled: Times, begin: float, bias: Array) -> dict[str, str | float | int]:
+    """What was simulated: how many failed, until when, and the ``bias`` of the step."""
+    paths, events = sampled.fine.size, sampled.failed
+    seen: dict[str, str | float | int] = {
+        "trajectories": paths,
+        "not failed": paths - events,
+        "followed until": float(np.max(np.minimum(sampled.fine, sampled.until))),
+        "failure rate from": begin,
+    }
+    if 0 < events < paths:
+        seen["continued"] = "the moments, at the failure rate, where trajectories end first"
+    if sampled.coarse is not None and events:
+        seen |= {"step bias of the mean": float(bias[0]), "step bias of the rate": float(bias[2])}
+    return seen
 
 
 def _too_soon(fine: Array, step: float) -> list[str]:
@@ -195,16 +199,20 @@ def _too_few(sampled: Times, begin: float, exposure: float) -> list[str]:
 
     It is the sum of the times for which trajectories were followed, in which the failures came.
     """
-    unfailed = int(np.count_nonzero(sampled.fine > sampled.until))
+    paths, unfailed = sampled.fine.size, sampled.fine.size - sampled.failed
     late = int(np.count_nonzero((sampled.fine <= sampled.until) & (sampled.fine > begin)))
     if not unfailed or late >= LEAST_FAILURES:
         return []
-    return [
-        f"{unfailed} of {sampled.fine.size} trajectories had not failed by"
-        f" t = {np.max(sampled.until):.4g}, and {late} failures in the tail are too few to go on"
-        f" from: the mean rate until then is {_bound(sampled.failed) / exposure:.2g} at most"
-        " (95 %); simulate for longer, or split"
-    ]
+    end = f"by t = {np.max(sampled.until):.4g}"
+    few = (
+        f"{unfailed} of {paths} trajectories had not failed {end}, and {late} failures in the tail"
+        " are too few to go on from"
+        if sampled.failed
+        else f"none of {paths} trajectories passed the limit {end}"
+    )
+    most = _bound(sampled.failed) / exposure
+    words = f"the mean failure rate until then is {most:.2g} at most (95 %)"
+    return [f"{few}: {words}; simulate for longer, or split"]
 
 
 def _bound(events: int) -> float:

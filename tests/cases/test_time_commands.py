@@ -5,6 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from cases.output.records import passage_text
+
 DENSITY = {
     "scene", "method", "solver", "observable", "points", "density", "error", "error_kind",
     "certificate", "seconds", "times",
@@ -143,3 +145,23 @@ def test_what_cannot_be_used_is_refused_in_one_line(arguments, word, fpk):
 def test_what_is_not_certified_is_said(fpk):
     status, out, err = fpk(*asked("transient", "--start", "H=0.5", "--times", "1e-22"))
     assert status == 1 and out and "exceeds the tolerance" in err
+
+
+def test_a_rare_passage_is_left_to_splitting_and_says_so(fpk, linear_scene):
+    # P is about 2e-3: of 8192 paths 16 would fail, of which none could be told to 20 %.
+    question = asked(
+        "passage", "--limit", "H=1.2", "--times", "10", scene=linear_scene, method="montecarlo"
+    )
+    answer = record(fpk, *question)
+    assert answer["settings"]["sampled by"].startswith("splitting: of 4096 plain paths")
+    (p,), (error,) = answer["failure"], answer["failure_error"]
+    assert 0.0 < error < 0.25 * p < 0.01 and answer["survival"] == [1.0 - p]
+    assert answer["mean"] is answer["rate"] is answer["variance_error"] is None
+    text = passage_text(answer)
+    assert "nan" not in text and "# splitting" in text and "P(T <= t)" in text
+
+
+def test_a_limit_that_is_passed_at_once_is_refused_in_one_line(fpk):
+    question = asked("passage", "--limit", "H=1e-60", method="montecarlo")
+    status, out, err = fpk(*question, "--json")
+    assert (status, out) == (2, "") and err.count("\n") == 1 and "pass it at once" in err
