@@ -258,6 +258,12 @@ def test_a_limit_that_nobody_reaches_is_not_certified_and_the_rate_is_bounded() 
     assert answer.rate.error == pytest.approx(3.0 / (4096 * 20.0), rel=0.05)
     assert answer.mean.error == np.inf and answer.survival[0] == 1.0
     assert answer.survival_error[0] == pytest.approx(1.0 / 4096)
+    # Without a time, an eighth of it is enough to see that, or the last time that is asked for.
+    short, long = (
+        passed(oscillator(), "H=60", times=times, most_steps=30000) for times in ([10.0], [900.0])
+    )
+    (end, asked), step = (a.settings["followed until"] for a in (short, long)), 256.0
+    assert end <= (10000.0 / 8.0 + step) * short.settings["coarse dt"] and asked >= 900.0
 
 
 @pytest.mark.parametrize(
