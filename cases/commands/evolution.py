@@ -49,9 +49,14 @@ def transient(asked: Asked, of: str, start: str, times: str, at: str) -> None:
     *(TOL, *SIMULATED),
 )
 def passage(asked: Asked, limit: str, start: str, times: str | None) -> None:
-    """Give the first passage of a limit: moments of its time, failure rate, reliability."""
+    """Give the first passage of a limit: moments of its time, failure rate, reliability.
+
+    Where it is so rare by the last of the times that a plain simulation sees too few, montecarlo
+    gives the reliability by multilevel splitting, and no more.
+    """
+    from cases.comparison.rare import passage_answer
     from cases.output.records import passage_text
-    from cases.scene.questions import require_below
+    from cases.scene.questions import PassageQuestion, require_below
     from fpk.evolution import Passages
     from fpk.limit import parse_limit
     from fpk.start import parse_start
@@ -60,13 +65,13 @@ def passage(asked: Asked, limit: str, start: str, times: str | None) -> None:
     begin = read("start", start, lambda: parse_start(start, system))
     end = read("limit", limit, lambda: parse_limit(limit, system.n))
     read("start", start, lambda: require_below(system, end, begin))
-    later = _times(times)
+    question = PassageQuestion(end, begin, tuple(_times(times).tolist()))
     asked.reply(
         Passages,
         "first passage",
         "first passage",
         {"limit": str(end), "start": str(begin)},
-        lambda method, **how: method.passage(system, end, begin, later, **how),
+        lambda method, **how: passage_answer(method, system, question, **how),
         passage_text,
     )
 

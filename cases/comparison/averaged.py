@@ -14,7 +14,7 @@ from cases.scene.expect import Theory
 from fpk.arrays import Array
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import Passage
+from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.method import Method, Plan, Progress, Result
 from fpk.modulation import require_constant_noise
@@ -112,6 +112,44 @@ class AveragedSimulation(Method):
             seed=self.seed,
             threads=self.threads or usable_cores(),
             tol=inf if wanted is None else wanted,
+            progress=progress,
+        )
+
+    def transient(
+        self,
+        system: System,
+        observable: Observable,
+        start: Start,
+        times: Array,
+        at: tuple[Array, ...],
+        *,
+        tol: float | None,
+        progress: Progress,
+    ) -> Transient:
+        """Return the densities of energies at ``times``, in steps of ``step`` and of half it.
+
+        ``tol``, the expected L1 error wanted at every time, makes more paths. Starts as of
+        ``passage``.
+        """
+        from sim.averaged.transient import energy_transient
+        from sim.motion.steps import require_times
+
+        require_constant_noise(system.modulation)
+        require_times(times)
+        if reason := self._unknown(observable):
+            raise NotApplicable(reason)
+        form = self._form(self._process(system))
+        return energy_transient(
+            form,
+            observable,
+            self._starts(system, start),
+            times,
+            at,
+            dt=self.step * float((form.scales / form.noise).min()),
+            paths=self.paths,
+            seed=self.seed,
+            threads=self.threads or usable_cores(),
+            tol=self.tol if tol is None else tol,
             progress=progress,
         )
 

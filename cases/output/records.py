@@ -126,11 +126,17 @@ def _columns(
 def passage_text(record: Record) -> str:
     """Return the moments and the failure rate, and the reliability at the times in columns."""
     lines = [f"# first passage of {record['limit']} from {record['start']}   {_kind(record)}"]
+    if sampled := record["settings"].get("sampled by"):
+        lines.append(f"# {sampled}")
     for key in ("mean", "variance", "rate"):
         lines.append(f"{key:8}  " + _row([record[key]], record[f"{key}_error"]))
     if record["times"]:
         lines.append(f"# time   survival   {_kind(record)}")
         rows = zip(record["times"], record["survival"], record["survival_error"], strict=True)
+        lines += [_row([time, value], error) for time, value, error in rows]
+    if "failure" in record and record["times"]:
+        lines.append(f"# time   P(T <= t)   {_kind(record)}")
+        rows = zip(record["times"], record["failure"], record["failure_error"], strict=True)
         lines += [_row([time, value], error) for time, value, error in rows]
     return "\n".join(lines)
 

@@ -12,10 +12,10 @@ from fpk.method import Progress
 from fpk.system import System
 from sim.arrays import LANES
 from sim.montecarlo import MonteCarlo
-from sim.motion.counting import add_fourier, add_lagged, compiled_counting
 from sim.motion.motion import Motion, in_rows, needs_steps
 from sim.motion.stationary import error_of, interruption, losses, not_met, sampled_curve, working
 from sim.motion.steps import motion_step
+from sim.motion.sums import add_fourier, add_lagged, compiled_sums
 from sim.random import OTHER_SEED
 from sim.relaxation import relaxation_time
 from sim.step_size import contact_frequency, highest_frequency
@@ -50,7 +50,7 @@ def spectrum(
     of trajectories, all of that third, and a bound of what sampling folds back. Steps are half
     those of a density, of whose bias a sixteenth is left.
     """
-    compiled_counting()  # here: threads that read find it
+    compiled_sums()  # here: threads that read find it
     method.prepare(system)
     wanted = tol if tol is not None else method.tol
     spacing, step, length = _sampling(method, system, at)
@@ -111,7 +111,7 @@ def autocovariance(
 
     Of q of mass ``row`` about zero; one origin on each of ``paths`` trajectories.
     """
-    compiled_counting()  # here: threads that read find it
+    compiled_sums()  # here: threads that read find it
     method.prepare(system)
     dt = 0.5 * motion_step(method, system)
     stride = ceil(spacing / dt) if needs_steps(system) else 1

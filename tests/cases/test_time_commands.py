@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from cases.output.records import passage_text
 from fpk.errors import NotApplicable
 from sim.montecarlo import MonteCarlo
 
@@ -180,3 +181,23 @@ def test_what_a_passage_that_is_not_certified_does_not_know_is_null(linear_scene
     assert status == 1 and not answer["certificate"]["certified"] and "not certified" in err
     assert answer["mean_error"] is answer["variance"] is answer["variance_error"] is None
     assert (answer["rate"], answer["survival"]) == (0.0, [1.0]) and answer["rate_error"] > 0.0
+
+
+def test_a_rare_passage_is_left_to_splitting_and_says_so(fpk, linear_scene):
+    # P is about 2e-3: of 8192 paths 16 would fail, of which none could be told to 20 %.
+    question = asked(
+        "passage", "--limit", "H=1.2", "--times", "10", scene=linear_scene, method="montecarlo"
+    )
+    answer = record(fpk, *question)
+    assert answer["settings"]["sampled by"].startswith("splitting: of 4096 plain paths")
+    (p,), (error,) = answer["failure"], answer["failure_error"]
+    assert 0.0 < error < 0.25 * p < 0.01 and answer["survival"] == [1.0 - p]
+    assert answer["mean"] is answer["rate"] is answer["variance_error"] is None
+    text = passage_text(answer)
+    assert "nan" not in text and "# splitting" in text and "P(T <= t)" in text
+
+
+def test_a_limit_that_is_passed_at_once_is_refused_in_one_line(fpk):
+    question = asked("passage", "--limit", "H=1e-60", method="montecarlo")
+    status, out, err = fpk(*question, "--json")
+    assert (status, out) == (2, "") and err.count("\n") == 1 and "pass it at once" in err

@@ -1,0 +1,73 @@
+"""Readers of a trace that sum over its samples: windowed Fourier sums and lagged products."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from fpk.arrays import Array
+from fpk.compiling import cached_njit
+from sim.arrays import LANES as W
+from sim.motion.between import readers_checksum
+
+
+@cache
+def compiled_sums() -> tuple[Any, Any]:
+    """Return the compiled ``add_fourier`` and ``add_lagged``."""
+    sources = readers_checksum()
+
+    @cached_njit()
+    def add_fourier(
+        trace: Array, samples: int, done: int, sums: Array, row: int, omega: Array, length: int,
+    ) -> int:  # fmt: skip
+        """Do what ``add_fourier`` of this module says; return the checksum of its sources."""
+        turn = 2.0 * np.pi / length
+        for k in range(1, samples + 1):
+            t = done + k - 1
+            if t >= length:
+                break
+            whole, part = 0.5 - 0.5 * np.cos(turn * t), 0.5 - 0.5 * np.cos(2.0 * turn * t)
+            half = 2 if 2 * t < length else 4
+            for f in range(omega.size):
+                c, s = np.cos(omega[f] * t), np.sin(omega[f] * t)
+                wc, ws, pc, ps = whole * c, whole * s, part * c, part * s
+                for b in range(trace.shape[0]):
+                    q = trace[b, k, row]
+                    re, im = sums[b, 6 * f], sums[b, 6 * f + 1]
+                    half_re, half_im = sums[b, 6 * f + half], sums[b, 6 * f + half + 1]
+                    for w in range(W):
+                        re[w] += wc * q[w]
+                        im[w] += ws * q[w]
+                        half_re[w] += pc * q[w]
+                        half_im[w] += ps * q[w]
+        return sources
+
+    @cached_njit()
+    def add_lagged(
+        trace: Array, samples: int, done: int, begin: Array, sums: Array, row: int
+    ) -> int:
+        """Do what ``add_lagged`` of this module says; return the checksum of its sources."""
+        for b in range(trace.shape[0]):
+            first = begin[b, 0]
+            for k in range(1, samples + 1):
+                q, total = trace[b, k, row], 0.0
+                for w in range(W):
+                    total += first[w] * q[w]
+                sums[b, done + k] += total
+        return sources
+
+    return add_fourier, add_lagged
+
+
+def add_fourier(*arrays: Any, **numbers: Any) -> None:
+    """Add w q cos and w q sin to ``sums`` (blocks, 6 · frequencies, LANES).
+
+    ``omega`` (frequencies,) is in radians per sample. Of each frequency the rows are those of a
+    Hann window over ``length`` samples, of one over its first half, and of one over its second.
+    """
+    compiled_sums()[0](*arrays, **numbers)
+
+
+def add_lagged(*arrays: Any, **numbers: Any) -> None:
+    """Add Σ q(0) q(t) over the lanes to ``sums`` (blocks, 1 + samples), ``begin`` being q(0)."""
+    compiled_sums()[1](*arrays, **numbers)
