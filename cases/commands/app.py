@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from cases.commands import parts
-from cases.commands.dynamics import crossings, relaxation, spectrum
+from cases.commands.dynamics import correlation, crossings, relaxation, spectrum
 from cases.commands.evolution import passage, transient
 from cases.commands.export import export
 from cases.commands.studies import converge, cost, regime
@@ -138,7 +138,8 @@ def density(scene: str, method: str, of: str, at: str, solver: str | None, **set
 
 
 for _command in (
-    transient, passage, crossings, spectrum, relaxation, converge, cost, export, verify, regime
+    transient, passage, crossings, spectrum, correlation, relaxation, converge, cost, export,
+    verify, regime,
 ):  # fmt: skip
     app.add_command(_command)
 

@@ -1,4 +1,4 @@
-"""The commands about motion in the stationary state: crossings, spectrum, relaxation."""
+"""The commands about motion in the stationary state."""
 
 from typing import Any
 
@@ -41,6 +41,20 @@ def spectrum(**settings: Any) -> None:
     from fpk.dynamics import Spectrum
 
     _curve(Spectrum, "spectrum", "spectrum", **settings)
+
+
+@click.command()
+@question
+@_of_displacement
+def correlation(**settings: Any) -> None:
+    """Give the autocovariance E q(0) q(t) − (E q)² at lags t >= 0.
+
+    It begins with the variance. By linear or phase-space, or estimated from a simulation by
+    montecarlo.
+    """
+    from fpk.dynamics import Correlation
+
+    _curve(Correlation, "correlation", "correlation", **settings)
 
 
 @click.command()

@@ -65,7 +65,7 @@ def curve_record(
     curve: Curve,
     seconds: float,
 ) -> Record:
-    """Return the record of ``fpk crossings`` and ``fpk spectrum``; the values are under ``key``."""
+    """Return the record of a curve of the stationary motion; its values are under ``key``."""
     own = {
         "observable": observable_name(observable),
         "points": points,

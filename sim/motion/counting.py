@@ -36,8 +36,8 @@ def count_rise(counts: Integers, levels: Array, low: float, high: float) -> None
 
 
 @cache
-def compiled_counting() -> tuple[Any, Any, Any]:
-    """Return the readers of upcrossings, of Fourier sums and of lagged products."""
+def compiled_counting() -> tuple[Any, Any]:
+    """Return the readers of upcrossings and of Fourier sums."""
     sources = readers_checksum()
 
     @cached_njit()
@@ -93,21 +93,7 @@ def compiled_counting() -> tuple[Any, Any, Any]:
                         half_im[w] += ps * q[w]
         return sources
 
-    @cached_njit()
-    def add_lagged(
-        trace: Array, samples: int, done: int, begin: Array, sums: Array, row: int
-    ) -> int:
-        """See the function of this name outside."""
-        for b in range(trace.shape[0]):
-            first = begin[b, 0]
-            for k in range(1, samples + 1):
-                q, total = trace[b, k, row], 0.0
-                for w in range(W):
-                    total += first[w] * q[w]
-                sums[b, done + k] += total
-        return sources
-
-    return count_upcrossings, add_fourier, add_lagged
+    return count_upcrossings, add_fourier
 
 
 def count_upcrossings(*arrays: Any, **numbers: Any) -> None:
@@ -126,8 +112,3 @@ def add_fourier(*arrays: Any, **numbers: Any) -> None:
     Hann window over ``length`` samples, of one over its first half, and of one over its second.
     """
     compiled_counting()[1](*arrays, **numbers)
-
-
-def add_lagged(*arrays: Any, **numbers: Any) -> None:
-    """Add Σ q(0) q(t) over the lanes to ``sums`` (blocks, 1 + samples), ``begin`` being q(0)."""
-    compiled_counting()[2](*arrays, **numbers)
