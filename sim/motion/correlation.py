@@ -33,10 +33,10 @@ def correlation(
     """Return the autocovariance of q of mass ``row`` at the lags ``at``.
 
     Products q(s) q(s + t) about the mean of all, at samples s in ``RELAXATIONS`` relaxation times
-    or the ``time`` of each trajectory; between samples of t a cubic spline. Stated is, in
-    quadrature, the error by blocks of trajectories, what changes at the step dt instead of dt/2, by
-    the same random numbers, and the largest error of the spline, see ``_spline_error``. Raises
-    ``InvalidInput`` for lags that are negative, or too long for the memory.
+    or the ``time`` of each trajectory, less where memory ends it; between samples of t a cubic
+    spline. Stated is, in quadrature, the error by blocks of trajectories, what changes at the step
+    dt instead of dt/2, by the same random numbers, and the largest error of the spline, see
+    ``_spline_error``. Raises ``InvalidInput`` for lags that are negative or too long for memory.
     """
     require_lags(at)
     method.prepare(system)
@@ -47,11 +47,13 @@ def correlation(
     motions = [{"dt": 0.5 * dt, "stride": 2 * step}, {"dt": dt, "stride": step, "halved": True}]
     motions = motions if needs_steps(system) else motions[1:]
     longest = float(np.max(at))
-    origins = ceil((method.time or RELAXATIONS * relaxation_time(system)) / spacing)
-    if (longest / spacing + origins) * LANES * len(motions) > MOST_SUMS:
-        remedy = f"so long a lag takes more than {MOST_SUMS:.0e} samples at once; ask for less"
+    most = MOST_SUMS // (LANES * len(motions))
+    if longest > 0.5 * most * spacing:
+        remedy = f"a lag takes {longest / spacing:.1e} samples at once; ask for shorter ones"
         raise InvalidInput("at", longest, remedy)
     lags = 2 * ceil(0.5 * longest / spacing) + BEYOND
+    asked = ceil((method.time or RELAXATIONS * relaxation_time(system)) / spacing)
+    origins = min(asked, most - lags)
     rounds: list[list[tuple[Array, Array, Array]]] = [[] for _ in motions]
 
     def estimate(series: list[Array], _: Array) -> float:

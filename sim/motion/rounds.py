@@ -11,7 +11,7 @@ from fpk.arrays import Array
 from fpk.method import Progress
 from fpk.system import System
 from sim.arrays import LANES
-from sim.montecarlo import MonteCarlo
+from sim.montecarlo import LEAST_PATHS, MonteCarlo
 from sim.motion.motion import Motion, Reader, in_rows
 from sim.motion.stationary import interruption, losses, not_met, working
 from sim.random import OTHER_SEED
@@ -74,4 +74,6 @@ def in_rounds(
             if watch.ends():
                 break
         failures = interruption(watch) + losses(states, running[0].dt)
+        if number * own < LEAST_PATHS:
+            failures.append(f"it ended after {number * own} trajectories of {LEAST_PATHS}")
     return number * own, failures

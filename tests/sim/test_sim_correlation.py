@@ -94,6 +94,21 @@ def test_the_same_for_any_threads_and_a_tolerance_is_met_or_not_certified() -> N
     assert any("exceeds the tolerance" in words for words in short.certificate.failures)
 
 
+def test_products_begin_in_less_time_where_memory_ends_them(monkeypatch: Any) -> None:
+    system = System([1.0], [1.0], [0.002], [0.001])
+    monkeypatch.setattr("sim.motion.correlation.MOST_SUMS", 1 << 16)
+    answer, expected = sampled(system, 0, AT, time=None), by_method("linear", system, 0, AT)
+    assert answer.settings["time"] < 200.0 < 20.0 / 0.001
+    assert np.all(np.abs(answer.values - expected.values) < Z * answer.errors)
+
+
+def test_too_few_blocks_to_take_an_error_from_are_not_certified(monkeypatch: Any) -> None:
+    monkeypatch.setattr("sim.motion.rounds.MOST_SUMS", 1)
+    answer = sampled(linear(1), 0, AT, seconds=1e-9)
+    assert answer.settings["paths"] == 2 * 128
+    assert answer.certificate.failures == ("it ended after 256 trajectories of 4096",)
+
+
 @pytest.mark.parametrize("lag", [-1.0, np.nan, 1e9])
 def test_what_is_no_lag_or_too_long_is_refused(lag: float) -> None:
     with pytest.raises(InvalidInput, match="at"):
