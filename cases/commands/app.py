@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from cases.commands import parts
-from cases.commands.dynamics import crossings, density, relaxation, spectrum
+from cases.commands.dynamics import correlation, crossings, density, relaxation, spectrum
 from cases.commands.evolution import passage, transient
 from cases.commands.export import export
 from cases.commands.studies import converge, cost, regime
@@ -100,7 +100,7 @@ def run(scene: str, out: Path | None, **settings: Any) -> None:
 
 
 for _command in (
-    density, transient, passage, crossings, spectrum, relaxation,
+    density, transient, passage, crossings, spectrum, correlation, relaxation,
     converge, cost, export, verify, regime,
 ):  # fmt: skip
     app.add_command(_command)

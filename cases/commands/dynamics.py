@@ -1,4 +1,4 @@
-"""The commands about the stationary state: density, crossings, spectrum, relaxation."""
+"""The commands about the stationary state: its density and its motion."""
 
 from typing import Any
 
@@ -69,6 +69,18 @@ def spectrum(asked: Asked, of: str, at: str) -> None:
     from fpk.dynamics import Spectrum
 
     _curve(asked, Spectrum, "spectrum", "spectrum", of, at)
+
+
+@asking(*DISPLACEMENT)
+def correlation(asked: Asked, of: str, at: str) -> None:
+    """Give the autocovariance E q(0) q(t) − (E q)² at lags t >= 0.
+
+    It begins with the variance. By linear or phase-space, or estimated from a simulation by
+    montecarlo.
+    """
+    from fpk.dynamics import Correlation
+
+    _curve(asked, Correlation, "correlation", "correlation", of, at)
 
 
 @asking(click.option("--rates", type=click.IntRange(1, 100), default=5, help="Default 5."), TOL)

@@ -1,4 +1,4 @@
-"""Readers of a trace that sum over its samples: windowed Fourier sums and lagged products."""
+"""A reader of a trace that adds to windowed Fourier sums of its samples."""
 
 from functools import cache
 from typing import Any
@@ -12,8 +12,8 @@ from sim.motion.between import readers_checksum
 
 
 @cache
-def compiled_sums() -> tuple[Any, Any]:
-    """Return the compiled ``add_fourier`` and ``add_lagged``."""
+def compiled_sums() -> Any:
+    """Return the compiled ``add_fourier``."""
     sources = readers_checksum()
 
     @cached_njit()
@@ -42,21 +42,7 @@ def compiled_sums() -> tuple[Any, Any]:
                         half_im[w] += ps * q[w]
         return sources
 
-    @cached_njit()
-    def add_lagged(
-        trace: Array, samples: int, done: int, begin: Array, sums: Array, row: int
-    ) -> int:
-        """Do what ``add_lagged`` of this module says; return the checksum of its sources."""
-        for b in range(trace.shape[0]):
-            first = begin[b, 0]
-            for k in range(1, samples + 1):
-                q, total = trace[b, k, row], 0.0
-                for w in range(W):
-                    total += first[w] * q[w]
-                sums[b, done + k] += total
-        return sources
-
-    return add_fourier, add_lagged
+    return add_fourier
 
 
 def add_fourier(*arrays: Any, **numbers: Any) -> None:
@@ -65,9 +51,4 @@ def add_fourier(*arrays: Any, **numbers: Any) -> None:
     ``omega`` (frequencies,) is in radians per sample. Of each frequency the rows are those of a
     Hann window over ``length`` samples, of one over its first half, and of one over its second.
     """
-    compiled_sums()[0](*arrays, **numbers)
-
-
-def add_lagged(*arrays: Any, **numbers: Any) -> None:
-    """Add Σ q(0) q(t) over the lanes to ``sums`` (blocks, 1 + samples), ``begin`` being q(0)."""
-    compiled_sums()[1](*arrays, **numbers)
+    compiled_sums()(*arrays, **numbers)
