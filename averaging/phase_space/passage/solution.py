@@ -1,0 +1,127 @@
+"""Moments of the first-passage time, the failure rate and the reliability on one mesh."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import LinearOperator, SuperLU, eigs, splu
+
+from averaging.phase_space.passage.elements import Elements
+from fpk.arrays import Array
+from fpk.errors import NotCertified
+
+EPS = float(np.finfo(float).eps)
+PIVOT = 0.01
+"""Least diagonal pivot relative to its column: lower than 1 keeps the symmetric ordering."""
+VECTORS, EVERY = 240, 20
+"""Most vectors of the Krylov space of the reliability, and after how many it is looked at."""
+
+
+def factorised(matrix: csc_array) -> SuperLU:
+    """Return the factors; raise ``NotCertified`` where the elimination breaks down."""
+    try:
+        return splu(
+            matrix,
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=PIVOT,
+            options={"SymmetricMode": True},
+        )
+    except RuntimeError as error:
+        raise NotCertified(f"the elimination breaks down: {error}") from None
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Backward equation on ``elements``: L T = −1, L T₂ = −2 T, ∂u/∂t = L u."""
+
+    elements: Elements
+
+    @cached_property
+    def factors(self) -> SuperLU:
+        """The factors of K."""
+        return factorised(self.elements.K)
+
+    @cached_property
+    def mean(self) -> Array:
+        """Coefficients of T up to a factor that is 1 but for round-off where failure is rare."""
+        return self._solved(self.elements.load)
+
+    def _solved(self, right: Array, trans: str = "N") -> Array:
+        K = self.elements.K if trans == "N" else self.elements.K.T
+        x = self.factors.solve(right, trans)
+        return np.asarray(x + self.factors.solve(right - K @ x, trans))
+
+    def residual(self) -> float:
+        """Return the largest residual of T relative to the largest of its terms."""
+        e = self.elements
+        defect = np.abs(e.load - e.K @ self.mean)
+        return float(np.max(defect) / np.max(abs(e.K) @ np.abs(self.mean)))
+
+    def moments(self, start: Array) -> tuple[float, float]:
+        """Return E T and E T² of the functional ``start``.
+
+        All that starts fails in the end: y'(−L 1) = start'1 with the density y = K⁻ᵀ start of the
+        time spent. Where failure is rare K is nearly singular, and y is right up to a factor, that
+        this identity gives back.
+        """
+        e = self.elements
+        y = self._solved(start, "T")
+        y *= float(start @ (1.0 / e.scale)) / float(y @ e.exit)
+        mean = float(y @ e.load)
+        second = 2.0 * float(y @ (e.M @ self.mean)) * mean / float(start @ self.mean)
+        return mean, second
+
+    def rate(self) -> float:
+        """Return the least eigenvalue of −L, by the flow out of its left eigenvector."""
+        e = self.elements
+        size = e.load.size
+        inverse = LinearOperator((size, size), matvec=lambda x: self._solved(x, "T"))
+        _, y = eigs(
+            e.K.T, k=1, M=e.M, sigma=0.0, OPinv=inverse, v0=e.load, ncv=min(20, size - 1)
+        )
+        y = y[:, 0] / y[np.argmax(np.abs(y[:, 0])), 0]
+        return float(np.real(y @ e.exit) / np.real(y @ e.load))
+
+    def survival(self, start: Array, times: Array, *, tol: float) -> tuple[Array, Array]:
+        """Return P(T > t) at ascending times > 0, and what the last vectors changed.
+
+        Galerkin's method on the Krylov space of (K + σM)⁻¹M, orthonormal in M: as K + Kᵀ is not
+        negative, neither is its projection, and nothing grows. σ is of the fastest motion that
+        matters: the frequency, or the first of the times.
+        """
+        e, o = self.elements, self.elements.mesh.oscillator
+        sigma = max(2.0 * o.frequency, 5.0 / times[0], 5.0 / times[-1])
+        shifted = factorised(csc_array(e.K + sigma * e.M))
+        first = factorised(e.M).solve(e.load)
+        size = float(np.sqrt(first @ e.load))
+        V, MV, KV = (np.empty((VECTORS, e.load.size)) for _ in range(3))
+        v, last = first / size, np.full(times.size, np.inf)
+        for n in range(VECTORS):
+            V[n], MV[n], KV[n] = v, e.M @ v, e.K @ v
+            if (n + 1) % EVERY == 0:
+                H, g = V[: n + 1] @ KV[: n + 1].T, V[: n + 1] @ start
+                values = _projected(H, g, size, times)
+                change = np.abs(values - last)
+                if np.max(change) <= 0.02 * tol:
+                    break
+                last = values
+            v = shifted.solve(MV[n])
+            for _ in range(2):
+                v -= (MV[: n + 1] @ v) @ V[: n + 1]
+            v /= np.sqrt(v @ (e.M @ v))
+        return values, change
+
+
+def _projected(H: Array, g: Array, size: float, times: Array) -> Array:
+    """g' exp(−H t) e₁ times ``size``, step by step from one time to the next."""
+    values, u, now, step, propagator = np.empty(times.size), np.zeros(g.size), 0.0, 0.0, H
+    u[0] = size
+    for k, t in enumerate(times):
+        if k == 0 or abs(t - now - step) > 1e-13 * t:
+            step = t - now
+            propagator = expm(-step * H)
+        u, now = propagator @ u, t
+        values[k] = g @ u
+    return values
