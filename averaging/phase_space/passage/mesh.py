@@ -14,14 +14,14 @@ BEYOND = 8.5
 """Kicks of noise by which velocities are followed beyond the one that reaches the limit."""
 GLANCING_Q, GLANCING_V, TIP = 1.1, 1.1, 1.1
 """Panels over their distance to a glancing point (q scales as v³ there) or a turning point."""
-PANEL, FINER = 1.8, 0.85
+PANEL, FINER = 1.6, 0.93
 """Panels of the first level in kicks of noise, and the ratio of those of successive levels."""
-LEAST, CLOSER = 0.2, 0.4
+LEAST, CLOSER = 0.15, 0.45
 """The least panel at a glancing point in units of the speed where noise outdoes the pull."""
 STOP = 1.5
 """Panels over their distance to a stop whose force is a fractional power of the overlap."""
-FIRST_DEGREE = 5
-"""Degree of the first level; each further one adds 1."""
+DEGREES = (5, 7, 9, 11, 13, 15)
+"""Degree of each level."""
 SAMPLES = 401
 """Points at which the lengths of panels are sampled, on each half of an interval."""
 
@@ -97,7 +97,7 @@ def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Me
     nodes = [0.0 if o.even else -b, *(q for q, _ in _inside(o, -b, b) if q > 0.0 or not o.even), b]
     closest = least**3 / o.diffusion
     x = _joined(o, nodes, along, {-b: float(closest[0]), b: float(closest[1])})
-    return Mesh(o, x, _mirrored(half), FIRST_DEGREE + level, None, 0.0, b, o.even)
+    return Mesh(o, x, _mirrored(half), DEGREES[level], None, 0.0, b, o.even)
 
 
 def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
@@ -113,14 +113,16 @@ def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
 
     def along(x: Array) -> Array:
         q = centre + radius * np.sin(x)
-        smooth = _smooth_step(o, q, step, swift, level) / np.maximum(radius * np.cos(x), 1e-3 * radius)
+        smooth = _smooth_step(o, q, step, swift, level) / np.maximum(
+            radius * np.cos(x), 1e-3 * radius
+        )
         graded = np.minimum(*(TIP * (np.abs(x - at) + 0.3 * slow) for at in ends))
         return np.minimum(smooth, graded)
 
     inside = [asin((q - centre) / radius) for q, _ in _inside(o, left, right)]
     first = 0.0 if o.even else float(ends[0])
     x = _joined(o, [first, *(a for a in inside if a > first), float(ends[1])], along, {})
-    return Mesh(o, x, _mirrored(s), FIRST_DEGREE + level, energy, centre, radius, o.even)
+    return Mesh(o, x, _mirrored(s), DEGREES[level], energy, centre, radius, o.even)
 
 
 def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int) -> Array:
@@ -128,7 +130,7 @@ def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int)
 
     Shorter beyond a stop whose force is a fractional power of the overlap.
     """
-    slope = np.maximum(np.abs(o.force(q)) / (o.mass * swift), o.frequency)
+    slope = np.maximum(np.abs(o.force(q)) / (o.mass * max(swift, step)), o.frequency)
     length = np.minimum(step / np.maximum(slope, 1e-300), 0.5 * np.ptp(q))
     for at, side in o.stops:
         if side:

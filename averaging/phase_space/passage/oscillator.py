@@ -61,16 +61,18 @@ class Oscillator:
             ends.append(float(brentq(excess, 0.0, far, xtol=1e-300, rtol=4 * EPS)))
         return ends[0], ends[1]
 
-    def kick(self, length: float) -> float:
-        """Return the change of v by the noise in the time that motion takes over ``length``.
+    def travel(self, length: float) -> float:
+        """Return the time that motion takes over ``length``.
 
-        That is half a period, the time in which noise alone gets so far, or that in which
-        velocities are forgotten, whichever is least.
+        It is half a period, or the time in which noise alone gets so far, whichever is less.
         """
         cycle = pi / self.frequency if self.frequency else inf
-        alone = (6.0 * length**2 / self.diffusion) ** (1.0 / 3.0)
+        return min(cycle, (6.0 * length**2 / self.diffusion) ** (1.0 / 3.0))
+
+    def kick(self, length: float) -> float:
+        """Return the change of v by noise in that time, or in that in which v is forgotten."""
         memory = 0.5 * self.mass / self.damping if self.damping else inf
-        return sqrt(2.0 * self.diffusion * min(cycle, alone, memory))
+        return sqrt(2.0 * self.diffusion * min(self.travel(length), memory))
 
 
 def oscillator_of(system: System) -> Oscillator:
