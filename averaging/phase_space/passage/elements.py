@@ -8,7 +8,7 @@ from numpy.polynomial.legendre import Legendre, legder, legval, legvander
 from scipy.sparse import coo_array, csc_array
 
 from averaging.phase_space.passage.mesh import Mesh
-from fpk.arrays import Array
+from fpk.arrays import Array, Integers
 from fpk.quadrature import gauss_legendre
 
 MORE_POINTS = 4
@@ -93,11 +93,10 @@ def elements(mesh: Mesh) -> Elements:
     mass = BB.T @ (area * widths * slope * w) @ BB
     panels, across = mesh.x.size - 1, mesh.s.size - 1
     size = across * mesh.degree + 1
-    row_x = (np.arange(panels, dtype=np.int32)[:, None] * n + np.arange(n, dtype=np.int32))[
-        :, None, :, None, None, None
-    ]
-    column_s = np.arange(across, dtype=np.int32)[:, None] * mesh.degree
-    column_s = column_s + np.arange(n, dtype=np.int32)
+    row_x = np.arange(panels * n, dtype=np.int32).reshape(panels, 1, n, 1, 1, 1)
+    column_s = np.add.outer(
+        np.arange(across, dtype=np.int32) * mesh.degree, np.arange(n, dtype=np.int32)
+    )
     shape = (panels, across, n, n, n, n)
     place = [
         np.broadcast_to(row_x * size + column_s[None, :, None, None, :, None], shape),
@@ -126,18 +125,18 @@ def elements(mesh: Mesh) -> Elements:
 
 
 def _faces(
-    mesh: Mesh, BB: Array, column_s: Array, total: int, s: Array, weight: Array, hs: Array
+    mesh: Mesh, BB: Array, column_s: Integers, total: int, s: Array, weight: Array, hs: Array
 ) -> tuple[csc_array, Array]:
-    """Matrix of |v| (u − u on the side that motion goes to) at the ends of panels of x; its exit."""
+    """Return the matrix of |v| (u − u of where motion goes) at the panels' ends, and its exit."""
     o, n = mesh.oscillator, mesh.degree + 1
     size, panels = (mesh.s.size - 1) * mesh.degree + 1, mesh.x.size - 1
     q, _ = mesh.q(mesh.x)
     w = mesh.w(q)[:, None, None]
     density = np.exp(-o.inverse_temperature * o.energy(q[:, None, None], s * w))
     block = (np.abs(s) * w * w * density * weight * hs[:, None]) @ BB  # (nodes, across, n n)
-    parts: list[tuple[Array, Array, Array]] = []
+    parts: list[tuple[Array, Integers, Integers]] = []
 
-    def add(values: Array, row: Array, column: Array, flipped: bool = False) -> None:
+    def add(values: Array, row: Integers, column: Integers, flipped: bool = False) -> None:
         across = np.arange(values.shape[1])
         ahead = column_s[first : first + across.size]
         other = size - 1 - ahead if flipped else ahead
@@ -168,7 +167,7 @@ def _faces(
     return coo_array((values, (rows, columns)), shape=(total, total)).tocsc(), lost
 
 
-def _values(nodes: Array, degree: int, t: Array) -> tuple[Array, Array]:
+def _values(nodes: Array, degree: int, t: Array) -> tuple[Integers, Array]:
     """Panels and values (points, degree + 1) of the functions at t."""
     k = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, nodes.size - 2)
     local = 2.0 * (t - nodes[k]) / (nodes[k + 1] - nodes[k]) - 1.0

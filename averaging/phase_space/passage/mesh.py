@@ -87,11 +87,12 @@ def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Me
 
     def across(v: Array) -> Array:
         graded = GLANCING_V * (v + float(least.min()))
-        return np.minimum(np.where(v < swift + 3.0 * kick, step, 2.0 * step), graded)
+        longest = np.where(v < swift + 3.0 * kick, step, 2.0 * step)
+        return np.asarray(np.minimum(longest, graded))
 
     def along(q: Array) -> Array:
         graded = np.minimum(*(GLANCING_Q * np.abs(q - at) for at in ends))
-        return np.minimum(_smooth_step(o, q, step, swift, level), graded)
+        return np.asarray(np.minimum(_smooth_step(o, q, step, swift, level), graded))
 
     half = _equidistributed(0.0, end, across, float(least.min()))
     nodes = [0.0 if o.even else -b, *(q for q, _ in _inside(o, -b, b) if q > 0.0 or not o.even), b]
@@ -113,11 +114,10 @@ def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
 
     def along(x: Array) -> Array:
         q = centre + radius * np.sin(x)
-        smooth = _smooth_step(o, q, step, swift, level) / np.maximum(
-            radius * np.cos(x), 1e-3 * radius
-        )
+        slope = radius * np.maximum(np.cos(x), 1e-3)
+        smooth = _smooth_step(o, q, step, swift, level) / slope
         graded = np.minimum(*(TIP * (np.abs(x - at) + 0.3 * slow) for at in ends))
-        return np.minimum(smooth, graded)
+        return np.asarray(np.minimum(smooth, graded))
 
     inside = [asin((q - centre) / radius) for q, _ in _inside(o, left, right)]
     first = 0.0 if o.even else float(ends[0])

@@ -67,7 +67,7 @@ class Oscillator:
         It is half a period, or the time in which noise alone gets so far, whichever is less.
         """
         cycle = pi / self.frequency if self.frequency else inf
-        return min(cycle, (6.0 * length**2 / self.diffusion) ** (1.0 / 3.0))
+        return min(cycle, float((6.0 * length**2 / self.diffusion) ** (1.0 / 3.0)))
 
     def kick(self, length: float) -> float:
         """Return the change of v by noise in that time, or in that in which v is forgotten."""

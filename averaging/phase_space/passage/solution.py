@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 from functools import cached_property
 from math import pi
+from typing import Any
 
 import numpy as np
 from scipy.linalg import expm
 from scipy.sparse import csc_array
-from scipy.sparse.linalg import LinearOperator, SuperLU, eigs, splu
+from scipy.sparse.linalg import LinearOperator, eigs, splu
 
 from averaging.phase_space.passage.elements import Elements
 from fpk.arrays import Array
@@ -19,14 +20,14 @@ PIVOT = 1e-3
 VECTORS, EVERY = 160, 10
 """Most vectors of the Krylov space of the reliability, and after how many it is looked at."""
 SHIFT = 4.0
-"""Shift of that space in units of the frequency: from 2 to 8 it takes the same number of vectors."""
+"""Shift of that space in units of the frequency: 2 to 8 take equally many vectors."""
 KRYLOV = 0.05
 """Fraction of the tolerance to which that space gives the reliability."""
 EIGENVALUE = 1e-13
 """Relative residual at which the iteration for the failure rate ends."""
 
 
-def factorised(matrix: csc_array) -> SuperLU:
+def factorised(matrix: csc_array) -> Any:
     """Return the factors; raise ``NotCertified`` where the elimination breaks down."""
     try:
         return splu(
@@ -46,7 +47,7 @@ class Solution:
     elements: Elements
 
     @cached_property
-    def factors(self) -> SuperLU:
+    def factors(self) -> Any:
         """The factors of K."""
         return factorised(self.elements.K)
 
@@ -85,7 +86,7 @@ class Solution:
         e = self.elements
         size = e.load.size
         inverse = LinearOperator((size, size), matvec=lambda x: self.factors.solve(x, "T"))
-        options = {"v0": e.load, "ncv": min(12, size - 1), "tol": EIGENVALUE}
+        options: dict[str, Any] = {"v0": e.load, "ncv": min(12, size - 1), "tol": EIGENVALUE}
         _, y = eigs(e.K.T, k=1, M=e.M, sigma=0.0, OPinv=inverse, **options)
         y = y[:, 0] / y[np.argmax(np.abs(y[:, 0])), 0]
         return float(np.real(y @ e.exit) / np.real(y @ e.load))
