@@ -15,7 +15,6 @@ from averaging.phase_space.equation.frame import Frame, Reference, contact_frame
 from averaging.phase_space.identities import heat_into_masses, identities
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import moments
-from averaging.phase_space.passage.first_passage import TOL as PASSAGE_TOL
 from averaging.phase_space.passage.first_passage import first_passage
 from averaging.phase_space.refinement import (
     ROUND_OFF,
@@ -183,8 +182,7 @@ class PhaseSpace(Theory):
         progress: Progress,
     ) -> Passage:
         """Return the first passage of one mass, by finite elements of the backward equation."""
-        wanted = tol or PASSAGE_TOL
-        return first_passage(system, limit, start, times, tol=wanted, progress=progress)
+        return first_passage(system, limit, start, times, tol=tol, progress=progress)
 
     def _options(self, tol: float, progress: Progress) -> dynamics.Options:
         return dynamics.Options(tol, progress, self.work, self.threads, self.reference)

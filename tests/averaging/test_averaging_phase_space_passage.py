@@ -141,8 +141,13 @@ def test_part_of_an_energy_start_may_be_beyond_a_displacement():
 
 def test_rare_failure_keeps_its_digits():
     """K is nearly singular to 1e-10: the flow out gives back what round-off takes."""
-    answer = ask(HERTZ, "H=12", tol=1e-2)
+    answer = ask(HERTZ, "H=12", times=[100.0, 200.0, 300.0], tol=1e-2)
     assert answer.certificate.certified
+    assert answer.failure is not None and answer.failure_error is not None
+    assert np.all(answer.failure_error < 0.1 * answer.failure)
+    # Once energies below have filled, failures come at the constant rate.
+    growth = np.diff(answer.failure) / 100.0
+    assert growth == pytest.approx([answer.rate.value] * 2, rel=1e-2)
     assert answer.mean.value == pytest.approx(2.0607947e10, rel=answer.mean.error / 2e10)
     assert answer.mean.value * answer.rate.value == pytest.approx(1.0, rel=1e-8)
 

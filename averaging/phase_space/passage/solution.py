@@ -91,31 +91,35 @@ class Solution:
         y = y[:, 0] / y[np.argmax(np.abs(y[:, 0])), 0]
         return float(np.real(y @ e.exit) / np.real(y @ e.load))
 
-    def survival(self, start: Array, times: Array, *, tol: float) -> tuple[Array, Array]:
-        """Return P(T > t) at ascending times > 0, and what the last vectors changed.
+    def failure(self, start: Array, times: Array, *, tol: float) -> tuple[Array, Array]:
+        """Return P(T <= t) at ascending times > 0, and what the last vectors changed.
 
-        Galerkin's method on the Krylov space of (K + σM)⁻¹M, orthonormal in M: as K + Kᵀ is not
-        negative, neither is its projection, and nothing grows. σ is of the order of the frequency,
-        less where damping outdoes it.
+        M F' = −K F + exit from F = 0, so that what is small keeps its digits. Galerkin's method on
+        the Krylov space of (K + σM)⁻¹M from the function 1, which F tends to, orthonormal in M: as
+        K + Kᵀ is not negative, neither is its projection, and nothing grows. σ is of the order of
+        the frequency, less where damping outdoes it. At H = E, where there are no unknowns, F is 1:
+        what that adds within the last panels is constant.
         """
         e, o = self.elements, self.elements.mesh.oscillator
         frequency = pi / o.travel(self.elements.mesh.radius)
         sigma = SHIFT * frequency / (1.0 + o.damping / (o.mass * frequency))
         shifted = factorised(csc_array(e.K + sigma * e.M))
-        first = factorised(e.M).solve(e.load)
-        size = float(np.sqrt(first @ e.load))
-        V, MV, KV = (np.empty((VECTORS, e.load.size)) for _ in range(3))
-        v = first / size
+        v = 1.0 / e.scale
+        at_limit = 1.0 - float(start @ v)
         Mv, Kv = e.M @ v, e.K @ v
+        length = np.sqrt(v @ Mv)
+        V, MV, KV = (np.empty((VECTORS, e.load.size)) for _ in range(3))
         last = np.full(times.size, np.inf)
         change = before = last
         for n in range(VECTORS):
+            v, Mv, Kv = v / length, Mv / length, Kv / length
             V[n], MV[n], KV[n] = v, Mv, Kv
             if (n + 1) % EVERY == 0:
                 H, g = V[: n + 1] @ KV[: n + 1].T, V[: n + 1] @ start
-                values = _projected(H, g, size, times)
+                values = at_limit + _projected(H, V[: n + 1] @ e.exit, g, times)
                 before, change, last = change, np.abs(values - last), values
-                if np.max(change) <= KRYLOV * tol and np.max(before) <= tol:
+                enough = tol * min(1.0, float(np.max(np.abs(values))))
+                if np.max(change) <= KRYLOV * enough and np.max(before) <= enough:
                     break
             v = shifted.solve(Mv)
             ahead = e.M @ v
@@ -126,18 +130,20 @@ class Solution:
                 parts += more
             Mv, Kv = Mv - parts @ MV[: n + 1], Kv - parts @ KV[: n + 1]
             length = np.sqrt(v @ Mv)
-            v, Mv, Kv = v / length, Mv / length, Kv / length
         return last, np.maximum(change, KRYLOV * before)
 
 
-def _projected(H: Array, g: Array, size: float, times: Array) -> Array:
-    """g' exp(−H t) e₁ times ``size``, step by step from one time to the next."""
-    values, u, now, step, propagator = np.empty(times.size), np.zeros(g.size), 0.0, 0.0, H
-    u[0] = size
+def _projected(H: Array, source: Array, g: Array, times: Array) -> Array:
+    """g'F of F' = −H F + source from F = 0, step by step from one time to the next."""
+    size = g.size
+    system = np.zeros((size + 1, size + 1))
+    system[:size, :size], system[:size, size] = -H, source
+    values, F, now, step, propagator = np.empty(times.size), np.zeros(size + 1), 0.0, 0.0, system
+    F[size] = 1.0
     for k, t in enumerate(times):
         if k == 0 or abs(t - now - step) > 1e-13 * t:
             step = t - now
-            propagator = expm(-step * H)
-        u, now = propagator @ u, t
-        values[k] = g @ u
+            propagator = expm(step * system)
+        F, now = propagator @ F, t
+        values[k] = g @ F[:size]
     return values
