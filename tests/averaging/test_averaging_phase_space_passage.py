@@ -78,6 +78,12 @@ def test_light_damping_tends_to_the_averaged_energy(start, energy, ratio):
     assert abs(ratios[1] - ratio) < abs(ratios[0] - ratio)
 
 
+def test_without_damping_energy_grows_evenly_to_the_limit():
+    """E H(T) = (D/m) E T of the undamped motion, by Dynkin's formula: from rest E T = m E/D."""
+    answer = ask(System([2.0], [1.0], [0.0], [0.5], contacts=STOPS), "H=1", tol=1e-5)
+    assert abs(answer.mean.value - 4.0) <= answer.mean.error < 1e-4
+
+
 @pytest.mark.parametrize("kind", ["q", "H"])
 def test_even_potential_needs_half_of_the_states_only(kind):
     even = oscillator_of(HERTZ)
