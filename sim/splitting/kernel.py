@@ -89,6 +89,8 @@ def _compiled(key: KernelKey, kind: str) -> Any:
 
                 # What is seen, and the score.
                 before[:] = seen
+                if done == begun:
+                    before[:] = 0.0
                 observe(
                     s, V, H, step, watch, contact, damping, energy_damping, True, energy, modes,
                     False, force, law, 1,
@@ -101,7 +103,7 @@ def _compiled(key: KernelKey, kind: str) -> Any:
                         if done > begun:
                             u = words + np.uint64(pairs + m) * GOLDEN
                             left = least_left(kind, before, seen, limit, m, h, u)
-                        share = share_of(kind, s, left, step, watch, limit, law, seen, m)
+                        share = share_of(kind, s, left, step, watch, limit, law, before, seen, m)
                         reached = max(reached, level_of(score, m, share, done))
                 if reached > top:
                     top = reached

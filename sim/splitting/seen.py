@@ -72,17 +72,21 @@ def reached_share(
 @njit(inline="always")
 def share_of(
     kind: str, s: Array, left: float, step: StepArrays, watch: WatchArrays, limit: LimitArrays,
-    law: Any, seen: Array, m: int,
+    law: Any, before: Array, seen: Array, m: int,
 ) -> float:  # fmt: skip
     """Return x of the score at the observed state, 1 where no distance to the limit is ``left``.
 
-    ``left`` is the least since the step before; of an energy the share is that of H there.
+    ``left`` is the least since the step ``before``; of an energy the share is that of H there.
+    Distances count in the noise at the end of the step where they are, which is little where
+    little moves: the nearer end says what energy is there. By the other one H would seem so near
+    the limit that replicas would be copied at every turn of a motion.
     """
     if left <= 0.0:
         return 1.0
     if kind == "q":
         return reached_share(s, step, watch, limit, law)
-    H = energy_at(limit.values[m], left, seen[m, 1], seen[m, 2])
+    end = before if 0.0 < before[m, 0] < seen[m, 0] else seen
+    H = energy_at(limit.values[m], left, end[m, 1], end[m, 2])
     return min(sqrt(max(H, 0.0) / limit.values[m]), BELOW)
 
 

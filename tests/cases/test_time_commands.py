@@ -72,7 +72,7 @@ def test_columns(fpk):
     status, out, err = fpk(*asked("transient"))
     assert (status, err) == (0, "") and len(out.splitlines()) == 1 + 2 * 3
     status, out, err = fpk(*asked("passage", "--times", "1,2"))
-    assert (status, err) == (0, "") and len(out.splitlines()) == 1 + 3 + 1 + 2
+    assert (status, err) == (0, "") and len(out.splitlines()) == 1 + 3 + 2 * (1 + 2)
     status, out, err = fpk("relaxation", "fig6a", "--method", "nonintegrable", "--rates", 3)
     assert (status, err) == (0, "") and len(out.splitlines()) == 1 + 3
 

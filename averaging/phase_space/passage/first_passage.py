@@ -11,9 +11,10 @@ from averaging.phase_space.passage.solution import EPS, Solution
 from averaging.phase_space.passage.states import Region, Source, region_of, source_of
 from fpk.arrays import Array
 from fpk.errors import NotCertified
-from fpk.evolution import Number, Passage, certified_passage, checked_times
+from fpk.evolution import Passage, certified_passage, checked_times
 from fpk.limit import Limit
 from fpk.method import Progress
+from fpk.number import Number
 from fpk.start import Start
 from fpk.system import System
 
