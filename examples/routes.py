@@ -1,4 +1,10 @@
-"""Every route that applies, side by side, and which of three errors separates two of them."""
+"""
+Every route that applies
+========================
+
+All routes side by side for a system whose exact solution (7) exists, and which of the three errors,
+numerical, sampling or averaging, separates two of them.
+"""
 
 import fpk
 
