@@ -47,9 +47,9 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
     "navigation_depth": 2,
-    "header_links_before_dropdown": 7,
+    "header_links_before_dropdown": 8,
 }
-html_sidebars = {"index": []}
+html_sidebars = {page: [] for page in ("index", "start", "tutorial", "choose", "faq")}
 
 ORDER = [
     "density", "three_routes", "routes", "refusals", "contact_forces", "tails", "exact_scene",
