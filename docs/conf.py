@@ -36,11 +36,13 @@ MATHJAX = Path(find_spec("sphinx-mathjax-offline").origin).parent / "static/math
 mathjax_path = MATHJAX.name
 
 html_theme = "pydata_sphinx_theme"
+exclude_patterns = ["gallery/backreferences"]
 html_title = "vibro-fpk"
 html_static_path = ["_static", str(MATHJAX)]
 html_css_files = ["site.css"]
 html_copy_source = html_show_sourcelink = False
 html_theme_options = {
+    "navbar_persistent": ["search-button"],
     "navbar_end": ["theme-switcher"],
     "secondary_sidebar_items": ["page-toc"],
     "show_prev_next": False,
@@ -65,6 +67,7 @@ def example_order(path: str) -> int:
     return ORDER.index(stem) if stem in ORDER else len(ORDER)
 
 
+ROOMS = ("fpk", "averaging", "sim", "cases")
 sphinx_gallery_conf = {
     "examples_dirs": "../examples",
     "gallery_dirs": "gallery",
@@ -77,24 +80,53 @@ sphinx_gallery_conf = {
     "plot_gallery": "True",
     "matplotlib_animations": False,
     "show_signature": False,
-    "copyfile_regex": r".*\.toml",
+    "capture_repr": (),
+    "write_computation_times": False,
+    "backreferences_dir": "gallery/backreferences",
+    "doc_module": ROOMS,
+    "default_thumb_file": str(Path(__file__).parent / "_static/text.svg"),
 }
 
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 add_module_names = False
 LITERAL = re.compile(r"(``.*?``)")
+EQUATION = re.compile(r"(Eqs?\. \((\d+)\))")
+SECTIONS = {
+    "system": range(1, 7),
+    "exact": range(7, 9),
+    "one-energy": (*range(9, 12), *range(24, 31)),
+    "modal-energies": (*range(12, 21), *range(31, 37)),
+}
 
 
-def escape(app, what, name, obj, options, lines):
-    """Docstrings are plain text with ``code``: |x| and * have no other meaning in them."""
+MOST_EXAMPLES = 5
+"""Links to the gallery at one name."""
+
+
+def as_written(text: str) -> str:
+    """Return plain text as reStructuredText: |x| and * mean nothing, equations are links."""
+    text = re.sub(r"([|*_](?!\w))|([|*](?=\w))", r"\\\g<0>", text)
+    section = {n: name for name, numbers in SECTIONS.items() for n in numbers}
+    return EQUATION.sub(lambda m: f":ref:`{m[1]} <{section[int(m[2])]}>`", text)
+
+
+def docstring(app, what, name, obj, options, lines):
+    """Docstrings are plain text with ``code``; examples of the gallery follow those of the face."""
     for k, line in enumerate(lines):
         if not line.startswith("    "):
             parts = LITERAL.split(line)
-            parts[::2] = [re.sub(r"([|*_](?!\w))|([|*](?=\w))", r"\\\g<0>", p) for p in parts[::2]]
+            parts[::2] = [as_written(part) for part in parts[::2]]
             lines[k] = "".join(parts)
+    if what in ("class", "function") and name.partition(".")[0] in ROOMS:
+        used = Path(app.srcdir, "gallery", "backreferences", f"{name}.examples")
+        shown = used.read_text(encoding="utf-8") if used.exists() else ""
+        pages = dict.fromkeys(re.findall(r"sphx_glr_gallery_\w+\.py", shown))
+        if pages:
+            links = ", ".join(f":ref:`{page}`" for page in list(pages)[:MOST_EXAMPLES])
+            lines += ["", f"In the gallery: {links}", ""]
 
 
 def setup(app):
     """Connect what reads docstrings."""
-    app.connect("autodoc-process-docstring", escape)
+    app.connect("autodoc-process-docstring", docstring)

@@ -13,6 +13,7 @@ import sys
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import ClassVar
 
 from docutils import nodes
 from docutils.parsers.rst import Directive, directives
@@ -43,7 +44,7 @@ class Command(Directive):
     """Run commands and show what they print."""
 
     has_content = True
-    option_spec = {"lines": directives.positive_int, "status": directives.nonnegative_int}
+    option_spec: ClassVar = {"lines": directives.positive_int, "status": directives.nonnegative_int}
 
     def run(self):
         """Return the commands and their output."""

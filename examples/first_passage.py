@@ -8,7 +8,7 @@ reliability P(T > t) follow from the averaged equation with an absorbing end.
 
 import matplotlib.pyplot as plt
 import numpy as np
-from mpmath import ei, euler, log, mp
+from scipy.special import expi
 
 import fpk
 from averaging import NonIntegrable
@@ -39,10 +39,8 @@ c, D = 0.1, 0.05
 one = fpk.System([1.0], [1.0], [c], [D])
 for limit in (0.5, 1.5, 10.0, 100.0):
     mean = NonIntegrable().passage(one, parse_limit(f"H={limit}", 1), REST, times, **options).mean
-    mp.dps = 40
-    x = mp.mpf(c) * limit / mp.mpf(D)
-    exact = float((ei(x) - log(x) - euler) / c)
-    print(
-        f"H = {limit:5}: mean {mean.value:.12e}, relative error {abs(mean.value / exact - 1):.0e}"
-    )
-    assert abs(mean.value - exact) <= mean.error
+    x = c * limit / D
+    exact = (expi(x) - np.log(x) - np.euler_gamma) / c
+    off = abs(mean.value - exact)
+    print(f"H = {limit:5}: mean {mean.value:.12e}, relative error {off / exact:.0e}")
+    assert off <= mean.error + 1e-14 * exact  # the formula in double precision is off, too

@@ -30,7 +30,7 @@ axes.legend()
 # The Gaussian has the variance of the Lyapunov equation :math:`AC + CA^T + b = 0`, solved here with
 # SciPy.
 
-from scipy.linalg import solve_continuous_lyapunov  # noqa: E402
+from scipy.linalg import solve_continuous_lyapunov
 
 drift = np.block([[np.zeros((3, 3)), np.eye(3)], [-system.stiffness_matrix, -system.damping]])
 noise = np.zeros((6, 6))

@@ -16,7 +16,7 @@ system = fpk.System([1.0, 1.0], [1.0, 1.0], [0.08, 0.04], [0.01, 0.02])
 closed = fpk.solve(system, ["H1,H2"], methods=["integrable/closed-form"])["H1,H2"]
 (elements,) = Integrable("fem", 1e-9).solve(system, [closed.observable]).densities
 
-h1, h2 = np.linspace(0, 1.5, 101), np.linspace(0, 1.0, 101)
+h1, h2 = np.linspace(0, 0.8, 101), np.linspace(0, 0.5, 101)
 figure, axes = plt.subplots()
 picture = axes.contourf(h1, h2, elements(h1[None, :], h2[:, None]), 12, cmap="cividis")
 axes.set(xlabel="$H_1$", ylabel="$H_2$")

@@ -3,8 +3,8 @@ Stiffer and stiffer stops
 =========================
 
 With the stiffness B of a stop the density approaches that of a rigid one, a Gaussian cut off at the
-clearance. The layer in which the stop is felt is as thin as :math:`B^{-2/5}` for Hertz's law, and so
-is the distance.
+clearance. The layer in which the stop is felt is as thin as :math:`B^{-2/5}` for Hertz's law, and
+so is the distance.
 """
 
 import matplotlib.pyplot as plt

@@ -37,8 +37,8 @@ axes.set(xlabel="H", ylabel="p(H, t)")
 axes.legend()
 
 # %%
-# With :math:`s = D(1 - e^{-ct})/(2c)`, :math:`H/s` is a :math:`\chi^2` of two degrees of freedom and
-# noncentrality :math:`H_0 e^{-ct}/s`.
+# With :math:`s = D(1 - e^{-ct})/(2c)`, :math:`H/s` is a :math:`\chi^2` of two degrees of freedom
+# and noncentrality :math:`H_0 e^{-ct}/s`.
 
 for t, values, errors in zip(times, answer.values, answer.errors, strict=True):
     s = D * (1 - np.exp(-c * t)) / (2 * c)
