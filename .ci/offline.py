@@ -29,9 +29,8 @@ class Page(HTMLParser):
 
 def problems(site: Path) -> list[str]:
     """Return in words what a reader without a network misses on the pages of ``site``."""
-    pages = {
-        path.resolve(): Page(path.read_text(encoding="utf-8")) for path in site.rglob("*.html")
-    }
+    paths = [path.resolve() for path in site.rglob("*.html") if "_static" not in path.parts]
+    pages = {path: Page(path.read_text(encoding="utf-8")) for path in paths}
     found = [] if pages else [f"{site}: no page"]
     for path, page in pages.items():
         for reference in page.loads + page.links:

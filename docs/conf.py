@@ -25,7 +25,6 @@ extensions = [
     "sphinx_gallery.gen_gallery",
 ]
 nitpicky = True
-nitpick_ignore_regex = [("py:.*", r".*")]  # annotations name types that are no part of the face
 suppress_warnings = ["config.cache"]  # the order of the gallery is a function
 
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
@@ -121,9 +120,9 @@ def docstring(app, what, name, obj, options, lines):
     if what in ("class", "function") and name.partition(".")[0] in ROOMS:
         used = Path(app.srcdir, "gallery", "backreferences", f"{name}.examples")
         shown = used.read_text(encoding="utf-8") if used.exists() else ""
-        pages = dict.fromkeys(re.findall(r"sphx_glr_gallery_\w+\.py", shown))
+        pages = dict.fromkeys(re.findall(r":doc:`(/gallery/\w+)`", shown))
         if pages:
-            links = ", ".join(f":ref:`{page}`" for page in list(pages)[:MOST_EXAMPLES])
+            links = ", ".join(f":doc:`{page}`" for page in list(pages)[:MOST_EXAMPLES])
             lines += ["", f"In the gallery: {links}", ""]
 
 
