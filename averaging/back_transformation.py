@@ -1,12 +1,12 @@
 """From a density of the energy to densities of displacements and momenta, Eqs. (23), (30)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from math import ceil, pi
 
 import numpy as np
 
-from averaging.conditional import conditionals
+from averaging.conditional import Conditional, conditionals
 from averaging.energy_density import density_of_energies
 from averaging.hidden import (
     HiddenIntegral,
@@ -93,15 +93,9 @@ def _marginal(source: StateDensity, observable: Observable) -> Callable[..., Arr
     hidden = [i for i in system.contact_masses if i not in q]
     laws = conditionals(system, [*q, *hidden])
     over_hidden = HiddenIntegral(laws[len(q) :], source.temperature, source.end)
-    order = system.n - 0.5 * (len(p) + len(laws))
-    # det K of the masses integrated out exactly is det K over det K_red, a product each.
-    log_factor = order * np.log(2.0 * pi) + 0.5 * (
-        np.sum(np.log(np.delete(system.mass, p)))
-        + np.sum(np.log([law.precision for law in laws]))
-        - np.sum(np.log(system.stiffness))
-    )
+    order, log_factor = hidden_quadratic(system, p, laws)
     # u is in the unit of T of the process.
-    log_factor -= log_linear_states(system, source.unit)
+    log_factor -= float(log_linear_states(system, source.unit))
 
     def marginal(*x: Array, part: Part = "value", points: int = rules_of(len(hidden))[1]) -> Array:
         arrays = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in x))
@@ -127,6 +121,23 @@ def _marginal(source: StateDensity, observable: Observable) -> Callable[..., Arr
         return np.asarray(np.exp(log_factor) * result).reshape(arrays[0].shape)
 
     return marginal
+
+
+def hidden_quadratic(
+    system: System, p: Sequence[int], laws: Sequence[Conditional]
+) -> tuple[float, float]:
+    """Return ν and ln of (2π)^ν/√det of the quadratic coordinates that are integrated out.
+
+    These are all but the momenta ``p`` and the displacements of the ``laws``. det K of the masses
+    is exactly det K over det K_red, a product each.
+    """
+    order = system.n - 0.5 * (len(p) + len(laws))
+    log_factor = order * np.log(2.0 * pi) + 0.5 * (
+        np.sum(np.log(np.delete(system.mass, p)))
+        + np.sum(np.log([law.precision for law in laws]))
+        - np.sum(np.log(system.stiffness))
+    )
+    return order, float(log_factor)
 
 
 def _states_error(system: System, energy: Array) -> Array:

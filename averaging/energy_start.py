@@ -6,7 +6,8 @@ import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis
 from fpk.arrays import Array
-from fpk.errors import NotApplicable
+from fpk.errors import InvalidInput, NotApplicable
+from fpk.limit import Limit
 from fpk.start import Start
 from fpk.system import System
 
@@ -22,6 +23,14 @@ class EnergyStart:
 
     energies: Array
     noise: float | None = None
+
+    def require_below(self, limit: Limit) -> None:
+        """Raise ``InvalidInput`` where an energy, or the sum of all, is at or beyond its limit."""
+        reached = {f"H{m + 1}": float(H) for m, H in enumerate(self.energies)}
+        reached["H"] = sum(reached.values())
+        if any(reached[name] >= value for name, value in limit.values.items()):
+            given = ",".join(f"{H:g}" for H in self.energies.tolist())
+            raise InvalidInput("start", given, f"must be below the limit {limit}")
 
 
 def total_energy_start(system: System, start: Start) -> EnergyStart:

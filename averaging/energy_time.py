@@ -3,16 +3,25 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import numpy as np
+from scipy.linalg import block_diag
+
 from averaging.energy_process import damping_and_noise, energy_process
 from averaging.energy_start import FROM_NOISE, EnergyStart
+from averaging.gaussian_state import state_rows
+from averaging.orbit_density import OrbitPart, orbit_transient
+from averaging.state_in_time import state_transient
 from fpk.arrays import Array
 from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient, checked_times
-from fpk.line.time.evolution import fem_passage, fem_rates, fem_transient
+from fpk.line.time.evolution import fem_passage, fem_transient
 from fpk.line.time.modulated import modulated_transient
 from fpk.line.time.propagation import Source
+from fpk.line.time.spectrum import spectrum
+from fpk.line.time.transition import transition
 from fpk.modulation import Modulation, require_constant_noise
+from fpk.observable import Observable
 from fpk.process import Process
 from fpk.square_root import SquareRoot
 from fpk.system import System
@@ -49,10 +58,33 @@ class OneEnergy:
         closed = self._closed(solver)
         return closed.transient(float(start.energies[0]), start.noise, times, at, tol=tol)
 
+    def state_transient(
+        self,
+        system: System,
+        solver: str,
+        start: EnergyStart,
+        observable: Observable,
+        times: Array,
+        at: tuple[Array, ...],
+        *,
+        tol: float,
+    ) -> Transient:
+        """Return the densities of one or two of (q, p) of ``system``, whose energy this is."""
+        require_constant_noise(self.modulation)
+        checked_times(times, positive=start.noise is None or solver == "fem")
+        if solver == "fem":
+            solved = transition(self.under(1.0), self._source(start), times, tol=tol)
+            return state_transient(system, solved, observable, times, at, tol=tol)
+        closed, rows = self._closed(solver), state_rows(observable, system.n)
+        # At temperature 1; K and M are not coupled.
+        shape = block_diag(system.compliance, np.diag(system.mass))[np.ix_(rows, rows)]
+        part = OrbitPart(closed, float(start.energies[0]), shape)
+        return orbit_transient([part], start.noise, times, at, tol=tol)
+
     def passage(
         self, solver: str, start: EnergyStart, limit: float, times: Array, *, tol: float
     ) -> Passage:
-        """Return the first passage of ``limit``; ``InvalidInput`` for a start that is not below."""
+        """Return the first passage of ``limit`` from a start below it."""
         checked_times(times)
         require_constant_noise(self.modulation)
         if solver == "fem":
@@ -65,7 +97,7 @@ class OneEnergy:
     def relaxation(self, solver: str, count: int, *, tol: float) -> Rates:
         """Return the ``count`` least rates."""
         if solver == "fem":
-            return fem_rates(self.under(1.0), count, tol=tol)
+            return spectrum(self.under(1.0), count, tol=tol)
         return self._closed(solver).rates(count, tol=tol)
 
     def _source(self, start: EnergyStart) -> Source:

@@ -7,12 +7,17 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from averaging.gaussian_state import Gaussian, state_rows
-from averaging.linear_dynamics import eigenvalue_sums, rice_rates, spectral_density
+from averaging.linear_dynamics import (
+    autocovariance,
+    eigenvalue_sums,
+    rice_rates,
+    spectral_density,
+)
 from averaging.theory import Theory, energy_only_refusal
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
 from fpk.density import Density
-from fpk.dynamics import Curve, Rates, certified_curve
+from fpk.dynamics import Curve, Rates, certified_curve, require_lags
 from fpk.errors import NotApplicable
 from fpk.linear import linear_covariance, stationary_covariance
 from fpk.method import Plan, Progress, Result
@@ -77,6 +82,18 @@ class Linear(Theory):
         density, q, v = self._state(system, row)
         values, errors = spectral_density(system, row, at)
         return certified_curve(values, errors, scale=q**3 / v, of=density, tol=tol or self.tol)
+
+    def correlation(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return the autocovariance of q by the exponential of the drift matrix."""
+        require_lags(at)
+        density, q, _ = self._state(system, row)
+        values, errors = autocovariance(system, row, at)
+        return certified_curve(
+            values, errors, scale=q**2, of=density, tol=tol or self.tol,
+            positive=q**2 - np.abs(values),
+        )  # fmt: skip
 
     def relaxation(
         self, system: System, count: int, *, tol: float | None, progress: Progress

@@ -1,14 +1,19 @@
-"""A linear system in time: spectra, crossings and relaxation rates, exact but for round-off."""
+"""A linear system in time: exact but for round-off."""
 
 import heapq
+from typing import Any
 
 import numpy as np
-from scipy.linalg import eig
+from scipy.linalg import eig, expm
 
 from fpk.arrays import Array
 from fpk.dynamics import Complex
-from fpk.linear import EPS, natural_modes
+from fpk.linear import EPS, linear_covariance, natural_modes
 from fpk.system import System
+
+EXPM = 160.0
+"""Round-off of e^(At) in units of that of t A, and of the masses: against 50 digits, of 800 lags of
+270 systems, one to three masses, up to 1e4 radians, 80 was the most."""
 
 
 def spectral_density(system: System, row: int, at: Array) -> tuple[Array, Array]:
@@ -26,6 +31,37 @@ def spectral_density(system: System, row: int, at: Array) -> tuple[Array, Array]
     values = np.einsum("wi,ij,wj->w", own, D, own.conj()).real / np.pi
     sizes = np.einsum("wi,ij,wj->w", changed + EPS * size[:, row], np.abs(D), size[:, row])
     return values, 2.0 * sizes / np.pi
+
+
+def autocovariance(system: System, row: int, at: Array) -> tuple[Array, Array]:
+    """Return (e^(At) Σ)_ii of q of mass ``row`` at the lags ``at``, and errors.
+
+    With Σ of the Lyapunov equation it solves dC/dt = A C. In (ω Q, P) of the modes, where nothing
+    grows, |e^(At)| <= 1: round-off of A changes e^(At) by no more than t times itself and
+    |e^(At/2)|. An error of Σ, relative to it as a quadratic form, is felt by q and its forecast.
+    """
+    modes, A = system.fact(linear_covariance), _modal_drift(system)
+    w = np.append(modes.shapes[row] / modes.omega, np.zeros(system.n))
+    Sigma, size = modes.covariance, float(np.linalg.norm(A, 2))
+    own = float(w @ Sigma @ w)
+    values, errors = np.empty(at.size), np.empty(at.size)
+    for k, t in enumerate(at):
+        # Of more radians than 1/EPS no digit is known, but that nothing is left.
+        half = expm(0.5 * min(t, 1.0 / (EPS * size)) * A)
+        forecast = w @ half @ half
+        values[k] = forecast @ Sigma @ w
+        rounding = EXPM * system.n * EPS * (1.0 + t * size) * float(np.linalg.norm(half, 2))
+        errors[k] = rounding * float(np.linalg.norm(w) * np.linalg.norm(Sigma @ w))
+        felt = np.sqrt(own * max(float(forecast @ Sigma @ forecast), 0.0))
+        errors[k] += modes.relative_error * felt
+    return values, errors
+
+
+def _modal_drift(system: System) -> Array:
+    """A of dx = A x dt + … with x = (ω Q, P) of the natural modes, shape (2n, 2n)."""
+    T, omega = natural_modes(system)
+    nothing = np.zeros((system.n, system.n))
+    return np.block([[nothing, np.diag(omega)], [-np.diag(omega), -T.T @ system.damping @ T]])
 
 
 def rice_rates(q: float, v: float, relative: float, at: Array) -> tuple[Array, Array]:
@@ -47,9 +83,9 @@ def eigenvalue_sums(system: System, count: int) -> tuple[Complex, Array]:
     round-off, by the condition of each eigenvalue; of one that is double it is the square root.
     """
     n = system.n
-    T, omega = natural_modes(system)
-    A = np.block([[np.zeros((n, n)), np.diag(omega)], [-np.diag(omega), -T.T @ system.damping @ T]])
-    mu, left, right = eig(-A, left=True, right=True)
+    A = _modal_drift(system)
+    decomposed: Any = eig(-A, left=True, right=True)
+    mu, left, right = decomposed
     overlap = np.abs(np.sum(left.conj() * right, axis=0))
     rounding = 2 * n * EPS
     change = rounding / np.maximum(overlap, np.sqrt(rounding))

@@ -19,7 +19,7 @@ from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.line.stationary import solve_stationary
 from fpk.method import Plan, Progress, Result
-from fpk.observable import Coordinate, Observable, observable_name
+from fpk.observable import Coordinate, Observable
 from fpk.process import Process
 from fpk.start import Start
 from fpk.system import System
@@ -73,14 +73,15 @@ class NonIntegrable(Theory):
         tol: float | None,
         progress: Progress,
     ) -> Transient:
-        """Return the densities of the energy at ``times`` at the points ``at``."""
-        one = total_energy(system)
-        if observable != (ENERGY,):
-            raise NotApplicable(
-                f"{observable_name(observable)}: in time this theory gives the total energy H only"
-            )
-        begins = total_energy_start(system, start)
-        return one.transient(self.solver, begins, times, at[0], tol=tol or self.tol)
+        """Return the densities of the energy, or of one or two of (q, p), at ``times``."""
+        one, begins = total_energy(system), total_energy_start(system, start)
+        if observable == (ENERGY,):
+            return one.transient(self.solver, begins, times, at[0], tol=tol or self.tol)
+        if reason := energy_only_refusal(system, observable):
+            raise NotApplicable(reason)
+        return one.state_transient(
+            system, self.solver, begins, observable, times, at, tol=tol or self.tol
+        )
 
     def passage(
         self,
@@ -99,6 +100,7 @@ class NonIntegrable(Theory):
                 f"{limit}: this theory knows the total energy only; give a limit H=.."
             )
         begins = total_energy_start(system, start)
+        begins.require_below(limit)
         return one.passage(self.solver, begins, limit.value, times, tol=tol or self.tol)
 
     def relaxation(

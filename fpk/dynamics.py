@@ -1,10 +1,10 @@
-"""Quantities of the stationary motion in time: level crossings, power spectra, relaxation rates.
+"""The stationary motion in time: crossings, power spectra, autocovariances, relaxation rates.
 
 A ``Method`` gives crossing rates if it has a method ``crossings``, as the protocol ``Crossings``
-says, and likewise ``spectrum`` and ``relaxation``. In all three ``tol`` is the largest error
-wanted: of curves in units of a natural size of the quantity (σ_v/(2πσ_q) of crossings, σ_q³/σ_v of
-spectra), of rates relative to each; None for the default of the method. ``progress`` as of
-``Method.solve``.
+says, and likewise ``spectrum``, ``correlation`` and ``relaxation``. In all of them ``tol`` is the
+largest error wanted: of curves in units of a natural size of the quantity (σ_v/(2πσ_q) of
+crossings, σ_q³/σ_v of spectra, σ_q² of autocovariances), of rates relative to each; None for the
+default of the method. ``progress`` as of ``Method.solve``.
 """
 
 from collections.abc import Mapping
@@ -16,6 +16,7 @@ import numpy as np
 from fpk.arrays import Array
 from fpk.certificate import Certificate, Measured, certify
 from fpk.density import SMALLEST, Density, gauss_grid
+from fpk.errors import InvalidInput
 from fpk.evolution import ErrorKind
 from fpk.method import Progress
 from fpk.system import System
@@ -75,6 +76,22 @@ class Spectrum(Protocol):
 
 
 @runtime_checkable
+class Correlation(Protocol):
+    """A method that gives autocovariances of displacements in the stationary state.
+
+    C(t) = E q(0) q(t) − (E q)², t >= 0: the variance at t = 0, and 2 ∫_0^∞ C cos ωt dt = 2π S(ω).
+    """
+
+    def correlation(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return C of q of mass ``row`` (of 0) at the lags ``at``.
+
+        Raises ``InvalidInput`` as ``require_lags``.
+        """
+
+
+@runtime_checkable
 class Relaxation(Protocol):
     """A method that gives the slowest rates at which the system forgets its past."""
 
@@ -82,6 +99,13 @@ class Relaxation(Protocol):
         self, system: System, count: int, *, tol: float | None, progress: Progress
     ) -> Rates:
         """Return the ``count`` eigenvalues of −L with the least real parts but 0 itself."""
+
+
+def require_lags(at: Array) -> None:
+    """Raise ``InvalidInput`` for lags that are negative or not finite."""
+    wrong = at[~((at >= 0.0) & (at < np.inf))]
+    if wrong.size:
+        raise InvalidInput("at", float(wrong[0]), "a lag is a time, finite and 0 or later")
 
 
 def certified_curve(
@@ -94,19 +118,20 @@ def certified_curve(
     residual: float = 0.0,
     failures: tuple[str, ...] = (),
     settings: Mapping[str, str | float | int] | None = None,
+    positive: Array | None = None,
 ) -> Curve:
     """Return a curve that rests on the stationary density ``of``, with its certificate.
 
     ``tol`` is the error wanted in units of ``scale``, a natural size of the quantity that is not
     zero where its values are. Mass and tails are those of the density; so is the residual, unless
-    that of the curve's own equation is larger. Values that are negative by more than their error
-    fail.
+    that of the curve's own equation is larger. What is ``positive``, the values themselves where it
+    is None, fails if it is negative by more than the error.
     """
     relative = float(np.max(errors)) / scale
     measured = Measured(
         l1_error=relative,
         mass_defect=of.certificate.mass_defect,
-        minimum=float(np.min(values)) / scale,
+        minimum=float(np.min(values if positive is None else positive)) / scale,
         residual=max(residual, of.certificate.residual),
         tail_mass=of.certificate.tail_mass,
         failures=failures,

@@ -26,6 +26,8 @@ from fpk.system import System
 EPS = float(np.finfo(float).eps)
 ErrorKind = Literal["numerical", "sampling"]
 
+STARTS = 101
+"""Starts at which moments are given as a curve, from rest to the limit."""
 BEYOND_RANGE = "the mean time to it is beyond the range of double precision; take a lower one"
 """Why a limit is refused that is hardly ever reached."""
 
@@ -115,7 +117,9 @@ def certified_passage(
     The certificate counts relative errors of the numbers, but for a variance beyond double
     precision, and absolute ones of the probabilities.
     """
-    sizes = [x.error / x.value for x in numbers if x.value != np.inf]
+    finite = np.array([(x.value, x.error) for x in numbers if x.value != np.inf])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sizes = finite[:, 1] / np.abs(finite[:, 0])
     worst = float(np.max(failure_error, initial=0.0))
     measured = Measured(
         l1_error=float(np.max([*sizes, worst])),

@@ -54,6 +54,13 @@ def natural_modes(system: System) -> tuple[Array, Array]:
     return np.ascontiguousarray(shapes), np.ascontiguousarray(omega[::-1])
 
 
+def modal_energies(system: System, q: Array, p: Array) -> Array:
+    """Return the energies H_m (..., n) of the natural modes in the states q, p (..., n)."""
+    shapes, omega = natural_modes(system)
+    energies: Array = 0.5 * ((p @ shapes) ** 2 + (omega * ((q * system.mass) @ shapes)) ** 2)
+    return energies
+
+
 def decay_time(system: System) -> float:
     """Return 1/rate of the slowest decay of the linear part; inf where some motion never decays."""
     eigenvalues = np.linalg.eigvals(drift_matrix(system))

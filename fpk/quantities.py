@@ -71,7 +71,7 @@ class Quantities(ABC):
         """Return E (X − E X)³ over the cube of the standard deviation, 0 of a symmetric density."""
 
         def skewness(m: Moments) -> complex:
-            return (m[3] - 3.0 * m[1] * m[2] + 2.0 * m[1] ** 3) / (m[2] - m[1] ** 2) ** 1.5
+            return complex((m[3] - 3.0 * m[1] * m[2] + 2.0 * m[1] ** 3) / (m[2] - m[1] ** 2) ** 1.5)
 
         return self._of_moments(skewness, self.mean().value)
 
@@ -80,7 +80,7 @@ class Quantities(ABC):
 
         def kurtosis(m: Moments) -> complex:
             fourth = m[4] - 4.0 * m[1] * m[3] + 6.0 * m[1] ** 2 * m[2] - 3.0 * m[1] ** 4
-            return fourth / (m[2] - m[1] ** 2) ** 2
+            return complex(fourth / (m[2] - m[1] ** 2) ** 2)
 
         return self._of_moments(kurtosis, self.mean().value)
 

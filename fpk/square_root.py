@@ -17,17 +17,16 @@ from fpk.dynamics import Complex, Rates
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import (
     BEYOND_RANGE,
-    Number,
+    STARTS,
     Passage,
     StartCurve,
     Transient,
     certified_passage,
 )
+from fpk.number import Number
 from fpk.quadrature import panel_rule
 
 EPS = float(np.finfo(float).eps)
-STARTS = 101
-"""Starts at which moments are given as a curve, from rest to the limit."""
 FARTHEST = 690.0
 """Largest c H/d of a limit: the mean time is e^690 of its unit."""
 MORE = 8
@@ -82,7 +81,7 @@ class SquareRoot:
 
     def density(self, start: float, noise: float | None, t: float, H: Array) -> tuple[Array, Array]:
         """Return the density at the time ``t`` at energies ``H`` of any shape, and its error."""
-        theta, left = self._scales(start, noise, t)
+        theta, left = self.scales(start, noise, t)
         x, y = np.maximum(H, 0.0) / theta, left / theta
         log_p, log_error = noncentral(self.n, x, y)
         # |∂ ln p/∂ ln θ| and that to ln y are below these terms.
@@ -92,28 +91,27 @@ class SquareRoot:
 
     def judged(self, start: float, noise: float | None, t: float) -> tuple[float, float, float]:
         """Return L1 error, departure of the mass from one and minus the least p, by quadrature."""
-        theta, left = self._scales(start, noise, t)
+        theta, left = self.scales(start, noise, t)
         mean, width = self.n * theta + left, sqrt(theta * (self.n * theta + 2.0 * left))
         nodes = np.linspace(max(mean - WIDTHS * width, 0.0), mean + WIDTHS * width, 161)
         H, w = (part.ravel() for part in panel_rule(nodes, 20))
         p, error = self.density(start, noise, t, H)
         return float(w @ error), abs(float(w @ p) - 1.0), -float(p.min() / p.max())
 
-    def _scales(self, start: float, noise: float | None, t: float) -> tuple[float, float]:
-        """θ_t and the mean that is left of the start."""
+    def scales(self, start: float, noise: float | None, t: float) -> tuple[float, float]:
+        """Return θ_t and the mean that is left of the start: H is half a noncentral χ² of 2n."""
         left, theta = exp(-self.c * t), self.d / self.c
         if noise is not None:
             return theta * (-expm1(-self.c * t) + noise * left), 0.0
         return -theta * expm1(-self.c * t), start * left
 
     def passage(self, limit: float, start: float, times: Array, *, tol: float) -> Passage:
-        """Return the first passage of ``limit``: E e^(−sT) = 1F1(s/c; n; x_0)/1F1(s/c; n; x_f).
+        """Return the first passage of ``limit`` from a ``start`` below it.
 
-        x = c H/d. Moments are its derivatives at s = 0, power series of positive terms. Raises
-        ``InvalidInput`` for a start at or beyond the limit, and as ``rate`` and ``failure`` do.
+        E e^(−sT) = 1F1(s/c; n; x_0)/1F1(s/c; n; x_f), x = c H/d. Moments are its derivatives at
+        s = 0, power series of positive terms. Raises ``InvalidInput`` and ``NotApplicable`` as
+        ``rate`` and ``failure`` do.
         """
-        if not start < limit:
-            raise InvalidInput("start", f"H={start:g}", f"must be below the limit {limit:g}")
         rate, xf = self.rate(limit), limit * self.c / self.d
         starts = np.linspace(0.0, limit, STARTS)
         curves = self._moments(np.append(starts, start) * self.c / self.d, xf)

@@ -132,7 +132,7 @@ def _compiled(key: KernelKey) -> Any:
                 # First half of the damping terms, which ends in the middle of the kicks.
                 if damping and kick_first:
                     for k in range(terms.target.size):
-                        term_flow(s, at.work, step, k)
+                        term_flow(s, at.work, step, k, energy_damping)
 
                 # Observation.
                 if watched:
@@ -152,7 +152,7 @@ def _compiled(key: KernelKey) -> Any:
                 if damping and kick_first:
                     add_matrix(s, n, 0, terms.springs, -1.0)
                     for k in range(terms.target.size - 1, -1, -1):
-                        term_flow(s, at.work, step, k)
+                        term_flow(s, at.work, step, k, energy_damping)
                 if damping and not kick_first:  # of Euler's kind, from before the map
                     if energy_damping:
                         whole_energy(s, H, V, step)

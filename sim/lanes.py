@@ -51,26 +51,29 @@ def copy(target: Array, source: NDArray[Any], width: int = W) -> None:
 
 
 @inlined
-def add(target: Array, source: Array, factor: float) -> None:
+def add(target: Array, source: Array, factor: float, width: int = W) -> None:
     """Add ``factor`` times one row to another; no work where the factor is 0."""
     if factor != 0.0:
-        for k in range(W):
+        for k in range(width):
             target[k] += factor * source[k]
 
 
 @inlined
-def add_matrix(s: Array, to: int, source: int, matrix: Array, factor: float) -> None:
+def add_matrix(
+    s: Array, to: int, source: int, matrix: Array, factor: float, width: int = W
+) -> None:
     """Add ``factor`` times ``matrix`` times the rows from ``source`` to the rows from ``to``."""
     for i in range(matrix.shape[0]):
         for j in range(matrix.shape[1]):
-            add(row(s, to + i), row(s, source + j), factor * matrix[i, j])
+            x = row(s, source + j, 1, width)
+            add(row(s, to + i, 1, width), x, factor * matrix[i, j], width)
 
 
 @inlined
-def multiply(target: Array, source: Array, times: int = 1) -> None:
+def multiply(target: Array, source: Array, times: int = 1, width: int = W) -> None:
     """Multiply one row by another, so many ``times``."""
     for _ in range(times):
-        for k in range(W):
+        for k in range(width):
             target[k] *= source[k]
 
 

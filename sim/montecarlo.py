@@ -179,6 +179,12 @@ class MonteCarlo(Method):
         """Return power spectral densities by Welch's method; see ``sim.motion``."""
         return self._stationary("spectrum", system, row, at, tol, progress)
 
+    def correlation(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return autocovariances from products at a distance in time; see ``sim.motion``."""
+        return self._stationary("correlation", system, row, at, tol, progress)
+
     def _stationary(self, question: str, *asked: Any) -> Curve:
         *asked_of, tol, progress = asked
         answer: Curve = getattr(import_module(f"sim.motion.{question}"), question)(

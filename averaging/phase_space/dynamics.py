@@ -1,4 +1,4 @@
-"""Crossings, spectra and relaxation rates to a tolerance, each with its error."""
+"""Crossings, spectra, autocovariances and relaxation rates to a tolerance, with their errors."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +22,14 @@ from averaging.phase_space.refinement import (
     refusal,
     steps,
 )
-from averaging.phase_space.resolvent import Generator, rates_in, times, transforms
+from averaging.phase_space.resolvent import (
+    Generator,
+    Step,
+    decays,
+    rates_in,
+    times,
+    transforms,
+)
 from fpk.arrays import Array
 from fpk.dynamics import Complex
 from fpk.method import Progress
@@ -34,8 +41,10 @@ GRID, WINDOW = 181, 11
 """Levels between the ends of the support at which the distance of crossing rates is sampled, and
 over how many of them its largest value is taken: it does not vanish where the error is not small.
 """
-COMPLEX = 16
-"""Bytes of a complex number in double precision, in which the resolvent is eliminated."""
+REAL, COMPLEX = 8, 16
+"""Bytes of a number in double precision: the resolvent is eliminated in one or the other."""
+SPACE = 1e-3
+"""Share of the tolerance at which the space that a correlation is taken from is large enough."""
 SAME = 1e-6
 """Relative distance of two rates of different correlations that are one."""
 
@@ -127,12 +136,12 @@ def spectrum(frame: Frame, row: int, at: Array, options: Options) -> Answer:
     q, p = (Coordinate("q", row),), (Coordinate("p", row),)
     w, place = np.unique(np.abs(at), return_inverse=True)
 
-    def measured(e: Expansion, progress: Progress) -> tuple[Complex, float]:
-        A = Generator.of(frame, e, odd=e.basis.mirrored)
-        c, b = _displaced(frame, e, row, A)
-        return transforms(A, c, b, w, steps(progress, "spectrum", e.degrees))
+    def measured(
+        e: Expansion, A: Generator, c: Array, b: Array, step: Step
+    ) -> tuple[Complex, float]:
+        return transforms(A, c, b, w, step)
 
-    once = _once(measured)
+    once = _of_displacement(frame, row, "spectrum", measured)
 
     def compare(ladder: Ladder, progress: Progress) -> Compared:
         (fine, residual), (coarse, _) = (once(e, progress) for e in (ladder.finest, ladder.coarser))
@@ -148,6 +157,30 @@ def spectrum(frame: Frame, row: int, at: Array, options: Options) -> Answer:
 
     # A momentum, so that all levels of the stationary state are computed.
     return _adapted(frame, [q, p], compare, options)
+
+
+def correlation(frame: Frame, row: int, at: Array, options: Options) -> Answer:
+    """Return the autocovariance C of q at the lags ``at``; its scale is σ_q².
+
+    C(t) = ∫ q' e^(Lt) q' p. Where C happens to be the same in both solutions, as of oscillations of
+    unlike frequencies, C' is not: the distance is that of C + i C'/κ, κ = 2 σ_v/σ_q.
+    """
+    q, p = (Coordinate("q", row),), (Coordinate("p", row),)
+
+    def measured(e: Expansion, A: Generator, c: Array, b: Array, step: Step) -> tuple[Array, float]:
+        size, velocity = _sizes(frame, e, row)
+        rate, tol = 2.0 * velocity / size, SPACE * options.tol
+        values, error = decays(A, c, b, at, rate, step, tol=tol)
+        return values, error + abs(float(c @ b) - size**2)
+
+    once = _of_displacement(frame, row, "correlation", measured)
+
+    def compare(ladder: Ladder, progress: Progress) -> Compared:
+        (fine, error), (coarse, _) = (once(e, progress) for e in (ladder.finest, ladder.coarser))
+        scale = np.array(_sizes(frame, ladder.finest, row)[0] ** 2)
+        return Compared(fine[0], np.hypot(*(fine - coarse)), scale, added=error)
+
+    return _adapted(frame, [q, p], compare, options, number=REAL)
 
 
 def relaxation(frame: Frame, count: int, options: Options) -> Answer:
@@ -198,9 +231,16 @@ def _unlike(rates: Complex) -> Complex:
 
 
 def _adapted(
-    frame: Frame, observables: Sequence[Observable], compare: Compare, options: Options
+    frame: Frame,
+    observables: Sequence[Observable],
+    compare: Compare,
+    options: Options,
+    *,
+    number: int = COMPLEX,
 ) -> Answer:
     """Return the first answer with a relative error of at most the tolerance, else the finest one.
+
+    ``number`` is how many bytes a number of the resolvent's elimination has.
 
     The error follows from the largest relative distance as that of densities does, which are solved
     to the tolerance before.
@@ -218,9 +258,9 @@ def _adapted(
         if max(ladder.errors.values()) > options.tol and not ladder.limit:
             continue
         e = ladder.finest
-        size, work = cost(frame, e.basis.reference, e.degrees, number=COMPLEX)
+        size, work = cost(frame, e.basis.reference, e.degrees, number=number)
         # A product of complex numbers takes four multiplications.
-        limit = refusal(size, 4.0 * work, most=options.work)
+        limit = refusal(size, (number / REAL) ** 2 * work, most=options.work)
         if answer is not None and limit:
             return replace(answer, limit=limit)
         last = compare(ladder, options.progress)
@@ -234,6 +274,21 @@ def _adapted(
         answer = replace(answer, limit=ladder.limit)
     assert answer is not None
     return answer
+
+
+def _of_displacement(
+    frame: Frame,
+    row: int,
+    what: str,
+    measured: Callable[[Expansion, Generator, Array, Array, Step], Value],
+) -> Callable[[Expansion, Progress], Value]:
+    """``measured`` of A and both vectors of ``_displaced``, once for each expansion."""
+
+    def value(e: Expansion, progress: Progress) -> Value:
+        A = Generator.of(frame, e, odd=e.basis.mirrored)
+        return measured(e, A, *_displaced(frame, e, row, A), steps(progress, what, e.degrees))
+
+    return _once(value)
 
 
 def _once(

@@ -28,7 +28,7 @@ from averaging.theory import Theory
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
 from fpk.density import Density, certified_density
-from fpk.dynamics import Curve, Rates, certified_curve
+from fpk.dynamics import Curve, Rates, certified_curve, require_lags
 from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Plan, Progress, Result
 from fpk.observable import Coordinate, Observable, observable_name
@@ -44,9 +44,9 @@ UNASKED_ACCEPTED = 1e-2
 """Largest L1 error of a judge: a tenth of that up to which a theory is called acceptable."""
 UNASKED_WORK = 6.6e11
 """Multiplications that a solution may need unasked: some 12 s on one core, with all before it."""
-CROSSINGS_TOL, SPECTRUM_TOL, RELAXATION_TOL = 1e-3, 1e-2, 5e-2
+CROSSINGS_TOL, SPECTRUM_TOL, CORRELATION_TOL, RELAXATION_TOL = 1e-3, 1e-2, 1e-2, 5e-2
 """Relative errors wanted where none is asked for. Spectra and rates converge more slowly than
-densities, and take an elimination in complex numbers for every piece of the frequencies."""
+densities, and take more eliminations, those of spectra in complex numbers."""
 GRID = {1: 721, 2: 181}
 """Points of an axis at which the distance to the coarser solution is sampled, by the axes."""
 WINDOW = {1: 41, 2: 11}
@@ -133,21 +133,23 @@ class PhaseSpace(Theory):
         self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
     ) -> Curve:
         """Return the upcrossings per unit time of q from the joint density of (q, p)."""
-        options = self._options(tol or CROSSINGS_TOL, progress)
-        with _breakdowns():
-            return _curve(
-                dynamics.crossings(self._frame(system), row, at, options), row, options.tol
-            )
+        return self._curve(dynamics.crossings, system, row, at, tol or CROSSINGS_TOL, progress)
 
     def spectrum(
         self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
     ) -> Curve:
         """Return the power spectral density of q from the resolvent of the FPK operator."""
-        options = self._options(tol or SPECTRUM_TOL, progress)
-        with _breakdowns():
-            return _curve(
-                dynamics.spectrum(self._frame(system), row, at, options), row, options.tol
-            )
+        return self._curve(dynamics.spectrum, system, row, at, tol or SPECTRUM_TOL, progress)
+
+    def correlation(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return the autocovariance of q from the exponential of the FPK operator."""
+        require_lags(at)
+        wanted = tol or CORRELATION_TOL
+        return self._curve(
+            dynamics.correlation, system, row, at, wanted, progress, signed=True
+        )  # fmt: skip
 
     def relaxation(
         self, system: System, count: int, *, tol: float | None, progress: Progress
@@ -168,6 +170,33 @@ class PhaseSpace(Theory):
         values = np.asarray(answer.last.values, dtype=complex)
         settings = _settings(answer.ladder) | {"sought up to the modulus": answer.last.end}
         return Rates(values, answer.errors, certificate, settings)
+
+    def _curve(
+        self,
+        question: Callable[[Frame, int, Array, dynamics.Options], dynamics.Answer],
+        system: System,
+        row: int,
+        at: Array,
+        tol: float,
+        progress: Progress,
+        *,
+        signed: bool = False,
+    ) -> Curve:
+        """Return the answer to a question; one that is ``signed`` is within ± its scale."""
+        with _breakdowns():
+            answer = question(self._frame(system), row, at, self._options(tol, progress))
+        values, scale = np.asarray(answer.last.values, dtype=float), float(answer.last.scale)
+        return certified_curve(
+            values,
+            answer.errors,
+            scale=scale,
+            of=_density(answer.ladder, (Coordinate("q", row),), tol),
+            tol=tol,
+            residual=answer.last.residual,
+            failures=(answer.limit,) if answer.limit else (),
+            settings=_settings(answer.ladder),
+            positive=scale - np.abs(values) if signed else None,
+        )
 
     def _options(self, tol: float, progress: Progress) -> dynamics.Options:
         return dynamics.Options(tol, progress, self.work, self.threads, self.reference)
@@ -194,21 +223,6 @@ def _breakdowns() -> Iterator[None]:
         yield
     except np.linalg.LinAlgError as error:
         raise NotCertified(f"the expansion breaks down: {error}") from None
-
-
-def _curve(answer: dynamics.Answer, row: int, tol: float) -> Curve:
-    ladder = answer.ladder
-    density = _density(ladder, (Coordinate("q", row),), tol)
-    return certified_curve(
-        np.asarray(answer.last.values, dtype=float),
-        answer.errors,
-        scale=float(answer.last.scale),
-        of=density,
-        tol=tol,
-        residual=answer.last.residual,
-        failures=(answer.limit,) if answer.limit else (),
-        settings=_settings(ladder),
-    )
 
 
 def _refusal(observable: Observable) -> str | None:

@@ -80,14 +80,13 @@ class Generator:
     def resolvent(self, shift: complex, step: Step) -> Callable[[Array], Array]:
         """Return the function b → (s − A)⁻¹ b for s = ``shift``.
 
-        At s = 0, where A is singular, b is freed of its mass before, and the answer has none.
+        Of b, which has no mass, what round-off left of it is removed: A is singular at s = 0.
         """
         factors, _ = factored(self.chain, one=self.one, shift=shift, step=step)
 
         def solve(b: Array) -> Array:
             right = self.split(b)
-            if not shift:
-                right[0] = right[0] - self.one * (self.one @ right[0])
+            right[0] = right[0] - self.one * (self.one @ right[0])
             return -np.concatenate(factors.solve(right))
 
         return solve
@@ -160,6 +159,40 @@ def _near(
             if np.all(residuals <= RESIDUAL):
                 break
     return found, residuals
+
+
+def decays(
+    A: Generator, c: Array, b: Array, at: Array, rate: float, step: Step, *, tol: float
+) -> tuple[Array, float]:
+    """Return C(t) = c·e^(At) b and its derivative over ``rate`` at the lags ``at``, (2, lags).
+
+    Beside them the error of C that is left of its calculation. One elimination in real numbers, at
+    s = ``rate``, which is to be that of a motion, serves all lags: e^(At) b is taken from the
+    Krylov space of b and (s − A)⁻¹, in which A is s − H⁻¹. The space grows until ``CHECKED`` more
+    vectors change nothing by more than ``tol`` C(0), or it has ``RITZ_VECTORS``; the error is the
+    larger one of the last two changes. Raises ``LinAlgError`` where it grows without bound.
+    """
+    values, changes = np.zeros((2, at.size)), [np.inf, np.inf]
+    for V, H, closed in _krylov(A.resolvent(rate, step), b, RITZ_VECTORS):
+        m = len(V)
+        if not (m % CHECKED == 0 or closed):
+            continue
+        theta, W = np.linalg.eig(H[:m])
+        parts = (V @ c) @ W * np.linalg.solve(W, np.eye(m)[0]) * np.linalg.norm(b)
+        exponents = rate - 1.0 / theta
+        with np.errstate(over="ignore", invalid="ignore"):
+            grown = np.exp(np.multiply.outer(at, exponents))
+            new = np.stack([(grown @ parts).real, (grown @ (parts * exponents)).real / rate])
+        if not np.all(np.isfinite(new)):
+            changes.append(np.inf)
+            continue
+        changes.append(float(np.max(np.abs(new[0] - values[0]))))
+        values = new
+        if closed or max(changes[-2:]) <= tol * abs(c @ b):
+            break
+    if not np.isfinite(changes[-1]):
+        raise np.linalg.LinAlgError("a correlation grows with its lag")
+    return values, 0.0 if closed else max(changes[-2:])
 
 
 def _krylov(

@@ -12,15 +12,13 @@ from typing import Any
 import click
 
 from cases.commands import parts
-from cases.commands.dynamics import crossings, relaxation, spectrum
+from cases.commands.dynamics import correlation, crossings, density, relaxation, spectrum
 from cases.commands.evolution import passage, transient
 from cases.commands.export import export
 from cases.commands.studies import converge, cost, regime
 from cases.commands.verify import verify
 from cases.scene.errors import BadInput, one_line
 from fpk.errors import InvalidInput, NotApplicable, NotCertified, Unavailable
-
-LIST = '"-1.5:1.5:0.1", "-1,0,0.3", a pair "A x B".'
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -101,44 +99,9 @@ def run(scene: str, out: Path | None, **settings: Any) -> None:
     parts.end(digest, text, written, problems=outcome.problems)
 
 
-@app.command()
-@parts.scene_name
-@click.option(
-    "--method",
-    required=True,
-    help="exact, linear, phase-space, nonintegrable, integrable or montecarlo.",
-)
-@click.option("--of", metavar="OBS", required=True, help="q1.., p1.., H, H1.. or a pair a,b.")
-@click.option("--at", metavar="LIST", required=True, help=LIST)
-@click.option("--solver", help="closed-form, quadrature, fem or simulation.")
-@parts.simulation_options
-@parts.as_json
-def density(scene: str, method: str, of: str, at: str, solver: str | None, **settings: Any) -> None:
-    """Give one density at the points asked for."""
-    loaded = parts.checked(scene, tol=settings["tol"])
-    observable = parts.observable_of(of, loaded)
-    from cases.comparison.routes import chosen
-    from cases.output.bar import progress_bar
-    from cases.output.records import density_record, density_text
-    from cases.scene.points import parse_points
-    from fpk.method import solved
-
-    points = parse_points(at, len(observable))
-    parts.check_cluster(settings["cluster"])
-    try:
-        plan = chosen(loaded.system, observable, method, solver, **settings, partial=True)
-    except NotApplicable as reason:
-        raise BadInput(f"{loaded.name}: {method} does not apply: {reason}") from None
-    parts.checkpoint_folder(loaded, {**settings, "observable": of})
-    with progress_bar() as progress:
-        result = solved(plan, loaded.system, [observable], progress=progress)
-    record = density_record(loaded, result, points)
-    problems = [f"{of} is not certified: {f}" for f in record["certificate"]["failures"]]
-    parts.end(record, lambda: density_text(record), problems=problems)
-
-
 for _command in (
-    transient, passage, crossings, spectrum, relaxation, converge, cost, export, verify, regime
+    density, transient, passage, crossings, spectrum, correlation, relaxation,
+    converge, cost, export, verify, regime,
 ):  # fmt: skip
     app.add_command(_command)
 

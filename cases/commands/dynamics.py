@@ -1,38 +1,66 @@
-"""The commands about motion in the stationary state: crossings, spectrum, relaxation."""
+"""The commands about the stationary state: its density and its motion."""
 
 from typing import Any
 
 import click
 
 from cases.commands import parts
-from cases.commands.questions import LIST, answer_of, problems_of, question
+from cases.commands.asking import AT, LIST, SIMULATED, TOL, Asked, asking
 from cases.scene.errors import BadInput
 
+DISPLACEMENT = (
+    click.option("--of", metavar="OBS", required=True, help="A displacement: q1, q2, ..."),
+    click.option("--at", metavar="LIST", required=True, help=f"{LIST}."),
+    TOL,
+    *SIMULATED,
+)
 
-def _of_displacement(command: Any) -> Any:
-    """Add a displacement, a list of points, and what a simulation takes."""
-    of = click.option("--of", metavar="OBS", required=True, help="A displacement: q1, q2, ...")
-    at = click.option("--at", metavar="LIST", required=True, help=LIST)
-    return of(at(parts.seed(parts.seconds(parts.threads(command)))))
+
+@asking(
+    click.option("--of", metavar="OBS", required=True, help="q1.., p1.., H, H1.. or a pair a,b."),
+    AT,
+    parts.simulation_options,
+)
+def density(asked: Asked, of: str, at: str) -> None:
+    """Give one density at the points asked for."""
+    observable = parts.observable_of(of, asked.scene)
+    from cases.output.records import columns_text, listed
+    from cases.scene.points import parse_points
+    from fpk.dynamics import Curve
+    from fpk.errors import NotApplicable
+    from fpk.method import Method, solved
+    from fpk.observable import observable_name
+
+    points, settings = parse_points(at, len(observable)), asked.settings
+    parts.check_cluster(settings["cluster"])
+
+    def work(method: Method, tol: float | None, progress: Any) -> Curve:
+        plan = method.prepare(asked.scene.system)
+        if reason := plan.refusal(observable):
+            raise NotApplicable(reason)
+        parts.checkpoint_folder(asked.scene, {**settings, "tol": tol, "observable": of})
+        result = solved(plan, asked.scene.system, [observable], progress=progress)
+        (p,) = result.densities
+        return Curve(*p.at(*points), p.certificate, result.settings, p.error_kind)
+
+    given = {"observable": observable_name(observable), "points": listed(points)}
+    own: Any = {"tol": asked.tol, "partial": True}
+    asked.reply(Method, "density", of, given, work, columns_text, key="density", **own)
 
 
-@click.command()
-@question
-@_of_displacement
-def crossings(**settings: Any) -> None:
+@asking(*DISPLACEMENT)
+def crossings(asked: Asked, of: str, at: str) -> None:
     """Give the upcrossings of levels per unit time in the stationary state.
 
     By linear, exact or phase-space, or counted in a simulation by montecarlo.
     """
     from fpk.dynamics import Crossings
 
-    _curve(Crossings, "crossings", "rate", **settings)
+    _curve(asked, Crossings, "crossings", "rate", of, at)
 
 
-@click.command()
-@question
-@_of_displacement
-def spectrum(**settings: Any) -> None:
+@asking(*DISPLACEMENT)
+def spectrum(asked: Asked, of: str, at: str) -> None:
     """Give the power spectral density at angular frequencies.
 
     It is two-sided: its integral over all frequencies, negative ones too, is the variance. By
@@ -40,60 +68,56 @@ def spectrum(**settings: Any) -> None:
     """
     from fpk.dynamics import Spectrum
 
-    _curve(Spectrum, "spectrum", "spectrum", **settings)
+    _curve(asked, Spectrum, "spectrum", "spectrum", of, at)
 
 
-@click.command()
-@question
-@click.option("--rates", type=click.IntRange(1, 100), default=5, help="How many; default 5.")
-def relaxation(scene: str, method: str, solver: str | None, rates: int, tol: float | None) -> None:
+@asking(*DISPLACEMENT)
+def correlation(asked: Asked, of: str, at: str) -> None:
+    """Give the autocovariance E q(0) q(t) − (E q)² at lags t >= 0.
+
+    It begins with the variance. By linear or phase-space, or estimated from a simulation by
+    montecarlo.
+    """
+    from fpk.dynamics import Correlation
+
+    _curve(asked, Correlation, "correlation", "correlation", of, at)
+
+
+@asking(click.option("--rates", type=click.IntRange(1, 100), default=5, help="Default 5."), TOL)
+def relaxation(asked: Asked, rates: int) -> None:
     """Give the slowest rates at which the system forgets its past.
 
     They are the real parts of eigenvalues, beside the imaginary parts, angular frequencies; of a
     conjugate pair one is listed.
     """
-    loaded = parts.checked(scene, tol=tol)
-    from cases.output.records import rates_record, rates_text
+    from cases.output.records import rates_text
     from fpk.dynamics import Relaxation
 
-    answered = answer_of(
-        (Relaxation, "relaxation rates", loaded.name, method, solver),
-        lambda asked, progress: asked.relaxation(loaded.system, rates, tol=tol, progress=progress),
+    asked.reply(
+        Relaxation,
+        "relaxation rates",
+        "relaxation",
+        {},
+        lambda method, **how: method.relaxation(asked.scene.system, rates, **how),
+        rates_text,
     )
-    record = rates_record(loaded, *answered)
-    parts.end(record, lambda: rates_text(record), problems=problems_of("relaxation", record))
 
 
-def _curve(
-    kind: Any,
-    asks: str,
-    key: str,
-    *,
-    scene: str,
-    method: str,
-    solver: str | None,
-    of: str,
-    at: str,
-    tol: float | None,
-    **simulation: Any,
-) -> None:
-    loaded = parts.checked(scene, tol=tol)
-    observable = parts.observable_of(of, loaded)
-    from cases.output.records import curve_record, curve_text
+def _curve(asked: Asked, kind: type, question: str, key: str, of: str, at: str) -> None:
+    """Ask for the ``question``, a method of the protocol ``kind``, about one displacement."""
+    observable, system = parts.observable_of(of, asked.scene), asked.scene.system
+    from cases.output.records import columns_text
     from cases.scene.points import parse_points
 
     if len(observable) != 1 or observable[0].kind != "q":
-        remedy = f"use a displacement, q1..q{loaded.system.n}"
-        raise BadInput(f'--of "{of}": {asks} is of one displacement; {remedy}')
-    (points,) = parse_points(at, 1)
-    row = observable[0].row
-    asked, answer, seconds = answer_of(
-        (kind, asks, loaded.name, method, solver),
-        lambda asked, progress: getattr(asked, asks)(
-            loaded.system, row, points, tol=tol, progress=progress
-        ),
-        **simulation,
+        raise BadInput(f'--of "{of}": use a displacement, q1..q{system.n}')
+    row, (points,) = observable[0].row, parse_points(at, 1)
+    asked.reply(
+        kind,
+        question,
+        f"{question} of {of}",
+        {"observable": str(observable[0]), "points": points},
+        lambda method, **how: getattr(method, question)(system, row, points, **how),
+        columns_text,
+        key=key,
     )
-    record = curve_record(loaded, asked, observable, points, key, answer, seconds)
-    problems = problems_of(f"{asks} of {of}", record)
-    parts.end(record, lambda: curve_text(record, key), problems=problems)

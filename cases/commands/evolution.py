@@ -4,89 +4,76 @@ from typing import Any
 
 import click
 
-from cases.commands import parts
-from cases.commands.questions import answer_of, problems_of, question
-from cases.scene.errors import BadInput
-from fpk.errors import InvalidInput
+from cases.commands.asking import AT, SIMULATED, TOL, Asked, asking, read
+from cases.commands.parts import observable_of
 
-LIST = '"-1.5:1.5:0.1", "-1,0,0.3", a pair "A x B".'
-START = "rest (the default), H=0.3, H1=0.1,H2=0.2, q1=..,p1=..,.. or noise=0.5."
-
-_start = click.option("--start", metavar="START", default="rest", help=START)
+START = click.option(
+    "--start", metavar="START", default="rest",
+    help="rest (the default), H=0.3, H1=0.1,H2=0.2, q1=..,p1=..,.. or noise=0.5.",
+)  # fmt: skip
 
 
-@click.command()
-@question
-@click.option("--of", metavar="OBS", required=True, help="H, q1.., p1.., H1.. or a pair a,b.")
-@_start
-@click.option("--times", metavar="LIST", required=True, help="Times after the start.")
-@click.option("--at", metavar="LIST", required=True, help=LIST)
-def transient(
-    scene: str,
-    method: str,
-    solver: str | None,
-    tol: float | None,
-    of: str,
-    start: str,
-    times: str,
-    at: str,
-) -> None:
+@asking(
+    click.option("--of", metavar="OBS", required=True, help="H, q1.., p1.., H1.. or a pair a,b."),
+    START,
+    click.option("--times", metavar="LIST", required=True, help="Times after the start."),
+    *(AT, TOL, *SIMULATED),
+)
+def transient(asked: Asked, of: str, start: str, times: str, at: str) -> None:
     """Give the density of an observable at times after a start."""
-    loaded = parts.checked(scene, tol=tol)
-    observable = parts.observable_of(of, loaded)
-    from cases.output.records import transient_record, transient_text
+    system, observable = asked.scene.system, observable_of(of, asked.scene)
+    from cases.output.records import columns_text, listed
     from cases.scene.points import parse_points
     from fpk.evolution import Transients
+    from fpk.observable import observable_name
     from fpk.start import parse_start
 
-    begin, points, later = (
-        _read("start", start, lambda: parse_start(start, loaded.system)),
-        parse_points(at, len(observable)),
-        _times(times),
+    begin = read("start", start, lambda: parse_start(start, system))
+    points, later = parse_points(at, len(observable)), _times(times)
+    name = observable_name(observable)
+    asked.reply(
+        Transients,
+        "densities in time",
+        f"the density of {of}",
+        {"observable": name, "start": str(begin), "points": listed(points)},
+        lambda method, **how: method.transient(system, observable, begin, later, points, **how),
+        columns_text,
+        key="density",
     )
-    answered = answer_of(
-        (Transients, "densities in time", loaded.name, method, solver),
-        lambda asked, progress: asked.transient(
-            loaded.system, observable, begin, later, points, tol=tol, progress=progress
-        ),
-    )
-    record = transient_record(loaded, observable, begin, points, *answered)
-    problems = problems_of(f"the density of {of}", record)
-    parts.end(record, lambda: transient_text(record), problems=problems)
 
 
-@click.command()
-@question
-@click.option("--limit", metavar="LIMIT", required=True, help="H=1.5, H1=0.4,H2=0.6 or q2=1.2.")
-@_start
-@click.option("--times", metavar="LIST", help="Times at which the reliability is given.")
-def passage(
-    scene: str,
-    method: str,
-    solver: str | None,
-    tol: float | None,
-    limit: str,
-    start: str,
-    times: str | None,
-) -> None:
-    """Give the first passage of a limit: moments of its time, failure rate, reliability."""
-    loaded = parts.checked(scene, tol=tol)
-    from cases.output.records import passage_record, passage_text
+@asking(
+    click.option("--limit", metavar="LIMIT", required=True, help="H=1.5, H1=0.4,H2=0.6 or q2=1.2."),
+    START,
+    click.option("--times", metavar="LIST", help="Times at which the reliability is given."),
+    *(TOL, *SIMULATED),
+)
+def passage(asked: Asked, limit: str, start: str, times: str | None) -> None:
+    """Give the first passage of a limit: moments of its time, failure rate, reliability.
+
+    Where it is so rare by the last of the times that a plain simulation sees too few, montecarlo
+    gives the reliability by multilevel splitting, and no more.
+    """
+    from cases.comparison.rare import passage_answer
+    from cases.output.records import passage_text
+    from cases.scene.questions import PassageQuestion, require_below
     from fpk.evolution import Passages
     from fpk.limit import parse_limit
     from fpk.start import parse_start
 
-    begin = _read("start", start, lambda: parse_start(start, loaded.system))
-    end = _read("limit", limit, lambda: parse_limit(limit, loaded.system.n))
-    later = _times(times)
-    answered = answer_of(
-        (Passages, "first passage", loaded.name, method, solver),
-        lambda asked, progress: asked.passage(
-            loaded.system, end, begin, later, tol=tol, progress=progress
-        ),
+    system = asked.scene.system
+    begin = read("start", start, lambda: parse_start(start, system))
+    end = read("limit", limit, lambda: parse_limit(limit, system.n))
+    read("start", start, lambda: require_below(system, end, begin))
+    question = PassageQuestion(end, begin, tuple(_times(times).tolist()))
+    asked.reply(
+        Passages,
+        "first passage",
+        "first passage",
+        {"limit": str(end), "start": str(begin)},
+        lambda method, **how: passage_answer(method, system, question, **how),
+        passage_text,
     )
-    record = passage_record(loaded, end, begin, *answered)
-    parts.end(record, lambda: passage_text(record), problems=problems_of("first passage", record))
 
 
 def _times(text: str | None) -> Any:
@@ -99,12 +86,4 @@ def _times(text: str | None) -> Any:
     if text is None:
         return np.zeros(0)
     (times,) = parse_points(text, 1, option="times")
-    return _read("times", text, lambda: checked_times(times))
-
-
-def _read(option: str, text: str, parse: Any) -> Any:
-    """Return what ``parse`` makes of ``text``; raise ``BadInput`` naming the option."""
-    try:
-        return parse()
-    except InvalidInput as error:
-        raise BadInput(f'--{option} "{text}": {error.remedy}') from None
+    return read("times", text, lambda: checked_times(times))

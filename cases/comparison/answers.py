@@ -1,27 +1,30 @@
 """The answers to the systems of a scene by several methods, and what is wrong with them."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from functools import partial as partial_of
 from math import ceil, inf, log10
 from time import perf_counter
 from typing import Any
 
 from averaging.exact import compatibility
+from cases.comparison.answering import replies_of
 from cases.comparison.compare import Comparison, compared, discrepancies
-from cases.comparison.in_time import Replies, replies_of
-from cases.comparison.refusal import INTERRUPTED, Refusal
+from cases.comparison.in_time import Replies
+from cases.comparison.refusal import INTERRUPTED, REFUSALS, Attempts, Refusal
 from cases.scene.questions import Question
 from cases.scene.scene import Scene
 from fpk.density import AnyDensity, Density
-from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.method import Method, Progress, Result, silent, solved
+from fpk.errors import NotApplicable
+from fpk.method import Method, Plan, Progress, Result, silent, solved
 from fpk.observable import Observable, observable_name, parse_observable
 from fpk.route import Route
 from fpk.system import System
 
 LOOSEST = 1e-4
-"""Largest tolerance by which a default one that is missed is replaced: simulations tell no less."""
+"""Largest tolerance that takes the place of a default one that is missed: it is still well below
+what simulations resolve."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -158,17 +161,12 @@ def answers_of(
     the next power of ten that it meets, up to ``LOOSEST``, with a note.
     """
     results: list[Result] = []
-    refused: list[Refusal] = []
     notes: list[str] = []
-    interrupted = False
-
-    def refuse(method: Method, which: Iterable[Observable], reason: str, failed: bool) -> None:
-        names = tuple(map(observable_name, which))
-        refused.append(Refusal(method.route, names, reason, failed))
-
+    attempts = Attempts(partial)
     for method in methods:
-        if interrupted:
-            refuse(method, observables, INTERRUPTED, False)
+        refuse = partial_of(attempts.refuse, method.route)
+        if attempts.interrupted:
+            refuse(map(observable_name, observables), INTERRUPTED)
             continue
         reasons: dict[Observable, str | None]
         try:
@@ -178,37 +176,51 @@ def answers_of(
         except NotApplicable as error:
             reasons = dict.fromkeys(observables, str(error))
         for reason in dict.fromkeys(filter(None, reasons.values())):
-            refuse(method, (o for o, r in reasons.items() if r == reason), reason, False)
+            refuse((observable_name(o) for o, r in reasons.items() if r == reason), reason)
         given = [observable for observable, reason in reasons.items() if not reason]
         if not given:
             continue
-        try:
-            result = solved(plan, system, given, progress=progress)
-            interrupted = result.partial
-            if relax and (relaxed := _relaxed(result)):
-                again = relaxed.solve(system, given, progress=progress)
-                if all(d.certificate.certified for d in again.densities):
-                    result = again
-                    notes.append(
-                        f"{method.route.label}: certified to {_worst_error(result):.2g}, which"
-                        " misses the default tolerance that nobody asked for"
-                    )
-            if taken is not method and _worst_error(result) > getattr(taken, "tol", inf):
-                notes.append(
-                    f"{method.route.label}: certified to {_worst_error(result):.2g}, as far as it"
-                    f" may work unasked; fpk density --method {method.name} goes further"
-                )
-            results.append(result)
-        except KeyboardInterrupt:
-            if not partial:
-                raise
-            interrupted = True
-            refuse(method, given, INTERRUPTED, True)
-        except (NotApplicable, NotCertified, InvalidInput) as error:
-            refuse(method, given, str(error), taken is method)
+        result = attempts.answer_of(
+            method.route,
+            map(observable_name, given),
+            partial_of(_solved, plan, system, given, notes, relax, progress),
+            failures=REFUSALS if taken is method else (),
+        )
+        if result is None:
+            continue
+        attempts.interrupted |= result.partial
+        if taken is not method and _worst_error(result) > getattr(taken, "tol", inf):
+            notes.append(
+                f"{method.route.label}: certified to {_worst_error(result):.2g}, as far as it"
+                f" may work unasked; fpk density --method {method.name} goes further"
+            )
+        results.append(result)
+    refused = tuple(attempts.refused)
     return Answers(
-        system, tuple(results), tuple(refused), notes=tuple(notes), interrupted=interrupted
+        system, tuple(results), refused, notes=tuple(notes), interrupted=attempts.interrupted
     )
+
+
+def _solved(
+    plan: Plan,
+    system: System,
+    observables: Sequence[Observable],
+    notes: list[str],
+    relax: bool,
+    progress: Progress,
+) -> Result:
+    """The answer of ``plan``, or with a note the certified one of a looser tolerance."""
+    result = solved(plan, system, observables, progress=progress)
+    if not (relax and (relaxed := _relaxed(result))):
+        return result
+    again = relaxed.solve(system, observables, progress=progress)
+    if not all(d.certificate.certified for d in again.densities):
+        return result
+    notes.append(
+        f"{again.method.route.label}: certified to {_worst_error(again):.2g}, which"
+        " misses the default tolerance that nobody asked for"
+    )
+    return again
 
 
 def _relaxed(result: Result) -> Method | None:

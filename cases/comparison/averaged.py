@@ -14,7 +14,7 @@ from cases.scene.expect import Theory
 from fpk.arrays import Array
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import Passage
+from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.method import Method, Plan, Progress, Result
 from fpk.modulation import require_constant_noise
@@ -115,6 +115,44 @@ class AveragedSimulation(Method):
             progress=progress,
         )
 
+    def transient(
+        self,
+        system: System,
+        observable: Observable,
+        start: Start,
+        times: Array,
+        at: tuple[Array, ...],
+        *,
+        tol: float | None,
+        progress: Progress,
+    ) -> Transient:
+        """Return the densities of energies at ``times``, in steps of ``step`` and of half it.
+
+        ``tol``, the expected L1 error wanted at every time, makes more paths. Starts as of
+        ``passage``.
+        """
+        from sim.averaged.transient import energy_transient
+        from sim.motion.steps import require_times
+
+        require_constant_noise(system.modulation)
+        require_times(times)
+        if reason := self._unknown(observable):
+            raise NotApplicable(reason)
+        form = self._form(self._process(system))
+        return energy_transient(
+            form,
+            observable,
+            self._starts(system, start),
+            times,
+            at,
+            dt=self.step * float((form.scales / form.noise).min()),
+            paths=self.paths,
+            seed=self.seed,
+            threads=self.threads or usable_cores(),
+            tol=self.tol if tol is None else tol,
+            progress=progress,
+        )
+
     def _process(self, system: System) -> Process:
         """The averaged process; raise ``NotApplicable`` where the theory does not hold."""
         from averaging.energy_process import energy_process
@@ -133,7 +171,7 @@ class AveragedSimulation(Method):
         return (line_form if self.theory == "nonintegrable" else square_root_form)(process)
 
     def _starts(self, system: System, start: Start) -> Any:
-        """What draws the energies at time 0: of other noise by its own burn-in."""
+        """What draws the energies at time 0; for ``noise=`` by a simulation under that noise."""
         from cases.comparison.averaged_passage import starts_of
         from sim.averaged.paths import burnt_in
 

@@ -6,7 +6,7 @@ from cases.scene.expect import Theory
 from fpk.arrays import Array
 from fpk.errors import NotApplicable
 from fpk.limit import Limit
-from fpk.linear import natural_modes
+from fpk.linear import modal_energies
 from fpk.start import Start
 from fpk.system import System
 from sim.averaged.passage import EnergyLimits, Starts, from_energies
@@ -48,8 +48,7 @@ def starts_of(theory: Theory, system: System, start: Start) -> Starts:
         energies = np.array([values[f"H{m + 1}"] for m in range(n)])
     else:
         q, p = start.state(n)
-        shapes, omega = natural_modes(system)
-        modes = 0.5 * ((p @ shapes) ** 2 + (omega * ((q * system.mass) @ shapes)) ** 2)
-        energies = np.array([float(system.hamiltonian(q, p))]) if line else modes
+        total = np.array([float(system.hamiltonian(q, p))])
+        energies = total if line else modal_energies(system, q, p)
     fixed = np.atleast_1d(energies.sum()) if line else energies
     return lambda paths, stream: np.tile(fixed, (paths, 1))

@@ -1,5 +1,6 @@
 """Rare failure of the full system by splitting, as an answer to a question of first passage."""
 
+from dataclasses import replace
 from math import inf, nan
 from typing import Any
 
@@ -10,12 +11,14 @@ from cases.scene.questions import PassageQuestion
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import Number, Passage
+from fpk.evolution import Passage
 from fpk.line.time.passage import first_passage
 from fpk.method import Progress
+from fpk.number import Number
 from fpk.route import Route
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
+from sim.motion.survival import LEAST_FAILURES
 from sim.splitting.run import rare_failure
 from sim.splitting.score import ScoreFunction
 from sim.splitting.settings import Splitting
@@ -25,29 +28,75 @@ SPLITTING = Route(
 )
 """The route that takes the place of the plain simulation; it gives no densities."""
 
+PILOT = 4096
+"""Paths of the simulation that shows whether passages are rare."""
+
 REPLICAS, REPETITIONS = 256, 8
-"""Of splitting where nobody asked for it: some seconds, for 20 % of a probability of 1e-9."""
+"""Replicas of a run of splitting, and independent runs: in some seconds they give a probability of
+1e-9 to 20 %."""
+
+MORE_REPLICAS = 512
+"""Of splitting where an error is wanted: fewer are too scattered to know it below 1e-10."""
+
+ERROR = 0.2
+"""Relative error of P(T <= t) that is aimed at, where a simulation is left to splitting."""
 
 MOST_ERROR = 0.5
 """Relative error of a probability above which it is not certified."""
 
 TOL, LEAST = 1e-4, 1e-12
-"""Error of the averaged reliability that is good enough for a score, and the least probability of
-failure at the start of which it has digits: it is the difference of numbers about one."""
+"""Tolerance of the averaged reliability as a score, and the least probability of failure from rest
+for which it is used: as the difference of numbers about one, it has no digits far below."""
+
+
+def passage_answer(
+    method: Any,
+    system: System,
+    question: PassageQuestion,
+    *,
+    tol: float | None,
+    progress: Progress,
+) -> Passage:
+    """Return the answer of ``method``, of a plain simulation by splitting where passages are rare.
+
+    That is so where of a pilot, until the last time of ``question``, so few of its paths pass the
+    limit that ``LEAST_FAILURES`` of all are not to be expected; not where the simulation was given
+    its wall time, which splitting does not know. ``tol`` as of ``Passages``; of
+    splitting it is the relative error wanted of P(T <= t).
+    """
+    times = np.array(question.times)
+    asked = system, question.limit, question.start, times
+    last = float(np.max(times, initial=0.0))
+    plain = not isinstance(method, MonteCarlo) or method.seconds is not None
+    if not plain and last > 0.0 and system.modulation is None:
+        pilot = replace(method, paths=PILOT, time=last, tol=None)
+        failed = 1.0 - float(pilot.passage(*asked, tol=None, progress=progress).survival[-1])
+        if failed * method.paths < LEAST_FAILURES:
+            answer = split_passage(system, question, method, progress, tol or ERROR)
+            words = f"splitting: of {PILOT} plain paths {failed * PILOT:.0f} pass by t = {last:g}"
+            return replace(answer, settings={"sampled by": words, **answer.settings})
+    return method.passage(*asked, tol=tol, progress=progress)  # type: ignore[no-any-return]
 
 
 def split_passage(
-    system: System, question: PassageQuestion, method: Any, progress: Progress
+    system: System,
+    question: PassageQuestion,
+    method: Any,
+    progress: Progress,
+    tol: float | None = None,
 ) -> Passage:
     """Return P(T <= t) at the times > 0 of ``question`` by splitting, each on its own.
 
-    ``method`` is the plain simulation, whose step, seed, threads and cluster are taken. The score
-    is ln P of the averaged energy where that has the limit and has digits. The moments and the
-    failure rate are not given.
+    ``method`` is the plain simulation, whose step, seed, threads and cluster are taken; ``tol`` as
+    of ``Splitting``. The score is that of ``averaged_score``, or least action where there is none.
+    The moments and the failure rate, that for t → ∞, are not given.
     """
     names = ("dt", "seed", "threads", "cluster")
     settings = Splitting(
-        REPLICAS, repetitions=REPETITIONS, **{name: getattr(method, name) for name in names}
+        REPLICAS if tol is None else MORE_REPLICAS,
+        repetitions=REPETITIONS,
+        tol=tol,
+        **{name: getattr(method, name) for name in names},
     )
     times = np.array(question.times)
     failure, errors = np.zeros((2, times.size))
@@ -64,9 +113,10 @@ def split_passage(
                 errors[k] = rows[-1].upper_bound
     later = times > 0.0
     words = [
-        f"P(T ≤ {t:g}) = {p:.2g} is known to {e:.2g} only"
-        for t, p, e in zip(times[later], failure[later], errors[later], strict=True)
-        if not e <= MOST_ERROR * p
+        f"P(T ≤ {t:g}) = {row.probability:.2g} is known to"
+        f" {row.error:.2g} only, and {row.upper_bound:.2g} at most (95 %)"
+        for t, row in zip(times[later], rows, strict=True)
+        if not row.error <= MOST_ERROR * row.probability
     ]
     shares = errors[later] / np.where(failure[later] > 0.0, failure[later], errors[later])
     relative = float(np.max(shares))
@@ -76,7 +126,7 @@ def split_passage(
     )  # fmt: skip
     return Passage(
         Number(nan, inf), Number(nan, inf), None, times, 1.0 - failure, errors, "sampling",
-        certify(measured, tol=inf, sampled=True), None,
+        certify(measured, tol=inf if tol is None else tol, sampled=True), None,
         {
             "replicas": settings.replicas,
             "repetitions": settings.repetitions,
@@ -91,8 +141,8 @@ def split_passage(
 def averaged_score(system: System, question: PassageQuestion) -> ScoreFunction | None:
     """Return ln P(failure | energy, time left) of the averaged energy, Eq. (24).
 
-    None where the limit is not one of H, or failure from rest by the last time is so rare that
-    its probability has no digits.
+    None where the limit is not one of H, or failure from rest by the last time is less probable
+    than ``LEAST``.
     """
     if question.limit.kind != "H":
         return None

@@ -5,11 +5,9 @@ from dataclasses import fields, replace
 from importlib import import_module
 from typing import Any
 
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.method import Method, Plan
-from fpk.observable import Observable
+from fpk.errors import InvalidInput
+from fpk.method import Method
 from fpk.route import ROUTES, Route, solvers_of
-from fpk.system import System
 
 ROUTE_MODULES = {
     "exact": ("averaging.exact",),
@@ -63,29 +61,6 @@ def all_methods(*, tol: float | None = None, **settings: Any) -> tuple[Method, .
         _made(route, settings if route.sampled else {**settings, "tol": tol})
         for route in listed_routes()
     )
-
-
-def chosen(
-    system: System, observable: Observable, name: str, solver: str | None, **settings: Any
-) -> Plan:
-    """Return the plan of method ``name`` by ``solver``, or by its first that gives ``observable``.
-
-    Raises ``InvalidInput`` for names of no route and for a setting that was given and the method
-    does not have, ``NotApplicable`` with the reason of the first where none gives the observable.
-    """
-    refusals = []
-    for route in _routes_of(name, solver):
-        method = _made(route, settings)
-        try:
-            plan = method.prepare(system)
-            if reason := plan.refusal(observable):
-                raise NotApplicable(reason)
-        except NotApplicable as refusal:
-            refusals.append(refusal)
-            continue
-        require_settings(method, name, settings)
-        return plan
-    raise refusals[0]
 
 
 def require_settings(method: Method, name: str, settings: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Points at which transient densities are compared and drawn: where each is, found by looking."""
+"""Points at which transient densities are compared and drawn, where a quick solution is large."""
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -17,19 +17,19 @@ POINTS = 129
 """Points in the window of one time."""
 
 DECADES, MANY = (-8.0, 3.0), 4401
-"""Energies that are looked at, in decades of their scale, and how many points."""
+"""Range of energies of the quick solution, in decades of the energy scale, and its points."""
 
 REACH = 12.0
-"""Displacements and momenta that are looked at, in units of their scale."""
+"""Largest displacement or momentum of the quick solution, in units of its scale."""
 
 SHOWN = 1e-3
 """Share of the largest density below which it lies outside the window of its time."""
 
 SCOUT = {"paths": LEAST_PATHS, "seconds": None, "checkpoint": None, "partial": False}
-"""Settings of a simulation that is run to see where the densities are."""
+"""Settings of a simulation by which windows are chosen."""
 
 TOL = 1e-3
-"""Error with which a solver is asked for that."""
+"""Tolerance of a solver by which windows are chosen."""
 
 
 def window_of(
@@ -45,19 +45,18 @@ def window_of(
         quick = replace(method, **{k: v for k, v in SCOUT.items() if k in known})
         asked = system, question.of, question.start, np.array(question.times), (at,)
         try:
-            answer = quick.transient(
-                *asked, tol=None if method.route.sampled else TOL, progress=silent
-            )
+            tol = None if method.route.sampled else TOL
+            answer = quick.transient(*asked, tol=tol, progress=silent)
+            grids = [_window(at, p) for p in answer.values]
         except (NotApplicable, NotCertified, InvalidInput):
-            continue
-        grids = [_window(at, p) for p in answer.values]
+            continue  # its reason is that of its answer, which is asked for later
         points = np.unique(np.concatenate(grids))
         return points, tuple(np.searchsorted(points, grid) for grid in grids)
     return at, ()
 
 
 def _wide(system: System, question: TransientQuestion) -> Array:
-    """Points over all scales of the coordinate: those of the noise, or of the start."""
+    """Points up to the largest scale of the coordinate, that of the noise or that of the start."""
     (coordinate,) = question.of
     damping, noise = np.diag(system.damping), np.diag(system.noise_matrix)
     warm = noise.sum() / damping.sum() if damping.sum() > 0.0 else noise.sum()
@@ -74,6 +73,7 @@ def _wide(system: System, question: TransientQuestion) -> Array:
 
 
 def _window(at: Array, density: Array) -> Array:
+    """``POINTS`` points over the part of ``at`` in which the density is above ``SHOWN``."""
     inside = np.flatnonzero(density > SHOWN * density.max())
     if not inside.size:
         raise NotCertified("no density is seen at any energy or displacement of the scene's scale")

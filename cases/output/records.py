@@ -1,21 +1,19 @@
 """Plain records: what JSON has of numbers, arrays and the program's own records."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
 from pydantic_core import to_jsonable_python
 
+from cases.comparison.time_distances import failure_of
 from cases.scene.scene import Scene
 from fpk.arrays import Array
 from fpk.certificate import Certificate
 from fpk.dynamics import Curve, Rates
 from fpk.evolution import Passage, Transient
-from fpk.limit import Limit
-from fpk.method import Method, Result
-from fpk.observable import Observable, observable_name
-from fpk.start import Start
+from fpk.method import Method
 
 Record = dict[str, Any]
 
@@ -41,90 +39,43 @@ def plain(record: Any) -> Record:
     return json_values
 
 
-def density_record(scene: Scene, result: Result, points: tuple[Array, ...]) -> Record:
-    """Return the record of ``fpk density`` at ``points``, one array per axis."""
-    density = result.densities[0]
-    values, errors = density.at(*points)
-    own = {
-        "observable": density.name,
-        "points": _listed(points),
-        "density": values,
-        "error": errors,
-        "error_kind": density.error_kind,
-    }
-    facts = density.certificate, result.settings, result.seconds
-    return _record(scene, result.method, own, *facts)
-
-
-def curve_record(
+def answer_record(
     scene: Scene,
     method: Method,
-    observable: Observable,
-    points: Array,
-    key: str,
-    curve: Curve,
+    given: Record,
+    answer: Curve | Rates | Transient | Passage,
     seconds: float,
+    *,
+    key: str = "",
 ) -> Record:
-    """Return the record of ``fpk crossings`` and ``fpk spectrum``; the values are under ``key``."""
-    own = {
-        "observable": observable_name(observable),
-        "points": points,
-        key: curve.values,
-        "error": curve.errors,
-        "error_kind": curve.error_kind,
-    }
-    return _record(scene, method, own, curve.certificate, curve.settings, seconds)
+    """Return the record of a command that asks one method: the question, the answer, its checks.
 
-
-def rates_record(scene: Scene, method: Method, rates: Rates, seconds: float) -> Record:
-    """Return the record of ``fpk relaxation``."""
-    own = {
-        "rates": rates.values.real,
-        "frequencies": rates.values.imag,
-        "errors": rates.errors,
-    }
-    return _record(scene, method, own, rates.certificate, rates.settings, seconds)
-
-
-def transient_record(
-    scene: Scene,
-    observable: Observable,
-    start: Start,
-    points: tuple[Array, ...],
-    method: Method,
-    answer: Transient,
-    seconds: float,
-) -> Record:
-    """Return the record of ``fpk transient``: ``density`` and ``error`` have a list per time."""
-    own = {
-        "observable": observable_name(observable),
-        "start": str(start),
-        "times": answer.times,
-        "points": _listed(points),
-        "density": answer.values,
-        "error": answer.errors,
-        "error_kind": answer.error_kind,
-    }
-    return _record(scene, method, own, answer.certificate, answer.settings, seconds)
-
-
-def passage_record(
-    scene: Scene, limit: Limit, start: Start, method: Method, answer: Passage, seconds: float
-) -> Record:
-    """Return the record of ``fpk passage``; numbers that there are not, or beyond range, are null.
-
-    ``failure`` is P(T <= t), whose relative digits 1 − survival has lost.
+    ``given`` are the words of the question, such as the observable and the points; values of a
+    curve or density are under ``key``. Numbers that there are not, or beyond range, are null.
     """
-    own = {"limit": str(limit), "start": str(start), **passage_numbers(answer)}
-    own["error_kind"] = answer.error_kind
-    if answer.starts is not None:
-        own["starts"] = vars(answer.starts)
-    return _record(scene, method, own, answer.certificate, answer.settings, seconds)
+    own: Record
+    match answer:
+        case Curve():
+            own = {key: answer.values, "error": answer.errors}
+        case Transient():
+            own = {"times": answer.times, key: answer.values, "error": answer.errors}
+        case Rates(values=rates):
+            own = {"rates": rates.real, "frequencies": rates.imag, "errors": answer.errors}
+        case Passage():
+            own = passage_numbers(answer)
+            if answer.starts is not None:
+                own["starts"] = vars(answer.starts)
+    if not isinstance(answer, Rates):
+        own["error_kind"] = answer.error_kind
+    head = {"scene": scene.name, "method": method.name, "solver": method.solver}
+    tail = answer_tail(answer.certificate, answer.settings, seconds)
+    return plain({**head, **given, **own, **tail})
 
 
 def passage_numbers(answer: Passage) -> Record:
     """Return the moments, the failure rate and the reliability with their errors."""
-    own = {
+    failure, failure_error = failure_of(answer)
+    return {
         "mean": answer.mean.value,
         "mean_error": answer.mean.error,
         "variance": answer.variance.value,
@@ -134,79 +85,58 @@ def passage_numbers(answer: Passage) -> Record:
         "times": answer.times,
         "survival": answer.survival,
         "survival_error": answer.survival_error,
+        "failure": failure,
+        "failure_error": failure_error,
     }
-    if answer.failure is not None:
-        own |= {"failure": answer.failure, "failure_error": answer.failure_error}
-    return own
 
 
-def _listed(points: tuple[Array, ...]) -> Array:
+def listed(points: tuple[Array, ...]) -> Array:
+    """Return points as numbers, those of a pair of coordinates as pairs."""
     return points[0] if len(points) == 1 else np.stack(points, axis=-1)
-
-
-def _record(
-    scene: Scene,
-    method: Method,
-    own: Record,
-    certificate: Certificate,
-    settings: Mapping[str, str | float | int],
-    seconds: float,
-) -> Record:
-    """Return what all answers say, with their ``own`` in the middle."""
-    head = {"scene": scene.name, "method": method.name, "solver": method.solver}
-    return plain({**head, **own, **answer_tail(certificate, settings, seconds)})
 
 
 def answer_tail(
     certificate: Certificate, settings: Mapping[str, str | float | int], seconds: float
 ) -> Record:
     """Return what every answer says last."""
-    own = {"certificate": _certificate(certificate), "settings": dict(settings)}
-    return {**own, "seconds": seconds}
+    own = {**vars(certificate), "certified": certificate.certified}
+    return {"certificate": own, "settings": dict(settings), "seconds": seconds}
 
 
-def _certificate(certificate: Certificate) -> Record:
-    return {**vars(certificate), "certified": certificate.certified}
-
-
-def density_text(record: Record) -> str:
-    """Return the points, the density and its error in columns."""
-    return curve_text(record, "density")
-
-
-def curve_text(record: Record, key: str) -> str:
-    """Return the points, the values under ``key`` and their error in columns."""
-    kind = "one standard error" if record["error_kind"] == "sampling" else "numerical error"
-    lines = [f"# {record['observable']}   {key}   {kind}"]
-    rows = zip(record["points"], record[key], record["error"], strict=True)
-    for point, value, error in rows:
-        at = point if isinstance(point, list) else [point]
-        lines.append(_row([*at, value], error))
+def columns_text(record: Record) -> str:
+    """Return the points, after the times if there are any, the values and errors in columns."""
+    (key,) = record.keys() & {"density", "rate", "spectrum"}
+    words = f"{record['observable']}   {key}   {_kind(record)}"
+    if "times" not in record:
+        return "\n".join([f"# {words}", *_columns([], record, record[key], record["error"])])
+    lines = [f"# time   {words}"]
+    for time, *rows in zip(record["times"], record[key], record["error"], strict=True):
+        lines += _columns([time], record, *rows)
     return "\n".join(lines)
 
 
-def transient_text(record: Record) -> str:
-    """Return the times, the points, the density and its error in columns."""
-    kind = "one standard error" if record["error_kind"] == "sampling" else "numerical error"
-    lines = [f"# time   {record['observable']}   density   {kind}"]
-    for time, density, errors in zip(
-        record["times"], record["density"], record["error"], strict=True
-    ):
-        for point, value, error in zip(record["points"], density, errors, strict=True):
-            at = point if isinstance(point, list) else [point]
-            lines.append(_row([time, *at, value], error))
-    return "\n".join(lines)
+def _columns(
+    first: list[float], record: Record, values: list[float], errors: list[float]
+) -> Iterator[str]:
+    """Yield a line for each of the points, with what comes ``first`` in it."""
+    for point, value, error in zip(record["points"], values, errors, strict=True):
+        yield _row([*first, *(point if isinstance(point, list) else [point]), value], error)
 
 
 def passage_text(record: Record) -> str:
     """Return the moments and the failure rate, and the reliability at the times in columns."""
-    kind = "one standard error" if record["error_kind"] == "sampling" else "numerical error"
-    lines = [f"# first passage of {record['limit']} from {record['start']}   {kind}"]
+    lines = [f"# first passage of {record['limit']} from {record['start']}   {_kind(record)}"]
+    if sampled := record["settings"].get("sampled by"):
+        lines.append(f"# {sampled}")
     for key in ("mean", "variance", "rate"):
         lines.append(f"{key:8}  " + _row([record[key]], record[f"{key}_error"]))
     if record["times"]:
-        lines.append(f"# time   survival   {kind}")
+        lines.append(f"# time   survival   {_kind(record)}")
         rows = zip(record["times"], record["survival"], record["survival_error"], strict=True)
+        lines += [_row([time, value], error) for time, value, error in rows]
+    if "failure" in record and record["times"]:
+        lines.append(f"# time   P(T <= t)   {_kind(record)}")
+        rows = zip(record["times"], record["failure"], record["failure_error"], strict=True)
         lines += [_row([time, value], error) for time, value, error in rows]
     return "\n".join(lines)
 
@@ -220,6 +150,11 @@ def rates_text(record: Record) -> str:
     return "\n".join(["# rate   angular frequency   numerical error", *lines])
 
 
-def _row(values: list[float | None], error: float | None) -> str:
-    words = ["nan" if x is None else f"{x:.12g}" for x in values]
-    return "  ".join([*words, "nan" if error is None else f"{error:.2g}"])
+def _kind(record: Record) -> str:
+    return "one standard error" if record["error_kind"] == "sampling" else "numerical error"
+
+
+def _row(values: Iterable[float | None], error: float | None) -> str:
+    """Numbers of a line, a dash for one that there is not or that is beyond range."""
+    words = ["-" if x is None else f"{x:.12g}" for x in values]
+    return "  ".join([*words, "-" if error is None else f"{error:.2g}"])

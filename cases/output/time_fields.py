@@ -7,10 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cases.comparison.answers import Outcome
-from cases.comparison.in_time import Replies, failure_of
+from cases.comparison.in_time import Replies
+from cases.comparison.time_distances import failure_of
 from cases.output.records import UNITS
 from fpk.arrays import Array
-from fpk.evolution import Number, Passage
+from fpk.evolution import Passage
+from fpk.number import Number
 
 Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]]
 """Dimensions, values and attributes by name, as ``xarray.Dataset`` takes them."""
@@ -27,7 +29,7 @@ NUMBERS: dict[str, tuple[str, Read]] = {
 }
 CURVES: dict[str, tuple[str, Read]] = {
     "survival": ("P(T > t)", lambda p: (p.survival, p.survival_error)),
-    "failure": ("P(T <= t)", lambda p: failure_of(p)),
+    "failure": ("P(T <= t)", failure_of),
 }
 
 

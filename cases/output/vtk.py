@@ -34,9 +34,7 @@ def write_pvd(outcome: Outcome, path: Path) -> list[Path]:
 
     The curves of ``[vary]`` are the collection's time steps, the observables its parts.
     """
-    root = ElementTree.Element("VTKFile", type="Collection", version="0.1")
-    collection = ElementTree.SubElement(root, "Collection")
-    written = []
+    entries: dict[Path, Mapping[str, str]] = {}
     for step, curve in enumerate(outcome.curves):
         for part, observable in enumerate(outcome.scene.observables):
             if not curve.densities(observable):
@@ -44,11 +42,8 @@ def write_pvd(outcome: Outcome, path: Path) -> list[Path]:
             name = observable_name(observable).replace(",", "_")
             file = path.with_name(f"{path.stem}_{name}_{step}.vtu")
             _write(outcome, curve, observable, file)
-            written.append(file)
-            entry = {"timestep": str(step), "part": str(part), "file": file.name}
-            ElementTree.SubElement(collection, "DataSet", {**entry, "name": name})
-    write_by(path, ElementTree.ElementTree(root).write)
-    return [path, *written]
+            entries[file] = {"timestep": str(step), "part": str(part), "name": name}
+    return _write_collection(path, entries)
 
 
 def write_time_pvd(outcome: Outcome, folder: Path) -> list[Path]:
@@ -56,15 +51,14 @@ def write_time_pvd(outcome: Outcome, folder: Path) -> list[Path]:
 
     One ``transient_k.pvd`` with a ``.vtu`` for each time, on the same lines between the points.
     """
-    written = []
+    written: list[Path] = []
     for k, replies in enumerate(outcome.curves[0].transients, start=1):
         if not replies.given or replies.points is None:
             continue
         points = np.column_stack([replies.points, np.zeros((replies.points.size, 2))])
         index = np.arange(replies.points.size)
         lines = [("line", np.column_stack([index[:-1], index[1:]]))]
-        root = ElementTree.Element("VTKFile", type="Collection", version="0.1")
-        collection = ElementTree.SubElement(root, "Collection")
+        entries: dict[Path, Mapping[str, str]] = {}
         for j, time in enumerate(replies.question.times):
             data: dict[str, Array] = {}
             for g in replies.given:
@@ -76,13 +70,19 @@ def write_time_pvd(outcome: Outcome, folder: Path) -> list[Path]:
             words: dict[str, str | float] = {**_origin(outcome)}
             words |= {"quantity": replies.question.name, "time": time}
             _write_mesh(meshio.Mesh(points, lines, point_data=data), words, file)
-            written.append(file)
-            entry = {"timestep": repr(time), "part": "0", "file": file.name}
-            ElementTree.SubElement(collection, "DataSet", entry)
-        path = folder / f"transient_{k}.pvd"
-        write_by(path, ElementTree.ElementTree(root).write)
-        written.append(path)
+            entries[file] = {"timestep": repr(time), "part": "0"}
+        written += _write_collection(folder / f"transient_{k}.pvd", entries)
     return written
+
+
+def _write_collection(path: Path, entries: Mapping[Path, Mapping[str, str]]) -> list[Path]:
+    """Write the collection of the files beside it, each with its ``entries``; return all paths."""
+    root = ElementTree.Element("VTKFile", type="Collection", version="0.1")
+    collection = ElementTree.SubElement(root, "Collection")
+    for file, entry in entries.items():
+        ElementTree.SubElement(collection, "DataSet", {**entry, "file": file.name})
+    write_by(path, ElementTree.ElementTree(root).write)
+    return [path, *entries]
 
 
 def field_of(densities: Mapping[str, AnyDensity]) -> tuple[meshio.Mesh, float]:

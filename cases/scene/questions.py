@@ -11,7 +11,7 @@ from cases.scene.expect import RELATIONS, Range, Theory
 from fpk.errors import InvalidInput
 from fpk.evolution import checked_times
 from fpk.limit import Limit, parse_limit
-from fpk.linear import natural_modes
+from fpk.linear import modal_energies
 from fpk.observable import Observable, observable_name, parse_observable
 from fpk.start import REST, Start, parse_start
 from fpk.system import System
@@ -67,7 +67,7 @@ def passages_of(tables: Sequence[Mapping[str, Any]], system: System) -> tuple[Pa
         with _placed(place):
             limit = parse_limit(table["limit"], system.n)
             start = _start(table, system)
-            _require_below(system, limit, start)
+            require_below(system, limit, start)
             times = _times(table)
         claims: dict[str, Any] = {
             key: _range(f"{place}.{key}", table) for key in CLAIMS if key in table
@@ -128,17 +128,18 @@ def _range(key: str, table: Mapping[str, Any]) -> Range:
     return Range(*next(iter(given.items())))
 
 
-def _require_below(system: System, limit: Limit, start: Start) -> None:
-    """Raise ``InvalidInput`` for a start that is at or beyond the limit, whatever its phases."""
-    reached = dict(start.values)
-    if start.kind == "modal" and not system.stops:
-        reached["H"] = sum(reached.values())
+def require_below(system: System, limit: Limit, start: Start) -> None:
+    """Raise ``InvalidInput`` for a start that is at or beyond the limit, whatever its phases.
+
+    Before any work: methods refuse it, too, by the states or energies that they begin with.
+    """
+    least = dict(start.values)
     if start.kind == "state":
         q, p = start.state(system.n)
-        shapes, omega = natural_modes(system)
-        energies = 0.5 * ((omega * (shapes.T @ (system.mass * q))) ** 2 + (shapes.T @ p) ** 2)
-        reached = {f"H{m + 1}": float(H) for m, H in enumerate(energies)}
-        reached |= {f"q{i + 1}": abs(float(x)) for i, x in enumerate(q)}
-        reached["H"] = float(system.hamiltonian(q, p))
-    if any(reached.get(name, 0.0) >= value for name, value in limit.values.items()):
+        least = {f"H{m + 1}": H for m, H in enumerate(modal_energies(system, q, p))}
+        least |= {f"q{i + 1}": abs(x) for i, x in enumerate(q)}
+        least["H"] = float(system.hamiltonian(q, p))
+    elif start.kind == "modal":
+        least["H"] = sum(least.values())  # and what is stored in contacts
+    if any(least.get(name, 0.0) >= value for name, value in limit.values.items()):
         raise InvalidInput("start", str(start), f"must lie below the limit {limit}")

@@ -4,8 +4,9 @@ Solvers answer to falling tolerances and are held against the best of them; a si
 once and its error falls with the root of the time.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,10 @@ from cases.scene.questions import PassageQuestion
 from cases.studies.levels import Level, timed_first, timing
 from cases.studies.prices import NotTimed, Priced
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.evolution import Number, Passage, Passages
+from fpk.evolution import Passage, Passages
 from fpk.method import Progress, silent
+from fpk.number import Number
+from fpk.route import Route
 from fpk.system import System
 
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
@@ -44,16 +47,22 @@ def passage_routes(
     results: list[Priced | NotTimed] = []
     best: dict[str, Number] = {}
     for route in listed_routes():
-        method, equation = route.make(), equation_name(question, route.method, route.solves)
+        method: Any = route.make()
         if not isinstance(method, Passages) or (route.sampled and not simulate):
             continue
+        equation = equation_name(question, route.method, route.solves)
         try:
             if route.sampled:
-                results.append(_sampled(method, system, question, equation, best, seed, progress))
-            else:
-                results.append(_solved(method, system, question, equation, best, progress))
+                few = {"paths": PATHS, "seed": seed, "threads": 1}
+                method = replace(method, **few)  # type: ignore[type-var]
+            ask = partial(_rate, method, system, question, progress)
+            measured = _sampled(ask) if route.sampled else _solved(ask)
         except (NotApplicable, NotCertified, InvalidInput) as reason:
             results.append(NotTimed(route.label, equation, reason=str(reason)))
+            continue
+        known = [best[equation]] if equation in best else []
+        best[equation] = min([*known, *(rate for _, rate in measured)], key=_relative)
+        results.append(_priced(route, equation, measured, best[equation]))
     return results
 
 
@@ -63,74 +72,41 @@ def equation_name(question: PassageQuestion, method: str, solves: str) -> str:
     return f"first passage of {question.name}, {whose}"
 
 
-def _passage(
-    method: Any, system: System, question: PassageQuestion, tol: float | None, progress: Progress
-) -> Passage:
-    """First passage without the reliability: the failure rate is what is paid for."""
+def _rate(
+    method: Any, system: System, question: PassageQuestion, progress: Progress, tol: float | None
+) -> Number:
+    """The failure rate alone: the reliability is not asked for, so that it costs nothing."""
     asked = system, question.limit, question.start, np.zeros(0)
     answer: Passage = method.passage(*asked, tol=tol, progress=progress)
-    return answer
-
-
-def _rate(answer: Passage) -> Number:
+    if method.route.sampled and not answer.certificate.certified:
+        raise NotCertified("; ".join(answer.certificate.failures))
     if answer.rate is None or not answer.rate.value > 0.0:
         raise NotApplicable("the route gives no failure rate")
     return answer.rate
 
 
-def _solved(
-    method: Any,
-    system: System,
-    question: PassageQuestion,
-    equation: str,
-    best: dict[str, Number],
-    progress: Progress,
-) -> Priced | NotTimed:
-    """A solver at every tolerance; its finest answer is the reference where it is the first."""
-    points, rates = [], []
+def _solved(rate_at: Callable[[float], Number]) -> list[tuple[Level, Number]]:
+    """The rate at every tolerance and its price."""
+    rows = []
     for tol in TOLERANCES:
-
-        def work(tol: float = tol) -> Passage:
-            return _passage(method, system, question, tol, progress)
-
-        answer, first = timed_first(work)
-        rates.append(_rate(answer))
-        stated = rates[-1].error / rates[-1].value
+        work = partial(rate_at, tol)
+        rate, first = timed_first(work)
+        stated = _relative(rate)
         words = f"tol = {tol:.0e}"
-        points.append(Level(words, stated, stated, promised=tol, **timing(work, first)))
-    reference = min([*rates, *([best[equation]] if equation in best else [])], key=_relative)
-    best[equation] = reference
-    return _priced(method, equation, points, rates, reference)
+        rows.append((Level(words, stated, stated, promised=tol, **timing(work, first)), rate))
+    return rows
 
 
-def _sampled(
-    method: Any,
-    system: System,
-    question: PassageQuestion,
-    equation: str,
-    best: dict[str, Number],
-    seed: int,
-    progress: Progress,
-) -> Priced | NotTimed:
-    """A simulation of ``PATHS``, and what others would cost: error² falls with the time."""
-    few = replace(method, paths=PATHS, seed=seed, threads=1)
-    answer, seconds = timed_first(lambda: _passage(few, system, question, None, progress))
-    if not answer.certificate.certified:
-        raise NotCertified("; ".join(answer.certificate.failures))
-    rate = _rate(answer)
+def _sampled(rate_at: Callable[[None], Number]) -> list[tuple[Level, Number]]:
+    """The rate by ``PATHS``, and the price of other errors: error² falls with the time."""
+    rate, seconds = timed_first(partial(rate_at, None))
     error = _relative(rate)
-    level = Level(f"{PATHS} paths", error, error, seconds)
-    result = _priced(method, equation, [level], [rate], best.get(equation, rate))
-    if isinstance(result, NotTimed):
-        return result
-    law = [
-        Level(
-            f"{PATHS * (error / e) ** 2:.2g} paths", e, e, seconds * (error / e) ** 2,
-            modelled=True, repeats=0,
-        )
-        for e in ERRORS
-    ]  # fmt: skip
-    return replace(result, points=(*result.points, *law))
+    levels = [Level(f"{PATHS} paths", error, error, seconds)]
+    for e in ERRORS:
+        more = (error / e) ** 2
+        words = f"{PATHS * more:.2g} paths"
+        levels.append(Level(words, e, e, seconds * more, modelled=True, repeats=0))
+    return [(level, rate) for level in levels]
 
 
 def _relative(rate: Number) -> float:
@@ -138,18 +114,21 @@ def _relative(rate: Number) -> float:
 
 
 def _priced(
-    method: Any, equation: str, points: Sequence[Level], rates: Sequence[Number], best: Number
+    route: Route, equation: str, measured: Sequence[tuple[Level, Number]], best: Number
 ) -> Priced | NotTimed:
     """The route, unless an answer is off by more than it, or four times it, and the best allow."""
-    names, measured = (method.route.label, equation), []
-    for level, rate in zip(points, rates, strict=True):
-        sure = 4.0 if method.route.sampled else 1.0
+    names, points = (route.label, equation), []
+    for level, rate in measured:
+        sure = 4.0 if route.sampled else 1.0
         allowed = sure * rate.error + best.error
         distance, allowed = (x / best.value for x in (abs(rate.value - best.value), allowed))
         if not distance <= allowed:
             words = "differs from the best answer by more than both state"
             return NotTimed(*names, level.settings, distance, allowed, words)
-        error = level.error if method.route.sampled else max(distance, best.error / best.value)
-        measured.append(replace(level, error=error, distance=distance, estimate=allowed))
-    kind = "sampling" if method.route.sampled else "numerical"
-    return Priced(*names, f"{kind}: relative error of the failure rate", tuple(measured))
+        if not route.sampled:
+            level = replace(level, error=max(distance, best.error / best.value))
+        if not level.modelled:
+            level = replace(level, distance=distance, estimate=allowed)
+        points.append(level)
+    kind = "sampling" if route.sampled else "numerical"
+    return Priced(*names, f"{kind}: relative error of the failure rate", tuple(points))

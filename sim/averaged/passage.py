@@ -8,7 +8,6 @@ from math import ceil, inf
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.errors import InvalidInput
 from fpk.evolution import Passage
 from fpk.method import Progress, silent
 from sim.averaged.paths import BATCHES, batch_stream
@@ -109,8 +108,6 @@ def energy_passage(
             rows.append(row)
             progress(done, BATCHES, "first passage, averaged")
     fine, coarse = (np.concatenate(times) for times in zip(*rows, strict=True))
-    if np.all(fine == 0.0):
-        raise InvalidInput("start", "energies", "all of them lie beyond the limit")
     sampled = Times(fine, coarse, np.full(fine.size, horizon))
     return passage_of(
         sampled,

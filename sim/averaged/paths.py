@@ -63,7 +63,7 @@ def simulate_energies(
         return burnt_in(form, paths, stream, interval=interval, steps=steps, time=burn_in)
 
     pilot = form.energies(begun(PILOT_PATHS, batch_stream(seed, BATCHES)))
-    reached = np.array([(0.0, _column(pilot, c).max()) for o in observables for c in o])
+    reached = np.array([(0.0, column(pilot, c).max()) for o in observables for c in o])
     histograms = covering(observables, reached, mirror=False, bins=BINS)
     counts = [np.zeros((BATCHES, h.size + 1), dtype=np.int64) for h in histograms]
     lost = np.zeros(BATCHES, dtype=bool)
@@ -75,7 +75,7 @@ def simulate_energies(
             X = advanced(X, stream)
             H = form.energies(X)
             for total, histogram in zip(counts, histograms, strict=True):
-                columns = [_column(H, c) for c in histogram.observable]
+                columns = [column(H, c) for c in histogram.observable]
                 inside = np.histogramdd(columns, bins=histogram.edges)[0]
                 total[batch, :-1] += inside.ravel().astype(np.int64)
         lost[batch] = not np.isfinite(X).all()
@@ -119,6 +119,6 @@ def batch_stream(seed: int, batch: int) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(key=np.array([seed, batch], dtype=np.uint64)))
 
 
-def _column(H: Array, coordinate: Coordinate) -> Array:
-    """One energy of the columns of H, or their sum."""
+def column(H: Array, coordinate: Coordinate) -> Array:
+    """Return one energy of the columns of H (paths, d), or their sum."""
     return np.asarray(H.sum(axis=1) if coordinate.index is None else H[:, coordinate.index])

@@ -6,7 +6,7 @@ from fpk.compiling import ROOT, checksum, inlined
 
 READERS = (
     "sim/arrays.py",
-    *(f"sim/motion/{name}.py" for name in ("between", "counting", "passing")),
+    *(f"sim/motion/{name}.py" for name in ("between", "counting", "passing", "sums")),
 )
 """Files that readers of traces are compiled from."""
 

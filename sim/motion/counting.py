@@ -1,4 +1,4 @@
-"""Readers of a trace in the stationary state: upcrossings of levels, windowed Fourier sums."""
+"""Reader of a trace that counts the upcrossings of levels, between the steps too."""
 
 from functools import cache
 from typing import Any
@@ -16,28 +16,15 @@ def count_rise(counts: Integers, levels: Array, low: float, high: float) -> None
     """Count the levels in (low, high]: +1 at the first of them, −1 behind the last."""
     if high <= levels[0] or low >= levels[-1] or not low < high:
         return
-    first, last = 0, levels.size
-    while first < last:
-        middle = (first + last) // 2
-        if levels[middle] > low:
-            last = middle
-        else:
-            first = middle + 1
-    begin, last = first, levels.size
-    while first < last:
-        middle = (first + last) // 2
-        if levels[middle] > high:
-            last = middle
-        else:
-            first = middle + 1
-    if first > begin:
+    begin, end = np.searchsorted(levels, low, "right"), np.searchsorted(levels, high, "right")
+    if end > begin:
         counts[begin] += 1
-        counts[first] -= 1
+        counts[end] -= 1
 
 
 @cache
-def compiled_counting() -> tuple[Any, Any, Any]:
-    """Return the readers of upcrossings, of Fourier sums and of lagged products."""
+def compiled_counting() -> Any:
+    """Return the compiled ``count_upcrossings``."""
     sources = readers_checksum()
 
     @cached_njit()
@@ -45,7 +32,7 @@ def compiled_counting() -> tuple[Any, Any, Any]:
         trace: Array, samples: int, done: int, counts: Integers, dt: float, row: int, momentum: int,
         inverse_mass: float, levels: Array,
     ) -> int:  # fmt: skip
-        """See the function of this name outside."""
+        """Do what ``count_upcrossings`` of this module says; return the checksum of its sources."""
         for b in range(trace.shape[0]):
             own = counts[b]
             for k in range(samples):
@@ -67,47 +54,7 @@ def compiled_counting() -> tuple[Any, Any, Any]:
                         count_rise(own, levels, before, q1[w])
         return sources
 
-    @cached_njit()
-    def add_fourier(
-        trace: Array, samples: int, done: int, sums: Array, row: int, omega: Array, length: int,
-    ) -> int:  # fmt: skip
-        """See the function of this name outside."""
-        turn = 2.0 * np.pi / length
-        for k in range(1, samples + 1):
-            t = done + k - 1
-            if t >= length:
-                break
-            whole, part = 0.5 - 0.5 * np.cos(turn * t), 0.5 - 0.5 * np.cos(2.0 * turn * t)
-            half = 2 if 2 * t < length else 4
-            for f in range(omega.size):
-                c, s = np.cos(omega[f] * t), np.sin(omega[f] * t)
-                wc, ws, pc, ps = whole * c, whole * s, part * c, part * s
-                for b in range(trace.shape[0]):
-                    q = trace[b, k, row]
-                    re, im = sums[b, 6 * f], sums[b, 6 * f + 1]
-                    half_re, half_im = sums[b, 6 * f + half], sums[b, 6 * f + half + 1]
-                    for w in range(W):
-                        re[w] += wc * q[w]
-                        im[w] += ws * q[w]
-                        half_re[w] += pc * q[w]
-                        half_im[w] += ps * q[w]
-        return sources
-
-    @cached_njit()
-    def add_lagged(
-        trace: Array, samples: int, done: int, begin: Array, sums: Array, row: int
-    ) -> int:
-        """See the function of this name outside."""
-        for b in range(trace.shape[0]):
-            first = begin[b, 0]
-            for k in range(1, samples + 1):
-                q, total = trace[b, k, row], 0.0
-                for w in range(W):
-                    total += first[w] * q[w]
-                sums[b, done + k] += total
-        return sources
-
-    return count_upcrossings, add_fourier, add_lagged
+    return count_upcrossings
 
 
 def count_upcrossings(*arrays: Any, **numbers: Any) -> None:
@@ -116,18 +63,4 @@ def count_upcrossings(*arrays: Any, **numbers: Any) -> None:
     Levels ascend. Between samples q is the cubic through q and v at both ends: each of its rising
     parts is counted, so that a level passed up and down within a step is not lost.
     """
-    compiled_counting()[0](*arrays, **numbers)
-
-
-def add_fourier(*arrays: Any, **numbers: Any) -> None:
-    """Add w q cos and w q sin to ``sums`` (blocks, 6 · frequencies, LANES).
-
-    ``omega`` (frequencies,) is in radians per sample. Of each frequency the rows are those of a
-    Hann window over ``length`` samples, of one over its first half, and of one over its second.
-    """
-    compiled_counting()[1](*arrays, **numbers)
-
-
-def add_lagged(*arrays: Any, **numbers: Any) -> None:
-    """Add Σ q(0) q(t) over the lanes to ``sums`` (blocks, 1 + samples), ``begin`` being q(0)."""
-    compiled_counting()[2](*arrays, **numbers)
+    compiled_counting()(*arrays, **numbers)

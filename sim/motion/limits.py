@@ -6,7 +6,7 @@ import numpy as np
 
 from fpk.arrays import Array, Flags
 from fpk.limit import Limit
-from fpk.linear import natural_modes
+from fpk.linear import modal_energies
 from fpk.observable import Coordinate
 from fpk.start import Start
 from fpk.system import System
@@ -42,10 +42,9 @@ def beyond(system: System, limit: Limit, q: Array, p: Array) -> Flags:
         return np.asarray(np.abs(q[:, limit.observable(system.n)[0].row]) >= limit.value)
     if limit.kind == "H":
         return np.asarray(system.hamiltonian(q, p) >= AT_LIMIT * limit.value)
-    shapes, omega = natural_modes(system)
-    modal = 0.5 * ((p @ shapes) ** 2 + (omega * (q @ (system.mass[:, None] * shapes))) ** 2)
     rows = [c.row for c in energies_of(limit, system.n)]
-    return np.asarray(np.any(modal[:, rows] >= AT_LIMIT * energies_at(system, limit), axis=1))
+    modal = modal_energies(system, q, p)[:, rows]
+    return np.asarray(np.any(modal >= AT_LIMIT * energies_at(system, limit), axis=1))
 
 
 def largest_energy(system: System, start: Start) -> float:

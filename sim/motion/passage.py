@@ -37,6 +37,11 @@ AT_ONCE = 32768
 CHUNK = 256
 """Steps, of the coarser simulation, after which trajectories that have failed make room."""
 
+HOPELESS = 8.0
+"""A simulation ends in which nothing has failed in one over this of its time, where no time was
+asked for: in the rest some 8 · 3 failures at most (95 %) are to be expected, too few to go on from.
+"""
+
 PROGRESS = 1000
 """Steps of the bar of progress."""
 
@@ -62,10 +67,12 @@ def passage(
     energy = energy_reached(system, limit, start)
     dt = motion_step(method, system, energy=energy, error=wanted)
     steps = method.most_steps / 3.0  # two of the finer simulation to one of the coarser
-    horizon = method.time or max(steps * dt, float(np.max(times, initial=0.0)))
+    last = float(np.max(times, initial=0.0))
+    horizon = method.time or max(steps * dt, last)
+    hopeless = method.time or max(steps * dt / HOPELESS, last)
     sampled, lost, number, done = Times(*np.zeros((3, 0))), 0, 0, False
     with working(method, system, wanted, start) as (workers, watch, origin):
-        rounds = Rounds(method, system, limit, origin, dt, horizon, workers)
+        rounds = Rounds(method, system, limit, origin, dt, horizon, hopeless, workers)
         while not done:
             more, lost = rounds.run(number, watch.ends, progress)
             sampled, number = sampled.joined(more), number + 1
@@ -97,13 +104,15 @@ class Rounds:
     origin: Origin
     dt: float
     horizon: float
+    hopeless: float
     workers: Workers
 
     def run(self, number: int, ends: Callable[[], bool], progress: Progress) -> tuple[Times, int]:
         """Return the times of up to ``AT_ONCE`` trajectories, and how many of them were lost.
 
         They are followed until both simulations of each have failed, and end at the ``horizon``,
-        and after a chunk when ``ends()``; times so cut short are marked by ``until``.
+        at ``hopeless`` if none has failed by then, and after a chunk when ``ends()``; times so cut
+        short are marked by ``until``.
         """
         paths = -(-min(self.method.paths, AT_ONCE) // LANES) * LANES
         q, p = self.origin.drawn(paths, number)
@@ -144,7 +153,8 @@ class Rounds:
             alive = int(np.count_nonzero(running))
             done = max(1.0 - alive / paths, pair[1].samples / steps)
             progress(int(PROGRESS * done), PROGRESS, "first passage")
-            if not alive or lost or pair[1].samples >= steps or ends():
+            over = steps if np.isfinite(failed).any() else ceil(self.hopeless / self.dt)
+            if not alive or lost or pair[1].samples >= over or ends():
                 break
             if 2 * alive <= pair[1].last.shape[0] * LANES and pair[1].last.shape[0] > 1:
                 kept = np.flatnonzero(running)

@@ -45,7 +45,7 @@ def compiled_passing() -> tuple[Any, Any]:
         trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, row: int,
         momentum: int, inverse_mass: float, limit: float,
     ) -> int:  # fmt: skip
-        """See the function of this name outside."""
+        """Do what ``pass_displacement`` of this module says; return the checksum of its sources."""
         for b in range(trace.shape[0]):
             own = time[b, 0]
             for k in range(samples):
@@ -74,7 +74,7 @@ def compiled_passing() -> tuple[Any, Any]:
         trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, first: int,
         rows: Integers, limits: Array, diffusion: Diffusion,
     ) -> int:  # fmt: skip
-        """See the function of this name outside."""
+        """Do what ``pass_energies`` of this module says; return the checksum of its sources."""
         variance, rise, before, after = np.empty(W), np.empty(W), np.empty(W), np.empty(W)
         for b in range(trace.shape[0]):
             own = time[b, 0]

@@ -79,14 +79,14 @@ def lost_words(lost: int, dt: float) -> list[str]:
 
 def sampled_curve(
     values: Array, errors: Array, scale: float, tol: float | None, failures: list[str],
-    settings: dict[str, str | float | int],
+    settings: dict[str, str | float | int], positive: Array | None = None,
 ) -> Curve:  # fmt: skip
-    """Return a curve with one standard error each; ``scale`` as of ``certified_curve``."""
+    """Return a curve with one standard error each; the rest as of ``certified_curve``."""
     relative = float(np.max(errors)) / scale
     measured = Measured(
         l1_error=relative,
         mass_defect=0.0,
-        minimum=float(np.min(values)) / scale,
+        minimum=float(np.min(values if positive is None else positive)) / scale,
         residual=0.0,
         tail_mass=0.0,
         failures=tuple(failures),

@@ -5,10 +5,13 @@ from dataclasses import dataclass
 from math import inf, nan
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from fpk.arrays import Array, Flags, Integers
 from fpk.certificate import Measured, certify
-from fpk.evolution import Number, Passage
+from fpk.errors import InvalidInput
+from fpk.evolution import Passage
+from fpk.number import Number
 
 GROUPS = 64
 """Groups of trajectories that are left out, one at a time, for errors (jackknife)."""
@@ -26,9 +29,6 @@ LEAST_FAILURES = 100
 
 CONSISTENT = 3.0
 """Standard errors within which two failure rates agree (Lepski's rule)."""
-
-UPPER_BOUND = 3.0
-"""Expected failures that leave none with a probability of 5 %: 95 % bound of a rate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,77 +130,109 @@ def passage_of(
 
     Errors are those of leaving out groups, the difference between both steps added in quadrature:
     it is at least the error at half the step where that falls with the step. ``step`` is the longer
-    one: where trajectories fail within few of them nothing is certified. ``memory`` is the time
-    after which a trajectory has forgotten its start.
+    one: where trajectories fail within few of them errors are inf and nothing is certified.
+    ``memory`` is the time after which a trajectory has forgotten its start.
+
+    Raises ``InvalidInput`` where all times are 0.
     """
-    fine, until, paths = sampled.fine, sampled.until, sampled.fine.size
-    events, words = sampled.failed, list(failures)
+    fine, until = sampled.fine, sampled.until
+    if np.all(fine == 0.0):
+        words = "all trajectories lie beyond the limit, or pass it at once: too soon to be seen"
+        raise InvalidInput("start", "at the limit", words)
     begin = tail_begin(fine, until, memory)
     best = estimates(fine, until, times, begin)
-    error = _jackknife(fine, until, times, begin)
-    survival = best[3:]
-    at_least = np.maximum(
-        np.sqrt(np.maximum(survival * (1.0 - survival), 0.0) / paths), 1.0 / paths
-    )
-    error[3:] = np.maximum(error[3:], at_least)
-    bias = np.zeros(best.size)
-    if sampled.coarse is not None:
-        with np.errstate(invalid="ignore"):
-            bias = np.abs(estimates(sampled.coarse, until, times, begin) - best)
-    error = np.where(np.isfinite(bias), np.hypot(error, bias), inf)
+    error, bias = _errors(sampled, times, begin, best)
     exposure = float(np.sum(np.minimum(fine, until)))
-    moving = fine[fine > 0.0]
-    if moving.size and (typical := float(np.median(moving))) < FEWEST_STEPS * step:
-        words.append(
-            f"half of the trajectories fail within {typical / step:.2g} steps of dt = {step:.2g},"
-            f" too few to see how; use dt = {typical / (2.0 * FEWEST_STEPS):.2g}"
-        )
-    late = int(np.count_nonzero((fine <= until) & (fine > begin)))
-    unfailed = int(np.count_nonzero(fine > until))
-    if unfailed and late < LEAST_FAILURES:
-        words.append(
-            f"{unfailed} of {paths} trajectories had not failed by t = {np.max(until):.4g}, and"
-            f" {late} failures in the tail are too few to go on from: the mean rate until then is"
-            f" {_bound(events) / exposure:.2g} at most (95 %); simulate for longer, or split"
-        )
+    if too_soon := _too_soon(fine, step):
+        error[:] = inf
     measured = Measured(
         l1_error=float(error[0] / best[0]) if best[0] < inf else inf,
         mass_defect=0.0,
-        minimum=float(np.min(survival, initial=0.0)),
+        minimum=float(np.min(best[3:], initial=0.0)),
         residual=nan,
-        tail_mass=unfailed / paths,
-        failures=tuple(words),
+        tail_mass=1.0 - sampled.failed / fine.size,
+        failures=(*failures, *too_soon, *_too_few(sampled, begin, exposure)),
     )
-    if not events:  # nothing to state but bounds: all lived through their time
-        best[:3], error[:3] = (exposure / paths, inf, 0.0), (inf, inf, UPPER_BOUND / exposure)
-    error[error != error] = inf
-    settings |= {
-        "trajectories": paths,
-        "not failed": unfailed,
-        "followed until": float(np.max(np.minimum(fine, until))),
-        "failure rate from": begin,
-    }
-    if unfailed and events:
-        settings["continued"] = "the moments, at the failure rate, where trajectories end first"
-    if sampled.coarse is not None and events:
-        settings["step bias of the mean"] = float(bias[0])
-        settings["step bias of the rate"] = float(bias[2])
+    if not sampled.failed:  # nothing to state but bounds: all lived through their time
+        best[:3], error[:3] = (exposure / fine.size, inf, 0.0), (inf, inf, _bound(0) / exposure)
     return Passage(
         mean=Number(float(best[0]), float(error[0])),
         variance=Number(float(best[1]), float(error[1])),
         rate=Number(float(best[2]), float(error[2])) if best[2] == best[2] else None,
         times=times,
-        survival=survival,
+        survival=best[3:],
         survival_error=error[3:],
         error_kind="sampling",
         certificate=certify(measured, tol=tol, sampled=True),
-        settings=settings,
+        settings=settings | _seen(sampled, begin, bias),
     )
+
+
+def _seen(sampled: Times, begin: float, bias: Array) -> dict[str, str | float | int]:
+    """What was simulated: how many failed, until when, and the ``bias`` of the step."""
+    paths, events = sampled.fine.size, sampled.failed
+    seen: dict[str, str | float | int] = {
+        "trajectories": paths,
+        "not failed": paths - events,
+        "followed until": float(np.max(np.minimum(sampled.fine, sampled.until))),
+        "failure rate from": begin,
+    }
+    if 0 < events < paths:
+        seen["continued"] = "the moments, at the failure rate, where trajectories end first"
+    if sampled.coarse is not None and events:
+        seen |= {"step bias of the mean": float(bias[0]), "step bias of the rate": float(bias[2])}
+    return seen
+
+
+def _too_soon(fine: Array, step: float) -> list[str]:
+    """Words where half of the trajectories that did not fail at once fail within few steps."""
+    typical = float(np.median(fine[fine > 0.0]))
+    if typical >= FEWEST_STEPS * step:
+        return []
+    return [
+        f"half of the trajectories fail within {typical / step:.2g} steps of dt = {step:.2g},"
+        f" too few to see how; use dt = {typical / (2.0 * FEWEST_STEPS):.2g}"
+    ]
+
+
+def _too_few(sampled: Times, begin: float, exposure: float) -> list[str]:
+    """Words where some have not failed, and few have after ``begin``; ``exposure`` is that of all.
+
+    It is the sum of the times for which trajectories were followed, in which the failures came.
+    """
+    paths, unfailed = sampled.fine.size, sampled.fine.size - sampled.failed
+    late = int(np.count_nonzero((sampled.fine <= sampled.until) & (sampled.fine > begin)))
+    if not unfailed or late >= LEAST_FAILURES:
+        return []
+    end = f"by t = {np.max(sampled.until):.4g}"
+    few = (
+        f"{unfailed} of {paths} trajectories had not failed {end}, and {late} failures in the tail"
+        " are too few to go on from"
+        if sampled.failed
+        else f"none of {paths} trajectories passed the limit {end}"
+    )
+    most = _bound(sampled.failed) / exposure
+    words = f"the mean failure rate until then is {most:.2g} at most (95 %)"
+    return [f"{few}: {words}; simulate for longer, or split"]
 
 
 def _bound(events: int) -> float:
     """Upper bound, at 95 %, of the expected number of which ``events`` came (Poisson)."""
-    return UPPER_BOUND if events == 0 else events + 2.0 + 1.65 * float(np.sqrt(events))
+    return float(gammaincinv(events + 1.0, 0.95))
+
+
+def _errors(sampled: Times, times: Array, begin: float, best: Array) -> tuple[Array, Array]:
+    """Errors of the ``estimates`` ``best``, inf where there is none, and the part by the step."""
+    error = _jackknife(sampled.fine, sampled.until, times, begin)
+    survival, paths = best[3:], sampled.fine.size
+    at_least = np.sqrt(np.maximum(survival * (1.0 - survival), 0.0) / paths)
+    error[3:] = np.maximum(error[3:], np.maximum(at_least, 1.0 / paths))
+    bias = np.zeros(best.size)
+    if sampled.coarse is not None:
+        with np.errstate(invalid="ignore"):
+            bias = np.abs(estimates(sampled.coarse, sampled.until, times, begin) - best)
+    error = np.hypot(error, bias)
+    return np.where(np.isnan(error), inf, error), bias
 
 
 def _jackknife(time: Array, until: Array, times: Array, begin: float) -> Array:

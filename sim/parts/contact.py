@@ -75,16 +75,18 @@ def kick_by_contact(s: Array, g0: int, step: StepArrays, n: int, width: int = W)
 
 
 @inlined
-def add_contact(s: Array, q0: int, to: int, step: StepArrays, law_part: Any, forces: bool) -> None:
+def add_contact(
+    s: Array, q0: int, to: int, step: StepArrays, law_part: Any, forces: bool, width: int = W
+) -> None:
     """Add g at the displacements from row ``q0`` to the rows of its masses from ``to``.
 
     If not ``forces`` it is U, by the laws' energy as ``law_part``, and all goes to row ``to``.
     """
     for stop in range(step.stop_slot.size):
         i = step.slot_mass[step.stop_slot[stop]]
-        q, f = row(s, q0 + i), row(s, to + i if forces else to)
+        q, f = row(s, q0 + i, 1, width), row(s, to + i if forces else to, 1, width)
         sign, clearance, B, e, law, _ = numbers_of(step, stop)
-        for k in range(W):
+        for k in range(width):
             d, o = overlap_of(q[k], sign, clearance)
             size = d * B if forces else B
             f[k] += size * of_law(law_part, law, o, e)

@@ -16,32 +16,34 @@ from sim.lanes import add, add_matrix, add_product, copy, fill, multiply, row
 
 
 @inlined
-def term_rate(rate: Array, s: Array, first: int, terms: TermArrays, k: int, own: int) -> None:
+def term_rate(
+    rate: Array, s: Array, first: int, terms: TermArrays, k: int, own: int, width: int = W
+) -> None:
     """Write κ p^own of term k, without its H, at the state from row ``first`` on."""
-    fill(rate, terms.scale[k])
+    fill(rate, terms.scale[k], width)
     for f in range(terms.first[k], terms.first[k + 1] - terms.power[k] + own):
-        multiply(rate, row(s, first + terms.factor[f]))
+        multiply(rate, row(s, first + terms.factor[f], 1, width), 1, width)
 
 
 @inlined
-def flow(p: Array, rate: Array, N: int, t: float) -> None:
+def flow(p: Array, rate: Array, N: int, t: float, width: int = W) -> None:
     """Replace p by the solution of ``p' = −rate p^N`` after ``t``; NaN after a blow-up."""
     if N == 0:
-        for k in range(W):
+        for k in range(width):
             p[k] -= t * rate[k]
     elif N == 1:
-        for k in range(W):
+        for k in range(width):
             p[k] *= np.exp(-t * rate[k])
     elif N == 2:
-        for k in range(W):
+        for k in range(width):
             base = 1.0 + t * rate[k] * p[k]
             p[k] = p[k] / base if base > 0.0 else np.nan
     elif N == 3:
-        for k in range(W):
+        for k in range(width):
             base = 1.0 + 2.0 * t * rate[k] * p[k] * p[k]
             p[k] = p[k] / np.sqrt(base) if base > 0.0 else np.nan
     else:
-        for k in range(W):
+        for k in range(width):
             power = 1.0
             for _ in range(N - 1):
                 power *= p[k]
@@ -50,75 +52,103 @@ def flow(p: Array, rate: Array, N: int, t: float) -> None:
 
 
 @inlined
-def spring_energy(s: Array, V: Array, step: StepArrays) -> None:
+def spring_energy(s: Array, V: Array, step: StepArrays, width: int = W) -> None:
     """Write ½ qᵀ K q of the state; contact is added elsewhere."""
-    fill(V, 0.0)
+    fill(V, 0.0, width)
     K = step.stiffness_matrix
     for i in range(K.shape[0]):
         for j in range(K.shape[0]):
-            add_product(V, row(s, i), row(s, j), 0.5 * K[i, j])
+            add_product(V, row(s, i, 1, width), row(s, j, 1, width), 0.5 * K[i, j], width)
 
 
 @inlined
-def whole_energy(s: Array, H: Array, V: Array, step: StepArrays) -> None:
+def whole_energy(s: Array, H: Array, V: Array, step: StepArrays, width: int = W) -> None:
     """Write H = V + Σ p²/(2m) of the state."""
-    copy(H, V)
+    copy(H, V, width)
     n = step.half_inverse_mass.size
     for i in range(n):
-        add_product(H, row(s, n + i), row(s, n + i), step.half_inverse_mass[i])
+        add_product(
+            H, row(s, n + i, 1, width), row(s, n + i, 1, width), step.half_inverse_mass[i], width
+        )
 
 
 @inlined
-def term_flow(s: Array, work: int, step: StepArrays, k: int) -> None:
+def term_flow(
+    s: Array, work: int, step: StepArrays, k: int, with_energy: bool, width: int = W
+) -> None:
     """Advance the state by term k alone over half a step; with H^e, half-way from a predictor.
 
-    Scratch rows from ``work``: rate, potential energy (given), H, half-way p, rate with H.
+    ``with_energy``, a constant: whether any term has H^e. The first of the scratch rows from
+    ``work`` is its rate; the others are those of ``times_energy``.
     """
-    rate, V, H = row(s, work), row(s, work + 1), row(s, work + 2)
-    middle, with_energy = row(s, work + 3), row(s, work + 4)
-    terms, t = step.terms, 0.5 * step.dt
-    p = row(s, terms.target[k])
-    term_rate(rate, s, 0, terms, k, 0)
-    if terms.energy[k] > 0:
-        whole_energy(s, H, V, step)
-        a = step.half_inverse_mass[terms.target[k] - step.half_inverse_mass.size]
-        copy(with_energy, rate)
-        copy(middle, p)
-        multiply(with_energy, H, terms.energy[k])
-        flow(middle, with_energy, terms.power[k], 0.5 * t)
-        add_product(H, middle, middle, a)
-        add_product(H, p, p, -a)
-        multiply(rate, H, terms.energy[k])
-    flow(p, rate, terms.power[k], t)
+    rate, p = row(s, work, 1, width), row(s, step.terms.target[k], 1, width)
+    term_rate(rate, s, 0, step.terms, k, 0, width)
+    if with_energy and step.terms.energy[k] > 0:
+        times_energy(rate, p, s, work, step, k, width)
+    flow(p, rate, step.terms.power[k], 0.5 * step.dt, width)
 
 
 @inlined
-def damping_forces(s: Array, first: int, H: Array, to: int, work: int, step: StepArrays) -> None:
+def times_energy(
+    rate: Array, p: Array, s: Array, work: int, step: StepArrays, k: int, width: int = W
+) -> None:
+    """Multiply the ``rate`` of term k by H^e at p a quarter of a step on, by a predictor.
+
+    Scratch rows from ``work`` + 1: potential energy (given), H, half-way p, rate with H.
+    """
+    V, H, terms = row(s, work + 1, 1, width), row(s, work + 2, 1, width), step.terms
+    middle, predicted = row(s, work + 3, 1, width), row(s, work + 4, 1, width)
+    whole_energy(s, H, V, step, width)
+    a = step.half_inverse_mass[terms.target[k] - step.half_inverse_mass.size]
+    copy(predicted, rate, width)
+    copy(middle, p, width)
+    multiply(predicted, H, terms.energy[k], width)
+    flow(middle, predicted, terms.power[k], 0.25 * step.dt, width)
+    add_product(H, middle, middle, a, width)
+    add_product(H, p, p, -a, width)
+    multiply(rate, H, terms.energy[k], width)
+
+
+@inlined
+def damping_forces(
+    s: Array, first: int, H: Array, to: int, work: int, step: StepArrays, width: int = W
+) -> None:
     """Write Σ_j c̃_ij v_j of the terms at the state from row ``first``, whose energy is ``H``."""
-    n, rate, terms = step.half_inverse_mass.size, row(s, work), step.terms
-    fill(row(s, to, n), 0.0, n * W)
+    n, rate, terms = step.half_inverse_mass.size, row(s, work, 1, width), step.terms
+    fill(row(s, to, n, width), 0.0, n * width)
     for k in range(terms.target.size):
-        term_rate(rate, s, first, terms, k, terms.power[k])
-        multiply(rate, H, terms.energy[k])
-        add(row(s, to + terms.target[k] - n), rate, 1.0)
+        term_rate(rate, s, first, terms, k, terms.power[k], width)
+        multiply(rate, H, terms.energy[k], width)
+        add(row(s, to + terms.target[k] - n, 1, width), rate, 1.0, width)
 
 
 @inlined
 def change_of_term(
-    change: Array, one: Array, s: Array, state: int, rates: int, terms: TermArrays, k: int
+    change: Array,
+    one: Array,
+    s: Array,
+    state: int,
+    rates: int,
+    terms: TermArrays,
+    k: int,
+    width: int = W,
 ) -> None:
     """Write the rate of change of term k's force, without its H, as (q, p) change by ``rates``."""
     first, last = terms.first[k], terms.first[k + 1]
-    fill(change, 0.0)
+    fill(change, 0.0, width)
     for moving in range(first, last):
-        fill(one, terms.scale[k])
+        fill(one, terms.scale[k], width)
         for f in range(first, last):
-            multiply(one, row(s, (rates if f == moving else state) + terms.factor[f]))
-        add(change, one, 1.0)
+            multiply(
+                one, row(s, (rates if f == moving else state) + terms.factor[f], 1, width), 1, width
+            )
+        add(change, one, 1.0, width)
 
 
 @inlined
-def processed_by_terms(s: Array, H: Array, at: Rows, shift: float, step: StepArrays) -> None:
+def processed_by_terms(
+    s: Array, H: Array, at: Rows, shift: float, step: StepArrays, width: int = W
+) -> None:
     """Change the observed (q*, p*) by the processor of the terms; ``H`` is that of the state.
 
     ``q_i* = q_i − (h²/12) D_i/m_i``, ``p_i* = p_i + (h²/12) dD_i/dt`` along the flow of the springs
@@ -126,21 +156,26 @@ def processed_by_terms(s: Array, H: Array, at: Rows, shift: float, step: StepArr
     """
     terms = step.terms
     n, work = step.half_inverse_mass.size, at.work
-    fill(row(s, at.change, 3 * n), 0.0, 3 * n * W)
+    fill(row(s, at.change, 3 * n, width), 0.0, 3 * n * width)
     # (M⁻¹ p, −K q), the flow of the springs alone.
     for i in range(n):
-        add(row(s, at.change + i), row(s, at.p + i), 2.0 * step.half_inverse_mass[i])
-    add_matrix(s, at.change + n, at.q, step.stiffness_matrix, -1.0)
+        add(
+            row(s, at.change + i, 1, width),
+            row(s, at.p + i, 1, width),
+            2.0 * step.half_inverse_mass[i],
+            width,
+        )
+    add_matrix(s, at.change + n, at.q, step.stiffness_matrix, -1.0, width)
     for slot in range(step.slot_mass.size):
-        force = row(s, at.change + n + step.slot_mass[slot])
-        add(force, row(s, at.contact + 2 * slot), 1.0)
-    damping_forces(s, at.q, H, at.damping, work, step)
-    change, one = row(s, work), row(s, work + 3)
+        force = row(s, at.change + n + step.slot_mass[slot], 1, width)
+        add(force, row(s, at.contact + 2 * slot, 1, width), 1.0, width)
+    damping_forces(s, at.q, H, at.damping, work, step, width)
+    change, one = row(s, work, 1, width), row(s, work + 3, 1, width)
     for k in range(terms.target.size):
-        change_of_term(change, one, s, at.q, at.change, terms, k)
-        multiply(change, H, terms.energy[k])
-        add(row(s, at.change + n + terms.target[k]), change, 1.0)
+        change_of_term(change, one, s, at.q, at.change, terms, k, width)
+        multiply(change, H, terms.energy[k], width)
+        add(row(s, at.change + n + terms.target[k], 1, width), change, 1.0, width)
     for i in range(n):
         a = 2.0 * shift * step.half_inverse_mass[i]
-        add(row(s, at.q + i), row(s, at.damping + i), -a)
-        add(row(s, at.p + i), row(s, at.change + 2 * n + i), shift)
+        add(row(s, at.q + i, 1, width), row(s, at.damping + i, 1, width), -a, width)
+        add(row(s, at.p + i, 1, width), row(s, at.change + 2 * n + i, 1, width), shift, width)

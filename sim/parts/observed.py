@@ -18,62 +18,82 @@ FOLDED = 16
 
 
 @inlined
-def observed_state(s: Array, step: StepArrays, watch: WatchArrays, momenta: bool) -> None:
+def observed_state(
+    s: Array, step: StepArrays, watch: WatchArrays, momenta: bool, width: int = W
+) -> None:
     """Write q*, and p* in the middle of the kicks if ``momenta``, corrected by the processor."""
     q0, p0, g0 = watch.at.q, watch.at.p, watch.at.contact
     n, slots = step.matrix.shape[0] // 2, step.slot_mass.size
     for i in range(n):
-        copy(row(s, q0 + i), row(s, i))
+        copy(row(s, q0 + i, 1, width), row(s, i, 1, width), width)
     for slot in range(slots):
-        add(row(s, q0 + step.slot_mass[slot]), row(s, g0 + 2 * slot), -step.slot_shift[slot])
+        add(
+            row(s, q0 + step.slot_mass[slot], 1, width),
+            row(s, g0 + 2 * slot, 1, width),
+            -step.slot_shift[slot],
+            width,
+        )
     if momenta:
         for i in range(n):
-            copy(row(s, p0 + i), row(s, n + i))
-        add_matrix(s, p0, 0, watch.half_springs, -1.0)
+            copy(row(s, p0 + i, 1, width), row(s, n + i, 1, width), width)
+        add_matrix(s, p0, 0, watch.half_springs, -1.0, width)
         for slot in range(slots):
             shift = step.slot_shift[slot]
-            p, g = row(s, p0 + step.slot_mass[slot]), row(s, g0 + 2 * slot, 2)
-            kick(p, g, watch.half_kick, shift)
-            for k in range(W):
-                p[k] *= 1.0 + shift * g[W + k]
+            p, g = row(s, p0 + step.slot_mass[slot], 1, width), row(s, g0 + 2 * slot, 2, width)
+            kick(p, g, watch.half_kick, shift, width)
+            for k in range(width):
+                p[k] *= 1.0 + shift * g[width + k]
         for i in range(n):
             for slot in range(slots):
-                add(row(s, p0 + i), row(s, g0 + 2 * slot), watch.cross[i, slot])
+                add(
+                    row(s, p0 + i, 1, width),
+                    row(s, g0 + 2 * slot, 1, width),
+                    watch.cross[i, slot],
+                    width,
+                )
 
 
 @inlined
-def observed_energy(s: Array, step: StepArrays, watch: WatchArrays) -> None:
+def observed_energy(s: Array, step: StepArrays, watch: WatchArrays, width: int = W) -> None:
     """Write kinetic energy and that of the springs of (q*, p*); contact is added elsewhere."""
-    H = row(s, watch.at.energy)
-    fill(H, 0.0)
+    H = row(s, watch.at.energy, 1, width)
+    fill(H, 0.0, width)
     n = step.half_inverse_mass.size
     for i in range(n):
-        p = row(s, watch.at.p + i)
-        add_product(H, p, p, step.half_inverse_mass[i])
+        p = row(s, watch.at.p + i, 1, width)
+        add_product(H, p, p, step.half_inverse_mass[i], width)
         for j in range(n):
             K = step.stiffness_matrix[i, j]
-            add_product(H, row(s, watch.at.q + i), row(s, watch.at.q + j), 0.5 * K)
+            add_product(
+                H,
+                row(s, watch.at.q + i, 1, width),
+                row(s, watch.at.q + j, 1, width),
+                0.5 * K,
+                width,
+            )
 
 
 @inlined
-def observed_modes(s: Array, mode_q: Array, mode_p: Array, watch: WatchArrays) -> None:
+def observed_modes(
+    s: Array, mode_q: Array, mode_p: Array, watch: WatchArrays, width: int = W
+) -> None:
     """Write the modal energies ½ (P_m² + ω_m² Q_m²) of (q*, p*)."""
-    u = row(s, watch.at.work)
+    u = row(s, watch.at.work, 1, width)
     for m in range(mode_q.shape[0]):
-        H = row(s, watch.at.modal + m)
-        fill(H, 0.0)
+        H = row(s, watch.at.modal + m, 1, width)
+        fill(H, 0.0, width)
         for first, shape in ((watch.at.q, mode_q), (watch.at.p, mode_p)):
-            fill(u, 0.0)
+            fill(u, 0.0, width)
             for r in range(shape.shape[1]):
-                add(u, row(s, first + r), shape[m, r])
-            add_product(H, u, u, 0.5)
+                add(u, row(s, first + r, 1, width), shape[m, r], width)
+            add_product(H, u, u, 0.5, width)
 
 
 @njit(inline="always")
 def observe(
     s: Array, V: Array, H: Array, step: StepArrays, watch: WatchArrays, contact: bool,
     damping: bool, energy_damping: bool, momenta: bool, energy: bool, modes: bool, moments: bool,
-    force: Any, potential: Any,
+    force: Any, potential: Any, width: int = W,
 ) -> None:  # fmt: skip
     """Write the observed state and all that is asked for of it to the rows of ``watch.at``.
 
@@ -81,25 +101,25 @@ def observe(
     before types are inferred, so that nothing is compiled for a flag that is a constant False.
     """
     at = watch.at
-    observed_state(s, step, watch, momenta)
+    observed_state(s, step, watch, momenta, width)
     if damping and watch.term_shift != 0.0:
         if energy_damping:
-            whole_energy(s, H, V, step)
-        processed_by_terms(s, H, at, watch.term_shift, step)
+            whole_energy(s, H, V, step, width)
+        processed_by_terms(s, H, at, watch.term_shift, step, width)
     if energy:
-        observed_energy(s, step, watch)
+        observed_energy(s, step, watch, width)
         if contact:
-            add_contact(s, at.q, at.energy, step, potential, False)
+            add_contact(s, at.q, at.energy, step, potential, False, width)
     if modes:
-        observed_modes(s, watch.mode_q, watch.mode_p, watch)
+        observed_modes(s, watch.mode_q, watch.mode_p, watch, width)
     if moments:
         n = step.half_inverse_mass.size
-        fill(row(s, at.force, n), 0.0, n * W)
-        add_matrix(s, at.force, at.q, step.stiffness_matrix, 1.0)
+        fill(row(s, at.force, n, width), 0.0, n * width)
+        add_matrix(s, at.force, at.q, step.stiffness_matrix, 1.0, width)
         if contact:
-            add_contact(s, at.q, at.force, step, force, True)
+            add_contact(s, at.q, at.force, step, force, True, width)
         if damping:
-            damping_forces(s, at.q, row(s, at.energy), at.damping, at.work, step)
+            damping_forces(s, at.q, row(s, at.energy, 1, width), at.damping, at.work, step, width)
 
 
 @inlined

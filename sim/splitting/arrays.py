@@ -35,20 +35,17 @@ class Score(NamedTuple):
     steps: int
 
 
-class Watched(NamedTuple):
+class LimitArrays(NamedTuple):
     """What the limit is on; c counts the energies that have one, 1 for a displacement.
 
-    Of a displacement the score is on E_i/E_f, see ``full.watched``, and has all modes.
+    Of a displacement the score is on E_i/E_f, see ``full.limit_arrays``, from all modal energies.
     """
 
-    limit: Array  # (c,)
+    values: Array  # (c,)
     diffusion: Any  # passing.Diffusion of the energies; None for a displacement
-    mode_q: Array  # (c, n) or, of a displacement, (n, n), rows of Q_m ω_m; none for the energy
-    mode_p: Array  # the same of P_m
     reach: Array  # (n,), √(H_m/E_f) times these add up to √(E_i/E_f) without contact
     energy: float  # E_f
     mass: int  # of the displacement, from 0
-    damping: Array  # (n, slots), c_ik of the masses k that touch something
 
 
 def new_paths(states: Array, steps: int) -> Paths:

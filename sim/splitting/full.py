@@ -7,20 +7,20 @@ from typing import Any
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.effects import effects_of
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.limit import Limit
 from fpk.linear import natural_modes
+from fpk.observable import Coordinate
 from fpk.start import Start
 from fpk.system import System
 from sim.motion.limits import beyond, energies_at, energies_of, energy_reached
 from sim.motion.passing import diffusion_of
 from sim.motion.starts import Origin
-from sim.plan import step_arrays
+from sim.plan import step_arrays, watched
 from sim.random import mixed_seed
 from sim.schemes.exact_flow import EXACT_FLOW
-from sim.splitting.arrays import Score, Watched, new_paths
-from sim.splitting.kernel import PathKey, compiled_paths
+from sim.splitting.arrays import LimitArrays, Score, new_paths
+from sim.splitting.kernel import compiled_paths
 from sim.splitting.replicas import CompiledReplicas
 from sim.splitting.score import SHARES, ScoreFunction, cost_score, score_table
 from sim.step_size import chosen_step, temperature
@@ -51,27 +51,20 @@ class SystemProblem:
         self, count: int, steps: int, seed: int, stream: np.random.Generator
     ) -> CompiledReplicas:
         """Return ``count`` paths of ``steps`` steps from their starts, drawn from ``stream``."""
-        dt, effects = self.time / steps, effects_of(self.system)
+        n, dt = self.system.n, self.time / steps
         step = step_arrays(self.system, EXACT_FLOW, dt)
-        kind: Any = self.limit.kind
-        key = PathKey(
-            kind=kind,
-            laws=effects.laws,
-            damping=effects.state_damping,
-            energy_damping=effects.energy_damping,
-            masses=self.system.n,
-            pairs=step.pairs,
-        )
+        energies = energies_of(self.limit, n) or [Coordinate("H", m) for m in range(n)]
+        key, watch = watched(self.system, EXACT_FLOW, step, (), (), energies)
         origin = Origin(self.system, self.start, int(stream.integers(2**63)))
         return CompiledReplicas(
-            compiled_paths(key),
-            (step, watched(self.system, self.limit), self.score._replace(steps=steps)),
+            compiled_paths(key, self.limit.kind),
+            (step, watch, limit_arrays(self.system, self.limit), self.score._replace(steps=steps)),
             new_paths(np.hstack(origin.drawn(count, 0)), steps),
             mixed_seed(seed),
         )
 
 
-def watched(system: System, limit: Limit) -> Watched:
+def limit_arrays(system: System, limit: Limit) -> LimitArrays:
     """Return the numbers of what ``limit`` is on.
 
     Of |q_i| these are, for the score, of E_i = ½ k A² + U_i(q_i), A = Σ_m |T_im| √(2 H_m)/ω_m the
@@ -80,21 +73,12 @@ def watched(system: System, limit: Limit) -> Watched:
     the next peak of a path that has set out for it is no longer open.
     """
     n, at = system.n, energies_at(system, limit)
-    values = np.array([limit.value]) if limit.kind == "q" else at
-    mode_q, reach, energy, mass = np.zeros((0, n)), np.zeros(n), 1.0, 0
-    mode_p, diffusion = mode_q, None
-    if limit.kind != "H":
-        shapes, omega = natural_modes(system)
-        chosen = [c.row for c in energies_of(limit, n)] or list(range(n))
-        T = np.ascontiguousarray(shapes.T[chosen])
-        mode_q, mode_p = omega[chosen, None] * T * system.mass, T
-    if limit.kind == "q":
-        mass, energy = limit.observable(n)[0].row, float(np.min(at))
-        reach = np.abs(shapes[mass]) / omega / np.sqrt(energy * system.compliance[mass, mass])
-    else:
-        diffusion = diffusion_of(system, limit)
-    damping = np.ascontiguousarray(system.damping[:, list(system.contact_masses)])
-    return Watched(values, diffusion, mode_q, mode_p, reach, energy, mass, damping)
+    if limit.kind != "q":
+        return LimitArrays(at, diffusion_of(system, limit), np.zeros(n), 1.0, 0)
+    mass, energy = limit.observable(n)[0].row, float(np.min(at))
+    shapes, omega = natural_modes(system)
+    reach = np.abs(shapes[mass]) / omega / np.sqrt(energy * system.compliance[mass, mass])
+    return LimitArrays(np.array([limit.value]), None, reach, energy, mass)
 
 
 def system_problem(

@@ -1,7 +1,8 @@
-"""Crossings, spectra and relaxation rates where they are exact."""
+"""Crossings, spectra, autocovariances and relaxation rates where they are exact."""
 
 from itertools import combinations_with_replacement
 
+import mpmath
 import numpy as np
 import pytest
 from scipy.linalg import eigvals, expm
@@ -9,8 +10,9 @@ from scipy.linalg import eigvals, expm
 import fpk
 from averaging.exact import Exact
 from averaging.gaussian import Linear
-from fpk.errors import NotApplicable
-from fpk.linear import drift_matrix, stationary_covariance
+from averaging.phase_space.method import PhaseSpace
+from fpk.errors import InvalidInput, NotApplicable
+from fpk.linear import diffusion_matrix, drift_matrix, stationary_covariance
 from fpk.method import silent
 from fpk.observable import parse_observable
 
@@ -59,6 +61,42 @@ def test_the_spectrum_of_a_linear_system_adds_up_to_the_variance(system):
         S = ask(Linear(), "spectrum", system, row, np.tan(theta)).values
         total = np.sum(S / np.cos(theta) ** 2) * np.pi / 4000.0
         assert total == pytest.approx(stationary_covariance(system)[row, row], rel=1e-12)
+
+
+CRITICAL = fpk.System([1.0], [1.0], [2.0], [0.01])
+"""Both eigenvalues of the drift are −1, with one eigenvector."""
+LIGHT = fpk.System([1, 2], [1, 1.5], [1e-6, 2e-6], [0.01, 0.02])
+
+
+@pytest.mark.parametrize("system", [UNEQUAL, TURNED, CRITICAL, LIGHT])
+def test_the_autocovariance_of_a_linear_system_is_its_exponential(system):
+    # 40 digits; of Σ, the matrix of the Lyapunov equation A Σ + Σ Aᵀ = −b.
+    lags, n = np.array([0.0, 0.3, 1.0, 7.0, 40.0, 1000.0]), 2 * system.n
+    with mpmath.workdps(40):
+        A = mpmath.matrix(drift_matrix(system).tolist())
+        one = mpmath.eye(n)
+        both = [A[i, k] * one[j, m] + one[i, k] * A[j, m] for i, j, k, m in np.ndindex(n, n, n, n)]
+        b = mpmath.matrix([-x for x in diffusion_matrix(system).ravel().tolist()])
+        Sigma = mpmath.lu_solve(mpmath.matrix(np.reshape(both, (n * n, n * n)).tolist()), b)
+        for row in range(system.n):
+            column = mpmath.matrix([Sigma[n * k + row] for k in range(n)])
+            expected = [(mpmath.expm(A * mpmath.mpf(t)) * column)[row] for t in lags.tolist()]
+            answer = ask(Linear(), "correlation", system, row, lags, tol=1e-9)
+            assert np.all(answer.errors < 1e-9 * answer.values[0])
+            for value, error, exact in zip(answer.values, answer.errors, expected, strict=True):
+                assert abs(mpmath.mpf(value) - exact) <= error
+
+
+def test_after_long_nothing_is_left_of_a_correlation():
+    answer = ask(Linear(), "correlation", UNEQUAL, 1, np.array([1e5, 1e90]))
+    assert np.all(np.abs(answer.values) <= answer.errors) and np.all(answer.errors < 1e-290)
+
+
+@pytest.mark.parametrize("lag", [-1.0, np.nan, np.inf])
+def test_lags_are_times(lag):
+    for method in (Linear(), PhaseSpace()):
+        with pytest.raises(InvalidInput, match="at"):
+            method.correlation(UNEQUAL, 0, np.array([0.0, lag]), tol=None, progress=silent)
 
 
 def test_crossings_of_a_linear_system_are_those_of_its_joint_density():
@@ -115,7 +153,7 @@ def test_no_decay_rate_is_more_exact_than_double_precision():
     assert 1e-10 < answer.errors[0] < 1e-6
 
 
-@pytest.mark.parametrize("question", ["spectrum", "crossings"])
+@pytest.mark.parametrize("question", ["spectrum", "correlation", "crossings"])
 def test_a_system_with_contacts_is_not_linear(question):
     contact = fpk.Contact(mass=2, side="right", stiffness=10.0, clearance=0.2)
     system = fpk.System([1, 2], [1, 1], [0.08, 0.08], [0.02, 0.02], contacts=(contact,))

@@ -1,4 +1,4 @@
-"""Crossings, spectra and relaxation rates of the unreduced equation against exact ones."""
+"""Crossings, spectra, autocovariances and relaxation rates of the unreduced equation."""
 
 import numpy as np
 import pytest
@@ -88,6 +88,55 @@ def test_sums_over_the_spectrum_of_a_gibbs_state_with_contact_are_exact():
     assert S[-1] * w[-1] ** 4 == pytest.approx(0.1 / (4.0 * np.pi), rel=50.0 / w[-1] ** 2)
 
 
+@pytest.mark.parametrize("row", [0, 1])
+def test_the_autocovariance_of_a_linear_system_is_that_of_its_exponential(row):
+    lags = np.array([0.0, 0.1, 0.5, 1.0, 3.0, 7.3, 20.0, 100.0, 1000.0, 1e90])
+    exact = ask(Linear(), "correlation", TURNED, row, lags)
+    answer = ask(PhaseSpace(threads=1), "correlation", TURNED, row, lags)
+    assert np.all(np.abs(answer.values - exact.values) <= answer.errors + exact.errors)
+    assert np.all(answer.errors <= 1e-10 * exact.values[0])
+
+
+def test_the_autocovariance_of_a_gibbs_state_with_contact_is_that_of_its_spectrum():
+    # ω = tan θ; the rectangle rule of what is periodic in θ, of lags short beside the step in ω.
+    count, lags = 240, np.array([0.0, 0.5, 1.0, 2.0])
+    w = np.tan((np.arange(count) + 0.5) * 0.5 * np.pi / count)
+    S = ask(PhaseSpace(threads=1), "spectrum", GIBBS, 0, w, tol=1e-4)
+    weight = np.pi / count * (1.0 + w**2) * np.cos(np.outer(lags, w))
+    answer = ask(PhaseSpace(threads=1), "correlation", GIBBS, 0, lags, tol=1e-4)
+    (q,) = Exact().solve(GIBBS, [parse_observable("q1", 1)]).densities
+    mean, square = (moment(q, k) for k in (1, 2))
+    assert abs(answer.values[0] - (square - mean**2)) <= answer.errors[0]
+    assert np.all(np.abs(weight @ S.values - answer.values) <= np.abs(weight) @ S.errors)
+
+
+def test_autocovariances_keep_to_their_error_against_a_finer_solution():
+    lags = np.linspace(0.0, 20.0, 41)
+    system = fpk.System([1.0], [1.0], [0.1], [0.05], contacts=(ONE_SIDED,))
+    fine = ask(PhaseSpace(threads=1), "correlation", system, 0, lags, tol=1e-4)
+    coarse = ask(PhaseSpace(threads=1), "correlation", system, 0, lags, tol=0.1)
+    assert np.max(coarse.errors) > 10.0 * np.max(fine.errors)
+    assert np.all(np.abs(coarse.values - fine.values) <= coarse.errors + fine.errors)
+
+
+def test_what_the_space_leaves_of_a_correlation_is_in_its_error(monkeypatch):
+    frame, lags = contact_frame(GIBBS), np.linspace(0.0, 20.0, 41)
+    e = expanded(frame, gibbs_reference(frame), Degrees(24, 0, 22))
+    A = Generator.of(frame, e, odd=False)
+    c, b = dynamics._displaced(frame, e, 0, A)
+
+    def correlation(most):
+        monkeypatch.setattr(resolvent, "RITZ_VECTORS", most)
+        values, error = resolvent.decays(A, c, b, lags, 1.0, lambda share: None, tol=1e-12)
+        return values[0], error
+
+    exact, left = correlation(300)
+    assert exact[0] == pytest.approx(c @ b) and left <= 1e-12 * exact[0]
+    for most in (20, 30, 40, 50, 60):
+        values, error = correlation(most)
+        assert 10.0 * left < np.max(np.abs(values - exact)) <= error + left
+
+
 def test_one_elimination_serves_the_frequencies_about_its_shift(monkeypatch):
     frame = contact_frame(GIBBS)
     e = expanded(frame, gibbs_reference(frame), Degrees(14, 0, 14))
@@ -134,6 +183,7 @@ def test_what_the_expansion_does_not_hold_for_is_refused():
     for question, arguments in (
         ("crossings", (0, np.zeros(1))),
         ("spectrum", (0, np.zeros(1))),
+        ("correlation", (0, np.zeros(1))),
         ("relaxation", (3,)),
     ):
         with pytest.raises(NotApplicable, match="2 masses meet stops"):

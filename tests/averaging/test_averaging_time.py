@@ -77,7 +77,7 @@ def test_with_contact_it_ends_in_the_stationary_density():
 
 
 REFUSED = [
-    (lambda: transient(FREE, "rest", [1.0], [0.1], observable="q1"), NotApplicable, "total energy"),
+    (lambda: transient(FREE, "rest", [1.0], [0.1], observable="H1"), NotApplicable, "total energy"),
     (lambda: transient(FREE, "rest", [1.0], [0.1], "quadrature"), NotApplicable, "use fem"),
     (lambda: transient(TOUCHING, "rest", [1.0], [0.1], "closed-form"), NotApplicable, "contacts"),
     (lambda: transient(FREE, "H1=1,H2=1", [1.0], [0.1]), NotApplicable, "total energy"),
@@ -120,6 +120,24 @@ def test_modulated_noise_against_the_exact_gamma_density():
     assert solved.errors.max() < 1e-8
     # Radau IIA of five stages.
     assert solved.settings["observed order"] == pytest.approx(9.0, abs=0.6)
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e-3, 3.0])
+def test_modulated_noise_after_much_less_or_more_noise(factor):
+    # From the stationary state it stays a gamma density; no element saw a narrow one.
+    at = np.array([1e-8, 1e-3, 0.02, 0.1, 0.3])
+    solved = transient(replace(FREE, modulation=MODULATION), f"noise={factor}", [0.3], at)
+    assert solved.certificate.certified
+    theta = temperature(0.3) + factor * 0.18 * np.exp(-0.125 * 0.3)
+    exact = at / theta**2 * np.exp(-at / theta)
+    assert np.all(np.abs(solved.values[0] - exact) <= solved.errors[0])
+    assert solved.errors.max() < 1e-8 * exact.max()
+
+
+def test_a_time_before_which_there_is_no_noise_is_refused():
+    system = replace(FREE, modulation=Modulation([0.0, 1.0, 2.0], [0.0, 0.0, 1.0]))
+    with pytest.raises(InvalidInput, match="no noise"):
+        transient(system, "H=0.5", [0.5], [0.1])
 
 
 def test_modulation_is_of_what_begins_only():

@@ -310,13 +310,12 @@ def test_the_failure_rate_is_priced_by_every_route_that_solves_it():
 
 def test_a_wrong_failure_rate_is_not_timed(monkeypatch):
     scene = load_scene("cir")
-    right = passage._passage
+    right = passage._rate
 
     def wrong(method, *asked):
-        answer = right(method, *asked)
-        off = 1.001 if method.solver == "fem" else 1.0
-        return replace(answer, rate=replace(answer.rate, value=off * answer.rate.value))
+        rate = right(method, *asked)
+        return replace(rate, value=(1.001 if method.solver == "fem" else 1.0) * rate.value)
 
-    monkeypatch.setattr(passage, "_passage", wrong)
+    monkeypatch.setattr(passage, "_rate", wrong)
     routes = passage_routes(scene.system, scene.passages[0], simulate=False, seed=1)
     assert any(isinstance(route, NotTimed) and route.wrong for route in routes)

@@ -1,4 +1,4 @@
-"""``fpk crossings``, ``fpk spectrum`` and ``fpk relaxation``: keys, refusals, exit statuses."""
+"""``fpk crossings``, ``spectrum``, ``correlation``, ``relaxation``: keys, refusals, statuses."""
 
 import json
 
@@ -45,6 +45,14 @@ def test_keys_of_a_curve(command, key, linear_scene, fpk):
     assert answer[key][1::2] == pytest.approx([answer[key][3], answer[key][3], answer[key][5]])
 
 
+def test_a_correlation_begins_with_the_variance(linear_scene, fpk):
+    answer = record(fpk, "correlation", linear_scene, *asked("linear", at="0:10:0.5"))
+    assert answer.keys() >= CURVE | {"correlation"} and len(answer["correlation"]) == 21
+    system = System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02])
+    assert answer["correlation"][0] == pytest.approx(stationary_covariance(system)[1, 1])
+    assert min(answer["correlation"]) < 0.0 and answer["certificate"]["certified"]
+
+
 def test_keys_of_relaxation(linear_scene, fpk):
     answer = record(fpk, "relaxation", linear_scene, "--method", "linear", "--rates", 7)
     assert answer.keys() >= RELAXATION | {"frequencies"}
@@ -75,6 +83,14 @@ REFUSED = [
     (["spectrum", "fig6a", *asked("linear")], "contacts"),
     (["relaxation", "fig6a", "--method", "linear"], "contacts"),
     (["spectrum", "fig3a", *asked("exact")], "use one of linear, phase-space"),
+    (["correlation", "fig6a", *asked("linear", at="0")], "contacts"),
+    (["correlation", "fig3a", *asked("exact")], "use one of linear, phase-space, montecarlo"),
+    (["correlation", "fig3a", *asked("nonintegrable")], "use one of linear, phase-space"),
+    (["correlation", "fig3a", *asked("phase-space", at="-1:1:1")], "--at -1.0: a lag is a time"),
+    (["correlation", "fig3a", *asked("montecarlo", at="-1")], "--at -1.0: a lag is a time"),
+    (["correlation", "fig3a", *asked("montecarlo", at="0,1e90")], "--at 1e+90: a lag takes"),
+    (["correlation", "fig3a", *asked("phase-space", at="0,nan")], "not a finite number"),
+    (["correlation", "fig3a", *asked("phase-space", of="p2", at="0")], "use a displacement"),
     (["relaxation", "fig3a", "--method", "exact"], "use one of linear, "),
     (["crossings", "fig3a", *asked("integrable")], "use one of exact, linear, phase-space"),
     (["crossings", "fig3a", *asked("guess")], "use one of exact"),
@@ -106,10 +122,18 @@ def test_what_does_not_apply_is_refused_with_the_reason(arguments, word, fpk):
     assert (status, out) == (2, "") and err.count("\n") == 1 and word in err
 
 
-@pytest.mark.parametrize(("command", "key"), [("crossings", "rate"), ("spectrum", "spectrum")])
-def test_the_full_equation_answers_as_the_exact_one(command, key, linear_scene, fpk):
+@pytest.mark.parametrize(
+    ("command", "key", "at"),
+    [
+        ("crossings", "rate", "-0.5:1:0.25"),
+        ("spectrum", "spectrum", "-0.5:1:0.25"),
+        ("correlation", "correlation", "0:9:0.5"),
+    ],
+)
+def test_the_full_equation_answers_as_the_exact_one(command, key, at, linear_scene, fpk):
     answers = [
-        record(fpk, command, linear_scene, *asked(method)) for method in ("linear", "phase-space")
+        record(fpk, command, linear_scene, *asked(method, at=at), *threads)
+        for method, threads in (("linear", ()), ("phase-space", ("--threads", 1)))
     ]
     assert [a["solver"] for a in answers] == ["closed-form", "hermite"]
     for exact, value, error in zip(

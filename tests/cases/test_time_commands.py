@@ -5,6 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from cases.output.records import passage_text
+from fpk.errors import NotApplicable
+from sim.montecarlo import MonteCarlo
+
 DENSITY = {
     "scene", "method", "solver", "observable", "points", "density", "error", "error_kind",
     "certificate", "seconds", "times",
@@ -90,6 +94,12 @@ def test_a_variance_beyond_range_is_null(linear_scene, fpk):
     assert answer["mean_error"] < 2e-12 * answer["mean"]
 
 
+def test_a_variance_beyond_range_is_a_dash_in_text(fpk):
+    arguments = asked("passage", "--limit", "H=300", scene="cir")
+    status, out, _ = fpk(*(word for word in arguments if word != "--json"))
+    assert status == 0 and "variance  -  -" in out and "nan" not in out
+
+
 def test_modulated_noise(scene_text, tmp_path, fpk):
     scene = tmp_path / "modulated.toml"
     scene.write_text(scene_text + MODULATION)
@@ -105,9 +115,12 @@ def test_modulated_noise(scene_text, tmp_path, fpk):
 
 REFUSED = [
     (asked("passage", "--start", "H=1"), "below the limit"),
+    (asked("passage", "--start", "H=5", method="integrable"), '--start "H=5": must lie below the'),
     (asked("passage", "--start", "H=-1"), "negative"),
     (asked("passage", "--start", "q9=1"), "use rest"),
     (asked("passage", "--limit", "H=1e6"), "beyond the range"),
+    (asked("passage", "--limit", "H=1e3", method="integrable"), "beyond the range"),
+    (asked("passage", "--start", "H1=1,H2=0", method="integrable"), "below the limit"),
     (asked("passage", "--limit", "H=0"), "> 0"),
     (asked("passage", "--limit", "q2=1"), "total energy only"),
     (asked("passage", "--limit", "energy=1"), "use H=1.5"),
@@ -126,6 +139,9 @@ REFUSED = [
         asked("passage", "--start", "noise=1e-6", "--limit", "H1=1,H2=1", method="integrable"),
         "so narrow a density",
     ),
+    (asked("passage", "--seed", "3"), "fpk: --seed 3: is not an option of nonintegrable by fem"),
+    (asked("transient", "--threads", "1"), "fpk: --threads 1: is not an option"),
+    (asked("passage", "--seconds", "-1", method="montecarlo"), "--seconds -1.0: must be"),
     (asked("transient", "--times", "0,1"), "no density"),
     (asked("transient", "--of", "H7"), "H1..H2"),
     (asked("transient", "--of", "H,q1"), "two lists"),
@@ -143,3 +159,45 @@ def test_what_cannot_be_used_is_refused_in_one_line(arguments, word, fpk):
 def test_what_is_not_certified_is_said(fpk):
     status, out, err = fpk(*asked("transient", "--start", "H=0.5", "--times", "1e-22"))
     assert status == 1 and out and "exceeds the tolerance" in err
+
+
+@pytest.mark.parametrize("command", ["passage", "transient"])
+def test_a_simulation_takes_its_seed_time_and_threads(command, fpk, monkeypatch):
+    def refuse(self, *asked, **options):
+        raise NotApplicable(f"asked with {self.seed}, {self.seconds} and {self.threads}")
+
+    monkeypatch.setattr(MonteCarlo, command, refuse)
+    settings = "--seed", 7, "--seconds", 0.5, "--threads", 2
+    status, _, err = fpk(*asked(command, *settings, method="montecarlo"))
+    assert status == 2 and "asked with 7, 0.5 and 2" in err
+
+
+def test_what_a_passage_that_is_not_certified_does_not_know_is_null(linear_scene, fpk):
+    """Nothing fails in a fifth of a second: no moment is known, nor is any error but a bound."""
+    options = "--limit", "H=1e3", "--seconds", 0.2, "--times", 5
+    given = asked("passage", *options, scene=linear_scene, method="montecarlo")
+    status, out, err = fpk(*given, "--json")
+    answer = json.loads(out, parse_constant=pytest.fail)  # of NaN and Infinity
+    assert status == 1 and not answer["certificate"]["certified"] and "not certified" in err
+    assert answer["mean_error"] is answer["variance"] is answer["variance_error"] is None
+    assert (answer["rate"], answer["survival"]) == (0.0, [1.0]) and answer["rate_error"] > 0.0
+
+
+def test_a_rare_passage_is_left_to_splitting_and_says_so(fpk, linear_scene):
+    # P is about 2e-3: of 8192 paths 16 would fail, of which none could be told to 20 %.
+    question = asked(
+        "passage", "--limit", "H=1.2", "--times", "10", scene=linear_scene, method="montecarlo"
+    )
+    answer = record(fpk, *question)
+    assert answer["settings"]["sampled by"].startswith("splitting: of 4096 plain paths")
+    (p,), (error,) = answer["failure"], answer["failure_error"]
+    assert 0.0 < error < 0.25 * p < 0.01 and answer["survival"] == [1.0 - p]
+    assert answer["mean"] is answer["rate"] is answer["variance_error"] is None
+    text = passage_text(answer)
+    assert "nan" not in text and "# splitting" in text and "P(T <= t)" in text
+
+
+def test_a_limit_that_is_passed_at_once_is_refused_in_one_line(fpk):
+    question = asked("passage", "--limit", "H=1e-60", method="montecarlo")
+    status, out, err = fpk(*question, "--json")
+    assert (status, out) == (2, "") and err.count("\n") == 1 and "pass it at once" in err

@@ -1,6 +1,7 @@
 """Motion in time: three-way comparison, rare failure, interruption, and what is written of it."""
 
 import json
+import re
 from dataclasses import dataclass, replace
 from math import nan
 
@@ -8,10 +9,11 @@ import h5netcdf
 import numpy as np
 import pytest
 
-from cases.comparison import in_time
+from cases.comparison import answering, time_distances
+from cases.comparison.answering import replies_of
 from cases.comparison.answers import run_scene
 from cases.comparison.compare import FALSE_ALARMS
-from cases.comparison.in_time import Given, Replies, replies_of
+from cases.comparison.in_time import Given, Replies
 from cases.comparison.routes import listed_routes, method_for, register_routes
 from cases.comparison.time_claims import time_findings
 from cases.output.digest import digest_of, verify_row
@@ -102,12 +104,24 @@ def test_a_right_simulation_is_rarely_called_wrong(expected):
         S = count / paths
         errors = np.maximum(np.sqrt(S * (1.0 - S) / paths), 1.0 / paths)
         pair = exact, survival_answer(S, errors, "sampling")
-        (row,) = in_time._worst(
-            "{}", exact.times, in_time._survivals(*pair), (False, True), "absolute", True
+        (row,) = time_distances._worst(
+            "{}", exact.times, time_distances._survivals(*pair), (False, True), "absolute", True
         )
         wrong += row[2] > row[4]
     # Of 4000 draws at FALSE_ALARMS 0.4 are expected; 4 or more have a chance below 1e-3.
     assert wrong < 4 and draws * FALSE_ALARMS < 0.5
+
+
+def test_a_start_that_all_survive_leaves_the_bands_of_later_times_as_they_are():
+    """One failure of 10000 expected, none seen: chance e^-1, and no discrepancy."""
+    exact = survival_answer([1.0, 0.9999], 0.0, "numerical")
+    seen = survival_answer([1.0, 1.0], [0.0, 1e-4], "sampling")
+    (row,) = [
+        c for c in compared(PASSAGE, (FEM, exact), (SIMULATED, seen)) if "P(T" in c.observable
+    ]
+    assert row.holds
+    (_, _), (_, errors) = time_distances._survivals(exact, seen)
+    assert errors == pytest.approx([0.0, 1e-4], rel=1e-3)
 
 
 def test_a_wrong_reliability_is_called_wrong():
@@ -152,6 +166,15 @@ def test_smoothed_noise_of_a_density_holds_and_a_tilt_of_it_does_not():
     )
 
 
+def test_densities_that_nobody_compares_are_a_problem():
+    x, p = densities()
+    given = Given(ROUTES[FEM], p, 0.0), Given(ROUTES[CLOSED], p, 0.0)
+    question = replace(TRANSIENT, times=(1.0,))
+    assert not Replies(question, given, (), x, (np.arange(x.size),)).problems
+    (problem,) = Replies(question, given, (), x).problems
+    assert "not compared" in problem
+
+
 @dataclass(frozen=True)
 class Stub(Method):
     """A method that answers as it is told."""
@@ -184,7 +207,7 @@ def replies(*methods, question=PASSAGE, partial=False):
 def test_rare_failure_is_left_to_splitting(monkeypatch):
     rare = survival_answer([1.0] * 9, 0.0, "numerical", failure=[1e-9] * 9)
     split = survival_answer([1.0] * 9, 1e-9, "sampling", rate=None, failure=[2e-9] * 9)
-    monkeypatch.setattr(in_time, "split_passage", lambda *asked: split)
+    monkeypatch.setattr(answering, "split_passage", lambda *asked: split)
     answers = replies(Stub(FEM, rare), Stub(FULL, InvalidInput("x", 0, "was simulated")))
     assert [g.route.label for g in answers.given] == ["nonintegrable/fem", "splitting"]
     assert "too rare for plain simulation" in answers.refused[0].reason and not answers.problems
@@ -257,7 +280,10 @@ def test_everything_is_written(outcome, tmp_path):
 
     page, *pictures = write_report(outcome, digest, tmp_path)
     assert {"passage_1.svg", "transient_1.svg"} <= {path.name for path in pictures}
-    assert "In time" in page.read_text(encoding="utf-8")
+    text = page.read_text(encoding="utf-8")
+    assert "In time" in text
+    # By its own width a picture is not shrunk on a narrow screen.
+    assert len(re.findall(r'<svg role="img" [^>]* width="[0-9.]+pt"', text)) == len(pictures)
 
     write_netcdf(outcome, tmp_path / "result.nc")
     with h5netcdf.File(tmp_path / "result.nc") as file:
@@ -268,7 +294,7 @@ def test_everything_is_written(outcome, tmp_path):
         # The density of the last time on all points, by a rule that is good to 1e-4 there.
         assert np.trapezoid(p[-1], points) == pytest.approx(1.0, abs=5e-3)
 
-    *meshes, collection = write_time_pvd(outcome, tmp_path)
+    collection, *meshes = write_time_pvd(outcome, tmp_path)
     assert len(meshes) == len(TRANSIENT.times) and collection.name == "transient_1.pvd"
     assert all(path.name in collection.read_text(encoding="utf-8") for path in meshes)
     pyvista = pytest.importorskip("pyvista", reason="pyvista is not installed")

@@ -39,6 +39,11 @@ BAD = [  # what is replaced, by what, and what the line must say
     ("{ at_most = 0.1 }", "{}", ["passage[1].rate_error", "exactly one of"]),
     ('"q1=0.1,p2=0.2"', '"q1=10"', ["passage[2].start", "below the limit"]),
     ('"q1=0.1,p2=0.2"', '"H1=0.4,H2=0"', ["passage[2].start", "below the limit"]),
+    (
+        '"H=1.5"',
+        "\"H=1.5\"\nstart = 'H1=0.5,H2=1.0'",
+        ["passage[1].start", "below the limit H=1.5"],
+    ),
     ('"q1=0.1,p2=0.2"', '"H=-1"', ["passage[2].start", "negative"]),
     ('"q1=0.1,p2=0.2"', '"q3=0"', ["passage[2].start", "use rest"]),
     ('"integrable"', '"exact"', ["passage[2].theory", '"nonintegrable"']),

@@ -8,7 +8,7 @@ from scipy.sparse.linalg import splu
 from scipy.special import ive
 from test_fpk_plane import COUPLED, FIG8, manufactured, square_root_process
 
-from fpk.errors import NotCertified
+from fpk.errors import InvalidInput
 from fpk.operator import Operator
 from fpk.plane.solution import graded
 from fpk.plane.stationary import solve_plane
@@ -187,9 +187,25 @@ def test_a_failure_of_probability_1e_17_keeps_its_digits():
 RARE_MEAN = 155086592685738.702
 
 
+@pytest.mark.parametrize("small", [1e-60, 1e-100])
+def test_a_tiny_limit_is_passed_as_by_the_same_motion_without_damping(small):
+    # Below it dH = 2 d dt + √(2 d H) dB: E T = H_f/(2 d), E T² − (E T)² = H_f²/(12 d²).
+    c, d = 0.1, 0.05
+    answer = first_passage(
+        frame(square_root_process((c, c), (d, d))), PointStart(np.zeros(2)),
+        PlaneLimit(total=small), np.zeros(0), tol=1e-8,
+    )  # fmt: skip
+    assert answer.certificate.certified, answer.certificate.failures
+    # What damping does is of the relative size c H_f/d.
+    assert abs(answer.mean.value - small / (2.0 * d)) <= answer.mean.error < 1e-8 * small / d
+    variance = answer.variance
+    assert abs(variance.value - small**2 / (12.0 * d**2)) <= variance.error
+    assert variance.error <= 1e-8 * variance.value
+
+
 def test_a_limit_that_nobody_reaches_is_refused():
     c, d = FIG8
-    with pytest.raises(NotCertified, match="never passed"):
+    with pytest.raises(InvalidInput, match="beyond the range"):
         first_passage(
             frame(square_root_process(c, d)), PointStart(np.zeros(2)), PlaneLimit(total=1e4),
             np.zeros(0), tol=1e-8,

@@ -41,6 +41,17 @@ def test_a_linear_system_crosses_as_rice_says(masses: int) -> None:
     assert np.max(np.abs(answer.values - wrong.values) / answer.errors) > Z
 
 
+def test_what_the_noise_crosses_within_a_step_is_extrapolated() -> None:
+    # Zero is crossed once a period 2π. Steps of 0.2 lose 0.7 % of that, those of 0.4 twice as much.
+    system = System([1.0], [1.0], [0.5], [0.25])
+    answer = counted(system, 0, [0.0], dt=0.4, paths=16384)
+    off = answer.values[0] - 0.5 / np.pi
+    bias = float(answer.settings["largest step bias"])
+    sampling = np.sqrt(answer.errors[0] ** 2 - bias**2)
+    assert bias > 6.0 * sampling > 0.0 and answer.errors[0] >= bias
+    assert abs(off) < 4.0 * sampling
+
+
 def test_with_contact_the_rates_are_those_of_the_exact_density() -> None:
     system, at = exact(), np.linspace(-0.8, 0.8, 9)
     answer = counted(system, 1, at)

@@ -253,11 +253,17 @@ def test_a_limit_that_nobody_reaches_is_not_certified_and_the_rate_is_bounded() 
     answer = passed(oscillator(), "H=60", times=[10.0], time=20.0)
     assert not answer.certificate.certified
     (words,) = answer.certificate.failures
-    assert "had not failed by t = 20" in words and "95 %" in words
+    assert "passed the limit by t = 20" in words and "95 %" in words
     assert answer.rate is not None and answer.rate.value == 0.0
     assert answer.rate.error == pytest.approx(3.0 / (4096 * 20.0), rel=0.05)
     assert answer.mean.error == np.inf and answer.survival[0] == 1.0
     assert answer.survival_error[0] == pytest.approx(1.0 / 4096)
+    # Without a time, an eighth of it is enough to see that, or the last time that is asked for.
+    short, long = (
+        passed(oscillator(), "H=60", times=times, most_steps=30000) for times in ([10.0], [900.0])
+    )
+    (end, asked), step = (a.settings["followed until"] for a in (short, long)), 256.0
+    assert end <= (10000.0 / 8.0 + step) * short.settings["coarse dt"] and asked >= 900.0
 
 
 @pytest.mark.parametrize(
@@ -334,3 +340,22 @@ def test_the_tail_begins_after_what_the_start_has_left() -> None:
 def test_a_limit_that_is_passed_within_a_few_steps_is_not_certified() -> None:
     answer = passed(oscillator(), "H=1e-6", paths=PATHS)
     assert any("too few to see how; use dt" in text for text in answer.certificate.failures)
+    # H rises as 0.025 t at first: the mean is 4e-5, of which steps of 0.1 say nothing.
+    assert answer.mean.error == answer.variance.error == np.inf
+
+
+def test_a_limit_that_is_passed_at_once_is_refused() -> None:
+    with pytest.raises(InvalidInput, match="at once"):
+        passed(oscillator(), "H=1e-60")
+
+
+@pytest.mark.parametrize(("events", "bound"), [(0, 2.9957), (1, 4.7439), (10, 16.9622)])
+def test_the_bound_of_a_rate_is_that_of_poisson(events: int, bound: float) -> None:
+    # Garwood: half the 95 % quantile of χ² with 2 (events + 1) degrees of freedom, by tables.
+    time = np.where(np.arange(4096) < events, 1.0, np.inf)
+    sampled = Times(time, None, np.full(4096, 10.0))
+    answer = passage_of(
+        sampled, np.zeros(0), step=0.0, memory=0.0, tol=np.inf, failures=(), settings={}
+    )
+    (words,) = answer.certificate.failures
+    assert f" is {bound / (40960.0 - 9.0 * events):.2g} at most (95 %)" in words

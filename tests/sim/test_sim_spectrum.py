@@ -1,4 +1,4 @@
-"""Power spectra by simulation: exact ones of linear scenes, leakage, folding, autocovariance."""
+"""Power spectra by simulation: exact ones of linear scenes, leakage, folding."""
 
 from typing import Any
 
@@ -14,7 +14,6 @@ from fpk.linear import drift_matrix, stationary_covariance
 from fpk.method import silent
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
-from sim.motion.spectrum import autocovariance
 
 Z = 4.5
 """|z| that chance explains: of 25 frequencies 2e-4."""
@@ -89,17 +88,6 @@ def test_two_masses_with_contact_have_the_spectrum_of_phase_space() -> None:
     at = np.array([0.2, 0.6, 1.0, 1.6, 2.0])
     answer, expected = sampled(exact(), 1, at), by_method("phase-space", exact(), 1, at)
     assert np.all(np.abs(answer.values - expected.values) < Z * answer.errors + expected.errors)
-
-
-def test_the_autocovariance_of_a_linear_system_is_its_exponential() -> None:
-    system, lags, spacing = linear(2), 40, 0.5
-    values, errors = autocovariance(
-        MonteCarlo(threads=1, paths=8192), system, 1, spacing, lags, progress=silent
-    )
-    C, A = stationary_covariance(system), drift_matrix(system)
-    expected = [(expm(A * spacing * k) @ C)[1, 1] for k in range(lags + 1)]
-    assert np.all(np.abs(values - expected) < Z * errors)
-    assert np.all(errors < 0.03 * C[1, 1])
 
 
 def test_the_same_for_any_threads_and_a_tolerance_is_met_or_not_certified() -> None:

@@ -283,7 +283,7 @@ def test_paths_are_those_of_plain_numpy(system, limit):
     paths, steps, seed = 12, 60, 5
     replicas = problem.replicas(paths, steps, seed, np.random.default_rng(0))
     states, shares = twin(system, limit, 12.0, steps, paths=paths, seed=seed)
-    rows, columns = (size - 1 for size in replicas.model[2].table.shape[1:])
+    rows, columns = (size - 1 for size in replicas.model[-1].table.shape[1:])
     written = 1 + np.argmax(replicas.paths.level == replicas.best[:, None], axis=1)
     records = 0
     for i in range(paths):
@@ -291,7 +291,7 @@ def test_paths_are_those_of_plain_numpy(system, limit):
         for k in range(1, steps + 1):
             left = rows * np.sqrt(1.0 - k / steps)
             levels = []
-            for c, table in enumerate(replicas.model[2].table):
+            for c, table in enumerate(replicas.model[-1].table):
                 x = shares[k - 1, i, c] * columns
                 j, r = min(int(x), columns - 1), min(int(left), rows - 1)
                 a, b = x - j, left - r

@@ -10,15 +10,18 @@ from math import prod
 import numpy as np
 
 from averaging.energy_start import FROM_NOISE, EnergyStart
+from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.time.questions import TOL, limited_modes, observed_modes
+from averaging.orbit_density import OrbitPart, orbit_transient
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
 from fpk.density import SMALLEST
 from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
-from fpk.evolution import Number, Passage, Transient, certified_passage, checked_times
+from fpk.evolution import Passage, Transient, certified_passage, checked_times
 from fpk.limit import Limit
+from fpk.number import Number
 from fpk.observable import Observable
 from fpk.quadrature import panel_rule
 from fpk.square_root import EPS, SquareRoot
@@ -43,7 +46,13 @@ def transient(
     *,
     tol: float | None,
 ) -> Transient:
-    """Return products of the densities of modal energies, or the convolution of two of them."""
+    """Return products of the densities of modal energies, or the convolution of two of them.
+
+    Of displacements and momenta, what follows from them with independent uniform phases, (35).
+    """
+    if {c.kind for c in observable} <= {"q", "p"}:
+        orbits = _orbits(modes, observable, start)
+        return orbit_transient(orbits, start.noise, times, at, tol=tol or TOL)
     checked_times(times, positive=start.noise is None)
     rows = observed_modes(observable)
     parts = [(_mode(modes, m), float(start.energies[m])) for m in rows or range(modes.n)]
@@ -116,6 +125,15 @@ def _mode(modes: ModalAnalysis, m: int) -> SquareRoot:
         raise NotApplicable("damping that depends on the state has no closed form in time; use fem")
     c, d = float(modes.modal_damping[m, m]), float(modes.noise[m])
     return SquareRoot(1, c, d, modes.relative_error)
+
+
+def _orbits(modes: ModalAnalysis, observable: Observable, start: EnergyStart) -> list[OrbitPart]:
+    """The shares of the modes in displacements and momenta, by (q, p) = S (ω Q, P)."""
+    rows = modes.state_shapes[state_rows(observable, modes.n)]
+    both = [rows[:, [m, m + modes.n]] for m in range(modes.n)]
+    return [
+        OrbitPart(_mode(modes, m), float(start.energies[m]), S @ S.T) for m, S in enumerate(both)
+    ]
 
 
 def _alike(modes: ModalAnalysis) -> SquareRoot | None:

@@ -9,6 +9,7 @@ from averaging.energy_start import EnergyStart
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.groups import unsolved
 from averaging.modal.time.questions import TOL, limited_modes, observed_modes
+from averaging.modal.time.states import state_transient
 from fpk.arrays import Array
 from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
@@ -40,9 +41,13 @@ def transient(
     *,
     tol: float | None,
 ) -> Transient:
-    """Return the densities of one or two modal energies, or of the sum of two."""
+    """Return the densities of one or two modal energies, of the sum of two, or of (q, p)."""
     checked_times(times, positive=True)
-    rows, wanted = observed_modes(observable), tol or TOL
+    wanted = tol or TOL
+    if {c.kind for c in observable} <= {"q", "p"}:
+        posed = _posed(modes, _pair(modes, range(modes.n)), start, wanted)
+        return state_transient(modes, *posed, observable, times, at, tol=wanted)
+    rows = observed_modes(observable)
     pair = _pair(modes, rows or range(modes.n))
     if rows == pair[::-1]:
         at = at[::-1]

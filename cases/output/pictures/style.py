@@ -92,9 +92,11 @@ def svg_text(figure: Figure, *, salt: str) -> str:
 
 
 def inline_svg(svg: str, words: str) -> Markup:
-    """Return SVG to stand inside a page: ink takes the page's colour, no background."""
+    """Return SVG to stand inside a page: ink takes the page's colour, no background.
+
+    A screen too narrow for its width scrolls, so that its words keep their size.
+    """
     body = svg[svg.index("<svg") :].replace(INK, "currentColor")
     body = re.sub(r'(<g id="patch_1">\s*<path [^>]*?)fill: #ffffff', r"\1fill: none", body)
-    body = re.sub(r' (?:width|height)="[\d.]+pt"', "", body, count=2)
     label = Markup('<svg role="img" aria-label="{}" ').format(words)
     return label + Markup(body.removeprefix("<svg "))  # drawn by this program

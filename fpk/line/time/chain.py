@@ -59,11 +59,6 @@ def inverse(e: Modes, at_ends: Array, inner: Array) -> Solution:
     return Solution(ends[:-1], ends[1:], inner)
 
 
-def constant(e: Modes) -> Solution:
-    """Return f = 1."""
-    return Solution(np.ones(e.count), np.ones(e.count), np.zeros(e.gram.shape[:2]))
-
-
 class Admittances(NamedTuple):
     """Elements at the Laplace variables z: every array (elements, …, points).
 

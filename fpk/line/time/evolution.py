@@ -1,23 +1,19 @@
-"""Answers in time of one energy: transients, first passage and relaxation by finite elements."""
+"""Answers in time of one energy: transients and first passage by finite elements."""
+
+from functools import partial
 
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.contour import contours
-from fpk.dynamics import Rates
-from fpk.errors import InvalidInput
-from fpk.evolution import Number, Passage, StartCurve, Transient, certified_passage
+from fpk.evolution import STARTS, Passage, StartCurve, Transient, certified_passage
 from fpk.line.time import chain
 from fpk.line.time.mesh import HIGHEST
 from fpk.line.time.modes import Modes
 from fpk.line.time.passage import SAFETY, FirstPassage, first_passage
-from fpk.line.time.propagation import Source
-from fpk.line.time.spectrum import spectrum
+from fpk.line.time.propagation import Source, inverted, transforms
 from fpk.line.time.transition import transition
+from fpk.number import Number
 from fpk.process import Process
-
-STARTS = 101
-"""Starts at which moments are given as a curve, from rest to the limit."""
 
 
 def fem_transient(
@@ -35,30 +31,20 @@ def fem_transient(
     return Transient(times, values, errors, "numerical", solved.certificate, settings)
 
 
-def fem_rates(process: Process, count: int, *, tol: float) -> Rates:
-    """Return the ``count`` least eigenvalues of −L but 0, all of them real."""
-    solved = spectrum(process, count, tol=tol)
-    settings = {"elements": solved.elements, "tol": tol}
-    return Rates(solved.rates.astype(complex), solved.errors, solved.certificate, settings)
-
-
 def fem_passage(
     process: Process, limit: float, source: Source, times: Array, *, tol: float
 ) -> Passage:
-    """Return the first passage of the energy through ``limit`` from ``source``.
+    """Return the first passage of the energy through ``limit`` from ``source`` below it.
 
     Of a density that begins beyond the limit in part, that part has failed at the time 0. Raises
-    ``InvalidInput`` where it begins there, or the mean time is beyond double precision.
+    ``InvalidInput`` where the mean time is beyond double precision.
     """
-    if not source.energy < limit:
-        raise InvalidInput("start", f"H={source.energy:g}", f"must be below the limit {limit:g}")
     nodes = source.nodes(limit, HIGHEST)
     solved = first_passage(process, limit, times=times, tol=tol, nodes=nodes)
     e = solved.answer.elements
     x, weights = source.samples(e)
     (T, T_error), (U, U_error) = solved.mean(x), solved.second(x)
-    (F, F_error), unit = solved.failure(times, x), solved.longest
-    beyond, failure, failure_error = 0.0, F @ weights, F_error @ weights
+    unit, beyond = solved.longest, 0.0
     if source.process is None:
         ((variance,), (variance_error,)) = solved.variance(x)
         mean, mean_error = float(T[0]), float(T_error[0])
@@ -71,15 +57,18 @@ def fem_passage(
         half_error = SAFETY * abs(half - float(better @ solved.second(y)[0])) + off * half
         mean_error += float(weights @ T_error)
         half_error += float(weights @ U_error)
-        failure, finer = failure + beyond, solved.failure(times, y)[0] @ better + 1.0 - better.sum()
-        failure_error += SAFETY * np.abs(failure - finer) + off
         with np.errstate(over="ignore"):
             variance = 2.0 * half * unit * unit - mean * mean
             variance_error = 2.0 * half_error * unit * unit + 2.0 * mean * mean_error
     rate, rate_error = solved.rate()
-    by_mean = np.array([mean]) if not times.size else times
-    kept, residual = _forward(e, source, by_mean)
-    expected = 1.0 - beyond - solved.failure(by_mean, x)[0] @ weights
+    # Forward and backward equation are compared at the mean time where no other is asked for.
+    compared = times if times.size else np.array([mean])
+    F, F_error = solved.failure(compared, x)
+    failure, failure_error = F @ weights + beyond, F_error @ weights
+    if source.process is not None:
+        finer = solved.failure(compared, y)[0] @ better + 1.0 - better.sum()
+        failure_error += SAFETY * np.abs(failure - finer) + off
+    kept, residual = _forward(e, source, compared)
     settings: dict[str, str | float | int] = {
         "degree": e.degree, "elements": e.count, "tol": tol
     }  # fmt: skip
@@ -89,10 +78,10 @@ def fem_passage(
     return certified_passage(
         (*numbers, Number(rate, rate_error)),
         times,
-        failure,
-        failure_error,
+        failure[: times.size],
+        failure_error[: times.size],
         tol=tol,
-        mass_defect=float(np.abs(kept - expected).max()),
+        mass_defect=float(np.abs(kept + failure - 1.0).max()),
         residual=residual,
         starts=_curve(solved),
         settings=settings,
@@ -106,14 +95,8 @@ def _curve(solved: FirstPassage) -> StartCurve:
 
 def _forward(e: Modes, source: Source, times: Array) -> tuple[Array, float]:
     """Return ∫p at ``times`` where the limit absorbs, by the forward equation, and its residual."""
-    at_ends, inner = source.load(e)
-    turned = np.einsum("ew,ewv->ev", inner, e.diagonal[1])
-    mass, residual = np.zeros(times.size), 0.0
-    later = np.flatnonzero(times > 0.0)
-    mass[times == 0.0] = at_ends.sum() + 0.0
-    for c in contours(times[later]):
-        y = chain.admittances(e, c.z)
-        p = chain.resolvent(e, y, at_ends, turned, absorbing=True)
-        residual = max(residual, chain.residual(e, y, p, at_ends, turned))
-        mass[later[c.index]] = (c.factors @ chain.kept(e, p)).imag
+    later = times > 0.0
+    parts, residual = transforms(e, source, times[later], absorbing=True)
+    mass = np.full(times.size, source.load(e)[0].sum())
+    mass[later] = inverted(parts, partial(chain.kept, e), int(later.sum()))[0]
     return mass, residual

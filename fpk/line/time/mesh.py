@@ -28,6 +28,8 @@ LARGEST_VALUE = 100.0
 """Largest value at H = 0, relative to the norm in π ~ H^(n−1), of a polynomial that is taken: it
 multiplies round-off."""
 
+NONE: Array = np.zeros(0)
+
 
 def first_degree(degree: int, n: int) -> int:
     """Return the degree of the element at H = 0, where T ~ H^(n−1): at the most ``degree``.
@@ -38,12 +40,18 @@ def first_degree(degree: int, n: int) -> int:
 
 
 def time_nodes(
-    process: Process, end: float, degree: int, *, fine: tuple[tuple[float, float], ...] = ()
+    process: Process,
+    end: float,
+    degree: int,
+    *,
+    fine: tuple[tuple[float, float], ...] = (),
+    more: Array = NONE,
 ) -> Array:
     """Return nodes from 0 to ``end``: those of the stationary density, fine at some energies.
 
     ``fine`` holds energies, which become nodes, and the lengths of the elements beside them. From
-    there elements grow. The nodes of contact energies stay.
+    there elements grow. The nodes of contact energies stay. ``more`` are nodes that are added, but
+    for those that nearly are others.
     """
     n = process.degrees_of_freedom
     nodes = initial_nodes(probed(process), end, process.nonsmooth, nats=SMOOTH_NATS)
@@ -67,7 +75,7 @@ def time_nodes(
         gaps = np.diff(nodes)
         above, below = _growing(gaps[k:], length), _growing(gaps[:k][::-1], length)
         nodes = _with(nodes, np.concatenate([energy + above, energy - below]))
-    return _distinct(nodes, np.array(kept))
+    return _distinct(_with(nodes, more), np.array(kept))
 
 
 def _growing(gaps: Array, length: float) -> Array:

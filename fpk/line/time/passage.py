@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -12,19 +12,17 @@ from fpk.density import SMALLEST
 from fpk.errors import InvalidInput
 from fpk.evolution import BEYOND_RANGE
 from fpk.line.time import chain
-from fpk.line.time.mesh import HIGHEST, time_nodes
-from fpk.line.time.modes import EPS, Modes, modes, refined
+from fpk.line.time.mesh import NONE, time_nodes
+from fpk.line.time.modes import EPS, Modes
+from fpk.line.time.pair import ENRICHMENT, MOST_ROUNDS, cut, degree_for, meshed
+from fpk.line.time.propagation import inverted, values_at
 from fpk.probe import probed
 from fpk.process import Process
 
-ENRICHMENT = 2
-"""Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
 SAFETY = 3.0
 """Factor on the distance to the enriched solution."""
 ROUND_OFF = 8.0
 """Roundings of sums along the chain, for each element and each unit of ln π from end to end."""
-MOST_ROUNDS = 12
-"""Most rounds of cutting elements in two."""
 MOST_ELEMENTS = 3_000
 """Elements beyond which none is cut any more."""
 BRACKET = 1e-9
@@ -52,9 +50,8 @@ class Answers:
     @cached_property
     def mean(self) -> chain.Solution:
         """T: mean time of first passage over the start, L T = −1."""
-        return chain.inverse(
-            self.elements, *chain.loads(self.elements, chain.constant(self.elements))
-        )
+        e = self.elements
+        return chain.inverse(e, e.load, e.coupling.sum(axis=2))
 
     @cached_property
     def longest(self) -> float:
@@ -97,14 +94,14 @@ class Answers:
 
     def failure(self, times: Array, x: Array) -> tuple[Array, Array]:
         """Return P(T <= t) (times, points) from the starts x, and its round-off."""
-        e = self.elements
+        e, later = self.elements, times > 0.0
+        parts = [
+            (c, chain.lifted(e, chain.admittances(e, c.z), 1.0 / c.z))
+            for c in contours(times[later], more=self.more)
+        ]
         p, size = np.zeros((2, times.size, x.size))
-        later = np.flatnonzero(times > 0.0)
-        for c in contours(times[later], more=self.more):
-            f = chain.lifted(e, chain.admittances(e, c.z), 1.0 / c.z)
-            transform, at = chain.values(e, f, x, turned=True).T, later[c.index]
-            p[at] = (c.factors @ transform).imag
-            size[at] = np.abs(c.factors) @ np.abs(transform)
+        shape = int(later.sum()), x.size
+        p[later], size[later] = inverted(parts, partial(values_at, e, x), *shape)
         return p, EPS * size
 
 
@@ -122,9 +119,7 @@ def _product(e: Modes, f: chain.Solution, at_ends: Array, inner: Array) -> float
 class FirstPassage:
     """First passage of an energy through a ``limit`` with errors: ``answer`` and ``enriched``."""
 
-    process: Process
     limit: float
-    tol: float
     answer: Answers
     enriched: Answers
 
@@ -216,7 +211,7 @@ class FirstPassage:
 
 
 def first_passage(
-    process: Process, limit: float, *, times: Array, tol: float = 1e-10, nodes: Array | None = None
+    process: Process, limit: float, *, times: Array, tol: float = 1e-10, nodes: Array = NONE
 ) -> FirstPassage:
     """Return the first passage of ``limit`` > 0 with errors below ``tol`` where that is possible.
 
@@ -224,7 +219,7 @@ def first_passage(
     failure at ``times`` >= 0. The mesh adapts; elements end at ``nodes``, too. Raises
     ``InvalidInput`` for a limit whose mean time is beyond double precision.
     """
-    degree = int(np.clip(round(-math.log10(tol)) + 4, 8, HIGHEST))
+    degree = degree_for(tol)
     beyond = InvalidInput("limit", limit, BEYOND_RANGE)
     later = times[times > 0.0]
     fine: tuple[tuple[float, float], ...] = ()
@@ -235,32 +230,25 @@ def first_passage(
     log_mass = np.interp(math.log(limit), np.log(probe.energy), probe.log_mass)
     if not probe.log_mass.max() - log_mass < FARTHEST:
         raise beyond
-    own = time_nodes(process, limit, degree, fine=fine)
-    nodes = own if nodes is None else np.union1d(own, nodes)
-    pair = [
-        modes(process, nodes[:-1], nodes[1:], degree + more, enriched=more > 0)
-        for more in (0, ENRICHMENT)
-    ]
+    nodes = time_nodes(process, limit, degree, fine=fine, more=nodes)
+    pair = meshed(process, nodes, degree)
     for _ in range(MOST_ROUNDS):
         # Sums to beyond the range are judged below.
         with np.errstate(over="ignore", invalid="ignore"):
-            solved = FirstPassage(
-                process, limit, tol, Answers(pair[0]), Answers(pair[1], more=ENRICHMENT)
-            )
+            solved = FirstPassage(limit, Answers(pair[0]), Answers(pair[1], more=ENRICHMENT))
             longest = solved.longest
         if not longest < LARGEST_MEAN:
             raise beyond
-        marked = _marked(solved, times)
+        marked = _marked(solved, times, 0.25 * tol)
         if not marked.any() or marked.size > MOST_ELEMENTS:
             break
-        pair = [refined(process, e, marked, enriched=k > 0) for k, e in enumerate(pair)]
+        pair = cut(process, pair, marked)
     return solved
 
 
-def _marked(solved: FirstPassage, times: Array) -> Flags:
-    """Elements whose part of the answer is not known to the tolerance."""
+def _marked(solved: FirstPassage, times: Array, wanted: float) -> Flags:
+    """Elements whose part of the answer is not known to ``wanted``."""
     a, b = solved.answer.elements, solved.enriched.elements
-    wanted = 0.25 * solved.tol
     unit = np.exp(a.log_local - b.log_local)
     marked = np.zeros(a.count, dtype=bool)
     for own, better in ((a.conductance, b.conductance), (a.load.sum(axis=1), b.load.sum(axis=1))):

@@ -1,18 +1,23 @@
 """A density of one energy carried along in time, by inverse transforms of the resolvent."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from fpk.arrays import Array
 from fpk.contour import Contour, contours
+from fpk.dynamics import Complex
 from fpk.line.time import chain
 from fpk.line.time.mesh import GROWTH, HIGHEST, time_nodes
-from fpk.line.time.modes import EPS, Modes, log_density, modes, rule
+from fpk.line.time.modes import EPS, Modes, log_density, log_phase_density, modes
+from fpk.line.time.rule import rule
 from fpk.probe import probed
 from fpk.process import Process
+
+Part = tuple[Contour, chain.Solution]
+"""Solutions at the Laplace variables of a contour."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,46 +78,77 @@ class Source:
 
 
 @dataclass(frozen=True, eq=False)
-class Propagation:
-    """The density at ``times`` after a start on one mesh: its transform on contours in ``parts``.
+class Solution:
+    """Densities at several times on one mesh, however they are computed.
 
-    ``residual`` is what the solutions leave of their equations at the nodes.
+    ``times_factor`` gives p/π times a factor, (times, points), and the size of its terms: of the
+    ln of the factor at energies x > 0 in the elements, and these. ``residual`` is the largest of
+    the equations solved, relative to the terms that cancel.
     """
 
     process: Process
     elements: Modes
-    times: Array
-    parts: Sequence[tuple[Contour, chain.Solution]]
+    times_factor: Callable[[Array, Array], tuple[Array, Array]]
     residual: float
 
     def density(self, x: Array) -> tuple[Array, Array]:
         """Return p (times, points) at energies x > 0 in the elements, and the size of its terms."""
-        factor = np.exp(log_density(self.process, self.elements, x) - self._unit(x))
-        p, size = np.zeros((2, self.times.size, x.size))
-        for contour, f in self.parts:
-            g = chain.values(self.elements, f, x, turned=True).T
-            factors = contour.factors
-            p[contour.index] = (factors @ g).imag * factor
-            size[contour.index] = np.abs(factors) @ np.abs(g) * factor
-        return p, size
+        return self.times_factor(log_density(self.process, self.elements, x), x)
 
-    def _unit(self, x: Array) -> Array:
-        return np.asarray(self.elements.log_scale[self.elements.element_of(x)])
+    def state_density(self, x: Array) -> tuple[Array, Array]:
+        """Return u = p/T likewise, by its own: T vanishes at H = 0."""
+        return self.times_factor(log_phase_density(self.process, self.elements, x), x)
 
 
-def propagated(
-    process: Process, e: Modes, source: Source, times: Array, *, more: int = 0
-) -> Propagation:
-    """Return the density at ``times`` > 0 after ``source``, ``more`` points on each contour."""
+def transforms(
+    e: Modes, source: Source, times: Array, *, more: int = 0, absorbing: bool = False
+) -> tuple[list[Part], float]:
+    """Return the transform of p/π on contours for ``times`` > 0 after ``source``, and its residual.
+
+    There are ``more`` points on each contour. No flux leaves at the last end, or it absorbs.
+    """
     at_ends, inner = source.load(e)
     turned = np.einsum("ew,ewv->ev", inner, e.diagonal[1])
     parts, residual = [], 0.0
     for c in contours(times, more=more):
         y = chain.admittances(e, c.z)
-        f = chain.resolvent(e, y, at_ends, turned)
+        f = chain.resolvent(e, y, at_ends, turned, absorbing=absorbing)
         residual = max(residual, chain.residual(e, y, f, at_ends, turned))
         parts.append((c, f))
-    return Propagation(process, e, times, parts, residual)
+    return parts, residual
+
+
+def inverted(
+    parts: Sequence[Part], value: Callable[[chain.Solution], Complex], *shape: int
+) -> tuple[Array, Array]:
+    """Return what has the transform ``value`` (Laplace variables, …), and the size of its terms.
+
+    Both are of ``shape``, times first.
+    """
+    p, size = np.zeros((2, *shape))
+    for c, f in parts:
+        g, factors = value(f), c.factors
+        p[c.index], size[c.index] = (factors @ g).imag, np.abs(factors) @ np.abs(g)
+    return p, size
+
+
+def values_at(e: Modes, x: Array, f: chain.Solution) -> Complex:
+    """Return a solution at points x of the elements, (Laplace variables, points)."""
+    return np.asarray(chain.values(e, f, x, turned=True).T)
+
+
+def propagated(
+    process: Process, e: Modes, source: Source, times: Array, *, more: int = 0
+) -> Solution:
+    """Return the density at ``times`` > 0 after ``source``, ``more`` points on each contour."""
+    parts, residual = transforms(e, source, times, more=more)
+
+    def times_factor(log_factor: Array, x: Array) -> tuple[Array, Array]:
+        factor = np.exp(log_factor - e.log_scale[e.element_of(x)])
+        p, size = inverted(parts, partial(values_at, e, x), times.size, x.size)
+        return p * factor, size * factor
+
+    return Solution(process, e, times_factor, residual)
 
 
 def points(process: Process, e: Modes) -> tuple[Array, Array]:

@@ -1,22 +1,21 @@
 """Relaxation rates of one energy: eigenvalues of −L without flux at the ends, by counting them."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from fpk.arrays import Array, Integers
-from fpk.certificate import Certificate, Measured, certify
+from fpk.certificate import Measured, certify
+from fpk.dynamics import Rates
 from fpk.errors import NotCertified
 from fpk.line.mesh import split_points
 from fpk.line.time.chain import admittances, eliminated
-from fpk.line.time.mesh import HIGHEST, time_nodes
-from fpk.line.time.modes import EPS, Modes, modes
+from fpk.line.time.mesh import time_nodes
+from fpk.line.time.modes import EPS, Modes
+from fpk.line.time.pair import degree_for, meshed
 from fpk.probe import probed
 from fpk.process import Process
 
-ENRICHMENT = 2
-"""Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
 SAFETY = 2.0
 """Factor on the distance to the enriched solution."""
 TAIL = (1e-4, 1e-9)
@@ -33,16 +32,6 @@ SECTIONS = 32
 """Parts in which an interval that holds an eigenvalue is cut at once."""
 MOST_ROUNDS, MOST_ELEMENTS = 6, 1_000
 """Rounds, at every second of which all elements are cut in two, and elements that end them."""
-
-
-@dataclass(frozen=True, eq=False)
-class Spectrum:
-    """The least eigenvalues λ > 0 of −L, their errors and the certificate."""
-
-    rates: Array
-    errors: Array
-    elements: int
-    certificate: Certificate
 
 
 def eigenvalues_below(e: Modes, rates: Array) -> Integers:
@@ -76,10 +65,12 @@ def eigenvalues(e: Modes, count: int, scale: float) -> Array:
     return 0.5 * (low + high)
 
 
-def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Spectrum:
-    """Return the ``count`` least rates to the relative tolerance ``tol``; the mesh adapts."""
-    degree = int(np.clip(round(-math.log10(tol)) + 4, 8, HIGHEST))
-    scale = process.energy_scale
+def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
+    """Return the ``count`` least eigenvalues of −L but 0, all of them real.
+
+    To the relative tolerance ``tol``; the mesh adapts.
+    """
+    degree, scale = degree_for(tol), process.energy_scale
     special = np.array([0.0, *process.nonsmooth])
     order = float(process.coefficients(np.array([scale])).diffusion[0]) / scale**2
     wave = WAVES / count * scale / process.degrees_of_freedom
@@ -88,10 +79,8 @@ def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Spectrum:
         nodes = time_nodes(process, end, degree, fine=((0.0, wave),) if count > WAVES else ())
         for _ in range(turn // 2):
             nodes = np.sort(np.append(nodes, split_points(nodes[:-1], nodes[1:], special)))
-        answer = modes(process, nodes[:-1], nodes[1:], degree)
-        nodes = np.append(nodes, last)
-        enriched = modes(process, nodes[:-1], nodes[1:], degree + ENRICHMENT, enriched=True)
-        rates, better = (eigenvalues(e, count, order) for e in (answer, enriched))
+        pair = meshed(process, nodes, degree, beyond=np.array([last]))
+        answer, (rates, better) = pair[0], (eigenvalues(e, count, order) for e in pair)
         common = 2.0 * answer.coefficient_error()
         common += ROUND_OFF * EPS * (answer.count + float(np.ptp(answer.log_scale)))
         errors = SAFETY * np.abs(rates - better) + common * rates
@@ -101,7 +90,8 @@ def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Spectrum:
     # The eigenvalue 0 of the constant is there whatever the elements: no probability is lost.
     residual = float(eigenvalues_below(answer, rates[:1] * 0.5)[0] != 1)
     measured = Measured(relative, 0.0, 0.0, residual, 0.0)
-    return Spectrum(rates, errors, answer.count, certify(measured, tol=tol))
+    settings = {"elements": answer.count, "tol": tol}
+    return Rates(rates.astype(complex), errors, certify(measured, tol=tol), settings)
 
 
 def _extent(process: Process, count: int, tail: float) -> float:

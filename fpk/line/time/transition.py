@@ -1,6 +1,7 @@
 """Densities of one energy at times after a start, from its transition density."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -10,14 +11,13 @@ from fpk.arrays import Array
 from fpk.certificate import Certificate, Measured, certify
 from fpk.density import SMALLEST
 from fpk.errors import InvalidInput
-from fpk.line.time.mesh import HIGHEST, time_nodes
-from fpk.line.time.modes import EPS, Modes, modes, refined
-from fpk.line.time.propagation import Propagation, Source, points, propagated
+from fpk.line.time.mesh import time_nodes
+from fpk.line.time.modes import EPS, Modes
+from fpk.line.time.pair import ENRICHMENT, MOST_ROUNDS, Pair, cut, degree_for, meshed
+from fpk.line.time.propagation import Solution, Source, points, propagated
 from fpk.probe import Probe, probed
 from fpk.process import Process
 
-ENRICHMENT = 2
-"""Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
 SAFETY = 3.0
 """Factor on the distance to the enriched solution."""
 ROUND_OFF = 8.0
@@ -34,26 +34,41 @@ FARTHEST = -600.0
 """ln of the least stationary probability beyond a start that double precision can relate to one."""
 FARTHEST_EXTENT = 4.0 * FARTHEST
 """The same beyond the extent of a density at the start: at 5000 errors exceed the answer."""
-MOST_ROUNDS, MOST_ELEMENTS = 12, 1_000
-"""Rounds of cutting elements in two, and elements beyond which none is cut."""
+MOST_ELEMENTS = 1_000
+"""Elements beyond which none is cut."""
 STALLED = 0.9
 """Ratio of the error to that of the round before that shows that finer elements do not help."""
 CHECKED_TIMES = 6
 """Times at which the mesh is adapted first, then at all."""
+Solutions = tuple[Solution, Solution]
+"""Densities on the two meshes of a ``Pair``."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """A density that begins with ``source``, as it is at certain times and to ``tol`` in L1.
+
+    ``width`` is that of the density at the first of the times.
+    """
+
+    process: Process
+    source: Source
+    width: float
+    tol: float
 
 
 @dataclass(frozen=True, eq=False)
 class Transition:
-    """The density of an energy at ``times`` after a start, with its error and certificate.
+    """The density of an energy at several times after a start, with its error and certificate.
 
-    ``distance`` (times, elements) is the largest distance to the enriched solution in each element,
-    ``start`` the energy that it begins with and its width at the first time, ``top`` (times,) the
-    largest density.
+    ``distance`` (times, elements, points) is that to more accurate solutions at the ``points`` of
+    the elements, ``top`` (times,) the largest density there.
     """
 
-    propagation: Propagation
+    question: Question
+    solution: Solution
+    enriched: Solution
     distance: Array
-    start: tuple[float, float]
     top: Array
     measured: Measured
     certificate: Certificate
@@ -61,7 +76,7 @@ class Transition:
     @property
     def elements(self) -> Modes:
         """The elements of the answer."""
-        return self.propagation.elements
+        return self.solution.elements
 
     def density(self, x: Array) -> tuple[Array, Array]:
         """Return p and its error at energies x (points,): two arrays (times, points).
@@ -71,9 +86,9 @@ class Transition:
         e = self.elements
         end = float(e.right[-1])
         inside = np.clip(x, SMALLEST, end)
-        p, size = self.propagation.density(inside)
-        error = SAFETY * self.distance[:, e.element_of(inside)]
-        error = error + common_error(e, self.start, p, size, inside)
+        p, size = self.solution.density(inside)
+        error = SAFETY * self.distance.max(axis=2)[:, e.element_of(inside)]
+        error = error + common_error(self.question, e, p, size, inside)
         # What is left of larger numbers far from the peak.
         error += ROUND_OFF * EPS * self.top[:, None]
         p_there = np.where((x >= 0.0) & (x <= end), p, 0.0)
@@ -87,89 +102,111 @@ def transition(process: Process, source: Source, times: Array, *, tol: float = 1
     The mesh adapts, fine at the start; what is not met is said in the certificate. Raises
     ``InvalidInput`` for a start beyond the range of double precision.
     """
-    degree = int(np.clip(round(-math.log10(tol)) + 4, 8, HIGHEST))
-    probe, start = probed(process), source.energy
-    share = log_share_above(probe, start)
-    if share < FARTHEST or log_share_above(probe, source.extent) < FARTHEST_EXTENT:
-        remedy = "the stationary probability beyond it is out of the range of double precision"
-        raise InvalidInput("start", f"H={start or source.extent:g}", remedy)
-    ends = [extent(process, source, tail * tol, share) for tail in TAIL]
-    if source.process is None:
-        width = width_of(process, start, float(times.min()))
-        nodes = time_nodes(process, ends[0], degree, fine=((start, LAYER * width),))
-    else:
-        width = process.energy_scale
-        nodes = time_nodes(process, ends[0], degree)
-        nodes = np.union1d(nodes, source.nodes(ends[0], degree))
-    ends[1] = max(ends[1], LENGTHENED * ends[0])
-    length = float(nodes[-1] - nodes[-2])
-    beyond = np.linspace(ends[0], ends[1], 1 + max(1, math.ceil((ends[1] - ends[0]) / length)))
-    answer = modes(process, nodes[:-1], nodes[1:], degree)
-    nodes = np.append(nodes, beyond[1:])
-    enriched = modes(process, nodes[:-1], nodes[1:], degree + ENRICHMENT, enriched=True)
-    judged = partial(_judged, process, source, probe, tol, width)
+    question, pair = posed(process, source, float(times.min()), tol)
     few = np.unique(np.linspace(0, times.size - 1, CHECKED_TIMES).astype(int))
     for chosen in (times[few], times) if few.size < times.size else (times,):
-        before = math.inf
-        for _ in range(MOST_ROUNDS):
-            solved, own, rounding = judged(chosen, answer, enriched)
-            marked = own > np.maximum(0.1 * tol / own.size, rounding)
-            small = SAFETY * own.sum() <= 0.5 * tol or not own.sum() < STALLED * before
-            if small or not marked.any() or marked.size > MOST_ELEMENTS:
-                break
-            before = own.sum()
-            answer = refined(process, answer, marked)
-            more = np.append(marked, np.zeros(enriched.count - marked.size, dtype=bool))
-            enriched = refined(process, enriched, more, enriched=True)
+        solve = partial(_propagated_pair, process, source, chosen)
+        solved, pair = adapted(question, pair, solve)
     return solved
 
 
-def width_of(process: Process, start: float, time: float) -> float:
+def _propagated_pair(process: Process, source: Source, times: Array, pair: Pair) -> Solutions:
+    own, finer = (
+        propagated(process, e, source, times, more=more)
+        for e, more in zip(pair, (0, ENRICHMENT), strict=True)
+    )
+    return own, finer
+
+
+def posed(process: Process, source: Source, time: float, tol: float) -> tuple[Question, Pair]:
+    """Return the question, ``time`` the first one asked for, and the meshes to begin with.
+
+    Those of the answer and of the enriched solution, which reaches farther. Raises ``InvalidInput``
+    for a start beyond the range of double precision.
+    """
+    degree = degree_for(tol)
+    probe, start = probed(process), source.energy
+    share = _log_share_above(probe, start)
+    if share < FARTHEST or _log_share_above(probe, source.extent) < FARTHEST_EXTENT:
+        remedy = "the stationary probability beyond it is out of the range of double precision"
+        raise InvalidInput("start", f"H={start or source.extent:g}", remedy)
+    ends = [_extent(process, source, tail * tol, share) for tail in TAIL]
+    if source.process is None:
+        width = _width_of(process, start, time)
+        nodes = time_nodes(process, ends[0], degree, fine=((start, LAYER * width),))
+    else:
+        width = process.energy_scale
+        nodes = time_nodes(process, ends[0], degree, more=source.nodes(ends[0], degree))
+    ends[1] = max(ends[1], LENGTHENED * ends[0])
+    length = float(nodes[-1] - nodes[-2])
+    beyond = np.linspace(ends[0], ends[1], 1 + max(1, math.ceil((ends[1] - ends[0]) / length)))
+    pair = meshed(process, nodes, degree, beyond=beyond[1:])
+    return Question(process, source, width, tol), pair
+
+
+def adapted(
+    question: Question, pair: Pair, solve: Callable[[Pair], Solutions]
+) -> tuple[Transition, Pair]:
+    """Return what ``solve`` gives on meshes cut where they have to be, judged, and the meshes."""
+    before, tol, process = math.inf, question.tol, question.process
+    for _ in range(MOST_ROUNDS):
+        solved, own, rounding = judged(question, *solve(pair))
+        marked = own > np.maximum(0.1 * tol / own.size, rounding)
+        small = SAFETY * own.sum() <= 0.5 * tol or not own.sum() < STALLED * before
+        if small or not marked.any() or marked.size > MOST_ELEMENTS:
+            break
+        before = own.sum()
+        pair = cut(process, pair, marked)
+    return solved, pair
+
+
+def _width_of(process: Process, start: float, time: float) -> float:
     """Width of the density at a short ``time`` after an energy: √(b t), b ~ H at H = 0."""
     c = process.coefficients(np.array([max(start, NEAR_ZERO * process.energy_scale)]))
     spread = math.sqrt(float(c.diffusion[0]) * time) if start > 0.0 else 0.0
     return max(spread, 0.5 * float(c.divergence[0]) * time)
 
 
-def _judged(
-    process: Process, source: Source, probe: Probe, tol: float, width: float, times: Array,
-    answer: Modes, enriched: Modes,
-) -> tuple[Transition, Array, Array]:  # fmt: skip
-    """Return the solution, judged, each element's part of its error, and of its round-off."""
-    x, w = points(process, answer)
-    shape = (times.size, *x.shape)
-    own = propagated(process, answer, source, times)
-    finer = propagated(process, enriched, source, times, more=ENRICHMENT)
-    (p, size), (better, other) = own.density(x.ravel()), finer.density(x.ravel())
-    end, last = float(answer.right[-1]), float(enriched.right[-1])
+def judged(
+    question: Question, own: Solution, finer: Solution, *, distance: Array | None = None
+) -> tuple[Transition, Array, Array]:
+    """Return the solution, judged, each element's part of its error, and of its round-off.
+
+    ``distance`` as of ``Transition``; left out, it is that to the enriched solution ``finer``.
+    """
+    answer, enriched = own.elements, finer.elements
+    x, w = points(question.process, answer)
+    p, size = own.density(x.ravel())
+    shape = (len(p), *x.shape)
+    if distance is None:
+        better, other = finer.density(x.ravel())
+        distance, size = np.abs(p - better).reshape(shape), size + other
+    last = float(enriched.right[-1])
     # What the enriched solution has beyond the last element of the answer.
-    far, far_w = points(process, enriched)
+    far, far_w = points(question.process, enriched)
     far, far_w = far[answer.count :], far_w[answer.count :]
-    at = np.append(far.ravel(), [end, last])
-    beyond = np.abs(finer.density(at)[0])
-    tail = (beyond[:, :-2] @ far_w.ravel()).max() + probe.tail_bound(
-        last, float(beyond[:, -1].max())
-    )
-    distance = np.abs(p - better).reshape(shape)
-    common = common_error(answer, (source.energy, width), p, size + other, x.ravel())
+    beyond = np.abs(finer.density(np.append(far.ravel(), last))[0])
+    tail = (beyond[:, :-1] @ far_w.ravel()).max()
+    tail += probed(question.process).tail_bound(last, float(beyond[:, -1].max()))
+    common = common_error(question, answer, p, size, x.ravel())
     pointwise = SAFETY * distance.reshape(p.shape) + common
     common = common.reshape(shape) * w
+    top = p.max(axis=1)
     measured = Measured(
         l1_error=float(((SAFETY * distance * w) + common).sum(axis=(1, 2)).max() + 2.0 * tail),
         mass_defect=float(np.abs(p @ w.ravel() - 1.0).max()),
-        minimum=float((p.min(axis=1) / p.max(axis=1)).min()),
+        minimum=float((p.min(axis=1) / top).min()),
         residual=own.residual,
         tail_mass=float(tail),
-        absolute_error=float((pointwise.max(axis=1) / p.max(axis=1)).max()),
+        absolute_error=float((pointwise.max(axis=1) / top).max()),
     )
-    certificate = certify(measured, tol=tol)
-    start, top = (source.energy, width), p.max(axis=1)
-    solved = Transition(own, distance.max(axis=2), start, top, measured, certificate)
+    certificate = certify(measured, tol=question.tol)
+    solved = Transition(question, own, finer, distance, top, measured, certificate)
     each = (distance * w).sum(axis=2).max(axis=0)
     return solved, each, common.sum(axis=2).max(axis=0)
 
 
-def log_share_above(probe: Probe, energy: float) -> float:
+def _log_share_above(probe: Probe, energy: float) -> float:
     """About ln of the stationary probability above ``energy``."""
     if energy <= 0.0:
         return 0.0
@@ -178,7 +215,7 @@ def log_share_above(probe: Probe, energy: float) -> float:
     return float(min(at - probe.log_mass[top], 0.0)) if energy > probe.energy[top] else 0.0
 
 
-def extent(process: Process, source: Source, tail: float, log_share: float) -> float:
+def _extent(process: Process, source: Source, tail: float, log_share: float) -> float:
     """Return an energy above which no more than ``tail`` is at any time after the start.
 
     From a start in the stationary state beyond the energy H_0 it is not more, at any energy, than
@@ -190,18 +227,17 @@ def extent(process: Process, source: Source, tail: float, log_share: float) -> f
     return max(end, 1.05 * source.energy)
 
 
-def common_error(e: Modes, start: tuple[float, float], p: Array, size: Array, x: Array) -> Array:
+def common_error(question: Question, e: Modes, p: Array, size: Array, x: Array) -> Array:
     """Errors that the answer and the enriched solution have in common.
 
-    ``start`` is the first energy and the width of the density at the first time.
     By the coefficients: at short times ln p ~ −(distance)²/(2 b t), so that they count the more
     the smaller p is. By the rounding of energies: p changes over the width of the density at
-    the first time. By the rule of the inverse transform: what cancels in it.
+    the first time. By what cancels in p, of which ``size`` is that of the terms.
     """
-    upto, width = start
-    rounding = ROUND_OFF * EPS * (1.0 + x / width + float(np.ptp(e.log_scale)))
+    rounding = ROUND_OFF * EPS * (1.0 + x / question.width + float(np.ptp(e.log_scale)))
     top = np.abs(p).max(axis=1, keepdims=True) + SMALLEST
     steep = 2.0 + np.log(top) - np.log(np.clip(np.abs(p), SMALLEST, top))
     floor = ROUND_OFF * EPS * size
-    coefficients = 2.0 * e.coefficient_error(upto) * steep + e.relative_error[e.element_of(x)]
+    coefficients = 2.0 * e.coefficient_error(question.source.energy) * steep
+    coefficients += e.relative_error[e.element_of(x)]
     return np.asarray((coefficients + rounding) * np.abs(p) + floor)

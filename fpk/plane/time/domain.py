@@ -1,30 +1,15 @@
-"""Domains of two energies in the coordinates of a rectangle, on which elements are tensors."""
+"""Domains of two energies in the coordinates of a rectangle, on which elements are tensors.
+
+Each is a smooth map from coordinates y of the rectangle, both counted from 0, to the energies, with
+its inverse, |∂H/∂y|, and the coefficients F and b of ∫ (F u − ½ b ∇u)·∇v dH in y: with G = ∂y/∂H
+and ∇_H u = Gᵀ ∇_y u they are G F and G b Gᵀ, the axes of energies last.
+"""
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from fpk.arrays import Array
-
-
-class Domain(Protocol):
-    """A smooth map from coordinates y of a rectangle, both counted from 0, to the energies."""
-
-    def energies(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """Return H1 and H2 at coordinates that broadcast together."""
-
-    def coordinates(self, H1: Array, H2: Array) -> tuple[Array, Array]:
-        """Return the coordinates of energies that broadcast together."""
-
-    def jacobian(self, first: Array, second: Array) -> Array:
-        """Return |∂H/∂y| at coordinates that broadcast together."""
-
-    def pulled_back(self, y: tuple[Array, Array], F: Array, b: Array) -> tuple[Array, Array]:
-        """Return G F and G b Gᵀ with G = ∂y/∂H, the axes of energies last.
-
-        So that ∇_H u = Gᵀ ∇_y u turns ∫ (F u − ½ b ∇u)·∇v dH into an integral of the same form.
-        """
 
 
 @dataclass(frozen=True)
@@ -77,3 +62,6 @@ class Triangle:
         G = np.stack([np.ones_like(H), np.ones_like(H), (1.0 - x) / H, -x / H], axis=-1)
         G = G.reshape(*H.shape, 2, 2)
         return np.einsum("...ij,...j->...i", G, F), G @ b @ np.swapaxes(G, -1, -2)
+
+
+Domain = Rectangle | Triangle

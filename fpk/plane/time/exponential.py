@@ -100,27 +100,23 @@ def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float
     matrix = (M - gamma * A).tocsc()
     factors, sizes, symmetric = factorised(matrix), abs(matrix), _symmetric(A)
     V, MV = np.empty((MOST, start.size)), np.empty((MOST, start.size))
-    H, norm, residual, v = np.zeros((MOST, MOST)), 0.0, 0.0, start
-    for k in range(MOST):
-        if k:
-            v = factors.solve(MV[k - 1])
-            if k % CHUNK == 1:
-                residual = max(residual, relative_residual(matrix, sizes, v, MV[k - 1]))
-            before = float(np.sqrt(v @ (M @ v)))
-            for _ in range(2):
-                along = MV[:k] @ v
-                H[:k, k - 1] += along
-                v = v - along @ V[:k]
+    H, residual, norm = np.zeros((MOST, MOST)), 0.0, float(np.sqrt(start @ (M @ start)))
+    V[0], MV[0] = start / norm, (M @ start) / norm
+    for k in range(1, MOST):
+        v = factors.solve(MV[k - 1])
+        if k % CHUNK == 1:
+            residual = max(residual, relative_residual(matrix, sizes, v, MV[k - 1]))
+        before = float(np.sqrt(v @ (M @ v)))
+        for _ in range(2):
+            along = MV[:k] @ v
+            H[:k, k - 1] += along
+            v = v - along @ V[:k]
         Mv = M @ v
-        size = float(np.sqrt(v @ Mv))
-        if k and size <= INVARIANT * before:
+        H[k, k - 1] = size = float(np.sqrt(v @ Mv))
+        if size <= INVARIANT * before:
             more, rounding = _reduced(H[:k, :k], times, gamma, symmetric)
             change = np.zeros_like(more)
             break
-        if k:
-            H[k, k - 1] = size
-        else:
-            norm = size
         V[k], MV[k] = v / size, Mv / size
         if k + 1 >= 3 * CHUNK and (k + 1) % CHUNK == 0:
             more, rounding = _reduced(H[:k, :k], times, gamma, symmetric)

@@ -1,5 +1,7 @@
 """The slowest relaxation rates of two energies."""
 
+from itertools import pairwise
+
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigs
 
@@ -29,39 +31,30 @@ def relaxation_rates(frame: Frame, count: int, *, tol: float, relative: float = 
 
     Levels rise until two of them agree to ``tol``, relative to each; the answer is that of the
     finer one. ``relative`` is the relative error of the coefficients. Raises ``NotCertified`` where
-    the finest level has fewer unknowns than that.
+    the two finest levels have fewer unknowns than that.
     """
 
     def nodes(rise: float, panels: int) -> Nodes:
         return graded(frame.ends(rise), panels)
 
-    shift, previous = _scale(frame), None
-    for op in operators(frame, nodes, tol=tol, height=HEIGHT):
-        sought = 2 * count + 2
-        if VECTORS[0] * sought + VECTORS[1] >= op.free.size:
-            continue
-        values, residual = _eigenvalues(op, sought, shift)
-        if previous is not None:
-            errors = SAFETY * np.array(
-                [float(np.min(np.abs(previous - z))) for z in values[:count]]
-            )
-            size = np.abs(values[:count])
-            errors += ROUNDING * (size + shift) ** 2 / shift
-            errors += (relative + 2.0 * frame.relative_error) * size
-            measured = Measured(
-                l1_error=float(np.max(errors / size)),
-                mass_defect=0.0,
-                minimum=0.0,
-                residual=residual,
-                tail_mass=0.0,
-            )
-            certificate = certify(measured, tol=tol)
-            settings = {"unknowns": int(op.free.size), "degree": op.degree}
-            answer = Rates(values[:count], errors, certificate, settings)
-            if certificate.certified:
-                return answer
-        previous = values
-    if previous is None:
+    shift, sought, answer = _scale(frame), 2 * count + 2, None
+    levels = (
+        (op, *_eigenvalues(op, sought, shift))
+        for op in operators(frame, nodes, tol=tol, height=HEIGHT)
+        if VECTORS[0] * sought + VECTORS[1] < op.free.size
+    )
+    for (_, coarse, _), (op, every, residual) in pairwise(levels):
+        values = every[:count]
+        size = np.abs(values)
+        errors = SAFETY * np.abs(coarse - values[:, None]).min(axis=1)
+        errors += ROUNDING * (size + shift) ** 2 / shift
+        errors += (relative + 2.0 * frame.relative_error) * size
+        measured = Measured(float(np.max(errors / size)), 0.0, 0.0, residual, 0.0)
+        settings = {"unknowns": int(op.free.size), "degree": op.degree}
+        answer = Rates(values, errors, certify(measured, tol=tol), settings)
+        if answer.certificate.certified:
+            break
+    if answer is None:
         raise NotCertified(f"{count} rates take more unknowns than are affordable")
     return answer
 

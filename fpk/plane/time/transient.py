@@ -1,6 +1,7 @@
 """Densities of two energies at times after a start, with their errors."""
 
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +34,7 @@ KRYLOV = 1e-2
 """Fraction of the tolerance to which e^(tA) is computed."""
 
 
-class _Level(NamedTuple):
+class Level(NamedTuple):
     """The coefficients at all times, in all functions, of one operator."""
 
     op: PlaneOperator
@@ -50,7 +51,7 @@ def transient_densities(
     at: tuple[Array, ...],
     *,
     tol: float,
-    coefficients_error: Callable[..., Array] | None = None,
+    coefficients_error: Callable[..., Array] = lambda t, *at: np.zeros(at[0].shape),
 ) -> Transient:
     """Return the densities seen at ``times`` > 0, ascending, at points ``at`` (points,) each.
 
@@ -58,20 +59,32 @@ def transient_densities(
     answer is that of the finer one. A time too short for the last level is not certified.
     ``coefficients_error(t, *at)`` is the relative error of p by that of the coefficients.
     """
-    previous: _Level | None = None
-    for level in _levels(frame, start, times, tol):
-        if previous is not None:
-            answer, unresolved = _compared(
-                previous, level, start, view, times, at, tol, coefficients_error
-            )
-            hopeless = level.op.degree >= GIVEN_UP[0] and answer.certificate.failures
-            if answer.certificate.certified or (hopeless and unresolved > GIVEN_UP[1]):
-                return answer
-        previous = level
+    answer, _ = resolved(
+        frame, start, view, times, at, tol=tol, coefficients_error=coefficients_error
+    )
     return answer
 
 
-def _levels(frame: Frame, start: Start, times: Array, tol: float) -> Iterator[_Level]:
+def resolved(
+    frame: Frame,
+    start: Start,
+    view: View,
+    times: Array,
+    at: tuple[Array, ...],
+    *,
+    tol: float,
+    coefficients_error: Callable[..., Array] = lambda t, *at: np.zeros(at[0].shape),
+) -> tuple[Transient, tuple[Level, Level]]:
+    """Return the answer of ``transient_densities``, and its last two levels, the finer last."""
+    for coarse, fine in pairwise(_levels(frame, start, times, tol)):
+        answer, distance = _compared(coarse, fine, start, view, times, at, tol, coefficients_error)
+        hopeless = fine.op.degree >= GIVEN_UP[0] and distance > GIVEN_UP[1]
+        if answer.certificate.certified or hopeless:
+            break
+    return answer, (coarse, fine)
+
+
+def _levels(frame: Frame, start: Start, times: Array, tol: float) -> Iterator[Level]:
     height, share = 0.0, 1.0
     least = np.zeros(2)
     if isinstance(start, PointStart):
@@ -90,63 +103,50 @@ def _levels(frame: Frame, start: Start, times: Array, tol: float) -> Iterator[_L
     for op in operators(frame, nodes, tol=tol, height=height, share=share):
         A, M, _ = op.matrices
         parts = evolved(A, M, start.dual(op), times, tol=KRYLOV * tol)
-        yield _Level(op, parts, op.spread(parts.values), op.spread(parts.change))
+        yield Level(op, parts, op.spread(parts.values), op.spread(parts.change))
 
 
 def _compared(
-    coarse: _Level,
-    fine: _Level,
+    coarse: Level,
+    fine: Level,
     start: Start,
     view: View,
     times: Array,
     at: tuple[Array, ...],
     tol: float,
-    coefficients_error: Callable[..., Array] | None,
+    coefficients_error: Callable[..., Array],
 ) -> tuple[Transient, float]:
     """The finer answer, its error by the distance to the coarser one, the largest distance."""
     axes, area = view.grid(fine.op)
-    p, other = (view.on_grid(level.op, level.g, axes) for level in (fine, coarse))
-    flat = p.reshape(times.size, -1)
-    lost = np.abs(p - other) + np.abs(view.on_grid(fine.op, fine.change, axes))
-    largest = np.max(np.abs(flat), axis=1)
+    points, area = [x.ravel() for x in np.meshgrid(*axes, indexing="ij")], area.ravel()
+    solutions = (fine.op, fine.g), (coarse.op, coarse.g), (fine.op, fine.change)
+    p, other, change = (view.on_grid(op, g, axes).reshape(times.size, -1) for op, g in solutions)
+    lost = np.abs(p - other) + np.abs(change)
+    largest = np.max(np.abs(p), axis=1)
     mass = fine.evolved.values @ fine.op.matrices.shares
     rounding = ROUNDING * fine.evolved.rounding + 2.0 * np.abs(mass - 1.0)
-    highest = np.max(lost.reshape(times.size, -1), axis=1) + rounding * largest
-    values, coarser, change = (
-        view.at(level.op, g, at)
-        for level, g in ((fine, fine.g), (coarse, coarse.g), (fine, fine.change))
-    )
+    highest = np.max(lost, axis=1) + rounding * largest
+    values, coarser, change = (view.at(op, g, at) for op, g in solutions)
     # What lies beyond the mesh is less than what there is at its end.
-    within = tuple(np.clip(x, 0.0, y[-1]) for x, y in zip(at, _ends(view, fine.op), strict=True))
+    within = tuple(np.clip(x, 0.0, end) for x, end in zip(at, _ends(view, fine.op), strict=True))
     outside = np.any([x != y for x, y in zip(at, within, strict=True)], axis=0)
     beyond = np.abs(view.at(fine.op, fine.g, within)) * outside
     errors = np.abs(values - coarser) + np.abs(change) + beyond + SHARE * highest[:, None]
     errors = np.maximum(errors, (rounding * largest)[:, None])
-    model = np.zeros(times.size)
-    if coefficients_error is not None:
-        for k, t in enumerate(times):
-            errors[k] += coefficients_error(t, *at) * np.abs(values[k])
-            grid = np.meshgrid(*axes, indexing="ij", sparse=True)
-            model[k] = float(np.sum(area * np.abs(p[k]) * coefficients_error(t, *grid)))
-    negative = np.min(np.broadcast_arrays(*at), axis=0) < 0.0
-    distance = np.sum((lost * area).reshape(times.size, -1), axis=1)
+    errors += np.abs(values) * np.array([coefficients_error(t, *at) for t in times])
+    model = (np.abs(p) * np.array([coefficients_error(t, *points) for t in times])) @ area
+    distance = lost @ area
     unresolved = ~(distance <= UNRESOLVED)
     errors = np.where(unresolved[:, None], np.inf, errors)
-    errors = np.where(negative, 0.0, errors) + SMALLEST
-    l1 = (lost * area).reshape(times.size, -1).sum(axis=1) + model + rounding + start.l1_error
-    inside = np.all(
-        [
-            x <= y[-1]
-            for x, y in zip(np.meshgrid(*axes, indexing="ij"), _ends(view, coarse.op), strict=True)
-        ],
-        axis=0,
-    )
-    tail = np.abs(p * area * ~inside).reshape(times.size, -1).sum(axis=1)
+    errors = np.where(np.min(np.broadcast_arrays(*at), axis=0) < 0.0, 0.0, errors) + SMALLEST
+    l1 = distance + model + rounding + start.l1_error
+    ends = zip(points, _ends(view, coarse.op), strict=True)
+    tail = np.abs(p * np.any([x > end for x, end in ends], axis=0)) @ area
     absolute = float(np.max(highest / largest))
     measured = Measured(
         l1_error=float(np.max([*l1, absolute])),
         mass_defect=float(np.max(np.abs(mass - 1.0))),
-        minimum=float(np.min(flat.min(axis=1) / largest)),
+        minimum=float(np.min(p.min(axis=1) / largest)),
         residual=float(np.max([fine.evolved.residual, coarse.evolved.residual])),
         tail_mass=float(np.max(tail)),
         absolute_error=absolute,
@@ -163,10 +163,8 @@ def _compared(
     return answer, float(np.max(distance))
 
 
-def _ends(view: View, op: PlaneOperator) -> tuple[Array, ...]:
-    """Nodes of the axes seen."""
-    if view.seen == "pair":
-        return op.nodes
-    if view.seen == "sum":
-        return (np.array([0.0, op.nodes[0][-1] + op.nodes[1][-1]]),)
-    return (op.nodes[int(view.seen == "second")],)
+def _ends(view: View, op: PlaneOperator) -> list[float]:
+    """Last energies of the axes seen."""
+    first, second = (float(x[-1]) for x in op.nodes)
+    each = {"pair": [first, second], "sum": [first + second], "first": [first], "second": [second]}
+    return each[view.seen]

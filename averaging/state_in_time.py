@@ -1,0 +1,169 @@
+"""Densities of displacements and momenta in time from that of the energy, Eqs. (23), (30).
+
+Given the energy the state is distributed over its shell as in the stationary state, so that
+ρ(q, p, t) = u(H, t), u = p(H, t)/T(H). Soon after the start u is as narrow as the noise has made it
+by then: all integrals have panels that end where the elements of p(H, t) end.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from averaging.back_transformation import hidden_quadratic
+from averaging.conditional import Conditional, conditionals
+from averaging.shell.averages import log_linear_states
+from averaging.weyl_in_time import WeylInTime
+from fpk.arrays import Array
+from fpk.certificate import certify
+from fpk.density import SMALLEST
+from fpk.errors import NotApplicable
+from fpk.evolution import Transient
+from fpk.line.time.transition import Transition
+from fpk.observable import Observable, observable_name
+from fpk.quadrature import gauss_legendre
+from fpk.system import System
+
+RULES = (10, 14)
+"""Gauss points a panel over a hidden contact mass; the distance of the two is the error."""
+ERROR_POINTS = 4
+"""Gauss points a panel of the integral of the error of Ψ, an estimate."""
+BISECTIONS = 50
+"""Halvings by which ends of panels are found: 1e-15 of the range."""
+LAYERS = np.append(4.0 ** -np.arange(9.0), 0.0)
+"""Ends of panels beyond a stop, as shares of the way to the end: (H − V) ~ overlap^2.5 there."""
+CHUNK = 4_000_000
+"""Numbers held at once: 32 MB."""
+
+
+def state_transient(
+    system: System,
+    solved: Transition,
+    observable: Observable,
+    times: Array,
+    at: tuple[Array, ...],
+    *,
+    tol: float,
+) -> Transient:
+    """Return the densities of one or two of (q, p) at ``times``, at points ``at`` (points,) each.
+
+    Momenta and masses without contact are integrated out exactly, one contact mass that is not
+    observed by quadrature. The L1 error is that of the energy, as integrating out increases none,
+    and what tables and quadrature add. Raises ``NotApplicable`` for more hidden contact masses.
+    """
+    q, p = ([c.row for c in observable if c.kind == kind] for kind in "qp")
+    hidden = [i for i in system.contact_masses if i not in q]
+    if len(hidden) > 1:
+        raise NotApplicable(
+            f"{observable_name(observable)}: in time one contact mass at the most is integrated "
+            f"out, here {len(hidden)} are not observed"
+        )
+    laws = conditionals(system, [*q, *hidden])
+    order, log_factor = hidden_quadratic(system, p, laws)
+    psi = WeylInTime(solved, order)
+    given = dict(zip(observable, at, strict=True))
+    Q = np.array([given[c] for c in observable if c.kind == "q"]).reshape(len(q), at[0].size)
+    energy = np.zeros(at[0].size)
+    for k, law in enumerate(laws[: len(q)]):
+        energy = energy + law.energy(Q[k], law.weights @ Q[:k])
+    for c in observable:
+        if c.kind == "p":
+            energy = energy + given[c] ** 2 / (2.0 * system.mass[c.row])
+    if hidden:
+        values, errors, rule_error = _over_hidden(psi, laws[-1], energy, Q)
+    else:
+        values, errors, rule_error = psi(energy), psi.error(energy), np.zeros(1)
+    # u is in the unit of T of the process.
+    unit = solved.question.process.energy_scale
+    factor = float(np.exp(log_factor - log_linear_states(system, unit)))
+    highest = max(float(np.max(np.abs(values), initial=0.0)), SMALLEST)
+    # The largest error of the rule over hidden masses, everywhere that the last energy allows.
+    own = [
+        (np.diag(system.compliance) if c.kind == "q" else system.mass)[c.row] for c in observable
+    ]
+    volume = float(np.prod(2.0 * np.sqrt(2.0 * psi.nodes[-1] * np.array(own))))
+    measured = replace(
+        solved.measured,
+        l1_error=solved.measured.l1_error + psi.added + factor * volume * float(rule_error.max()),
+        minimum=float(values.min(initial=0.0)) / highest,
+        absolute_error=float(errors.max(initial=0.0)) / highest,
+    )
+    e = solved.elements
+    settings: dict[str, str | float | int] = {
+        "degree": e.degree,
+        "elements": e.count,
+        "last energy": float(e.right[-1]),
+        "tol": tol,
+    }
+    return Transient(
+        times,
+        factor * values.T,
+        factor * errors.T + SMALLEST,
+        "numerical",
+        certify(measured, tol=tol),
+        settings,
+    )
+
+
+def _over_hidden(
+    psi: WeylInTime, law: Conditional, energy: Array, given: Array
+) -> tuple[Array, Array, Array]:
+    """∫Ψ(E + V(hidden | observed)), its error, and that of the rule: (points, times) each."""
+    parts = []
+    mean = law.weights @ given if given.size else np.zeros(energy.size)
+    size = max(1, CHUNK // (2 * psi.nodes.size**2 * ERROR_POINTS))
+    for start in range(0, energy.size, size):
+        part = slice(start, start + size)
+        nodes = _panels(psi.nodes, law, energy[part], mean[part])
+        parts.append(_integrals(psi, law, nodes, energy[part], mean[part]))
+    values, errors, rule = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return values, errors + rule, rule
+
+
+def _integrals(
+    psi: WeylInTime, law: Conditional, nodes: Array, energy: Array, mean: Array
+) -> tuple[Array, Array, Array]:
+    answers = []
+    for points in (*RULES, ERROR_POINTS):
+        t, w = gauss_legendre(points)
+        half = 0.5 * np.diff(nodes, axis=1)[..., None]
+        q = nodes[:, :-1, None] + half * (1.0 + t)
+        E = energy[:, None, None] + law.energy(q, mean[:, None, None])
+        f = psi.error if points == ERROR_POINTS else psi
+        answers.append(np.einsum("xkg,xkgt->xt", half * w, f(E)))
+    coarse, fine, error = answers
+    # Beyond the panels V is above the last energy, where Ψ is less than this error and falls.
+    reach = np.sqrt(2.0 * psi.nodes[-1] / law.precision)
+    return fine, error + reach * psi.error(psi.nodes[-1:]), np.abs(fine - coarse)
+
+
+def _panels(energies: Array, law: Conditional, energy: Array, mean: Array) -> Array:
+    """Nodes (points, nodes) of the hidden mass, where E + V is one of ``energies`` or a stop is.
+
+    V is convex. Panels that would be beyond the last energy have no length.
+    """
+
+    def V(q: Array) -> Array:
+        return law.energy(q, np.reshape(mean, (-1,) + (1,) * (q.ndim - 1)))
+
+    reach = np.sqrt(2.0 * np.maximum(energies[-1] - energy, 0.0) / law.precision)
+    low, high = mean - reach, mean + reach
+    for _ in range(2 * BISECTIONS):
+        third = (high - low) / 3.0
+        falls = V(low + third) > V(high - third)
+        low, high = np.where(falls, low + third, low), np.where(falls, high, high - third)
+    rest = 0.5 * (low + high)
+    ends = {}
+    for sign in (-1.0, 1.0):
+        inside = np.repeat(rest[:, None], energies.size, axis=1)
+        outside = np.repeat((mean + sign * reach)[:, None], energies.size, axis=1)
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (inside + outside)
+            below = energy[:, None] + V(middle) < energies
+            inside, outside = np.where(below, middle, inside), np.where(below, outside, middle)
+        ends[sign] = outside
+    low, high = (side[:, -1:] for side in ends.values())
+    layers = [np.empty((energy.size, 0))]
+    for stop in law.stops:
+        at = stop.sign * stop.clearance
+        layers.append(np.clip(at + (ends[stop.sign][:, -1:] - at) * LAYERS, low, high))
+    return np.sort(np.hstack([*ends.values(), *layers]), axis=1)

@@ -1,0 +1,129 @@
+"""What is common to the commands that ask one method one question, from options to exit status.
+
+They are ``fpk density``, ``crossings``, ``spectrum``, ``relaxation``, ``transient``, ``passage``.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import wraps
+from inspect import signature
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from cases.commands import parts
+from cases.scene.errors import BadInput
+from fpk.errors import InvalidInput, NotApplicable
+
+if TYPE_CHECKING:
+    from cases.output.records import Record
+    from cases.scene.scene import Scene
+
+LIST = '"-1.5:1.5:0.1", "-1,0,0.3"'
+
+METHOD = click.option("--method", required=True, help="One that gives it; others are refused.")
+SOLVER = click.option("--solver", help="One of the solvers of the method.")
+AT = click.option("--at", metavar="LIST", required=True, help=f'{LIST}, a pair "A x B".')
+TOL = click.option("--tol", type=float, help="Relative error wanted; a solver adapts to meet it.")
+SIMULATED = (parts.seed, parts.seconds, parts.threads)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The scene and the method asked for.
+
+    ``settings`` are what the method may take, such as its seed, None where the user gave none.
+    """
+
+    scene: "Scene"
+    method: str
+    solver: str | None
+    tol: float | None
+    settings: dict[str, Any]
+
+    def reply(
+        self,
+        kind: type,
+        words: str,
+        about: str,
+        given: "Record",
+        work: Callable[..., Any],
+        text: Callable[["Record"], str],
+        *,
+        key: str = "",
+        **settings: Any,
+    ) -> None:
+        """Print what ``work(method, tol=, progress=)`` returns, below what is ``given`` of it.
+
+        ``words`` are for what a method of this ``kind``, a protocol, gives, ``about`` for this
+        answer, ``key`` as of ``answer_record``. Where no solver was asked for it is the first of
+        the method that gives the answer; ``settings`` are further ones of the method. Raises
+        ``BadInput`` for a method that has not the protocol or a setting, or with the first reason
+        why it does not apply.
+        """
+        from cases.output.records import answer_record
+
+        method, answer, seconds = self._answer(kind, words, work, {**self.settings, **settings})
+        record = answer_record(self.scene, method, given, answer, seconds, key=key)
+        failures = record["certificate"]["failures"]
+        problems = [f"{about} is not certified: {failure}" for failure in failures]
+        parts.end(record, lambda: text(record), problems=problems)
+
+    def _answer(
+        self, kind: type, words: str, work: Callable[..., Any], settings: dict[str, Any]
+    ) -> tuple[Any, Any, float]:
+        """The method that answers, its answer and the seconds that it took."""
+        from cases.comparison.routes import listed_routes, methods_of, require_settings
+        from cases.output.bar import progress_bar
+
+        start, name, reasons = perf_counter(), self.method, []
+        try:
+            offered = methods_of(name, self.solver, **settings)
+            methods = [method for method in offered if isinstance(method, kind)]
+            for method in methods[:1]:
+                require_settings(method, name, settings)
+            for method in methods:
+                try:
+                    with progress_bar() as progress:
+                        answer = work(method, tol=self.tol, progress=progress)
+                    return method, answer, perf_counter() - start
+                except NotApplicable as reason:
+                    reasons.append(str(reason))
+        except InvalidInput as error:
+            option = error.key.removeprefix("--")
+            raise BadInput(f"--{option} {error.value}: {error.remedy}") from None
+        if reasons:
+            raise BadInput(f"{self.scene.name}: {name} does not apply: {reasons[0]}")
+        able = dict.fromkeys(r.method for r in listed_routes() if isinstance(r.make(), kind))
+        raise BadInput(f"{name} gives no {words}; use one of {', '.join(able)}")
+
+
+def asking(*options: Any) -> Callable[[Callable[..., None]], click.Command]:
+    """Make a command of ``work``, which takes an ``Asked`` and the ``options`` that it names.
+
+    All other options are settings of the method; scene, method, solver and ``--json`` are added.
+    """
+
+    def command_of(work: Callable[..., None]) -> click.Command:
+        own = signature(work).parameters
+
+        @wraps(work)
+        def command(scene: str, method: str, solver: str | None, **given: Any) -> None:
+            tol = given.pop("tol")
+            named = {key: given.pop(key) for key in list(given) if key in own}
+            work(Asked(parts.checked(scene, tol=tol), method, solver, tol, given), **named)
+
+        for option in reversed((parts.scene_name, METHOD, SOLVER, *options, parts.as_json)):
+            command = option(command)
+        return click.command()(command)
+
+    return command_of
+
+
+def read(option: str, text: str, parse: Callable[[], Any]) -> Any:
+    """Return what ``parse`` makes of ``text``; raise ``BadInput`` naming the option."""
+    try:
+        return parse()
+    except InvalidInput as error:
+        raise BadInput(f'--{option} "{text}": {error.remedy}') from None

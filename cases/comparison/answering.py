@@ -1,0 +1,136 @@
+"""Answers of methods to one question about motion in time; splitting where failure is rare."""
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from functools import cache
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from cases.comparison.in_time import Given, Replies
+from cases.comparison.rare import SPLITTING, split_passage
+from cases.comparison.refusal import Attempts
+from cases.comparison.time_distances import failure_of
+from cases.comparison.window import window_of
+from cases.scene.questions import PassageQuestion, Question, TransientQuestion
+from fpk.arrays import Array
+from fpk.errors import InvalidInput, NotCertified
+from fpk.evolution import Passage, Passages, Transient, Transients
+from fpk.method import Method, Progress
+from fpk.system import System
+
+LOOSER = (1e-7, 1e-4)
+"""Tolerances that a solver is given where it misses its default one, which nobody asked for."""
+
+LEAST_FAILURES = 400.0
+"""Least expected number of failures by the last time for which a plain simulation is run, 5 % of
+its default 8192 paths; of fewer the failure rate, by which the curve is continued, is not known."""
+
+
+def replies_of(
+    system: System,
+    question: Question,
+    methods: Sequence[Method],
+    *,
+    progress: Progress,
+    partial: bool,
+) -> Replies:
+    """Return the answers of those of ``methods`` that are able to answer ``question``.
+
+    ``partial``: Ctrl-C ends the work with the answers that there are by then. Simulations follow
+    their paths until the last time. Splitting takes the place of the simulation of the full system
+    where that would see few failures, by an answer that came before, or is not certified.
+    """
+    attempts, names = Attempts(partial), (question.name,)
+    kind: Any = Passages if isinstance(question, PassageQuestion) else Transients
+    able: list[Any] = [method for method in methods if isinstance(method, kind)]
+    given: list[Given] = []
+
+    @cache
+    def window() -> tuple[Array | None, tuple[Any, ...]]:
+        if isinstance(question, TransientQuestion) and able:
+            return window_of(system, question, able)
+        return None, ()
+
+    def ask(route: Any, work: Any) -> bool:
+        def timed() -> Given:
+            points, _ = window()
+            start = perf_counter()
+            return Given(route, work(points), perf_counter() - start)
+
+        answer = attempts.answer_of(route, names, timed, failures=(NotCertified, InvalidInput))
+        given.extend([answer] if answer else [])
+        return answer is not None
+
+    for method in able:
+        if reason := _too_rare(question, method, given):
+            attempts.refuse(method.route, names, reason)
+            continue
+        ask(method.route, lambda points, m=method: _answer(m, system, question, points, progress))
+    if isinstance(question, PassageQuestion) and not attempts.interrupted:
+        plain = _to_be_replaced(system, question, able, given)
+        if plain and ask(SPLITTING, lambda _: split_passage(system, question, plain, progress)):
+            replaced = [g for g in given if g.route == plain.route]
+            given = [g for g in given if g not in replaced]
+            for words in (w for g in replaced for w in g.answer.certificate.failures):
+                attempts.refuse(plain.route, names, words)
+    points, windows = window() if given else (None, ())
+    refused = tuple(attempts.refused)
+    return Replies(question, tuple(given), refused, points, windows, attempts.interrupted)
+
+
+def _to_be_replaced(
+    system: System, question: PassageQuestion, able: Sequence[Any], given: Sequence[Given]
+) -> Any:
+    """The simulation of the full system if splitting has to answer in its place, else None.
+
+    It has to where no certified answer for the full system is known; it knows constant noise only.
+    """
+    known = any(g.answer.certificate.certified for g in given if g.route.solves == "full")
+    plain = (m for m in able if m.route.solves == "full" and m.route.sampled)
+    asked = question.times and system.modulation is None and not known
+    return next(plain, None) if asked else None
+
+
+def _too_rare(question: Question, method: Any, given: Sequence[Given]) -> str | None:
+    """Why a simulation of so many paths would see too few failures, by the answers there are."""
+    if not (method.route.sampled and isinstance(question, PassageQuestion) and question.times):
+        return None
+    known = [
+        (float(failure_of(g.answer)[0][-1]), g.route.label)
+        for g in given
+        if isinstance(g.answer, Passage) and g.answer.certificate.certified
+    ]
+    if not known or method.paths * max(known)[0] >= LEAST_FAILURES:
+        return None
+    probability, label = max(known)
+    return (
+        f"too rare for plain simulation: {label} expects {method.paths * probability:.2g} failures"
+        f" of {method.paths} paths by t = {question.times[-1]:g}"
+    )
+
+
+def _answer(
+    method: Any, system: System, question: Question, points: Array | None, progress: Progress
+) -> Passage | Transient:
+    """The answer of one method, at the least tolerance that it meets where none was asked for."""
+    bounds: dict[str, Any] = {"checkpoint": None, "partial": False}
+    if isinstance(question, PassageQuestion) and question.times:
+        bounds["time"] = question.times[-1]
+    known = {f.name for f in fields(method)}
+    method = replace(method, **{k: v for k, v in bounds.items() if k in known})
+    own = getattr(method, "tol", None)
+    unasked = not method.route.sampled and own == getattr(method.route.make(), "tol", None)
+    answer: Passage | Transient
+    for tol in (None, *(LOOSER if unasked else ())):
+        times = np.array(question.times)
+        if isinstance(question, PassageQuestion):
+            asked = system, question.limit, question.start, times
+            answer = method.passage(*asked, tol=tol, progress=progress)
+        else:
+            asked_of = system, question.of, question.start, times, (points,)
+            answer = method.transient(*asked_of, tol=tol, progress=progress)
+        if answer.certificate.certified:
+            break
+    return answer

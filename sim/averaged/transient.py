@@ -1,0 +1,88 @@
+"""Transient densities of averaged energies by simulation, in steps of dt/2 and of dt."""
+
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from math import ceil
+
+import numpy as np
+
+from fpk.arrays import Array
+from fpk.evolution import Transient
+from fpk.method import Progress, silent
+from fpk.observable import Observable
+from sim.arrays import MAX_TRAJECTORIES
+from sim.averaged.passage import Starts, from_energies
+from sim.averaged.paths import batch_stream, column
+from sim.averaged.square_root import SquareRootForm, square_root_step
+from sim.motion.densities import Counted, answer_of
+
+ROUNDS = 2
+"""Rounds of ``paths`` paths, each with a stream of its own, between two looks at the error."""
+
+States = tuple[Array, Array | None]
+"""Energies (paths, d) at steps of dt/2 and at steps of dt; None where steps are exact."""
+
+
+def energy_transient(
+    form: SquareRootForm,
+    observable: Observable,
+    starts: Starts,
+    times: Array,
+    at: tuple[Array, ...],
+    *,
+    dt: float,
+    paths: int,
+    seed: int,
+    threads: int = 1,
+    tol: float | None = None,
+    progress: Progress = silent,
+) -> Transient:
+    """Return the densities of energies at ``times`` at the points ``at``, with standard errors.
+
+    Where ``form.damping`` is None one exact step leads from time to time, and no error is that of a
+    step; else it is in the error, ``answer_of``, and both steps have paths of their own.
+    ``ROUNDS`` of ``paths`` are made; with ``tol`` as many again until the expected L1 error is
+    below it at all times. The answer does not depend on ``threads``.
+    """
+    counted = Counted(observable, len(times), lambda H: [column(H, c) for c in observable])
+    simulated = partial(_simulated, form, starts, times, dt, paths, seed)
+    number, most = 0, max(ROUNDS, MAX_TRAJECTORIES // paths)
+    with ThreadPoolExecutor(threads) as pool:
+        while True:
+            rounds = range(number, min(number + ROUNDS, most))
+            for states in pool.map(simulated, rounds):
+                number += 1
+                for k, (fine, coarse) in enumerate(states):
+                    counted.add(k, times[k], fine, coarse)
+                progress(min(number, ROUNDS), ROUNDS, "transient, averaged")
+            error = max(density.l1_error for density in counted.densities())
+            if tol is None or error <= tol or number >= most:
+                break
+    settings = {"seed": seed, "steps": "exact" if form.damping is None else "Strang splitting"}
+    return answer_of(counted, times, at, dt, settings=settings, tol=np.inf if tol is None else tol)
+
+
+def _simulated(
+    form: SquareRootForm, starts: Starts, times: Array, dt: float, paths: int, seed: int,
+    number: int,
+) -> list[States]:  # fmt: skip
+    """The states at all times of round ``number``."""
+    stream = batch_stream(seed, number)
+    X = from_energies(form, starts(paths, stream))
+    fine = _followed(form, X, times, 0.5 * dt, stream)
+    if form.damping is None:
+        return [(H, None) for H in fine]
+    return list(zip(fine, _followed(form, X, times, dt, stream), strict=True))
+
+
+def _followed(
+    form: SquareRootForm, X: Array, times: Array, dt: float, stream: np.random.Generator
+) -> list[Array]:
+    """The energies (paths, d) at the times, in steps of ``dt`` at most."""
+    rows, gaps = [], np.diff(times, prepend=0.0).tolist()
+    for gap in gaps:
+        steps = 0 if gap == 0.0 else 1 if form.damping is None else ceil(gap / dt * (1.0 - 1e-12))
+        for _ in range(steps):
+            X = square_root_step(form, X, gap / steps, stream)
+        rows.append(form.energies(X))
+    return rows

@@ -1,0 +1,79 @@
+"""Trajectories of the stationary state, followed in rounds until their answer is good enough."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import inf
+from typing import Any
+
+import numpy as np
+
+from fpk.arrays import Array
+from fpk.method import Progress
+from fpk.system import System
+from sim.arrays import LANES
+from sim.montecarlo import LEAST_PATHS, MonteCarlo
+from sim.motion.motion import Motion, Reader, in_rows
+from sim.motion.stationary import interruption, losses, not_met, working
+from sim.random import OTHER_SEED
+
+PIECES = 8
+"""Pieces of a window, after which Ctrl-C is heard."""
+
+MOST_SUMS = 1 << 23
+"""Numbers that the windows of one round hold, 64 MB; of two blocks at the least, for an error."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """What is done with ``samples`` of each trajectory: ``read`` of a block fills ``numbers``."""
+
+    samples: int
+    numbers: tuple[int, ...]
+    read: Reader
+
+
+def in_rounds(
+    method: MonteCarlo,
+    system: System,
+    wanted: float | None,
+    window: Window,
+    motions: Sequence[dict[str, Any]],
+    estimate: Callable[[list[Array], Array], float],
+    *,
+    what: str,
+    progress: Progress,
+) -> tuple[int, list[str]]:
+    """Follow trajectories until ``estimate`` is content; return how many, and what went wrong.
+
+    ``motions`` are the settings of simulations with the same random numbers. Of each round
+    ``estimate`` is given the numbers (blocks, …) of each and the mean squares of (q, p) at its end;
+    what it returns is the error of all there is, in the unit of the tolerance ``wanted``.
+    """
+    paths = -(-method.paths // LANES) * LANES
+    size = len(motions) * int(np.prod(window.numbers))
+    own = max(2, min(paths // LANES, MOST_SUMS // size)) * LANES
+    number, error = 0, inf
+    with working(method, system, wanted) as (workers, watch, origin):
+        while number * own < paths or not_met(method, wanted, error):
+            seed = (method.seed + number * OTHER_SEED) % 2**64
+            q, p = origin.drawn(own, number)
+            running = [Motion(system, q, p, seed=seed, workers=workers, **m) for m in motions]
+            sums = [np.zeros((own // LANES, *window.numbers)) for _ in motions]
+            for k in range(PIECES):
+                piece = window.samples * (k + 1) // PIECES - window.samples * k // PIECES
+                for motion, array in zip(running, sums, strict=True):
+                    motion.advance(piece, window.read, array)
+                if watch.ends() and number:
+                    break
+            if running[0].samples < window.samples:
+                break
+            states = in_rows(running[0].last)[:, : 2 * system.n]
+            number += 1
+            error = estimate(sums, np.mean(states**2, axis=0))
+            progress(min(number * own, paths), paths, what)
+            if watch.ends():
+                break
+        failures = interruption(watch) + losses(states, running[0].dt)
+        if number * own < LEAST_PATHS:
+            failures.append(f"it ended after {number * own} trajectories of {LEAST_PATHS}")
+    return number * own, failures

@@ -1,0 +1,97 @@
+"""What the compiled paths see of a limit: how far it is, between two steps too, and the score."""
+
+from math import sqrt
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from fpk.arrays import Array
+from fpk.compiled_laws import of_law
+from fpk.compiling import inlined
+from sim.arrays import StepArrays, WatchArrays
+from sim.motion.between import cubic_of, distance_to, energy_at, largest_of
+from sim.parts.contact import numbers_of, overlap_of
+from sim.splitting.arrays import LimitArrays
+from sim.splitting.parts import bridge_maximum
+
+BELOW = 1.0 - 2.0**-53
+"""Share of the limit at most of what has not passed it."""
+
+
+@inlined
+def form_of(form: Array, p: Array) -> float:
+    """Return pᵀ ``form`` p."""
+    total = 0.0
+    for i in range(p.size):
+        for j in range(p.size):
+            total += form[i, j] * p[i] * p[j]
+    return float(total)
+
+
+@njit(inline="always")
+def see(
+    kind: str, s: Array, step: StepArrays, watch: WatchArrays, limit: LimitArrays, seen: Array
+) -> None:
+    """Write what is ``seen`` (c, 3) at the observed state: the distance to the limit first.
+
+    Of an energy it is that of ``distance_to``; the others are σ² and β, of a displacement q and v.
+    """
+    n, at = step.half_inverse_mass.size, watch.at
+    if kind == "q":
+        i = limit.mass
+        q, v = s[at.q + i], 2.0 * step.half_inverse_mass[i] * s[at.p + i]
+        seen[0, 0], seen[0, 1], seen[0, 2] = limit.values[0] - abs(q), q, v
+    else:
+        p, diffusion = s[at.p : at.p + n], limit.diffusion
+        for m in range(limit.values.size):
+            variance = form_of(diffusion.variance[m], p)
+            growth = form_of(diffusion.growth[m], p)
+            beta = growth / variance if growth > 0.0 else diffusion.at_rest[m]
+            H = s[watch.traced[m]]
+            seen[m, 0] = distance_to(limit.values[m], H, variance, beta)
+            seen[m, 1], seen[m, 2] = variance, beta
+
+
+@inlined
+def reached_share(
+    s: Array, step: StepArrays, watch: WatchArrays, limit: LimitArrays, law: Any
+) -> float:
+    """Return √(E_i/E_f) of the displacement of one mass at the observed state, below 1."""
+    root, contact = 0.0, 0.0
+    for m in range(limit.reach.size):
+        root += limit.reach[m] * sqrt(s[watch.traced[m]])
+    for stop in range(step.stop_slot.size):
+        if step.slot_mass[step.stop_slot[stop]] == limit.mass:
+            sign, clearance, B, e, kind, _ = numbers_of(step, stop)
+            _, o = overlap_of(s[watch.at.q + limit.mass], sign, clearance)
+            contact += B * of_law(law, kind, o, e)
+    return min(sqrt(root * root + contact / limit.energy), BELOW)
+
+
+@njit(inline="always")
+def share_of(
+    kind: str, s: Array, left: float, step: StepArrays, watch: WatchArrays, limit: LimitArrays,
+    law: Any, seen: Array, m: int,
+) -> float:  # fmt: skip
+    """Return x of the score at the observed state, 1 where no distance to the limit is ``left``.
+
+    ``left`` is the least since the step before; of an energy the share is that of H there.
+    """
+    if left <= 0.0:
+        return 1.0
+    if kind == "q":
+        return reached_share(s, step, watch, limit, law)
+    H = energy_at(limit.values[m], left, seen[m, 1], seen[m, 2])
+    return min(sqrt(max(H, 0.0) / limit.values[m]), BELOW)
+
+
+@njit(inline="always")
+def least_left(
+    kind: str, before: Array, seen: Array, limit: LimitArrays, m: int, h: float, at: np.uint64
+) -> float:
+    """Return the least distance to limit m in the step h: of a cubic, or of a bridge drawn at."""
+    if kind == "q":
+        cubic = cubic_of(before[0, 1], before[0, 2], seen[0, 1], seen[0, 2], h)
+        return float(limit.values[0] - largest_of(cubic))
+    return -bridge_maximum(-before[m, 0], -seen[m, 0], h, at)
