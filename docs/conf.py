@@ -79,6 +79,7 @@ sphinx_gallery_conf = {
     "plot_gallery": "True",
     "matplotlib_animations": False,
     "show_signature": False,
+    "run_stale_examples": True,  # the program may have changed, if they have not
     "capture_repr": (),
     "write_computation_times": False,
     "backreferences_dir": "gallery/backreferences",
