@@ -17,7 +17,6 @@ from typing import ClassVar
 
 from docutils import nodes
 from docutils.parsers.rst import Directive, directives
-from sphinx.errors import ExtensionError
 
 FOLDER = TemporaryDirectory(prefix="fpk-docs-")
 NAMESPACES: dict[str, dict] = {}
@@ -52,7 +51,7 @@ class Command(Directive):
         for line in self.content:
             printed, status = run_command(shlex.split(line))
             if status != self.options.get("status", 0):
-                raise ExtensionError(f"{line}: status {status}\n{printed}")
+                raise self.error(f"{line}: status {status}: {printed}")
             lines = printed.rstrip().split("\n")
             most = self.options.get("lines", len(lines))
             more = ["…"] if len(lines) > most else []
@@ -65,7 +64,7 @@ def run_command(words: list[str]) -> tuple[str, int]:
     from cases.commands.cli import main  # noqa: PLC0415  (not needed by pages without commands)
 
     if words[0] != "fpk":
-        raise ExtensionError(f"{words[0]}: only fpk is run")
+        return f"{words[0]}: only fpk is run here", 2
     printed, argv, columns = io.StringIO(), sys.argv, os.environ.get("COLUMNS")
     sys.argv, os.environ["COLUMNS"] = words, "100"
     try:
@@ -91,8 +90,11 @@ class Python(Directive):
         source, printed = "\n".join(self.content), io.StringIO()
         page = self.state.document.settings.env.docname
         space = NAMESPACES.setdefault(page, {"__name__": "__main__"})
-        with redirect_stdout(printed), chdir(FOLDER.name):
-            exec(compile(source, page, "exec"), space)
+        try:
+            with redirect_stdout(printed), chdir(FOLDER.name):
+                exec(compile(source, page, "exec"), space)
+        except Exception as error:
+            raise self.error(f"{type(error).__name__}: {error}") from error
         output = printed.getvalue().rstrip()
         return [listing(source, "python"), *([listing(output, "none")] if output else [])]
 
