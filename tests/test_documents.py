@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from cases.comparison.routes import listed_routes
+
 ROOT = Path(__file__).parent.parent
 THEORY = ROOT / "docs" / "theory.md"
 DOCUMENTS = [*sorted((ROOT / "docs").glob("**/*.md")), ROOT / "CONTRIBUTING.md", ROOT / "README.md"]
@@ -43,3 +45,13 @@ def test_files_in_documents_exist(document):
 def test_the_theory_names_code():
     assert THEORY in DOCUMENTS
     assert len(REFERENCE.findall(THEORY.read_text(encoding="utf-8"))) > 25
+
+
+def test_the_command_line_page_has_every_method_and_solver():
+    page = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
+    rows = [line.split("|") for line in page.split("\n") if line.startswith("| `")]
+    solvers = {row[1].strip(): row[3] for row in rows if len(row) == 5}
+    routes = listed_routes()
+    assert routes
+    for route in routes:
+        assert f"`{route.solver}`" in solvers[f"`{route.method}`"], route.label
