@@ -46,7 +46,7 @@ def rare_failure(
     mean; a good one, as ln P of an averaged equation is, gives a smaller error. Of |q_i| it takes
     the least potential energy at that displacement. ::
 
-        rare_failure(system, parse_limit("H=12", system.n), REST, 100.0)
+        rare_failure(system, parse_limit("H=4", system.n), REST, 10.0)
 
     Raises ``InvalidInput`` for a start at or beyond the limit or a time that is not finite and > 0,
     ``NotApplicable`` where no noise acts, ``NotCertified`` where ``seconds`` or Ctrl-C leave too
