@@ -2,6 +2,6 @@
 
 ``equation`` has the expansion and its solution at given degrees, ``refinement`` how degrees and
 reference adapt to a tolerance; ``marginals``, ``moments``, ``identities`` and ``crossings`` what
-follows from a solution, ``resolvent`` and ``dynamics`` spectra and relaxation rates, and ``method``
-the route.
+follows from a solution, ``resolvent`` and ``dynamics`` spectra and relaxation rates, ``passage``
+first passage of one mass, by finite elements, and ``method`` the route.
 """

@@ -15,6 +15,7 @@ from averaging.phase_space.equation.frame import Frame, Reference, contact_frame
 from averaging.phase_space.identities import heat_into_masses, identities
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import moments
+from averaging.phase_space.passage.first_passage import first_passage
 from averaging.phase_space.refinement import (
     ROUND_OFF,
     WORK,
@@ -30,8 +31,11 @@ from fpk.certificate import Measured, certify
 from fpk.density import Density, certified_density
 from fpk.dynamics import Curve, Rates, certified_curve, require_lags
 from fpk.errors import NotApplicable, NotCertified
+from fpk.evolution import Passage
+from fpk.limit import Limit
 from fpk.method import Plan, Progress, Result
 from fpk.observable import Coordinate, Observable, observable_name
+from fpk.start import Start
 from fpk.system import System
 
 MOST_MASSES = 3
@@ -197,6 +201,19 @@ class PhaseSpace(Theory):
             settings=_settings(answer.ladder),
             positive=scale - np.abs(values) if signed else None,
         )
+
+    def passage(
+        self,
+        system: System,
+        limit: Limit,
+        start: Start,
+        times: Array,
+        *,
+        tol: float | None,
+        progress: Progress,
+    ) -> Passage:
+        """Return the first passage of one mass, by finite elements of the backward equation."""
+        return first_passage(system, limit, start, times, tol=tol, progress=progress)
 
     def _options(self, tol: float, progress: Progress) -> dynamics.Options:
         return dynamics.Options(tol, progress, self.work, self.threads, self.reference)

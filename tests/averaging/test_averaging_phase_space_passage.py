@@ -1,0 +1,218 @@
+"""First passage of one mass in phase space: exact cases, identities, errors, refusals."""
+
+from dataclasses import replace
+
+import mpmath as mp
+import numpy as np
+import pytest
+
+from averaging.phase_space.method import PhaseSpace
+from averaging.phase_space.passage.elements import elements
+from averaging.phase_space.passage.mesh import displacement_mesh, energy_mesh
+from averaging.phase_space.passage.oscillator import Oscillator, oscillator_of
+from averaging.phase_space.passage.solution import Solution
+from fpk import Contact, System
+from fpk.damping import DampingTerm
+from fpk.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.evolution import Passage, Passages
+from fpk.limit import parse_limit
+from fpk.method import silent
+from fpk.modulation import Modulation
+from fpk.square_root import SquareRoot
+from fpk.start import parse_start
+from sim import MonteCarlo
+
+STOPS = (Contact(1, "both", 10.0, 0.5),)
+LINEAR = System([1.0], [1.0], [0.1], [0.05])
+HERTZ = System([1.0], [1.0], [0.1], [0.05], contacts=STOPS)
+ONE_SIDED = System([2.0], [1.5], [0.3], [0.3], contacts=(Contact(1, "right", 20.0, 0.3),))
+NONE = np.zeros(0)
+
+
+def ask(system, limit, start="rest", times=NONE, *, tol=None, method=None) -> Passage:
+    method = method or PhaseSpace()
+    asked = system, parse_limit(limit, system.n), parse_start(start, system), np.asarray(times)
+    return method.passage(*asked, tol=tol, progress=silent)
+
+
+def mean_on(mesh, q=0.0, v=0.0):
+    e = elements(mesh)
+    return Solution(e).moments(e.at(np.array([q]), np.array([v]), np.ones(1)))[0]
+
+
+def free_exit(x):
+    """Mean exit time from |q| < 1 at rest: J. Masoliver and J. M. Porra, PRL 75 (1995) 189."""
+    y = mp.mpf(0.5 * (x + 1.0))
+    series = [mp.hyp2f1(1, -mp.mpf(1) / 3, mp.mpf(7) / 6, z) for z in (y, 1 - y)]
+    # v T_q + D T_vv = −1 with D = ½ and an interval of the length 2: (L²/D)^(1/3) = 2.
+    scale = 2 * (mp.mpf(4) / 3) ** (mp.mpf(1) / 6) / mp.gamma(mp.mpf(7) / 3)
+    return float(scale * (y * (1 - y)) ** (mp.mpf(1) / 6) * sum(series))
+
+
+@pytest.mark.parametrize("x", [0.0, 0.5])
+def test_free_particle_leaves_an_interval_after_the_exact_time(x):
+    free = Oscillator(1.0, 0.0, 0.5, lambda q: 0.0 * q, lambda q: 0.0 * q)
+    coarse, fine = (mean_on(displacement_mesh(free, 1.0, 0.0, level), x) for level in (0, 1))
+    exact = free_exit(x)
+    assert abs(fine - exact) <= abs(fine - coarse)  # which is stated
+    assert abs(fine / exact - 1.0) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("start", "energy", "ratio"),
+    [("rest", 0.0, 2.0**1.5), ("q1=0.7,p1=0.714142842854285", 0.5, 2.0)],
+)
+def test_light_damping_tends_to_the_averaged_energy(start, energy, ratio):
+    """ε T at c = D = ε tends to the square-root process: T depends on the phase by O(1), so by O(ε)
+    of itself; at rest there is no phase, and O(ε^1.5) is left, of the points of the limit where
+    v = 0 and no noise moves H."""
+    exact = SquareRoot(1, 1.0, 1.0).passage(1.5, energy, NONE, tol=1e-10).mean.value
+    off = []
+    for damping in (0.02, 0.01, 0.005):
+        answer = ask(System([1.0], [1.0], [damping], [damping]), "H=1.5", start, tol=1e-5)
+        assert answer.certificate.certified
+        off.append(damping * answer.mean.value / exact - 1.0)
+    ratios = np.array(off[:-1]) / off[1:]
+    # The next power is half an order above: it alters ratios by O(√ε), 0.07 at the least damping.
+    assert np.all(np.abs(ratios / ratio - 1.0) < 0.07)
+    assert abs(ratios[1] - ratio) < abs(ratios[0] - ratio)
+
+
+def test_without_damping_energy_grows_evenly_to_the_limit():
+    """E H(T) = (D/m) E T of the undamped motion, by Dynkin's formula: from rest E T = m E/D."""
+    answer = ask(System([2.0], [1.0], [0.0], [0.5], contacts=STOPS), "H=1", tol=1e-5)
+    assert abs(answer.mean.value - 4.0) <= answer.mean.error < 1e-4
+
+
+@pytest.mark.parametrize("kind", ["q", "H"])
+def test_even_potential_needs_half_of_the_states_only(kind):
+    even = oscillator_of(HERTZ)
+    whole = replace(even, even=False)
+    pair = [
+        displacement_mesh(o, 1.0, 0.0, 0) if kind == "q" else energy_mesh(o, 1.5, 1)
+        for o in (even, whole)
+    ]
+    assert pair[0].folded and not pair[1].folded
+    half, full = (mean_on(mesh, -0.3, 0.2) for mesh in pair)
+    assert half == pytest.approx(full, rel=1e-5)  # the error of the level
+
+
+def test_mean_time_is_the_integral_of_the_reliability():
+    times = np.linspace(0.0, 120.0, 481)
+    answer = ask(ONE_SIDED, "H=1.5", "q1=-0.2,p1=0.3", times)
+    assert answer.certificate.certified
+    S, rate = answer.survival, answer.rate.value
+    weights = np.full(times.size, 2.0)
+    weights[1::2], weights[[0, -1]] = 4.0, 1.0
+    integral = 0.25 / 3.0 * float(weights @ S) + S[-1] / rate
+    # Simpson's error is that of S at the steps: 1e-7; those of S add up to 120 times theirs.
+    allowed = 120.0 * float(answer.survival_error.max()) + answer.mean.error + 1e-4
+    assert abs(integral - answer.mean.value) < allowed
+    ratio = float(np.log(S[-41] / S[-1]) / 10.0)
+    assert ratio == pytest.approx(rate, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("system", "limit", "start"),
+    [(LINEAR, "H=1.5", "rest"), (HERTZ, "H=1", "H=0.4"), (ONE_SIDED, "H=2", "q1=-0.5,p1=0.4")],
+)
+def test_true_errors_are_below_the_stated_ones(system, limit, start):
+    times = np.array([0.0, 1.0, 5.0, 20.0])
+    fine = ask(system, limit, start, times, tol=1e-6)
+    assert fine.certificate.certified
+    coarse = ask(system, limit, start, times, tol=1e-3)
+    for name in ("mean", "variance", "rate"):
+        a, b = getattr(coarse, name), getattr(fine, name)
+        assert 0.0 < abs(a.value - b.value) <= a.error + b.error
+    assert np.all(np.abs(coarse.survival - fine.survival) <= coarse.survival_error)
+    assert coarse.mean.error > fine.mean.error
+
+
+def test_energy_start_is_the_mean_over_the_phase():
+    """Without stops dt is uniform in the angle: trapezoidal means of starts at states."""
+    answer = ask(LINEAR, "H=1", "H=0.5", [0.0, 4.0])
+    angles = 2.0 * np.pi * np.arange(4) / 8
+    one = [
+        ask(LINEAR, "H=1", f"q1={np.cos(a)},p1={np.sin(a)}", tol=1e-5).mean.value for a in angles
+    ]
+    assert answer.mean.value == pytest.approx(np.mean(one), rel=1e-3)
+    assert np.ptp(one) > 0.01
+    assert answer.survival[0] == pytest.approx(1.0, abs=1e-12)
+
+
+def test_part_of_an_energy_start_may_be_beyond_a_displacement():
+    answer = ask(LINEAR, "q1=1", "H=1", [0.0], tol=1e-2)
+    assert answer.survival[0] == pytest.approx(0.5, abs=1e-10)  # |sin| < 1/√2 half of the time
+
+
+def test_rare_failure_keeps_its_digits():
+    """K is nearly singular to 1e-10: the flow out gives back what round-off takes."""
+    answer = ask(HERTZ, "H=12", times=[100.0, 200.0, 300.0], tol=1e-2)
+    assert answer.certificate.certified
+    assert answer.failure is not None and answer.failure_error is not None
+    assert np.all(answer.failure_error < 0.1 * answer.failure)
+    # Once energies below have filled, failures come at the constant rate.
+    growth = np.diff(answer.failure) / 100.0
+    assert growth == pytest.approx([answer.rate.value] * 2, rel=1e-2)
+    assert answer.mean.value == pytest.approx(2.0607947e10, rel=answer.mean.error / 2e10)
+    assert answer.mean.value * answer.rate.value == pytest.approx(1.0, rel=1e-8)
+
+
+def test_units_and_gain():
+    """q' = 2 q and t' = ω t, ω = 2: D' = (2/m)² f² D/ω³, and times are twice as long."""
+    scaled = System([3.0], [12.0], [0.6], [0.5], noise_gain=[[1.2]])
+    unit = System([1.0], [1.0], [0.1], [4.0 * 0.72 / 9.0 / 8.0])
+    a, b = ask(scaled, "q1=0.5", tol=1e-2), ask(unit, "q1=1", tol=1e-2)
+    assert 2.0 * a.mean.value == pytest.approx(b.mean.value, rel=1e-9)
+    assert 4.0 * a.variance.value == pytest.approx(b.variance.value, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("system", "limit", "start", "error", "words"),
+    [
+        (System([1.0, 1.0], [1.0, 1.0], [0.1, 0.1], [0.1, 0.1]), "H=1", "rest", NotApplicable,
+         "one mass"),
+        (replace(LINEAR, damping_terms=(DampingTerm(1, 1, 0.1, ((1, 2),)),)), "H=1", "rest",
+         NotApplicable, "constant damping"),
+        (replace(LINEAR, modulation=Modulation(np.array([0.0, 1.0]), np.array([0.0, 1.0]))), "H=1",
+         "rest", NotApplicable, "modulated"),
+        (System([1.0], [1.0], [0.1], [0.0]), "H=1", "rest", NotApplicable, "no noise"),
+        (HERTZ, "H1=1", "rest", NotApplicable, "mode"),
+        (HERTZ, "H=1", "H1=0.5", NotApplicable, "mode"),
+        (HERTZ, "H=1", "noise=0.5", NotApplicable, "stationary"),
+        (HERTZ, "H=1", "H=1", InvalidInput, "beyond the limit"),
+        (HERTZ, "q1=1", "q1=-1", InvalidInput, "beyond the limit"),
+        (HERTZ, "H=40", "rest", NotCertified, "hardly ever"),
+    ],
+)  # fmt: skip
+def test_refusals_are_one_line(system, limit, start, error, words):
+    assert isinstance(PhaseSpace(), Passages)
+    with pytest.raises(error, match=words) as raised:
+        ask(system, limit, start)
+    assert "\n" not in str(raised.value)
+
+
+def test_times_must_ascend():
+    with pytest.raises(InvalidInput, match="ascend"):
+        ask(LINEAR, "H=1", times=[2.0, 1.0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("system", "limit", "start"),
+    [
+        (LINEAR, "q1=1", "rest"),
+        (HERTZ, "q1=1", "H=0.3"),
+        (HERTZ, "H=1.5", "q1=0.2,p1=0.1"),
+        (ONE_SIDED, "q1=0.8", "rest"),
+    ],
+)
+def test_simulation_agrees_within_its_errors(system, limit, start):
+    times = np.array([2.0, 5.0, 10.0, 20.0])
+    solved = ask(system, limit, start, times, tol=1e-4)
+    assert solved.certificate.certified
+    sampled = ask(system, limit, start, times, method=MonteCarlo(paths=20_000, seed=3))
+    # Six numbers: 4.5 standard errors are passed by chance once in 2e4 tests.
+    assert abs(sampled.mean.value - solved.mean.value) < 4.5 * sampled.mean.error
+    off = np.abs(sampled.survival - solved.survival)
+    assert np.all(off <= 4.5 * sampled.survival_error + solved.survival_error)
