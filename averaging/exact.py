@@ -58,7 +58,9 @@ class Exact(Theory):
     """Exact stationary density C exp(−∫h dH) of the full system, Eqs. (7), (22), (23).
 
     It exists where (8) holds; with constant damping h is a constant, and the normalisation the
-    configuration integral over the contact masses; otherwise it is an integral over the shells.
+    configuration integral over the contact masses; otherwise it is an integral over the shells. ::
+
+        fpk.solve(fpk.load("fig3a").system, ["q2,p2"], methods=[Exact()])
     """
 
     method = "exact"

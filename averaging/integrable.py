@@ -37,7 +37,9 @@ class Integrable(Theory):
 
     Damping that depends on the state is averaged over the phases; it may couple the energies of
     two modes, which "fem" solves for together, and no more. Every solver then gives every
-    observable: displacements and momenta by the characteristic function of the energies.
+    observable: displacements and momenta by the characteristic function of the energies. ::
+
+        fpk.solve(system, ["H1,H2"], methods=[Integrable("fem", tol=1e-9)])
     """
 
     method = "integrable"

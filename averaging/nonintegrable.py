@@ -35,7 +35,9 @@ class NonIntegrable(Theory):
     ``solver``: "fem" solves the FPK equation of the process by finite elements; "quadrature"
     evaluates (11); "closed-form" is (29) in its general form, for damping that is constant or
     depends on the energy only. The theory is exact where the damping and noise
-    meet (8), an approximation otherwise, and the better the more the contacts matter.
+    meet (8), an approximation otherwise, and the better the more the contacts matter. ::
+
+        fpk.solve(system, ["q2", "H"], methods=[NonIntegrable("fem", tol=1e-8)])
     """
 
     solver: str = "fem"

@@ -29,6 +29,11 @@ def solve(
     and where it gains something: a simulation is run where it is named ("montecarlo"). ``tol`` is
     the L1 tolerance of the methods named by strings.
 
+    Energy averaging, Eq. (11), by finite elements::
+
+        answers = fpk.solve(system, ["q2", "H"], methods=["nonintegrable/fem"], tol=1e-8)
+        answers["q2"].std()
+
     Raises ``InvalidInput`` for an unknown name and ``NotApplicable`` where a method that was named
     does not apply or does not give an observable.
     """
@@ -62,6 +67,9 @@ def compare(answers: Answers) -> tuple[Comparison, ...]:
     """Return what separates any two answers to one question, and which of three errors it is.
 
     Numerical and sampling differences are judged (``holds``); those that averaging makes are
-    reported, ``band`` is None.
+    reported, ``band`` is None. ::
+
+        for c in fpk.compare(fpk.solve(fpk.load("fig3a").system, ["q2"])):
+            print(c.a.label, c.b.label, c.measures, c.L1, c.band)
     """
     return answers.comparisons

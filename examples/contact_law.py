@@ -1,5 +1,12 @@
-"""A contact law of one's own is one record: force, its integral and its derivative."""
+"""
+A contact law of your own
+=========================
 
+A law is one record: force, its integral and its derivative, at unit stiffness, Eq. (2). Once
+registered it is known everywhere, in scene files too.
+"""
+
+import matplotlib.pyplot as plt
 import numpy as np
 
 import fpk
@@ -28,3 +35,16 @@ q = np.linspace(-1.0, 1.0, 21)
 own, power = density("cubic"), density("power", 3.0)
 assert np.all(np.abs(own(q) - power(q)) <= own.at(q)[1] + power.at(q)[1])
 assert own.certificate.certified
+print(f"largest difference {np.max(np.abs(own(q) - power(q))):.1e}")
+
+# %%
+# The density between stops of the new law, beside that between Hertzian ones.
+
+x = np.linspace(-1.5, 1.5, 301)
+figure, axes = plt.subplots()
+axes.axvspan(0.2, 1.5, color="0.9")
+axes.axvspan(-1.5, -0.2, color="0.9")
+axes.plot(x, own(x), label="cubic")
+axes.plot(x, density("hertz")(x), "--", label="Hertz")
+axes.set(xlabel="$q_1$", ylabel="$p(q_1)$")
+axes.legend()

@@ -1,5 +1,11 @@
-"""Damping that depends on the state: a van der Pol oscillator between stops."""
+"""
+Damping that depends on the state
+=================================
 
+A van der Pol oscillator between stops: energy is fed in near rest and taken out far from it.
+"""
+
+import matplotlib.pyplot as plt
 import numpy as np
 
 import fpk
@@ -18,6 +24,16 @@ value, error = p.at(q)
 assert np.all(np.abs(value - p(-q)) <= 2.0 * error + 1e-12)
 assert value.max() > 1.2 * value[0]
 
+print(f"p(0) = {value[0]:.6f}, largest {value.max():.6f}, largest error {error.max():.0e}")
+
+x = np.linspace(-1.4, 1.4, 281)
+figure, axes = plt.subplots()
+axes.axvspan(1.0, 1.4, color="0.9")
+axes.axvspan(-1.4, -1.0, color="0.9")
+axes.plot(x, p(x))
+axes.set(xlabel="$q_1$", ylabel="$p(q_1)$")
+
+# %%
 # Without the term the energy grows for ever, and the system says so in one line.
 try:
     fpk.System([1.0], [1.0], [-0.1], [0.005])

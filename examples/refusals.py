@@ -1,4 +1,9 @@
-"""What cannot be answered is refused in one line that says why, and nothing else comes back."""
+"""
+What is refused, and how
+========================
+
+A request that cannot be answered ends in one line that says why; nothing else comes back.
+"""
 
 import fpk
 
@@ -27,3 +32,4 @@ refused(fpk.InvalidInput, observables=["q3"])
 # A tolerance that cannot be met is said, too: the density comes back, not certified.
 p = fpk.solve(system, ["H"], methods=["nonintegrable/fem"], tol=1e-12)["H"]
 assert p.certificate.certified or p.certificate.failures
+print("stated L1 error", p.l1_error, p.certificate.failures or "certified")

@@ -29,6 +29,11 @@ class Contact:
     B of Eq. (2), in force / length**exponent; ``clearance`` δ >= 0 in length. ``exponent`` is
     needed by the law "power" and refused where the law has its own.
 
+    A Hertzian stop, and one whose force grows with the square of the overlap::
+
+        fpk.Contact(mass=1, side="right", stiffness=10.0, clearance=0.5)
+        fpk.Contact(1, "left", 10.0, 0.5, law="power", exponent=2.0)
+
     Raises ``InvalidInput`` naming the field that cannot be used.
     """
 

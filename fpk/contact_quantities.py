@@ -16,7 +16,10 @@ def contact_quantities(stop: Contact, displacement: Quantities) -> Mapping[str, 
     "contact probability": P(overlap > 0), the share of time in contact; "mean overlap" and "mean
     force": expectations over all time, 0 while there is no contact (force in force units, Eq. (2));
     "overlap in contact" and "force in contact": the same over the time in contact alone, whose
-    errors count those of the probability in full.
+    errors count those of the probability in full. ::
+
+        q2 = fpk.solve(system, ["q2"], methods=["nonintegrable/fem"])["q2"]
+        contact_quantities(system.stops[0], q2)["mean force"]
     """
 
     def overlap(q: Array) -> Array:

@@ -25,6 +25,11 @@ class DampingTerm:
     ``j`` and the masses in ``q`` and ``v``, pairs (mass, power), count from 1; powers are whole and
     at least 1; ``energy`` >= 0. A negative coefficient feeds energy in, as van der Pol's does.
 
+    Van der Pol's oscillator, c = −0.1 + 0.4 q²::
+
+        term = fpk.DampingTerm(1, 1, 0.4, q=((1, 2),))
+        fpk.System([1.0], [1.0], [-0.1], [0.005], damping_terms=(term,))
+
     Raises ``InvalidInput`` naming the field that cannot be used.
     """
 

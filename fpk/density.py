@@ -41,7 +41,11 @@ class Density(Quantities):
     estimates ∫|p − p_exact| including the mass outside the support. ``source(observable)`` computes
     the density again: where there is one, the density can be pickled without its functions. A joint
     density has a ``table`` for all that takes many points; its L1 error ``table_error`` adds to
-    ``l1_error`` there, and is no larger.
+    ``l1_error`` there, and is no larger. ::
+
+        p = fpk.solve(fpk.load("fig6a").system, ["q2"], methods=["nonintegrable/fem"])["q2"]
+        value, error = p.at(np.linspace(-1.5, 1.5, 31))
+        p.rms(), p.exceedance(0.5), p.certificate.certified
     """
 
     observable: Observable

@@ -39,6 +39,11 @@ class System:
     with 1, so that the stationary state, and every method that solves for it, is without it.
     All arrays are kept read-only, in float64 and full matrix form.
 
+    Two masses, the second between stops (Fig. 6(a))::
+
+        stop = fpk.Contact(mass=2, side="both", stiffness=10.0, clearance=0.5)
+        system = fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02], contacts=(stop,))
+
     Raises ``InvalidInput`` naming the field that cannot be used.
     """
 

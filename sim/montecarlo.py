@@ -73,7 +73,9 @@ class MonteCarlo(Method):
     ``threads`` None: all that there are. ``cluster``: the address of a Dask scheduler; the answer
     depends on neither. ``checkpoint``: a folder where the state is saved at intervals and read
     again. ``partial``: Ctrl-C ends the sampling with what there is, not certified.
-    ``allow_unstable``: take a ``dt`` at or above the stability limit; nothing is certified then.
+    ``allow_unstable``: take a ``dt`` at or above the stability limit; nothing is certified then. ::
+
+        fpk.solve(system, ["q2"], methods=[MonteCarlo(paths=4096, relaxations=40.0, seed=7)])
 
     Raises ``InvalidInput`` naming the field that cannot be used.
     """

@@ -73,7 +73,9 @@ class PhaseSpace(Theory):
     certified where it ends them, None: ``tol``. ``work`` bounds the multiplications of one
     solution. ``threads`` of linear algebra, None: all cores; where others use them, too, threads
     wait for each other and take ten times as long.
-    ``reference`` is where the expansion starts, for tests of its independence; None: Gibbs.
+    ``reference`` is where the expansion starts, for tests of its independence; None: Gibbs. ::
+
+        fpk.solve(system, ["q2", "q2,p2"], methods=[PhaseSpace(tol=1e-3)])
     """
 
     solver: str = "hermite"

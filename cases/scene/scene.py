@@ -49,6 +49,10 @@ def shipped_scenes() -> dict[str, Path]:
 def load_scene(scene: str | Path) -> Scene:
     """Return the shipped scene of that name, or the one at that path; its ``system`` is Eq. (1).
 
+    A path may be ``"my/pipe.toml"``. ::
+
+        system = fpk.load("fig6a").system
+
     Raises ``BadInput``: one line that names file, key, value and what would be right.
     """
     name, shipped = str(scene), shipped_scenes()

@@ -44,7 +44,9 @@ def rare_failure(
 
     ``score`` None: that of the least action of the averaged linear system. Any score gives the same
     mean; a good one, as ln P of an averaged equation is, gives a smaller error. Of |q_i| it takes
-    the least potential energy at that displacement.
+    the least potential energy at that displacement. ::
+
+        rare_failure(system, parse_limit("H=4", system.n), REST, 10.0)
 
     Raises ``InvalidInput`` for a start at or beyond the limit or a time that is not finite and > 0,
     ``NotApplicable`` where no noise acts, ``NotCertified`` where ``seconds`` or Ctrl-C leave too

@@ -1,0 +1,132 @@
+"""The site: sphinx-build -W --keep-going -b html docs OUT. Nothing in its pages needs a network."""
+
+import os
+import re
+import sys
+from importlib.metadata import version as version_of
+from importlib.util import find_spec
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+os.environ.setdefault("MPLBACKEND", "Agg")
+for library in ("OPENBLAS", "MKL", "OMP"):
+    os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
+project, author = "vibro-fpk", "The vibro-fpk authors"
+project_copyright = "The vibro-fpk authors, MIT licence"
+release = version = version_of("vibro-fpk")
+
+extensions = [
+    "executed",
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx_click",
+    "sphinx_gallery.gen_gallery",
+]
+nitpicky = True
+suppress_warnings = ["config.cache"]  # the order of the gallery is a function
+
+myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
+myst_heading_anchors = 3
+
+# MathJax as one file, fonts included, from the package sphinx-mathjax-offline.
+MATHJAX = Path(find_spec("sphinx-mathjax-offline").origin).parent / "static/mathjax/tex-svg.js"
+mathjax_path = MATHJAX.name
+
+html_theme = "pydata_sphinx_theme"
+exclude_patterns = ["gallery/backreferences"]
+html_title = "vibro-fpk"
+html_static_path = ["_static", str(MATHJAX)]
+html_css_files = ["site.css"]
+html_copy_source = html_show_sourcelink = False
+html_theme_options = {
+    "navbar_persistent": ["search-button"],
+    "navbar_end": ["theme-switcher"],
+    "secondary_sidebar_items": ["page-toc"],
+    "show_prev_next": False,
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "navigation_depth": 2,
+    "header_links_before_dropdown": 8,
+}
+html_sidebars = {page: [] for page in ("index", "start", "tutorial", "choose", "faq")}
+
+ORDER = [
+    "density", "three_routes", "routes", "refusals", "contact_forces", "tails", "exact_scene",
+    "linear_chain", "simulation", "phase_space", "rigid_stop", "many_masses", "modal_energies",
+    "contact_law", "damping_terms", "convergence", "transient", "first_passage", "rare_failure",
+    "crossings_spectrum", "export", "kept_answers",
+]  # fmt: skip
+
+
+def example_order(path: str) -> int:
+    """Return the place of an example in the gallery: from simple to special."""
+    stem = Path(path).stem
+    return ORDER.index(stem) if stem in ORDER else len(ORDER)
+
+
+ROOMS = ("fpk", "averaging", "sim", "cases")
+sphinx_gallery_conf = {
+    "examples_dirs": "../examples",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"\.py",
+    "within_subsection_order": "conf.example_order",
+    "download_all_examples": False,
+    "remove_config_comments": True,
+    "show_memory": False,
+    "min_reported_time": 1,
+    "plot_gallery": "True",
+    "matplotlib_animations": False,
+    "show_signature": False,
+    "run_stale_examples": True,  # the program may have changed, if they have not
+    "capture_repr": (),
+    "write_computation_times": False,
+    "backreferences_dir": "gallery/backreferences",
+    "doc_module": ROOMS,
+    "default_thumb_file": str(Path(__file__).parent / "_static/text.svg"),
+}
+
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+add_module_names = False
+LITERAL = re.compile(r"(``.*?``)")
+EQUATION = re.compile(r"(Eqs?\. \((\d+)\))")
+SECTIONS = {
+    "system": range(1, 7),
+    "exact": range(7, 9),
+    "one-energy": (*range(9, 12), *range(24, 31)),
+    "modal-energies": (*range(12, 21), *range(31, 37)),
+}
+
+
+MOST_EXAMPLES = 5
+"""Links to the gallery at one name."""
+
+
+def as_written(text: str) -> str:
+    """Return plain text as reStructuredText: |x| and * mean nothing, equations are links."""
+    text = re.sub(r"([|*_](?!\w))|([|*](?=\w))", r"\\\g<0>", text)
+    section = {n: name for name, numbers in SECTIONS.items() for n in numbers}
+    return EQUATION.sub(lambda m: f":ref:`{m[1]} <{section[int(m[2])]}>`", text)
+
+
+def docstring(app, what, name, obj, options, lines):
+    """Docstrings are plain text with ``code``; examples of the gallery follow those of the face."""
+    for k, line in enumerate(lines):
+        if not line.startswith("    "):
+            parts = LITERAL.split(line)
+            parts[::2] = [as_written(part) for part in parts[::2]]
+            lines[k] = "".join(parts)
+    if what in ("class", "function") and name.partition(".")[0] in ROOMS:
+        used = Path(app.srcdir, "gallery", "backreferences", f"{name}.examples")
+        shown = used.read_text(encoding="utf-8") if used.exists() else ""
+        pages = dict.fromkeys(re.findall(r":doc:`(/gallery/\w+)`", shown))
+        if pages:
+            links = ", ".join(f":doc:`{page}`" for page in list(pages)[:MOST_EXAMPLES])
+            lines += ["", f"In the gallery: {links}", ""]
+
+
+def setup(app):
+    """Connect what reads docstrings."""
+    app.connect("autodoc-process-docstring", docstring)
