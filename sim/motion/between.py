@@ -75,12 +75,6 @@ def distance_to(limit: float, H: float, variance: float, beta: float) -> float:
 
 
 @inlined
-def energy_at(limit: float, d: float, variance: float, beta: float) -> float:
-    """Return H at the distance d of ``distance_to``."""
-    return float(limit - d * (np.sqrt(variance) + 0.25 * beta * d))
-
-
-@inlined
 def first_passage(c: Cubic, limit: float) -> float:
     """Return the first s in (0, 1] with |q(s)| >= ``limit``, |q(0)| being below; else 2."""
     turning = turning_points(c)

@@ -21,7 +21,7 @@ from sim.parts.observed import observe
 from sim.random import GOLDEN
 from sim.splitting.arrays import LEVELS, LimitArrays, Paths, Score
 from sim.splitting.parts import begin, draw_normals, level_of, place, record
-from sim.splitting.seen import least_left, see, share_of
+from sim.splitting.seen import left_after, see, share_of
 
 PARTS = ("arrays", "kernel", "parts", "seen")
 NAMES = ("motion/between", *(f"splitting/{part}" for part in PARTS))
@@ -89,8 +89,6 @@ def _compiled(key: KernelKey, kind: str) -> Any:
 
                 # What is seen, and the score.
                 before[:] = seen
-                if done == begun:
-                    before[:] = 0.0
                 observe(
                     s, V, H, step, watch, contact, damping, energy_damping, True, energy, modes,
                     False, force, law, 1,
@@ -102,8 +100,8 @@ def _compiled(key: KernelKey, kind: str) -> Any:
                         left = seen[m, 0]
                         if done > begun:
                             u = words + np.uint64(pairs + m) * GOLDEN
-                            left = least_left(kind, before, seen, limit, m, h, u)
-                        share = share_of(kind, s, left, step, watch, limit, law, before, seen, m)
+                            left = left_after(kind, before, seen, limit, m, h, u)
+                        share = share_of(kind, s, left, step, watch, limit, law, m)
                         reached = max(reached, level_of(score, m, share, done))
                 if reached > top:
                     top = reached

@@ -69,10 +69,15 @@ def draw_normals(z: Singles, word: Halves, at: np.uint64, pairs: int) -> None:
 
 
 @inlined
+def uniform(at: np.uint64) -> float:
+    """Return the uniform number in (0, 1) at a place."""
+    return (np.float64(mixed_word(at) >> _S11) + 0.5) * 2.0**-53
+
+
+@inlined
 def bridge_maximum(a: float, b: float, variance: float, at: np.uint64) -> float:
     """Draw the maximum of a Brownian bridge from a to b whose motion has ``variance`` in all.
 
     P(max > m) = exp(−2 (m − a)(m − b)/variance); the uniform number is that at the place ``at``.
     """
-    u = (np.float64(mixed_word(at) >> _S11) + 0.5) * 2.0**-53
-    return 0.5 * (a + b + sqrt((b - a) * (b - a) - 2.0 * variance * log(u)))
+    return 0.5 * (a + b + sqrt((b - a) * (b - a) - 2.0 * variance * log(uniform(at))))

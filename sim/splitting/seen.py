@@ -1,6 +1,6 @@
 """What the compiled paths see of a limit: how far it is, between two steps too, and the score."""
 
-from math import sqrt
+from math import exp, sqrt
 from typing import Any
 
 import numpy as np
@@ -10,11 +10,13 @@ from fpk.arrays import Array
 from fpk.compiled_laws import of_law
 from fpk.compiling import inlined
 from sim.arrays import StepArrays, WatchArrays
-from sim.motion.between import cubic_of, distance_to, energy_at, largest_of
+from sim.motion.between import cubic_of, distance_to, largest_of
 from sim.parts.contact import numbers_of, overlap_of
 from sim.splitting.arrays import LimitArrays
-from sim.splitting.parts import bridge_maximum
+from sim.splitting.parts import uniform
 
+RAREST = 38.0
+"""−ln of less than the least uniform number, 2^−54."""
 BELOW = 1.0 - 2.0**-53
 """Share of the limit at most of what has not passed it."""
 
@@ -72,30 +74,30 @@ def reached_share(
 @njit(inline="always")
 def share_of(
     kind: str, s: Array, left: float, step: StepArrays, watch: WatchArrays, limit: LimitArrays,
-    law: Any, before: Array, seen: Array, m: int,
+    law: Any, m: int,
 ) -> float:  # fmt: skip
-    """Return x of the score at the observed state, 1 where no distance to the limit is ``left``.
-
-    ``left`` is the least since the step ``before``; of an energy the share is that of H there.
-    Distances count in the noise at the end of the step where they are, which is little where
-    little moves: the nearer end says what energy is there. By the other one H would seem so near
-    the limit that replicas would be copied at every turn of a motion.
-    """
+    """Return x of the score at the observed state, 1 where no distance to the limit is ``left``."""
     if left <= 0.0:
         return 1.0
     if kind == "q":
         return reached_share(s, step, watch, limit, law)
-    end = before if 0.0 < before[m, 0] < seen[m, 0] else seen
-    H = energy_at(limit.values[m], left, end[m, 1], end[m, 2])
-    return min(sqrt(max(H, 0.0) / limit.values[m]), BELOW)
+    return min(sqrt(max(s[watch.traced[m]], 0.0) / limit.values[m]), BELOW)
 
 
 @njit(inline="always")
-def least_left(
+def left_after(
     kind: str, before: Array, seen: Array, limit: LimitArrays, m: int, h: float, at: np.uint64
 ) -> float:
-    """Return the least distance to limit m in the step h: of a cubic, or of a bridge drawn at."""
+    """Return the distance to limit m after the step h, not positive if it was passed within.
+
+    A displacement is a cubic; an energy at the distances a and b passes with the probability
+    e^(−2 a b/h), as a Brownian bridge, by the uniform number that is drawn ``at`` a place.
+    """
     if kind == "q":
         cubic = cubic_of(before[0, 1], before[0, 2], seen[0, 1], seen[0, 2], h)
         return float(limit.values[0] - largest_of(cubic))
-    return -bridge_maximum(-before[m, 0], -seen[m, 0], h, at)
+    a, b = before[m, 0], seen[m, 0]
+    if a <= 0.0 or b <= 0.0:
+        return 0.0
+    exponent = 2.0 * a * b / h
+    return 0.0 if exponent < RAREST and uniform(at) < exp(-exponent) else float(b)

@@ -234,11 +234,10 @@ def twin(system, limit, time, steps, *, paths, seed):
                 for H, (s2, beta) in ((before, rate), (value, spread)):
                     e, end = s2[j, m] / beta[j, m], limit.values[names[m]]
                     way = np.sqrt(max(e + end - H[j, m], 0.0)) - np.sqrt(e)
-                    ends.append((2.0 * way / np.sqrt(beta[j, m]), e, beta[j, m]))
-                left = -called_bridge(-ends[0][0], -ends[1][0], h, word)
-                _, e, slope = min(ends, key=lambda seen: seen[0])
-                root = np.sqrt(e) + 0.5 * np.sqrt(slope) * left
-                most[j, m] = end if left <= 0.0 else end + e - root**2
+                    ends.append(2.0 * way / np.sqrt(beta[j, m]))
+                # Where a bridge to that side of the limit would be, the path has passed it.
+                passed = called_bridge(-ends[0], -ends[1], h, word) >= 0.0
+                most[j, m] = end if passed else value[j, m]
         share = most / np.array(list(limit.values.values()))
         inside = reached(x) if limit.kind == "q" else np.sqrt(np.maximum(share, 0.0))
         shares.append(np.where(share >= 1.0, 1.0, inside))
