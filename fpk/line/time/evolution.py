@@ -5,13 +5,14 @@ from functools import partial
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.evolution import STARTS, Number, Passage, StartCurve, Transient, certified_passage
+from fpk.evolution import STARTS, Passage, StartCurve, Transient, certified_passage
 from fpk.line.time import chain
 from fpk.line.time.mesh import HIGHEST
 from fpk.line.time.modes import Modes
 from fpk.line.time.passage import SAFETY, FirstPassage, first_passage
 from fpk.line.time.propagation import Source, inverted, transforms
 from fpk.line.time.transition import transition
+from fpk.number import Number
 from fpk.process import Process
 
 

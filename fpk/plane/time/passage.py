@@ -14,7 +14,9 @@ from scipy.sparse.linalg import LinearOperator, eigs
 
 from fpk.arrays import Array
 from fpk.errors import InvalidInput
-from fpk.evolution import BEYOND_RANGE, Number, Passage, certified_passage
+from fpk.evolution import BEYOND_RANGE, Passage, certified_passage
+from fpk.number import Number
+from fpk.observable import number_text
 from fpk.plane.solution import Nodes, graded
 from fpk.plane.time.domain import Domain, Rectangle, Triangle
 from fpk.plane.time.exponential import evolved, factorised, relative_residual
@@ -117,7 +119,7 @@ def _operators(
     lowest = float(np.min(frame.heights(*limit.edge(frame.ends(frame.rise(tol, height, 0))))))
     if lowest > HIGHEST:
         given = [x for x in (limit.first, limit.second, limit.total) if x is not None]
-        raise InvalidInput("limit", ", ".join(f"{x:g}" for x in given), BEYOND_RANGE)
+        raise InvalidInput("limit", ", ".join(map(number_text, given)), BEYOND_RANGE)
     height = max(height, lowest)
 
     def nodes(rise: float, panels: int) -> Nodes:
