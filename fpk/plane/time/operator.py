@@ -127,7 +127,7 @@ class PlaneOperator:
         rows, columns = -np.asarray(A.T @ b)[self.free], (flux - A @ b)[self.free]
         both = float(b @ (A @ b) - b @ flux)
         e = (vertices - b)[self.free]
-        Me = np.asarray(M[self.free][:, self.free] @ e)
+        Me = np.asarray(M @ (vertices - b))[self.free]
         shares = shares[self.free]
         shares[self._pinned] = float((vertices - b) @ (M @ vertices))
         return Matrices(
@@ -138,15 +138,19 @@ class PlaneOperator:
 
     def _with_sum(self, matrix: csc_array, row: Array, column: Array, both: float) -> csc_array:
         """The free part of a matrix with row and column of the pinned unknown replaced."""
-        k, others = self._pinned, matrix[self.free][:, self.free].tocoo()
-        keep = (others.row != k) & (others.col != k)
+        k, every, size = self._pinned, matrix.tocoo(), self.free.size
+        place = np.full(self._held.size, -1)
+        place[self.free] = np.arange(size)
+        place[self.free[k]] = -1
+        others = place[every.row], place[every.col]
+        keep = (others[0] >= 0) & (others[1] >= 0)
         row, column = row.copy(), column.copy()
         row[k], column[k] = both, 0.0
         i, j = np.flatnonzero(column), np.flatnonzero(row)
-        data = np.concatenate([others.data[keep], column[i], row[j]])
-        rows = np.concatenate([others.row[keep], i, np.full(j.size, k)])
-        columns = np.concatenate([others.col[keep], np.full(i.size, k), j])
-        return csc_array((data, (rows, columns)), shape=matrix[self.free][:, self.free].shape)
+        data = np.concatenate([every.data[keep], column[i], row[j]])
+        rows = np.concatenate([others[0][keep], i, np.full(j.size, k)])
+        columns = np.concatenate([others[1][keep], np.full(i.size, k), j])
+        return csc_array((data, (rows, columns)), shape=(size, size))
 
     def _flux_of_one(self, coefficients: Array) -> Array:
         """∫ w a·∇φ of all shape functions: A times 1, not as a sum that cancels."""
