@@ -131,26 +131,23 @@ class PlaneOperator:
         shares = shares[self.free]
         shares[self._pinned] = float((vertices - b) @ (M @ vertices))
         return Matrices(
-            self._with_sum(A, rows, columns, both),
-            self._with_sum(M, Me, Me, float(e @ Me)),
+            self._with_sum(self._pinned, A, rows, columns, both),
+            self._with_sum(self._pinned, M, Me, Me, float(e @ Me)),
             shares,
         )
 
-    def _with_sum(self, matrix: csc_array, row: Array, column: Array, both: float) -> csc_array:
-        """The free part of a matrix with row and column of the pinned unknown replaced."""
-        k, every, size = self._pinned, matrix.tocoo(), self.free.size
-        place = np.full(self._held.size, -1)
-        place[self.free] = np.arange(size)
-        place[self.free[k]] = -1
-        others = place[every.row], place[every.col]
-        keep = (others[0] >= 0) & (others[1] >= 0)
+    def _with_sum(
+        self, k: int, matrix: csc_array, row: Array, column: Array, both: float
+    ) -> csc_array:
+        """The free part of a matrix with row and column of the pinned unknown ``k`` replaced."""
+        free = matrix[:, self.free][self.free]
+        free.data[free.indices == k] = 0.0
+        free.data[slice(*free.indptr[[k, k + 1]])] = 0.0
         row, column = row.copy(), column.copy()
         row[k], column[k] = both, 0.0
         i, j = np.flatnonzero(column), np.flatnonzero(row)
-        data = np.concatenate([every.data[keep], column[i], row[j]])
-        rows = np.concatenate([others[0][keep], i, np.full(j.size, k)])
-        columns = np.concatenate([others[1][keep], np.full(i.size, k), j])
-        return csc_array((data, (rows, columns)), shape=(size, size))
+        places = np.append(i, np.full(j.size, k)), np.append(np.full(i.size, k), j)
+        return free + csc_array((np.append(column[i], row[j]), places), shape=free.shape)
 
     def _flux_of_one(self, coefficients: Array) -> Array:
         """∫ w a·∇φ of all shape functions: A times 1, not as a sum that cancels."""
