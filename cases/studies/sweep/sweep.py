@@ -110,12 +110,12 @@ class Sweep:
         return array.reshape(len(self.quantities), len(self.methods), *sizes)
 
     def variables(self) -> Variables:
-        """Return ``value``, ``error``, ``error_kind``, ``certified`` (quantity, method, *axes)."""
-        dimensions = ("quantity", "method", *(axis.dimension for axis in self.axes))
+        """Return ``value``, ``error``, ``error_kind``, ``certified`` (quantity, route, *axes)."""
+        dimensions = ("quantity", "route", *(axis.dimension for axis in self.axes))
         words = "an estimate of the numerical error or one standard error, as error_kind says"
         return {
             "quantity": (dimensions[:1], np.array(self.quantities), {}),
-            "method": (dimensions[1:2], np.array(self.methods), {}),
+            "route": (dimensions[1:2], np.array(self.methods), {}),
             **{a.dimension: ((a.dimension,), a.values, {"long_name": a.symbol}) for a in self.axes},
             "value": (dimensions, self.field("value"), {}),
             "error": (dimensions, self.field("error"), {"long_name": words}),
@@ -196,7 +196,7 @@ def sweep(
         side_by_side=not (sampled or against_samples), folder=folder, progress=progress,
     )  # fmt: skip
     answers = [answer for point in points for answer in point.answers]
-    for key, texts in (("quantity", wanted), ("method", methods)):
+    for key, texts in (("method", methods), ("quantity", wanted)):
         for text in texts:
             own = [a for a in answers if getattr(a, key) == text]
             if all(a.value is None and not a.failed for a in own):
