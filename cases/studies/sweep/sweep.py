@@ -316,19 +316,22 @@ def _value(
     """The value of a number; none where there is no number, or its error has no bound."""
     if number is None or not (isfinite(number.value) and isfinite(number.error)):
         return no(reason="the method gives no such number with an error that has a bound")
-    return no(number.value, number.error, kind, not failures, failures)
+    return no(number.value, number.error, kind, not failures, tuple(dict.fromkeys(failures)))
 
 
 def _densities(
     methods: Sequence[Method], system: System, wanted: Sequence[Observable]
 ) -> tuple[dict[Observable, AnyDensity], dict[str, tuple[str, bool]]]:
-    """The densities by the first of ``methods`` that gives each; why not, by names of others."""
+    """The densities by the first of ``methods`` that certifies each; by name why there is none."""
     densities: dict[Observable, AnyDensity] = {}
     refusals: dict[str, tuple[str, bool]] = {}
     for method in methods:
-        if missing := [o for o in wanted if o not in densities]:
+        certified = {o for o, d in densities.items() if d.certificate.certified}
+        if missing := [o for o in wanted if o not in certified]:
             answers = answers_of(system, missing, [method])
-            densities |= {d.observable: d for r in answers.results for d in r.densities}
+            for density in (d for r in answers.results for d in r.densities):
+                if density.certificate.certified or density.observable not in densities:
+                    densities[density.observable] = density
             for refusal in answers.refused:
                 for name in refusal.observables:
                     refusals.setdefault(name, (refusal.reason, refusal.failed))
@@ -340,11 +343,11 @@ def _passage(
 ) -> Passage | tuple[str, bool]:
     """The first passage from rest by the first of ``methods`` that gives it, or why none does."""
     assert quantity.limit is not None
-    question, refusal = PassageQuestion(quantity.limit, REST, ()), ("gives no first passage", False)
+    question, refusals = PassageQuestion(quantity.limit, REST, ()), list[tuple[str, bool]]()
     for method in methods:
         if isinstance(method, Passages):
             try:
                 return passage_answer(method, system, question, tol=None, progress=silent)
             except REFUSALS as error:
-                refusal = str(error), not isinstance(error, NotApplicable)
-    return refusal
+                refusals.append((str(error), not isinstance(error, NotApplicable)))
+    return refusals[0] if refusals else ("gives no first passage", False)
