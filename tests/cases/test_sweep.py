@@ -178,7 +178,8 @@ def test_two_axes_are_numeric_coordinates_and_a_heat_picture(fpk, tmp_path):
 
 def test_simulations_have_bands_of_sampling(fpk):
     line = ["sweep", "fig3a", "--vary", "contact[1].clearance=0.3,1", "--quantity", "rms(q2)",
-            "--method", "montecarlo", "--method", "exact", "--paths", 4096, "--time", 30]  # fmt: skip
+            "--method", "montecarlo", "--method", "exact", "--paths", 4096,
+            "--time", 30]  # fmt: skip
     status, out, _ = fpk(*line, "--json")
     record = json.loads(out)
     assert status == 0 and record["methods"] == ["montecarlo", "exact"]

@@ -91,7 +91,7 @@ def _heats(result: Sweep, values: Any) -> Figure:
         norm = "log" if _spans_decades(values[i, j]) else "linear"
         cells = heat(axes, x, y, values[i, j], cmap="viridis", norm=norm)
         axes.set(title=f"{result.quantities[i]} by {result.methods[j]}", ylabel=y.label)
-        figure.colorbar(cells, ax=axes, format="%.3g")
+        figure.colorbar(cells, ax=axes)
     return figure
 
 
