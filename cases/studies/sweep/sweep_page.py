@@ -12,7 +12,7 @@ from cases.output.pictures.style import STYLE
 from cases.scene.scene import Scene
 from cases.studies.page import Page, Table
 from cases.studies.picture import Curve, Panel, heat, study_figure
-from cases.studies.sweep.sweep import Sweep
+from cases.studies.sweep.result import Sweep
 
 DECADES = 100.0
 """Ratio of the largest to the smallest value from which an axis is logarithmic."""
