@@ -80,21 +80,22 @@ def computed(
     cores, or, ``side_by_side``, by one thread of each point. Its ``cluster`` takes whole points.
     ``read``, ``folder`` and ``identity`` as of ``PointStore``.
     """
+    systems = {}
+    for values in product(*(axis.values.tolist() for axis in axes)):
+        numbers = dict(zip((axis.key for axis in axes), values, strict=True))
+        try:
+            systems[values] = with_numbers(system, numbers)
+        except InvalidInput as error:
+            raise BadInput(f"--vary: at {place_words(axes, values)}: {error}") from None
     with claimed(folder, identity):
         store = PointStore(folder, identity, read)
-        wanted = list(product(*(axis.values.tolist() for axis in axes)))
-        keys = [axis.key for axis in axes]
-        todo = [
-            task(with_numbers(system, dict(zip(keys, values, strict=True))), values)
-            for values in wanted
-            if values not in store.points
-        ]
+        todo = [task(own, values) for values, own in systems.items() if values not in store.points]
         progress(0, len(todo), "points of the grid")
         finished = _finished(todo, simulation, side_by_side=side_by_side)
         for done, point in enumerate(finished, start=1):
             store.add(point)
             progress(done, len(todo), "points of the grid")
-    return tuple(store.points[values] for values in wanted), len(wanted) - len(todo)
+    return tuple(store.points[values] for values in systems), len(systems) - len(todo)
 
 
 def _finished(
@@ -129,12 +130,11 @@ def parse_axes(texts: Sequence[str], system: System) -> tuple[Axis, ...]:
         raise _wrong(texts[1], f"{axes[0].key} is varied already")
     if (count := prod(a.values.size for a in axes)) > MAX_POINTS:
         raise BadInput(f"--vary: the grid has {count} points; at most {MAX_POINTS}")
-    for axis, text in zip(axes, texts, strict=True):
-        for value in axis.values.tolist():
-            try:
-                with_numbers(system, {axis.key: value})
-            except InvalidInput as error:
-                raise _wrong(text, f"{value:g} {error.remedy}") from None
+    for value in axes[0].values.tolist() if len(axes) == 1 else ():  # a pair may do, one not
+        try:
+            with_numbers(system, {axes[0].key: value})
+        except InvalidInput as error:
+            raise _wrong(texts[0], f"{value:g} {error.remedy}") from None
     return axes
 
 
