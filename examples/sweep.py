@@ -5,7 +5,7 @@ A parameter varied
 How far may a stop stand off? ``fpk.sweep`` varies any number of a system, here the clearance, and
 gives quantities by several methods. On the command line::
 
-    fpk sweep fig3a --vary contact[1].clearance=0.1:1.2:12 --quantity "rms(q2)" --out out/sweep
+    fpk sweep fig3a --vary "contact[1].clearance=0.1:1.2:12" --quantity "rms(q2)" --out out/sweep
 """
 
 import matplotlib.pyplot as plt

@@ -86,7 +86,7 @@ class Sweep:
         return {"scene": self.name, **own, "axes": axes}
 
     def field(self, key: str) -> Any:
-        """Return ``key`` of all values, (quantity, method, *axes); numbers that are not: NaN."""
+        """Return ``key`` of all values, (quantity, method, axes); numbers that are not: NaN."""
         sizes = [axis.values.size for axis in self.axes]
         rows = [[getattr(answer, key) for answer in point.answers] for point in self.points]
         kind = float if key in ("value", "error") else None
@@ -94,7 +94,7 @@ class Sweep:
         return array.reshape(len(self.quantities), len(self.methods), *sizes)
 
     def variables(self) -> Variables:
-        """Return ``value``, ``error``, ``error_kind``, ``certified`` (quantity, route, *axes)."""
+        """Return ``value``, ``error``, ``error_kind``, ``certified`` (quantity, route, axes)."""
         dimensions = ("quantity", "route", *(axis.dimension for axis in self.axes))
         words = "an estimate of the numerical error or one standard error, as error_kind says"
         return {
