@@ -30,7 +30,7 @@ def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
     @parts.as_json
     @wraps(work)
     def command(scene: str, out: Path | None, **settings: Any) -> None:
-        loaded = parts.checked(scene, out=out)
+        loaded = parts.checked(scene, tol=settings.get("tol"), out=out)
         given = {key: value for key, value in settings.items() if value is not None}
         from cases.output.bar import progress_bar
         from cases.output.records import plain

@@ -273,6 +273,27 @@ def test_names_are_what_a_user_writes_and_read_again():
         assert str(parse_quantity(f" {text} ", system)) == text
 
 
+@pytest.mark.parametrize(
+    ("system", "quantities", "methods", "word"),
+    [
+        ("fig6a", ["rms(q1)"], (), "must be a System"),
+        (FREE, "rms(q1)", (), "must be a list"),
+        (FREE, [], (), "must be a list"),
+        (FREE, ["rms(q1)"], "linear", "must be a list"),
+        (FREE, ["rms(q1)"], ["linear/fem"], "is not a solver of linear"),
+    ],
+)
+def test_mistakes_in_python_are_told_in_one_line(system, quantities, methods, word):
+    with pytest.raises(face.InvalidInput) as refusal:
+        face.sweep(system, {"system.mass[1]": [1, 2]}, quantities, methods=methods)
+    assert word in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_a_tolerance_out_of_range_is_refused(fpk):
+    status, out, err = fpk(*LINE, "--tol", "0")
+    assert (status, out) == (2, "") and "--tol 0" in err and err.count("\n") == 1
+
+
 def test_a_sweep_in_python_is_labelled_and_takes_arrays():
     result = face.sweep(FREE, {"system.stiffness[1]": np.array([1.0, 2.0])}, ["std(q1)"])
     data = result.to_xarray()

@@ -53,11 +53,14 @@ def sweep(
     method gives none of the quantities anywhere, or a quantity has no value by any.
     """
     start = perf_counter()
+    for key, given in (("quantities", quantities), ("methods", methods)):
+        if isinstance(given, str) or (not given and key == "quantities"):
+            raise InvalidInput(key, given, "must be a list of one or more names")
+    if not isinstance(system, System | Scene):
+        raise InvalidInput("system", system, 'must be a System or a scene, as fpk.load("fig6a")')
     name, system = (system.name, system.system) if isinstance(system, Scene) else ("", system)
     axes = parse_axes(_texts(vary), system)
     wanted = {str(q): q for q in (parse_quantity(text, system) for text in quantities)}
-    if not wanted:
-        raise InvalidInput("quantities", quantities, 'must name one or more, as ["rms(q2)"]')
     names = tuple(dict.fromkeys(methods)) or METHODS
     asked = tuple((method, _candidates(method, tol, simulation)) for method in names)
     solver = solver_of(reference)
