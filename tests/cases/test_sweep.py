@@ -5,6 +5,8 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
+from io import BytesIO
 from math import sqrt
 
 import mpmath
@@ -21,6 +23,7 @@ from cases.scene.scene import load_scene
 from cases.studies.regime_map.map import build_map
 from cases.studies.sweep.grid import parse_axes
 from cases.studies.sweep.quantity import parse_quantity
+from cases.studies.sweep.sweep_page import sweep_figure
 
 FREE = face.System([1, 2], [1, 3], [0.1, 0.2], [[0.02, 0.01], [0.01, 0.04]])
 ROUND_OFF = 1e-12
@@ -123,7 +126,7 @@ def test_the_averaging_error_is_what_regime_maps():
 
 
 LINE = ["sweep", "fig3a", "--vary", "contact.clearance=0.2:2:3", "--vary", "system.mass[1]=1,2",
-        "--quantity", "rms(q2)", "--quantity", "failure_rate(H=0.5)"]  # fmt: skip
+        "--quantity", "rms(q2)", "--quantity", "quantile(q2,0.9)"]  # fmt: skip
 
 
 KILLED = """
@@ -178,6 +181,21 @@ def test_two_axes_are_numeric_coordinates_and_a_heat_picture(fpk, tmp_path):
         and "http:" not in page.replace("http://www.w3.org", "")
     )
     assert {"result.md", "result.svg", "result.csv"} <= set(os.listdir(tmp_path))
+
+
+@pytest.mark.parametrize("values", [[0.5, 1.0], [0.5, 1e4]])
+def test_a_quantity_without_any_value_is_drawn_as_nothing(values):
+    vary = {"contact.clearance": values, "system.mass[1]": [1.0, 2.0]}
+    for axes in (vary, {"contact.clearance": values}):
+        result = face.sweep(load_scene("fig3a"), axes, ["rms(q2)"], methods=["integrable"])
+        none = [
+            replace(p, answers=tuple(replace(a, value=None, failed=True) for a in p.answers))
+            for p in result.points
+        ]
+        assert sweep_figure(result).axes and result.field("value").min() > 0.0
+        failed = replace(result, points=tuple(none))
+        sweep_figure(failed).savefig(BytesIO(), format="svg")  # warnings are errors
+        assert len(failed.problems) == len(none)
 
 
 def test_simulations_have_bands_of_sampling(fpk):

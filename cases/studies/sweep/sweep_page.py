@@ -81,8 +81,8 @@ def sweep_figure(result: Sweep) -> Figure:
 
 def _heats(result: Sweep, values: Any) -> Figure:
     shown = [(i, j) for i, j in np.ndindex(values.shape[:2]) if np.isfinite(values[i, j]).any()]
-    (x, y), columns = result.axes, min(len(shown), 3)
-    rows = ceil(len(shown) / columns)
+    (x, y), columns = result.axes, min(max(len(shown), 1), 3)
+    rows = max(ceil(len(shown) / columns), 1)
     figure = Figure(figsize=(COLUMN * columns, ROW * rows), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in grid[len(shown) :]:
@@ -96,5 +96,5 @@ def _heats(result: Sweep, values: Any) -> Figure:
 
 
 def _spans_decades(values: Any) -> bool:
-    low, high = np.nanmin(values), np.nanmax(values)
-    return bool(low > 0.0 and high > DECADES * low)
+    given = values[np.isfinite(values)]
+    return bool(given.size and given.min() > 0.0 and given.max() > DECADES * given.min())
