@@ -15,7 +15,7 @@ from cases.commands import parts
 from cases.commands.dynamics import correlation, crossings, density, relaxation, spectrum
 from cases.commands.evolution import passage, transient
 from cases.commands.export import export
-from cases.commands.studies import converge, cost, regime
+from cases.commands.studies import converge, cost, regime, sweep
 from cases.commands.verify import verify
 from cases.scene.errors import BadInput, one_line
 from fpk.errors import InvalidInput, NotApplicable, NotCertified, Unavailable
@@ -101,7 +101,7 @@ def run(scene: str, out: Path | None, **settings: Any) -> None:
 
 for _command in (
     density, transient, passage, crossings, spectrum, correlation, relaxation,
-    converge, cost, export, verify, regime,
+    converge, cost, export, verify, regime, sweep,
 ):  # fmt: skip
     app.add_command(_command)
 
