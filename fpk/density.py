@@ -131,7 +131,8 @@ class Density(Quantities):
         first, last = (float(x) for x in np.clip([low, high], nodes[0], nodes[-1]))
         tail = self.certificate.tail_mass
         beyond_ends = (tail if low < nodes[0] else 0.0) + (tail if high > nodes[-1] else 0.0)
-        value, error = (float(x) for x in self._share(first, last))
+        shares = self._share(first, last, self.pdf, self.pointwise)
+        value, error = (float(x) for x in shares)
         beside = self._error_of_all - error
         return Number(
             value, max(min(error, beside), 0.0) + self._unlocated + beyond_ends + EPS * value
@@ -147,16 +148,21 @@ class Density(Quantities):
         """What of the L1 error is not in the errors at points."""
         return max(self.l1_error - self._error_of_all, 0.0)
 
-    def _share(self, low: float, high: float) -> Array:
-        """∫ of the density and of its error between two points of the support."""
+    def share(self, low: float, high: float) -> float:
+        """Return P(low < X <= high) without its error, which takes as long again."""
+        ends = np.clip([low, high], *self._axis()[[0, -1]])
+        return float(self._share(*ends, self.pdf)[0])
+
+    def _share(self, low: float, high: float, *functions: Callable[..., Array]) -> Array:
+        """∫ of the density, and of its error if both are ``functions``, within the support."""
         nodes = self.panels[0]
         first, last = np.searchsorted(nodes, low), np.searchsorted(nodes, high, side="right") - 1
-        whole: Array = self._panel_shares[:, first:last].sum(axis=1)
+        whole: Array = self._panel_shares[: len(functions), first:last].sum(axis=1)
         cut = [(low, nodes[first]), (nodes[last], high)] if first <= last else [(low, high)]
         for a, b in cut:
             if a < b:
                 mesh, grids = gauss_grid([np.array([a, b])])
-                whole = whole + [integral(f(*mesh), grids) for f in (self.pdf, self.pointwise)]
+                whole = whole + [integral(f(*mesh), grids) for f in functions]
         return whole
 
     @cached_property
@@ -164,7 +170,8 @@ class Density(Quantities):
         """∫ of the density and of its error over every panel of the one axis."""
         _, [(_, w)] = gauss_grid(self.panels)
         weighted = [np.broadcast_to(f, w.shape) * w for f in self._at_nodes[1:]]
-        return np.reshape(weighted, (2, -1, GAUSS_POINTS[1])).sum(axis=2)
+        shares: Array = np.reshape(weighted, (2, -1, GAUSS_POINTS[1])).sum(axis=2)
+        return shares
 
     @cached_property
     def _at_nodes(self) -> tuple[Array, Array, Array]:

@@ -12,6 +12,12 @@ from averaging.exact import compatibility
 from cases.comparison.answering import replies_of
 from cases.comparison.compare import Comparison, compared, discrepancies
 from cases.comparison.in_time import Replies
+from cases.comparison.quantities import (
+    Quantity,
+    compared_quantities,
+    quantities_of,
+    quantity_discrepancies,
+)
 from cases.comparison.refusal import INTERRUPTED, REFUSALS, Attempts, Refusal
 from cases.scene.questions import Question
 from cases.scene.scene import Scene
@@ -62,6 +68,17 @@ class Answers(Mapping[Any, AnyDensity]):
     def comparisons(self) -> tuple[Comparison, ...]:
         """Distances of all pairs of densities of one observable, judged where that is possible."""
         return compared(self.results, averaging_is_exact=incompatibility(self.system) is None)
+
+    @cached_property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """Moments, quantiles and what stops feel, each by every route that gives its density."""
+        return quantities_of(self.system, self.results)
+
+    @cached_property
+    def quantity_comparisons(self) -> tuple[Comparison, ...]:
+        """Differences of all pairs of routes in one quantity, judged where that is possible."""
+        exact = incompatibility(self.system) is None
+        return compared_quantities(self.results, self.quantities, averaging_is_exact=exact)
 
     def densities(self, observable: Observable) -> dict[Route, AnyDensity]:
         """Return the densities of one observable by route: first deterministic ones, then sampled.
@@ -116,6 +133,7 @@ class Answers(Mapping[Any, AnyDensity]):
     def problems(self) -> tuple[str, ...]:
         """Every check that does not hold, in words; empty when all do."""
         problems = list(discrepancies(self.comparisons))
+        problems += quantity_discrepancies(self.quantity_comparisons, self.comparisons)
         problems += [
             f"{d.name}: {r.method.route.label} is not certified: {failure}"
             for r in self.results
@@ -279,7 +297,11 @@ def run_scene(
         curves.append(answers)
         save(Outcome(scene, tuple(curves), perf_counter() - start))
         progress(k - 1, len(scene.curves), "comparing")
-        _ = curves[-1].comparisons, [replies.comparisons for replies in curves[-1].in_time]
+        _ = (
+            curves[-1].comparisons,
+            curves[-1].quantity_comparisons,
+            [replies.comparisons for replies in curves[-1].in_time],
+        )
         progress(k, len(scene.curves), "comparing")
     return Outcome(scene, tuple(curves), perf_counter() - start)
 

@@ -89,8 +89,9 @@ def test_quantities_of_finite_elements_err_by_what_they_state():
 
 def test_quantiles_of_a_momentum_by_averaging():
     """Nothing lies below the support, where such a density takes no empty list of points."""
-    free = System([1.0], [1.0], [0.08], [0.08 * 0.3])
-    density = solved(NonIntegrable(solver="closed-form"), free, "p1")
+    stop = Contact(1, "both", 10.0, 0.3)
+    one = System([1.0], [1.0], [0.08], [0.08 * 0.3], contacts=(stop,))
+    density = solved(NonIntegrable(solver="fem"), one, "p1")
     low, high = density.panels[0][[0, -1]]
     within(density.cdf(low), 0.0)
     within(density.exceedance(2.0 * high), 0.0)
