@@ -55,9 +55,10 @@ class Quantity:
 def quantities_of(system: System, results: Sequence[Result]) -> tuple[Quantity, ...]:
     """Return the quantities of every density of one coordinate: by observable, quantity, route.
 
-    Of every coordinate: mean, rms, std, skewness, kurtosis and ``QUANTILES``. Of a displacement
-    besides, for every stop of its mass: ``FELT`` of ``contact_quantities``, and the upcrossing rate
-    of the stop by methods that have it in closed form.
+    Routes are in the order of ``Answers.densities``. Of every coordinate: mean, rms, std, skewness,
+    kurtosis and ``QUANTILES``. Of a displacement besides, for every stop of its mass: ``FELT`` of
+    ``contact_quantities``, and the rate of upcrossings of its position where that is exact: from
+    phase space and simulations it takes another solution, see ``fpk crossings``.
     """
     rows = [
         row
