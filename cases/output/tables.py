@@ -1,6 +1,6 @@
 """Quantities of a run as a table: a row for each quantity, a column for each route."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import ceil, floor, log10
 
 from cases.output.records import Record
@@ -63,23 +63,28 @@ def quantity_tables(rows: Sequence[Record], width: int, every: bool = False) -> 
     Columns that do not fit are in a second table below. ``every``: all routes.
     """
     lines: list[str] = []
+    for heads, columns in quantity_columns(rows, every=every):
+        first = max(map(len, heads))
+        for together in _blocks(columns, width - first - 2):
+            widths = [max(map(len, column)) for column in together]
+            for head, *row in zip(heads, *together, strict=True):
+                texts = map(str.rjust, row, widths)
+                lines.append("  ".join([head.ljust(first), *texts]).rstrip())
+            lines.append("")
+    return lines
+
+
+def quantity_columns(
+    rows: Sequence[Record], *, every: bool
+) -> Iterator[tuple[list[str], list[list[str]]]]:
+    """Yield of each observable its name above its quantities, and each route above its numbers."""
     for observable in dict.fromkeys(row["observable"] for row in rows):
         own = [row for row in rows if row["observable"] == observable]
         routes = list(dict.fromkeys(row["route"] for row in own)) if every else shown_routes(own)
         cells = {(r["quantity"], r["route"]): concise(r["value"], r["error"]) for r in own}
         names = list(dict.fromkeys(row["quantity"] for row in own))
-        first = max(map(len, (observable, *names)))
         columns = [[route, *(cells.get((n, route), "") for n in names)] for route in routes]
-        for together in _blocks(columns, width - first - 2):
-            heads = [observable, *names]
-            for head, *row in zip(heads, *together, strict=True):
-                texts = [
-                    text.rjust(max(map(len, column)))
-                    for text, column in zip(row, together, strict=True)
-                ]
-                lines.append("  ".join([head.ljust(first), *texts]).rstrip())
-            lines.append("")
-    return lines
+        yield [observable, *names], columns
 
 
 def _blocks(columns: Sequence[list[str]], width: int) -> list[list[list[str]]]:

@@ -1,8 +1,10 @@
 """Engineering quantities of a run: against closed forms, between routes, in tables."""
 
 import json
+import sys
 from dataclasses import replace
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from scipy import stats
@@ -16,6 +18,7 @@ from cases.output.tables import concise, quantity_tables
 from cases.scene.scene import load_scene
 from fpk.contact import Contact
 from fpk.density import Density
+from fpk.errors import InvalidInput, Unavailable
 from fpk.system import System
 
 LINEAR = System([1.0, 2.0], [1.0, 0.5], [0.08, 0.04], [0.08 * 0.3, 0.04 * 0.3])
@@ -228,3 +231,42 @@ def test_a_table_is_as_wide_as_the_terminal_and_repeats_no_solver():
         lines = quantity_tables(rows, width, True)
         assert max(map(len, lines)) <= width
         assert sum(line.count("0.5000(10)") for line in lines) == len(rows)
+
+
+def test_a_frame_has_every_quantity_with_its_error_by_route(one):
+    frame = one.summary()
+    for q in one.quantities:
+        row = frame.loc[(q.observable, q.quantity), q.route.label]
+        assert (row["value"], row["error"]) == (q.number.value, q.number.error)
+    assert [*frame.index] == list(dict.fromkeys((q.observable, q.quantity) for q in one.quantities))
+    assert face.solve(ONE, ["q1,p1"], methods=["exact"]).summary().empty
+
+
+def test_labelled_arrays_are_the_densities_at_their_points(one):
+    data = one.to_xarray()
+    at = data.sel(route_H="exact")["H"].to_numpy()
+    values, errors = one["H", "exact"].at(at)
+    np.testing.assert_array_equal(data["p_H"].sel(route_H="exact"), values)
+    np.testing.assert_array_equal(data["error_H"].sel(route_H="exact"), errors)
+    assert data["error_kind_q1"].sel(route_q1="montecarlo") == "sampling"
+
+
+def test_a_plot_has_the_drawn_routes_and_a_logarithmic_axis_reaches_the_tail(one):
+    (axes,) = one.plot("q1", log=True).axes
+    assert axes.get_yscale() == "log" and axes.get_ylim()[0] < 1e-5
+    (other,) = one.plot("q1").axes
+    assert other.get_yscale() == "linear" and len(other.lines) >= 2
+    with pytest.raises(InvalidInput, match="one of these can be: q1, H"):
+        one.plot("p1")
+    plt.close("all")
+
+
+def test_a_notebook_shows_the_tables(one):
+    page = one._repr_html_()
+    assert page.count("<table>") == 2 and "contact probability, right stop" in page
+
+
+def test_a_missing_package_is_named(one, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(Unavailable, match=r"vibro-fpk\[frames\]"):
+        one.summary()
