@@ -22,10 +22,11 @@ from cases.comparison.compare import (
 from fpk.contact import Contact
 from fpk.contact_quantities import contact_quantities
 from fpk.density import AnyDensity, Density
-from fpk.dynamics import Crossings
+from fpk.dynamics import Crossings, upcrossings
 from fpk.errors import NotApplicable
 from fpk.method import Result, silent
 from fpk.number import Number
+from fpk.observable import Coordinate
 from fpk.route import Route
 from fpk.sampled_density import ErrorKind, SampledDensity
 from fpk.system import System
@@ -53,25 +54,30 @@ class Quantity:
 
 
 def quantities_of(system: System, results: Sequence[Result]) -> tuple[Quantity, ...]:
-    """Return the quantities of every density of one coordinate: by observable, quantity, route.
+    """Return the quantities of every density: by observable, quantity, route.
 
-    Routes are in the order of ``Answers.densities``. Of every coordinate: mean, rms, std, skewness,
+    Routes are in the order of ``Answers.densities``. Of a coordinate: mean, rms, std, skewness,
     kurtosis and ``QUANTILES``. Of a displacement besides, for every stop of its mass: ``FELT`` of
-    ``contact_quantities``, and the rate of upcrossings of its position where that is exact: from
-    phase space and simulations it takes another solution, see ``fpk crossings``.
+    ``contact_quantities``, and the rate of upcrossings of its position by ``exact``; that rate also
+    of a joint density of displacement and momentum that is no histogram. By other routes it takes
+    another solution, see ``fpk crossings``.
     """
     rows = [
         row
         for result in results
         for density in result.densities
-        if len(density.observable) == 1
-        for row in _quantities(system, result, density)
+        for row in (_quantities if len(density.observable) == 1 else _rates)(
+            system, result, density
+        )
     ]
-    order = {
-        key: i for i, key in enumerate(dict.fromkeys((q.observable, q.quantity) for q in rows))
-    }
-    first = {name: i for i, name in enumerate(dict.fromkeys(q.observable for q in rows))}
-    return tuple(sorted(rows, key=lambda q: (first[q.observable], order[q.observable, q.quantity])))
+    observables = list(dict.fromkeys(q.observable for q in rows))
+    names = list(dict.fromkeys(q.quantity for q in rows))
+
+    def place(q: Quantity) -> tuple[int, int, bool, bool]:
+        averaged = q.route.solves != "full"
+        return observables.index(q.observable), names.index(q.quantity), q.route.sampled, averaged
+
+    return tuple(sorted(rows, key=place))
 
 
 def compared_quantities(
@@ -147,10 +153,7 @@ def _quantities(system: System, result: Result, density: AnyDensity) -> Iterator
     for name, p in QUANTILES.items():
         number = density.quantile(p)
         yield row(name, number, _reach_of_quantile(density, p, number))
-    (coordinate,) = density.observable
-    own = [s for s in system.stops if (coordinate.kind, coordinate.index) == ("q", s.mass - 1)]
-    for stop in own:
-        where = stop_name(stop, own)
+    for stop, where in _stops_at(system, density.observable[0]):
         felt = contact_quantities(stop, density)
         for name in FELT:
             yield row(f"{name}, {where}", felt[name], reach_of(density, felt[name], 0.0))
@@ -158,10 +161,26 @@ def _quantities(system: System, result: Result, density: AnyDensity) -> Iterator
             yield row(f"upcrossing rate, {where}", rate, rate.error)
 
 
-def stop_name(stop: Contact, own: Sequence[Contact]) -> str:
-    """Return how a stop is called beside the others of its mass: by its side, or where it is."""
-    alone = [s.side for s in own].count(stop.side) == 1
-    return f"{stop.side} stop" if alone else f"{stop.side} stop at {stop.sign * stop.clearance:g}"
+def _rates(system: System, result: Result, density: AnyDensity) -> Iterator[Quantity]:
+    """The upcrossing rates of the stops of a mass, of the joint density of its q and p, (Rice)."""
+    q, p = density.observable
+    if (q.kind, p.kind) != ("q", "p") or q.row != p.row or not isinstance(density, Density):
+        return
+    for stop, where in _stops_at(system, q):
+        at = np.array([stop.sign * stop.clearance])
+        (value,), (error,) = upcrossings(density, float(system.mass[q.row]), at)
+        rate = Number(float(value), float(error))
+        name, reach = f"upcrossing rate, {where}", reach_of(density, rate, 0.0)
+        yield Quantity(density.name, name, result.method.route, rate, density.error_kind, reach)
+
+
+def _stops_at(system: System, coordinate: Coordinate) -> Iterator[tuple[Contact, str]]:
+    """The stops of a displacement and how they are called: by their side, or where they are."""
+    own = [s for s in system.stops if (coordinate.kind, coordinate.index) == ("q", s.mass - 1)]
+    for stop in own:
+        alone = [s.side for s in own].count(stop.side) == 1
+        where = "" if alone else f" at {stop.sign * stop.clearance:g}"
+        yield stop, f"{stop.side} stop{where}"
 
 
 def _upcrossings(system: System, result: Result, stop: Contact) -> Number | None:
@@ -186,6 +205,8 @@ def reach_of(density: AnyDensity, number: Number, size: float) -> float:
     value, error = abs(number.value), number.error
     if isinstance(density, Density):
         return error + ROUND_OFF * value
+    if error == 0.0:  # of a stop beyond all samples: nothing was seen, and nothing is known
+        return np.inf
     z = deviations(density)
     return z * error + 2.0 * (z * error) ** 2 / max(value, size, error)
 

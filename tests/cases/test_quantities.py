@@ -85,6 +85,27 @@ def test_what_a_stop_feels_in_an_exact_scene_is_that_of_quadrature(one):
     assert abs(sampled.value - force) < 4.5 * sampled.error < 0.1 * force
 
 
+def test_the_upcrossing_rate_follows_from_a_joint_density_too(one):
+    joint = face.solve(ONE, ["q1,p1"], methods=["exact", "nonintegrable/fem"])
+    rates = {q.route.label: q.number for q in joint.quantities}
+    assert {q.quantity for q in joint.quantities} == {"upcrossing rate, right stop"}
+    (known,) = [q.number for q in one.quantities if q.quantity == "upcrossing rate, right stop"]
+    for number in rates.values():
+        assert abs(number.value - known.value) <= number.error + known.error
+    (comparison,) = joint.quantity_comparisons
+    assert comparison.measures == "numerical" and comparison.holds
+    free = System([1.0], [1.0], [0.1], [0.1])
+    assert not face.solve(free, ["q1,p1"], methods=["exact"]).quantities
+
+
+def test_the_full_system_comes_first_and_samples_last(one):
+    assert [q.route.label for q in one.quantities][:3] == [
+        "exact",
+        "nonintegrable/fem",
+        "montecarlo",
+    ]
+
+
 def test_the_routes_of_one_equation_agree_and_each_comparison_is_judged(one):
     assert not one.problems
     pairs = {(c.measures, c.band is None) for c in one.quantity_comparisons}
@@ -153,6 +174,22 @@ def test_chance_explains_what_right_simulations_differ_by():
         answers = Answers(system, exact + result)
         assert all(c.holds for c in answers.quantity_comparisons), seed
         assert len(answers.quantity_comparisons) == 16
+
+
+@pytest.mark.parametrize("clearance", [4.0, 30.0])
+def test_a_stop_that_no_sample_reached_is_no_contradiction(clearance):
+    """The exact probabilities, 1e-13 and 0 in double precision, are beyond what samples see."""
+    far = replace(ONE, contacts=(Contact(1, "right", 10.0, clearance),))
+    sampled = method_for("montecarlo", paths=4096, relaxations=1.0, seed=2)
+    answers = face.solve(far, ["q1"], methods=["exact", sampled])
+    numbers = {(q.quantity, q.route.label): q.number for q in answers.quantities}
+    touching = numbers["contact probability, right stop", "montecarlo"]
+    assert touching.value == 0.0 and touching.error > 0.0
+    force = numbers["mean force, right stop", "montecarlo"]
+    assert force.value == 0.0 and (force.error > 0.0 or clearance > 10.0)
+    assert numbers["force in contact, right stop", "montecarlo"].error == np.inf
+    assert not answers.problems
+    assert "–" in answers._repr_html_()
 
 
 def test_one_stop_of_two_on_a_side_is_named_by_its_place():
@@ -239,7 +276,9 @@ def test_a_frame_has_every_quantity_with_its_error_by_route(one):
         row = frame.loc[(q.observable, q.quantity), q.route.label]
         assert (row["value"], row["error"]) == (q.number.value, q.number.error)
     assert [*frame.index] == list(dict.fromkeys((q.observable, q.quantity) for q in one.quantities))
-    assert face.solve(ONE, ["q1,p1"], methods=["exact"]).summary().empty
+    assert (
+        face.solve(System([1.0], [1.0], [0.1], [0.1]), ["q1,p1"], methods=["exact"]).summary().empty
+    )
 
 
 def test_labelled_arrays_are_the_densities_at_their_points(one):
