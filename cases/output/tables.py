@@ -12,8 +12,8 @@ SMALL = 1e-3
 """Error below which a number that may be zero is shown as zero and its error."""
 
 NOTE = (
-    "In brackets the error of the last digits: one standard error of a simulation, else numerical;"
-    " none where it is below the last digit."
+    "(3): error of the last digits, one standard error of a simulation, else numerical;\n"
+    "without it the error is below the last digit."
 )
 
 
