@@ -12,7 +12,7 @@ SMALL = 1e-3
 """Error below which a number that may be zero is shown as zero and its error."""
 
 NOTE = (
-    "(3): error of the last digits, one standard error of a simulation, else numerical;\n"
+    "(3): error of the last digits, numerical or one standard error of sampling;\n"
     "without it the error is below the last digit."
 )
 
