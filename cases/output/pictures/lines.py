@@ -73,13 +73,15 @@ def line_pictures(
             yield f"{stem}_{name}", words.format(name), figure
 
 
-def density_figure(curves: Sequence[Answers], observable: Observable, x: Array) -> Figure:
+def density_figure(
+    curves: Sequence[Answers], observable: Observable, x: Array, figure: Figure | None = None
+) -> Figure:
     """Draw the densities of one coordinate: deterministic as lines, sampled as points with bars.
 
     Several curves are distinguished by colour, and their routes by dashes; the routes of a single
-    curve have their own colours, too.
+    curve have their own colours, too. ``figure`` None: a new one.
     """
-    figure = Figure()
+    figure = figure or Figure()
     axes = figure.subplots()
     colours = dict(zip((c.label for c in curves), cycle(COLOURS), strict=False))
     alone = len(curves) == 1
