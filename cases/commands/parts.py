@@ -4,9 +4,12 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from cases.scene.errors import BadInput
 from fpk.errors import InvalidInput
@@ -32,10 +35,22 @@ FOLDER = NonEmptyPath(path_type=Path)
 FIELDS = "result.nc"
 """File of the fields of a run, in its folder."""
 
+NARROWEST = 40
+"""Columns of a terminal below which lines are left as they are."""
+
 STATE_SETTINGS = ("seed", "tol", "dt", "step_pair", "observable")
 """Settings of a command that a saved state of its simulation depends on."""
 
-scene_name = click.argument("scene", metavar="SCENE")
+
+def _scenes(context: click.Context, option: click.Parameter, begun: str) -> list[CompletionItem]:
+    """The shipped scenes that begin so, and files, for the completion of a shell."""
+    from cases.scene.scene import shipped_scenes
+
+    names = [CompletionItem(name) for name in shipped_scenes() if name.startswith(begun)]
+    return [*names, CompletionItem(begun, type="file")]
+
+
+scene_name = click.argument("scene", metavar="SCENE", shell_complete=_scenes)
 as_json = click.option(
     "--json", "as_json", is_flag=True, expose_value=False, help="Print one JSON object alone.",
     callback=lambda context, option, value: context.meta.update(json=value),
@@ -116,11 +131,29 @@ def end(
     if click.get_current_context().meta["json"]:
         click.echo(json.dumps(record, ensure_ascii=False, allow_nan=False))
     else:
-        click.echo("\n".join([text(), *(f"wrote {path}" for path in written)]))
+        click.echo(as_wide("\n".join([text(), *(f"wrote {path}" for path in written)])))
     for problem in problems:
         click.echo(f"fpk: {problem}", err=True)
     if problems:
         raise click.exceptions.Exit(1)
+
+
+def as_wide(text: str) -> str:
+    """Return ``text`` with lines no longer than the terminal is wide, if it is one.
+
+    A longer one goes on below itself, farther in; nothing is cut. In a file or pipe a line is one.
+    """
+    width = get_terminal_size((0, 0)).columns
+    if width < NARROWEST:
+        return text
+    lines = text.split("\n")
+    return "\n".join(_folded(line, width) if len(line) > width else line for line in lines)
+
+
+def _folded(line: str, width: int) -> str:
+    indent = " " * (len(line) - len(line.lstrip()) + 4)
+    how: Any = {"break_long_words": False, "break_on_hyphens": False, "drop_whitespace": True}
+    return "\n".join(wrap(line, width, subsequent_indent=indent, expand_tabs=False, **how))
 
 
 def outcome_of(scene: "Scene", methods: Any, **settings: Any) -> "Outcome":

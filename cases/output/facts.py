@@ -11,11 +11,13 @@ from cases.scene.scene import Scene
 from fpk.clearance import stop_clearances
 from fpk.effects import effects_of
 from fpk.ends import BoundaryClass, classify
-from fpk.errors import NotApplicable
+from fpk.errors import InvalidInput, NotApplicable
 from fpk.linear import natural_modes
 from fpk.observable import observable_name
 from fpk.route import ROUTES, solvers_of
 from fpk.system import System
+from sim.montecarlo import MonteCarlo
+from sim.setup import expected_seconds
 
 MODES_SHOWN = 50
 """Modes whose boundaries are classified: half a second for as many, and a time of n³ for more."""
@@ -36,6 +38,34 @@ def show_record(scene: Scene) -> Record:
             "natural_frequencies": regime["natural_frequencies"],
             "theories": theories(scene),
             "boundaries": regime["boundaries"],
+        }
+    )
+
+
+def check_record(scene: Scene) -> Record:
+    """Return the record of ``fpk check``: sizes, theories, and about what a run costs."""
+    listed = theories(scene)
+    taken = [t["method"] for t in listed if t["applies"] and not t["left_out"]]
+    seconds: float | None = 0.0
+    refusal = None
+    try:
+        seconds = sum(expected_seconds(MonteCarlo(), curve.system) for curve in scene.curves)
+    except (NotApplicable, InvalidInput) as reason:
+        seconds, refusal = None, str(reason)
+    return plain(
+        {
+            "scene": scene.name,
+            "valid": True,
+            "masses": scene.system.n,
+            "stops": len(scene.system.stops),
+            "systems": len(scene.curves),
+            "observables": [observable_name(o) for o in scene.observables],
+            "applies": [t["method"] for t in listed if t["applies"]],
+            "refused": [t for t in listed if not t["applies"]],
+            "left_out": [t for t in listed if t["left_out"]],
+            "simulation_seconds": seconds,
+            "simulation_refusal": refusal,
+            "phase_space": "phase-space" in taken,
         }
     )
 

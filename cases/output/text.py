@@ -8,6 +8,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from cases.output.digest import curves_of, refusals_of, verdict_of
+from cases.output.duration import duration
 from cases.output.records import Record
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -29,6 +30,7 @@ def _templates() -> Environment:
     )
     environment.filters |= {
         "num": number,
+        "duration": duration,
         "short": _short,
         "diagonal": _diagonal,
         "term": _term,

@@ -6,14 +6,15 @@ its key as the user would look for it, ``contact[1].clearance`` say, counted fro
 
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, get_args
 from unicodedata import category
 
 from pydantic_core import ErrorDetails, PydanticCustomError, SchemaValidator, ValidationError
 from pydantic_core import core_schema as core
 
 from cases.scene.expect import RELATIONS
-from fpk.contact import Contact
+from fpk.contact import Contact, Side
+from fpk.contact_law import LAWS
 from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput
 from fpk.modulation import Modulation
@@ -73,6 +74,11 @@ def _list_or_matrix(value: Any) -> str:
     return "<matrix>" if nested else "<list>"
 
 
+def _said(schema: Any, description: str, **more: Any) -> Any:
+    """The schema with what its JSON Schema says beside the types, for editors."""
+    return {**schema, "metadata": {"description": description, **more}}
+
+
 _then = core.no_info_after_validator_function
 """``_then(function, schema)``: the schema followed by a check or conversion in Python."""
 
@@ -97,16 +103,26 @@ TIMES = _list(NUMBER, most=MOST_TIMES)
 
 SYSTEM = _table(
     {
-        "mass": NUMBERS,
-        "stiffness": NUMBERS,
-        "damping": NUMBERS_OR_MATRIX,
-        "noise_intensity": NUMBERS_OR_MATRIX,
+        "mass": _said(NUMBERS, "m_i of the chain, mass 1 nearest to the wall"),
+        "stiffness": _said(NUMBERS, "k_i joins mass i to mass i-1, k_1 to the wall"),
+        "damping": _said(NUMBERS_OR_MATRIX, "c_i, or a full matrix"),
+        "noise_intensity": _said(
+            NUMBERS_OR_MATRIX, "D_l with E[W W'] = 2 D delta, or a full matrix"
+        ),
     },
-    {"noise_gain": MATRIX},
+    {"noise_gain": _said(MATRIX, "f_il; the identity where it is left out")},
 )
 CONTACT = _table(
-    {"mass": MASS, "side": TEXT, "stiffness": NUMBER, "clearance": NUMBER},
-    {"law": TEXT, "exponent": NUMBER},
+    {
+        "mass": _said(MASS, "number of the mass, counted from 1"),
+        "side": _said(TEXT, "where the stop stands", enum=list(get_args(Side))),
+        "stiffness": _said(NUMBER, "B: force / length**exponent"),
+        "clearance": _said(NUMBER, "gap at rest"),
+    },
+    {
+        "law": _said(TEXT, "hertz where it is left out", enum=sorted(LAWS)),
+        "exponent": _said(NUMBER, "of the law power only"),
+    },
 )
 DAMPING_TERM = _table(
     {"i": MASS, "j": MASS, "coefficient": NUMBER}, {"q": POWERS, "v": POWERS, "energy": WHOLE}
@@ -143,7 +159,9 @@ SCENE = _table(
         "passage": _list(PASSAGE, least=0, most=MOST_QUESTIONS),
         "transient": _list(TRANSIENT, least=0, most=MOST_QUESTIONS),
         "modulation": _then(lambda keys: Modulation(**keys), MODULATION),
-        "observe": _table({"densities": _list(TEXT, most=16)}, {}),
+        "observe": _table(
+            {"densities": _said(_list(TEXT, most=16), "q1.., p1.., H, H1.., or a pair a,b")}, {}
+        ),
         "vary": _table({}, VARY),
         "expect": _table({}, EXPECT),
     },
