@@ -34,6 +34,7 @@ def digest_of(outcome: Outcome) -> Record:
         {
             "scene": outcome.scene.name,
             "title": outcome.scene.title,
+            "units": outcome.scene.units.record(),
             **_curve(base),
             "curves": [_curve(c) for c in others],
             "judged": len(judged),

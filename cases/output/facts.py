@@ -6,6 +6,7 @@ from averaging.energy_process import energy_process
 from averaging.modal.analysis import modal_analysis
 from cases.comparison.answers import incompatibility
 from cases.comparison.routes import listed_routes
+from cases.output.motion import modes_record, rms_record
 from cases.output.records import Record, plain
 from cases.scene.scene import Scene
 from fpk.clearance import stop_clearances
@@ -35,7 +36,10 @@ def show_record(scene: Scene) -> Record:
             **facts,
             "observables": [observable_name(o) for o in scene.observables],
             "curves": [curve.label for curve in scene.curves],
+            "units": scene.units.record(),
             "natural_frequencies": regime["natural_frequencies"],
+            "modes": modes_record(scene.system),
+            "rms": rms_record(scene.system),
             "theories": theories(scene),
             "boundaries": regime["boundaries"],
         }

@@ -30,6 +30,7 @@ def _templates() -> Environment:
     )
     environment.filters |= {
         "num": number,
+        "ljust": str.ljust,
         "duration": duration,
         "short": _short,
         "diagonal": _diagonal,

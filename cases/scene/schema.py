@@ -13,6 +13,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError, SchemaValidator, Va
 from pydantic_core import core_schema as core
 
 from cases.scene.expect import RELATIONS
+from cases.scene.units import Units
 from fpk.contact import Contact, Side
 from fpk.contact_law import LAWS
 from fpk.damping import DampingTerm
@@ -127,6 +128,8 @@ CONTACT = _table(
 DAMPING_TERM = _table(
     {"i": MASS, "j": MASS, "coefficient": NUMBER}, {"q": POWERS, "v": POWERS, "energy": WHOLE}
 )
+UNIT = core.str_schema(strict=True, pattern=r"^[A-Za-zµμΩÅ]{1,16}$")
+UNITS = _table({"length": UNIT, "mass": UNIT, "time": UNIT}, {})
 MODULATION = _table({"times": NUMBERS, "factor": NUMBERS}, {})
 VARY = {
     "contact": _table({}, {"stiffness": VALUES, "clearance": VALUES}),
@@ -152,6 +155,7 @@ SCENE = _table(
     {
         "title": TEXT,
         "source": TEXT,
+        "units": _then(lambda keys: Units(**keys), UNITS),
         "contact": _list(_then(lambda keys: Contact(**keys), CONTACT), least=0),
         "damping_term": _list(
             _then(lambda keys: DampingTerm(**keys), DAMPING_TERM), least=0, most=MAX_TERMS
@@ -211,6 +215,8 @@ def _refusal(error: ErrorDetails) -> InvalidInput:
     remedy = REMEDIES.get(kind, error["msg"]).format(**context).replace("'", '"')
     if kind == "extra_forbidden":
         remedy = _known_keys(place)
+    if place[0] == "units" and kind == "string_pattern_mismatch":
+        remedy = 'must be 1 to 16 letters, such as "mm"'
     if key in ("contact", "damping_term", "passage", "transient") and kind == "list_type":
         remedy = f"must be written as [[{key}]]"
     return InvalidInput(key, error["input"], remedy)

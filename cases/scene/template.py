@@ -31,6 +31,11 @@ def scene_text(name: str, masses: int, law: str) -> str:
     clearance = float(f"{sqrt(masses * sum(noise) / sum(damping)):.2g}")
     ones = [1.0] * masses
     commented = {
+        "[units]": "names only: every number is in these units as it stands",
+        'length = "m"': "",
+        'mass   = "kg"': "",
+        'time   = "s"': "",
+        "  ": "",
         "[system]": "masses in a row, mass 1 nearest to the wall",
         f"mass            = {ones}": "m_i",
         f"stiffness       = {ones}": "k_i joins mass i to mass i-1, k_1 to the wall",
