@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from shutil import get_terminal_size
@@ -37,6 +39,9 @@ FIELDS = "result.nc"
 
 NARROWEST = 40
 """Columns of a terminal below which lines are left as they are."""
+
+NORMS = ("L1", "L2")
+"""Keys of JSON with a capital letter: those of the contract."""
 
 STATE_SETTINGS = ("seed", "tol", "dt", "step_pair", "observable")
 """Settings of a command that a saved state of its simulation depends on."""
@@ -129,13 +134,35 @@ def end(
     Every problem goes to standard error; with one the status is 1.
     """
     if click.get_current_context().meta["json"]:
-        click.echo(json.dumps(record, ensure_ascii=False, allow_nan=False))
+        click.echo(json.dumps(with_plain_keys(record), ensure_ascii=False, allow_nan=False))
     else:
         click.echo(as_wide("\n".join([text(), *(f"wrote {path}" for path in written)])))
     for problem in problems:
         click.echo(f"fpk: {problem}", err=True)
     if problems:
         raise click.exceptions.Exit(1)
+
+
+def with_plain_keys(record: Any) -> Any:
+    """Return the record with all keys in snake_case and ASCII, but for the norms ``L1``, ``L2``.
+
+    ``E q1²`` becomes ``mean_q1_squared``; one that would take the place of another stays.
+    """
+    if isinstance(record, list):
+        return [with_plain_keys(entry) for entry in record]
+    if not isinstance(record, dict):
+        return record
+    keys = {key: key if key in NORMS else _plain_key(key) for key in record}
+    names = Counter(keys.values())
+    return {
+        keys[key] if names[keys[key]] == 1 else key: with_plain_keys(value)
+        for key, value in record.items()
+    }
+
+
+def _plain_key(key: str) -> str:
+    words = re.sub(r"\bE (?=[a-z])", "mean ", key).replace("²", " squared").lower()
+    return re.sub(r"[^a-z0-9]+", "_", words).strip("_")
 
 
 def as_wide(text: str) -> str:

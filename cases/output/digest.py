@@ -25,6 +25,7 @@ ROW = ("observable", "measures", "norm", "L1", "band", "error")
 def digest_of(outcome: Outcome) -> Record:
     """Return the record of ``fpk run``: the scene's own system, and beside it the other curves."""
     base, *others = outcome.curves
+    key = outcome.scene.curves[0].key
     compared = [c for curve in outcome.curves for c in curve.comparisons]
     in_time = [replies for curve in outcome.curves for replies in curve.in_time]
     compared += [c for replies in in_time for c in replies.comparisons]
@@ -35,8 +36,8 @@ def digest_of(outcome: Outcome) -> Record:
             "scene": outcome.scene.name,
             "title": outcome.scene.title,
             "units": outcome.scene.units.record(),
-            **_curve(base),
-            "curves": [_curve(c) for c in others],
+            **_curve(base, key),
+            "curves": [_curve(c, key) for c in others],
             "judged": len(judged),
             "problems": outcome.problems,
             "claims": claims,
@@ -83,9 +84,11 @@ def verdict_of(digest: Record) -> str:
     return f"{digest['judged']} judged comparisons, every check holds"
 
 
-def _curve(curve: Answers) -> Record:
+def _curve(curve: Answers, key: str) -> Record:
     return {
         "label": curve.label,
+        "key": key,
+        "value": curve.value,
         **facts_record(curve.system),
         "methods": [*map(method_record, curve.results), *map(refusal_record, curve.refused)],
         "notes": curve.notes,

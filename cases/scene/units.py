@@ -9,6 +9,8 @@ from fpk.observable import Coordinate, Observable
 CONSISTENT = "the scene's own consistent units"
 """What is said of the units of a scene that does not name them."""
 
+DATES = ("days", "hours", "minutes", "seconds", "milliseconds", "microseconds", "nanoseconds")
+
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 DIMENSIONS = {"q": (1, 0, 0), "p": (1, 1, -1), "H": (2, 1, -2)}
@@ -88,8 +90,11 @@ NO_UNITS = Units()
 
 
 def attribute(unit: str) -> str:
-    """Return what a file says of a unit: where there is no name, that all fit together."""
-    return unit or CONSISTENT
+    """Return what a file says of a unit: where there is no name, that all fit together.
+
+    Of units of time in the plural xarray makes dates of whole nanoseconds: they lose their s.
+    """
+    return unit.removesuffix("s") if unit in DATES else unit or CONSISTENT
 
 
 def bracketed(unit: str) -> str:
