@@ -160,7 +160,7 @@ def _columns(
 def passage_text(record: Record) -> str:
     """Return the moments and the failure rate, and the reliability at the times in columns."""
     lines = [f"# first passage of {record['limit']} from {record['start']}   {_kind(record)}"]
-    if sampled := record["settings"].get("sampled by"):
+    if sampled := record["settings"].get("sampled_by"):
         lines.append(f"# {sampled}")
     for key in ("mean", "variance", "rate"):
         unit = (record.get("units") or {}).get(key, "")
@@ -181,7 +181,7 @@ def rates_text(record: Record) -> str:
     """Return the rates, their frequencies and errors in columns."""
     rows = zip(record["rates"], record["frequencies"], record["errors"], strict=True)
     lines = [_row([rate, frequency], error) for rate, frequency, error in rows]
-    end = record["settings"].get("sought up to the modulus")
+    end = record["settings"].get("sought_up_to_the_modulus")
     lines += [f"# rates of a modulus above {end:.3g} may be missing"] if end else []
     unit = bracketed((record.get("units") or {}).get("rates", ""))
     return "\n".join([f"# rate{unit}   angular frequency{unit}   numerical error", *lines])
