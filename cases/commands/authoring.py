@@ -47,7 +47,7 @@ def new(name: str, masses: int, law: str, out: Path | None) -> None:
     for file, text in texts.items():
         write_text(file, text)
     record = {"scene": name, "file": str(path), "files": list(map(str, texts))}
-    words = f"next: fpk check {path}"
+    words = f"a scene to start from: fpk check {path} says what applies to it"
     parts.end(record, lambda: words, list(texts))
 
 
