@@ -7,6 +7,8 @@ from importlib.metadata import version as version_of
 from importlib.util import find_spec
 from pathlib import Path
 
+from cases.commands.examples import EXAMPLES
+
 sys.path.insert(0, str(Path(__file__).parent))
 os.environ.setdefault("MPLBACKEND", "Agg")
 for library in ("OPENBLAS", "MKL", "OMP"):
@@ -127,6 +129,14 @@ def docstring(app, what, name, obj, options, lines):
             lines += ["", f"In the gallery: {links}", ""]
 
 
+def examples(app, context, lines):
+    """Show the examples of a command as code, with quotes and dashes that can be copied."""
+    own = EXAMPLES.get(context.command.name, ())
+    if lines and own:
+        lines[:] = ["Examples::", "", *(f"    {line}" for line in own), ""]
+
+
 def setup(app):
-    """Connect what reads docstrings."""
+    """Connect what reads docstrings and examples."""
+    app.connect("sphinx-click-process-epilog", examples)
     app.connect("autodoc-process-docstring", docstring)

@@ -15,6 +15,8 @@ from sim.montecarlo import MonteCarlo
 from sim.relaxation import relaxation_time
 from sim.schemes import SCHEMES, Scheme
 from sim.step_size import (
+    SAMPLE_SECONDS,
+    STEP_SECONDS,
     chosen_step,
     expected_error,
     samples_in,
@@ -34,6 +36,10 @@ CHECKPOINTED = 3600.0
 STEP_ROUNDS = 8
 """Rounds in which the step and the samples that it leaves time for are adapted to each other; each
 divides what is left by at least 4, as h ~ samples^(−1/4) or less."""
+
+
+SMALL_CHAIN = 3
+"""Masses up to which a step takes ``STEP_SECONDS``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +111,22 @@ def default_step(method: MonteCarlo, system: System) -> float:
     for _ in range(STEP_ROUNDS):
         dt = step_for(system, expected_error(samples_in(system, dt, seconds)))
     return dt
+
+
+def expected_seconds(method: MonteCarlo, system: System) -> float:
+    """Return about how long a simulation takes, in seconds of wall time, to a factor of three.
+
+    Without compiling, and without what long steps save far from stiff stops. Raises as
+    ``MonteCarlo.prepare`` does.
+    """
+    method.prepare(system)
+    dt, relaxation = default_step(method, system), relaxation_time(system)
+    time = method.time or min(method.relaxations * relaxation, method.most_steps * dt)
+    whole = time + method.burn_in * relaxation
+    size = max(1.0, system.n / SMALL_CHAIN) ** 2  # the map of a step is a full matrix
+    samples = whole / max(dt, sampling_interval(system))
+    work = STEP_SECONDS * size * whole / dt + SAMPLE_SECONDS * samples
+    return method.paths * work / (method.threads or usable_cores())
 
 
 def setup_of(method: MonteCarlo, system: System, observables: Sequence[Observable]) -> Setup:

@@ -172,7 +172,7 @@ class PhaseSpace(Theory):
         )
         certificate = certify(measured, tol=options.tol)
         values = np.asarray(answer.last.values, dtype=complex)
-        settings = _settings(answer.ladder) | {"sought up to the modulus": answer.last.end}
+        settings = _settings(answer.ladder) | {"sought_up_to_the_modulus": answer.last.end}
         return Rates(values, answer.errors, certificate, settings)
 
     def _curve(

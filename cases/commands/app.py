@@ -13,16 +13,21 @@ from typing import Any
 import click
 
 from cases.commands import parts
+from cases.commands.authoring import check, completion, new, schema
 from cases.commands.dynamics import correlation, crossings, density, relaxation, spectrum
 from cases.commands.evolution import passage, transient
+from cases.commands.examples import EXAMPLES
 from cases.commands.export import export
 from cases.commands.studies import converge, cost, regime, sweep
 from cases.commands.verify import verify
 from cases.scene.errors import BadInput, one_line
 from fpk.errors import InvalidInput, NotApplicable, NotCertified, Unavailable
 
+WIDEST = 10_000
+"""Columns of a help text at most: it is as wide as the terminal."""
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WIDEST})
 @click.version_option(package_name="vibro-fpk", prog_name="fpk", message="%(prog)s %(version)s")
 def app() -> None:
     """Stationary densities of randomly excited vibro-impact systems.
@@ -129,9 +134,11 @@ def run(
 
 for _command in (
     density, transient, passage, crossings, spectrum, correlation, relaxation,
-    converge, cost, export, verify, regime, sweep,
+    converge, cost, export, verify, regime, sweep, new, check, schema, completion,
 ):  # fmt: skip
     app.add_command(_command)
+for _name, _lines in EXAMPLES.items():
+    app.commands[_name].epilog = "\b\nExamples:\n" + "\n".join(f"  {line}" for line in _lines)
 
 
 def run_app() -> None:

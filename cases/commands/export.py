@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -18,12 +19,19 @@ ENDINGS = (".vtu", ".pvd", ".nc", ".csv")
 )
 @click.option("--of", metavar="OBS", help="This density instead of the scene's own.")
 @parts.tol
+@click.option("--simulate", is_flag=True, help="With the simulation of the full system.")
+@parts.seed
+@parts.seconds
+@parts.threads
 @parts.as_json
-def export(scene: str, out: Path, of: str | None, tol: float | None) -> None:
+def export(
+    scene: str, out: Path, of: str | None, tol: float | None, simulate: bool, **settings: Any
+) -> None:
     """Write the densities of a scene by theory, of all its curves, to one file.
 
     A .vtu holds one field of the scene's own system (the first pair observed, else the first
-    density); a .pvd collects one .vtu for every density and curve.
+    density), and beside it the stops as planes; a .pvd collects one .vtu for every curve, one for
+    every density.
     """
     loaded = parts.checked(scene, tol=tol)
     from cases.output.files import make_folder
@@ -45,8 +53,10 @@ def export(scene: str, out: Path, of: str | None, tol: float | None) -> None:
     loaded = replace(loaded, expect=None)  # without the simulation nothing can be claimed
     methods = [
         m
-        for m in all_methods(tol=tol)
-        if m.route.solves != "full" or (m.route.quick and not m.route.sampled)
+        for m in all_methods(tol=tol, **settings)
+        if (simulate and m.route.method == "montecarlo")
+        or m.route.solves != "full"
+        or (m.route.quick and not m.route.sampled)
     ]
     outcome = parts.outcome_of(loaded, methods)
     if not any(map(len, outcome.curves)):

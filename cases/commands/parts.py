@@ -2,12 +2,17 @@
 
 import json
 import os
+import re
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from cases.scene.errors import BadInput
 from fpk.errors import InvalidInput
@@ -33,10 +38,25 @@ FOLDER = NonEmptyPath(path_type=Path)
 FIELDS = "result.nc"
 """File of the fields of a run, in its folder."""
 
+NARROWEST = 40
+"""Columns of a terminal below which lines are left as they are."""
+
+NORMS = ("L1", "L2")
+"""Keys of JSON with a capital letter: those of the contract."""
+
 STATE_SETTINGS = ("seed", "tol", "dt", "step_pair", "observable")
 """Settings of a command that a saved state of its simulation depends on."""
 
-scene_name = click.argument("scene", metavar="SCENE")
+
+def _scenes(context: click.Context, option: click.Parameter, begun: str) -> list[CompletionItem]:
+    """The shipped scenes that begin so, and files, for the completion of a shell."""
+    from cases.scene.scene import shipped_scenes
+
+    names = [CompletionItem(name) for name in shipped_scenes() if name.startswith(begun)]
+    return [*names, CompletionItem(begun, type="file")]
+
+
+scene_name = click.argument("scene", metavar="SCENE", shell_complete=_scenes)
 as_json = click.option(
     "--json", "as_json", is_flag=True, expose_value=False, help="Print one JSON object alone.",
     callback=lambda context, option, value: context.meta.update(json=value),
@@ -130,13 +150,53 @@ def end(
     Every problem goes to standard error; with one the status is 1.
     """
     if click.get_current_context().meta["json"]:
-        click.echo(json.dumps(record, ensure_ascii=False, allow_nan=False))
+        click.echo(json.dumps(with_plain_keys(record), ensure_ascii=False, allow_nan=False))
     elif not quiet:
-        click.echo("\n".join([text(), *(f"wrote {path}" for path in written)]))
+        click.echo(as_wide("\n".join([text(), *(f"wrote {path}" for path in written)])))
     for problem in problems:
         click.echo(f"fpk: {problem}", err=True)
     if problems:
         raise click.exceptions.Exit(1)
+
+
+def with_plain_keys(record: Any) -> Any:
+    """Return the record with all keys in snake_case and ASCII, but for the norms ``L1``, ``L2``.
+
+    ``E q1²`` becomes ``mean_q1_squared``; one that would take the place of another stays.
+    """
+    if isinstance(record, list):
+        return [with_plain_keys(entry) for entry in record]
+    if not isinstance(record, dict):
+        return record
+    keys = {key: key if key in NORMS else _plain_key(key) for key in record}
+    names = Counter(keys.values())
+    return {
+        keys[key] if names[keys[key]] == 1 else key: with_plain_keys(value)
+        for key, value in record.items()
+    }
+
+
+def _plain_key(key: str) -> str:
+    words = re.sub(r"\bE (?=[a-z])", "mean ", key).replace("²", " squared").lower()
+    return re.sub(r"[^a-z0-9]+", "_", words).strip("_")
+
+
+def as_wide(text: str) -> str:
+    """Return ``text`` with lines no longer than the terminal is wide, if it is one.
+
+    A longer one goes on below itself, farther in; nothing is cut. In a file or pipe a line is one.
+    """
+    width = get_terminal_size((0, 0)).columns
+    if width < NARROWEST:
+        return text
+    lines = text.split("\n")
+    return "\n".join(_folded(line, width) if len(line) > width else line for line in lines)
+
+
+def _folded(line: str, width: int) -> str:
+    indent = " " * (len(line) - len(line.lstrip()) + 4)
+    how: Any = {"break_long_words": False, "break_on_hyphens": False, "drop_whitespace": True}
+    return "\n".join(wrap(line, width, subsequent_indent=indent, expand_tabs=False, **how))
 
 
 def outcome_of(scene: "Scene", methods: Any, **settings: Any) -> "Outcome":

@@ -74,7 +74,7 @@ def passage_answer(
         if failed * method.paths < LEAST_FAILURES:
             answer = split_passage(system, question, method, progress, tol or ERROR)
             words = f"splitting: of {PILOT} plain paths {failed * PILOT:.0f} pass by t = {last:g}"
-            return replace(answer, settings={"sampled by": words, **answer.settings})
+            return replace(answer, settings={"sampled_by": words, **answer.settings})
     return method.passage(*asked, tol=tol, progress=progress)  # type: ignore[no-any-return]
 
 

@@ -29,6 +29,7 @@ SCHEMA = 2
 def digest_of(outcome: Outcome) -> Record:
     """Return the record of ``fpk run``: the scene's own system, and beside it the other curves."""
     base, *others = outcome.curves
+    key = outcome.scene.curves[0].key
     compared = [c for curve in outcome.curves for c in curve.comparisons]
     in_time = [replies for curve in outcome.curves for replies in curve.in_time]
     compared += [c for curve in outcome.curves for c in curve.quantity_comparisons]
@@ -40,8 +41,9 @@ def digest_of(outcome: Outcome) -> Record:
             "schema": SCHEMA,
             "scene": outcome.scene.name,
             "title": outcome.scene.title,
-            **_curve(base),
-            "curves": [_curve(c) for c in others],
+            "units": outcome.scene.units.record(),
+            **_curve(base, key),
+            "curves": [_curve(c, key) for c in others],
             "judged": len(judged),
             "problems": outcome.problems,
             "claims": claims,
@@ -88,9 +90,11 @@ def verdict_of(digest: Record) -> str:
     return f"{digest['judged']} judged comparisons, every check holds"
 
 
-def _curve(curve: Answers) -> Record:
+def _curve(curve: Answers, key: str) -> Record:
     return {
         "label": curve.label,
+        "key": key,
+        "value": curve.value,
         **facts_record(curve.system),
         "methods": [*map(method_record, curve.results), *map(refusal_record, curve.refused)],
         "notes": curve.notes,

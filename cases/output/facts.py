@@ -6,16 +6,19 @@ from averaging.energy_process import energy_process
 from averaging.modal.analysis import modal_analysis
 from cases.comparison.answers import incompatibility
 from cases.comparison.routes import listed_routes
+from cases.output.motion import modes_record, rms_record
 from cases.output.records import Record, plain
 from cases.scene.scene import Scene
 from fpk.clearance import stop_clearances
 from fpk.effects import effects_of
 from fpk.ends import BoundaryClass, classify
-from fpk.errors import NotApplicable
+from fpk.errors import InvalidInput, NotApplicable
 from fpk.linear import natural_modes
 from fpk.observable import observable_name
 from fpk.route import ROUTES, solvers_of
 from fpk.system import System
+from sim.montecarlo import MonteCarlo
+from sim.setup import expected_seconds
 
 MODES_SHOWN = 50
 """Modes whose boundaries are classified: half a second for as many, and a time of n³ for more."""
@@ -33,9 +36,40 @@ def show_record(scene: Scene) -> Record:
             **facts,
             "observables": [observable_name(o) for o in scene.observables],
             "curves": [curve.label for curve in scene.curves],
+            "units": scene.units.record(),
             "natural_frequencies": regime["natural_frequencies"],
+            "modes": modes_record(scene.system),
+            "rms": rms_record(scene.system),
             "theories": theories(scene),
             "boundaries": regime["boundaries"],
+        }
+    )
+
+
+def check_record(scene: Scene) -> Record:
+    """Return the record of ``fpk check``: sizes, theories, and about what a run costs."""
+    listed = theories(scene)
+    taken = [t["method"] for t in listed if t["applies"] and not t["left_out"]]
+    seconds: float | None = 0.0
+    refusal = None
+    try:
+        seconds = sum(expected_seconds(MonteCarlo(), curve.system) for curve in scene.curves)
+    except (NotApplicable, InvalidInput) as reason:
+        seconds, refusal = None, str(reason)
+    return plain(
+        {
+            "scene": scene.name,
+            "valid": True,
+            "masses": scene.system.n,
+            "stops": len(scene.system.stops),
+            "systems": len(scene.curves),
+            "observables": [observable_name(o) for o in scene.observables],
+            "applies": [t["method"] for t in listed if t["applies"]],
+            "refused": [t for t in listed if not t["applies"]],
+            "left_out": [t for t in listed if t["left_out"]],
+            "simulation_seconds": seconds,
+            "simulation_refusal": refusal,
+            "phase_space": "phase-space" in taken,
         }
     )
 

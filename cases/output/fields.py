@@ -13,9 +13,10 @@ import numpy as np
 from cases.comparison.answers import Answers, Outcome
 from cases.output.digest import method_record
 from cases.output.files import write_by, write_text
-from cases.output.records import UNITS, plain, program_version
+from cases.output.records import plain, program_version
 from cases.output.time_fields import Variables, time_variables
 from cases.scene.scene import Scene
+from cases.scene.units import CONSISTENT, Units, attribute
 from fpk.arrays import Array
 from fpk.density import AnyDensity
 from fpk.observable import Observable, observable_name
@@ -27,6 +28,9 @@ POINTS = {1: 401, 2: 101}
 CUT = 1e-9
 """Share of the largest value below which a density no longer widens the grid."""
 
+LABELS = "curve_label"
+"""Variable of the labels of the curves."""
+
 COARSE = {1: 200, 2: 60}
 """Cells an axis on which the extent of a density by a function is measured, by axes."""
 
@@ -35,21 +39,27 @@ def write_netcdf(outcome: Outcome, path: Path) -> list[Path]:
     """Write the densities of every observable, curve and route on common grids as netCDF-4.
 
     ``p_q2`` (curve, route, q2) is the density and ``error_q2`` its error: an estimate of the
-    numerical error or one standard error, as ``error_kind_q2`` says. A route that does not apply is
-    not a number. Settings and certificates are JSON in the attribute ``provenance``. Of answers in
-    time see ``time_variables``.
+    numerical error or one standard error, as ``error_kind_q2`` says; of a pair ``p_q2_p2``. A route
+    that does not apply is not a number. ``curve`` is what ``[vary]`` varies as a number, ascending,
+    with ``curve_label`` beside it. Settings and certificates are JSON in the attribute
+    ``provenance``. Of answers in time see ``time_variables``.
     """
     variables: Variables = {}
     for observable in outcome.scene.observables:
-        variables |= density_variables(outcome.curves, observable)
+        variables |= density_variables(outcome.curves, observable, outcome.scene.units)
     variables |= time_variables(outcome)
+    variables |= curve_variables(outcome) if variables else {}
+    order = np.argsort(curve_numbers(outcome), kind="stable")
+    for name, (dimensions, values, words) in variables.items():
+        if dimensions[0] == "curve":
+            variables[name] = dimensions, values[order], words
     answers = [
         plain({"curve": curve.label, **method_record(result)})
         for curve in outcome.curves
         for result in curve.results
     ]
     provenance = json.dumps(answers, ensure_ascii=False)
-    attributes = {**attributes_of(outcome.scene), "units": UNITS, "provenance": provenance}
+    attributes = {**attributes_of(outcome.scene), "provenance": provenance}
     write_variables(variables, attributes, path)
     return [path]
 
@@ -61,6 +71,7 @@ def attributes_of(scene: Scene) -> dict[str, str]:
         "scene": scene.name,
         "source": scene.source,
         "scene_file": scene.text,
+        "units": ", ".join(filter(None, vars(scene.units).values())) or CONSISTENT,
         "program": f"vibro-fpk {program_version()}",
     }
 
@@ -87,12 +98,13 @@ def write_csv(outcome: Outcome, path: Path) -> list[Path]:
     lines = csv.writer(stream, lineterminator="\n")
     lines.writerow(["curve", "observable", "route", "x", "y", "density", "error"])
     for observable in outcome.scene.observables:
-        if not (variables := density_variables(outcome.curves, observable)):
+        if not (variables := density_variables(outcome.curves, observable, outcome.scene.units)):
             continue
-        name = observable_name(observable)
-        dimensions, values, _ = variables[f"p_{name}"]
-        errors, kinds = variables[f"error_{name}"][1], variables[f"error_kind_{name}"][1]
-        curves, routes, *grid = (variables[dimension][1] for dimension in dimensions)
+        name, key = observable_name(observable), variable_name(observable)
+        dimensions, values, _ = variables[f"p_{key}"]
+        errors, kinds = variables[f"error_{key}"][1], variables[f"error_kind_{key}"][1]
+        curves = [curve.label for curve in outcome.curves]
+        routes, *grid = (variables[dimension][1] for dimension in dimensions[1:])
         x, *others = (m.ravel().tolist() for m in np.meshgrid(*grid, indexing="ij"))
         y = others[0] if others else [""] * len(x)
         for i, j in np.argwhere(kinds != ""):
@@ -103,7 +115,7 @@ def write_csv(outcome: Outcome, path: Path) -> list[Path]:
     return [path]
 
 
-def density_variables(all_of: Sequence[Answers], observable: Observable) -> Variables:
+def density_variables(all_of: Sequence[Answers], observable: Observable, units: Units) -> Variables:
     """Return the densities of an observable on a common grid, empty where no route gives it.
 
     As ``write_netcdf`` says, for ``all_of`` the curves.
@@ -117,10 +129,9 @@ def density_variables(all_of: Sequence[Answers], observable: Observable) -> Vari
         return {}
     grid = common_grid(answers.values())
     mesh = np.meshgrid(*grid, indexing="ij")
-    name = observable_name(observable)
-    curves = [c.label for c in all_of]
+    name = variable_name(observable)
     routes = list(dict.fromkeys(route for _, route in answers))
-    values = np.full((len(curves), len(routes), *mesh[0].shape), np.nan)
+    values = np.full((len(all_of), len(routes), *mesh[0].shape), np.nan)
     errors, kinds = values.copy(), np.full(values.shape[:2], "", dtype=object)
     for (i, route), density in answers.items():
         where = i, routes.index(route)
@@ -130,17 +141,43 @@ def density_variables(all_of: Sequence[Answers], observable: Observable) -> Vari
     axes = [str(c) for c in observable]
     points = [f"{axis}_of_{name}" if len(axes) == 2 else axis for axis in axes]
     first = ("curve", f"route_{name}")
-    words = {"long_name": f"probability density of {name}", "units": UNITS}
+    long_name = f"probability density of {observable_name(observable)}"
+    words = {"units": attribute(units.density(observable)), "coordinates": LABELS}
     coordinates: Variables = {
-        point: ((point,), g, {"long_name": axis, "units": UNITS})
-        for point, axis, g in zip(points, axes, grid, strict=True)
+        point: ((point,), g, {"long_name": axis, "units": attribute(units.coordinate(c))})
+        for point, axis, g, c in zip(points, axes, grid, observable, strict=True)
     }
     return coordinates | {
-        "curve": (first[:1], np.array(curves), {}),
         first[1]: (first[1:], np.array(routes), {}),
-        f"p_{name}": ((*first, *points), values, words),
-        f"error_{name}": ((*first, *points), errors, {**words, "long_name": f"error of p_{name}"}),
+        f"p_{name}": ((*first, *points), values, {**words, "long_name": long_name}),
+        f"error_{name}": (
+            (*first, *points),
+            errors,
+            {**words, "long_name": f"error of the {long_name}"},
+        ),
         f"error_kind_{name}": (first, kinds, {}),
+    }
+
+
+def variable_name(observable: Observable) -> str:
+    """Return the observable's name as part of that of a variable or a file: ``q2_p2``."""
+    return observable_name(observable).replace(",", "_")
+
+
+def curve_numbers(outcome: Outcome) -> list[float]:
+    """Return what ``[vary]`` varies as one number a curve; where that repeats, 0, 1, 2, …"""
+    numbers = [curve.value for curve in outcome.curves]
+    distinct = None not in numbers and len(set(numbers)) == len(numbers)
+    return [number if distinct and number is not None else k for k, number in enumerate(numbers)]
+
+
+def curve_variables(outcome: Outcome) -> Variables:
+    """Return the coordinate ``curve`` of all that belongs to a curve, and the labels beside it."""
+    labels = [curve.label for curve in outcome.curves]
+    words = {"long_name": labels[0].partition(" = ")[0] or "number of the curve"}
+    return {
+        "curve": (("curve",), np.array(curve_numbers(outcome), dtype=float), words),
+        LABELS: (("curve",), np.array(labels), {"long_name": "label of the curve"}),
     }
 
 

@@ -15,6 +15,7 @@ from cases.output.pictures.style import SHOWN, STYLE
 from cases.output.records import UNITS, plain, program_version
 from cases.output.tables import NOTE, quantity_columns
 from cases.output.time_fields import Variables
+from cases.scene.units import Units
 from fpk.errors import InvalidInput, Unavailable
 from fpk.observable import Observable, observable_name
 
@@ -40,7 +41,7 @@ def dataset(answers: Answers) -> Any:
     xarray = needed("xarray")
     variables: Variables = {}
     for observable in dict.fromkeys(d.observable for d in answers.values()):
-        variables |= density_variables([answers], observable)
+        variables |= density_variables([answers], observable, Units())
     data = xarray.Dataset(
         dict(variables), attrs={"units": UNITS, "program": f"vibro-fpk {program_version()}"}
     )

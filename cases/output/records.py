@@ -9,6 +9,7 @@ from pydantic_core import to_jsonable_python
 
 from cases.comparison.time_distances import failure_of
 from cases.scene.scene import Scene
+from cases.scene.units import CONSISTENT, DIMENSIONS, Units, bracketed
 from fpk.arrays import Array
 from fpk.certificate import Certificate
 from fpk.dynamics import Curve, Rates
@@ -17,7 +18,7 @@ from fpk.method import Method
 
 Record = dict[str, Any]
 
-UNITS = "the scene's own consistent units"
+UNITS = CONSISTENT
 
 
 def program_version() -> str:
@@ -67,9 +68,36 @@ def answer_record(
                 own["starts"] = vars(answer.starts)
     if not isinstance(answer, Rates):
         own["error_kind"] = answer.error_kind
-    head = {"scene": scene.name, "method": method.name, "solver": method.solver}
+    units = answer_units(scene.units, given, key) if scene.units else None
+    head = {"scene": scene.name, "method": method.name, "solver": method.solver, "units": units}
     tail = answer_tail(answer.certificate, answer.settings, seconds)
     return plain({**head, **given, **own, **tail})
+
+
+CURVE_POWERS = {
+    "rate": ((1, 0, 0), (0, 0, -1)),
+    "spectrum": ((0, 0, -1), (2, 0, 1)),
+    "correlation": ((0, 0, 1), (2, 0, 0)),
+}
+"""Powers of length, mass and time of the points and values of a curve about a displacement."""
+
+
+def answer_units(units: Units, given: Record, key: str) -> dict[str, str | list[str]]:
+    """Return the units of the numbers of an answer, by their keys in its record."""
+    rate, times = units.quantity("rate"), {"times": units.time}
+    if "limit" in given:
+        variance = units.of((0, 0, 1), (0, 0, 1))
+        return {"mean": units.time, "variance": variance, "rate": rate, **times}
+    if not key:
+        return {"rates": rate, "frequencies": rate}
+    if key in CURVE_POWERS:
+        points, values = map(units.of, CURVE_POWERS[key])
+        return {"points": points, key: values}
+    powers = [DIMENSIONS[name[0]] for name in given["observable"].split(",")]
+    own = [units.of(power) for power in powers]
+    return {
+        "points": own if len(own) > 1 else own[0], key: units.of(*powers, inverse=True), **times
+    }  # fmt: skip
 
 
 def passage_numbers(answer: Passage) -> Record:
@@ -105,11 +133,17 @@ def answer_tail(
 
 def columns_text(record: Record) -> str:
     """Return the points, after the times if there are any, the values and errors in columns."""
-    (key,) = record.keys() & {"density", "rate", "spectrum"}
-    words = f"{record['observable']}   {key}   {_kind(record)}"
+    (key,) = record.keys() & {"density", *CURVE_POWERS}
+    names, units = record["observable"].split(","), (record.get("units") or {})
+    if key in ("spectrum", "correlation"):
+        names = ["angular frequency" if key == "spectrum" else "lag"]
+    own = units.get("points", [""] * len(names))
+    points = zip(names, [own] if isinstance(own, str) else own, strict=True)
+    head = "   ".join(name + bracketed(unit) for name, unit in points)
+    words = f"{head}   {key}{bracketed(units.get(key, ''))}   {_kind(record)}"
     if "times" not in record:
         return "\n".join([f"# {words}", *_columns([], record, record[key], record["error"])])
-    lines = [f"# time   {words}"]
+    lines = [f"# time{bracketed(units.get('times', ''))}   {words}"]
     for time, *rows in zip(record["times"], record[key], record["error"], strict=True):
         lines += _columns([time], record, *rows)
     return "\n".join(lines)
@@ -126,10 +160,12 @@ def _columns(
 def passage_text(record: Record) -> str:
     """Return the moments and the failure rate, and the reliability at the times in columns."""
     lines = [f"# first passage of {record['limit']} from {record['start']}   {_kind(record)}"]
-    if sampled := record["settings"].get("sampled by"):
+    if sampled := record["settings"].get("sampled_by"):
         lines.append(f"# {sampled}")
     for key in ("mean", "variance", "rate"):
-        lines.append(f"{key:8}  " + _row([record[key]], record[f"{key}_error"]))
+        unit = (record.get("units") or {}).get(key, "")
+        row = _row([record[key]], record[f"{key}_error"])
+        lines.append(f"{key:8}  {row}{'  ' + unit if unit else ''}")
     if record["times"]:
         lines.append(f"# time   survival   {_kind(record)}")
         rows = zip(record["times"], record["survival"], record["survival_error"], strict=True)
@@ -145,9 +181,10 @@ def rates_text(record: Record) -> str:
     """Return the rates, their frequencies and errors in columns."""
     rows = zip(record["rates"], record["frequencies"], record["errors"], strict=True)
     lines = [_row([rate, frequency], error) for rate, frequency, error in rows]
-    end = record["settings"].get("sought up to the modulus")
+    end = record["settings"].get("sought_up_to_the_modulus")
     lines += [f"# rates of a modulus above {end:.3g} may be missing"] if end else []
-    return "\n".join(["# rate   angular frequency   numerical error", *lines])
+    unit = bracketed((record.get("units") or {}).get("rates", ""))
+    return "\n".join([f"# rate{unit}   angular frequency{unit}   numerical error", *lines])
 
 
 def _kind(record: Record) -> str:

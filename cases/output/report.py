@@ -17,7 +17,7 @@ from cases.output.files import write_text
 from cases.output.pictures.in_time import time_pictures
 from cases.output.pictures.joint import joint_pictures
 from cases.output.pictures.lines import line_pictures
-from cases.output.pictures.style import STYLE, inline_svg, svg_text
+from cases.output.pictures.style import STYLE, in_units, inline_svg, svg_text
 from cases.output.records import Record, program_version
 from cases.output.text import rendered
 from cases.scene.scene import Scene
@@ -49,7 +49,7 @@ def write_report(
 
 def figures(outcome: Outcome, *, progress: Progress = silent) -> Iterator[tuple[str, str, Figure]]:
     """Yield file stem, caption and figure of everything that an outcome can show."""
-    with mpl.rc_context(dict(STYLE)):
+    with mpl.rc_context(dict(STYLE)), in_units(outcome.scene.units):
         for k, observable in enumerate(outcome.scene.observables, start=1):
             curves = [c for c in outcome.curves if c.densities(observable)]
             if curves and len(observable) == 1:

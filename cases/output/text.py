@@ -8,6 +8,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from cases.output.digest import curves_of, refusals_of, verdict_of
+from cases.output.duration import duration
 from cases.output.records import Record
 from cases.output.tables import NOTE, quantity_tables
 
@@ -32,6 +33,8 @@ def _templates() -> Environment:
     environment.filters |= {
         "quantities": quantity_tables,
         "num": number,
+        "ljust": str.ljust,
+        "duration": duration,
         "short": _short,
         "diagonal": _diagonal,
         "term": _term,

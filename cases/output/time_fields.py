@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from cases.comparison.answers import Outcome
 from cases.comparison.in_time import Replies
 from cases.comparison.time_distances import failure_of
-from cases.output.records import UNITS
+from cases.scene.questions import TransientQuestion
+from cases.scene.units import Units, attribute
 from fpk.arrays import Array
 from fpk.evolution import Passage
 from fpk.number import Number
@@ -22,11 +23,12 @@ NONE = np.zeros(0)
 Read = Callable[[Any], tuple[Any, Any]]
 """Takes a number or an array and its error from an answer."""
 
-NUMBERS: dict[str, tuple[str, Read]] = {
-    "mean": ("mean first-passage time", lambda p: _parts(p.mean)),
-    "variance": ("variance of the first-passage time", lambda p: _parts(p.variance)),
-    "rate": ("failure rate", lambda p: _parts(p.rate)),
+NUMBERS: dict[str, tuple[str, int, Read]] = {
+    "mean": ("mean first-passage time", 1, lambda p: _parts(p.mean)),
+    "variance": ("variance of the first-passage time", 2, lambda p: _parts(p.variance)),
+    "rate": ("failure rate", -1, lambda p: _parts(p.rate)),
 }
+"""Words, power of time, and how to read them."""
 CURVES: dict[str, tuple[str, Read]] = {
     "survival": ("P(T > t)", lambda p: (p.survival, p.survival_error)),
     "failure": ("P(T <= t)", failure_of),
@@ -45,14 +47,11 @@ def time_variables(outcome: Outcome) -> Variables:
     for kind in ("passage", "transient"):
         columns = zip(*(getattr(curve, f"{kind}s") for curve in outcome.curves), strict=True)
         for k, column in enumerate(columns, start=1):
-            variables |= _variables(f"{kind}_{k}", column)
-    if variables:
-        labels = np.array([curve.label for curve in outcome.curves])
-        variables["curve"] = (("curve",), labels, {})
+            variables |= _variables(f"{kind}_{k}", column, outcome.scene.units)
     return variables
 
 
-def _variables(name: str, column: tuple[Replies, ...]) -> Variables:
+def _variables(name: str, column: tuple[Replies, ...], units: Units) -> Variables:
     routes = list(dict.fromkeys(g.route.label for replies in column for g in replies.given))
     if not routes:
         return {}
@@ -71,28 +70,29 @@ def _variables(name: str, column: tuple[Replies, ...]) -> Variables:
         f"error_kind_{name}": (("curve", route), kinds, {"long_name": question.name}),
     }
     if question.times:
-        variables[time] = ((time,), np.array(question.times), {"units": UNITS})
+        variables[time] = ((time,), np.array(question.times), {"units": attribute(units.time)})
 
     def add(
-        key: str, words: str, last: tuple[str, ...], shape: tuple[int, ...], read: Read
+        key: str, words: str, unit: str, last: tuple[str, ...], shape: tuple[int, ...], read: Read
     ) -> None:
         values = np.full((2, *kinds.shape, *shape), np.nan)
         for i, j, _, answer in places:
             values[0, i, j], values[1, i, j] = read(answer)
         dimensions = ("curve", route, *last)
         words = f"{words}: {question.name}"
-        attributes = {"units": UNITS, "long_name": words}
+        attributes = {"units": unit, "long_name": words}
         variables[f"{key}_{name}"] = dimensions, values[0], attributes
-        attributes = {"units": UNITS, "long_name": f"error of {words}"}
+        attributes = {"units": unit, "long_name": f"error of {words}"}
         variables[f"error_{key}_{name}"] = dimensions, values[1], attributes
 
     count = len(question.times)
     if isinstance(places[0][3], Passage):
-        for key, (words, read) in NUMBERS.items():
-            add(key, words, (), (), read)
+        for key, (words, power, read) in NUMBERS.items():
+            add(key, words, attribute(units.of((0, 0, power))), (), (), read)
         for key, (words, read) in CURVES.items() if count else ():
-            add(key, words, (time,), (count,), read)
+            add(key, words, "1", (time,), (count,), read)
         return variables
+    assert isinstance(question, TransientQuestion)
     size = max(r.points.size for _, _, r, _ in places if r.points is not None)
 
     def padded(rows: Array) -> Array:
@@ -105,10 +105,11 @@ def _variables(name: str, column: tuple[Replies, ...]) -> Variables:
     variables[f"at_{name}"] = (
         ("curve", f"point_{name}"),
         points,
-        {"units": UNITS, "long_name": words},
+        {"units": attribute(units.coordinate(question.of[0])), "long_name": words},
     )
     shape = (time, f"point_{name}"), (count, size)
-    add("p", "density", *shape, lambda p: (padded(p.values), padded(p.errors)))
+    density = attribute(units.density(question.of))
+    add("p", "density", density, *shape, lambda p: (padded(p.values), padded(p.errors)))
     return variables
 
 

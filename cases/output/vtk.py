@@ -3,47 +3,66 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
 
 import meshio
 import numpy as np
 
 from cases.comparison.answers import Answers, Outcome
-from cases.output.fields import attributes_of, common_grid
+from cases.output.fields import attributes_of, common_grid, curve_numbers, variable_name
 from cases.output.files import write_by
-from cases.output.records import UNITS
+from cases.scene.units import attribute, bracketed
 from fpk.arrays import Array, Flags
 from fpk.density import AnyDensity
 from fpk.evolution import Transient
 from fpk.observable import Observable, observable_name
+from fpk.system import System
 
 SUBDIVISION = 1e-5
 """Largest error of the quadratic cells between their nodes, relative to the largest density."""
+
+CUT = 1e-6
+"""Share of the largest value below which the first density no longer widens the field."""
 
 MOST_CELLS = {1: 20_000, 2: 60_000}
 """Cells at which refinement ends; the error that is left is stated in any case."""
 
 
 def write_vtu(outcome: Outcome, path: Path) -> list[Path]:
-    """Write the first observable of the scene's own system as a grid of quadratic cells."""
-    _write(outcome, outcome.curves[0], outcome.scene.observables[0], path)
-    return [path]
+    """Write the first observable of the scene's own system as a grid of quadratic cells.
+
+    Beside it ``…_stops.vtu`` has the stops of its displacements, where there are any.
+    """
+    return _write(outcome, outcome.curves[0], outcome.scene.observables[0], path)
 
 
 def write_pvd(outcome: Outcome, path: Path) -> list[Path]:
-    """Write every observable and curve as a ``.vtu`` beside ``path``, and the collection of them.
+    """Write every observable as a collection over what ``[vary]`` varies, which stands for time.
 
-    The curves of ``[vary]`` are the collection's time steps, the observables its parts.
+    ``path`` itself of one observable, of several ``…_q2.pvd`` and so on beside it; each with a
+    ``.vtu`` a curve, the values ascending, and the stops as a second part.
     """
-    entries: dict[Path, Mapping[str, str]] = {}
-    for step, curve in enumerate(outcome.curves):
-        for part, observable in enumerate(outcome.scene.observables):
+    written: list[Path] = []
+    numbers = curve_numbers(outcome)
+    for observable in outcome.scene.observables:
+        entries: dict[Path, Mapping[str, str]] = {}
+        name = variable_name(observable)
+        for k in np.argsort(numbers):
+            curve = outcome.curves[k]
             if not curve.densities(observable):
                 continue
-            name = observable_name(observable).replace(",", "_")
-            file = path.with_name(f"{path.stem}_{name}_{step}.vtu")
-            _write(outcome, curve, observable, file)
-            entries[file] = {"timestep": str(step), "part": str(part), "name": name}
-    return _write_collection(path, entries)
+            file = path.with_name(f"{path.stem}_{name}_{k}.vtu")
+            for part, each in enumerate(_write(outcome, curve, observable, file)):
+                entry = {"timestep": repr(float(numbers[k])), "part": str(part)}
+                entries[each] = entry | {"name": "stops" if part else name}
+        if entries:
+            own = (
+                path
+                if len(outcome.scene.observables) == 1
+                else path.with_name(f"{path.stem}_{name}{path.suffix}")
+            )
+            written += _write_collection(own, entries)
+    return written
 
 
 def write_time_pvd(outcome: Outcome, folder: Path) -> list[Path]:
@@ -88,15 +107,17 @@ def _write_collection(path: Path, entries: Mapping[Path, Mapping[str, str]]) -> 
 def field_of(densities: Mapping[str, AnyDensity]) -> tuple[meshio.Mesh, float]:
     """Return the densities on cells that follow the first one's panels, refined where it bends.
 
-    In ``point_data`` the array ``density`` is the first; every route has its own array, the error
-    it states, and the difference of the first from it. The number is the largest difference of
+    The field is the box in which the first exceeds ``CUT`` of its largest value. In ``point_data``
+    the array ``density`` is the first, beside it ``log10 density``, not a number where it is not
+    positive; every route, simulations too, has its own array, the error it states, and the
+    difference of the first from it. The number is the largest difference of
     interpolant and density at the probes, in units of the density.
     """
     named = {route.replace("/", " "): density for route, density in densities.items()}
     (first, density), *_ = named.items()
     ends = [
         np.union1d(np.clip(panels, grid[0], grid[-1]), grid[[0, -1]])
-        for grid, panels in zip(common_grid(named.values()), density.panels, strict=True)
+        for grid, panels in zip(common_grid([density], cut=CUT), density.panels, strict=True)
     ]
     cells, subdivision, allowed = 0, np.inf, 0.0
     while subdivision > allowed and cells <= MOST_CELLS[len(ends)]:
@@ -112,7 +133,10 @@ def field_of(densities: Mapping[str, AnyDensity]) -> tuple[meshio.Mesh, float]:
     for name, other in named.items():
         data[name], data[f"error of {name}"] = other.at(*grid)
     differences = {f"{first} - {k}": data[first] - data[k] for k in named if k != first}
-    return _mesh(grid, {"density": data[first], **data, **differences}), subdivision
+    p = data[first]
+    decades = np.log10(p, out=np.full_like(p, np.nan), where=p > 0.0)
+    own = {"density": p, "log10 density": decades}
+    return _mesh(grid, {**own, **data, **differences}), subdivision
 
 
 def _mesh(grid: Sequence[Array], data: Mapping[str, Array]) -> meshio.Mesh:
@@ -129,25 +153,61 @@ def _mesh(grid: Sequence[Array], data: Mapping[str, Array]) -> meshio.Mesh:
     return meshio.Mesh(points, [(kind, cells)], point_data={k: v.ravel() for k, v in data.items()})
 
 
-def _write(outcome: Outcome, curve: Answers, observable: Observable, path: Path) -> None:
+def _write(outcome: Outcome, curve: Answers, observable: Observable, path: Path) -> list[Path]:
     # A theory first: the differences from it then show what it leaves out.
     densities = sorted(
         curve.densities(observable).items(), key=lambda a: (a[0].sampled, a[0].solves != "averaged")
     )
     mesh, subdivision = field_of({route.label: density for route, density in densities})
-    name = observable_name(observable)
+    name, units = observable_name(observable), outcome.scene.units
+    largest = float(mesh.point_data["density"].max())
     data: dict[str, str | float] = {
         **_origin(outcome),
         "curve": curve.label,
         "observable": name,
-        "axes": ", ".join(map(str, observable)),
+        "axes": ", ".join(f"{c}{bracketed(units.coordinate(c))}" for c in observable),
         "quantity": f"probability density of {name}",
-        "units": UNITS,
+        "unit of density": attribute(units.density(observable)),
         "first route": densities[0][0].label,
         "subdivision error": subdivision,
-        "largest density": float(mesh.point_data["density"].max()),
+        "largest density": largest,
     }
     _write_mesh(mesh, data, path)
+    stops = stops_of(curve.system, observable, mesh.points, largest)
+    if stops is None:
+        return [path]
+    beside = path.with_name(f"{path.stem}_stops.vtu")
+    words: dict[str, str | float] = {**_origin(outcome), "quantity": f"stops beside {name}"}
+    _write_mesh(stops, words, beside)
+    return [path, beside]
+
+
+def stops_of(
+    system: System, observable: Observable, points: Array, height: float
+) -> meshio.Mesh | None:
+    """Return the stops of the displacements of ``observable`` as planes, None without any.
+
+    They stand on the field at ``points`` (…, 3), from 0 to ``height`` in z, where a density warped
+    by its own value has its surface; over a density of one coordinate they are as wide as high.
+    The cells say which ``mass`` it is, counted from 1.
+    """
+    ends = np.array([points.min(axis=0), points.max(axis=0)])
+    if len(observable) == 1:
+        ends[:, 1] = -0.5 * height, 0.5 * height
+    corners, masses = [], []
+    for axis, coordinate in enumerate(observable):
+        for stop in system.stops if coordinate.kind == "q" else ():
+            if stop.index != coordinate.row:
+                continue
+            for along, z in ((0, 0.0), (1, 0.0), (1, height), (0, height)):
+                corner = np.array([*ends[along, :2], z])
+                corner[axis] = stop.sign * stop.clearance
+                corners.append(corner)
+            masses.append(float(stop.mass))
+    if not masses:
+        return None
+    cells = np.arange(len(corners)).reshape(-1, 4)
+    return meshio.Mesh(np.array(corners), [("quad", cells)], cell_data={"mass": [np.array(masses)]})
 
 
 def _origin(outcome: Outcome) -> dict[str, str]:
@@ -157,9 +217,13 @@ def _origin(outcome: Outcome) -> dict[str, str]:
 def _write_mesh(mesh: meshio.Mesh, data: Mapping[str, str | float], path: Path) -> None:
     def write(temporary: Path) -> None:
         meshio.vtu.write(temporary, mesh)
-        # meshio writes no field data.
+        # meshio writes no field data, and no array as the active one.
         text, head = temporary.read_text(encoding="utf-8"), "<UnstructuredGrid>"
-        temporary.write_text(text.replace(head, head + _field_data(data), 1), encoding="utf-8")
+        text = text.replace(head, head + _field_data(data), 1)
+        for kind, arrays in (("PointData", mesh.point_data), ("CellData", mesh.cell_data)):
+            active = f"<{kind} Scalars={quoteattr(next(iter(arrays), ''))}>"
+            text = text.replace(f"<{kind}>", active, 1)
+        temporary.write_text(text, encoding="utf-8")
 
     write_by(path, write)
 

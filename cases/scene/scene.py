@@ -11,6 +11,7 @@ from cases.scene.expect import Expect, expect_of
 from cases.scene.questions import PassageQuestion, TransientQuestion, passages_of, transients_of
 from cases.scene.reading import read_toml
 from cases.scene.schema import validated
+from cases.scene.units import NO_UNITS, Units
 from cases.scene.vary import Curve, curves_of
 from fpk.errors import InvalidInput
 from fpk.observable import Observable, parse_observable
@@ -26,6 +27,7 @@ class Scene:
 
     ``name`` is the file's stem; ``text`` the file as it was read; ``curves`` holds the scene's own
     system first, then those that ``[vary]`` adds. Of each, ``passages`` and ``transients`` ask.
+    ``units`` are the names of ``[units]``.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Scene:
     expect: Expect | None = None
     passages: tuple[PassageQuestion, ...] = ()
     transients: tuple[TransientQuestion, ...] = ()
+    units: Units = NO_UNITS
 
 
 def shipped_scenes() -> dict[str, Path]:
@@ -82,7 +85,9 @@ def _scene(path: Path, label: str) -> Scene:
         raise BadInput(f"{label}: {error.key or 'scene'} {given}: {error.remedy}") from None
     title, source = tables.get("title") or path.stem, tables.get("source", "")
     asked = observables, curves, expect, passages, transients
-    return Scene(path.stem, title, source, text, system, *asked)
+    return Scene(
+        path.stem, title, source, text, system, *asked, units=tables.get("units", NO_UNITS)
+    )
 
 
 def _system(tables: dict[str, Any]) -> System:

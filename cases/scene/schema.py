@@ -6,14 +6,16 @@ its key as the user would look for it, ``contact[1].clearance`` say, counted fro
 
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, get_args
 from unicodedata import category
 
 from pydantic_core import ErrorDetails, PydanticCustomError, SchemaValidator, ValidationError
 from pydantic_core import core_schema as core
 
 from cases.scene.expect import RELATIONS
-from fpk.contact import Contact
+from cases.scene.units import Units
+from fpk.contact import Contact, Side
+from fpk.contact_law import LAWS
 from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput
 from fpk.modulation import Modulation
@@ -73,6 +75,11 @@ def _list_or_matrix(value: Any) -> str:
     return "<matrix>" if nested else "<list>"
 
 
+def _said(schema: Any, description: str, **more: Any) -> Any:
+    """The schema with what its JSON Schema says beside the types, for editors."""
+    return {**schema, "metadata": {"description": description, **more}}
+
+
 _then = core.no_info_after_validator_function
 """``_then(function, schema)``: the schema followed by a check or conversion in Python."""
 
@@ -97,20 +104,32 @@ TIMES = _list(NUMBER, most=MOST_TIMES)
 
 SYSTEM = _table(
     {
-        "mass": NUMBERS,
-        "stiffness": NUMBERS,
-        "damping": NUMBERS_OR_MATRIX,
-        "noise_intensity": NUMBERS_OR_MATRIX,
+        "mass": _said(NUMBERS, "m_i of the chain, mass 1 nearest to the wall"),
+        "stiffness": _said(NUMBERS, "k_i joins mass i to mass i-1, k_1 to the wall"),
+        "damping": _said(NUMBERS_OR_MATRIX, "c_i, or a full matrix"),
+        "noise_intensity": _said(
+            NUMBERS_OR_MATRIX, "D_l with E[W W'] = 2 D delta, or a full matrix"
+        ),
     },
-    {"noise_gain": MATRIX},
+    {"noise_gain": _said(MATRIX, "f_il; the identity where it is left out")},
 )
 CONTACT = _table(
-    {"mass": MASS, "side": TEXT, "stiffness": NUMBER, "clearance": NUMBER},
-    {"law": TEXT, "exponent": NUMBER},
+    {
+        "mass": _said(MASS, "number of the mass, counted from 1"),
+        "side": _said(TEXT, "where the stop stands", enum=list(get_args(Side))),
+        "stiffness": _said(NUMBER, "B: force / length**exponent"),
+        "clearance": _said(NUMBER, "gap at rest"),
+    },
+    {
+        "law": _said(TEXT, "hertz where it is left out", enum=sorted(LAWS)),
+        "exponent": _said(NUMBER, "of the law power only"),
+    },
 )
 DAMPING_TERM = _table(
     {"i": MASS, "j": MASS, "coefficient": NUMBER}, {"q": POWERS, "v": POWERS, "energy": WHOLE}
 )
+UNIT = core.str_schema(strict=True, pattern=r"^[A-Za-zµμΩÅ]{1,16}$")
+UNITS = _table({"length": UNIT, "mass": UNIT, "time": UNIT}, {})
 MODULATION = _table({"times": NUMBERS, "factor": NUMBERS}, {})
 VARY = {
     "contact": _table({}, {"stiffness": VALUES, "clearance": VALUES}),
@@ -136,6 +155,7 @@ SCENE = _table(
     {
         "title": TEXT,
         "source": TEXT,
+        "units": _then(lambda keys: Units(**keys), UNITS),
         "contact": _list(_then(lambda keys: Contact(**keys), CONTACT), least=0),
         "damping_term": _list(
             _then(lambda keys: DampingTerm(**keys), DAMPING_TERM), least=0, most=MAX_TERMS
@@ -143,7 +163,9 @@ SCENE = _table(
         "passage": _list(PASSAGE, least=0, most=MOST_QUESTIONS),
         "transient": _list(TRANSIENT, least=0, most=MOST_QUESTIONS),
         "modulation": _then(lambda keys: Modulation(**keys), MODULATION),
-        "observe": _table({"densities": _list(TEXT, most=16)}, {}),
+        "observe": _table(
+            {"densities": _said(_list(TEXT, most=16), "q1.., p1.., H, H1.., or a pair a,b")}, {}
+        ),
         "vary": _table({}, VARY),
         "expect": _table({}, EXPECT),
     },
@@ -193,6 +215,8 @@ def _refusal(error: ErrorDetails) -> InvalidInput:
     remedy = REMEDIES.get(kind, error["msg"]).format(**context).replace("'", '"')
     if kind == "extra_forbidden":
         remedy = _known_keys(place)
+    if place[0] == "units" and kind == "string_pattern_mismatch":
+        remedy = 'must be 1 to 16 letters, such as "mm"'
     if key in ("contact", "damping_term", "passage", "transient") and kind == "list_type":
         remedy = f"must be written as [[{key}]]"
     return InvalidInput(key, error["input"], remedy)

@@ -16,12 +16,13 @@ class Curve:
     """One curve of a figure: its label such as ``B = 10`` (empty for a lone one) and its system.
 
     ``value`` is what is varied as one number: B, δ, the common ratio c/D, or else the trace of the
-    matrix; None for a lone curve.
+    matrix; None for a lone curve. ``key`` is what is varied, as ``contact.stiffness``.
     """
 
     label: str
     system: System
     value: float | None = None
+    key: str = ""
 
 
 VARIED = {
@@ -73,10 +74,11 @@ def curves_of(system: System, vary: Mapping[str, Mapping[str, Any]] | None) -> t
         if not any(np.array_equal(_read(other, key), _read(s, key)) for s in systems):
             systems.append(other)
     if key == "system.damping" and all(_common_ratio(s) is not None for s in systems):
-        return tuple(Curve(f"c/D = {_common_ratio(s):g}", s, _common_ratio(s)) for s in systems)
+        ratios = [_common_ratio(s) for s in systems]
+        return tuple(Curve(f"c/D = {r:g}", s, r, key) for r, s in zip(ratios, systems, strict=True))
     values = [_read(s, key) for s in systems]
     return tuple(
-        Curve(f"{VARIED[key]} = {_words(v)}", s, float(np.trace(v) if v.ndim == 2 else v[0]))
+        Curve(f"{VARIED[key]} = {_words(v)}", s, float(np.trace(v) if v.ndim == 2 else v[0]), key)
         for s, v in zip(systems, values, strict=True)
     )
 

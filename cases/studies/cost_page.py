@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from cases.output.duration import duration
 from cases.studies.cost import CostStudy
 from cases.studies.law import FULL
-from cases.studies.page import Page, Table, duration
+from cases.studies.page import Page, Table
 from cases.studies.picture import Curve, Panel, study_figure
 from cases.studies.prices import Cheapest, by_equation, crossovers, price_list
 

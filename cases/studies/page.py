@@ -13,23 +13,13 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from cases.output.duration import duration
 from cases.output.fields import attributes_of, write_variables
 from cases.output.files import write_text
 from cases.output.pictures.style import inline_svg, svg_text
 from cases.output.text import rendered
 from cases.output.time_fields import Variables
 from cases.scene.scene import Scene
-
-UNITS = ((3.156e7, "a"), (86400.0, "d"), (3600.0, "h"), (60.0, "min"), (1.0, "s"), (1e-3, "ms"))
-"""Units of time in seconds, with their names."""
-
-
-def duration(seconds: float) -> str:
-    """Return a time with a unit that suits it."""
-    size, unit = next((u for u in UNITS if seconds >= u[0]), UNITS[-1])
-    value = seconds / size
-    return f"{value:.3g} {unit}" if value < 1e4 else f"{value:.1e} {unit}"
-
 
 MARKUP = re.compile(r"[\\`*_\[\]<>&#|~$]")
 """Characters to which Markdown gives a meaning inside a line, HTML and formulas included."""

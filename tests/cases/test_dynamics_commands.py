@@ -140,7 +140,7 @@ def test_the_full_equation_answers_as_the_exact_one(command, key, at, linear_sce
         answers[0][key], answers[1][key], answers[1]["error"], strict=True
     ):
         assert abs(exact - value) <= error + 1e-12 * exact
-    assert answers[1]["settings"]["highest degree"] > 0
+    assert answers[1]["settings"]["highest_degree"] > 0
 
 
 def test_what_is_not_certified_is_said(linear_scene, fpk, monkeypatch):

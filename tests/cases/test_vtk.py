@@ -1,13 +1,16 @@
 """What ParaView reads back is the density, within the error that the file states."""
 
-from xml.etree import ElementTree
+import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
-from cases.output.vtk import SUBDIVISION, field_of
+from cases.comparison.answers import run_scene
+from cases.comparison.routes import method_for
+from cases.output.vtk import SUBDIVISION, field_of, write_vtu
 from cases.scene.scene import load_scene
 from fpk.certificate import Certificate
 from fpk.density import Density
@@ -88,11 +91,74 @@ def test_what_is_read_back_is_the_density(of, fpk, pyvista, tmp_path):
     assert np.max(np.abs(grid["exact"] - nodes)) <= 1e-12 * largest
 
 
-def test_a_collection_names_every_density_of_every_curve(fpk, tmp_path):
+def test_a_collection_has_the_varied_number_for_its_time(fpk, pyvista, tmp_path):
     assert fpk("export", "fig6a", "--of", "q2", "--out", tmp_path / "all.pvd")[0] == 0
-    entries = list(ElementTree.parse(tmp_path / "all.pvd").getroot().iter("DataSet"))
-    assert [e.get("timestep") for e in entries] == ["0", "1", "2"]
-    assert all((tmp_path / e.get("file")).stat().st_size > 1000 for e in entries)
+    reader = pyvista.get_reader(tmp_path / "all.pvd")
+    assert reader.time_values == sorted(c.value for c in load_scene("fig6a").curves)
+    for time, label in zip(reader.time_values, ("B = 0.1", "B = 1", "B = 10"), strict=True):
+        reader.set_active_time_value(time)
+        field, stops = reader.read()
+        assert str(field.field_data["curve"][0]) == label
+        assert sorted(set(stops.points[:, 0])) == [-0.5, 0.5]
+
+
+def test_every_observable_has_a_collection_of_its_own(fpk, pyvista, tmp_path, scene_text):
+    path = tmp_path / "a.toml"
+    path.write_text(scene_text.replace('["q2", "H"]', '["q2", "q2,p2"]'))
+    record = json.loads(fpk("export", path, "--out", tmp_path / "all.pvd", "--json")[1])
+    names = {p.name for p in map(Path, record["files"]) if p.suffix == ".pvd"}
+    assert names == {"all_q2.pvd", "all_q2_p2.pvd"} == {p.name for p in tmp_path.glob("*.pvd")}
+    assert pyvista.get_reader(tmp_path / "all_q2_p2.pvd").time_values == [0.0]
+    assert all(Path(file).stat().st_size > 200 for file in record["files"])
+
+
+@pytest.mark.parametrize("of", ["q2", "q2,p2"])
+def test_the_field_is_cropped_has_decades_and_active_scalars(of, fpk, pyvista, tmp_path):
+    assert fpk("export", "fig3a", "--of", of, "--out", tmp_path / "x.vtu")[0] == 0
+    grid = pyvista.read(tmp_path / "x.vtu")
+    assert grid.active_scalars_name == "density"
+    p, decades = grid["density"], grid["log10 density"]
+    np.testing.assert_allclose(10.0 ** decades[p > 0], p[p > 0], rtol=1e-12)
+    # The extent is measured on cells: one more or less beyond 1e-6 is a decade and a half there.
+    for axis in range(len(of.split(","))):
+        x = grid.points[:, axis]
+        for end in (x.min(), x.max()):
+            assert -7.5 < np.log10(p[x == end].max() / p.max()) < -4.5
+
+
+def test_stops_stand_where_the_mass_meets_them(fpk, pyvista, tmp_path, scene_text):
+    path = tmp_path / "a.toml"
+    path.write_text(scene_text.replace('"both"', '"left"'))
+    out = tmp_path / "x.vtu"
+    record = json.loads(fpk("export", path, "--of", "q2,p2", "--out", out, "--json")[1])
+    assert record["files"] == [str(out), str(tmp_path / "x_stops.vtu")]
+    field, stops = pyvista.read(out), pyvista.read(tmp_path / "x_stops.vtu")
+    assert stops.n_cells == 1 and set(stops.points[:, 0]) == {-0.5}
+    assert stops.cell_data["mass"].tolist() == [2.0]
+    np.testing.assert_allclose(stops.bounds[2:4], field.bounds[2:4])
+    assert stops.bounds[5] == pytest.approx(float(field["density"].max()), rel=1e-12)
+    assert stops.area == pytest.approx(np.ptp(field.points[:, 1]) * field["density"].max())
+    for of in ("q1", "p2", "H"):  # no stop beside these
+        arguments = ("export", path, "--of", of, "--out", tmp_path / f"{of}.vtu", "--json")
+        assert json.loads(fpk(*arguments)[1])["files"] == [str(tmp_path / f"{of}.vtu")]
+
+
+def test_the_simulation_is_an_array_of_the_field(pyvista, tmp_path, scene_text):
+    path = tmp_path / "a.toml"
+    path.write_text(scene_text + '[units]\nlength = "mm"\nmass = "kg"\ntime = "s"\n')
+    scene = load_scene(path)
+    sampled = method_for("montecarlo", paths=4096, relaxations=2.0, seed=3)
+    outcome = run_scene(scene, [method_for("nonintegrable", "closed-form"), sampled])
+    (written, _) = write_vtu(outcome, tmp_path / "x.vtu")
+    grid = pyvista.read(written)
+    density = outcome.curves[0].densities(scene.observables[0])
+    (samples,) = [p for route, p in density.items() if route.sampled]
+    value, error = samples.at(grid.points[:, 0])
+    np.testing.assert_allclose(grid["montecarlo"], value, rtol=1e-12)
+    np.testing.assert_allclose(grid["error of montecarlo"], error, rtol=1e-12)
+    assert grid.active_scalars_name == "density"
+    words = {k: str(grid.field_data[k][0]) for k in ("axes", "units", "unit of density")}
+    assert words == {"axes": "q2 [mm]", "units": "mm, kg, s", "unit of density": "mm⁻¹"}
 
 
 def test_an_observable_that_no_theory_gives_is_refused(fpk, tmp_path):

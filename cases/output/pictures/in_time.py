@@ -15,7 +15,7 @@ from cases.comparison.answers import Answers
 from cases.comparison.in_time import Replies
 from cases.comparison.time_distances import failure_of
 from cases.output.pictures.lines import HEIGHT, LINES, MARK
-from cases.output.pictures.style import INK, SHOWN, arrange, density_words, words_of
+from cases.output.pictures.style import INK, SHOWN, arrange, density_words, time_words, words_of
 from cases.scene.questions import PassageQuestion, TransientQuestion
 from fpk.evolution import Passage, Transient
 from fpk.route import Route
@@ -78,7 +78,7 @@ def passage_figure(replies: Replies) -> tuple[Figure, str]:
             axes.fill_between(times, low, high, color=colour, alpha=0.16, linewidth=0)
             legend[route.words] = Line2D([], [], color=colour, linestyle=style)
     name = "P(T ≤ t), failure by t" if rare else "P(T > t), reliability"
-    axes.set(yscale="log", xlabel="time t", ylabel=name)
+    axes.set(yscale="log", xlabel=time_words(), ylabel=name)
     axes.set_xlim(left=0.0)
     axes.set_ylim(0.5 * lowest, None if rare else 1.3)
     arrange(figure, HEIGHT, legend, head=0.12)

@@ -1,7 +1,9 @@
 """Style of all pictures: ink and colours, words for axes, fixed margins, and figures as SVG."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ from matplotlib import rc_context, rc_params_from_file
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
+from cases.scene.units import NO_UNITS, Units, bracketed
 from fpk.observable import Coordinate, Observable
 
 STYLE: Any = rc_params_from_file(
@@ -65,9 +68,29 @@ def arrange(figure: Figure, height: float, legend: Mapping[str, Artist], *, head
     )  # fmt: skip
 
 
+SHOWN_UNITS: ContextVar[Units] = ContextVar("SHOWN_UNITS", default=NO_UNITS)
+"""Units of the scene whose pictures are being drawn, as the style of matplotlib is set for them."""
+
+
+@contextmanager
+def in_units(units: Units) -> Iterator[None]:
+    """Return a context in which the axes of pictures say these units."""
+    token = SHOWN_UNITS.set(units)
+    try:
+        yield
+    finally:
+        SHOWN_UNITS.reset(token)
+
+
 def density_words(observable: Observable) -> str:
-    """Return the words for an axis of the density, as ``density p(q₂)``."""
-    return f"density p({', '.join(map(symbol_of, observable))})"
+    """Return the words for an axis of the density, as ``density p(q₂) [mm⁻¹]``."""
+    unit = bracketed(SHOWN_UNITS.get().density(observable))
+    return f"density p({', '.join(map(symbol_of, observable))}){unit}"
+
+
+def time_words() -> str:
+    """Return the words for an axis of time."""
+    return f"time t{bracketed(SHOWN_UNITS.get().time)}"
 
 
 def symbol_of(coordinate: Coordinate) -> str:
@@ -76,10 +99,11 @@ def symbol_of(coordinate: Coordinate) -> str:
 
 
 def words_of(coordinate: Coordinate) -> str:
-    """Return the coordinate in words with its symbol."""
+    """Return the coordinate in words with its symbol and its unit."""
     words = {"q": "displacement", "p": "momentum", "H": "energy"}[coordinate.kind]
     modal = "modal " if coordinate.kind == "H" and coordinate.index is not None else ""
-    return f"{modal}{words} {symbol_of(coordinate)}"
+    unit = bracketed(SHOWN_UNITS.get().coordinate(coordinate))
+    return f"{modal}{words} {symbol_of(coordinate)}{unit}"
 
 
 def svg_text(figure: Figure, *, salt: str) -> str:

@@ -1,0 +1,102 @@
+"""Units of a scene: names of the units of length, mass and time, and what follows from them."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from fpk.errors import InvalidInput
+from fpk.observable import Coordinate, Observable
+
+CONSISTENT = "the scene's own consistent units"
+"""What is said of the units of a scene that does not name them."""
+
+DATES = ("days", "hours", "minutes", "seconds", "milliseconds", "microseconds", "nanoseconds")
+
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+DIMENSIONS = {"q": (1, 0, 0), "p": (1, 1, -1), "H": (2, 1, -2)}
+"""Powers of length, mass and time of a displacement, a momentum and an energy."""
+
+DERIVED = {
+    "displacement": (1, 0, 0),
+    "velocity": (1, 0, -1),
+    "momentum": (1, 1, -1),
+    "force": (1, 1, -2),
+    "energy": (2, 1, -2),
+    "frequency": (0, 0, -1),
+    "rate": (0, 0, -1),
+}
+
+
+@dataclass(frozen=True)
+class Units:
+    """Names of the units of ``length``, ``mass`` and ``time``, as ``mm``, ``kg``, ``s``.
+
+    Empty names are those of a scene without ``[units]``: all that follows is then empty, too.
+    Nothing is converted: numbers are in these units as they are.
+
+    Raises ``InvalidInput`` where two of them have the same name.
+    """
+
+    length: str = ""
+    mass: str = ""
+    time: str = ""
+
+    def __post_init__(self) -> None:
+        """Check that a product of powers can be read."""
+        named = [name for name in (self.length, self.mass, self.time) if name]
+        if len(set(named)) < len(named):
+            key = "time" if self.time in named[:-1] else "mass"
+            raise InvalidInput(key, getattr(self, key), "is the unit of something else already")
+
+    def of(self, *dimensions: tuple[int, int, int], inverse: bool = False) -> str:
+        """Return the unit of a product of quantities of these powers of length, mass and time.
+
+        As ``kg mm² s⁻²``, which UDUNITS reads; empty where there are no names, and 1 for a number.
+        """
+        if not self:
+            return ""
+        sign = -1 if inverse else 1
+        length, mass, time = (sign * sum(powers) for powers in zip(*dimensions, strict=True))
+        named = (self.mass, mass), (self.length, length), (self.time, time)
+        factors = [
+            name + ("" if power == 1 else str(power).translate(SUPERSCRIPTS))
+            for name, power in sorted(named, key=lambda factor: factor[1] < 0)
+            if power
+        ]
+        return " ".join(factors) or "1"
+
+    def __bool__(self) -> bool:
+        """Whether the scene names its units."""
+        return bool(self.length and self.mass and self.time)
+
+    def coordinate(self, coordinate: Coordinate) -> str:
+        """Return the unit of a displacement, momentum or energy."""
+        return self.of(DIMENSIONS[coordinate.kind])
+
+    def density(self, observable: Observable) -> str:
+        """Return the unit of the density of one coordinate or two: 1/unit of each."""
+        return self.of(*(DIMENSIONS[c.kind] for c in observable), inverse=True)
+
+    def quantity(self, name: str) -> str:
+        """Return the unit of a quantity of ``DERIVED``."""
+        return self.of(DERIVED[name])
+
+    def record(self) -> dict[str, Any] | None:
+        """Return the names and all derived units for JSON, None where there are none."""
+        return {**vars(self), **{name: self.quantity(name) for name in DERIVED}} if self else None
+
+
+NO_UNITS = Units()
+
+
+def attribute(unit: str) -> str:
+    """Return what a file says of a unit: where there is no name, that all fit together.
+
+    Of units of time in the plural xarray makes dates of whole nanoseconds: they lose their s.
+    """
+    return unit.removesuffix("s") if unit in DATES else unit or CONSISTENT
+
+
+def bracketed(unit: str) -> str:
+    """Return a unit as it stands behind a name, nothing where it has no name."""
+    return f" [{unit}]" if unit else ""

@@ -1,0 +1,218 @@
+"""``[units]`` of a scene on axes, in tables, JSON and files; modes and rms of ``fpk show``."""
+
+import json
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+from cases.comparison.answers import run_scene
+from cases.comparison.routes import method_for
+from cases.output.motion import modes_record, rms_record
+from cases.output.pictures.style import density_words, in_units, time_words, words_of
+from cases.output.report import figures
+from cases.scene.scene import load_scene
+from cases.scene.units import DERIVED, DIMENSIONS, Units
+from fpk.contact import Contact
+from fpk.errors import InvalidInput
+from fpk.linear import stationary_covariance
+from fpk.observable import parse_observable
+from fpk.system import System
+
+MM = '[units]\nlength = "mm"\nmass = "kg"\ntime = "s"\n'
+SI = Units("m", "kg", "s")
+
+
+@pytest.fixture
+def scene(tmp_path, scene_text):
+    path = tmp_path / "a.toml"
+    path.write_text(scene_text + MM)
+    return path
+
+
+def powers(unit):
+    """The powers that a unit in words stands for."""
+    plain = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+    found = dict.fromkeys(("m", "kg", "s"), 0)
+    for factor in unit.split():
+        name = factor.rstrip("⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+        found[name] += int(factor[len(name) :].translate(plain) or 1)
+    return found["m"], found["kg"], found["s"]
+
+
+@pytest.mark.parametrize("dimension", list(product((-3, 0, 1, 12), repeat=3)))
+def test_a_unit_says_the_powers_that_it_is_made_of(dimension):
+    unit = SI.of(dimension)
+    if any(dimension):
+        assert powers(unit) == dimension
+        assert powers(SI.of(dimension, inverse=True)) == tuple(-power for power in dimension)
+    else:
+        assert unit == SI.of(dimension, inverse=True) == "1"
+    assert Units().of(dimension) == ""
+
+
+def test_derived_units_fit_together():
+    """Force = mass · acceleration, energy = force · length, momentum = force · time."""
+    units = {name: np.array(powers(SI.quantity(name))) for name in DERIVED}
+    length, mass, time = np.eye(3, dtype=int)
+    np.testing.assert_array_equal(units["force"], mass + length - 2 * time)
+    np.testing.assert_array_equal(units["energy"], units["force"] + length)
+    np.testing.assert_array_equal(units["momentum"], units["force"] + time)
+    np.testing.assert_array_equal(units["momentum"], mass + units["velocity"])
+    for name in ("q2", "p1", "H", "H1", "q2,p2", "q1,H"):
+        observable = parse_observable(name, 2)
+        own = sum(np.array(powers(SI.coordinate(c))) for c in observable)
+        density = SI.density(observable)
+        np.testing.assert_array_equal(powers(density) if density != "1" else 0, -own)
+    assert DIMENSIONS.keys() == {"q", "p", "H"}
+
+
+@pytest.mark.parametrize(
+    ("table", "word"),
+    [
+        ('length = "mm"\nmass = "kg"', "units.time is missing"),
+        ('length = "mm"\nmass = "kg"\ntime = "mm"', "something else"),
+        ('length = "m/s"\nmass = "kg"\ntime = "s"', "letters"),
+        ('length = ""\nmass = "kg"\ntime = "s"', "letters"),
+        ('length = "m m"\nmass = "kg"\ntime = "s"', "letters"),
+        ('length = "<b>"\nmass = "kg"\ntime = "s"', "letters"),
+        (f'length = "{"m" * 17}"\nmass = "kg"\ntime = "s"', "letters"),
+        ('length = 1\nmass = "kg"\ntime = "s"', "text in quotes"),
+        ('lenght = "m"\nmass = "kg"\ntime = "s"', 'did you mean "length"'),
+        ('length = "m"\nmass = "kg"\ntime = "s"\nforce = "N"', "here are known"),
+    ],
+)
+def test_what_is_no_unit_is_refused(table, word, fpk, tmp_path, scene_text):
+    path = tmp_path / "a.toml"
+    path.write_text(f"{scene_text}[units]\n{table}\n")
+    status, out, err = fpk("check", path)
+    assert (status, out) == (2, "") and err.count("\n") == 1 and word in err and "units" in err
+
+
+def test_a_micrometre_is_a_unit(fpk, tmp_path, scene_text):
+    path = tmp_path / "a.toml"
+    path.write_text(scene_text + MM.replace("mm", "µm"), encoding="utf-8")
+    assert "µm" in fpk("show", path)[1]
+
+
+ASKED = [
+    (["density", "--of", "q2", "--at", "0"], {"points": "mm", "density": "mm⁻¹", "times": "s"}),
+    (
+        ["density", "--of", "q2,p2", "--at", "0 x 0"],
+        {"points": ["mm", "kg mm s⁻¹"], "density": "s kg⁻¹ mm⁻²", "times": "s"},
+    ),
+    (
+        ["passage", "--limit", "H=0.5"],
+        {"mean": "s", "variance": "s²", "rate": "s⁻¹", "times": "s"},
+    ),
+    (["relaxation", "--rates", "1"], {"rates": "s⁻¹", "frequencies": "s⁻¹"}),
+]
+
+
+@pytest.mark.parametrize(("question", "units"), ASKED)
+def test_answers_say_the_units_of_their_numbers(question, units, scene, fpk, tmp_path, scene_text):
+    command, *options = question
+    arguments = [command, scene, "--method", "nonintegrable", *options]
+    assert json.loads(fpk(*arguments, "--json")[1])["units"] == units
+    text = fpk(*arguments)[1]
+    assert any(f"[{unit}]" in text or f"  {unit}\n" in text for unit in map(str, units.values()))
+    bare = tmp_path / "bare.toml"
+    bare.write_text(scene_text)
+    arguments[1] = bare
+    assert json.loads(fpk(*arguments, "--json")[1])["units"] is None
+    assert "[" not in fpk(*arguments)[1]
+
+
+LINEAR = """
+[system]
+mass            = [1.0]
+stiffness       = [1.0]
+damping         = [0.1]
+noise_intensity = [0.05]
+"""
+
+
+@pytest.mark.parametrize(
+    ("command", "points", "values"),
+    [("crossings", "mm", "s⁻¹"), ("spectrum", "s⁻¹", "mm² s"), ("correlation", "s", "mm²")],
+)
+def test_curves_say_their_units_on_both_axes(command, points, values, fpk, tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text(LINEAR + MM)
+    arguments = (command, path, "--method", "linear", "--of", "q1", "--at", "0,0.5")
+    record = json.loads(fpk(*arguments, "--json")[1])
+    key = {"crossings": "rate"}.get(command, command)
+    assert record["units"] == {"points": points, key: values}
+    head = fpk(*arguments)[1].splitlines()[0]
+    assert f"[{points}]" in head and f"{key} [{values}]" in head
+
+
+def test_axes_say_units_while_a_scene_is_drawn():
+    observable = parse_observable("q2", 2)
+    with in_units(Units("mm", "kg", "s")):
+        assert words_of(observable[0]) == "displacement q₂ [mm]"
+        assert density_words(observable) == "density p(q₂) [mm⁻¹]"
+        assert time_words() == "time t [s]"
+    assert words_of(observable[0]) == "displacement q₂"
+    assert density_words(observable) == "density p(q₂)"
+
+
+def test_pictures_of_a_scene_have_its_units(scene):
+    outcome = run_scene(load_scene(scene), [method_for("nonintegrable", "closed-form")])
+    labels = [axes.get_xlabel() for _, _, f in figures(outcome) for axes in f.axes]
+    assert "displacement q₂ [mm]" in labels and "energy H [kg mm² s⁻²]" in labels
+
+
+def test_modes_solve_their_equation():
+    system = System([1.0, 2.0, 0.5], [3.0, 1.0, 2.0], [0.1, 0.2, 0.05], [0.01] * 3)
+    modes = modes_record(system)
+    squares, shapes = eigh(system.stiffness_matrix, np.diag(system.mass))
+    for m, mode in enumerate(modes):
+        assert mode["frequency"] == pytest.approx(np.sqrt(squares[m]), rel=1e-12)
+        T = shapes[:, m]
+        ratio = T @ system.damping @ T / (2.0 * np.sqrt(squares[m]))
+        assert mode["damping_ratio"] == pytest.approx(ratio, rel=1e-12)
+        assert np.max(np.abs(mode["shape"])) == np.max(mode["shape"]) == 1.0
+        np.testing.assert_allclose(mode["shape"], T / T[np.argmax(np.abs(T))], atol=1e-12)
+    c = shapes.T @ system.damping @ shapes
+    share = np.abs(c - np.diag(np.diag(c))) / np.sqrt(np.outer(np.diag(c), np.diag(c)))
+    assert [mode["coupled"] for mode in modes] == pytest.approx(share.max(axis=1), rel=1e-9)
+    stiff = replace(system, damping=0.1 * system.stiffness_matrix)
+    assert all(mode["coupled"] < 1e-12 for mode in modes_record(stiff))
+    undamped = replace(system, damping=np.zeros((3, 3)))
+    assert all(mode["coupled"] == mode["damping_ratio"] == 0.0 for mode in modes_record(undamped))
+
+
+def test_rms_without_contact_is_that_of_the_covariance():
+    system = System([1.0, 2.0], [3.0, 1.0], [0.1, 0.2], [0.01, 0.05])
+    variance = np.diag(stationary_covariance(system))
+    for i, row in enumerate(rms_record(system)):
+        assert row["route"] == "linear" and row["of"] == f"q{i + 1}"
+        assert abs(row["value"] - np.sqrt(variance[i])) <= row["error"] + 1e-14
+
+
+def test_rms_says_by_which_route_it_is():
+    stop = Contact(mass=2, side="both", stiffness=10.0, clearance=0.5)
+    equal = System([1, 1], [1, 1], [0.1, 0.2], [0.01, 0.02], contacts=(stop,))
+    assert {row["route"] for row in rms_record(equal)} == {"exact"}
+    assert {row["solves"] for row in rms_record(load_scene("fig6a").system)} == {"averaged"}
+    assert [row["of"] for row in rms_record(load_scene("chain-50").system)] == ["q50"]
+    assert rms_record(load_scene("two-contact-masses").system) == []
+
+
+def test_show_has_modes_and_rms_with_their_units(scene, fpk):
+    out = fpk("show", scene)[1]
+    assert "[rad/s]" in out and " mm ± " in out and "in mm, kg, s" in out and "averaged" in out
+    record = json.loads(fpk("show", scene, "--json")[1])
+    assert record["units"]["force"] == "kg mm s⁻²" and record["units"]["length"] == "mm"
+    assert [m["frequency"] for m in record["modes"]] == record["natural_frequencies"]
+    assert all(r["error"] < 1e-9 for r in record["rms"])
+    assert "[rad/time]" in fpk("show", "fig6a")[1] and "chain-50" not in fpk("show", "fig6a")[1]
+    assert "50 modes up to" in fpk("show", "chain-50")[1]
+
+
+def test_two_units_of_one_name_cannot_be_told_apart():
+    with pytest.raises(InvalidInput, match="mass"):
+        Units("m", "m", "s")
