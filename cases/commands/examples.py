@@ -38,7 +38,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "fpk export fig7 --out fig7.vtu                       # for ParaView; .pvd for every curve",
     ),
     "sweep": (
-        "fpk sweep fig6a --vary contact.clearance=0.3:1:8 --quantity 'rms(q2)' --out out/sweep",
+        'fpk sweep fig6a --vary contact.clearance=0.3:1:8 --quantity "rms(q2)" --out out/sweep',
     ),
     "verify": ("fpk verify", "fpk verify fig6a fig8b --coarse"),
     "regime": (
