@@ -105,7 +105,7 @@ def answer_tail(
 
 def columns_text(record: Record) -> str:
     """Return the points, after the times if there are any, the values and errors in columns."""
-    (key,) = record.keys() & {"density", "rate", "spectrum"}
+    (key,) = record.keys() & {"density", "rate", "spectrum", "correlation"}
     words = f"{record['observable']}   {key}   {_kind(record)}"
     if "times" not in record:
         return "\n".join([f"# {words}", *_columns([], record, record[key], record["error"])])

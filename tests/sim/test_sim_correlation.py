@@ -104,6 +104,8 @@ def test_products_begin_in_less_time_where_memory_ends_them(monkeypatch: Any) ->
 
 def test_too_few_blocks_to_take_an_error_from_are_not_certified(monkeypatch: Any) -> None:
     monkeypatch.setattr("sim.motion.rounds.MOST_SUMS", 1)
+    for all_at_once in ("MOST_STEPS", "MOST_SAMPLES"):
+        monkeypatch.setattr(f"sim.motion.rounds.{all_at_once}", 1 << 60)
     answer = sampled(linear(1), 0, AT, seconds=1e-9)
     assert answer.settings["paths"] == 2 * 128
     assert answer.certificate.failures == ("it ended after 256 trajectories of 4096",)
