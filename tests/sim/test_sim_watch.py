@@ -27,7 +27,7 @@ def stiff() -> System:
 
 @pytest.mark.parametrize("question", ["crossings", "spectrum", "correlation"])
 def test_seconds_that_end_in_the_burn_in_are_refused(question: str) -> None:
-    with pytest.raises(InvalidInput, match="burn-in, which takes about .* s; give it more"):
+    with pytest.raises(InvalidInput, match=r"burn-in, which takes about .* s; give it more"):
         asked(question, stiff(), seconds=0.05)
 
 
