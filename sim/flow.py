@@ -44,12 +44,12 @@ def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, A
     In units, powers of 2, in which A is balanced and b about 1: any others are as good.
     """
     with np.errstate(invalid="ignore"):  # scipy makes a permutation of the scale, unasked
-        drift, (scale, _) = matrix_balance(drift, permute=False, separate=True)
+        balanced, (scale, _) = matrix_balance(drift, permute=False, separate=True)
     row = scale[:, None]
     diffusion = diffusion / row / scale
     largest = float(np.max(np.abs(diffusion)))
     size = 2.0 ** np.floor(np.log2(largest)) if largest > 0.0 else 1.0
-    propagator, covariance = _balanced(drift, diffusion / size, dt)
+    propagator, covariance = _balanced(np.asarray(balanced, dtype=float), diffusion / size, dt)
     return row * propagator / scale, size * (row * covariance * scale)
 
 
