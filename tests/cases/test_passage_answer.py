@@ -29,6 +29,6 @@ def test_one_simulation_answers_where_most_have_failed(
     method = MonteCarlo(paths=4096, threads=1)
     answer = passage_answer(method, system, question, tol=None, progress=silent)
     assert times == [last, None][:simulations] and answer.certificate.certified
-    # The mean is 10 (Ei(3) − ln 3 − γ) but for averaging; 4 errors, which hold the bias of the step.
+    # The mean is 10 (Ei(3) − ln 3 − γ) but for averaging; 4 errors.
     assert abs(answer.mean.value - 82.58) < 4.0 * answer.mean.error
     assert np.all(np.abs(answer.survival) <= 1.0)
