@@ -203,6 +203,16 @@ class SampledDensity(Quantities):
             error[where] = np.sqrt(variance + (one_visit * worth) ** 2)
         return value.reshape(arrays[0].shape), error.reshape(arrays[0].shape)
 
+    def fitted(self, points: Array, every: Array) -> Array:
+        """Return the densities (..., points) of other histograms (..., bins) by the same weights.
+
+        Of one coordinate, at ``points`` within the bins: the linear function of the bins that
+        ``at`` takes of ``values``.
+        """
+        bins, weights, _ = self._weights(points[None])
+        rows: Array = np.array([np.sum(weights * row[bins], axis=1) for row in every])
+        return rows
+
     def _weights(self, points: Array) -> tuple[Integers, Array, Array]:
         """Return bins, their weights (points, window), and what a sample in one is worth there.
 

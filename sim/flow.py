@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import expm, matrix_balance
 
 from fpk.arrays import Array
 from fpk.linear import diffusion_matrix, drift_matrix
@@ -41,7 +41,19 @@ def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, A
 
     Van Loan's block exponential (IEEE Trans. Automat. Control 23, 1978, 395), which contains
     exp(−A h), for ``|A| h <= ½``; doubling ``h`` then adds positive covariances: nothing cancels.
+    In units, powers of 2, in which A is balanced and b about 1: any others are as good.
     """
+    with np.errstate(invalid="ignore"):  # scipy makes a permutation of the scale, unasked
+        balanced, (scale, _) = matrix_balance(drift, permute=False, separate=True)
+    row = scale[:, None]
+    diffusion = diffusion / row / scale
+    largest = float(np.max(np.abs(diffusion)))
+    size = 2.0 ** np.floor(np.log2(largest)) if largest > 0.0 else 1.0
+    propagator, covariance = _balanced(np.asarray(balanced, dtype=float), diffusion / size, dt)
+    return row * propagator / scale, size * (row * covariance * scale)
+
+
+def _balanced(drift: Array, diffusion: Array, dt: float) -> tuple[Array, Array]:
     doublings = max(0, int(np.ceil(np.log2(2.0 * np.linalg.norm(drift, 2) * dt + 1e-300))))
     h = dt / 2**doublings
     m = drift.shape[0]

@@ -40,7 +40,8 @@ class AveragedSimulation(Method):
     every half of it for ``SAMPLED``, with steps of ``step`` times the fastest, or from sample to
     sample where steps are exact. Two wells with rare passages relax more slowly than that.
     ``paths`` in all; ``threads`` None: all that there are, the answer does not depend on it.
-    ``tol``: the expected L1 error by chance above which an answer is not certified.
+    ``tol``: the expected L1 error by chance above which an answer is not certified. ``seconds`` of
+    wall time end it before.
 
     Raises ``InvalidInput`` naming the field that cannot be used.
     """
@@ -51,12 +52,13 @@ class AveragedSimulation(Method):
     seed: int = 1
     threads: int | None = None
     tol: float | None = None
+    seconds: float | None = None
 
     def __post_init__(self) -> None:
         """Check every field."""
         if not 0 <= self.seed < 2**64:
             raise InvalidInput("seed", self.seed, "use an integer from 0 to 2**64 - 1")
-        for key in ("step", "threads", "tol"):
+        for key in ("step", "threads", "tol", "seconds"):
             value = getattr(self, key)
             if value is not None and not (isfinite(value) and value > 0):
                 raise InvalidInput(key, value, "must be a finite number > 0")
@@ -111,6 +113,7 @@ class AveragedSimulation(Method):
             paths=min(paths, MOST_PATHS),
             seed=self.seed,
             threads=self.threads or usable_cores(),
+            seconds=self.seconds,
             tol=inf if wanted is None else wanted,
             progress=progress,
         )
@@ -149,6 +152,7 @@ class AveragedSimulation(Method):
             paths=self.paths,
             seed=self.seed,
             threads=self.threads or usable_cores(),
+            seconds=self.seconds,
             tol=self.tol if tol is None else tol,
             progress=progress,
         )
@@ -220,6 +224,7 @@ class AveragedSimulation(Method):
             paths=self.paths,
             seed=self.seed,
             threads=self.threads or usable_cores(),
+            seconds=self.seconds,
             tol=inf if self.tol is None else self.tol,
             progress=progress,
         )

@@ -21,9 +21,11 @@ def limits_of(theory: Theory, form: SquareRootForm, limit: Limit) -> EnergyLimit
         raise NotApplicable(f"{limit}: this theory knows limits of {known} only")
     if limit.kind == "modal":
         named = sorted((int(name[1:]) - 1, value) for name, value in limit.values.items())
-        return EnergyLimits(np.eye(d)[[m for m, _ in named]], np.array([v for _, v in named]))
+        values = np.array([value for _, value in named])
+        return EnergyLimits(np.eye(d)[[m for m, _ in named]], values, str(limit))
     values = np.array([limit.value])
-    return EnergyLimits(np.ones((1, d)), from_energies(form, values[None])[0] if line else values)
+    values = from_energies(form, values[None])[0] if line else values
+    return EnergyLimits(np.ones((1, d)), values, str(limit))
 
 
 def starts_of(theory: Theory, system: System, start: Start) -> Starts:

@@ -28,8 +28,9 @@ SPLITTING = Route(
 )
 """The route that takes the place of the plain simulation; it gives no densities."""
 
-PILOT = 4096
-"""Paths of the simulation that shows whether passages are rare."""
+ALIVE = 0.1
+"""Share of the paths alive at the last time below which a simulation that ends there is the answer:
+its moments are continued by the failure rate."""
 
 REPLICAS, REPETITIONS = 256, 8
 """Replicas of a run of splitting, and independent runs: in some seconds they give a probability of
@@ -59,22 +60,26 @@ def passage_answer(
 ) -> Passage:
     """Return the answer of ``method``, of a plain simulation by splitting where passages are rare.
 
-    That is so where of a pilot, until the last time of ``question``, so few of its paths pass the
-    limit that ``LEAST_FAILURES`` of all are not to be expected; not where the simulation was given
+    That is so where fewer than ``LEAST_FAILURES`` of its paths pass the limit until the last time
+    of ``question``. Where more than ``ALIVE`` live on, or ``tol`` is given, they are followed on
+    after it, from the start again. It is not so where the simulation was given
     its wall time, which splitting does not know. ``tol`` as of ``Passages``; of
     splitting it is the relative error wanted of P(T <= t).
     """
     times = np.array(question.times)
     asked = system, question.limit, question.start, times
     last = float(np.max(times, initial=0.0))
-    plain = not isinstance(method, MonteCarlo) or method.seconds is not None
-    if not plain and last > 0.0 and system.modulation is None:
-        pilot = replace(method, paths=PILOT, time=last, tol=None)
-        failed = 1.0 - float(pilot.passage(*asked, tol=None, progress=progress).survival[-1])
-        if failed * method.paths < LEAST_FAILURES:
+    given = not isinstance(method, MonteCarlo) or method.seconds is not None
+    if not given and last > 0.0 and system.modulation is None:
+        until = replace(method, time=last, tol=None)
+        plain: Passage = until.passage(*asked, tol=None, progress=progress)
+        failed = (1.0 - float(plain.survival[-1])) * method.paths
+        if failed < LEAST_FAILURES:
             answer = split_passage(system, question, method, progress, tol or ERROR)
-            words = f"splitting: of {PILOT} plain paths {failed * PILOT:.0f} pass by t = {last:g}"
+            words = f"splitting: of {method.paths} plain paths {failed:.0f} pass by t = {last:g}"
             return replace(answer, settings={"sampled_by": words, **answer.settings})
+        if plain.survival[-1] < ALIVE and tol is None and plain.certificate.certified:
+            return plain
     return method.passage(*asked, tol=tol, progress=progress)  # type: ignore[no-any-return]
 
 

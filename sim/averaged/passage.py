@@ -4,21 +4,26 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import ceil, inf
+from typing import Any
 
 import numpy as np
 
 from fpk.arrays import Array
 from fpk.evolution import Passage
 from fpk.method import Progress, silent
-from sim.averaged.paths import BATCHES, batch_stream
+from sim.averaged.paths import BATCHES, batch_stream, share_of
 from sim.averaged.square_root import SquareRootForm, square_root_step
 from sim.motion.survival import Times, passage_of
 
 EMPTY = 0.75
 """Share of a batch still running at which those that have failed make room."""
 
-MOST_DRAWS = 1e8
-"""Random numbers at most, some 20 s: paths are followed for no longer than that allows."""
+MOST_DRAWS = 3e7
+"""Random numbers at most where no wall time is given, some 20 s of one core: paths are followed for
+no longer than that allows."""
+
+MOST_STEPS = 1 << 40
+"""Steps at most where the wall time ends them before."""
 
 BISECTIONS = 60
 """Halvings in which X of an energy is found: to the last digit."""
@@ -37,6 +42,7 @@ class EnergyLimits:
 
     weights: Array
     values: Array
+    name: str
 
     def distances(self, form: SquareRootForm, X: Array) -> Array:
         """Return how far each limit is in y, (paths, limits); not positive beyond it."""
@@ -76,6 +82,7 @@ def energy_passage(
     paths: int,
     seed: int,
     threads: int = 1,
+    seconds: float | None = None,
     tol: float = inf,
     progress: Progress = silent,
 ) -> Passage:
@@ -83,7 +90,8 @@ def energy_passage(
 
     Where steps are exact (``form.damping`` None) both see the same paths, else paths of their own.
     Between steps each distance to a limit is a Brownian bridge. Streams belong to batches: the
-    answer does not depend on ``threads``. ``memory`` as of ``passage_of``.
+    answer does not depend on ``threads``. Paths are followed until they fail, for the cost of
+    ``MOST_DRAWS``, or for ``seconds`` of wall time; ``memory`` as of ``passage_of``.
 
     Raises ``InvalidInput`` for starts that all lie beyond a limit.
     """
@@ -91,27 +99,32 @@ def energy_passage(
     draws = 2 if form.damping is None else 3
     horizon = MOST_DRAWS / (draws * BATCHES * own * form.noise.size) * dt
     horizon = dt * ceil(max(horizon, float(np.max(times, initial=0.0))) / dt)
+    if seconds is not None:
+        horizon = dt * MOST_STEPS
 
-    def followed(batch: int) -> tuple[Array, Array]:
+    def followed(batch: int) -> tuple[Array, Array, Array]:
         stream = batch_stream(seed, batch)
         X = from_energies(form, starts(own, stream))
         if form.damping is None:
-            fine, coarse = _failed(form, limits, X, dt, horizon, stream, strides=(1, 2))
+            ends = share_of(seconds, threads)
+            until, fine, coarse = _failed(
+                form, limits, X, dt, horizon, stream, ends, strides=(1, 2)
+            )
         else:
-            (fine,) = _failed(form, limits, X, dt, horizon, stream, strides=(1,))
-            (coarse,) = _failed(form, limits, X, 2.0 * dt, horizon, stream, strides=(1,))
-        return fine, coarse
+            ends = share_of(seconds and seconds * 2.0 / 3.0, threads)
+            until, fine = _failed(form, limits, X, dt, horizon, stream, ends)
+            _, coarse = _failed(form, limits, X, 2.0 * dt, until, stream)
+        return fine, coarse, np.full(own, until)
 
     rows = []
     with ThreadPoolExecutor(threads) as pool:
         for done, row in enumerate(pool.map(followed, range(BATCHES)), start=1):
             rows.append(row)
             progress(done, BATCHES, "first passage, averaged")
-    fine, coarse = (np.concatenate(times) for times in zip(*rows, strict=True))
-    sampled = Times(fine, coarse, np.full(fine.size, horizon))
     return passage_of(
-        sampled,
+        Times(*(np.concatenate(times) for times in zip(*rows, strict=True))),
         times,
+        limit=limits.name,
         step=dt,
         memory=memory,
         tol=tol,
@@ -132,10 +145,14 @@ def _failed(
     dt: float,
     horizon: float,
     stream: np.random.Generator,
+    ends: Callable[[], bool] = lambda: False,
     *,
-    strides: tuple[int, ...],
-) -> tuple[Array, ...]:
-    """First passage seen every 1st, 2nd, … of steps dt/2 on the same paths, inf where none."""
+    strides: tuple[int, ...] = (1,),
+) -> tuple[Any, ...]:
+    """Until when paths were followed, the ``horizon`` unless ``ends()``, and first passages.
+
+    Those are seen every 1st, 2nd, … of steps dt/2 on the same paths, inf where none.
+    """
     h, paths = 0.5 * dt, len(X)
     found = np.full((len(strides), paths), inf)
     # One exponential number for each limit, of all strides: see ``pass_energies``.
@@ -158,8 +175,11 @@ def _failed(
             chance, before = chance[:, running], before[:, running]
         if not alive:
             break
+        if step % strides[-1] == 0 and ends():
+            horizon = step * h
+            break
     found[:, lanes] = now
-    return tuple(found)
+    return horizon, *found
 
 
 def _see(time: Array, chance: Array, before: Array, after: Array, end: float, h: float) -> None:

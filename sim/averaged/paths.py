@@ -1,9 +1,10 @@
 """Paths of averaged energies, their histograms and sampling errors."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from math import ceil, inf, nan
+from time import perf_counter
 
 import numpy as np
 
@@ -39,6 +40,7 @@ def simulate_energies(
     paths: int = 16384,
     seed: int = 1,
     threads: int = 1,
+    seconds: float | None = None,
     tol: float = inf,
     progress: Progress = silent,
 ) -> tuple[SampledDensity, ...]:
@@ -46,7 +48,8 @@ def simulate_energies(
 
     ``paths`` in all are sampled every ``interval``, in ``steps`` steps, for ``time`` after
     ``burn_in``. Streams belong to batches of paths: the answer does not depend on ``threads``.
-    Ranges come from a pilot with a stream of its own.
+    Ranges come from a pilot with a stream of its own. ``seconds`` of wall time end the sampling,
+    after the burn-in and one sample at the least.
 
     Raises ``InvalidInput`` for paths that fill no batches.
     """
@@ -66,12 +69,15 @@ def simulate_energies(
     reached = np.array([(0.0, column(pilot, c).max()) for o in observables for c in o])
     histograms = covering(observables, reached, mirror=False, bins=BINS)
     counts = [np.zeros((BATCHES, h.size + 1), dtype=np.int64) for h in histograms]
-    lost = np.zeros(BATCHES, dtype=bool)
+    lost, taken = np.zeros(BATCHES, dtype=bool), np.zeros(BATCHES, dtype=np.int64)
 
     def sample(batch: int) -> None:
-        stream = batch_stream(seed, batch)
+        stream, ends = batch_stream(seed, batch), share_of(seconds, threads)
         X = begun(own, stream)
-        for _ in range(samples):
+        for number in range(samples):
+            if number and ends():
+                break
+            taken[batch] += own
             X = advanced(X, stream)
             H = form.energies(X)
             for total, histogram in zip(counts, histograms, strict=True):
@@ -85,11 +91,11 @@ def simulate_energies(
             progress(done, BATCHES, "averaged simulation")
     densities = []
     for histogram, total in zip(histograms, counts, strict=True):
-        total[:, -1] = own * samples - total.sum(axis=1)
+        total[:, -1] = taken - total.sum(axis=1)
         density = sampled_density(
             histogram,
             total,
-            taken=paths * samples,
+            taken=int(taken.sum()),
             residual=nan,  # no identity of the averaged equations is evaluated
             tol=tol,
             failures=("an energy left the finite range",) if lost.any() else (),
@@ -112,6 +118,14 @@ def burnt_in(
     for _ in range(ceil(time / interval) * steps):
         X = square_root_step(form, X, interval / steps, stream)
     return X
+
+
+def share_of(seconds: float | None, threads: int) -> Callable[[], bool]:
+    """Return what says that a batch, which begins now, has had its share of ``seconds``."""
+    if seconds is None:
+        return lambda: False
+    end = perf_counter() + seconds * threads / BATCHES
+    return lambda: perf_counter() > end
 
 
 def batch_stream(seed: int, batch: int) -> np.random.Generator:

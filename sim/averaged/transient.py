@@ -3,6 +3,7 @@
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from math import ceil
+from time import perf_counter
 
 import numpy as np
 
@@ -34,6 +35,7 @@ def energy_transient(
     paths: int,
     seed: int,
     threads: int = 1,
+    seconds: float | None = None,
     tol: float | None = None,
     progress: Progress = silent,
 ) -> Transient:
@@ -42,11 +44,12 @@ def energy_transient(
     Where ``form.damping`` is None one exact step leads from time to time, and no error is that of a
     step; else it is in the error, ``answer_of``, and both steps have paths of their own.
     ``ROUNDS`` of ``paths`` are made; with ``tol`` as many again until the expected L1 error is
-    below it at all times. The answer does not depend on ``threads``.
+    below it at all times, or ``seconds`` of wall time have passed. The answer does not depend on
+    ``threads``.
     """
     counted = Counted(observable, len(times), lambda H: [column(H, c) for c in observable])
     simulated = partial(_simulated, form, starts, times, dt, paths, seed)
-    number, most = 0, max(ROUNDS, MAX_TRAJECTORIES // paths)
+    begin, number, most = perf_counter(), 0, max(ROUNDS, MAX_TRAJECTORIES // paths)
     with ThreadPoolExecutor(threads) as pool:
         while True:
             rounds = range(number, min(number + ROUNDS, most))
@@ -56,7 +59,8 @@ def energy_transient(
                     counted.add(k, times[k], fine, coarse)
                 progress(min(number, ROUNDS), ROUNDS, "transient, averaged")
             error = max(density.l1_error for density in counted.densities())
-            if tol is None or error <= tol or number >= most:
+            over = seconds is not None and perf_counter() - begin > seconds
+            if tol is None or error <= tol or number >= most or over:
                 break
     settings = {"seed": seed, "steps": "exact" if form.damping is None else "Strang splitting"}
     return answer_of(counted, times, at, dt, settings=settings, tol=np.inf if tol is None else tol)

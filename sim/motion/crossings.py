@@ -55,6 +55,7 @@ def crossings(
         ]
         counts = [np.zeros((paths // LANES, at.size + 1), dtype=np.int64) for _ in pair]
         ends: list[Array] = []
+        times: list[float] = []
         squares: list[Array] = []
         scale, error, rates = inf, inf, np.zeros(0)
         while not (done := len(ends) >= CHUNKS and not not_met(method, wanted, error)):
@@ -69,9 +70,11 @@ def crossings(
                     motion.advance(piece if motion.halved else 2 * piece, read, own)
                 if watch.ends():
                     break
+            else:
+                ends.append(np.cumsum(counts[0], axis=1)[:, :-1].astype(float))
+                times.append(pair[0].time)
             states = in_rows(pair[0].last)
             squares.append(np.mean(states[:, [row, system.n + row]] ** 2, axis=0))
-            ends.append(np.cumsum(counts[0], axis=1)[:, :-1].astype(float))
             at_half, at_whole = (_rates(own, pair[0].time) for own in counts)
             rates = 2.0 * at_half - at_whole
             size = np.sqrt(np.mean(squares, axis=0))
@@ -82,8 +85,7 @@ def crossings(
                 break
         failures = [] if done or method.seconds else ["it was ended before all chunks were done"]
         failures += interruption(watch) + losses(states[:, : 2 * system.n], dt)
-    per_chunk = np.diff(np.array(ends), axis=0, prepend=0.0).transpose(2, 1, 0)
-    failures += _drifting(per_chunk)
+    failures += _drifting(ends, times)
     total = paths * pair[0].time
     bias = (rates - at_half).mean(axis=0)
     errors, values = np.zeros(at.size), np.zeros(at.size)
@@ -105,10 +107,15 @@ def _rates(counts: Integers, time: float) -> Array:
     return np.asarray(np.cumsum(counts, axis=1)[:, :-1] / (LANES * time))
 
 
-def _drifting(means: Array) -> list[str]:
-    """Words for crossings whose first part differs from the rest, none where chance explains it."""
-    if means.shape[2] < 2:
+def _drifting(ends: list[Array], times: list[float]) -> list[str]:
+    """Words for crossings whose first part differs from the rest, none where chance explains it.
+
+    ``ends`` are the counts (blocks, levels) until the ``times`` at which chunks end.
+    """
+    if len(ends) < 2:
         return ["it ended in its first chunk, where no drift shows; give it more time"]
+    counts = np.diff(np.array(ends), axis=0, prepend=0.0).transpose(2, 1, 0)
+    means = counts / np.diff(times, prepend=0.0)
     z, limit = np.abs(drifts(means)), drift_limit(means.shape[1], 2 * means.shape[0])
     if np.max(z) <= limit:
         return []

@@ -1,6 +1,7 @@
 """Densities at several times from ensembles at two steps, counted in groups of trajectories."""
 
 from collections.abc import Callable, Mapping, Sequence
+from math import inf
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from fpk.observable import Observable
 from fpk.sampled_density import SampledDensity
 from fpk.system import System
 from sim.histogram import BINS, MARGIN, Histogram, sampled_density
+from sim.motion.resolution import misfit, too_wide
 from sim.motion.stationary import lost_words
 
 GROUPS = 64
@@ -100,17 +102,23 @@ def answer_of(
     """Return the densities at ``times`` at the points ``at``, ``dt`` being the longer step.
 
     In the error are, in quadrature, one standard error by the groups, what changes at the longer
-    step, and what changes on bins twice as wide.
+    step, what changes on bins twice as wide, and what the fit misses, see ``misfit`` and
+    ``_at_rest``. Where bins are
+    too wide for what the density does within one, errors are inf and nothing is certified.
     """
     fine = counted.densities()
     coarse = counted.densities(1) if counted.stepped else fine
-    values, errors, bias = [], [], 0.0
-    for a, b in zip(fine, coarse, strict=True):
+    values, errors, bias, wide = [], [], 0.0, list[str]()
+    for time, a, b in zip(times.tolist(), fine, coarse, strict=True):
         value, error = a.at(*at)
         wider = a.joined(2).at(*at)[0]
         step = b.at(*at)[0] - value
+        missed, lost = misfit(a, *at)
+        error = np.sqrt(error**2 + (wider - value) ** 2 + step**2 + (missed * value) ** 2)
         values.append(value)
-        errors.append(np.sqrt(error**2 + (wider - value) ** 2 + step**2))
+        errors.append(np.hypot(np.where(lost, inf, error), _at_rest(counted, a, at)))
+        if lost.any():
+            wide.append(too_wide(a, time, [x[lost][0] for x in at]))
         bias = max(bias, float(np.max(np.abs(step), initial=0.0)))
     certificates = [density.certificate for density in fine]
     own = dict.fromkeys(words for c in certificates for words in c.failures)
@@ -120,7 +128,7 @@ def answer_of(
         minimum=min(c.minimum for c in certificates),
         residual=max(c.residual for c in certificates),
         tail_mass=max(c.tail_mass for c in certificates),
-        failures=(*failures, *lost_words(counted.lost, dt), *own),
+        failures=(*failures, *lost_words(counted.lost, dt), *own, *wide[:1]),
     )
     settings = {
         "trajectories": min(counted.paths),
@@ -131,3 +139,16 @@ def answer_of(
         settings |= {"dt": 0.5 * dt, "coarse dt": dt, "largest difference of both": bias}
     certificate = certify(measured, tol=tol, sampled=True)
     return Transient(times, np.array(values), np.array(errors), "sampling", certificate, settings)
+
+
+def _at_rest(counted: Counted, density: SampledDensity, at: tuple[Array, ...]) -> Array:
+    """What the density of H of two masses or more has at H = 0, in the first bin: there it is 0.
+
+    It falls as H^(n−1), at times so early in less than a bin, that no sample shows it.
+    """
+    of_all = counted.system is not None and counted.system.n > 1 and len(at) == 1
+    if not (of_all and str(counted.observable[0]) == "H"):
+        return np.zeros(at[0].shape)
+    edges = density.edges[0]
+    at_zero = np.abs(density(np.zeros(1)))
+    return np.asarray(np.where(at[0] < edges[1], at_zero if edges[0] == 0.0 else 0.0, 0.0))

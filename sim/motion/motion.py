@@ -76,13 +76,16 @@ class Motion:
         )  # fmt: skip
         wanted = in_blocks(np.hstack([self.q, self.p]))
         self._states = wanted.copy()
-        enough = INVERTED * np.max(np.abs(wanted))
+        # Displacements in units of momenta.
+        impedance = np.sqrt(self.system.mass * np.diag(self.system.stiffness_matrix))
+        scale = np.concatenate([impedance, np.ones(n)])[:, None]
+        enough = INVERTED * np.max(np.abs(wanted * scale))
         for _ in range(INVERSIONS):
             states = self._states.copy()
             trace = self._first_step(states)
             with np.errstate(over="ignore", invalid="ignore"):  # not a number is not enough
                 missing = wanted - trace[:, : 2 * n]
-                if np.all(np.abs(missing) <= enough):
+                if np.all(np.abs(missing * scale) <= enough):
                     self.last, self._states = trace, states
                     return
                 self._states += missing

@@ -86,6 +86,7 @@ def passage(
     return passage_of(
         sampled,
         times,
+        limit=str(limit),
         step=dt,
         memory=relaxation if isfinite(relaxation) else 0.0,
         tol=inf if wanted is None else wanted,

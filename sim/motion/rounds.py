@@ -16,8 +16,9 @@ from sim.motion.motion import Motion, Reader, in_rows
 from sim.motion.stationary import interruption, losses, not_met, working
 from sim.random import OTHER_SEED
 
-PIECES = 8
-"""Pieces of a window, after which Ctrl-C is heard."""
+MOST_STEPS, MOST_SAMPLES = 1 << 22, 64
+"""Steps of all trajectories, and samples of each, after which the wall time is looked at: some ten
+milliseconds, and a tenth of a second where ``MOST_SUMS`` numbers are summed."""
 
 MOST_SUMS = 1 << 23
 """Numbers that the windows of one round hold, 64 MB; of two blocks at the least, for an error."""
@@ -45,7 +46,8 @@ def in_rounds(
 ) -> tuple[int, list[str]]:
     """Follow trajectories until ``estimate`` is content; return how many, and what went wrong.
 
-    ``motions`` are the settings of simulations with the same random numbers. Of each round
+    ``motions`` are the settings of simulations with the same random numbers. Raises
+    ``InvalidInput`` where the time is over in the first round. Of each round
     ``estimate`` is given the numbers (blocks, …) of each and the mean squares of (q, p) at its end;
     what it returns is the error of all there is, in the unit of the tolerance ``wanted``.
     """
@@ -57,15 +59,16 @@ def in_rounds(
         while number * own < paths or not_met(method, wanted, error):
             seed = (method.seed + number * OTHER_SEED) % 2**64
             q, p = origin.drawn(own, number)
-            running = [Motion(system, q, p, seed=seed, workers=workers, **m) for m in motions]
+            with watch.held():
+                running = [Motion(system, q, p, seed=seed, workers=workers, **m) for m in motions]
             sums = [np.zeros((own // LANES, *window.numbers)) for _ in motions]
-            for k in range(PIECES):
-                piece = window.samples * (k + 1) // PIECES - window.samples * k // PIECES
+            piece = max(1, min(MOST_SAMPLES, MOST_STEPS // (own * running[0].stride)))
+            while (done := running[0].samples) < window.samples and not (done and watch.ends()):
                 for motion, array in zip(running, sums, strict=True):
-                    motion.advance(piece, window.read, array)
-                if watch.ends() and number:
-                    break
+                    motion.advance(min(piece, window.samples - done), window.read, array)
             if running[0].samples < window.samples:
+                if not number:
+                    watch.require(f"the first {own} windows", running[0].samples / window.samples)
                 break
             states = in_rows(running[0].last)[:, : 2 * system.n]
             number += 1

@@ -27,6 +27,9 @@ SAMPLING, OF_CONTACT = 6.0, 3.0
 """Sampling frequency, in units of the highest that is asked for or natural, and of the highest in
 contact: what folds back into the range is (1/5)⁴ of it where the spectrum falls as ω^−4."""
 
+MOST_FREQUENCIES = 1024
+"""Frequencies beyond which they are refused: 8192 windows of 3000 samples then take minutes."""
+
 MOST_SAMPLES = 1 << 22
 """Samples of a window beyond which a frequency is refused: 8192 windows take minutes and more."""
 
@@ -87,8 +90,12 @@ def spectrum(
 def _sampling(method: MonteCarlo, system: System, at: Array) -> tuple[float, int, int]:
     """Time between samples, steps in it, and samples of a window (even).
 
-    Raises ``InvalidInput`` for a frequency so high that a window has too many.
+    Raises ``InvalidInput`` for too many frequencies, or one so high that a window has too many
+    samples.
     """
+    if at.size > MOST_FREQUENCIES:
+        words = f"frequencies, each of which is summed on its own; ask for {MOST_FREQUENCIES}"
+        raise InvalidInput("at", at.size, words)
     highest = max(float(np.max(np.abs(at))), highest_frequency(system))
     frequency = max(SAMPLING * highest, OF_CONTACT * contact_frequency(system))
     spacing = 2.0 * pi / frequency

@@ -1,5 +1,6 @@
 """States in which motions begin: one state, on an energy shell, by modes, or under other noise."""
 
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from math import ceil
 from typing import Any
@@ -14,7 +15,7 @@ from fpk.system import System
 from sim.arrays import LANES
 from sim.ensemble import start_displacements
 from sim.flow import factored
-from sim.motion.motion import Motion, in_rows
+from sim.motion.motion import Motion, in_rows, needs_steps
 from sim.random import OTHER_SEED
 from sim.relaxation import relaxation_time
 from sim.step_size import chosen_step, temperature
@@ -28,18 +29,26 @@ PROPOSED, JUDGED = 4096, 2**18
 RADIUS_STEPS = 60
 """Bisections of a radius: to the last digit."""
 
+BURN_IN_STEPS = 256
+"""Steps of a burn-in after which the wall time is looked at: 8192 trajectories take 10 ms and more.
+"""
+
 Generator = np.random.Generator
 
 
 @dataclass(frozen=True, eq=False)
 class Origin:
-    """Draws the states of ``system`` at time 0; ``seed`` and the number of a round make them."""
+    """Draws the states of ``system`` at time 0; ``seed`` and the number of a round make them.
+
+    ``watch``, a ``Watch``, ends a burn-in by ``InvalidInput``.
+    """
 
     system: System
     start: Start
     seed: int
     burn_in: float = 10.0
     workers: Any = None
+    watch: Any = None
 
     def __post_init__(self) -> None:
         """Refuse noise that has no stationary state."""
@@ -76,10 +85,19 @@ class Origin:
         q = start_displacements(system, kT, stream.standard_normal((n, whole))).T
         L = factored(np.diag(kT * system.mass))
         p = (L @ stream.standard_normal((L.shape[1], whole))).T
-        steps = ceil(self.burn_in * relaxation_time(system) / dt)
+        time = self.burn_in * relaxation_time(system)
+        # Without contact and terms a step of any length is exact.
+        steps = ceil(time / dt) if needs_steps(system) else 1
+        pieces = ceil(steps / BURN_IN_STEPS)
+        stride = ceil(steps / pieces)
         seed = (self.seed + number * OTHER_SEED + 2**63) % 2**64  # no seed of a round
-        motion = Motion(system, q, p, dt, seed, stride=steps, workers=self.workers)
-        motion.advance(1)
+        with self.watch.held() if self.watch else nullcontext():
+            dt = dt if needs_steps(system) else time
+            motion = Motion(system, q, p, dt, seed, stride=stride, workers=self.workers)
+        for k in range(pieces):
+            motion.advance(1)
+            if self.watch and k + 1 < pieces:
+                self.watch.require("the burn-in", (k + 1) / pieces)
         states = in_rows(motion.last)[:paths]
         return states[:, :n], states[:, n : 2 * n]
 

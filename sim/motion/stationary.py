@@ -13,6 +13,7 @@ from fpk.arrays import Array
 from fpk.certificate import Measured, certify
 from fpk.cores import usable_cores
 from fpk.dynamics import Curve
+from fpk.errors import InvalidInput
 from fpk.start import Start
 from fpk.system import System
 from sim.checkpoint import interruptible
@@ -36,6 +37,26 @@ class Watch:
         """Return whether it is time to stop."""
         return bool(self.stopped()) or perf_counter() - self.begin > self.seconds
 
+    def require(self, what: str, share: float) -> None:
+        """Raise ``InvalidInput`` where it is time to stop and only a ``share`` of ``what`` is done.
+
+        Without all of it there is no answer.
+        """
+        if not self.ends():
+            return
+        if self.stopped():
+            raise KeyboardInterrupt
+        taken = perf_counter() - self.begin
+        needed = f"which takes about {taken / share:.2g} s" if share > 0.0 else "which takes longer"
+        raise InvalidInput("seconds", self.seconds, f"are over in {what}, {needed}; give it more")
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Do not count the time of what is within: of compiling."""
+        now = perf_counter()
+        yield
+        self.begin += perf_counter() - now
+
 
 @contextmanager
 def working(
@@ -47,8 +68,8 @@ def working(
         workers_of(method.cluster, method.threads or usable_cores()) as workers,
         interruptible(method.partial) as stopped,
     ):
-        origin = Origin(system, start, method.seed, method.burn_in, workers)
-        yield workers, Watch(seconds, stopped, perf_counter()), origin
+        watch = Watch(seconds, stopped, perf_counter())
+        yield workers, watch, Origin(system, start, method.seed, method.burn_in, workers, watch)
 
 
 def not_met(method: MonteCarlo, tol: float | None, error: float) -> bool:

@@ -120,6 +120,7 @@ def passage_of(
     sampled: Times,
     times: Array,
     *,
+    limit: str,
     step: float,
     memory: float,
     tol: float,
@@ -133,12 +134,12 @@ def passage_of(
     one: where trajectories fail within few of them errors are inf and nothing is certified.
     ``memory`` is the time after which a trajectory has forgotten its start.
 
-    Raises ``InvalidInput`` where all times are 0.
+    Raises ``InvalidInput`` for a ``limit`` (its name) that all pass at time 0.
     """
     fine, until = sampled.fine, sampled.until
     if np.all(fine == 0.0):
-        words = "all trajectories lie beyond the limit, or pass it at once: too soon to be seen"
-        raise InvalidInput("start", "at the limit", words)
+        words = "all trajectories begin beyond it or pass it at once; take a higher one"
+        raise InvalidInput("limit", limit, words)
     begin = tail_begin(fine, until, memory)
     best = estimates(fine, until, times, begin)
     error, bias = _errors(sampled, times, begin, best)

@@ -53,6 +53,11 @@ def test_a_correlation_begins_with_the_variance(linear_scene, fpk):
     assert min(answer["correlation"]) < 0.0 and answer["certificate"]["certified"]
 
 
+def test_a_correlation_has_columns_too(linear_scene, fpk):
+    status, out, _ = fpk("correlation", linear_scene, *asked("linear", at="0:1:0.5"))
+    assert status == 0 and out.startswith("# q2   correlation") and len(out.splitlines()) == 4
+
+
 def test_keys_of_relaxation(linear_scene, fpk):
     answer = record(fpk, "relaxation", linear_scene, "--method", "linear", "--rates", 7)
     assert answer.keys() >= RELAXATION | {"frequencies"}

@@ -189,7 +189,7 @@ def test_a_rare_passage_is_left_to_splitting_and_says_so(fpk, linear_scene):
         "passage", "--limit", "H=1.2", "--times", "10", scene=linear_scene, method="montecarlo"
     )
     answer = record(fpk, *question)
-    assert answer["settings"]["sampled_by"].startswith("splitting: of 4096 plain paths")
+    assert answer["settings"]["sampled_by"].startswith("splitting: of 8192 plain paths")
     (p,), (error,) = answer["failure"], answer["failure_error"]
     assert 0.0 < error < 0.25 * p < 0.01 and answer["survival"] == [1.0 - p]
     assert answer["mean"] is answer["rate"] is answer["variance_error"] is None

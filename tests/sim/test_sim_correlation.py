@@ -104,6 +104,8 @@ def test_products_begin_in_less_time_where_memory_ends_them(monkeypatch: Any) ->
 
 def test_too_few_blocks_to_take_an_error_from_are_not_certified(monkeypatch: Any) -> None:
     monkeypatch.setattr("sim.motion.rounds.MOST_SUMS", 1)
+    for all_at_once in ("MOST_STEPS", "MOST_SAMPLES"):
+        monkeypatch.setattr(f"sim.motion.rounds.{all_at_once}", 1 << 60)
     answer = sampled(linear(1), 0, AT, seconds=1e-9)
     assert answer.settings["paths"] == 2 * 128
     assert answer.certificate.failures == ("it ended after 256 trajectories of 4096",)
@@ -113,3 +115,9 @@ def test_too_few_blocks_to_take_an_error_from_are_not_certified(monkeypatch: Any
 def test_what_is_no_lag_or_too_long_is_refused(lag: float) -> None:
     with pytest.raises(InvalidInput, match="at"):
         sampled(linear(1), 0, [0.0, lag])
+
+
+def test_in_units_far_from_one_the_variance_is_that_of_equipartition() -> None:
+    # kT/k = 1e90/1e60/1e60; without balance of the flow 6 % off, 40 errors, and certified.
+    answer = sampled(System([1e60], [1e60], [1e60], [1e90]), 0, [0.0])
+    assert answer.certificate.certified and abs(answer.values[0] - 1e-30) < Z * answer.errors[0]

@@ -78,7 +78,7 @@ def test_distance_of_a_sum_is_that_of_one_energy_of_equal_modes() -> None:
     system = System([1.0, 1.0], [1.0, 1.0], [0.1, 0.1], [0.05, 0.05])
     form = square_root_form(AveragedSimulation("integrable")._process(system))
     X = np.random.default_rng(1).exponential(0.5, (50, 2))
-    limits = EnergyLimits(np.ones((1, 2)), np.array([2.0]))
+    limits = EnergyLimits(np.ones((1, 2)), np.array([2.0]), "H=2")
     expected = 2.0 * (np.sqrt(2.0) - np.sqrt(X.sum(axis=1))) / np.sqrt(form.slope[0])
     assert limits.distances(form, X)[:, 0] == pytest.approx(expected, rel=1e-12)
     assert np.isfinite(limits.distances(form, 0.0 * X)).all()
@@ -132,3 +132,28 @@ def test_bad_input_is_one_line(error: Any, words: str, change: dict[str, Any]) -
     with pytest.raises(error, match=words) as raised:
         passed(**asked)
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("contact", [False, True])
+def test_seconds_end_it_and_enough_of_them_change_nothing(contact: bool) -> None:
+    # Steps are exact without contact, and of two kinds with it; as many paths at both.
+    system, limit = (fig6(), "H=0.5") if contact else (oscillator(0.1), "H=1.5")
+    short = passed("nonintegrable", system, limit, seconds=1e-9)
+    assert float(short.settings["followed until"]) <= float(short.settings["coarse dt"])
+    assert not short.certificate.certified
+    long, whole = (passed("nonintegrable", system, limit, seconds=s) for s in (1e6, None))
+    assert (long.mean, long.rate) == (whole.mean, whole.rate) and long.certificate.certified
+
+
+def test_an_end_by_the_wall_time_has_no_bias(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Each batch ends after another number of steps, 50 to 199.
+    numbers = iter(range(10**6))
+
+    def share_of(*_: Any) -> Any:
+        left = iter([False] * (50 + 37 * next(numbers) % 150))
+        return lambda: next(left, True)
+
+    monkeypatch.setattr("sim.averaged.passage.share_of", share_of)
+    answer = passed("integrable", oscillator(0.1), "H=1.5", paths=4096)
+    assert int(answer.settings["not failed"]) > 200 and answer.certificate.certified
+    assert abs(answer.mean.value - CIR_MEAN / 0.1) < 4.0 * answer.mean.error

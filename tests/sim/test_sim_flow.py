@@ -55,3 +55,27 @@ def test_singular_covariance_draws_as_many_normals_as_its_rank() -> None:
     L = factored(X @ X.T)
     assert L.shape == (4, 2)
     np.testing.assert_allclose(L @ L.T, X @ X.T, rtol=1e-12, atol=1e-25)
+
+
+@pytest.mark.parametrize("units", [(1e60, 1.0, 1e90), (1e-50, 1e-25, 1e-70), (1e-3, 1e7, 1e5)])
+@pytest.mark.parametrize("dt", [0.1, 3.0])
+def test_the_flow_is_the_same_in_any_units(units: tuple[float, float, float], dt: float) -> None:
+    # Units of mass, time and noise; a displacement has √(noise time) time/mass, a momentum √(…).
+    m, t, noise = units
+    one = System([1.0, 1.3], [1.0, 2.0], [0.1, 0.2], [0.05, 0.1])
+    other = System(
+        m * one.mass,
+        [m / t**2, m / t**2 * 2.0],
+        [m / t * 0.1, m / t * 0.2],
+        [noise * 0.05, noise * 0.1],
+    )
+    p = np.sqrt(noise * t)
+    size = np.array([p * t / m, p * t / m, p, p])
+    flows = [
+        flow_covariance(drift_matrix(s), diffusion_matrix(s), h)
+        for s, h in ((one, dt), (other, t * dt))
+    ]
+    (A, C), (B, D) = flows
+    # Some hundred roundings of numbers of size 1; doublings add up those of the covariance.
+    assert np.max(np.abs(B / size[:, None] * size - A)) < 1e-13
+    assert np.max(np.abs(D / size[:, None] / size - C)) < 1e-11 * np.max(C)

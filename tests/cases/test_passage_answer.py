@@ -1,0 +1,34 @@
+"""The plain simulation that shows whether passages are rare is used where it answers."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cases.comparison.rare import passage_answer
+from cases.scene.questions import PassageQuestion
+from fpk.limit import parse_limit
+from fpk.method import silent
+from fpk.start import parse_start
+from fpk.system import System
+from sim.montecarlo import MonteCarlo
+
+
+@pytest.mark.parametrize(("last", "simulations"), [(400.0, 1), (20.0, 2)])
+def test_one_simulation_answers_where_most_have_failed(
+    last: float, simulations: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    system, run, times = System([1.0], [1.0], [0.1], [0.05]), MonteCarlo.passage, []
+
+    def counted(method: MonteCarlo, *asked: Any, **how: Any) -> Any:
+        times.append(method.time)
+        return run(method, *asked, **how)
+
+    monkeypatch.setattr(MonteCarlo, "passage", counted)
+    question = PassageQuestion(parse_limit("H=1.5", 1), parse_start("rest", system), (last,))
+    method = MonteCarlo(paths=4096, threads=1)
+    answer = passage_answer(method, system, question, tol=None, progress=silent)
+    assert times == [last, None][:simulations] and answer.certificate.certified
+    # The mean is 10 (Ei(3) − ln 3 − γ) but for averaging; 4 errors.
+    assert abs(answer.mean.value - 82.58) < 4.0 * answer.mean.error
+    assert np.all(np.abs(answer.survival) <= 1.0)
