@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -67,6 +68,19 @@ def simulation_options(command: Any) -> Any:
     for option in reversed(options):
         command = option(command)
     return command
+
+
+def command_line() -> str:
+    """Return the command that is being run with the arguments it was given."""
+    context = click.get_current_context()
+    words = context.command_path.split()
+    for parameter in context.command.params:
+        value = context.params.get(parameter.name or "")
+        if isinstance(parameter, click.Argument):
+            words.append(str(value))
+        elif value not in (None, False):
+            words += [parameter.opts[0], *([] if value is True else [str(value)])]
+    return shlex.join(words)
 
 
 def checked(scene: str, *, tol: float | None = None, out: Path | None = None) -> "Scene":

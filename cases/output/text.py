@@ -8,6 +8,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from cases.output.digest import curves_of, refusals_of, verdict_of
+from cases.output.headline import named, with_error
 from cases.output.records import Record
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -33,6 +34,8 @@ def _templates() -> Environment:
         "diagonal": _diagonal,
         "term": _term,
         "claim": _claim,
+        "named": named,
+        "pm": with_error,
         "reasons": refusals_of,
         "curves": curves_of,
         "verdict": verdict_of,

@@ -37,7 +37,7 @@ def joint_pictures(curve: Answers, observable: Observable) -> Iterator[tuple[str
     drawn |= samples_of(curve, observable)
     grid = common_grid(drawn.values(), cut=SHOWN)
     mesh = np.meshgrid(*grid, indexing="ij")
-    panels = {route.words: density.tabulated(*mesh) for route, density in drawn.items()}
+    panels = {route.name: density.tabulated(*mesh) for route, density in drawn.items()}
     # A density of energies falls exponentially from its corner: decades, not equal steps.
     figure = _panels(panels, grid, observable, density_words(observable), decades=energies)
     yield f"density_{stem}", f"Joint density of {name}, on common levels.", figure
@@ -63,7 +63,7 @@ def surface_figure(curve: Answers, observable: Observable) -> Figure:
     drawn: dict[Route, AnyDensity] = dict([*theories[:1], *full])
     x, y = np.meshgrid(*common_grid(drawn.values(), cut=SHOWN, count=SHEET), indexing="ij")
     sheets = {
-        route.words: (joined(d, SHEET) if isinstance(d, SampledDensity) else d).tabulated(x, y)
+        route.name: (joined(d, SHEET) if isinstance(d, SampledDensity) else d).tabulated(x, y)
         for route, d in drawn.items()
     }
     top = max(float(values.max()) for values in sheets.values())
