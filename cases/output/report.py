@@ -19,6 +19,7 @@ from cases.output.digest import curves_of
 from cases.output.facts import theories
 from cases.output.files import write_text
 from cases.output.headline import headline_of, quantity_table
+from cases.output.live import as_script_data, live_record
 from cases.output.pictures.chain import chain_svg
 from cases.output.pictures.in_time import time_pictures
 from cases.output.pictures.joint import joint_pictures
@@ -31,6 +32,8 @@ from fpk.method import Progress, silent
 
 GROUPS = {"passage": "time", "transient": "time", "solver": "difference", "left": "difference"}
 """Part of the page in which a picture stands, by the start of its name; else the densities."""
+
+SCRIPTS = "closed_forms.js", "live.js"
 
 LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "h5netcdf")
 
@@ -63,6 +66,7 @@ def write_report(
         outcome.scene,
         digest,
         pictures,
+        live=live_record(outcome),
         command=command,
         downloads=[*fields, *(path.name for path in written)],
     )
@@ -89,16 +93,19 @@ def report_html(
     digest: Record,
     pictures: list[dict[str, Any]],
     *,
+    live: Record | None = None,
     command: str = "",
     downloads: Sequence[str] = (),
 ) -> str:
     """Return the page; every text that comes from a scene is escaped by the template.
 
-    Curves are sorted by the number that they vary.
+    Curves are sorted by the number that they vary. ``live`` is ``live_record``, with which the
+    pictures of single coordinates can be touched.
     """
     values = {curve.label: curve.value or 0.0 for curve in scene.curves}
     curves = sorted(curves_of(digest), key=lambda curve: values.get(curve["label"], 0.0))
     style = _source("report.css")
+    script = Markup("\n").join(map(_source, SCRIPTS))
     record = {
         "scene": scene,
         "digest": digest,
@@ -107,8 +114,9 @@ def report_html(
         "tables": [{"label": c["label"], **quantity_table(c)} for c in curves],
         "sketch": chain_svg(scene.system),
         "style": style,
-        "policy": {"style": _hash(style), "script": "'none'"},
-        "live": "",
+        "policy": {"style": _hash(style), "script": _hash(script) if live else "'none'"},
+        "live": live and as_script_data(live),
+        "script": script,
         "command": command or f"fpk run {scene.name}",
         "seeds": sorted(
             {
