@@ -53,8 +53,9 @@ try {
   press("l"); out.log = panel.log; press("l");
   press("+"); out.zoomed = plot.view.range; press("0"); out.whole = plot.view.range;
   const box = panel.canvas.getBoundingClientRect();
-  panel.canvas.dispatchEvent(new PointerEvent("pointermove", {clientX: box.left + 0.5 * (48 + box.width),
-    clientY: box.top + 50, pointerType: "mouse", bubbles: true}));
+  const middle = box.left + 0.5 * (48 + box.width);
+  panel.canvas.dispatchEvent(new PointerEvent("pointermove",
+    {clientX: middle, clientY: box.top + 50, pointerType: "mouse", bubbles: true}));
   out.pointed = plot.view.cursor;
   const slider = document.querySelector("#sliders input[data-key=B]");
   slider.value = 1; slider.dispatchEvent(new Event("input"));
@@ -182,7 +183,7 @@ def test_nothing_is_wider_than_a_telephone_and_paper_has_the_drawn_pictures(
         out = shown(chromium, f"<!doctype html><body>{frame}</body>", late, tmp_path)
         assert out["beyond"] == [] and out["live"] == 3 and out["bodies"] > 30
         assert out["small"] == 0
-    assert "@media print { .live, #sliders { display: none; } }" in page
+    assert "@media print { .live, #sliders { display: none; }" in page
 
 
 def test_the_data_are_those_of_the_densities_and_end_no_element(outcome):

@@ -154,15 +154,20 @@ def _draw_walls(axes: Axes, curves: Sequence[Answers], observable: Observable) -
 
 
 def density_figure(
-    curves: Sequence[Answers], observable: Observable, x: Array, *, lowest: float = 0.0
+    curves: Sequence[Answers],
+    observable: Observable,
+    x: Array,
+    figure: Figure | None = None,
+    *,
+    lowest: float = 0.0,
 ) -> Figure:
     """Draw the densities of one coordinate: deterministic as lines, sampled as points with bars.
 
     Several curves are distinguished by colour, and their routes by dashes; the routes of a single
     curve have their own colours, too. ``lowest``: the share of the largest value where a
-    logarithmic scale ends, 0 for a linear one.
+    logarithmic scale ends, 0 for a linear one. ``figure`` None: a new one.
     """
-    figure = Figure()
+    figure = figure or Figure()
     axes = figure.subplots()
     colours = dict(zip((c.label for c in curves), cycle(COLOURS), strict=False))
     alone = len(curves) == 1

@@ -20,7 +20,7 @@ const report = (() => {
 
   function ticks(low, high, count) {
     const raw = (high - low) / count, power = 10 ** Math.floor(Math.log10(raw));
-    const step = power * [1, 2, 5, 10].find(s => s * power >= raw);
+    const step = power * [1, 2, 2.5, 5, 10].find(s => s * power >= raw);
     const list = [];
     for (let k = Math.ceil(low / step - 1e-9); k * step <= high * (1 + 1e-12) + 1e-12 * step; k++) list.push(+(k * step).toPrecision(12));
     return list;
