@@ -106,12 +106,19 @@ def quantity_table(curve: Record) -> Record:
 
 
 def with_error(value: float | None, error: float | None) -> str:
-    """Return a value to the digits that its error leaves, at most six, and the error rounded up."""
+    """Return a value to the digits that its error leaves, at most six, and the error rounded up.
+
+    A value well within its error is 0, by which the error grows.
+    """
     if value is None:
         return "–"
     if not error:
         return f"{value:.6g}"
+    if abs(value) < 0.1 * error:
+        value, error = 0.0, error + abs(value)
     last = floor(log10(error)) - 1
-    digits = 1 if value == 0 else floor(log10(max(abs(value), 1e-300))) - last + 1
+    digits = 1 if value == 0 else floor(log10(abs(value))) - last + 1
     bound = ceil(error / 10.0**last * (1.0 - 1e-12)) * 10.0**last
-    return f"{value:.{min(max(digits, 1), 6)}g} ± {bound:.1e}".replace("e-0", "e-")
+    return f"{value:.{min(max(digits, 1), 6)}g} ± {bound:.1e}".replace("e-0", "e-").replace(
+        "-", "−"
+    )

@@ -120,9 +120,11 @@ def test_quantities_have_a_column_for_each_theory():
 
 
 def test_digits_follow_the_error():
-    assert with_error(0.123456789, 1.234e-3) == "0.1235 ± 1.3e-3"
-    assert with_error(0.123456789, 1e-12) == "0.123457 ± 1.0e-12"
+    assert with_error(0.123456789, 1.234e-3) == "0.1235 ± 1.3e−3"
+    assert with_error(0.123456789, 1e-12) == "0.123457 ± 1.0e−12"
     assert with_error(12345.678, 100.0) == "1.235e+04 ± 1.0e+02"
+    assert with_error(-7e-18, 3.4e-12) == "0 ± 3.5e−12"
+    assert with_error(-0.25, 0.1) == "−0.25 ± 1.0e−1"
     assert with_error(None, None) == "–" and with_error(0.5, None) == "0.5"
 
 
