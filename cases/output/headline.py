@@ -32,7 +32,7 @@ def headline_of(curves: list[Record]) -> str:
 
 
 def averaging_errors(curve: Record) -> dict[str, tuple[float, float]]:
-    """Return by theory the largest L1 distance to the full system, and its error."""
+    """Return by theory the largest L1 distance to the full system, and its error; best first."""
     best: dict[tuple[str, str], tuple[float, float]] = {}
     routes = _routes()
     for c in sorted(curve["comparisons"], key=lambda c: c["error"]):
@@ -45,7 +45,7 @@ def averaging_errors(curve: Record) -> dict[str, tuple[float, float]]:
     worst: dict[str, tuple[float, float]] = {}
     for (name, _), row in best.items():
         worst[name] = max(worst.get(name, row), row)
-    return worst
+    return dict(sorted(worst.items(), key=lambda row: row[1]))
 
 
 def _words(name: str, distance: float, error: float) -> str:
