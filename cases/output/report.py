@@ -33,6 +33,8 @@ from fpk.method import Progress, silent
 GROUPS = {"passage": "time", "transient": "time", "solver": "difference", "left": "difference"}
 """Part of the page in which a picture stands, by the start of its name; else the densities."""
 
+TEMPLATES = Path(__file__).parent / "templates"
+
 SCRIPTS = "closed_forms.js", "live.js"
 
 LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "h5netcdf")
@@ -146,8 +148,7 @@ def report_html(
 
 def _source(name: str) -> Markup:
     """A file of this program that stands in the page as it is."""
-    folder = Path(__file__).parent / "templates"
-    return Markup((folder / name).read_text(encoding="utf-8").strip())
+    return Markup((TEMPLATES / name).read_text(encoding="utf-8").strip())
 
 
 def _hash(text: str) -> Markup:

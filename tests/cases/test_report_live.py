@@ -12,13 +12,15 @@ from html import escape, unescape
 import numpy as np
 import pytest
 
-from cases.comparison.answers import run_scene
+from cases.comparison.answers import answers_of, run_scene
 from cases.comparison.routes import method_for
 from cases.output.digest import digest_of
-from cases.output.live import _rounded, as_script_data, live_record
-from cases.output.report import write_report
+from cases.output.live import _model, _rounded, as_script_data, live_record
+from cases.output.records import plain
+from cases.output.report import TEMPLATES, write_report
 from cases.scene.scene import load_scene
-from fpk.observable import parse_observable
+from fpk import Contact, System
+from fpk.observable import observable_name, parse_observable
 
 FACTORS = {"B": 3.0, "delta": 0.6, "c": 1.7, "D": 0.4}
 AT = {
@@ -155,6 +157,58 @@ def test_the_page_is_touched_and_its_numbers_are_those_of_python(chromium, outco
     assert abs(out["pointed"]) < 0.02  # the middle of the axes, to a pixel
     assert out["afterSlider"] == 4 and out["B"].endswith("B = 100")
     assert out["wide"] == 0 and out["still"] == "none"
+
+
+LAWS = (("hertz", None), ("bilinear", None), ("power", 2.0), ("power", 1.2), ("power", 3.7))
+
+
+def drawn_answers(k, random):
+    """Answers to a random chain of 1 to 4 masses with stops of every law, side and clearance."""
+    n, (law, exponent) = 1 + k % 4, LAWS[k % len(LAWS)]
+    mass, side = int(random.integers(1, n + 1)), ("both", "left", "right")[k % 3]
+    stops = [Contact(mass, side, 10 ** random.uniform(-1, 3), (0.0, 0.3, 2.0)[k // 2 % 3], law=law,
+                     exponent=exponent)]  # fmt: skip
+    if side == "right":
+        stops.append(Contact(mass, "left", 3.0, 0.7))
+    numbers = (random.uniform(*ends, n) for ends in ((0.5, 2), (0.5, 2), (0.02, 0.1), (0.01, 0.05)))
+    system = System(*numbers, contacts=tuple(stops))
+    observables = [parse_observable(name, n) for name in (f"q{mass}", "p1", "H")]
+    methods = [method_for(m, "closed-form", tol=1e-11) for m in ("nonintegrable", "integrable")]
+    return answers_of(system, observables, methods), observables
+
+
+@pytest.mark.slow
+def test_closed_forms_of_drawn_systems_are_those_of_python(chromium, tmp_path):
+    random, jobs, expected = np.random.default_rng(20040809), [], []
+    for k in range(6):
+        answers, observables = drawn_answers(k, random)
+        model = plain(_model(answers, observables))
+        for name in map(observable_name, observables):
+            p = answers[name, "nonintegrable/closed-form"]
+            at = np.array([0.01, 0.3, 1.0, 2.5]) * np.sqrt(p.expectation(np.square).value)
+            jobs.append({"model": model, "of": name, "at": at.tolist()})
+            expected.append((p, answers.of(name).get("integrable/closed-form"), at))
+    page = "<!doctype html><body></body>"
+    forms = (TEMPLATES / "closed_forms.js").read_text(encoding="utf-8")
+    script = (
+        forms
+        + """
+    const pre = document.createElement("pre");
+    pre.id = "results";
+    pre.textContent = JSON.stringify(JOBS.map(({model, of, at}) => {
+      const both = closedForms(model, AS_RUN)(of);
+      return [at.map(both.energy), both.modal && at.map(both.modal)];
+    }));
+    document.body.append(pre);
+    """.replace("JOBS", json.dumps(jobs))
+    )
+    found = shown(chromium, page, script, tmp_path)
+    for got, (energy, modal, at) in zip(found, expected, strict=True):
+        # Both are sums of positive terms; nodes and round-off leave 1e-13.
+        np.testing.assert_allclose(got[0], energy(at), rtol=1e-11)
+        if got[1] is not None and modal is not None:
+            np.testing.assert_allclose(got[1], modal(at), rtol=1e-11)
+    assert sum(got[1] is not None for got in found) >= 12
 
 
 def test_nothing_is_wider_than_a_telephone_and_paper_has_the_drawn_pictures(

@@ -33,7 +33,8 @@ const report = (() => {
     host.id = `live_${plot.of}`;
     drawn.parentNode.insertBefore(host, drawn);
     for (const id of [drawn.id, `${drawn.id}_log`]) document.getElementById(id)?.classList.add("still");
-    const lines = model && model.of[plot.of] ? [["energy", "energy averaging by the sliders", "7 3"], ["modal", "modal averaging by the sliders", "2 3"]] : [];
+    const known = model && closedForms(model, AS_RUN)(plot.of) || {};
+    const lines = [["energy", "energy averaging by the sliders", "7 3"], ["modal", "modal averaging by the sliders", "2 3"]].filter(([key]) => known[key]);
     const series = [...plot.series];
     const sliders = lines.map(([key, name, dash]) => ({key, name, dash, curve: "", colour: "currentColor", shown: false}));
     series.push(...sliders);
