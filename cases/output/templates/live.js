@@ -89,13 +89,14 @@ const report = (() => {
     function draw() {
       const forms = sliders.some(on) ? closedForms(model, factors)(plot.of) : null;
       for (const s of sliders) s.p = forms && forms[s.key] && on(s) ? plot.x.map(forms[s.key]) : [];
+      for (const panel of panels) panel.width = Math.max(panel.canvas.clientWidth, 280);
       panels.forEach(drawPanel);
       tell();
     }
 
     function drawPanel(panel) {
       const {canvas, log} = panel, shown = series.filter(on), [a, b] = span(panel);
-      const width = Math.max(canvas.clientWidth, 280), height = Math.min(360, 0.66 * width + 40);
+      const {width} = panel, height = Math.min(360, 0.66 * width + 40);
       const box = {left: 58, right: width - 10, top: 10, bottom: height - 42};
       canvas.replaceChildren();
       canvas.setAttribute("viewBox", `0 0 ${width} ${height}`);
@@ -121,10 +122,9 @@ const report = (() => {
         }
         const band = side => s.x.map((x, i) => `${X(x).toFixed(2)},${Y(s.p[i] + side * 2 * s.error[i]).toFixed(2)}`);
         svg(inside, "polygon", {points: [...band(1), ...band(-1).reverse()].join(" "), fill: s.colour, class: "band"});
-        s.x.forEach((x, i) => {
-          svg(inside, "line", {x1: X(x), x2: X(x), y1: Y(s.p[i] + 2 * s.error[i]), y2: Y(s.p[i] - 2 * s.error[i]), stroke: s.colour});
-          svg(inside, "circle", {cx: X(x), cy: Y(s.p[i]), r: 2.4, fill: "none", stroke: s.colour});
-        });
+        const bars = s.x.map((x, i) => `M${X(x).toFixed(2)},${Y(s.p[i] + 2 * s.error[i]).toFixed(2)}V${Y(s.p[i] - 2 * s.error[i]).toFixed(2)}`);
+        const rings = s.x.map((x, i) => `M${(X(x) - 2.4).toFixed(2)},${Y(s.p[i]).toFixed(2)}a2.4,2.4 0 1,0 4.8,0a2.4,2.4 0 1,0 -4.8,0`);
+        svg(inside, "path", {d: bars.concat(rings).join(""), fill: "none", stroke: s.colour});
       }
       svg(canvas, "path", {d: `M${box.left},${box.top}V${box.bottom}H${box.right}`, class: "axis"});
       for (const x of ticks(a, b, width < 500 ? 4 : 8)) svg(canvas, "text", {x: X(x), y: box.bottom + 16, "text-anchor": "middle"}, String(x).replace("-", "−"));
