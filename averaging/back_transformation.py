@@ -1,7 +1,6 @@
 """From a density of the energy to densities of displacements and momenta, Eqs. (23), (30)."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from math import ceil, pi
 
 import numpy as np
@@ -45,9 +44,16 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
         # Without clearance T is a series in H^(1/4) at H = 0, which one panel does not integrate.
         touching = tuple(H for H in system.fact(EnergyShell).contact_energies if H == 0.0)
         nodes = with_layers(solution.panels, touching, count=DEEP_LAYERS)
-        # T is evaluated at the points themselves: at a contact energy it may be worse than on the
-        # mesh, where the solver estimated the error of u.
-        own = partial(_states_error, system)
+
+        def own(energy: Array) -> Array:
+            """Relative error of T at the points themselves.
+
+            At a contact energy it may be worse than on the mesh, where the solver estimated the
+            error of u.
+            """
+            x, _ = solution.process.on_mesh(energy, float(nodes[-1]))
+            return shell_averages(system, x.ravel()).error.reshape(x.shape)
+
         return density_of_energies(
             observable, solution, (nodes,), own, tol=tol, added=source.closed
         )
@@ -138,12 +144,6 @@ def hidden_quadratic(
         - np.sum(np.log(system.stiffness))
     )
     return order, float(log_factor)
-
-
-def _states_error(system: System, energy: Array) -> Array:
-    """Relative error of T at energies of any shape."""
-    positive = np.maximum(energy, np.finfo(float).tiny)
-    return shell_averages(system, positive.ravel()).error.reshape(positive.shape)
 
 
 def displacement_panels(system: System, mass: int, *, temperature: float, end: float) -> Array:

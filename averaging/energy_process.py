@@ -80,7 +80,7 @@ def energy_process(system: System) -> Process:
             diffusion=2.0 * noise * tau,
             divergence=2.0 * noise * (1.0 - tau * shell.log_slope / energy),
             dissipation=dissipation,
-            log_density_of_states=np.log(shell.states) + (n - 1) * np.log(energy / scale),
+            log_density_of_states=np.log(shell.states) + (n - 1) * (np.log(energy) - np.log(scale)),
             relative_error=error,
         )
 

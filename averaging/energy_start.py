@@ -8,6 +8,7 @@ from averaging.modal.analysis import ModalAnalysis
 from fpk.arrays import Array
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.limit import Limit
+from fpk.observable import number_text
 from fpk.start import Start
 from fpk.system import System
 
@@ -29,7 +30,7 @@ class EnergyStart:
         reached = {f"H{m + 1}": float(H) for m, H in enumerate(self.energies)}
         reached["H"] = sum(reached.values())
         if any(reached[name] >= value for name, value in limit.values.items()):
-            given = ",".join(f"{H:g}" for H in self.energies.tolist())
+            given = ",".join(map(number_text, self.energies.tolist()))
             raise InvalidInput("start", given, f"must be below the limit {limit}")
 
 

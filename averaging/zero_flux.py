@@ -12,7 +12,6 @@ from fpk.quadrature import panel_rule
 
 POINTS = (16, 20)
 """Gauss points per panel of ∫2s/σ² dH, and of the finer rule whose distance is its error."""
-TINY = float(np.finfo(float).tiny)
 ROUND_OFF = 16.0 * float(np.finfo(float).eps)
 """Round-off of a logarithm of p or of σ², relative to 1 + |ln|, of some dozens of operations."""
 
@@ -45,10 +44,10 @@ class ZeroFluxDensity:
     def log_density(self, energy: Array) -> Array:
         """ln p at energies of any shape, −∞ outside the nodes."""
         energy = np.asarray(energy, dtype=float)
-        safe = np.clip(energy, TINY, self.nodes[-1])
+        safe, positive = self.process.on_mesh(energy, float(self.nodes[-1]))
         log_states = self.process.coefficients(safe.ravel()).log_density_of_states
         log_p = self.log_u(safe) + log_states.reshape(safe.shape)
-        return np.where((energy >= 0.0) & (energy <= self.nodes[-1]), log_p, -np.inf)
+        return np.where(positive, log_p, -np.inf)
 
     def density(self, energy: Array) -> Array:
         """p at energies of any shape."""
@@ -56,17 +55,18 @@ class ZeroFluxDensity:
 
     def pointwise_error(self, energy: Array) -> Array:
         """Estimate of the error of p at energies of any shape, but for that of T."""
-        return self.relative_error(np.maximum(energy, TINY)) * self.density(energy)
+        safe, _ = self.process.on_mesh(energy, float(self.nodes[-1]))
+        return self.relative_error(safe) * self.density(energy)
 
     def phase_space_density(self, energy: Array) -> Array:
         """u = p/T at energies of any shape, T as the process gives it."""
-        safe = np.clip(energy, TINY, self.nodes[-1])
+        safe, _ = self.process.on_mesh(energy, float(self.nodes[-1]))
         return np.where(np.asarray(energy) <= self.nodes[-1], np.exp(self.log_u(safe)), 0.0)
 
     def phase_space_error(self, energy: Array) -> Array:
         """Estimate of the error of u at energies of any shape."""
-        relative = self.relative_error(np.maximum(energy, TINY))
-        return relative * self.phase_space_density(energy)
+        safe, _ = self.process.on_mesh(energy, float(self.nodes[-1]))
+        return self.relative_error(safe) * self.phase_space_density(energy)
 
 
 def flux_residual(process: Process, nodes: Array, log_density: Callable[[Array], Array]) -> float:

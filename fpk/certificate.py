@@ -1,6 +1,10 @@
 """Certificates of answers: the measured numbers, their limits, and the one place that compares."""
 
 from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 NEGATIVE = -1e-14
 """Smallest p / max p that counts as round-off of a density that is not negative."""
@@ -61,6 +65,14 @@ class Certificate:
     def certified(self) -> bool:
         """Whether every check holds."""
         return not self.failures
+
+
+def with_values(certificate: Certificate, *values: NDArray[Any]) -> Certificate:
+    """Return the certificate of ``values`` and errors made of an answer: a NaN is not certified."""
+    if missing := sum(int(np.isnan(x).sum()) for x in values):
+        words = f"{missing} of the values and errors are not numbers"
+        return replace(certificate, failures=(*certificate.failures, words))
+    return certificate
 
 
 def certify(measured: Measured, *, tol: float, sampled: bool = False) -> Certificate:

@@ -15,8 +15,9 @@ MOST_TERMS = 20_000
 """Terms of a series of 1F1, beyond which it is left to the finite elements."""
 BESSEL = 50.0
 """Error of scipy's ``ive`` in roundings, and of the power series beside it."""
-FEW, MOST_POWERS = 60.0, 120
-"""x y below which the Bessel function is summed as a power series, and its terms."""
+FEW, MOST_POWERS = 60.0, 40
+"""x y below which the Bessel function is summed as a power series, and its powers: 60^41/41!² is
+1e-26, beside a sum of 1 or more."""
 LARGE = 1e4
 """Argument of a Bessel function, over the square of its order, beyond which it is asymptotic."""
 MOST_FRACTIONS = 12_000
@@ -35,12 +36,12 @@ def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
     As a density of x it is that of half a noncentral χ² of 2n degrees, noncentrality 2y.
     """
     few = x * y < FEW
-    k = np.arange(MOST_POWERS)
+    # Σ (x y)^k/(k! (n)_k), of positive terms.
+    product, series = np.where(few, x * y, 0.0), np.ones(x.shape)
+    for k in range(MOST_POWERS if y > 0.0 else 0, 0, -1):
+        series = 1.0 + product / (k * (n + k - 1.0)) * series
     with np.errstate(divide="ignore", invalid="ignore"):
-        power = np.exp(
-            xlogy(k, np.where(few, x * y, 0.0)[..., None]) - gammaln(k + 1.0) - gammaln(n + k)
-        )
-        by_series = xlogy(n - 1, x) - x - y + np.log(power.sum(axis=-1))
+        by_series = xlogy(n - 1, x) - x - y + np.log(series) - gammaln(n)
         root, other = np.sqrt(x), np.sqrt(y)
         ratio = 0.0 if n == 1 else (n - 1) * np.log(root / other)
         by_bessel = _log_ive(n - 1, 2.0 * root * other) + ratio - (root - other) ** 2
@@ -48,7 +49,7 @@ def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
     # Of an exponent, relative errors of its parts are errors of ln p.
     parts = np.where(few, x + y, np.abs(root - other) * (root + other))
     steep = np.where(x > 0.0, (n - 1) * np.abs(np.log(np.maximum(x, SMALLEST))), 0.0)
-    return value, EPS * (BESSEL + gammaln(n + 1.0) + 4.0 * parts + steep)
+    return value, EPS * (BESSEL + 4.0 * parts + 2.0 * (gammaln(n + 1.0) + steep))
 
 
 def _log_ive(order: int, z: Array) -> Array:

@@ -76,7 +76,8 @@ class Density(Quantities):
                 f"the density of {self.name} does not know what it follows from and cannot be "
                 "pickled; take it from the result of a method"
             )
-        return {k: v for k, v in self.__dict__.items() if k not in ("pdf", "pointwise")}
+        own = self.__dataclass_fields__.keys() - {"pdf", "pointwise"}
+        return {k: v for k, v in self.__dict__.items() if k in own}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore the density; its functions are computed when they are first called."""
@@ -109,10 +110,12 @@ class Density(Quantities):
         ``function`` takes an array per axis; ``kinks`` (one axis only) are where it is not smooth.
         """
         panels = [self._axis(kinks)] if kinks else self.panels
-        coarse_mesh, coarse_grids = gauss_grid(panels, points=FEWER[len(panels)])
-        coarse = integral(function(*coarse_mesh) * self.pdf(*coarse_mesh), coarse_grids)
+        known = not kinks and len(panels) == 1
+        coarse_p, p, e = self._at_nodes if known else self._at_nodes_of(panels)
+        mesh, grids = gauss_grid(panels, points=FEWER[len(panels)])
+        coarse = integral(function(*mesh) * coarse_p, grids)
         mesh, grids = gauss_grid(panels)
-        f, p, e = np.asarray(function(*mesh)), self.pdf(*mesh), self.pointwise(*mesh)
+        f = np.asarray(function(*mesh))
         value = integral(f * p, grids)
         own = integral(np.abs(f) * (e + EPS * np.abs(p)), grids)
         error = own * max(1.0, self.l1_error / integral(e, grids))
@@ -124,31 +127,60 @@ class Density(Quantities):
 
         What of ``l1_error`` is not in the errors at points may lie anywhere.
         """
-        nodes = self._axis((low, high))
-        first, last = np.clip([low, high], nodes[0], nodes[-1])
-        within = nodes[(nodes >= first) & (nodes <= last)]
+        nodes = self._axis()
+        first, last = (float(x) for x in np.clip([low, high], nodes[0], nodes[-1]))
         tail = self.certificate.tail_mass
         beyond_ends = (tail if low < nodes[0] else 0.0) + (tail if high > nodes[-1] else 0.0)
-        value, error = self._share(within)
+        shares = self._share(first, last, self.pdf, self.pointwise)
+        value, error = (float(x) for x in shares)
         beside = self._error_of_all - error
         return Number(
             value, max(min(error, beside), 0.0) + self._unlocated + beyond_ends + EPS * value
         )
 
-    @cached_property
+    @property
     def _error_of_all(self) -> float:
         """∫ of the error at points."""
-        return self._share(self.panels[0])[1]
+        return float(self._panel_shares[1].sum())
 
     @property
     def _unlocated(self) -> float:
         """What of the L1 error is not in the errors at points."""
         return max(self.l1_error - self._error_of_all, 0.0)
 
-    def _share(self, nodes: Array) -> tuple[float, float]:
-        """∫p and ∫ of its error between ascending ``nodes``."""
-        mesh, grids = gauss_grid([nodes])
-        return integral(self.pdf(*mesh), grids), integral(self.pointwise(*mesh), grids)
+    def share(self, low: float, high: float) -> float:
+        """Return P(low < X <= high) without its error, which takes as long again."""
+        ends = np.clip([low, high], *self._axis()[[0, -1]])
+        return float(self._share(*ends, self.pdf)[0])
+
+    def _share(self, low: float, high: float, *functions: Callable[..., Array]) -> Array:
+        """∫ of the density, and of its error if both are ``functions``, within the support."""
+        nodes = self.panels[0]
+        first, last = np.searchsorted(nodes, low), np.searchsorted(nodes, high, side="right") - 1
+        whole: Array = self._panel_shares[: len(functions), first:last].sum(axis=1)
+        cut = [(low, nodes[first]), (nodes[last], high)] if first <= last else [(low, high)]
+        for a, b in cut:
+            if a < b:
+                mesh, grids = gauss_grid([np.array([a, b])])
+                whole = whole + [integral(f(*mesh), grids) for f in functions]
+        return whole
+
+    @cached_property
+    def _panel_shares(self) -> Array:
+        """∫ of the density and of its error over every panel of the one axis."""
+        _, [(_, w)] = gauss_grid(self.panels)
+        weighted = [np.broadcast_to(f, w.shape) * w for f in self._at_nodes[1:]]
+        shares: Array = np.reshape(weighted, (2, -1, GAUSS_POINTS[1])).sum(axis=2)
+        return shares
+
+    @cached_property
+    def _at_nodes(self) -> tuple[Array, Array, Array]:
+        return self._at_nodes_of(self.panels)
+
+    def _at_nodes_of(self, panels: Sequence[Array]) -> tuple[Array, Array, Array]:
+        """The density at the Gauss points of the coarser and finer rule, and its error at these."""
+        coarse, mesh = gauss_grid(panels, points=FEWER[len(panels)])[0], gauss_grid(panels)[0]
+        return self.pdf(*coarse), self.pdf(*mesh), self.pointwise(*mesh)
 
     def cell_averages(self, *edges: Array) -> Array:
         """Return the mean of the density over each cell of the grid of ``edges``."""

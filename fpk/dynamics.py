@@ -14,7 +14,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.certificate import Certificate, Measured, certify
+from fpk.certificate import Certificate, Measured, certify, with_values
 from fpk.density import SMALLEST, Density, gauss_grid
 from fpk.errors import InvalidInput
 from fpk.evolution import ErrorKind
@@ -36,6 +36,11 @@ class Curve:
     certificate: Certificate
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
     error_kind: ErrorKind = "numerical"
+
+    def __post_init__(self) -> None:
+        """Let no NaN be certified."""
+        judged = with_values(self.certificate, self.values, self.errors)
+        object.__setattr__(self, "certificate", judged)
 
 
 @dataclass(frozen=True)

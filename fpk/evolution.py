@@ -14,7 +14,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.certificate import Certificate, Measured, certify
+from fpk.certificate import Certificate, Measured, certify, with_values
 from fpk.errors import InvalidInput
 from fpk.limit import Limit
 from fpk.method import Progress
@@ -59,6 +59,11 @@ class Transient:
     error_kind: ErrorKind
     certificate: Certificate
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Let no NaN be certified."""
+        judged = with_values(self.certificate, self.values, self.errors)
+        object.__setattr__(self, "certificate", judged)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from fpk.errors import InvalidInput
-from fpk.observable import Observable, parse_numbers, parse_observable
+from fpk.observable import Observable, number_text, parse_numbers, parse_observable
 
 REMEDY = "use H=1.5, H1=0.4 or H1=0.4,H2=0.6 (whichever is passed first), or q2=1.2 for |q2|"
 
@@ -38,7 +38,7 @@ class Limit:
 
     def __str__(self) -> str:
         """Return the name that a user writes."""
-        return ",".join(f"{k}={v:g}" for k, v in self.values.items())
+        return ",".join(f"{k}={number_text(v)}" for k, v in self.values.items())
 
 
 def parse_limit(text: str, n: int) -> Limit:

@@ -69,6 +69,11 @@ def require_observables(observables: Sequence[Any]) -> None:
             )
 
 
+def number_text(value: float) -> str:
+    """Return the shortest text that reads as ``value`` again, whole numbers without a point."""
+    return repr(float(value)).removesuffix(".0")
+
+
 def parse_numbers(key: str, text: str, remedy: str) -> dict[str, float]:
     """Return the numbers that ``text`` gives by name, as ``a=1,b=2``.
 

@@ -6,8 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import Array, Flags
 
+REST = 1e-250
+"""Energy, over the last one of a mesh, that stands for H = 0 where coefficients are wanted: their
+integrals underflow below 1e-300."""
 UNKNOWN: Array = np.array(np.nan)
 """A coefficient that a process does not give: whatever is computed from it is not a number."""
 
@@ -65,6 +68,16 @@ class Process:
             c.divergence[:, None],
             relative_error=c.relative_error,
         )
+
+    def on_mesh(self, energy: Array, last: float) -> tuple[Array, Flags]:
+        """Return energies > 0 for ``energy`` of any shape, and where p is not exactly 0.
+
+        The first are clipped between 0 and the ``last`` one of a mesh, a hair beyond 0 itself. p is
+        0 outside, and where all of several degrees of freedom are at rest.
+        """
+        least = max(REST * last, float(np.finfo(float).tiny))
+        above = energy >= 0.0 if self.degrees_of_freedom == 1 else energy > 0.0
+        return np.clip(energy, least, last), above & (energy <= last)
 
     @property
     def dimension(self) -> int:

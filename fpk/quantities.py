@@ -44,6 +44,10 @@ class Quantities(ABC):
     def probability(self, low: float, high: float) -> Number:
         """Return P(low < X <= high); either end may be infinite."""
 
+    def share(self, low: float, high: float) -> float:
+        """Return P(low < X <= high) without its error."""
+        return self.probability(low, high).value
+
     def moment(self, power: int, *, about: float = 0.0) -> Number:
         """Return E (X − about)^power; raise ``InvalidInput`` for a power below 0."""
         if power < 0:
@@ -104,14 +108,14 @@ class Quantities(ABC):
         upper = p > 0.5
         wanted = 1.0 - p if upper else p
 
-        def share(x: float) -> float:
-            return (self.exceedance(x) if upper else self.cdf(x)).value
+        def beside(x: float) -> float:
+            return self.share(x, inf) if upper else self.share(-inf, x)
 
         def inverse(wanted: float) -> float:
-            at_low, at_high = share(low) - wanted, share(high) - wanted
+            at_low, at_high = beside(low) - wanted, beside(high) - wanted
             if at_low * at_high >= 0.0:
                 return -inf if upper == (at_low < 0.0) else inf
-            return float(brentq(lambda x: share(x) - wanted, low, high, xtol=1e-14 * (high - low)))
+            return float(brentq(lambda x: beside(x) - wanted, low, high, xtol=1e-14 * (high - low)))
 
         x = inverse(wanted)
         if not isfinite(x):

@@ -100,8 +100,9 @@ class SampledDensity(Quantities):
         chance = _standard_error(total[1:])
         # One visit more, at what was seen; where only what was not seen counts, there.
         seen = float(np.max(np.abs(f), initial=0.0, where=self.values > 0.0))
-        visit = self._one_visit * cell * (seen or float(np.max(np.abs(f))))
-        tail = self.certificate.tail_mass * beyond(function, self.edges)
+        far = beyond(function, self.edges)
+        visit = self._one_visit * cell * (seen or float(np.max(np.abs(f))) or far)
+        tail = self.certificate.tail_mass * far
         error = float(np.hypot(chance, visit) + np.abs(np.asarray(change).flat[0]) + tail)
         return Number(float(total[0]), error)
 

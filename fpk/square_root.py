@@ -225,9 +225,10 @@ class SquareRoot:
         for _ in range(100):
             # Terms of 1F1(−a; n; x) − 1 and of its derivative in a, of which the first has a left
             # out: it may be as small as 1e-290.
-            rest = np.cumprod(np.append(1.0, k[:-1] - a) * xf / ((self.n + k - 1.0) * k))
-            with np.errstate(divide="ignore"):
-                slopes = np.cumsum(np.append(0.0, 1.0 / (k[:-1] - a)))
+            factors = k[:-1] - a
+            factors[factors == 0.0] = EPS  # a rounding beside an integer a, where 0/0 follows
+            rest = np.cumprod(np.append(1.0, factors) * xf / ((self.n + k - 1.0) * k))
+            slopes = np.cumsum(np.append(0.0, 1.0 / factors))
             f, slope = 1.0 - a * rest.sum(), -rest.sum() + a * (rest * slopes).sum()
             step = f / slope
             a -= step

@@ -7,7 +7,7 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.errors import InvalidInput
-from fpk.observable import parse_numbers
+from fpk.observable import number_text, parse_numbers
 from fpk.system import System
 
 REMEDY = (
@@ -42,7 +42,7 @@ class Start:
 
     def __str__(self) -> str:
         """Return the name that a user writes."""
-        return ",".join(f"{k}={v:g}" for k, v in self.values.items()) or "rest"
+        return ",".join(f"{k}={number_text(v)}" for k, v in self.values.items()) or "rest"
 
 
 REST = Start()

@@ -4,12 +4,14 @@ import inspect
 import re
 from textwrap import dedent
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 import averaging
 import fpk
 import sim
+from cases.comparison.answers import Answers
 from fpk.contact_quantities import contact_quantities
 from fpk.limit import parse_limit
 from fpk.start import REST
@@ -22,6 +24,7 @@ FACE = {
     if not (inspect.isclass(getattr(room, name)) and issubclass(getattr(room, name), Exception))
 }
 FACE |= {"contact_quantities": contact_quantities, "rare_failure": rare_failure}
+FACE |= {f"Answers.{m}": getattr(Answers, m) for m in ("summary", "to_xarray", "plot")}
 SLOW = ("averaging.PhaseSpace", "sim.MonteCarlo", "rare_failure")
 
 
@@ -46,3 +49,4 @@ def test_the_example_of_a_docstring_runs(name):
     space |= {"MonteCarlo": sim.MonteCarlo, "rare_failure": rare_failure}
     for block in found:
         exec(compile(block, name, "exec"), space)
+    plt.close("all")

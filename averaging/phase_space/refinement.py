@@ -20,6 +20,9 @@ from fpk.observable import Coordinate, Observable
 REFITS = 2
 """Solutions of the lowest degrees from which the reference takes its moments: the second changes
 the first by less than a thousandth of what the degrees leave."""
+SETTLED = 1e-9
+"""Change of the covariance by the first refit, relative to its largest entry, up to which the start
+is the solution: the Gibbs state, where damping and noise are in one proportion."""
 SLOWEST, FASTEST = 1.5, 2.0
 """Factors by which the error is believed to fall from one solution to the next, at the least and
 at the most, whatever the last two distances say."""
@@ -146,16 +149,23 @@ def ladders(
         return refusal(*cost(frame, about, degrees), most=work)
 
     with threadpool_limits(limits=threads or usable_cores(), user_api="blas"):
-        for _ in range(REFITS):
-            first = expanded(frame, about, degrees_of(0, frame))
-            about = refitted(frame, first)
+        first: Expansion | None = None
+        for refit in range(REFITS):
+            rough = expanded(frame, about, degrees_of(0, frame))
+            better = refitted(frame, rough)
+            change = np.abs(better.covariance - about.covariance).max()
+            if refit == 0 and change <= SETTLED * about.covariance.max():
+                first = rough  # the first level is solved already
+                break
+            about = better
         coarser: Expansion | None = None
         fall: dict[Observable, Falling] = {}
         for level in count():
             degrees = degrees_of(level, frame)
             step = steps(progress, "phase space", degrees)
             again = cost(frame, about, degrees, number=8)[0] <= MEMORY
-            finest = expanded(frame, about, degrees, again=again, step=step)
+            finest = first or expanded(frame, about, degrees, again=again, step=step)
+            first = None
             if coarser is not None:
                 least = _common_distance(frame, finest, coarser)
                 own = {o: _distance(frame, finest, coarser, o) for o in observables}

@@ -6,6 +6,7 @@ import sys
 import warnings
 from functools import partial
 from pathlib import Path
+from shutil import get_terminal_size
 from time import perf_counter
 from typing import Any
 
@@ -15,13 +16,14 @@ from cases.commands import parts
 from cases.commands.dynamics import correlation, crossings, density, relaxation, spectrum
 from cases.commands.evolution import passage, transient
 from cases.commands.export import export
-from cases.commands.studies import converge, cost, regime
+from cases.commands.studies import converge, cost, regime, sweep
 from cases.commands.verify import verify
 from cases.scene.errors import BadInput, one_line
 from fpk.errors import InvalidInput, NotApplicable, NotCertified, Unavailable
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="vibro-fpk", prog_name="fpk", message="%(prog)s %(version)s")
 def app() -> None:
     """Stationary densities of randomly excited vibro-impact systems.
 
@@ -63,11 +65,29 @@ def show(scene: str) -> None:
 @parts.scene_name
 @click.option("--out", type=parts.FOLDER, help="Folder for report, netCDF, pictures.")
 @parts.simulation_options
+@click.option("--of", multiple=True, metavar="OBS", help="Only this; may be given several times.")
+@click.option(
+    "--method",
+    "only",
+    multiple=True,
+    metavar="METHOD",
+    help="Only this method, or method/solver; may be given several times.",
+)
+@click.option("--simulation/--no-simulation", default=True, help="With the simulations, or not.")
+@click.option("--details", is_flag=True, help="Every comparison, every route and why not.")
+@click.option("--quiet", is_flag=True, help="Print problems only.")
 @parts.as_json
-def run(scene: str, out: Path | None, **settings: Any) -> None:
-    """Run every applicable route of a scene, compare them, and write a report."""
+def run(
+    scene: str, out: Path | None, of: tuple[str, ...], only: tuple[str, ...], simulation: bool,
+    details: bool, quiet: bool, **settings: Any,
+) -> None:  # fmt: skip
+    """Run every applicable route of a scene, compare them, and write a report.
+
+    Prints the quantities (mean, rms, quantiles, what stops feel) by route, then the verdicts.
+    """
     start, loaded = perf_counter(), parts.checked(scene, tol=settings["tol"], out=out)
-    from cases.comparison.routes import all_methods
+    loaded = parts.narrowed(loaded, of, whole=simulation and not only)
+    from cases.comparison.routes import all_methods, chosen_methods
     from cases.output.digest import digest_of
     from cases.output.text import rendered
 
@@ -83,7 +103,10 @@ def run(scene: str, out: Path | None, **settings: Any) -> None:
             write_netcdf(outcome, out / parts.FIELDS)
 
     methods, asked = all_methods(**settings, partial=True), settings["tol"]
+    methods = chosen_methods(methods, only, simulation=simulation)
     outcome = parts.outcome_of(loaded, methods, partial=True, relax=asked is None, save=save)
+    if only and not any(curve.results for curve in outcome.curves):
+        raise BadInput(f"{loaded.name}: {'; '.join(outcome.curves[0].problems)}")
     written, digest = [], digest_of(outcome)
     if asked is not None:
         digest["notes"].append(f"--tol {asked:g} is for the solvers; simulations take --seconds")
@@ -97,13 +120,18 @@ def run(scene: str, out: Path | None, **settings: Any) -> None:
             )
         written = [report, out / parts.FIELDS, *pictures, *write_time_pvd(outcome, out)]
     digest["seconds"] = perf_counter() - start
-    text = partial(rendered, "run.txt", {"digest": digest})
-    parts.end(digest, text, written, problems=outcome.problems)
+    shown = {
+        "digest": digest,
+        "details": details,
+        "width": get_terminal_size((100, 24)).columns - 2,
+    }
+    text = partial(rendered, "run.txt", shown)
+    parts.end(digest, text, written, problems=outcome.problems, quiet=quiet)
 
 
 for _command in (
     density, transient, passage, crossings, spectrum, correlation, relaxation,
-    converge, cost, export, verify, regime,
+    converge, cost, export, verify, regime, sweep,
 ):  # fmt: skip
     app.add_command(_command)
 

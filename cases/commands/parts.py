@@ -4,6 +4,7 @@ import json
 import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -78,8 +79,13 @@ def command_line() -> str:
         value = context.params.get(parameter.name or "")
         if isinstance(parameter, click.Argument):
             words.append(str(value))
-        elif value not in (None, False):
-            words += [parameter.opts[0], *([] if value is True else [str(value)])]
+        elif value is False and not parameter.secondary_opts:
+            continue
+        elif value not in (None, (), parameter.get_default(context)):
+            given = list(value) if isinstance(value, tuple) else [value]
+            for each in given:
+                name = (parameter.secondary_opts if each is False else parameter.opts)[0]
+                words += [name] if isinstance(each, bool) else [name, str(each)]
     return shlex.join(words)
 
 
@@ -107,6 +113,18 @@ def observable_of(name: str, scene: "Scene") -> "Observable":
         raise BadInput(f'--of "{name}": {error.remedy}') from None
 
 
+def narrowed(scene: "Scene", names: Sequence[str], *, whole: bool) -> "Scene":
+    """Return the scene with the observables of ``names`` alone and then no questions about time.
+
+    No name: its own. Its claims are about all routes and observables: they stay where these are
+    ``whole``.
+    """
+    if names:
+        observables = tuple(dict.fromkeys(observable_of(name, scene) for name in names))
+        scene = replace(scene, observables=observables, passages=(), transients=())
+    return scene if whole and not names else replace(scene, expect=None)
+
+
 def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:
     """Claim the folder ``settings["checkpoint"]``, if it is asked for, until the command ends."""
     from cases.output.claim import claimed
@@ -122,14 +140,17 @@ def end(
     written: Sequence[Path] = (),
     *,
     problems: Sequence[str] = (),
+    quiet: bool = False,
 ) -> None:
     """Print ``record`` as the one JSON object where ``--json`` asks for it, else text and files.
+
+    ``quiet``: neither of the latter.
 
     Every problem goes to standard error; with one the status is 1.
     """
     if click.get_current_context().meta["json"]:
         click.echo(json.dumps(record, ensure_ascii=False, allow_nan=False))
-    else:
+    elif not quiet:
         click.echo("\n".join([text(), *(f"wrote {path}" for path in written)]))
     for problem in problems:
         click.echo(f"fpk: {problem}", err=True)

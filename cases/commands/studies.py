@@ -1,4 +1,4 @@
-"""The commands ``fpk converge``, ``fpk cost`` and ``fpk regime``: studies of one scene."""
+"""The commands ``fpk converge``, ``cost``, ``regime`` and ``sweep``: studies of one scene."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -30,7 +30,7 @@ def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
     @parts.as_json
     @wraps(work)
     def command(scene: str, out: Path | None, **settings: Any) -> None:
-        loaded = parts.checked(scene, out=out)
+        loaded = parts.checked(scene, tol=settings.get("tol"), out=out)
         given = {key: value for key, value in settings.items() if value is not None}
         from cases.output.bar import progress_bar
         from cases.output.records import plain
@@ -79,35 +79,84 @@ def cost(scene: "Scene", **settings: Any) -> tuple[Any, "Page"]:
     return result, cost_page(result)
 
 
+def over_grid(command: Any) -> Any:
+    """Add the options of a study over a grid of parameters."""
+    options = (
+        click.option(
+            "--vary", multiple=True, required=True, metavar="PATH=GRID",
+            help="Once or twice: contact[1].clearance, system.mass[2], ... = LOW:HIGH:[log]COUNT"
+            " or 0.1,0.2.",
+        ),
+        parts.threads,
+        click.option("--paths", type=int, help="Paths of the simulation."),
+        click.option("--time", type=float, help="Sampled time a path."),
+        parts.cluster,
+        click.option(
+            "--checkpoint", type=parts.FOLDER, help="Folder for finished points, if not --out."
+        ),
+        click.option(
+            "--reference",
+            type=click.Choice(["montecarlo", "phase-space"]),
+            help="What judges the theories where (6) has no exact density; default: montecarlo.",
+        ),
+    )  # fmt: skip
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def _over_grid(settings: dict[str, Any]) -> dict[str, Any]:
+    """The arguments of a study over a grid that ``settings``, of ``over_grid``, ask for."""
+    from cases.studies.sweep.reference import SIMULATION
+
+    own = ("reference", "progress", "tol")
+    given: dict[str, Any] = {key: settings.pop(key) for key in own if key in settings}
+    folder = settings.pop("checkpoint", None) or click.get_current_context().params["out"]
+    parts.check_cluster(settings.get("cluster"))
+    return {**given, "folder": folder, "simulation": replace(SIMULATION, **settings)}
+
+
 @study
-@click.option(
-    "--vary", multiple=True, required=True, metavar="KEY=LOW:HIGH:[log]COUNT", help="Once or twice."
-)
-@parts.threads
-@click.option("--paths", type=int, help="Paths of the simulation.")
-@click.option("--time", type=float, help="Sampled time a path.")
-@parts.cluster
-@click.option("--checkpoint", type=parts.FOLDER, help="Folder for finished points, if not --out.")
-@click.option(
-    "--reference",
-    type=click.Choice(["montecarlo", "phase-space"]),
-    help="What judges the theories where (6) has no exact density; default: montecarlo.",
-)
+@over_grid
 def regime(scene: "Scene", vary: tuple[str, ...], **settings: Any) -> tuple[Any, "Page"]:
     """Map the distance of each theory to the full system over one or two parameters.
 
     A map goes on from the finished points in its folder.
     """
-    from cases.studies.regime_map.map import SIMULATION, build_map, parse_axes
+    from cases.studies.regime_map.map import build_map
     from cases.studies.regime_map.map_page import map_page
+    from cases.studies.sweep.grid import parse_axes
 
     axes = parse_axes(vary, scene.system)
-    reference = {"reference": settings.pop("reference")} if "reference" in settings else {}
-    checkpoint, progress = settings.pop("checkpoint", None), settings.pop("progress")
-    folder = checkpoint or click.get_current_context().params["out"]
-    parts.check_cluster(settings.get("cluster"))
-    method = replace(SIMULATION, **settings)
-    result = build_map(
-        scene, axes, simulation=method, folder=folder, progress=progress, **reference
-    )
+    result = build_map(scene, axes, **_over_grid(settings))
     return result, map_page(result)
+
+
+@study
+@over_grid
+@click.option(
+    "--quantity", multiple=True, required=True, metavar="Q",
+    help="rms(q2), quantile(q2,0.99), exceedance(q2,1.2), mean_force(1), failure_rate(H=1.5),"
+    " averaging_error(q2), ...",
+)  # fmt: skip
+@click.option(
+    "--method", multiple=True, metavar="METHOD[/SOLVER]",
+    help="One of several; left out, all that take milliseconds.",
+)  # fmt: skip
+@parts.tol
+def sweep(
+    scene: "Scene",
+    vary: tuple[str, ...],
+    quantity: tuple[str, ...],
+    method: tuple[str, ...],
+    **settings: Any,
+) -> tuple[Any, "Page"]:
+    """Compute quantities by several methods over one or two numbers of the scene.
+
+    A sweep goes on from the finished points in its folder.
+    """
+    from cases.studies.sweep.sweep import sweep as sweep_system
+    from cases.studies.sweep.sweep_page import sweep_page
+
+    result = sweep_system(scene, vary, quantity, methods=method, **_over_grid(settings))
+    return result, sweep_page(result, scene)

@@ -4,14 +4,21 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from functools import partial as partial_of
+from importlib import import_module
 from math import ceil, inf, log10
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from averaging.exact import compatibility
 from cases.comparison.answering import replies_of
 from cases.comparison.compare import Comparison, compared, discrepancies
 from cases.comparison.in_time import Replies
+from cases.comparison.quantities import (
+    Quantity,
+    compared_quantities,
+    quantities_of,
+    quantity_discrepancies,
+)
 from cases.comparison.refusal import INTERRUPTED, REFUSALS, Attempts, Refusal
 from cases.scene.questions import Question
 from cases.scene.scene import Scene
@@ -21,6 +28,11 @@ from fpk.method import Method, Plan, Progress, Result, silent, solved
 from fpk.observable import Observable, observable_name, parse_observable
 from fpk.route import Route
 from fpk.system import System
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+    from xarray import Dataset
 
 LOOSEST = 1e-4
 """Largest tolerance that takes the place of a default one that is missed: it is still well below
@@ -63,6 +75,17 @@ class Answers(Mapping[Any, AnyDensity]):
         """Distances of all pairs of densities of one observable, judged where that is possible."""
         return compared(self.results, averaging_is_exact=incompatibility(self.system) is None)
 
+    @cached_property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """Moments, quantiles and what stops feel, each by every route that gives its density."""
+        return quantities_of(self.system, self.results)
+
+    @cached_property
+    def quantity_comparisons(self) -> tuple[Comparison, ...]:
+        """Differences of all pairs of routes in one quantity, judged where that is possible."""
+        exact = incompatibility(self.system) is None
+        return compared_quantities(self.results, self.quantities, averaging_is_exact=exact)
+
     def densities(self, observable: Observable) -> dict[Route, AnyDensity]:
         """Return the densities of one observable by route: first deterministic ones, then sampled.
 
@@ -103,6 +126,44 @@ class Answers(Mapping[Any, AnyDensity]):
         """Return the pairs in one line."""
         return f"Answers({', '.join(f'{o} by {m}' for o, m in self)})"
 
+    def summary(self) -> "DataFrame":
+        """Return the quantities as a data frame: rows by observable and quantity.
+
+        Columns by route, each with ``value`` and ``error``. Needs pandas; raises ``Unavailable``
+        without. ::
+
+            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).summary()
+        """
+        frame: DataFrame = presented().summary_frame(self)
+        return frame
+
+    def to_xarray(self) -> "Dataset":
+        """Return the densities and their errors on common grids, as in the file of a run.
+
+        ``p_q2`` (route_q2, q2) is the density, ``error_q2`` its error, of the kind that
+        ``error_kind_q2`` says. Needs xarray; raises ``Unavailable`` without. ::
+
+            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).to_xarray()["p_q2"]
+        """
+        data: Dataset = presented().dataset(self)
+        return data
+
+    def plot(self, observable: str, *, log: bool = False) -> "Figure":
+        """Return a figure of pyplot with the densities of ``observable`` by every route drawn.
+
+        ``log``: on a logarithmic axis, down to 1e-6 of the largest. Raises ``InvalidInput`` for a
+        pair, and for an observable that there is not. ::
+
+            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).plot("q2", log=True)
+        """
+        wanted = parse_observable(observable, self.system.n)
+        figure: Figure = presented().plot(self, wanted, log=log)
+        return figure
+
+    def _repr_html_(self) -> str:
+        """Return the quantities as tables, for a notebook."""
+        return str(presented().html_tables(self))
+
     def neglects(self, route: Route) -> bool:
         """Whether the answer of ``route`` leaves out an effect of the system."""
         return any(r.neglected for r in self.results if r.method.route == route)
@@ -116,6 +177,7 @@ class Answers(Mapping[Any, AnyDensity]):
     def problems(self) -> tuple[str, ...]:
         """Every check that does not hold, in words; empty when all do."""
         problems = list(discrepancies(self.comparisons))
+        problems += quantity_discrepancies(self.quantity_comparisons, self.comparisons)
         problems += [
             f"{d.name}: {r.method.route.label} is not certified: {failure}"
             for r in self.results
@@ -130,6 +192,11 @@ class Answers(Mapping[Any, AnyDensity]):
             reasons = dict.fromkeys(r.reason for r in self.refused)
             problems.append(f"no route applies: {'; '.join(reasons)}")
         return tuple(f"{self.label}: {p}" if self.label else p for p in problems)
+
+
+def presented() -> Any:
+    """Return the module that shows answers, which is above this one and heavy: loaded late."""
+    return import_module("cases.output.presented")
 
 
 def incompatibility(system: System) -> str | None:
@@ -279,7 +346,11 @@ def run_scene(
         curves.append(answers)
         save(Outcome(scene, tuple(curves), perf_counter() - start))
         progress(k - 1, len(scene.curves), "comparing")
-        _ = curves[-1].comparisons, [replies.comparisons for replies in curves[-1].in_time]
+        _ = (
+            curves[-1].comparisons,
+            curves[-1].quantity_comparisons,
+            [replies.comparisons for replies in curves[-1].in_time],
+        )
         progress(k, len(scene.curves), "comparing")
     return Outcome(scene, tuple(curves), perf_counter() - start)
 

@@ -91,8 +91,7 @@ def compared(results: Sequence[Result], *, averaging_is_exact: bool) -> tuple[Co
         if both_sampled and not all(map(np.array_equal, a.panels, b.panels)):
             continue  # bin by bin; a function between them is compared with both
         routes = (of_a.method.route, of_b.method.route)
-        whole = not (of_a.neglected or of_b.neglected)
-        kind = what_is_measured(*routes, averaging_is_exact=averaging_is_exact and whole)
+        kind = measured_between(of_a, of_b, averaging_is_exact=averaging_is_exact)
         distance, expected, band = _distance(first, second)
         allowed = None if kind == "averaging" else band
         pairs = zip(routes, (a, b), strict=True)
@@ -103,8 +102,12 @@ def compared(results: Sequence[Result], *, averaging_is_exact: bool) -> tuple[Co
     return tuple(sorted(comparisons, key=lambda c: c.observable))
 
 
-def discrepancies(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
+def discrepancies(
+    comparisons: Sequence[Comparison], failing: Sequence[Comparison] | None = None
+) -> tuple[str, ...]:
     """Return in words every difference that is not allowed, and which of the two it speaks against.
+
+    ``failing`` are those of the ``comparisons`` to be told; None: all that do not hold.
 
     An answer is confirmed by one that agrees with it and shares no step of the calculation; of
     answers that share theirs, two can be wrong in the same way.
@@ -112,7 +115,7 @@ def discrepancies(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
     return tuple(
         f"{c.observable}: {c.a.label} and {c.b.label} differ by {c.norm} = {c.L1:.3g}, allowed"
         f" is {c.band:.3g} ({c.measures}){_doubt(c, comparisons)}"
-        for c in comparisons
+        for c in (comparisons if failing is None else failing)
         if not c.holds
     )
 
@@ -138,6 +141,14 @@ def _doubt(difference: Comparison, comparisons: Sequence[Comparison]) -> str:
         return ""
     route, other = agreeing[0]
     return f"; {route} agrees with {other}, which is calculated independently"
+
+
+def measured_between(a: Result, b: Result, *, averaging_is_exact: bool) -> Measures:
+    """Return which of the three errors separates two results; ``averaging_is_exact`` as above."""
+    whole = not (a.neglected or b.neglected)
+    return what_is_measured(
+        a.method.route, b.method.route, averaging_is_exact=averaging_is_exact and whole
+    )
 
 
 def what_is_measured(a: Route, b: Route, *, averaging_is_exact: bool) -> Measures:

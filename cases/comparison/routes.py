@@ -1,6 +1,6 @@
 """The methods that the command line asks for, made from the registry of routes."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from importlib import import_module
 from typing import Any
@@ -61,6 +61,22 @@ def all_methods(*, tol: float | None = None, **settings: Any) -> tuple[Method, .
         _made(route, settings if route.sampled else {**settings, "tol": tol})
         for route in listed_routes()
     )
+
+
+def chosen_methods(
+    methods: Sequence[Method], names: Sequence[str], *, simulation: bool
+) -> tuple[Method, ...]:
+    """Return those of ``methods`` that ``names`` have, as method or method/solver; no name: all.
+
+    Without ``simulation`` none that samples. Raises ``InvalidInput`` for a name of none, and where
+    nothing is left.
+    """
+    wanted = {m.route for name in names for m in methods_of(*name.split("/", 1))}
+    chosen = [m for m in methods if not names or m.route in wanted]
+    left = tuple(m for m in chosen if simulation or not m.route.sampled)
+    if names and not left:
+        raise InvalidInput("--no-simulation", " ".join(names), "leaves no method; leave one out")
+    return left
 
 
 def require_settings(method: Method, name: str, settings: Mapping[str, Any]) -> None:

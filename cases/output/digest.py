@@ -8,6 +8,7 @@ from cases.comparison.answers import Answers, Outcome
 from cases.comparison.claims import Verdict, findings
 from cases.comparison.compare import Comparison
 from cases.comparison.in_time import Replies
+from cases.comparison.quantities import Quantity
 from cases.comparison.refusal import Refusal
 from cases.comparison.time_claims import time_findings
 from cases.output.facts import facts_record
@@ -21,17 +22,22 @@ from sim.report import Report, StepBias
 ROW = ("observable", "measures", "norm", "L1", "band", "error")
 """Fields of a comparison that its row has as they are."""
 
+SCHEMA = 2
+"""Version of the record of a run: 2 has ``quantities`` and this number."""
+
 
 def digest_of(outcome: Outcome) -> Record:
     """Return the record of ``fpk run``: the scene's own system, and beside it the other curves."""
     base, *others = outcome.curves
     compared = [c for curve in outcome.curves for c in curve.comparisons]
     in_time = [replies for curve in outcome.curves for replies in curve.in_time]
+    compared += [c for curve in outcome.curves for c in curve.quantity_comparisons]
     compared += [c for replies in in_time for c in replies.comparisons]
     judged = [c for c in compared if c.band is not None]
     claims = *findings(outcome.scene.expect, outcome.curves), *time_findings(outcome.curves)
     return plain(
         {
+            "schema": SCHEMA,
             "scene": outcome.scene.name,
             "title": outcome.scene.title,
             **_curve(base),
@@ -88,7 +94,14 @@ def _curve(curve: Answers) -> Record:
         **facts_record(curve.system),
         "methods": [*map(method_record, curve.results), *map(refusal_record, curve.refused)],
         "notes": curve.notes,
+        "quantities": [quantity_row(q) for q in curve.quantities],
         "comparisons": comparison_rows(curve.comparisons),
+        "quantity_comparisons": comparison_rows(curve.quantity_comparisons),
+        "averaging": [
+            {"observable": name, **row}
+            for name in dict.fromkeys(c.observable for c in curve.comparisons)
+            for row in averaging_errors(name, curve.comparisons)
+        ],
         "passages": [_replies(replies) for replies in curve.passages],
         "transients": [_replies(replies) for replies in curve.transients],
         "errors": [
@@ -175,29 +188,48 @@ def comparison_rows(comparisons: Iterable[Comparison]) -> list[Record]:
     return rows
 
 
+def quantity_row(quantity: Quantity) -> Record:
+    """Return the entry of a quantity by one route."""
+    return {
+        "observable": quantity.observable,
+        "quantity": quantity.quantity,
+        "route": quantity.route.label,
+        "value": quantity.number.value,
+        "error": quantity.number.error,
+        "error_kind": quantity.error_kind,
+    }
+
+
+def averaging_errors(name: str, comparisons: Iterable[Comparison]) -> list[Record]:
+    """Return each averaged theory's L1 distance to the full system in one observable.
+
+    With what chance and solvers make of it, by the answer for the full system (``reference``) with
+    which this is least.
+    """
+    averaging: dict[str, Record] = {}
+    for c in sorted(comparisons, key=lambda c: c.error):
+        full = [r for r in (c.a, c.b) if r.solves == "full"]
+        if (c.measures, c.observable) == ("averaging", name) and full:
+            theory = _theory(c.b if c.a in full else c.a)
+            row = {"theory": theory, "L1": c.L1, "error": c.error, "reference": full[0].label}
+            averaging.setdefault(theory, row)
+    return list(averaging.values())
+
+
 def _three_errors(
     route: Route, density: AnyDensity, bias: StepBias | None, comparisons: Iterable[Comparison]
 ) -> Record:
     """The three errors of one density of a simulation, never mixed.
 
     ``sampling`` is the expected L1 error by chance; ``step_bias`` the L1 distance from the density
-    of half the step and what chance makes of that; ``averaging`` has each averaged theory's L1
-    distance to the full system and what chance and solvers make of that, by the answer for the full
-    system (``reference``) with which this is least.
+    of half the step and what chance makes of that; ``averaging`` is as of ``averaging_errors``.
     """
-    averaging: dict[str, Record] = {}
-    for c in sorted(comparisons, key=lambda c: c.error):
-        full = [r for r in (c.a, c.b) if r.solves == "full"]
-        if (c.measures, c.observable) == ("averaging", density.name) and full:
-            theory = _theory(c.b if c.a in full else c.a)
-            row = {"theory": theory, "L1": c.L1, "error": c.error, "reference": full[0].label}
-            averaging.setdefault(theory, row)
     return {
         "route": route.label,
         "observable": density.name,
         "sampling": density.l1_error,
         "step_bias": {"L1": bias.difference, "by_chance": bias.chance} if bias else "not measured",
-        "averaging": list(averaging.values()),
+        "averaging": averaging_errors(density.name, comparisons),
     }
 
 

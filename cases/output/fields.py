@@ -2,7 +2,7 @@
 
 import csv
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from io import BytesIO, StringIO
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import h5netcdf
 import h5py
 import numpy as np
 
-from cases.comparison.answers import Outcome
+from cases.comparison.answers import Answers, Outcome
 from cases.output.digest import method_record
 from cases.output.files import write_by, write_text
 from cases.output.records import UNITS, plain, program_version
@@ -41,7 +41,7 @@ def write_netcdf(outcome: Outcome, path: Path) -> list[Path]:
     """
     variables: Variables = {}
     for observable in outcome.scene.observables:
-        variables |= _variables(outcome, observable)
+        variables |= density_variables(outcome.curves, observable)
     variables |= time_variables(outcome)
     answers = [
         plain({"curve": curve.label, **method_record(result)})
@@ -87,7 +87,7 @@ def write_csv(outcome: Outcome, path: Path) -> list[Path]:
     lines = csv.writer(stream, lineterminator="\n")
     lines.writerow(["curve", "observable", "route", "x", "y", "density", "error"])
     for observable in outcome.scene.observables:
-        if not (variables := _variables(outcome, observable)):
+        if not (variables := density_variables(outcome.curves, observable)):
             continue
         name = observable_name(observable)
         dimensions, values, _ = variables[f"p_{name}"]
@@ -103,11 +103,14 @@ def write_csv(outcome: Outcome, path: Path) -> list[Path]:
     return [path]
 
 
-def _variables(outcome: Outcome, observable: Observable) -> Variables:
-    """The densities of an observable on a common grid, empty where no route gives it."""
+def density_variables(all_of: Sequence[Answers], observable: Observable) -> Variables:
+    """Return the densities of an observable on a common grid, empty where no route gives it.
+
+    As ``write_netcdf`` says, for ``all_of`` the curves.
+    """
     answers = {
         (i, route.label): density
-        for i, curve in enumerate(outcome.curves)
+        for i, curve in enumerate(all_of)
         for route, density in curve.densities(observable).items()
     }
     if not answers:
@@ -115,7 +118,7 @@ def _variables(outcome: Outcome, observable: Observable) -> Variables:
     grid = common_grid(answers.values())
     mesh = np.meshgrid(*grid, indexing="ij")
     name = observable_name(observable)
-    curves = [c.label for c in outcome.curves]
+    curves = [c.label for c in all_of]
     routes = list(dict.fromkeys(route for _, route in answers))
     values = np.full((len(curves), len(routes), *mesh[0].shape), np.nan)
     errors, kinds = values.copy(), np.full(values.shape[:2], "", dtype=object)

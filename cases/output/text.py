@@ -10,6 +10,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from cases.output.digest import curves_of, refusals_of, verdict_of
 from cases.output.headline import named, with_error
 from cases.output.records import Record
+from cases.output.tables import NOTE, quantity_tables
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -28,7 +29,9 @@ def _templates() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.globals["quantity_note"] = NOTE
     environment.filters |= {
+        "quantities": quantity_tables,
         "num": number,
         "short": _short,
         "diagonal": _diagonal,

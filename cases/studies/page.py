@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 
 from cases.output.fields import attributes_of, write_variables
 from cases.output.files import write_text
-from cases.output.pictures.style import svg_text
+from cases.output.pictures.style import inline_svg, svg_text
+from cases.output.text import rendered
 from cases.output.time_fields import Variables
 from cases.scene.scene import Scene
 
@@ -68,10 +69,14 @@ class Table:
     rows: Sequence[Mapping[str, Any]]
     remarks: tuple[str, ...] = ()
 
+    def cells(self) -> tuple[list[str], list[list[str]]]:
+        """Return the columns, and the rows in words."""
+        rows = [[cell(value, column) for column, value in row.items()] for row in self.rows]
+        return list(self.rows[0]), rows
+
     def markdown(self) -> list[str]:
         """Return title, rows in aligned columns, and remarks; first cells are not repeated."""
-        head = list(self.rows[0])
-        rows = [[cell(value, column) for column, value in row.items()] for row in self.rows]
+        head, rows = self.cells()
         for above, row in reversed(list(pairwise(rows))):
             same = [a == b for a, b in zip(above, row, strict=True)]
             row[: same.index(False)] = [""] * same.index(False)
@@ -132,13 +137,15 @@ class Page:
         return "\n".join([f"# {title}", "", *tables]).rstrip() + "\n"
 
     def write(self, folder: Path) -> list[Path]:
-        """Write files of the study's name: md, svg, nc and, of a map, csv."""
+        """Write files of the study's name: md, svg, nc and, of a map, csv and html."""
         texts = {"md": self.text(), "svg": svg_text(self.figure(), salt=self.name)}
         variables = self.gridded
         if variables is None:
             variables = {k: v for t in self.tables if t.rows for k, v in t.variables().items()}
         else:
             texts["csv"] = self.tables[0].csv()
+            svg = inline_svg(texts["svg"], self.title)
+            texts["html"] = rendered("study.html", {"page": self, "svg": svg})
         attributes = {**attributes_of(self.scene), "title": self.title}
         paths = {ending: folder / f"{self.name}.{ending}" for ending in (*texts, "nc")}
         for ending, text in texts.items():

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cases.output.pictures.style import COLOURS, INK, STYLE
+from cases.studies.sweep.grid import Axis
 from fpk.arrays import Array
 
 MARKERS = "osD^vXPh"
@@ -55,6 +56,7 @@ class Panel:
     marks: Sequence[tuple[float, str]] = ()
     logarithmic: bool = True
     limits: tuple[float, float] | None = None
+    y_logarithmic: bool = True
 
 
 def study_figure(panels: Sequence[Panel], *, width: float = 4.3) -> Figure:
@@ -74,14 +76,35 @@ def study_figure(panels: Sequence[Panel], *, width: float = 4.3) -> Figure:
     return figure
 
 
+def heat(axes: Axes, x: Axis, y: Axis, field: Any, **palette: Any) -> Any:
+    """Draw ``field`` (x, y) as cells around the values of two axes; what is not a number is not."""
+    shown = np.ma.masked_invalid(field).T
+    cells = axes.pcolormesh(_edges(x), _edges(y), shown, rasterized=True, **palette)
+    scales = ["log" if axis.logarithmic else "linear" for axis in (x, y)]
+    axes.set(xlabel=x.label, xscale=scales[0], yscale=scales[1])
+    axes.set(xlim=(x.values[0], x.values[-1]), ylim=(y.values[0], y.values[-1]))
+    return cells
+
+
+def _edges(axis: Axis) -> Array:
+    """Cell edges halfway between the values, on the axis' own scale."""
+    u = np.log(axis.values) if axis.logarithmic else axis.values
+    middles = 0.5 * (u[1:] + u[:-1])
+    edges = np.concatenate([[2.0 * u[0] - middles[0]], middles, [2.0 * u[-1] - middles[-1]]])
+    return np.exp(edges) if axis.logarithmic else edges
+
+
 def _draw(axes: Axes, panel: Panel) -> None:
     axes.set(title=panel.title, xlabel=panel.x, ylabel=panel.y)
-    axes.set(xscale="log" if panel.logarithmic else "linear", yscale="log")
+    axes.set(xscale="log" if panel.logarithmic else "linear")
+    axes.set_yscale("log" if panel.y_logarithmic else "linear")
     if panel.limits is not None:
         axes.set_ylim(panel.limits)
     for curve, colour, marker in zip(panel.curves, cycle(COLOURS), cycle(MARKERS), strict=False):
-        y = np.maximum(curve.y, ROUND_OFF)
-        bars = None if curve.bar is None else [np.minimum(curve.bar, 0.9 * y), curve.bar]
+        y, bars = np.asarray(curve.y), None if curve.bar is None else [curve.bar, curve.bar]
+        if panel.y_logarithmic:
+            y = np.maximum(y, ROUND_OFF)
+            bars = bars and [np.minimum(bars[0], 0.9 * y), bars[1]]
         axes.errorbar(
             curve.x, y, bars, color=colour, marker=marker, markersize=3.6, lw=1.2, elinewidth=0.8,
             ls=curve.style, mfc="none" if curve.style == ":" else colour, label=curve.name,

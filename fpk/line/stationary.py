@@ -124,8 +124,10 @@ class StationarySolution:
 
     def _log_states(self, energy: Array) -> Array:
         """ln T at energies of any shape; beyond the last node, ln T of that node."""
-        within = np.clip(np.asarray(energy, dtype=float), TINY, self.nodes[-1])
-        return self.process.coefficients(within.ravel()).log_density_of_states.reshape(within.shape)
+        end = float(self.nodes[-1])
+        x, positive = self.process.on_mesh(np.asarray(energy, dtype=float), end)
+        log_T = self.process.coefficients(x.ravel()).log_density_of_states.reshape(x.shape)
+        return np.where(positive | (np.asarray(energy) > end), log_T, -np.inf)
 
     @cached_property
     def _log_distance(self) -> Array:

@@ -244,14 +244,14 @@ def test_simulations_of_random_systems_agree_and_of_wrong_clearances_do_not():
         assert answer.densities[0].certificate.certified
         wrong_stop = replace(contact, clearance=1.1 * contact.clearance)
         for other, holds in ((system, True), (replaced(system, wrong_stop), False)):
-            sampled = MonteCarlo(seconds=2.0, seed=seed, tol=1e-6).solve(other, [observable])
+            sampled = MonteCarlo(seed=seed, tol=2e-3).solve(other, [observable])
             (comparison,) = compared([answer, sampled], averaging_is_exact=False)
             assert comparison.measures == "sampling"
             if holds:
                 assert comparison.holds, (seed, comparison)
             else:
                 seen += not comparison.holds
-    # Where the stop is soft or far 2 s of simulation do not see a tenth of its clearance.
+    # Where the stop is soft or far a sample to 2e-3 does not see a tenth of its clearance.
     assert seen >= 30
 
 

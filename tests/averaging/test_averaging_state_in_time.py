@@ -202,7 +202,7 @@ STOPS = replace(THREE, contacts=tuple(Contact(i, "both", 10.0, 0.5) for i in (1,
 @pytest.mark.parametrize(
     ("method", "system", "name", "error", "words"),
     [
-        (Integrable("fem"), THREE, "q1", NotApplicable, "fem takes two"),
+        (Integrable("fem"), THREE, "q1", NotApplicable, "two modal energies, not for"),
         (NonIntegrable("quadrature"), TWO, "q1", NotApplicable, "stationary densities only"),
         (TOTAL, HERTZ, "q1", NotApplicable, "the system has contacts"),
         (FEM, TWO, "H1", NotApplicable, "knows the total energy only"),

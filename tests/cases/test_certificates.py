@@ -3,10 +3,14 @@
 import ast
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cases.comparison.routes import listed_routes, method_for
+from fpk.certificate import Measured, certify
 from fpk.contact import Contact
+from fpk.dynamics import Curve
+from fpk.evolution import Transient
 from fpk.observable import parse_observable
 from fpk.route import ROUTES
 from fpk.system import System
@@ -77,3 +81,17 @@ def test_a_route_that_misses_the_tolerance_says_so(key):
     (density,) = method.solve(system, [parse_observable(observable, system.n)]).densities
     assert not density.certificate.certified
     assert any("exceeds the tolerance" in words for words in density.certificate.failures)
+
+
+@pytest.mark.parametrize("column", [0, 1])
+def test_what_is_no_number_is_not_certified(column):
+    good = certify(Measured(0.0, 0.0, 0.0, 0.0, 0.0), tol=1e-9)
+    values = np.zeros((2, 1, 3))
+    curve = Curve(values[0, 0], values[1, 0], good)
+    transient = Transient(np.ones(1), *values, "numerical", good)
+    assert curve.certificate.certified and transient.certificate.certified
+    values[column, 0, 1] = np.nan
+    curve = Curve(values[0, 0], values[1, 0], good)
+    transient = Transient(np.ones(1), *values, "numerical", good)
+    for answer in (curve, transient):
+        assert answer.certificate.failures == ("1 of the values and errors are not numbers",)

@@ -8,7 +8,8 @@ import pytest
 
 from cases.output.claim import claimed
 from cases.scene.errors import BadInput
-from cases.studies.regime_map.points import NAME, MapPoint, PointStore
+from cases.studies.regime_map.points import MapPoint
+from cases.studies.sweep.store import NAME, PointStore
 
 POINTS = [
     MapPoint((x, 0.5), {"integrable": 0.1 / x}, {"integrable": 1e-3}, "exact", x, "integrable",
@@ -19,14 +20,14 @@ POINTS = [
 
 @pytest.fixture
 def written(tmp_path):
-    store = PointStore(tmp_path, IDENTITY)
+    store = PointStore(tmp_path, IDENTITY, MapPoint.read)
     for point in POINTS:
         store.add(point)
     return tmp_path / NAME
 
 
 def reopened(path):
-    return PointStore(path.parent, IDENTITY)
+    return PointStore(path.parent, IDENTITY, MapPoint.read)
 
 
 def test_what_was_written_is_read_to_the_last_digit(written):
@@ -80,7 +81,7 @@ def test_lines_that_were_changed_or_removed_or_doubled_are_refused(written):
         ["", ""],
     ):
         written.write_text("".join(f"{line}\n" for line in kept), encoding="utf-8")
-        with pytest.raises(BadInput, match=r"is damaged or another map.s; .* remove the file"):
+        with pytest.raises(BadInput, match=r"is damaged or another run.s; .* remove the file"):
             reopened(written)
 
 
@@ -123,12 +124,12 @@ def test_what_is_no_such_file_is_refused_without_reading_on(kind, tmp_path):
     make, words = ODD[kind]
     make(tmp_path / NAME)
     with pytest.raises(BadInput, match=words) as refusal:
-        PointStore(tmp_path, IDENTITY)
+        PointStore(tmp_path, IDENTITY, MapPoint.read)
     assert "\n" not in str(refusal.value) and str(tmp_path) in str(refusal.value)
 
 
 def test_points_of_another_map_are_refused_where_nothing_else_names_theirs(written):
     before = written.read_bytes()
-    with pytest.raises(BadInput, match="another map's"):
-        PointStore(written.parent, {**IDENTITY, "scene": "another"})
+    with pytest.raises(BadInput, match="another run's"):
+        PointStore(written.parent, {**IDENTITY, "scene": "another"}, MapPoint.read)
     assert written.read_bytes() == before

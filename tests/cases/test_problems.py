@@ -24,8 +24,8 @@ def shifted(density, shift, tol):
     return certified_density(
         density.observable,
         panels,
-        lambda x: pdf(x - shift),
-        lambda x: pointwise(x - shift),
+        lambda x, *p: pdf(x - shift, *p),
+        lambda x, *p: pointwise(x - shift, *p),
         measured=measured,
         tol=tol,
     )

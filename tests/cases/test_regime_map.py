@@ -9,8 +9,9 @@ import xarray as xr
 from cases.output.files import write_text
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
-from cases.studies.regime_map.map import build_map, parse_axes
+from cases.studies.regime_map.map import build_map
 from cases.studies.regime_map.points import winner_of
+from cases.studies.sweep.grid import parse_axes
 
 GRID = ["--vary", "contact.stiffness=0.01:100:log2", "--vary", "contact.clearance=0.5:2:2"]
 QUICK = ["--paths", 4096, "--time", 30, "--seed", 3]
@@ -27,8 +28,8 @@ def test_a_grid_reaches_both_ends_evenly_or_in_equal_ratios():
     ("texts", "word"),
     [
         (["contact.stiffness"], "low:high:count"),
-        (["contact.stiffnes=1:2:3"], "contact.stiffness"),
-        (["system.damping=1:2:3"], "write one of"),
+        (["contact.stiffnes=1:2:3"], "contact[1..1].stiffness"),
+        (["system.dampin=1:2:3"], "system.damping[1..2,1..2]"),
         (["contact.stiffness=1:2"], "low:high:count"),
         (["contact.stiffness=1:2:x"], "logCOUNT"),
         (["contact.stiffness=1:2:ln3"], "logCOUNT"),
@@ -85,7 +86,7 @@ def test_a_map_is_written_and_goes_on_where_it_was(fpk, tmp_path, monkeypatch):
     # Stopped in the middle, at any moment after the second point.
     (tmp_path / "points.jsonl").unlink()
     with monkeypatch.context() as context:
-        context.setattr("cases.studies.regime_map.points.write_text", stopped_after(2))
+        context.setattr("cases.studies.sweep.store.write_text", stopped_after(2))
         assert fpk("regime", "fig6a", *GRID, *QUICK, "--out", tmp_path, "--json")[0] == 130
     again = json.loads(fpk("regime", "fig6a", *GRID, *QUICK, "--out", tmp_path, "--json")[1])
     assert again["reused"] == 2

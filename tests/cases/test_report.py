@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from cases.commands.parts import command_line
 from cases.comparison.routes import register_routes
 from cases.output.digest import digest_of
 from cases.output.headline import headline_of, named, quantity_table, with_error
@@ -172,3 +173,14 @@ def outcome(scene_text, tmp_path_factory):
     path = tmp_path_factory.mktemp("scene") / "any.toml"
     path.write_text(scene_text)
     return run_scene(load_scene(str(path)), [method_for("nonintegrable", "closed-form")])
+
+
+def test_the_command_is_what_was_given():
+    from cases.commands.app import app  # noqa: PLC0415
+
+    words = ["fig6a", "--seed", "3", "--of", "q2", "--of", "H", "--no-simulation", "--quiet"]
+    with app.commands["run"].make_context("fpk run", list(words)):
+        line = command_line().split()
+    assert line[:3] == ["fpk", "run", "fig6a"] and sorted(line[3:]) == sorted(words[1:])
+    with app.commands["run"].make_context("fpk run", ["fig6a"]):
+        assert command_line() == "fpk run fig6a"

@@ -24,9 +24,10 @@ from cases.output.vtk import write_time_pvd
 from cases.scene.scene import load_scene
 from fpk.certificate import Measured, certify
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import Number, Passage, Passages, Transient
+from fpk.evolution import Passage, Passages, Transient
 from fpk.limit import parse_limit
 from fpk.method import Method, silent
+from fpk.number import Number
 from fpk.route import ROUTES
 from fpk.start import REST
 

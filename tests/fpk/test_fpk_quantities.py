@@ -87,6 +87,17 @@ def test_quantities_of_finite_elements_err_by_what_they_state():
     assert density.exceedance(5.0).error < 1e-2 * density.exceedance(5.0).value
 
 
+def test_quantiles_of_a_momentum_by_averaging():
+    """Nothing lies below the support, where such a density takes no empty list of points."""
+    stop = Contact(1, "both", 10.0, 0.3)
+    one = System([1.0], [1.0], [0.08], [0.08 * 0.3], contacts=(stop,))
+    density = solved(NonIntegrable(solver="fem"), one, "p1")
+    low, high = density.panels[0][[0, -1]]
+    within(density.cdf(low), 0.0)
+    within(density.exceedance(2.0 * high), 0.0)
+    within(density.quantile(0.01), stats.norm.ppf(0.01, scale=np.sqrt(0.3)))
+
+
 def test_a_wrong_density_is_seen_by_its_moments():
     density, gamma = gamma_energies()
     assert abs(density.mean().value - 1.001 * gamma.mean()) > 100.0 * density.mean().error

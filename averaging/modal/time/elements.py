@@ -100,9 +100,7 @@ def _pair(modes: ModalAnalysis, rows: Sequence[int]) -> list[int]:
     alone = [g[0] for g in modes.averaged.groups if len(g) == 1 and g[0] not in behind]
     pair = sorted([*behind, *alone[: max(0, 2 - len(behind))]])
     if len(pair) != 2:
-        raise NotApplicable(
-            f"{len(pair)} energies would have to be solved for together; fem takes two"
-        )
+        raise NotApplicable(f"in time fem solves for two modal energies, not for {len(pair)}")
     return pair
 
 

@@ -1,4 +1,4 @@
-"""What is asked of modal energies in time, for the closed form and the finite elements alike."""
+"""Observables and limits of modal energies in time, of whatever solver: which modes they name."""
 
 from averaging.energy_start import EnergyStart
 from fpk.errors import NotApplicable

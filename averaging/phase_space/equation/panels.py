@@ -1,6 +1,7 @@
 """Functions of the displacement of the contact mass: polynomials on panels between its stops."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -116,6 +117,17 @@ def polynomials(frame: Frame, reference: Reference, degrees: Degrees) -> tuple[i
 
 def bare_panels(frame: Frame, reference: Reference, degrees: Degrees) -> list[Panel]:
     """Panels between the stops and beyond them, with how many polynomials, but not yet which."""
+    panels = []
+    for panel in _panels(frame, reference):
+        width = float((panel.high - panel.low) * np.sqrt(reference.weight[1]))
+        degree = degrees.outer if panel.last else degrees.between(width)
+        panels.append(replace(panel, recurrence=np.zeros((degree + 1, degree))))
+    return panels
+
+
+@lru_cache(maxsize=4)
+def _panels(frame: Frame, reference: Reference) -> tuple[Panel, ...]:
+    """Panels without polynomials: where they end, and the lengths beyond the stops."""
     low, high = support(frame, reference)
     left, right = (x[(x > low) & (x < high)] for x in frame.stops)
     near = SAME * (high - low)
@@ -131,11 +143,9 @@ def bare_panels(frame: Frame, reference: Reference, degrees: Degrees) -> list[Pa
         anchor = float(b if direction < 0 else a)
         length = _length(frame, reference, anchor, float(a + b - anchor)) if direction else 1.0
         last = bool(direction) and (a == nodes[0] or b == nodes[-1])
-        width = float((b - a) * np.sqrt(reference.weight[1]))
-        degree = degrees.outer if last else degrees.between(width)
-        nothing = np.zeros((degree + 1, degree))
+        nothing = np.zeros((1, 0))
         panels.append(Panel(float(a), float(b), direction, last, anchor, length, 1.0, nothing))
-    return panels
+    return tuple(panels)
 
 
 def _length(frame: Frame, reference: Reference, anchor: float, end: float) -> float:

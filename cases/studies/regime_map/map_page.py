@@ -16,9 +16,10 @@ from cases.output.pictures.style import COLOURS, INK, STYLE, symbol_of
 from cases.output.records import UNITS
 from cases.output.time_fields import Variables
 from cases.studies.page import Page, Table
-from cases.studies.picture import DASHES, Curve, Panel, study_figure
-from cases.studies.regime_map.map import KEYS, Axis, RegimeMap
+from cases.studies.picture import DASHES, Curve, Panel, heat, study_figure
+from cases.studies.regime_map.map import RegimeMap
 from cases.studies.regime_map.points import NEITHER, THEORIES, UNDECIDED
+from cases.studies.sweep.grid import Axis
 from fpk.arrays import Array
 from fpk.clearance import CLEARANCE_RULE
 from fpk.observable import observable_name
@@ -64,7 +65,7 @@ def map_page(result: RegimeMap) -> Page:
 
 def map_variables(result: RegimeMap, rows: list[dict[str, Any]]) -> Variables:
     """Return ``L1`` and ``error`` (theory, parameters); by parameters what else is known."""
-    keys, name = tuple(axis.key for axis in result.axes), observable_name(result.observable)
+    keys, name = tuple(axis.dimension for axis in result.axes), observable_name(result.observable)
 
     def field(key: str, kind: type = float) -> Any:
         shape = [axis.values.size for axis in result.axes]
@@ -77,7 +78,10 @@ def map_variables(result: RegimeMap, rows: list[dict[str, Any]]) -> Variables:
     ratio = "smallest clearance over rms displacement without contact"
     return {
         "theory": (("theory",), np.array(THEORIES), {}),
-        **{a.key: ((a.key,), a.values, {"units": UNITS, "symbol": a.symbol}) for a in result.axes},
+        **{
+            a.dimension: ((a.dimension,), a.values, {"units": UNITS, "symbol": a.symbol})
+            for a in result.axes
+        },
         "L1": by_theory("L1", f"L1 distance of p({name}) to the full system"),
         "error": by_theory("error", "how far chance and the solvers may have moved L1"),
         "rms_ratio": (keys, field("rms_ratio"), {"long_name": ratio}),
@@ -98,7 +102,7 @@ def regime_figure(result: RegimeMap, fields: Variables) -> Figure:
         for theory, values, bar in zip(THEORIES, L1, error, strict=True)
         if not np.all(np.isnan(values))
     ]
-    title, x = result.scene.title, KEYS[axis.key]
+    title, x = result.scene.title, axis.label
     return study_figure([Panel(title, x, words, curves, logarithmic=axis.logarithmic)])
 
 
@@ -111,19 +115,16 @@ def _fields(x: Axis, y: Axis, L1: Array, ratio: Array, winner: Any, words: str) 
     nearer: dict[str, Any] = {"vmin": -0.5, "vmax": 2.5, "cmap": ListedColormap(colours)}
     figure = Figure(figsize=(9.6, 3.9), layout="constrained")
     panels = figure.subplots(1, 3, sharex=True, sharey=True)
-    scales = ["log" if axis.logarithmic else "linear" for axis in (x, y)]
     titles, palettes = (*THEORIES, "nearer to the full system"), (distances, distances, nearer)
     for axes, title, field, palette in zip(panels, titles, (*L1, index), palettes, strict=True):
-        shown = np.ma.masked_invalid(field).T
-        axes.pcolormesh(_edges(x), _edges(y), shown, rasterized=True, **palette)
-        axes.set(title=title, xlabel=KEYS[x.key], xscale=scales[0], yscale=scales[1])
-        axes.set(xlim=(x.values[0], x.values[-1]), ylim=(y.values[0], y.values[-1]))
+        heat(axes, x, y, field, **palette)
+        axes.set_title(title)
         if np.nanmin(ratio, initial=np.inf) < CLEARANCE_RULE < np.nanmax(ratio, initial=-np.inf):
             axes.contour(
                 x.values, y.values, ratio.T, levels=[CLEARANCE_RULE], colors=[INK],
                 linestyles=[DASHES], linewidths=1.2,
             )  # fmt: skip
-    panels[0].set_ylabel(KEYS[y.key])
+    panels[0].set_ylabel(y.label)
     shades = ScalarMappable(**distances)
     bar = figure.colorbar(shades, ax=list(panels[:2]), location="right", shrink=0.95, pad=0.02)
     bar.set_label(words)
@@ -132,11 +133,3 @@ def _fields(x: Axis, y: Axis, L1: Array, ratio: Array, winner: Any, words: str) 
     legend = [*THEORIES, "within the errors", f"clearance = {CLEARANCE_RULE:g} rms"]
     figure.legend(handles, legend, loc="outside lower center", ncols=4)
     return figure
-
-
-def _edges(axis: Axis) -> Array:
-    """Cell edges halfway between the values, on the axis' own scale."""
-    u = np.log(axis.values) if axis.logarithmic else axis.values
-    middles = 0.5 * (u[1:] + u[:-1])
-    edges = np.concatenate([[2.0 * u[0] - middles[0]], middles, [2.0 * u[-1] - middles[-1]]])
-    return np.exp(edges) if axis.logarithmic else edges

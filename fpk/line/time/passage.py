@@ -32,6 +32,9 @@ MOST_STEPS = 2_000
 """Most iterations for the failure rate; a hundred do for a hundred masses."""
 LAYER = 0.5
 """Length of the elements at the limit, in units of √(b t) of the shortest time."""
+THINNEST = 1e-12
+"""Least length of the elements at the limit, relative to it: in shorter ones energies are not told
+apart. Whoever starts farther from it has not failed at times for which these are too long."""
 FARTHEST = 900.0
 """Fall of ln(π H) from its maximum to the limit beyond which none is solved for: e^900 times."""
 LARGEST_MEAN = 1e300
@@ -225,7 +228,8 @@ def first_passage(
     fine: tuple[tuple[float, float], ...] = ()
     if later.size:
         b = float(process.coefficients(np.array([limit])).diffusion[0])
-        fine = ((limit, LAYER * np.sqrt(b * float(later.min()))),)
+        layer = LAYER * np.sqrt(b * float(later.min()))
+        fine = ((limit, max(layer, THINNEST * limit)),)
     probe = probed(process)
     log_mass = np.interp(math.log(limit), np.log(probe.energy), probe.log_mass)
     if not probe.log_mass.max() - log_mass < FARTHEST:

@@ -15,6 +15,7 @@ from fpk.line.time.mesh import time_nodes
 from fpk.line.time.modes import EPS, Modes
 from fpk.line.time.pair import ENRICHMENT, MOST_ROUNDS, Pair, cut, degree_for, meshed
 from fpk.line.time.propagation import Solution, Source, points, propagated
+from fpk.observable import number_text
 from fpk.probe import Probe, probed
 from fpk.process import Process
 
@@ -85,15 +86,14 @@ class Transition:
         """
         e = self.elements
         end = float(e.right[-1])
-        inside = np.clip(x, SMALLEST, end)
+        inside, positive = self.question.process.on_mesh(x, end)
         p, size = self.solution.density(inside)
         error = SAFETY * self.distance.max(axis=2)[:, e.element_of(inside)]
         error = error + common_error(self.question, e, p, size, inside)
         # What is left of larger numbers far from the peak.
         error += ROUND_OFF * EPS * self.top[:, None]
-        p_there = np.where((x >= 0.0) & (x <= end), p, 0.0)
         error = np.where(x > end, error + np.abs(p), error)
-        return p_there, np.where(x >= 0.0, error + SMALLEST, 0.0)
+        return np.where(positive, p, 0.0), np.where(x >= 0.0, error + SMALLEST, 0.0)
 
 
 def transition(process: Process, source: Source, times: Array, *, tol: float = 1e-10) -> Transition:
@@ -129,7 +129,7 @@ def posed(process: Process, source: Source, time: float, tol: float) -> tuple[Qu
     share = _log_share_above(probe, start)
     if share < FARTHEST or _log_share_above(probe, source.extent) < FARTHEST_EXTENT:
         remedy = "the stationary probability beyond it is out of the range of double precision"
-        raise InvalidInput("start", f"H={start or source.extent:g}", remedy)
+        raise InvalidInput("start", f"H={number_text(start or source.extent)}", remedy)
     ends = [_extent(process, source, tail * tol, share) for tail in TAIL]
     if source.process is None:
         width = _width_of(process, start, time)

@@ -127,26 +127,27 @@ class PlaneOperator:
         rows, columns = -np.asarray(A.T @ b)[self.free], (flux - A @ b)[self.free]
         both = float(b @ (A @ b) - b @ flux)
         e = (vertices - b)[self.free]
-        Me = np.asarray(M[self.free][:, self.free] @ e)
+        Me = np.asarray(M @ (vertices - b))[self.free]
         shares = shares[self.free]
         shares[self._pinned] = float((vertices - b) @ (M @ vertices))
         return Matrices(
-            self._with_sum(A, rows, columns, both),
-            self._with_sum(M, Me, Me, float(e @ Me)),
+            self._with_sum(self._pinned, A, rows, columns, both),
+            self._with_sum(self._pinned, M, Me, Me, float(e @ Me)),
             shares,
         )
 
-    def _with_sum(self, matrix: csc_array, row: Array, column: Array, both: float) -> csc_array:
-        """The free part of a matrix with row and column of the pinned unknown replaced."""
-        k, others = self._pinned, matrix[self.free][:, self.free].tocoo()
-        keep = (others.row != k) & (others.col != k)
+    def _with_sum(
+        self, k: int, matrix: csc_array, row: Array, column: Array, both: float
+    ) -> csc_array:
+        """The free part of a matrix with row and column of the pinned unknown ``k`` replaced."""
+        free = matrix[:, self.free][self.free]
+        free.data[free.indices == k] = 0.0
+        free.data[slice(*free.indptr[[k, k + 1]])] = 0.0
         row, column = row.copy(), column.copy()
         row[k], column[k] = both, 0.0
         i, j = np.flatnonzero(column), np.flatnonzero(row)
-        data = np.concatenate([others.data[keep], column[i], row[j]])
-        rows = np.concatenate([others.row[keep], i, np.full(j.size, k)])
-        columns = np.concatenate([others.col[keep], np.full(i.size, k), j])
-        return csc_array((data, (rows, columns)), shape=matrix[self.free][:, self.free].shape)
+        places = np.append(i, np.full(j.size, k)), np.append(np.full(i.size, k), j)
+        return free + csc_array((np.append(column[i], row[j]), places), shape=free.shape)
 
     def _flux_of_one(self, coefficients: Array) -> Array:
         """∫ w a·∇φ of all shape functions: A times 1, not as a sum that cancels."""

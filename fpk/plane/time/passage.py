@@ -4,7 +4,6 @@ u(t) = P(T > t) of a start solves ∂u/∂t = L u with u = 0 on the limit, its m
 L E[T²] = −2 T: the transpose of the operator of the density.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -16,6 +15,7 @@ from fpk.arrays import Array
 from fpk.errors import InvalidInput
 from fpk.evolution import BEYOND_RANGE, Passage, certified_passage
 from fpk.number import Number
+from fpk.observable import number_text
 from fpk.plane.solution import Nodes, graded
 from fpk.plane.time.domain import Domain, Rectangle, Triangle
 from fpk.plane.time.exponential import evolved, factorised, relative_residual
@@ -28,6 +28,9 @@ FOLDS = 5.0
 of its exponential."""
 HIGHEST = 300.0
 """Largest rise of −ln w up to a limit: E T² of the order of e^600 is within double precision."""
+MOST_UNKNOWNS = 300_000
+"""Unknowns of the largest level, of 3 GB; two levels are needed for an answer with an error."""
+TOO_RARE = "so rare a failure takes more equations than fit into memory; take a lower one"
 VECTORS = 8
 """Arnoldi vectors for the failure rate: of a rare failure, far below all other rates, two would do.
 """
@@ -96,7 +99,7 @@ def first_passage(
     Levels rise until two of them agree to ``tol``, relative to mean, variance and rate; the answer
     is that of the finer one. What a density at the start has beyond the limit fails at 0.
     ``coefficients_error`` is the relative error of the coefficients. Raises ``InvalidInput`` for a
-    limit whose mean time is beyond double precision.
+    limit whose mean time is beyond double precision, or that takes more than ``MOST_UNKNOWNS``.
     """
     levels = (_answer(op, start, times, tol) for op in _operators(frame, start, limit, tol))
     for coarse, fine in pairwise(levels):
@@ -109,16 +112,15 @@ def first_passage(
     return answer
 
 
-def _operators(
-    frame: Frame, start: Start, limit: PlaneLimit, tol: float
-) -> Iterator[PlaneOperator]:
+def _operators(frame: Frame, start: Start, limit: PlaneLimit, tol: float) -> list[PlaneOperator]:
+    """Operators that rise in resolution, of a size that fits into memory."""
     height = 0.0
     if isinstance(start, PointStart):
         height = frame.height(*start.energies)
     lowest = float(np.min(frame.heights(*limit.edge(frame.ends(frame.rise(tol, height, 0))))))
+    given = [x for x in (limit.first, limit.second, limit.total) if x is not None]
     if lowest > HIGHEST:
-        given = [x for x in (limit.first, limit.second, limit.total) if x is not None]
-        raise InvalidInput("limit", ", ".join(f"{x:g}" for x in given), BEYOND_RANGE)
+        raise InvalidInput("limit", ", ".join(map(number_text, given)), BEYOND_RANGE)
     height = max(height, lowest)
 
     def nodes(rise: float, panels: int) -> Nodes:
@@ -142,9 +144,13 @@ def _operators(
         )
         return first, second
 
-    yield from operators(
+    every = operators(
         frame, nodes, tol=tol, height=height, absorbing=limit.absorbing, domain=limit.domain
     )
+    small = [op for op in every if op.sizes[0] * op.sizes[1] <= MOST_UNKNOWNS]
+    if len(small) < 2:
+        raise InvalidInput("limit", ", ".join(map(number_text, given)), TOO_RARE)
+    return small
 
 
 def _answer(op: PlaneOperator, start: Start, times: Array, tol: float) -> _Answer:
@@ -181,11 +187,17 @@ def _answer(op: PlaneOperator, start: Start, times: Array, tol: float) -> _Answe
         survival[at_zero] = 1.0
     else:
         survival[at_zero] = float(dual @ factorised(M).solve(shares))
-    if np.any(~at_zero):
-        u = evolved(A.T.tocsc(), M, shares, times[~at_zero], tol=KRYLOV * tol)
-        survival[~at_zero] = u.values @ dual
+    # E T <= t + P(T > t) max E T: where failure is rare that is enough.
+    top = float(np.max(op.vertex_values(T)))
+    bound = (top - mean + times) / top + relative
+    early = ~at_zero & (bound <= KRYLOV * tol)
+    survival[early], lost[early] = 1.0, bound[early]
+    late = ~at_zero & ~early
+    if np.any(late):
+        u = evolved(-transposed, M, shares, times[late], tol=KRYLOV * tol)
+        survival[late] = u.values @ dual
         height = np.max(np.abs(op.vertex_values(u.values)), axis=1)
-        lost[~at_zero] = np.abs(u.change @ dual) + ROUNDING * u.rounding * height
+        lost[late] = np.abs(u.change @ dual) + ROUNDING * u.rounding * height
         residual = max(residual, u.residual)
     return _Answer(op, numbers, rounding, survival, lost, residual)
 

@@ -1,0 +1,91 @@
+"""Answers in Python: as a data frame, labelled arrays, a figure, the tables of a notebook."""
+
+from collections.abc import Iterable
+from html import escape
+from importlib import import_module
+from typing import Any
+
+import matplotlib as mpl
+
+from cases.comparison.answers import Answers
+from cases.output.digest import quantity_row
+from cases.output.fields import common_grid, density_variables
+from cases.output.pictures.lines import POINTS, density_figure
+from cases.output.pictures.style import SHOWN, STYLE
+from cases.output.records import UNITS, plain, program_version
+from cases.output.tables import NOTE, quantity_columns
+from cases.output.time_fields import Variables
+from fpk.errors import InvalidInput, Unavailable
+from fpk.observable import Observable, observable_name
+
+TAIL = 1e-6
+"""Share of the largest density down to which a logarithmic axis reaches."""
+
+
+def summary_frame(answers: Answers) -> Any:
+    """Return the quantities as a data frame of pandas, see ``Answers.summary``."""
+    pandas = needed("pandas")
+    frame = pandas.DataFrame([quantity_row(q) for q in answers.quantities])
+    if frame.empty:
+        return frame
+    routes = list(dict.fromkeys(frame["route"]))
+    rows = list(dict.fromkeys(zip(frame["observable"], frame["quantity"], strict=True)))
+    wide = frame.set_index(["observable", "quantity", "route"])[["value", "error"]].unstack("route")
+    columns = pandas.MultiIndex.from_product([routes, ["value", "error"]])
+    return wide.swaplevel(axis=1).reindex(index=rows, columns=columns)
+
+
+def dataset(answers: Answers) -> Any:
+    """Return the densities as a data set of xarray, see ``Answers.to_xarray``."""
+    xarray = needed("xarray")
+    variables: Variables = {}
+    for observable in dict.fromkeys(d.observable for d in answers.values()):
+        variables |= density_variables([answers], observable)
+    data = xarray.Dataset(
+        dict(variables), attrs={"units": UNITS, "program": f"vibro-fpk {program_version()}"}
+    )
+    return data.isel(curve=0, drop=True) if "curve" in data.dims else data
+
+
+def plot(answers: Answers, observable: Observable, *, log: bool) -> Any:
+    """Return a figure of the densities of one coordinate, see ``Answers.plot``."""
+    name, densities = observable_name(observable), answers.densities(observable)
+    if len(observable) != 1 or not densities:
+        there = ", ".join(dict.fromkeys(o for o, _ in answers if "," not in o)) or "none"
+        raise InvalidInput("observable", name, f"is not drawn; one of these can be: {there}")
+    (x,) = common_grid(densities.values(), cut=TAIL if log else SHOWN, count=POINTS)
+    with mpl.rc_context(dict(STYLE)):
+        figure = density_figure(
+            [answers], observable, x, import_module("matplotlib.pyplot").figure()
+        )
+        if log:
+            (axes,) = figure.axes
+            top = max(float(d.tabulated(x).max()) for d in densities.values())
+            axes.set_yscale("log")
+            axes.set_ylim(TAIL * top, 2.0 * top)
+    return figure
+
+
+def html_tables(answers: Answers) -> str:
+    """Return the quantities as HTML, a table of each observable."""
+    rows = [plain(quantity_row(q)) for q in answers.quantities]
+    parts = [f"<p>{escape(repr(answers))}</p>"]
+    for heads, columns in quantity_columns(rows, every=True):
+        first, *others = zip(heads, *columns, strict=True)
+        body = "".join(f"<tr>{_cells('td', row)}</tr>" for row in others)
+        head = f"<thead><tr>{_cells('th', first)}</tr></thead>"
+        parts.append(f"<table>{head}<tbody>{body}</tbody></table>")
+    return "".join([*parts, f"<p>{escape(NOTE)}</p>" if rows else ""])
+
+
+def _cells(tag: str, texts: Iterable[str]) -> str:
+    return "".join(f"<{tag}>{escape(text)}</{tag}>" for text in texts)
+
+
+def needed(name: str) -> Any:
+    """Return a package of the extra ``frames``; raise ``Unavailable`` where it is missing."""
+    try:
+        return import_module(name)
+    except ImportError:
+        words = f"{name} is not installed; pip install 'vibro-fpk[frames]' brings it"
+        raise Unavailable(words) from None

@@ -1,0 +1,102 @@
+"""Numbers of a system by their path in a scene, such as ``contact[1].clearance``."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from fpk.errors import InvalidInput
+from fpk.system import System
+
+ARRAYS = ("mass", "stiffness", "damping", "noise_intensity", "noise_gain")
+RECORDS = {
+    "contact": ("contacts", ("stiffness", "clearance", "exponent")),
+    "damping_term": ("damping_terms", ("coefficient",)),
+}
+"""By the name of a table its field of ``System``, and the numbers that it holds."""
+PATH = re.compile(r"(\w+)(?:\[([0-9]{1,4})\])?\.(\w+)(?:\[([0-9]{1,4})(?:,([0-9]{1,4}))?\])?")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a number stands: ``field`` of ``System``, ``name`` in its records (arrays: empty).
+
+    ``index`` counts from 0, (i,) of a vector or a record, (i, j) of a matrix; None stands for all.
+    """
+
+    field: str
+    name: str
+    index: tuple[int, ...] | None
+
+    @property
+    def factor(self) -> bool:
+        """Whether the number is a factor of a whole array."""
+        return not self.name and self.index is None
+
+    def overlaps(self, other: "Place") -> bool:
+        """Whether both change the same number."""
+        same = (self.field, self.name) == (other.field, other.name)
+        return same and (self.index == other.index or None in (self.index, other.index))
+
+
+def place_of(path: str, system: System) -> Place:
+    """Return the place of the number that ``path`` names.
+
+    ``system.mass[2]`` and ``contact[1].clearance`` count from 1, of a matrix ``[2]`` is an entry of
+    the diagonal and ``[1,2]`` any; ``contact.stiffness`` is that of all contacts,
+    ``system.damping`` a factor of the whole matrix. Of damping terms those count that depend on the
+    state.
+
+    Raises ``InvalidInput`` that lists what there is.
+    """
+    if match := PATH.fullmatch(path):
+        table, record, name, *entry = match.groups()
+        if table == "system" and name in ARRAYS and record is None:
+            index = tuple(int(i) - 1 for i in entry if i is not None)
+            shape = getattr(system, name).shape
+            if len(index) == 1 and len(shape) == 2:
+                index *= 2
+            index = tuple(sorted(index)) if name == "noise_intensity" else index
+            inside = all(0 <= i < size for i, size in zip(index, shape, strict=False))
+            if not index or (len(index) == len(shape) and inside):
+                return Place(name, "", index or None)
+        elif table in RECORDS and name in RECORDS[table][1] and entry[0] is None:
+            count = len(getattr(system, RECORDS[table][0]))
+            if count and (record is None or 1 <= int(record) <= count):
+                return Place(RECORDS[table][0], name, (int(record) - 1,) if record else None)
+    raise InvalidInput("path", path, f"is no number of the system; there are {_listed(system)}")
+
+
+def _listed(system: System) -> str:
+    """What there is, in one line."""
+    counts = {table: len(getattr(system, field)) for table, (field, _) in RECORDS.items()}
+    words = [f"{t}[1..{n}].{name}" for t, n in counts.items() if n for name in RECORDS[t][1]]
+    for name in ARRAYS:
+        sizes = ",".join(f"1..{size}" for size in getattr(system, name).shape)
+        words.append(f"system.{name}[{sizes}]")
+    words += [] if counts["contact"] else ["no [[contact]]"]
+    return f"{', '.join(words)}; without [..]: all contacts or terms, or a factor of an array"
+
+
+def with_numbers(system: System, values: Mapping[str, float]) -> System:
+    """Return the system with other numbers at paths that do not overlap.
+
+    Raises ``InvalidInput`` as ``place_of``, or for a number that the system cannot take.
+    """
+    fields: dict[str, Any] = {}
+    for path, value in values.items():
+        place = place_of(path, system)
+        own = getattr(system, place.field)
+        held = fields.setdefault(place.field, list(own) if place.name else np.array(own))
+        if place.factor:
+            held *= value
+        elif place.name:
+            for i in range(len(held)) if place.index is None else place.index:
+                held[i] = replace(held[i], **{place.name: value})
+        else:
+            held[place.index] = value
+            if place.field == "noise_intensity":
+                held[place.index[::-1]] = value  # type: ignore[index]  # no factor: it has one
+    return replace(system, **fields)

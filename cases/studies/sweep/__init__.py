@@ -1,0 +1,1 @@
+"""Quantities over a grid of parameters: the grid, its points on disk, and ``fpk sweep``."""

@@ -1,0 +1,142 @@
+"""One point of a sweep: all quantities of a system by several methods."""
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
+from math import isfinite
+from time import perf_counter
+
+from cases.comparison.answers import answers_of
+from cases.comparison.compare import distance_between
+from cases.comparison.rare import passage_answer
+from cases.comparison.refusal import REFUSALS
+from cases.scene.questions import PassageQuestion
+from cases.studies.sweep.quantity import AVERAGING, PASSAGE, Quantity
+from cases.studies.sweep.reference import reference_of
+from cases.studies.sweep.result import SweepPoint, Value
+from fpk.density import AnyDensity
+from fpk.errors import NotApplicable, NotCertified
+from fpk.evolution import Passage, Passages
+from fpk.limit import Limit
+from fpk.method import Method, silent
+from fpk.number import Number
+from fpk.observable import Observable, observable_name
+from fpk.start import REST
+from fpk.system import System
+from sim.montecarlo import MonteCarlo
+
+Asked = tuple[str, tuple[Method, ...]]
+"""The name of a method and its solvers in the order in which they are tried."""
+Found = tuple[Number | None, str, tuple[str, ...]]
+"""A number, None where the method does not give it, the kind of its error, and failed checks."""
+Reference = Callable[[Observable], tuple[AnyDensity, tuple[str, ...]]]
+"""Returns the density that averaged theories are held against, and its failed checks."""
+
+
+def sweep_point(
+    system: System,
+    values: tuple[float, ...],
+    quantities: tuple[Quantity, ...],
+    asked: Sequence[Asked],
+    solver: Method | None,
+    simulation: MonteCarlo,
+) -> SweepPoint:
+    """Return all quantities of ``system`` by the methods ``asked``; ``solver`` of the reference."""
+    start = perf_counter()
+
+    @cache
+    def reference(observable: Observable) -> tuple[AnyDensity, tuple[str, ...]]:
+        problems: list[str] = []
+        found = reference_of(system, observable, solver, simulation, problems)
+        if found is None:
+            raise NotCertified(f"no reference: {'; '.join(problems)}")
+        return found[1], tuple(problems)
+
+    columns = []
+    for name, own in asked:
+        methods = [simulation if isinstance(m, MonteCarlo) else m for m in own]
+        columns.append(_values(name, methods, system, quantities, reference))
+    answers = tuple(answer for row in zip(*columns, strict=True) for answer in row)
+    return SweepPoint(values, answers, perf_counter() - start)
+
+
+def _values(
+    name: str,
+    methods: Sequence[Method],
+    system: System,
+    quantities: Sequence[Quantity],
+    reference: Reference,
+) -> Iterator[Value]:
+    """Yield the quantities by one method, whose densities are solved for together."""
+    averaged = methods[0].route.solves == "averaged"
+    own = [q for q in quantities if q.limit is None and (averaged or q.kind != AVERAGING)]
+    densities, refused = _densities(methods, system, list(dict.fromkeys(q.observable for q in own)))
+    passages: dict[str, Passage] = {}
+
+    def found(quantity: Quantity) -> Found:
+        if quantity.limit is not None:
+            limit = str(quantity.limit)
+            if limit not in passages:
+                passages[limit] = _passage(methods, system, quantity.limit)
+            passage = passages[limit]
+            number = getattr(passage, PASSAGE[quantity.kind])
+            return number, passage.error_kind, passage.certificate.failures
+        if quantity not in own:
+            raise NotApplicable("is no averaged theory")
+        if quantity.observable not in densities:
+            raise refused[observable_name(quantity.observable)]
+        density = densities[quantity.observable]
+        failures = density.certificate.failures
+        if quantity.kind != AVERAGING:
+            return quantity.of(density, system), density.error_kind, failures
+        full, problems = reference(quantity.observable)
+        kinds = density.error_kind, full.error_kind
+        L1, error, _ = distance_between(density, full)
+        return Number(L1, error), max(kinds), (*failures, *problems)  # "sampling" is the last
+
+    for quantity in quantities:
+        try:
+            number, kind, failures = found(quantity)
+            if number is None or not (isfinite(number.value) and isfinite(number.error)):
+                raise NotApplicable("gives no such number with an error that has a bound")
+        except REFUSALS as error:
+            failed = not isinstance(error, NotApplicable)
+            yield Value(str(quantity), name, reason=str(error), failed=failed)
+            continue
+        checks = tuple(dict.fromkeys(failures))
+        yield Value(
+            str(quantity), name, number.value, number.error, kind, certified=not checks,
+            failures=checks,
+        )  # fmt: skip
+
+
+def _densities(
+    methods: Sequence[Method], system: System, wanted: Sequence[Observable]
+) -> tuple[dict[Observable, AnyDensity], dict[str, Exception]]:
+    """The densities by the first of ``methods`` that certifies each; by name why there is none."""
+    densities: dict[Observable, AnyDensity] = {}
+    refused: dict[str, Exception] = {}
+    for method in methods:
+        certified = {o for o, d in densities.items() if d.certificate.certified}
+        if missing := [o for o in wanted if o not in certified]:
+            answers = answers_of(system, missing, [method])
+            for density in (d for r in answers.results for d in r.densities):
+                if density.certificate.certified or density.observable not in densities:
+                    densities[density.observable] = density
+            for refusal in answers.refused:
+                kind = NotCertified if refusal.failed else NotApplicable
+                for name in refusal.observables:
+                    refused.setdefault(name, kind(refusal.reason))
+    return densities, refused
+
+
+def _passage(methods: Sequence[Method], system: System, limit: Limit) -> Passage:
+    """The first passage from rest by the first of ``methods`` that gives it, or why none does."""
+    refused: list[Exception] = []
+    for method in methods:
+        if isinstance(method, Passages):
+            try:
+                question = PassageQuestion(limit, REST)
+                return passage_answer(method, system, question, tol=None, progress=silent)
+            except REFUSALS as error:
+                refused.append(error)
+    raise refused[0] if refused else NotApplicable("gives no first passage")

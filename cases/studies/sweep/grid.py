@@ -1,0 +1,186 @@
+"""A grid of parameters: each point computed once, finished ones taken from disk.
+
+A grid on the command line is ``contact.stiffness=0.01:1000:log25``, or a list of numbers.
+"""
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise, product
+from math import nan, prod
+from pathlib import Path
+
+import numpy as np
+
+from cases.output.claim import claimed
+from cases.output.records import Record
+from cases.scene.errors import BadInput, toml_value
+from cases.scene.numbers import place_of, with_numbers
+from cases.scene.vary import VARIED
+from cases.studies.sweep.store import P, PointStore
+from fpk.arrays import Array
+from fpk.cores import usable_cores
+from fpk.errors import InvalidInput
+from fpk.method import Progress
+from fpk.system import System
+from sim.montecarlo import MonteCarlo
+from sim.workers import workers_of
+
+LABELS = {"contact.stiffness": "contact stiffness $B$", "contact.clearance": "clearance $δ$"}
+"""Labels of axes that have one of their own."""
+MAX_POINTS = 2000
+"""Points of a grid; each is a simulation of about a second."""
+LARGEST = 1e100
+"""Largest size of an end of a grid: its square is still a number."""
+FORMS = "low:high:count, low:high:logCOUNT for equal ratios, or a list such as 0.1,0.2"
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """One parameter and the values that it takes; ``symbol`` is its letter, such as B."""
+
+    key: str
+    symbol: str
+    values: Array
+    logarithmic: bool
+
+    @property
+    def label(self) -> str:
+        """The words of the axis in a picture."""
+        return LABELS.get(self.key, self.symbol)
+
+    @property
+    def dimension(self) -> str:
+        """The name in netCDF: the key without brackets and commas."""
+        return re.sub(r"[\[\],]+\.?", ".", self.key).strip(".")
+
+
+def place_words(axes: Sequence[Axis], values: Sequence[float]) -> str:
+    """Return a point of the grid in words: ``B = 10, δ = 0.5``."""
+    return ", ".join(f"{a.symbol} = {v:g}" for a, v in zip(axes, values, strict=True))
+
+
+def computed(
+    system: System,
+    axes: Sequence[Axis],
+    task: Callable[[System, tuple[float, ...]], Callable[[MonteCarlo], P]],
+    read: Callable[[Record], P],
+    *,
+    identity: Record,
+    simulation: MonteCarlo,
+    side_by_side: bool,
+    folder: Path | None,
+    progress: Progress,
+) -> tuple[tuple[P, ...], int]:
+    """Return the points of a grid in its order, the last axis fastest, and how many were on disk.
+
+    ``task(system, values)`` returns what computes a point by a simulation: by ``simulation`` on all
+    cores, or, ``side_by_side``, by one thread of each point. Its ``cluster`` takes whole points.
+    ``read``, ``folder`` and ``identity`` as of ``PointStore``.
+    """
+    systems = {}
+    for values in product(*(axis.values.tolist() for axis in axes)):
+        numbers = dict(zip((axis.key for axis in axes), values, strict=True))
+        try:
+            systems[values] = with_numbers(system, numbers)
+        except InvalidInput as error:
+            raise BadInput(f"--vary: at {place_words(axes, values)}: {error}") from None
+    with claimed(folder, identity):
+        store = PointStore(folder, identity, read)
+        todo = [task(own, values) for values, own in systems.items() if values not in store.points]
+        progress(0, len(todo), "points of the grid")
+        finished = _finished(todo, simulation, side_by_side=side_by_side)
+        for done, point in enumerate(finished, start=1):
+            store.add(point)
+            progress(done, len(todo), "points of the grid")
+    return tuple(store.points[values] for values in systems), len(systems) - len(todo)
+
+
+def _finished(
+    todo: Sequence[Callable[[MonteCarlo], P]], method: MonteCarlo, *, side_by_side: bool
+) -> Iterator[P]:
+    """Yield the points as they are finished, each a task of a cluster if there is one.
+
+    Else one after the other, as a simulation takes all cores; ``side_by_side``: one on each core.
+    """
+    alone = replace(method, cluster=None, threads=1)
+    if method.cluster is not None:
+        with workers_of(method.cluster) as workers:
+            yield from workers.as_finished([partial(point, alone) for point in todo])
+    elif side_by_side:
+        pool = ThreadPoolExecutor(usable_cores())
+        try:
+            for future in as_completed([pool.submit(point, alone) for point in todo]):
+                yield future.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+    else:
+        yield from (point(method) for point in todo)
+
+
+def parse_axes(texts: Sequence[str], system: System) -> tuple[Axis, ...]:
+    """Return one or two axes; raise ``BadInput`` for what cannot be used of them."""
+    if not 1 <= len(texts) <= 2:
+        raise BadInput(f"--vary is given {len(texts)} times; give one parameter or two")
+    axes = tuple(_axis(text, system) for text in texts)
+    places = [place_of(axis.key, system) for axis in axes]
+    if len(axes) == 2 and places[0].overlaps(places[1]):
+        raise _wrong(texts[1], f"{axes[0].key} is varied already")
+    if (count := prod(a.values.size for a in axes)) > MAX_POINTS:
+        raise BadInput(f"--vary: the grid has {count} points; at most {MAX_POINTS}")
+    for value in axes[0].values.tolist() if len(axes) == 1 else ():  # a pair may do, one not
+        try:
+            with_numbers(system, {axes[0].key: value})
+        except InvalidInput as error:
+            raise _wrong(texts[0], f"{value:g} {error.remedy}") from None
+    return axes
+
+
+def _axis(text: str, system: System) -> Axis:
+    key, equals, grid = (part.strip() for part in text.partition("="))
+    if not equals:
+        raise _wrong(text, f"write PATH=GRID; a grid is {FORMS}")
+    try:
+        place = place_of(key, system)
+    except InvalidInput as error:
+        raise _wrong(text, f"{toml_value(key)} {error.remedy}") from None
+    symbol = VARIED.get(key, key) if place.name else f"{key} (factor)" if place.factor else key
+    match = re.fullmatch(r"([^:,]+):([^:,]+):(log)?([0-9]{1,5})", grid)
+    if match is None:
+        return Axis(key, symbol, _list(text, grid), False)
+    low, high = _number(match[1]), _number(match[2])
+    logarithmic, count = match[3] is not None, int(match[4])
+    for holds, remedy in (
+        (abs(low) <= LARGEST and abs(high) <= LARGEST, "both ends must be finite numbers"),
+        (low < high, f"{low:g} is not below {high:g}"),
+        (2 <= count <= MAX_POINTS, f"a count of {count} cannot be used; use 2 to {MAX_POINTS}"),
+        (low > 0 or not logarithmic, "equal ratios need a low end > 0"),
+    ):
+        if not holds:
+            raise _wrong(text, remedy)
+    values = np.geomspace(low, high, count) if logarithmic else np.linspace(low, high, count)
+    # Twelve digits: the same grid point has the same value on any grid that contains it.
+    rounded = np.array([float(f"{v:.12g}") for v in values])
+    return Axis(key, symbol, rounded, logarithmic)
+
+
+def _list(text: str, grid: str) -> Array:
+    values = [_number(item) for item in grid.split(",")]
+    if not all(abs(v) <= LARGEST for v in values):
+        raise _wrong(text, f"{toml_value(grid)} is no grid; a grid is {FORMS}")
+    if len(values) < 2 or not all(a < b for a, b in pairwise(values)):
+        raise _wrong(text, "a list must ascend and have at least two numbers")
+    return np.array(values)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return nan
+
+
+def _wrong(text: str, remedy: str) -> BadInput:
+    return BadInput(f"--vary {toml_value(text)}: {remedy}")

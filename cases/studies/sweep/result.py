@@ -1,0 +1,119 @@
+"""The answers of a sweep: values with their errors, point by point and as labelled arrays."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from cases.output.records import Record
+from cases.output.time_fields import Variables
+from cases.studies.sweep.grid import Axis, place_words
+
+
+@dataclass(frozen=True)
+class Value:
+    """A quantity by one method with its error; no value where ``reason`` says why not.
+
+    ``error_kind`` is "numerical" or "sampling"; ``failures`` say why it is not ``certified``;
+    ``failed`` where the method applies and did not succeed.
+    """
+
+    quantity: str
+    method: str
+    value: float | None = None
+    error: float | None = None
+    error_kind: str = ""
+    certified: bool = False
+    failures: tuple[str, ...] = ()
+    reason: str = ""
+    failed: bool = False
+
+    @property
+    def said(self) -> bool:
+        """Whether the method applies: there is a value, or ought to be."""
+        return self.value is not None or self.failed
+
+
+@dataclass(frozen=True)
+class SweepPoint:
+    """The answers at one point of the grid: methods fastest, in the order asked for."""
+
+    values: tuple[float, ...]
+    answers: tuple[Value, ...]
+    seconds: float
+
+    @classmethod
+    def read(cls, record: Record) -> "SweepPoint":
+        """Return the point of its record in JSON."""
+        own = [Value(**{**r, "failures": tuple(r["failures"])}) for r in record["answers"]]
+        return cls(tuple(record["values"]), tuple(own), record["seconds"])
+
+    def by(self, methods: Sequence[str]) -> "SweepPoint":
+        """Return the point with the answers of ``methods`` alone."""
+        return replace(self, answers=tuple(a for a in self.answers if a.method in methods))
+
+
+@dataclass(frozen=True, repr=False)
+class Sweep:
+    """Quantities by methods over a grid, its last axis fastest; ``reused`` are from disk."""
+
+    name: str
+    axes: tuple[Axis, ...]
+    quantities: tuple[str, ...]
+    methods: tuple[str, ...]
+    points: tuple[SweepPoint, ...]
+    reused: int
+    seconds: float
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What failed or is not certified at a point, in words that begin with its place."""
+        return tuple(
+            f"{place_words(self.axes, p.values)}: {a.quantity} by {a.method} {words}"
+            for p in self.points
+            for a in p.answers
+            for words in (
+                *(f"is not certified: {failure}" for failure in a.failures),
+                *([f"failed: {a.reason}"] if a.failed else []),
+            )
+        )
+
+    def record(self) -> Record:
+        """Return the record of ``fpk sweep`` as ``plain`` takes it."""
+        own = {key: value for key, value in vars(self).items() if key != "name"}
+        axes = [{"key": a.key, "values": a.values} for a in self.axes]
+        return {"scene": self.name, **own, "axes": axes}
+
+    def field(self, key: str) -> Any:
+        """Return ``key`` of all values, (quantity, method, axes); numbers that are not: NaN."""
+        sizes = [axis.values.size for axis in self.axes]
+        rows = [[getattr(answer, key) for answer in point.answers] for point in self.points]
+        kind = float if key in ("value", "error") else None
+        array = np.array(rows, dtype=kind).T
+        return array.reshape(len(self.quantities), len(self.methods), *sizes)
+
+    def variables(self) -> Variables:
+        """Return ``value``, ``error``, ``error_kind``, ``certified`` (quantity, route, axes)."""
+        dimensions = ("quantity", "route", *(axis.dimension for axis in self.axes))
+        words = "an estimate of the numerical error or one standard error, as error_kind says"
+        return {
+            "quantity": (dimensions[:1], np.array(self.quantities), {}),
+            "route": (dimensions[1:2], np.array(self.methods), {}),
+            **{a.dimension: ((a.dimension,), a.values, {"long_name": a.symbol}) for a in self.axes},
+            "value": (dimensions, self.field("value"), {}),
+            "error": (dimensions, self.field("error"), {"long_name": words}),
+            "error_kind": (dimensions, self.field("error_kind"), {}),
+            "certified": (dimensions, self.field("certified").astype(np.int8), {}),
+        }
+
+    def to_xarray(self) -> Any:
+        """Return ``variables`` as an ``xarray.Dataset``; needs the package xarray."""
+        from xarray import Dataset  # noqa: PLC0415  (optional)
+
+        return Dataset(self.variables(), attrs={"scene": self.name})
+
+    def __repr__(self) -> str:
+        """Return what was computed where in one line."""
+        where = ", ".join(f"{a.key} ({a.values.size})" for a in self.axes)
+        return f"Sweep({', '.join(self.quantities)} by {', '.join(self.methods)} over {where})"

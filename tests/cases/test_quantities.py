@@ -1,0 +1,311 @@
+"""Engineering quantities of a run: against closed forms, between routes, in tables."""
+
+import json
+import sys
+from dataclasses import replace
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.integrate import quad
+
+import fpk as face
+from cases.comparison.answers import Answers, run_scene
+from cases.comparison.routes import method_for
+from cases.output.digest import digest_of
+from cases.output.tables import concise, quantity_tables
+from cases.scene.scene import load_scene
+from fpk.contact import Contact
+from fpk.density import Density
+from fpk.errors import InvalidInput, Unavailable
+from fpk.system import System
+
+LINEAR = System([1.0, 2.0], [1.0, 0.5], [0.08, 0.04], [0.08 * 0.3, 0.04 * 0.3])
+"""In equilibrium at the temperature 0.3: q1 has the variance 0.3, q2 that of springs in series."""
+TEMPERATURE = 0.3
+STOP = Contact(1, "right", 10.0, 0.3)
+ONE = System([2.0], [1.0], [0.08], [0.08 * TEMPERATURE], contacts=(STOP,))
+
+
+def test_quantities_of_a_linear_system_are_those_of_a_gaussian():
+    answers = face.solve(LINEAR, ["q2", "p1"], methods=["linear", "exact", "nonintegrable/fem"])
+    of = {(q.observable, q.quantity, q.route.label): q.number for q in answers.quantities}
+    for name, variance in (("q2", TEMPERATURE * (1.0 + 1.0 / 0.5)), ("p1", TEMPERATURE)):
+        normal = stats.norm(scale=np.sqrt(variance))
+        for quantity, true in (
+            ("mean", 0.0),
+            ("rms", normal.std()),
+            ("std", normal.std()),
+            ("skewness", 0.0),
+            ("kurtosis", 3.0),
+            ("quantile 1 %", normal.ppf(0.01)),
+            ("median", 0.0),
+            ("quantile 99 %", normal.ppf(0.99)),
+        ):
+            for route in ("linear", "exact"):
+                number = of[name, quantity, route]
+                assert abs(number.value - true) <= number.error + 1e-14, (name, quantity, route)
+                assert number.error < 1e-9
+    assert not answers.problems
+    judged = [c for c in answers.quantity_comparisons if c.measures == "numerical"]
+    # Of two routes to q2 and p1 each, in eight quantities; energy averaging is exact here, too.
+    assert len(judged) == 2 * 8 * 3 and all(c.holds for c in judged)
+
+
+@pytest.fixture(scope="module")
+def one():
+    """One mass at a stop: exact, averaged and simulated."""
+    names = ["exact", "nonintegrable/fem", method_for("montecarlo", relaxations=20.0, seed=5)]
+    return face.solve(ONE, ["q1", "H"], methods=names)
+
+
+def test_what_a_stop_feels_in_an_exact_scene_is_that_of_quadrature(one):
+    def weight(q):
+        return np.exp(-(0.5 * q**2 + STOP.energy(max(q - STOP.clearance, 0.0))) / TEMPERATURE)
+
+    total = quad(weight, -8.0, 0.3, epsabs=1e-13)[0] + quad(weight, 0.3, 4.0, epsabs=1e-13)[0]
+    touching = quad(weight, 0.3, 4.0, epsabs=1e-13)[0] / total
+    force = quad(lambda q: STOP.force(q - 0.3) * weight(q), 0.3, 4.0, epsabs=1e-13)[0] / total
+    # Rice: p(δ) E v+, of a velocity with variance T/m.
+    rate = weight(0.3) / total * np.sqrt(TEMPERATURE / 2.0 / (2.0 * np.pi))
+    numbers = {
+        (q.quantity, q.route.label): q.number for q in one.quantities if q.observable == "q1"
+    }
+    for name, true in (
+        ("contact probability", touching),
+        ("mean force", force),
+        ("force in contact", force / touching),
+        ("upcrossing rate", rate),
+    ):
+        number = numbers[f"{name}, right stop", "exact"]
+        assert abs(number.value - true) <= number.error + 1e-11 * true, name  # of the reference
+        assert number.error < 1e-7 * true
+    sampled = numbers["mean force, right stop", "montecarlo"]
+    assert abs(sampled.value - force) < 4.5 * sampled.error < 0.1 * force
+
+
+def test_the_upcrossing_rate_follows_from_a_joint_density_too(one):
+    joint = face.solve(ONE, ["q1,p1"], methods=["exact", "nonintegrable/fem"])
+    rates = {q.route.label: q.number for q in joint.quantities}
+    assert {q.quantity for q in joint.quantities} == {"upcrossing rate, right stop"}
+    (known,) = [q.number for q in one.quantities if q.quantity == "upcrossing rate, right stop"]
+    for number in rates.values():
+        assert abs(number.value - known.value) <= number.error + known.error
+    (comparison,) = joint.quantity_comparisons
+    assert comparison.measures == "numerical" and comparison.holds
+    free = System([1.0], [1.0], [0.1], [0.1])
+    assert not face.solve(free, ["q1,p1"], methods=["exact"]).quantities
+
+
+def test_the_full_system_comes_first_and_samples_last(one):
+    assert [q.route.label for q in one.quantities][:3] == [
+        "exact",
+        "nonintegrable/fem",
+        "montecarlo",
+    ]
+
+
+def test_the_routes_of_one_equation_agree_and_each_comparison_is_judged(one):
+    assert not one.problems
+    pairs = {(c.measures, c.band is None) for c in one.quantity_comparisons}
+    assert pairs == {("numerical", False), ("sampling", False)}
+    assert {c.observable.split(": ")[0] for c in one.quantity_comparisons} == {"q1", "H"}
+
+
+def scaled(density, factor):
+    """The density of ``factor`` times the coordinate, with the error of the right one."""
+    return replace(
+        density,
+        panels=(density.panels[0] * factor,),
+        pdf=lambda x: density.pdf(x / factor) / factor,
+        pointwise=lambda x: density.pointwise(x / factor) / factor,
+    )
+
+
+@pytest.fixture(scope="module")
+def free():
+    """Energy of one mass without contact: exponential; exact, averaged and simulated."""
+    system = System([1.0], [1.0], [0.5], [0.5])
+    sampled = method_for("montecarlo", relaxations=150.0, seed=5)
+    return face.solve(system, ["H"], methods=["exact", "nonintegrable/closed-form", sampled])
+
+
+def test_the_quantities_of_a_wrong_density_differ_from_those_of_a_simulation(free):
+    """Two in a hundred too much energy: all but what has no unit is off; said once a pair."""
+    exact, averaged, sampled = free.results
+    assert not free.problems
+    wrong = replace(exact, densities=(scaled(exact.densities[0], 1.02),))
+    answers = Answers(free.system, (wrong, averaged, sampled))
+    failing = {c.observable for c in answers.quantity_comparisons if not c.holds}
+    assert failing >= {"H: mean", "H: rms", "H: std", "H: median", "H: quantile 99 %"}
+    assert not failing & {"H: skewness", "H: kurtosis"}
+    assert len(answers.problems) == 2 and all("differ by L1" in p for p in answers.problems)
+
+
+def test_a_wrong_quantity_of_a_right_density_is_a_problem(free, monkeypatch):
+    right = Density.kurtosis
+    monkeypatch.setattr(
+        Density, "kurtosis", lambda d: replace(right(d), value=right(d).value * 1.1)
+    )
+    answers = Answers(free.system, free.results)
+    assert all(c.holds for c in answers.comparisons)
+    differing = {c.observable for c in answers.quantity_comparisons if not c.holds}
+    assert differing == {"H: kurtosis"}
+    problems = answers.problems
+    assert len(problems) == 2 and all(p.startswith("H: kurtosis: ") for p in problems)
+
+
+def test_averaging_is_reported_and_not_judged():
+    answers = face.solve(
+        load_scene("fig6a").system, ["q2"], methods=["nonintegrable/fem", "integrable/closed-form"]
+    )
+    assert {c.band for c in answers.quantity_comparisons} == {None}
+    assert not answers.problems
+
+
+def test_chance_explains_what_right_simulations_differ_by():
+    """Short simulations, 20 seeds, 16 quantities: one of 250 such tests may call one wrong."""
+    system = System([1.0], [1.0], [0.5], [0.5])
+    exact = face.solve(system, ["q1", "H"], methods=["exact"]).results
+    for seed in range(20):
+        method = method_for("montecarlo", paths=4096, relaxations=1.0, seed=seed)
+        result = face.solve(system, ["q1", "H"], methods=[method]).results
+        answers = Answers(system, exact + result)
+        assert all(c.holds for c in answers.quantity_comparisons), seed
+        assert len(answers.quantity_comparisons) == 16
+
+
+@pytest.mark.parametrize("clearance", [4.0, 30.0])
+def test_a_stop_that_no_sample_reached_is_no_contradiction(clearance):
+    """The exact probabilities, 1e-13 and 0 in double precision, are beyond what samples see."""
+    far = replace(ONE, contacts=(Contact(1, "right", 10.0, clearance),))
+    sampled = method_for("montecarlo", paths=4096, relaxations=1.0, seed=2)
+    answers = face.solve(far, ["q1"], methods=["exact", sampled])
+    numbers = {(q.quantity, q.route.label): q.number for q in answers.quantities}
+    touching = numbers["contact probability, right stop", "montecarlo"]
+    assert touching.value == 0.0 and touching.error > 0.0
+    force = numbers["mean force, right stop", "montecarlo"]
+    assert force.value == 0.0 and (force.error > 0.0 or clearance > 10.0)
+    assert numbers["force in contact, right stop", "montecarlo"].error == np.inf
+    assert not answers.problems
+    assert "–" in answers._repr_html_()
+
+
+def test_one_stop_of_two_on_a_side_is_named_by_its_place():
+    stops = Contact(1, "right", 10.0, 0.3), Contact(1, "right", 5.0, 0.5), Contact(1, "left", 1, 1)
+    system = replace(ONE, contacts=stops)
+    answers = face.solve(system, ["q1"], methods=["exact"])
+    where = [q.quantity.partition(", ")[2] for q in answers.quantities if "mean f" in q.quantity]
+    assert where == ["right stop at 0.3", "right stop at 0.5", "left stop"]
+
+
+def test_the_record_of_a_run_has_the_quantities_as_rows():
+    scene = replace(load_scene("fig6a"), expect=None)
+    scene = replace(scene, curves=scene.curves[:2])
+    digest = digest_of(run_scene(scene, [method_for("nonintegrable", "closed-form")]))
+    assert digest["schema"] == 2
+    for curve in (digest, *digest["curves"]):
+        for row in curve["quantities"]:
+            assert [*row] == ["observable", "quantity", "route", "value", "error", "error_kind"]
+            assert isinstance(row["value"], float) and isinstance(row["error"], float)
+        assert len(curve["quantities"]) == 2 * 8 + 2 * 4  # of q2 and H, at two stops
+    json.dumps(digest, allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (0.41234567, 0.00048, "0.4123(5)"),
+        (0.41234567, 0.00012, "0.41235(12)"),
+        (0.41234567, 0.00041, "0.4123(5)"),  # up
+        (-1.5, 0.0951, "-1.50(10)"),
+        (0.4264499875718573, 2.7e-12, "0.4264500"),
+        (1e-17, 1.7e-10, "0(2e-10)"),
+        (0.0, 0.0, "0"),
+        (0.01, 0.05, "0.01(5)"),
+        (123456.7, 2100.0, "123457(3000)"),
+        (1.2345e-7, 3e-9, "1.23(3)e-07"),
+        (3.25e9, 2e7, "3.25(2)e+09"),
+        (None, None, "–"),
+        (0.5, None, "–"),
+    ],
+)
+def test_a_number_is_shown_with_its_error(value, error, text):
+    assert concise(value, error) == text
+
+
+def test_a_number_in_brackets_is_no_less_than_the_error():
+    rng = np.random.default_rng(3)
+    for value, error in zip(rng.normal(size=500), 10.0 ** rng.uniform(-9, 0, 500), strict=True):
+        text = concise(value, error)
+        digits, _, rest = text.partition("(")
+        decimals = len(digits.partition(".")[2])
+        shown = float(rest.partition(")")[0]) if rest else 0.5
+        unit = 1.0 if "e" in rest else 10.0**-decimals
+        assert shown * unit >= error * (1.0 - 1e-6), text
+        assert abs(float(digits) - value) <= max(0.5 * 10.0**-decimals, error) * (1 + 1e-9), text
+
+
+def test_a_table_is_as_wide_as_the_terminal_and_repeats_no_solver():
+    routes = ("phase-space", "nonintegrable/fem", "nonintegrable/closed-form", "montecarlo")
+    rows = [
+        {
+            "observable": "q2",
+            "quantity": quantity,
+            "route": route,
+            "value": 0.5,
+            "error": 1e-3,
+            "error_kind": "sampling" if route == "montecarlo" else "numerical",
+        }
+        for quantity in ("mean", "contact probability, right stop")
+        for route in routes
+    ]
+    wide = "\n".join(quantity_tables(rows, 100))
+    assert wide.count("q2") == 1 and "closed-form" not in wide and "0.5000(10)" in wide
+    assert "closed-form" in "\n".join(quantity_tables(rows, 100, True))
+    for width in (60, 70, 80, 100, 120):
+        lines = quantity_tables(rows, width, True)
+        assert max(map(len, lines)) <= width
+        assert sum(line.count("0.5000(10)") for line in lines) == len(rows)
+
+
+def test_a_frame_has_every_quantity_with_its_error_by_route(one):
+    frame = one.summary()
+    for q in one.quantities:
+        row = frame.loc[(q.observable, q.quantity), q.route.label]
+        assert (row["value"], row["error"]) == (q.number.value, q.number.error)
+    assert [*frame.index] == list(dict.fromkeys((q.observable, q.quantity) for q in one.quantities))
+    assert (
+        face.solve(System([1.0], [1.0], [0.1], [0.1]), ["q1,p1"], methods=["exact"]).summary().empty
+    )
+
+
+def test_labelled_arrays_are_the_densities_at_their_points(one):
+    data = one.to_xarray()
+    at = data.sel(route_H="exact")["H"].to_numpy()
+    values, errors = one["H", "exact"].at(at)
+    np.testing.assert_array_equal(data["p_H"].sel(route_H="exact"), values)
+    np.testing.assert_array_equal(data["error_H"].sel(route_H="exact"), errors)
+    assert data["error_kind_q1"].sel(route_q1="montecarlo") == "sampling"
+
+
+def test_a_plot_has_the_drawn_routes_and_a_logarithmic_axis_reaches_the_tail(one):
+    (axes,) = one.plot("q1", log=True).axes
+    assert axes.get_yscale() == "log" and axes.get_ylim()[0] < 1e-5
+    (other,) = one.plot("q1").axes
+    assert other.get_yscale() == "linear" and len(other.lines) >= 2
+    with pytest.raises(InvalidInput, match="one of these can be: q1, H"):
+        one.plot("p1")
+    plt.close("all")
+
+
+def test_a_notebook_shows_the_tables(one):
+    page = one._repr_html_()
+    assert page.count("<table>") == 2 and "contact probability, right stop" in page
+
+
+def test_a_missing_package_is_named(one, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(Unavailable, match=r"vibro-fpk\[frames\]"):
+        one.summary()

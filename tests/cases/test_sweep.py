@@ -1,0 +1,320 @@
+"""Sweeps: values against closed forms, paths and grids that are refused, going on after a kill."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from io import BytesIO
+from math import sqrt
+
+import mpmath
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.linalg import solve_continuous_lyapunov
+from scipy.special import erfc
+
+import fpk as face
+from cases.scene.errors import BadInput
+from cases.scene.numbers import with_numbers
+from cases.scene.scene import load_scene
+from cases.studies.regime_map.map import build_map
+from cases.studies.sweep.grid import parse_axes
+from cases.studies.sweep.quantity import parse_quantity
+from cases.studies.sweep.sweep_page import sweep_figure
+
+FREE = face.System([1, 2], [1, 3], [0.1, 0.2], [[0.02, 0.01], [0.01, 0.04]])
+ROUND_OFF = 1e-12
+"""Relative error of the judges below, solved in double precision."""
+
+
+def covariance_q2(system):
+    """E q2² by the Lyapunov equation A P + P Aᵀ + 2 f D fᵀ = 0 of (q, v), written here anew."""
+    n, m = system.n, 1.0 / system.mass[:, None]
+    drift = np.block(
+        [[np.zeros((n, n)), np.eye(n)], [-m * system.stiffness_matrix, -m * system.damping]]
+    )
+    noise = np.zeros((2 * n, 2 * n))
+    noise[n:, n:] = 2.0 * m * system.noise_matrix * m.T
+    return solve_continuous_lyapunov(drift, -noise)[1, 1]
+
+
+@pytest.mark.parametrize(
+    ("path", "own", "values"),
+    [
+        ("system.mass[2]", lambda v: {"mass": [1, v]}, [0.5, 3.0]),
+        ("system.damping", lambda v: {"damping": FREE.damping * v}, [0.5, 2.0]),
+        ("system.damping[2]", lambda v: {"damping": [0.1, v]}, [0.05, 2.0]),
+        (
+            "system.noise_intensity[2,1]",
+            lambda v: {"noise_intensity": [[0.02, v], [v, 0.04]]},
+            [-0.02, 0.0],
+        ),
+    ],
+)
+def test_rms_and_exceedance_of_a_linear_scene_are_those_of_lyapunov(path, own, values):
+    fields = {"mass": [1, 2], "stiffness": [1, 3], "damping": [0.1, 0.2]}
+    fields["noise_intensity"] = FREE.noise_intensity
+    result = face.sweep(FREE, {path: values}, ["rms(q2)", "exceedance(q2,0.4)"], methods=["linear"])
+    assert not result.problems
+    for k, value in enumerate(values):
+        rms = sqrt(covariance_q2(face.System(**fields | own(value))))
+        beyond = 0.5 * erfc(0.4 / (sqrt(2.0) * rms))
+        # d ln P / d ln rms = (x/rms)² and a little more: 10 covers it for x < 2.5 rms.
+        for i, (exact, worth) in enumerate([(rms, 1.0), (beyond, 10.0)]):
+            found = result.field("value")[i, 0, k], result.field("error")[i, 0, k]
+            assert abs(found[0] - exact) <= found[1] + worth * ROUND_OFF * exact
+
+
+def test_failure_rate_is_the_root_of_the_confluent_function():
+    # One mass without contact: H is a CIR process, 1F1(−λ/c; 1; c H_f/D) = 0.
+    system = face.System([1], [1], [0.1], [0.05])
+    vary = {"system.damping[1]": [0.1, 0.2]}
+    names = ["failure_rate(H=1.5)", "mean_passage(H=1.5)"]
+    result = face.sweep(system, vary, names, methods=["nonintegrable"])
+    for k, (c, guess) in enumerate([(0.1, 0.0137), (0.2, 0.0025)]):
+        x = mpmath.mpf(c) * 1.5 / 0.05
+
+        def confluent(rate, c=c, x=x):
+            return mpmath.hyp1f1(-rate / c, 1, x)
+
+        mean = float((mpmath.ei(x) - mpmath.log(x) - mpmath.euler) / c)
+        exact = (
+            float(mpmath.findroot(confluent, (0.5 * guess, 1.5 * guess), solver="anderson")),
+            mean,
+        )
+        for i in range(2):
+            value, error = result.field("value")[i, 0, k], result.field("error")[i, 0, k]
+            # The sum of the confluent series loses no digits for x = 3, 6: terms of one sign but
+            # the first.
+            assert abs(value - exact[i]) <= error + ROUND_OFF * exact[i]
+            assert error < 1e-6 * exact[i]
+
+
+def test_both_sides_of_a_contact_are_felt_as_by_the_exact_density():
+    stop = face.Contact(mass=1, side="both", stiffness=10.0, clearance=0.5)
+    system = face.System([1], [1], [0.1], [0.05], contacts=(stop,))  # c/D = 2
+    names = ["contact_probability(1)", "mean_force(1)", "force_in_contact(1)"]
+    result = face.sweep(system, {"contact[1].clearance": [0.3, 0.5]}, names, methods=["exact"])
+    for k, delta in enumerate([0.3, 0.5]):
+
+        def weight(q, delta=delta):
+            return mpmath.exp(-q * q - 8.0 * max(q - delta, mpmath.mpf(0)) ** 2.5)
+
+        inside = mpmath.quad(weight, [0, delta])
+        touching = mpmath.quad(weight, [delta, 1, 2, 4])
+        force = mpmath.quad(lambda q: 10 * (q - delta) ** 1.5 * weight(q), [delta, 1, 2, 4])  # noqa: B023
+        judge = touching / (inside + touching), force / (inside + touching), force / touching
+        for i, exact in enumerate(map(float, judge)):
+            value, error = result.field("value")[i, 0, k], result.field("error")[i, 0, k]
+            assert abs(value - exact) <= error + ROUND_OFF * exact and error < 1e-6 * exact
+
+
+def test_the_averaging_error_is_what_regime_maps():
+    scene = load_scene("fig3a")
+    text = ["contact.clearance=0.5:2:2"]
+    mapped = build_map(scene, parse_axes(text, scene.system))
+    swept = face.sweep(scene, text, ["averaging_error(q2)"])
+    assert swept.methods == ("nonintegrable", "integrable")
+    # Several solvers of a theory are certified; regime takes the one with the smallest error.
+    for j, theory in enumerate(swept.methods):
+        for k, point in enumerate(mapped.points):
+            errors = swept.field("error")[0, j, k] + point.error[theory]
+            assert abs(swept.field("value")[0, j, k] - point.L1[theory]) <= errors
+
+
+LINE = ["sweep", "fig3a", "--vary", "contact.clearance=0.2:2:3", "--vary", "system.mass[1]=1,2",
+        "--quantity", "rms(q2)", "--quantity", "quantile(q2,0.9)"]  # fmt: skip
+
+
+KILLED = """
+import os, signal
+replace, points = os.replace, []
+def killed(source, path):
+    points.extend([path] if str(path).endswith("points.jsonl") else [])
+    if len(points) == 4:
+        os.kill(os.getpid(), signal.SIGKILL)
+    replace(source, path)
+os.replace = killed
+from cases.commands.cli import main
+main()
+"""
+"""A run that is killed by the system in the moment in which its fourth point would be on disk."""
+
+
+def test_a_killed_sweep_goes_on_and_is_the_same_to_the_bit(fpk, tmp_path):
+    line = [sys.executable, "-c", KILLED, *LINE, "--out", str(tmp_path / "killed")]
+    ended = subprocess.run(line, capture_output=True, check=False)
+    assert ended.returncode == -signal.SIGKILL
+    records = [
+        json.loads(fpk(*LINE, "--out", tmp_path / folder, "--json")[1])
+        for folder in ("killed", "whole")
+    ]
+    assert [record["reused"] for record in records] == [3, 0]
+    again, whole = ([{**point, "seconds": 0} for point in record["points"]] for record in records)
+    assert again == whole
+    for ending in ("svg", "csv"):
+        texts = [(tmp_path / f / f"result.{ending}").read_bytes() for f in ("killed", "whole")]
+        assert texts[0] == texts[1]
+    # Points of other quantities, methods or scenes are not mixed with these.
+    for other in (["--quantity", "mean(q2)"], ["--method", "exact"], ["--tol", "1e-6"]):
+        status, out, err = fpk(*LINE, *other, "--out", tmp_path / "whole")
+        assert (status, out) == (2, "") and err.count("\n") == 1 and "another run" in err
+
+
+def test_two_axes_are_numeric_coordinates_and_a_heat_picture(fpk, tmp_path):
+    status, out, err = fpk(*LINE, "--out", tmp_path)
+    assert (status, err) == (0, "") and "6 points" in out
+    with xr.open_dataset(tmp_path / "result.nc", engine="h5netcdf") as data:
+        assert data["value"].dims == ("quantity", "route", "contact.clearance", "system.mass.1")
+        at = {"quantity": "rms(q2)", "route": "exact", "contact.clearance": 2.0}
+        one = data.sel({**at, "system.mass.1": 1.0})
+        assert one["certified"] == 1 and one["error_kind"] == "numerical"
+        system = with_numbers(load_scene("fig3a").system, {"contact.clearance": 2.0})
+        assert one["value"] == face.solve(system, ["q2"], methods=["exact"])["q2"].rms().value
+    page = (tmp_path / "result.html").read_text(encoding="utf-8")
+    assert (
+        page.count("<tr>") == 1 + 6 * 2 * 3
+        and "<svg" in page
+        and "http:" not in page.replace("http://www.w3.org", "")
+    )
+    assert {"result.md", "result.svg", "result.csv"} <= set(os.listdir(tmp_path))
+
+
+@pytest.mark.parametrize("values", [[0.5, 1.0], [0.5, 1e4]])
+def test_a_quantity_without_any_value_is_drawn_as_nothing(values):
+    vary = {"contact.clearance": values, "system.mass[1]": [1.0, 2.0]}
+    for axes in (vary, {"contact.clearance": values}):
+        result = face.sweep(load_scene("fig3a"), axes, ["rms(q2)"], methods=["integrable"])
+        none = [
+            replace(p, answers=tuple(replace(a, value=None, failed=True) for a in p.answers))
+            for p in result.points
+        ]
+        assert sweep_figure(result).axes and result.field("value").min() > 0.0
+        failed = replace(result, points=tuple(none))
+        sweep_figure(failed).savefig(BytesIO(), format="svg")  # warnings are errors
+        assert len(failed.problems) == len(none)
+
+
+def test_simulations_have_bands_of_sampling(fpk):
+    line = ["sweep", "fig3a", "--vary", "contact[1].clearance=0.3,1", "--quantity", "rms(q2)",
+            "--method", "montecarlo", "--method", "exact", "--paths", 4096,
+            "--time", 30]  # fmt: skip
+    status, out, _ = fpk(*line, "--json")
+    record = json.loads(out)
+    assert status == 0 and record["methods"] == ["montecarlo", "exact"]
+    for point in record["points"]:
+        sampled, exact = point["answers"]
+        assert (sampled["error_kind"], exact["error_kind"]) == ("sampling", "numerical")
+        # Two comparisons at 5 standard errors: one false alarm in 10⁶.
+        assert abs(sampled["value"] - exact["value"]) < 5.0 * sampled["error"]
+
+
+@pytest.mark.parametrize(
+    ("vary", "word"),
+    [
+        ("contact[2].clearance=1,2", "contact[1..1].clearance"),
+        ("contact[0].clearance=1,2", "contact[1..1].clearance"),
+        ("contact[1].mass=1,2", "contact[1..1].clearance"),
+        ("system.mass[3]=1,2", "system.mass[1..2]"),
+        ("system.damping[1,3]=1,2", "system.damping[1..2,1..2]"),
+        ("system.mass[1,1]=1,2", "system.mass[1..2]"),
+        ("system.__class__=1,2", "is no number"),
+        ("damping_term[1].coefficient=1,2", "is no number"),
+        ("system.mass[1]=2,1", "ascend"),
+        ("system.mass[1]=1", "two numbers"),
+        ("system.mass[1]=1,x", "is no grid"),
+        ("system.mass[1]=", "is no grid"),
+        ("system.mass[1]=nan,1", "is no grid"),
+        ("system.mass[1]=-1,1", "positive"),
+        ("system.noise_intensity[1,2]=0,1", "semidefinite"),
+        ("contact[1].exponent=1,2", "law"),
+    ],
+)
+def test_what_is_no_number_of_the_scene_or_no_grid_is_one_line(fpk, vary, word):
+    status, out, err = fpk("sweep", "fig6a", "--vary", vary, "--quantity", "rms(q2)")
+    assert (status, out) == (2, "") and err.count("\n") == 1 and word in err
+
+
+def test_a_point_that_the_system_cannot_take_is_named():
+    vary = {"system.noise_intensity[1,2]": [0.0, 0.015], "system.noise_intensity[1]": [0.001, 1.0]}
+    with pytest.raises(BadInput, match=r"\[1,2\] = 0.015, .*\[1\] = 0.001: .*semidefinite"):
+        face.sweep(FREE, vary, ["rms(q1)"])
+
+
+@pytest.mark.parametrize(
+    "second", ["contact.clearance=1,2", "contact[1].clearance=1,2", "contact[1].clearance=3:4:2"]
+)
+def test_axes_that_change_the_same_number_are_refused(second):
+    with pytest.raises(BadInput, match="varied already"):
+        parse_axes(["contact[1].clearance=1,2", second], load_scene("fig6a").system)
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("rm(q2)", "did you mean rms?"),
+        ("rms", "use one of mean(q1)"),
+        ("rms(q3)", "is not an observable"),
+        ("rms(q1,q2)", "is a pair"),
+        ("quantile(q2,1)", "between 0 and 1"),
+        ("exceedance(q2)", "must be a finite number"),
+        ("exceedance(q2,inf)", "must be a finite number"),
+        ("exceedance(q2,__import__('os'))", "must be a finite number"),
+        ("mean_force(2)", "use 1 to 1"),
+        ("failure_rate(H)", "use H=1.5"),
+        ("__class__(q2)", "is no quantity"),
+    ],
+)
+def test_what_is_no_quantity_is_one_line(text, word):
+    with pytest.raises(face.InvalidInput) as refusal:
+        parse_quantity(text, load_scene("fig6a").system)
+    assert word in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_a_method_that_gives_nothing_anywhere_is_refused(fpk):
+    line = ["sweep", "fig6a", "--vary", "contact.clearance=1,2", "--quantity"]
+    for more, word in (
+        (["rms(q2)", "--method", "linear"], "linear: no value anywhere: the system has contacts"),
+        (["rms(q2)", "--method", "lin"], "use one of"),
+        (["mean_passage(q2=3)", "--method", "exact"], "gives no first passage"),
+    ):
+        status, out, err = fpk(*line, *more)
+        assert (status, out) == (2, "") and err.count("\n") == 1 and word in err
+
+
+def test_names_are_what_a_user_writes_and_read_again():
+    system = load_scene("fig6a").system
+    for text in ("rms(q2)", "quantile(H,0.99)", "mean_force(1)", "failure_rate(H1=0.4,H2=0.6)"):
+        assert str(parse_quantity(f" {text} ", system)) == text
+
+
+@pytest.mark.parametrize(
+    ("system", "quantities", "methods", "word"),
+    [
+        ("fig6a", ["rms(q1)"], (), "must be a System"),
+        (FREE, "rms(q1)", (), "must be a list"),
+        (FREE, [], (), "must be a list"),
+        (FREE, ["rms(q1)"], "linear", "must be a list"),
+        (FREE, ["rms(q1)"], ["linear/fem"], "is not a solver of linear"),
+    ],
+)
+def test_mistakes_in_python_are_told_in_one_line(system, quantities, methods, word):
+    with pytest.raises(face.InvalidInput) as refusal:
+        face.sweep(system, {"system.mass[1]": [1, 2]}, quantities, methods=methods)
+    assert word in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_a_tolerance_out_of_range_is_refused(fpk):
+    status, out, err = fpk(*LINE, "--tol", "0")
+    assert (status, out) == (2, "") and "--tol 0" in err and err.count("\n") == 1
+
+
+def test_a_sweep_in_python_is_labelled_and_takes_arrays():
+    result = face.sweep(FREE, {"system.stiffness[1]": np.array([1.0, 2.0])}, ["std(q1)"])
+    data = result.to_xarray()
+    assert data["system.stiffness.1"].values.tolist() == [1.0, 2.0]
+    values = data["value"].sel(quantity="std(q1)", route="linear").values
+    assert values[0] > values[1] > 0.0 and len(repr(result).splitlines()) == 1
