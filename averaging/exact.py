@@ -65,7 +65,7 @@ class Exact(Theory):
 
     method = "exact"
     solvers = (("closed-form", "exact", "(7)"),)
-    colour = "#2878b5"
+    colour = "#5266ad"
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where (8) does not hold."""

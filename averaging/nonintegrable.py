@@ -48,7 +48,7 @@ class NonIntegrable(Theory):
         ("quadrature", "energy averaging, quadrature", "(11)"),
     )
     solves = "averaged"
-    colour = "#d1603d"
+    colour = "#f56600"
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""

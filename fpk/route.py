@@ -35,6 +35,11 @@ class Route:
     quick: bool = True
 
     @property
+    def name(self) -> str:
+        """Name for readers: the theory's alone, that of a simulated theory in full."""
+        return self.words if self.sampled else self.words.partition(",")[0]
+
+    @property
     def label(self) -> str:
         """Name in tables: the method's own where it has one solver, else method/solver."""
         alone = len(solvers_of(self.method)) <= 1

@@ -217,7 +217,7 @@ register(
         equation="(6)",
         solves="full",
         sampled=True,
-        colour="#c08a1e",
+        colour="#cc001f",
         make=MonteCarlo,
     )
 )

@@ -120,7 +120,9 @@ def run(
         from cases.output.vtk import write_time_pvd
 
         with progress_bar() as progress:
-            report, *pictures = write_report(outcome, digest, out, progress=progress)
+            report, *pictures = write_report(
+                outcome, digest, out, command=parts.command_line(), progress=progress
+            )
         written = [report, out / parts.FIELDS, *pictures, *write_time_pvd(outcome, out)]
     digest["seconds"] = perf_counter() - start
     shown = {

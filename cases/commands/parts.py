@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -88,6 +89,24 @@ def simulation_options(command: Any) -> Any:
     for option in reversed(options):
         command = option(command)
     return command
+
+
+def command_line() -> str:
+    """Return the command that is being run with the arguments it was given."""
+    context = click.get_current_context()
+    words = context.command_path.split()
+    for parameter in context.command.params:
+        value = context.params.get(parameter.name or "")
+        if isinstance(parameter, click.Argument):
+            words.append(str(value))
+        elif value is False and not parameter.secondary_opts:
+            continue
+        elif value not in (None, (), parameter.get_default(context)):
+            given = list(value) if isinstance(value, tuple) else [value]
+            for each in given:
+                name = (parameter.secondary_opts if each is False else parameter.opts)[0]
+                words += [name] if isinstance(each, bool) else [name, str(each)]
+    return shlex.join(words)
 
 
 def checked(scene: str, *, tol: float | None = None, out: Path | None = None) -> "Scene":

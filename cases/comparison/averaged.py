@@ -249,5 +249,5 @@ def _register(theory: Theory, words: str, equation: str, colour: str) -> None:
     register(Route(*names, "averaged", True, colour, make))
 
 
-_register("nonintegrable", "energy averaging, simulated", "(24)", "#a8577e")
-_register("integrable", "modal averaging, simulated", "(17)", "#9a6fc0")
+_register("nonintegrable", "energy averaging, simulated", "(24)", "#c28566")
+_register("integrable", "modal averaging, simulated", "(17)", "#ad3d66")

@@ -1,19 +1,26 @@
 """The report of a run: one self-contained page, the pictures beside it, the fields as netCDF."""
 
 import platform
-from collections.abc import Iterator
+from base64 import b64encode
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
+from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from cases.comparison.answers import Outcome
 from cases.comparison.claims import ACCEPTABLE_L1, ALMOST_KURTOSIS, ALMOST_L1
+from cases.output.digest import curves_of
 from cases.output.facts import theories
 from cases.output.files import write_text
+from cases.output.headline import headline_of, quantity_table
+from cases.output.live import as_script_data, live_record
+from cases.output.pictures.chain import chain_svg
 from cases.output.pictures.in_time import time_pictures
 from cases.output.pictures.joint import joint_pictures
 from cases.output.pictures.lines import line_pictures
@@ -23,15 +30,28 @@ from cases.output.text import rendered
 from cases.scene.scene import Scene
 from fpk.method import Progress, silent
 
+GROUPS = {"passage": "time", "transient": "time", "solver": "difference", "left": "difference"}
+"""Part of the page in which a picture stands, by the start of its name; else the densities."""
+
+TEMPLATES = Path(__file__).parent / "templates"
+
+SCRIPTS = "closed_forms.js", "live.js"
+
 LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "h5netcdf")
 
 
 def write_report(
-    outcome: Outcome, digest: Record, folder: Path, *, progress: Progress = silent
+    outcome: Outcome,
+    digest: Record,
+    folder: Path,
+    *,
+    command: str = "",
+    progress: Progress = silent,
 ) -> list[Path]:
     """Write ``report.html`` and the pictures into ``folder``; return their paths.
 
-    ``digest`` is the record of the run, ``digest_of(outcome)``.
+    ``digest`` is the record of the run, ``digest_of(outcome)``; ``command`` is what made it. The
+    page has links to the pictures and to the fields that are in the folder.
     Every file appears whole or not at all. Raises ``BadInput`` where the folder cannot be written.
     """
     pictures, written = [], []
@@ -39,11 +59,20 @@ def write_report(
         svg = svg_text(figure, salt=stem)
         written.append(folder / f"{stem}.svg")
         write_text(written[-1], svg)
-        in_time = stem.startswith(("passage_", "transient_"))
+        group = GROUPS.get(stem.partition("_")[0], "density")
         pictures.append(
-            {"stem": stem, "in_time": in_time, "caption": caption, "svg": inline_svg(svg, caption)}
+            {"stem": stem, "group": group, "caption": caption, "svg": inline_svg(svg, caption)}
         )
-    write_text(folder / "report.html", report_html(outcome.scene, digest, pictures))
+    fields = [path.name for path in sorted(folder.glob("*.nc"))]
+    page = report_html(
+        outcome.scene,
+        digest,
+        pictures,
+        live=live_record(outcome),
+        command=command,
+        downloads=[*fields, *(path.name for path in written)],
+    )
+    write_text(folder / "report.html", page)
     return [folder / "report.html", *written]
 
 
@@ -61,11 +90,45 @@ def figures(outcome: Outcome, *, progress: Progress = silent) -> Iterator[tuple[
             yield from time_pictures(curve, f"_{k}" if k else "")
 
 
-def report_html(scene: Scene, digest: Record, pictures: list[dict[str, Any]]) -> str:
-    """Return the page; every text that comes from a scene is escaped by the template."""
+def report_html(
+    scene: Scene,
+    digest: Record,
+    pictures: list[dict[str, Any]],
+    *,
+    live: Record | None = None,
+    command: str = "",
+    downloads: Sequence[str] = (),
+) -> str:
+    """Return the page; every text that comes from a scene is escaped by the template.
+
+    Curves are sorted by the number that they vary. ``live`` is ``live_record``, with which the
+    pictures of single coordinates can be touched.
+    """
+    values = {curve.label: curve.value or 0.0 for curve in scene.curves}
+    curves = sorted(curves_of(digest), key=lambda curve: values.get(curve["label"], 0.0))
+    style = _source("report.css")
+    script = Markup("\n").join(map(_source, SCRIPTS))
     record = {
         "scene": scene,
         "digest": digest,
+        "curves": curves,
+        "answer": headline_of(curves),
+        "tables": [{"label": c["label"], **quantity_table(c)} for c in curves],
+        "sketch": chain_svg(scene.system),
+        "style": style,
+        "policy": {"style": _hash(style), "script": _hash(script) if live else "'none'"},
+        "live": live and as_script_data(live),
+        "script": script,
+        "command": command or f"fpk run {scene.name}",
+        "seeds": sorted(
+            {
+                m["settings"]["seed"]
+                for c in curves
+                for m in c["methods"]
+                if "seed" in m.get("settings", {})
+            }
+        ),
+        "downloads": downloads,
         "theories": theories(scene),
         "pictures": pictures,
         "limits": {
@@ -81,3 +144,14 @@ def report_html(scene: Scene, digest: Record, pictures: list[dict[str, Any]]) ->
         ],
     }
     return rendered("report.html", record)
+
+
+def _source(name: str) -> Markup:
+    """A file of this program that stands in the page as it is."""
+    return Markup((TEMPLATES / name).read_text(encoding="utf-8").strip())
+
+
+def _hash(text: str) -> Markup:
+    """What the policy of the page calls a style or a script that it allows."""
+    digest = sha256(text.encode()).digest()
+    return Markup(f"'sha256-{b64encode(digest).decode()}'")

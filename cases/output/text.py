@@ -9,6 +9,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from cases.output.digest import curves_of, refusals_of, verdict_of
 from cases.output.duration import duration
+from cases.output.headline import named, with_error
 from cases.output.records import Record
 from cases.output.tables import NOTE, quantity_tables
 
@@ -39,6 +40,8 @@ def _templates() -> Environment:
         "diagonal": _diagonal,
         "term": _term,
         "claim": _claim,
+        "named": named,
+        "pm": with_error,
         "reasons": refusals_of,
         "curves": curves_of,
         "verdict": verdict_of,

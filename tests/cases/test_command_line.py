@@ -152,7 +152,7 @@ def test_run_judges_and_reports(fpk, tmp_path):
     with xr.open_dataset(tmp_path / "out" / "result.nc", engine="h5netcdf") as data:
         assert np.all(np.isfinite(data["p_q2"].sel(route_q2="exact")))
         assert data.attrs["scene"] == "pair"
-    assert len(list((tmp_path / "out").glob("*.svg"))) == 6
+    assert len(list((tmp_path / "out").glob("*.svg"))) == 8
 
 
 def test_a_scene_is_text_in_the_report(tmp_path, scene_text):

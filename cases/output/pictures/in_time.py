@@ -71,12 +71,12 @@ def passage_figure(replies: Replies) -> tuple[Figure, str]:
         if route.sampled:
             marks = {**MARK, "marker": style, "markersize": 4.2}
             axes.errorbar(times, values, 2.0 * errors, color=colour, elinewidth=0.9, **marks)
-            legend[f"{route.words}, ±2 standard errors"] = Line2D([], [], color=colour, **marks)
+            legend[f"{route.name}, ±2 s.e."] = Line2D([], [], color=colour, **marks)
         else:
             axes.plot(times, values, color=colour, linestyle=style)
             low, high = np.maximum(values - errors, 1e-300), values + errors
             axes.fill_between(times, low, high, color=colour, alpha=0.16, linewidth=0)
-            legend[route.words] = Line2D([], [], color=colour, linestyle=style)
+            legend[route.name] = Line2D([], [], color=colour, linestyle=style)
     name = "P(T ≤ t), failure by t" if rare else "P(T > t), reliability"
     axes.set(yscale="log", xlabel=time_words(), ylabel=name)
     axes.set_xlim(left=0.0)
@@ -111,7 +111,7 @@ def transient_figure(replies: Replies) -> Figure:
             else:
                 axes.plot(x, values, color=colour, linestyle=style)
         drawn = {**MARK, "marker": style} if route.sampled else {"linestyle": style}
-        legend[route.words] = Line2D([], [], color=INK, **drawn)
+        legend[route.name] = Line2D([], [], color=INK, **drawn)
         tops = [float(v[i].max()) for v, i in zip(p.values, replies.windows, strict=True)]
     if question.of[0].kind == "H":  # decades: from rest it falls exponentially at all times
         axes.set(yscale="log", ylim=(SHOWN * min(tops), 2.0 * max(tops)))

@@ -1,6 +1,6 @@
 """Pictures of joint densities: panels on common levels, and surfaces as in Fig. 7 of the paper."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from matplotlib.colors import LightSource, LogNorm, Normalize
@@ -11,6 +11,7 @@ from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
 from cases.output.fields import common_grid
 from cases.output.pictures.choice import lines_of, samples_of, solver_difference
+from cases.output.pictures.lines import walls_of
 from cases.output.pictures.style import SHOWN, SOLVER_WORDS, density_words, words_of
 from fpk.arrays import Array
 from fpk.density import AnyDensity
@@ -24,8 +25,11 @@ LOWEST = 1e-3
 SHEET = 72
 """Points an axis of a surface, and about as many bins where it is sampled."""
 
-PANEL, HEIGHT, MARGIN = 2.9, 3.3, 1.1
+PANEL, HEIGHT, MARGIN = 1.75, 2.1, 0.9
 """Width and height of a panel, and the width of the bar of colours and of all words, in inches."""
+
+ACROSS = 2
+"""Panels in a row: a picture is legible on a telephone."""
 
 
 def joint_pictures(curve: Answers, observable: Observable) -> Iterator[tuple[str, str, Figure]]:
@@ -33,19 +37,22 @@ def joint_pictures(curve: Answers, observable: Observable) -> Iterator[tuple[str
     name = observable_name(observable)
     stem = name.replace(",", "_")
     energies = all(c.kind == "H" for c in observable)
+    walls = [walls_of([curve], (c,)) for c in observable]
     drawn: dict[Route, AnyDensity] = {**lines_of(curve, observable)}
     drawn |= samples_of(curve, observable)
     grid = common_grid(drawn.values(), cut=SHOWN)
     mesh = np.meshgrid(*grid, indexing="ij")
-    panels = {route.words: density.tabulated(*mesh) for route, density in drawn.items()}
+    panels = {route.name: density.tabulated(*mesh) for route, density in drawn.items()}
     # A density of energies falls exponentially from its corner: decades, not equal steps.
-    figure = _panels(panels, grid, observable, density_words(observable), decades=energies)
+    figure = _panels(
+        panels, grid, observable, density_words(observable), decades=energies, walls=walls
+    )
     yield f"density_{stem}", f"Joint density of {name}, on common levels.", figure
     if (pair := solver_difference(curve, observable, *mesh)) is not None:
         _, stated, differences = pair
         panels = {f"|{words}|": np.abs(values) for words, values in differences.items()}
         panels["errors that both state, added"] = stated
-        figure = _panels(panels, grid, observable, "difference of p", decades=True)
+        figure = _panels(panels, grid, observable, "difference of p", decades=True, walls=walls)
         yield f"solver_{stem}", SOLVER_WORDS.format(name), figure
     if not energies:  # they pile up in a corner
         words = f"Joint density of {name} as a surface: theory, and simulation in joined bins."
@@ -63,13 +70,13 @@ def surface_figure(curve: Answers, observable: Observable) -> Figure:
     drawn: dict[Route, AnyDensity] = dict([*theories[:1], *full])
     x, y = np.meshgrid(*common_grid(drawn.values(), cut=SHOWN, count=SHEET), indexing="ij")
     sheets = {
-        route.words: (joined(d, SHEET) if isinstance(d, SampledDensity) else d).tabulated(x, y)
+        route.name: (joined(d, SHEET) if isinstance(d, SampledDensity) else d).tabulated(x, y)
         for route, d in drawn.items()
     }
     top = max(float(values.max()) for values in sheets.values())
-    figure = Figure(figsize=(4.3 * len(sheets), 4.0))
+    figure = Figure(figsize=(4.4, 3.6 * len(sheets)))
     for place, (words, values) in enumerate(sheets.items(), start=1):
-        axes = figure.add_subplot(1, len(sheets), place, projection="3d", proj_type="ortho")
+        axes = figure.add_subplot(len(sheets), 1, place, projection="3d", proj_type="ortho")
         assert isinstance(axes, Axes3D)
         axes.view_init(elev=28.0, azim=-58.0)
         axes.set_box_aspect((1.0, 1.0, 0.72), zoom=0.92)  # beyond it labels are cut
@@ -83,7 +90,7 @@ def surface_figure(curve: Answers, observable: Observable) -> Figure:
         )  # fmt: skip
         sheet.set_rasterized(True)
         axes.set_title(words, y=0.96, loc="left", x=0.05)
-    figure.subplots_adjust(left=0.0, right=0.96, bottom=0.06, top=0.96, wspace=0.06)
+    figure.subplots_adjust(left=0.0, right=0.92, bottom=0.04, top=0.98, hspace=0.06)
     return figure
 
 
@@ -94,17 +101,28 @@ def _panels(
     label: str,
     *,
     decades: bool,
+    walls: Sequence[Sequence[float]],
 ) -> Figure:
     top = max(float(v.max()) for v in panels.values())
     levels = top * (np.geomspace(LOWEST, 1.0, 13) if decades else np.linspace(0.0, 1.0, 13))
     norm = LogNorm(levels[0], top) if decades else Normalize(0.0, top)
-    figure = Figure(figsize=(len(panels) * PANEL + MARGIN, HEIGHT), layout="constrained")
-    row = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
-    for axes, (words, values) in zip(row, panels.items(), strict=True):
+    columns = min(ACROSS, len(panels))
+    rows = -(-len(panels) // columns)
+    size = columns * PANEL + MARGIN, rows * HEIGHT + 0.3
+    figure = Figure(figsize=size, layout="constrained")
+    grid_of_axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for axes in grid_of_axes.ravel()[len(panels) :]:
+        axes.remove()
+    for axes, (words, values) in zip(grid_of_axes.ravel(), panels.items(), strict=False):
         # Below the lowest level nothing is drawn; a logarithm needs a value there all the same.
         drawn = np.maximum(values, 0.1 * levels[0])
         filled = axes.contourf(*grid, drawn.T, levels=levels, norm=norm, cmap="viridis")
-        axes.set(title=words, xlabel=words_of(observable[0]))
-    row[0].set_ylabel(words_of(observable[1]))
-    figure.colorbar(filled, ax=row, format="%.2g", aspect=22).set_label(label)
+        for line, stops in zip((axes.axvline, axes.axhline), walls, strict=True):
+            for stop in stops:
+                line(stop, color="white", linewidth=0.8, linestyle=":")
+        axes.set(title=words)
+    figure.supxlabel(words_of(observable[0]), fontsize=9.5)
+    figure.supylabel(words_of(observable[1]), fontsize=9.5)
+    drawn_axes = list(grid_of_axes.ravel()[: len(panels)])
+    figure.colorbar(filled, ax=drawn_axes, format="%.2g", aspect=22).set_label(label)
     return figure

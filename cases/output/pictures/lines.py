@@ -4,7 +4,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import cycle
 from typing import Any
 
+import numpy as np
 from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -31,19 +33,29 @@ from cases.output.pictures.style import (
 from fpk.arrays import Array
 from fpk.density import bin_differences
 from fpk.observable import Observable, observable_name
+from fpk.route import ROUTES, Route
 from fpk.sampled_density import SampledDensity
 
 POINTS = 600
 """Points of a line."""
 
-MARKERS = 56
+MARKERS = 48
 """Bins drawn as points."""
+
+TAIL = 1e-6
+"""Share of the largest value at which a logarithmic scale ends."""
+
+SAME_LINE = 0.007
+"""Distance of two lines, relative to the height of a picture, that the width of a line hides."""
 
 LINES: Any = ("-", (0, (6, 2)), (0, (6, 2, 1, 2)), (0, (1, 1)))
 """Dashes of the lines of one curve, by its routes."""
 
 MARKS = {"full": "o", "averaged": "s"}
-"""Markers of samples, by what the route solves."""
+"""Markers of samples of a lone curve, by what the route solves."""
+
+CURVE_MARKS = "osD^vXP"
+"""Markers of samples by curve: a second cue beside its colour."""
 
 MARK: Any = {
     "linestyle": "none",
@@ -52,7 +64,7 @@ MARK: Any = {
     "markeredgewidth": 0.9,
 }
 
-HEIGHT, ALONE, ROW = 3.1, 1.6, 0.9
+HEIGHT, ALONE, ROW = 2.7, 1.6, 0.9
 """Height in inches of the axes of densities, and of differences of a lone curve or one of many."""
 
 
@@ -64,8 +76,17 @@ def line_pictures(
     curves = sorted(curves, key=lambda c: c.value or 0.0)
     densities = [d for c in curves for d in c.densities(observable).values()]
     (x,) = common_grid(densities, cut=SHOWN, count=POINTS)
-    words = "theory as lines, simulation as points with two standard errors."
+    words = "theory as lines, simulation as points and a band of two standard errors"
+    words += "".join(f"; {note}" for note in coincidences(curves, observable, x))
+    words += "; stops shaded." if walls_of(curves, observable) else "."
     yield f"density_{name}", f"Density of {name}: {words}", density_figure(curves, observable, x)
+    (tails,) = common_grid(densities, cut=TAIL, count=POINTS)
+    figure = density_figure(curves, observable, tails, lowest=TAIL)
+    yield (
+        f"density_{name}_log",
+        "The same with a logarithmic scale, to a millionth of the top.",
+        figure,
+    )
     for stem, words, band, differences in DIFFERENCES:
         rows = {c.label: row for c in curves if (row := differences(c, observable, x))}
         if rows:
@@ -73,13 +94,78 @@ def line_pictures(
             yield f"{stem}_{name}", words.format(name), figure
 
 
+def walls_of(curves: Sequence[Answers], observable: Observable) -> list[float]:
+    """Return where the observed displacement touches its stops, those of all curves, signed."""
+    (c,) = observable
+    stops = [
+        s for curve in curves for s in curve.system.stops if c.kind == "q" and s.index == c.row
+    ]
+    return sorted({stop.sign * stop.clearance for stop in stops})
+
+
+def coincidences(curves: Sequence[Answers], observable: Observable, x: Array) -> list[str]:
+    """Return in words which lines are nowhere further apart than the width of a line."""
+    lines = [
+        (route.name, c.label, density(x))
+        for c in curves
+        for route, density in lines_of(c, observable).items()
+    ]
+    top = max((float(p.max()) for *_, p in lines), default=0.0)
+    groups: list[list[tuple[str, str, Array]]] = []
+    for line in lines:
+        for group in groups:
+            if np.abs(group[0][2] - line[2]).max() <= SAME_LINE * top:
+                group.append(line)
+                break
+        else:
+            groups.append([line])
+    notes = []
+    for group in groups:
+        by_name: dict[str, list[str]] = {}
+        for name, label, _ in group:
+            by_name.setdefault(name, []).append(label)
+        if len(group) > 1:
+            words = [
+                f"{name} ({', '.join(of)})" if any(of) else name for name, of in by_name.items()
+            ]
+            notes.append(f"the lines of {' and '.join(words)} coincide")
+    return notes
+
+
+def dashes_of(route: Route) -> Any:
+    """Return the dashes of a theory, the same in all pictures; solid is the full system."""
+    averaged = list(dict.fromkeys(r.method for r in ROUTES.values() if r.solves == "averaged"))
+    place = averaged.index(route.method) + 1 if route.method in averaged else 0
+    return LINES[min(place, len(LINES) - 1)]
+
+
+def _draw_walls(axes: Axes, curves: Sequence[Answers], observable: Observable) -> None:
+    """Shade where the mass overlaps its stops; of several clearances only mark them."""
+    walls = walls_of(curves, observable)
+    left, right = axes.get_xlim()
+    for wall in walls:
+        axes.axvline(wall, color=INK, linewidth=0.8, alpha=0.5)
+    for sign, end in ((-1.0, left), (1.0, right)):
+        own = {s.clearance for c in curves for s in c.system.stops
+               if s.sign == sign and s.index == observable[0].row}  # fmt: skip
+        if walls and len(own) == 1:
+            axes.axvspan(sign * own.pop(), end, color=INK, alpha=0.07, linewidth=0)
+    axes.set_xlim(left, right)
+
+
 def density_figure(
-    curves: Sequence[Answers], observable: Observable, x: Array, figure: Figure | None = None
+    curves: Sequence[Answers],
+    observable: Observable,
+    x: Array,
+    figure: Figure | None = None,
+    *,
+    lowest: float = 0.0,
 ) -> Figure:
     """Draw the densities of one coordinate: deterministic as lines, sampled as points with bars.
 
     Several curves are distinguished by colour, and their routes by dashes; the routes of a single
-    curve have their own colours, too. ``figure`` None: a new one.
+    curve have their own colours, too. ``lowest``: the share of the largest value where a
+    logarithmic scale ends, 0 for a linear one. ``figure`` None: a new one.
     """
     figure = figure or Figure()
     axes = figure.subplots()
@@ -87,23 +173,37 @@ def density_figure(
     alone = len(curves) == 1
     legend: dict[str, Artist] = {}
     if not alone:
-        legend |= {w: Line2D([], [], color=c, linewidth=3) for w, c in colours.items()}
-    for curve in curves:
+        legend |= {
+            w: Line2D([], [], color=c, linewidth=3, marker=m, markersize=5)
+            for (w, c), m in zip(colours.items(), cycle(CURVE_MARKS), strict=False)
+        }
+    for curve, own_mark in zip(curves, cycle(CURVE_MARKS), strict=False):
         functions = lines_of(curve, observable).items()
-        for (route, density), dashes in zip(functions, LINES, strict=False):
+        for route, density in functions:
+            dashes = dashes_of(route)
             colour, ink = (route.colour,) * 2 if alone else (colours[curve.label], INK)
             axes.plot(x, density(x), linestyle=dashes, color=colour)
-            legend.setdefault(route.words, Line2D([], [], color=ink, linestyle=dashes))
+            legend.setdefault(route.name, Line2D([], [], color=ink, linestyle=dashes))
         for route, sampled in samples_of(curve, observable).items():
             colour, ink = (route.colour,) * 2 if alone else (colours[curve.label], INK)
-            mark = {**MARK, "marker": MARKS[route.solves]}
+            mark = {**MARK, "marker": MARKS[route.solves] if alone else own_mark}
             few, middles, inside = _bins(sampled, MARKERS, x)
-            error = 2.0 * few.standard_error[inside]
-            axes.errorbar(middles, few.values[inside], error, color=colour, elinewidth=0.9, **mark)
-            words = f"{route.words}, ±2 standard errors"
-            legend.setdefault(words, Line2D([], [], color=ink, **mark))
+            values, error = few.values[inside], 2.0 * few.standard_error[inside]
+            floor = 0.1 * lowest * values.max()  # a logarithm ends somewhere
+            low = np.minimum(values, np.maximum(values - error, floor))
+            axes.fill_between(middles, low, values + error, color=colour, alpha=0.25, linewidth=0)
+            bars = np.array([values - low, error])
+            axes.errorbar(middles, values, bars, color=colour, elinewidth=0.9, **mark)
+            words = f"{route.name}, ±2 s.e."
+            legend.setdefault(words, Line2D([], [], color=ink, **{**mark, "marker": "o"}))
     axes.set(xlim=(x[0], x[-1]), xlabel=words_of(observable[0]), ylabel=density_words(observable))
-    axes.set_ylim(bottom=0)
+    if lowest:
+        top = axes.get_ylim()[1]
+        axes.set(yscale="log", ylim=(lowest * top, 2.0 * top))
+    else:
+        axes.set_ylim(bottom=0)
+    if observable[0].kind == "q":
+        _draw_walls(axes, curves, observable)
     arrange(figure, HEIGHT, legend, head=0.12)
     return figure
 
@@ -116,7 +216,7 @@ def theory_differences(curve: Answers, observable: Observable, x: Array) -> Diff
         return None
     few, middles, inside = _bins(sampled[0], 2 * MARKERS, x)
     return middles, 2.0 * few.standard_error[inside], {
-        f"simulation − {route.words}": bin_differences(few, theory)[inside]
+        f"simulation − {route.name}": bin_differences(few, theory)[inside]
         for route, theory in theories
     }  # fmt: skip
 

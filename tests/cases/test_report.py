@@ -1,0 +1,186 @@
+"""The page of a run: its sentence, its tables, its colours, and what its policy allows."""
+
+import re
+from base64 import b64encode
+from hashlib import sha256
+from itertools import combinations
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from cases.commands.parts import command_line
+from cases.comparison.routes import register_routes
+from cases.output.digest import digest_of
+from cases.output.headline import headline_of, named, quantity_table, with_error
+from cases.output.pictures.chain import chain_svg
+from cases.output.pictures.style import COLOURS, inline_svg, svg_text
+from cases.output.report import report_html
+from fpk import Contact, System
+from fpk.route import ROUTES
+
+register_routes()
+
+PAGES = "#fdfdfb", "#16181c", "#ffffff"
+XYZ = np.array(
+    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750],
+     [0.0193339, 0.1191920, 0.9503041]]
+)  # fmt: skip
+DEFICIENCIES = {
+    "none": np.eye(3),
+    # Machado, Oliveira, Fernandes 2009, severity 1, on linear RGB.
+    "protan": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216],
+               [-0.003882, -0.048116, 1.051998]],
+    "deutan": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413],
+               [-0.011820, 0.042940, 0.968881]],
+    "tritan": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602],
+               [0.004733, 0.691367, 0.303900]],
+}  # fmt: skip
+
+
+def linear_rgb(colour):
+    s = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
+    return np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)
+
+
+def lab(rgb):
+    x = XYZ @ rgb / (XYZ @ np.ones(3))
+    f = np.where(x > 216 / 24389, np.cbrt(x), (24389 / 27 * x + 16) / 116)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+def distance(a, b, vision):
+    seen = (np.clip(np.array(vision) @ linear_rgb(c), 0, 1) for c in (a, b))
+    return float(np.linalg.norm(np.subtract(*map(lab, seen))))
+
+
+def contrast(a, b):
+    low, high = sorted(float(XYZ[1] @ linear_rgb(c)) + 0.05 for c in (a, b))
+    return high / low
+
+
+def route_colours():
+    return sorted({route.colour for route in ROUTES.values() if "toy" not in route.method})
+
+
+@pytest.mark.parametrize("vision", DEFICIENCIES)
+@pytest.mark.parametrize("colours", [COLOURS, None], ids=["curves", "routes"])
+def test_colours_are_apart_in_every_vision(colours, vision):
+    colours = colours or route_colours()
+    assert len(colours) >= 7
+    assert min(distance(*p, DEFICIENCIES[vision]) for p in combinations(colours, 2)) > 20
+    # The pair that the deficiency confuses is found: the measure can fail.
+    if vision == "deutan":
+        assert distance("#d1603d", "#9a7a2e", DEFICIENCIES[vision]) < 20
+
+
+def test_colours_are_legible_on_every_page():
+    for page in PAGES:
+        assert min(contrast(colour, page) for colour in {*COLOURS, *route_colours()}) >= 3.0
+    assert contrast("#000000", "#ffffff") == pytest.approx(21.0)
+
+
+def row(a, b, L1, error, observable="q2", measures="averaging"):
+    row = {"a": a, "b": b, "L1": L1, "error": error, "observable": observable}
+    return row | {"measures": measures}
+
+
+def curve(*rows, label="", incompatible="no h"):
+    return {"label": label, "comparisons": rows, "regime": {"incompatible": incompatible}}
+
+
+def test_the_answer_takes_the_best_reference_and_the_worst_density():
+    rows = (
+        row("nonintegrable/fem", "montecarlo", 0.0300, 1e-3),
+        row("nonintegrable/closed-form", "phase-space", 0.0126, 2e-4),
+        row("nonintegrable/fem", "montecarlo", 0.0061, 1e-4, "H"),
+        row("nonintegrable/fem", "integrable/closed-form", 0.9, 1e-12),
+        row("phase-space", "montecarlo", 0.8, 1e-4, measures="sampling"),
+        row("integrable/closed-form", "phase-space", 0.598, 2e-4),
+    )
+    # A bound is rounded up with its error: 1.28 % is within 1.3 %.
+    expected = "Energy averaging is within 1.3 % of the full system, modal averaging is 60 % off."
+    assert headline_of([curve(*rows)]) == expected
+    assert headline_of([curve(*rows, label="B = 10")]).startswith("At B = 10: energy averaging is")
+    near = row("nonintegrable/fem", "montecarlo", 0.0996, 6e-4)
+    assert "10 % off" in headline_of([curve(near)])  # with its error it may be beyond 10 %
+    assert headline_of([curve()]) == ""
+    assert "exact density" in headline_of([curve(incompatible=None)])
+
+
+def test_quantities_have_a_column_for_each_theory():
+    def q(route, value, error=1e-3):
+        return {"observable": "q2", "quantity": "rms", "route": route, "value": value,
+                "error": error, "error_kind": "numerical"}  # fmt: skip
+
+    table = quantity_table({"quantities": [q("nonintegrable/fem", 1.0), q("montecarlo", 2.0)]})
+    assert table["routes"] == ["energy averaging", "simulation"]
+    (one,) = table["rows"]
+    assert one["cells"]["simulation"]["value"] == 2.0 and one["quantity"] == "rms"
+    assert quantity_table({})["rows"] == []
+
+
+def test_digits_follow_the_error():
+    assert with_error(0.123456789, 1.234e-3) == "0.1235 ± 1.3e−3"
+    assert with_error(0.123456789, 1e-12) == "0.123457 ± 1.0e−12"
+    assert with_error(12345.678, 100.0) == "1.235e+04 ± 1.0e+02"
+    assert with_error(-7e-18, 3.4e-12) == "0 ± 3.5e−12"
+    assert with_error(-0.25, 0.1) == "−0.25 ± 1.0e−1"
+    assert with_error(None, None) == "–" and with_error(0.5, None) == "0.5"
+
+
+def test_one_name_for_a_theory():
+    assert named("nonintegrable/fem") == "energy averaging, finite elements"
+    assert named("nonintegrable (fem, quadrature)") == "energy averaging (fem, quadrature)"
+    assert named("integrable 5.9e-01") == "modal averaging 5.9e-01"
+    assert named("fpk density --method phase-space") == "fpk density --method phase-space"
+
+
+def test_the_chain_is_drawn_with_its_stops():
+    stops = (Contact(2, "both", 10.0, 0.5), Contact(1, "right", 1.0, 0.25))
+    system = System([1, 1, 1], [1, 1, 1], [0.1] * 3, [0.1] * 3, contacts=stops)
+    svg = chain_svg(system)
+    assert svg.count('class="mass"') == 3 and svg.count("δ = 0.5") == 2
+    assert svg.count('class="wall"') == 4  # three stops, and the wall that the chain hangs on
+    long = System(np.ones(40), np.ones(40), np.full(40, 0.1), np.full(40, 0.1))
+    assert chain_svg(long).count('class="mass"') == 8 and "first 8" in chain_svg(long)
+
+
+def test_pictures_in_the_page_have_words_as_text_and_no_styles():
+    figure = Figure()
+    axes = figure.subplots()
+    axes.plot([0, 1], [0, 1], linestyle="--", color="#123456")
+    axes.set_xlabel("displacement")
+    svg = inline_svg(svg_text(figure, salt="a"), "words")
+    assert "displacement</text>" in svg and 'stroke="#123456"' in svg
+    assert "style" not in svg and 'stroke-dasharray="' in svg and 'font-size="' in svg
+
+
+def test_the_policy_allows_the_style_of_the_page_alone(outcome):
+    page = report_html(outcome.scene, digest_of(outcome), [])
+    (style,) = re.findall(r"<style>(.*?)</style>", page, re.DOTALL)
+    own = b64encode(sha256(style.encode()).digest()).decode()
+    assert f"style-src 'sha256-{own}'" in page and "unsafe" not in page
+    assert ' style="' not in page and "default-src 'none'" in page
+
+
+@pytest.fixture(scope="module")
+def outcome(scene_text, tmp_path_factory):
+    from cases.comparison.answers import run_scene  # noqa: PLC0415
+    from cases.comparison.routes import method_for  # noqa: PLC0415
+    from cases.scene.scene import load_scene  # noqa: PLC0415
+
+    path = tmp_path_factory.mktemp("scene") / "any.toml"
+    path.write_text(scene_text)
+    return run_scene(load_scene(str(path)), [method_for("nonintegrable", "closed-form")])
+
+
+def test_the_command_is_what_was_given():
+    from cases.commands.app import app  # noqa: PLC0415
+
+    words = ["fig6a", "--seed", "3", "--of", "q2", "--of", "H", "--no-simulation", "--quiet"]
+    with app.commands["run"].make_context("fpk run", list(words)):
+        line = command_line().split()
+    assert line[:3] == ["fpk", "run", "fig6a"] and sorted(line[3:]) == sorted(words[1:])
+    with app.commands["run"].make_context("fpk run", ["fig6a"]):
+        assert command_line() == "fpk run fig6a"
