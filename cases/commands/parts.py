@@ -171,7 +171,8 @@ def end(
     if click.get_current_context().meta["json"]:
         click.echo(json.dumps(with_plain_keys(record), ensure_ascii=False, allow_nan=False))
     elif not quiet:
-        click.echo(as_wide("\n".join([text(), *(f"wrote {path}" for path in written)])))
+        # A path is printed whole: it is to be copied.
+        click.echo("\n".join([as_wide(text()), *(f"wrote {path}" for path in written)]))
     for problem in problems:
         click.echo(f"fpk: {problem}", err=True)
     if problems:

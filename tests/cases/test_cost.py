@@ -305,7 +305,9 @@ def test_the_failure_rate_is_priced_by_every_route_that_solves_it():
     assert {"nonintegrable/fem", "nonintegrable/closed-form"} <= priced.keys()
     for route in priced.values():
         assert "relative error of the failure rate" in route.axis
-        assert all(p.honest and p.seconds > 0.0 and p.error < 1e-10 for p in route.points)
+        # The full equation is solved to 1e-6 where nothing is asked for, the averaged one to 1e-10.
+        least = 1e-6 if route.route == "phase-space" else 1e-10
+        assert all(p.honest and p.seconds > 0.0 and p.error < least for p in route.points)
     refused = {route.route: route.reason for route in routes if isinstance(route, NotTimed)}
     assert "quadrature" in refused["nonintegrable/quadrature"]
 

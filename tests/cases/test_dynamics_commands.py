@@ -55,7 +55,7 @@ def test_a_correlation_begins_with_the_variance(linear_scene, fpk):
 
 def test_a_correlation_has_columns_too(linear_scene, fpk):
     status, out, _ = fpk("correlation", linear_scene, *asked("linear", at="0:1:0.5"))
-    assert status == 0 and out.startswith("# q2   correlation") and len(out.splitlines()) == 4
+    assert status == 0 and out.startswith("# lag   correlation") and len(out.splitlines()) == 4
 
 
 def test_keys_of_relaxation(linear_scene, fpk):
