@@ -5,7 +5,6 @@ from math import hypot
 
 from choice import best
 from report import machine, markdown_table
-from sde_anchors import anchored
 
 Line = dict
 OURS = "vibro-fpk"
@@ -18,10 +17,6 @@ SCRIPTS = {
     "sdeint": "peer_sdeint.py",
     "jitcsde": "peer_jitcsde.py",
 }
-GENERAL = ("diffrax", "torchsde", "sdeint", "jitcsde")
-"""General packages for SDEs, against which the figure is meant; NumPy is written by hand."""
-FIGURE = 100.0
-"""How many times as fast as the fastest general package this program is to be."""
 ALLOWED_BIAS = 1e-3
 """L1 that the allowed step leaves, ``trial.WANTED``."""
 INTRODUCTION = """\
@@ -88,12 +83,8 @@ def written(lines: Sequence[Line], stopped: Mapping[str, str]) -> str:
         _constant(lines),
         "## Missing\n",
         f"{missing or 'None: every script ran to its end.'}\n",
-        "## Figure to reach\n",
-        f"p(q2) to 0.1 %, at least {FIGURE:g} times as fast as the fastest general package at its"
-        " own best step. In brackets what one error of the bias either way makes of the steps;"
-        " timing noise is not in it. Not decided: the brackets have the figure inside.\n",
-        markdown_table(["against", "scheme", "its ns", "our ns", "ratio", "met"], figures(lines)),
-        "Times as fast as each, both at their best steps; ns per path and unit time:\n",
+        "## In short\n",
+        "Each package at its own best step; ns per path and unit time:\n",
         "<!-- table: sde -->",
         short_table(lines),
         "<!-- end -->\n",
@@ -111,14 +102,6 @@ def written(lines: Sequence[Line], stopped: Mapping[str, str]) -> str:
             ["package", "scheme", "step", "paths × time", "seconds", "L1", "expected"],
             [_law(line) for line in lines if line["kind"] == "law"],
         ),
-        "## Against the figures from before this program\n",
-        "fig6 as printed, on another machine, with settings that were not recorded: times here are"
-        " of the same equation with other numbers. A range is that of several schemes.\n",
-        markdown_table(
-            ["what", "ns a step then", "now", "step then", "now", "ns a unit of time then", "now",
-             "off by", "why"],
-            anchored(_schemes(lines)),
-        ),
         "## Failures\n",
         "By rule: paths lost, no answer, no step found. fig6 as printed (c = (0.08, 0.04)) is where"
         " first-order schemes lose paths; then 8.6 % at 0.01.\n",
@@ -129,32 +112,6 @@ def written(lines: Sequence[Line], stopped: Mapping[str, str]) -> str:
         OMISSIONS,
     ]  # fmt: skip
     return "\n".join(parts)
-
-
-def figures(lines: Sequence[Line]) -> list[list[str]]:
-    """Return rows of the figure to reach, by L1 and by E q2²."""
-    rows = []
-    for words, key in (("L1 of p(q2)", "ns_time"), ("bias of E q2²", "ns_time_square")):
-        theirs, own = best(lines, GENERAL, key), best(lines, (OURS,), key)
-        about = f"the fastest general package, step by the {words}"
-        if theirs is None or own is None:
-            rows.append([about, "–", "–", "–", "–", "no: not measured"])
-            continue
-        ratio = theirs[key] / own[key]
-        errors = ("L1", "L1_error") if key == "ns_time" else ("bias", "bias_error")
-        slack = (1.0 + _slack(theirs, *errors)) * (1.0 + _slack(own, *errors))
-        low, high = ratio / slack, ratio * slack
-        met = "yes" if low >= FIGURE else "no" if high < FIGURE else "not decided"
-        rows.append(
-            [about, f"{theirs['peer']}, {theirs['scheme']}", f"{theirs[key]:.0f}",
-             f"{own[key]:.1f}", f"{ratio:.0f} ({low:.0f} to {high:.0f})", met]
-        )  # fmt: skip
-    return rows
-
-
-def _slack(line: Line, bias: str, error: str) -> float:
-    """Return the relative error of the allowed step that one error of the bias makes."""
-    return line[error] / (line["order"] * abs(line[bias])) if line[bias] else 0.0
 
 
 def short_table(lines: Sequence[Line]) -> str:
