@@ -1,12 +1,27 @@
-"""Files and names that the documents mention exist."""
+"""Files, names, commands and constants that the documents mention are those of the program."""
 
 import ast
 import re
+import shlex
 from pathlib import Path
 
 import pytest
 
+from averaging import Exact, Integrable, Linear, NonIntegrable, PhaseSpace, theory
+from averaging.modal.time import questions
+from averaging.phase_space import method as phase_space
+from averaging.phase_space import refinement, resolvent
+from averaging.phase_space.passage import first_passage, mesh
+from cases.commands.app import app
+from cases.comparison import answering, claims, compare
 from cases.comparison.routes import listed_routes
+from cases.output import vtk
+from cases.scene import schema
+from cases.studies.sweep import reference
+from fpk import clearance, damping
+from sim import step_size, substeps
+from sim.motion import correlation, spectrum, survival
+from sim.splitting import estimate
 
 ROOT = Path(__file__).parent.parent
 THEORY = ROOT / "docs" / "theory.md"
@@ -55,3 +70,89 @@ def test_the_command_line_page_has_every_method_and_solver():
     assert routes
     for route in routes:
         assert f"`{route.solver}`" in solvers[f"`{route.method}`"], route.label
+
+
+def commands_in(text):
+    """Commands in the blocks of a shell, without their comments."""
+    shell = "\n".join(re.findall(r"```sh\n(.*?)```", text, flags=re.DOTALL))
+    lines = shell.replace("\\\n", " ").split("\n")
+    calls = [line.split(" > ")[0] for line in lines if line.startswith("fpk ")]
+    return [shlex.split(call, comments=True)[1:] for call in calls]
+
+
+def test_commands_in_documents_parse():
+    found = [c for path in DOCUMENTS for c in commands_in(path.read_text(encoding="utf-8"))]
+    assert len(found) > 20
+    for name, *arguments in found:
+        with app.commands[name].make_context(name, arguments):
+            pass
+
+
+def short(number):
+    """The number as documents write a tolerance: 1e-4."""
+    return f"{number:.0e}".replace("e-0", "e-")
+
+
+DYNAMICS = ", ".join(
+    map(short, (phase_space.CROSSINGS_TOL, phase_space.SPECTRUM_TOL, phase_space.CORRELATION_TOL))
+)
+
+CONSTANTS = {
+    "choose.md": (
+        f"| tolerance of deterministic densities | {short(theory.SMALLEST)} to {theory.LARGEST} |",
+        f"| masses of a scene | {schema.MAX_MASSES} |",
+        f"| masses in `phase-space` | {phase_space.MOST_MASSES}, stops on 1 of them,",
+        f"| degree of a damping term | {damping.MOST_POWERS}, an energy counting 2 |",
+        f"by plain simulation | {answering.LEAST_FAILURES:g} failures of the paths expected |",
+        f"clearance > {clearance.CLEARANCE_RULE:g} rms",
+    ),
+    "command-line.md": (
+        f"at a false-alarm rate of {short(compare.FALSE_ALARMS)} an observable",
+        f"to {short(PhaseSpace().tol)} by default",
+        f"for `phase-space` {DYNAMICS} and {short(phase_space.RELAXATION_TOL)} if left out",
+        f"to {short(first_passage.TOL)} or {short(first_passage.GLANCING_TOL)} if left out",
+        f"of `fem` {short(NonIntegrable().tol)}, with two energies {short(questions.TOL)},",
+        f"solved to {short(reference.REFERENCE_TOL)}",
+        f"within {short(vtk.SUBDIVISION)} of the largest density",
+        f"exceeds {short(vtk.CUT)} of its maximum",
+    ),
+    "scene.md": (
+        f"their sum is at most {damping.MOST_POWERS} (an energy counts two)",
+        f"fewer than {answering.LEAST_FAILURES:g} failures of the paths",
+        f"within {claims.ALMOST_L1} in L1 of the Gaussian",
+        f"excess kurtosis of at most {claims.ALMOST_KURTOSIS}",
+    ),
+    "theory.md": (
+        f"about ${step_size.BIAS}\\,X^e$ of itself",
+        f"each pair of normals lies in a disc of radius {substeps.LARGEST_NORMAL:.2f}",
+        f"Above {100 * estimate.RESOLVED:g} % no error is stated",
+        f"taken between {refinement.SLOWEST} and {refinement.FASTEST:g},"
+        f" or {refinement.FASTEST_STEADY:g} where",
+        f"the error is {refinement.SAFETY:g} d/(r − 1)",
+        f"with |g| at least {short(resolvent.SEEN)} of the whole",
+        f"Velocities are followed {mesh.BEYOND} kicks of noise",
+        f"{first_passage.SAFETY:g} times the distance of the last two,"
+        f" or {first_passage.SAFETY * first_passage.SHARE:g} times the largest relative one",
+        f"A mean time beyond e^{first_passage.HIGHEST:g} units",
+        f"with fewer than {survival.LEAST_FAILURES} failures in the tail",
+        f"jackknife of {survival.GROUPS} groups",
+        f"one Hann window of {spectrum.WINDOW:g} decay times",
+        f"over paths and {correlation.RELAXATIONS:g} relaxation times",
+    ),
+}
+"""What documents say of constants of the code, made from these."""
+
+
+@pytest.mark.parametrize("page", CONSTANTS)
+def test_constants_in_documents_are_those_of_the_code(page):
+    text = " ".join((ROOT / "docs" / page).read_text(encoding="utf-8").split())
+    for phrase in CONSTANTS[page]:
+        assert phrase in text
+
+
+def test_tolerances_of_the_methods_are_their_defaults():
+    page = (ROOT / "docs" / "choose.md").read_text(encoding="utf-8")
+    rows = [line.split(" | ") for line in page.split("\n") if line.startswith("| `")]
+    stated = {row[0].strip("| `"): row[-1].removesuffix(" |") for row in rows}
+    for method in (Exact, Linear, NonIntegrable, Integrable, PhaseSpace):
+        assert stated[method().route.method] == short(method().tol)
