@@ -55,17 +55,16 @@ html_theme_options = {
 html_sidebars = {page: [] for page in ("index", "start", "tutorial", "choose", "faq")}
 
 ORDER = [
-    "density", "three_routes", "routes", "refusals", "contact_forces", "tails", "exact_scene",
-    "linear_chain", "simulation", "phase_space", "rigid_stop", "many_masses", "modal_energies",
+    "density", "three_routes", "summary", "routes", "refusals", "contact_forces", "tails",
+    "exact_scene", "linear_chain", "simulation", "phase_space", "rigid_stop", "many_masses", "modal_energies",
     "contact_law", "damping_terms", "convergence", "transient", "first_passage", "rare_failure",
-    "crossings_spectrum", "export", "kept_answers",
+    "crossings_spectrum", "sweep", "export", "kept_answers",
 ]  # fmt: skip
 
 
 def example_order(path: str) -> int:
     """Return the place of an example in the gallery: from simple to special."""
-    stem = Path(path).stem
-    return ORDER.index(stem) if stem in ORDER else len(ORDER)
+    return ORDER.index(Path(path).stem)
 
 
 ROOMS = ("fpk", "averaging", "sim", "cases")

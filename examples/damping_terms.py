@@ -10,8 +10,7 @@ import numpy as np
 
 import fpk
 
-# c = -0.1 + 0.4 q²: energy is fed in near rest and taken out far from it.
-term = fpk.DampingTerm(1, 1, 0.4, q=((1, 2),))
+term = fpk.DampingTerm(1, 1, 0.4, q=((1, 2),))  # c = −0.1 + 0.4 q²
 stop = fpk.Contact(mass=1, side="both", stiffness=20.0, clearance=1.0)
 system = fpk.System([1.0], [1.0], [-0.1], [0.005], contacts=(stop,), damping_terms=(term,))
 

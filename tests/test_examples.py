@@ -1,5 +1,6 @@
 """Every script in examples/ runs by itself and finds what it asserts."""
 
+import ast
 import runpy
 import subprocess
 import sys
@@ -23,6 +24,12 @@ def test_there_are_examples_that_assert_and_say_something():
         assert "print(" in text, script.name
         _, title, underline, *_ = text.split("\n")  # as the gallery reads it
         assert underline == "=" * len(title), script.name
+
+
+def test_the_gallery_has_a_place_for_every_example():
+    conf = (Path(__file__).parent.parent / "docs" / "conf.py").read_text(encoding="utf-8")
+    order = conf.split("ORDER = ")[1].split("]")[0] + "]"
+    assert sorted(ast.literal_eval(order)) == [script.stem for script in EXAMPLES]
 
 
 @pytest.mark.parametrize(
