@@ -56,9 +56,9 @@ html_sidebars = {page: [] for page in ("index", "start", "tutorial", "choose", "
 
 ORDER = [
     "density", "three_routes", "summary", "routes", "refusals", "contact_forces", "tails",
-    "exact_scene", "linear_chain", "simulation", "phase_space", "rigid_stop", "many_masses", "modal_energies",
-    "contact_law", "damping_terms", "convergence", "transient", "first_passage", "rare_failure",
-    "crossings_spectrum", "sweep", "export", "kept_answers",
+    "exact_scene", "linear_chain", "simulation", "phase_space", "rigid_stop", "many_masses",
+    "modal_energies", "contact_law", "damping_terms", "convergence", "transient", "first_passage",
+    "rare_failure", "crossings_spectrum", "sweep", "export", "kept_answers",
 ]  # fmt: skip
 
 
