@@ -19,7 +19,7 @@ from cases.output import vtk
 from cases.scene import schema
 from cases.studies.sweep import reference
 from fpk import clearance, damping
-from sim import step_size, substeps
+from sim import checkpoint, step_size, substeps
 from sim.motion import correlation, spectrum, survival
 from sim.splitting import estimate
 
@@ -116,7 +116,9 @@ CONSTANTS = {
         f"within {short(vtk.SUBDIVISION)} of the largest density",
         f"exceeds {short(vtk.CUT)} of its maximum",
     ),
+    "cluster.md": (f"Every {checkpoint.INTERVAL:g} seconds of a simulation",),
     "scene.md": (
+        f"up to {schema.MOST_QUESTIONS} of each",
         f"their sum is at most {damping.MOST_POWERS} (an energy counts two)",
         f"fewer than {answering.LEAST_FAILURES:g} failures of the paths",
         f"within {claims.ALMOST_L1} in L1 of the Gaussian",
