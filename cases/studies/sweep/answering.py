@@ -80,7 +80,8 @@ def _values(
                 passages[limit] = _passage(methods, system, quantity.limit)
             passage = passages[limit]
             number = getattr(passage, PASSAGE[quantity.kind])
-            return number, passage.error_kind, passage.certificate.failures, ""
+            more = () if number is None else quantity.failures(number, None, system)
+            return number, passage.error_kind, (*passage.certificate.failures, *more), ""
         if quantity not in own:
             raise NotApplicable("is no averaged theory")
         if quantity.observable not in densities:
@@ -88,7 +89,9 @@ def _values(
         density = densities[quantity.observable]
         failures = density.certificate.failures
         if quantity.kind != AVERAGING:
-            return quantity.of(density, system), density.error_kind, failures, ""
+            number = quantity.of(density, system)
+            failures = (*failures, *quantity.failures(number, density, system))
+            return number, density.error_kind, failures, ""
         route, full, problems = reference(quantity.observable)
         kinds = density.error_kind, full.error_kind
         L1, error, _ = distance_between(density, full)
