@@ -134,13 +134,23 @@ def _densities(
 
 
 def _passage(methods: Sequence[Method], system: System, limit: Limit) -> Passage:
-    """The first passage from rest by the first of ``methods`` that gives it, or why none does."""
+    """The first passage from rest by the first of ``methods`` that certifies it, else any.
+
+    Raises the reason of the first method where none gives it.
+    """
     refused: list[Exception] = []
+    answers: list[Passage] = []
+    question = PassageQuestion(limit, REST)
     for method in methods:
         if isinstance(method, Passages):
             try:
-                question = PassageQuestion(limit, REST)
-                return passage_answer(method, system, question, tol=None, progress=silent)
+                answer = passage_answer(method, system, question, tol=None, progress=silent)
             except REFUSALS as error:
                 refused.append(error)
+                continue
+            if answer.certificate.certified:
+                return answer
+            answers.append(answer)
+    if answers:
+        return answers[0]
     raise refused[0] if refused else NotApplicable("gives no first passage")
