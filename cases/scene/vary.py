@@ -32,7 +32,7 @@ VARIED = {
     "system.noise_intensity": "D",
     "system.damping": "c",
 }
-"""Keys that ``[vary]`` may vary, with their symbols: numbers of all contacts, or matrices."""
+"""Keys of ``[vary]`` with their symbols: one number for all contacts, or a whole matrix."""
 
 
 def changed(system: System, key: str, value: Any) -> System:
