@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from cases.commands import parts
-from cases.commands.authoring import check, completion, new, schema
+from cases.commands.authoring import check, completion, new, schema, show
 from cases.commands.dynamics import correlation, crossings, density, relaxation, spectrum
 from cases.commands.evolution import passage, transient
 from cases.commands.examples import EXAMPLES
@@ -51,19 +51,6 @@ def list_scenes() -> None:
     width = max(len(row["name"]) for row in rows)
     lines = [f"{row['name']:{width}}  {row['folder']:5}  {row['title']}" for row in rows]
     parts.end({"scenes": rows}, lambda: "\n".join(lines))
-
-
-@app.command()
-@parts.scene_name
-@parts.as_json
-def show(scene: str) -> None:
-    """Show the system, its effects, frequencies, and which theories apply and why."""
-    loaded = parts.checked(scene)
-    from cases.output.facts import show_record
-    from cases.output.text import rendered
-
-    record = show_record(loaded)
-    parts.end(record, lambda: rendered("show.txt", record))
 
 
 @app.command()
@@ -136,7 +123,7 @@ def run(
 
 for _command in (
     density, transient, passage, crossings, spectrum, correlation, relaxation,
-    converge, cost, export, verify, regime, sweep, new, check, schema, completion,
+    converge, cost, export, verify, regime, sweep, new, check, schema, show, completion,
 ):  # fmt: skip
     app.add_command(_command)
 for _name, _lines in EXAMPLES.items():

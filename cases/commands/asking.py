@@ -1,6 +1,7 @@
-"""What is common to the commands that ask one method one question, from options to exit status.
+"""Commands that give one answer by one method: their common options, output and exit status.
 
-They are ``fpk density``, ``crossings``, ``spectrum``, ``relaxation``, ``transient``, ``passage``.
+These are ``fpk density``, ``transient``, ``passage``, ``crossings``, ``spectrum``, ``correlation``
+and ``relaxation``.
 """
 
 from collections.abc import Callable
@@ -54,13 +55,16 @@ class Asked:
         key: str = "",
         **settings: Any,
     ) -> None:
-        """Print what ``work(method, tol=, progress=)`` returns, below what is ``given`` of it.
+        """Print the answer ``work(method, tol=, progress=)``; status 1 where it is not certified.
 
-        ``words`` are for what a method of this ``kind``, a protocol, gives, ``about`` for this
-        answer, ``key`` as of ``answer_record``. Where no solver was asked for it is the first of
-        the method that gives the answer; ``settings`` are further ones of the method. Raises
-        ``BadInput`` for a method that has not the protocol or a setting, or with the first reason
-        why it does not apply.
+        ``kind`` is the protocol that the method must have and ``words`` name what such methods give
+        ("first passage"); ``about`` names this answer in problems. ``given`` are the entries of the
+        record that repeat the question, ``key`` as of ``answer_record``, ``text`` the record in
+        words. Of the solvers of the method the first that answers is taken, unless one was asked
+        for; ``settings`` are further ones of the method.
+
+        Raises ``BadInput`` for a method without the protocol or without one of the settings, or
+        with the first reason why it does not apply.
         """
         from cases.output.records import answer_record
 

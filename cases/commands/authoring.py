@@ -1,4 +1,4 @@
-"""The commands that help to write a scene: new, check, schema; and completion of the shell."""
+"""The commands about a scene itself: new, check, show, schema; and completion of the shell."""
 
 import json
 import re
@@ -56,12 +56,24 @@ def new(name: str, masses: int, law: str, out: Path | None) -> None:
 @parts.as_json
 def check(scene: str) -> None:
     """Say whether a scene is valid, which theories apply, and about what a run of it costs."""
+    _print_facts(scene, "check")
+
+
+@click.command()
+@parts.scene_name
+@parts.as_json
+def show(scene: str) -> None:
+    """Show the system, its effects, frequencies, and which theories apply and why."""
+    _print_facts(scene, "show")
+
+
+def _print_facts(scene: str, command: str) -> None:
     loaded = parts.checked(scene)
-    from cases.output.facts import check_record
+    from cases.output.facts import check_record, show_record
     from cases.output.text import rendered
 
-    record = check_record(loaded)
-    parts.end(record, lambda: rendered("check.txt", record))
+    record = {"check": check_record, "show": show_record}[command](loaded)
+    parts.end(record, lambda: rendered(f"{command}.txt", record))
 
 
 @click.command()

@@ -48,6 +48,3 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
 }
 """Lines of a shell by command."""
-
-QUICK = ("list", "new", "check", "schema", "show", "passage", "transient", "density", "crossings")
-"""Commands whose first example takes a second or less once the program is compiled."""

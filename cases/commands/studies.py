@@ -125,10 +125,8 @@ def regime(scene: "Scene", vary: tuple[str, ...], **settings: Any) -> tuple[Any,
     """
     from cases.studies.regime_map.map import build_map
     from cases.studies.regime_map.map_page import map_page
-    from cases.studies.sweep.grid import parse_axes
 
-    axes = parse_axes(vary, scene.system)
-    result = build_map(scene, axes, **_over_grid(settings))
+    result = build_map(scene, vary, **_over_grid(settings))
     return result, map_page(result)
 
 

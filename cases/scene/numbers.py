@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from fpk.arrays import Array
 from fpk.errors import InvalidInput
 from fpk.system import System
 
@@ -21,9 +22,11 @@ PATH = re.compile(r"(\w+)(?:\[([0-9]{1,4})\])?\.(\w+)(?:\[([0-9]{1,4})(?:,([0-9]
 
 @dataclass(frozen=True)
 class Place:
-    """Where a number stands: ``field`` of ``System``, ``name`` in its records (arrays: empty).
+    """Where a number stands in a ``System``.
 
-    ``index`` counts from 0, (i,) of a vector or a record, (i, j) of a matrix; None stands for all.
+    ``field`` is an array, ``name`` then empty, or a list of records (``contacts``,
+    ``damping_terms``) that have the number ``name``. ``index`` counts from 0: (i,) is an entry of a
+    vector or a record, (i, j) an entry of a matrix, None the whole array or all records.
     """
 
     field: str
@@ -34,6 +37,11 @@ class Place:
     def factor(self) -> bool:
         """Whether the number is a factor of a whole array."""
         return not self.name and self.index is None
+
+    def read(self, system: System) -> Array:
+        """Return the whole array of the field, or the number of every record."""
+        own = getattr(system, self.field)
+        return np.array([getattr(record, self.name) for record in own] if self.name else own)
 
     def overlaps(self, other: "Place") -> bool:
         """Whether both change the same number."""
@@ -46,10 +54,10 @@ def place_of(path: str, system: System) -> Place:
 
     ``system.mass[2]`` and ``contact[1].clearance`` count from 1, of a matrix ``[2]`` is an entry of
     the diagonal and ``[1,2]`` any; ``contact.stiffness`` is that of all contacts,
-    ``system.damping`` a factor of the whole matrix. Of damping terms those count that depend on the
-    state.
+    ``system.damping`` a factor of the whole matrix. ``damping_term[1]`` is the first that depends
+    on the state: constant ones are part of ``system.damping``.
 
-    Raises ``InvalidInput`` that lists what there is.
+    Raises ``InvalidInput`` with the list of all paths of the system.
     """
     if match := PATH.fullmatch(path):
         table, record, name, *entry = match.groups()
@@ -70,7 +78,7 @@ def place_of(path: str, system: System) -> Place:
 
 
 def _listed(system: System) -> str:
-    """What there is, in one line."""
+    """All paths of the system in one line, a range of indices in the place of each."""
     counts = {table: len(getattr(system, field)) for table, (field, _) in RECORDS.items()}
     words = [f"{t}[1..{n}].{name}" for t, n in counts.items() if n for name in RECORDS[t][1]]
     for name in ARRAYS:
@@ -98,5 +106,5 @@ def with_numbers(system: System, values: Mapping[str, float]) -> System:
         else:
             held[place.index] = value
             if place.field == "noise_intensity":
-                held[place.index[::-1]] = value  # type: ignore[index]  # no factor: it has one
+                held[place.index[::-1]] = value  # type: ignore[index]  # not None: no factor
     return replace(system, **fields)

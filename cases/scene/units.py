@@ -7,9 +7,10 @@ from fpk.errors import InvalidInput
 from fpk.observable import Coordinate, Observable
 
 CONSISTENT = "the scene's own consistent units"
-"""What is said of the units of a scene that does not name them."""
+"""Attribute ``units`` in files of a scene without ``[units]``."""
 
 DATES = ("days", "hours", "minutes", "seconds", "milliseconds", "microseconds", "nanoseconds")
+"""Units of time that xarray decodes to time differences of whole nanoseconds."""
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -25,6 +26,7 @@ DERIVED = {
     "frequency": (0, 0, -1),
     "rate": (0, 0, -1),
 }
+"""Powers of length, mass and time of the quantities whose units JSON lists."""
 
 
 @dataclass(frozen=True)
@@ -90,9 +92,9 @@ NO_UNITS = Units()
 
 
 def attribute(unit: str) -> str:
-    """Return what a file says of a unit: where there is no name, that all fit together.
+    """Return the attribute ``units`` of a variable in a file: the unit, or ``CONSISTENT``.
 
-    Of units of time in the plural xarray makes dates of whole nanoseconds: they lose their s.
+    Names of ``DATES`` lose their s: xarray would turn such numbers into dates.
     """
     return unit.removesuffix("s") if unit in DATES else unit or CONSISTENT
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from cases.scene.numbers import place_of, with_numbers
 from fpk.arrays import Array
 from fpk.errors import InvalidInput
 from fpk.system import System
@@ -31,23 +32,20 @@ VARIED = {
     "system.noise_intensity": "D",
     "system.damping": "c",
 }
-"""Keys that ``[vary]`` may vary, with their symbols: numbers of all contacts, or matrices."""
+"""Keys of ``[vary]`` with their symbols: one number for all contacts, or a whole matrix."""
 
 
 def changed(system: System, key: str, value: Any) -> System:
-    """Return the system in which ``key`` of ``VARIED`` has the value."""
-    part, _, name = key.partition(".")
-    if part == "system":
-        return replace(system, **{name: value})
-    return replace(system, contacts=tuple(replace(c, **{name: value}) for c in system.contacts))
+    """Return the system in which ``key`` of ``VARIED`` has the value, a number or a matrix."""
+    place = place_of(key, system)
+    if place.factor:
+        return replace(system, **{place.field: value})
+    return with_numbers(system, {key: value})
 
 
 def _read(system: System, key: str) -> Array:
     """The matrix of the system, or the number of every contact."""
-    part, _, name = key.partition(".")
-    if part == "system":
-        return np.asarray(getattr(system, name))
-    return np.array([getattr(contact, name) for contact in system.contacts])
+    return place_of(key, system).read(system)
 
 
 def curves_of(system: System, vary: Mapping[str, Mapping[str, Any]] | None) -> tuple[Curve, ...]:

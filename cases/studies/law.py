@@ -7,7 +7,7 @@ from cases.comparison.averaged import AveragedSimulation
 from cases.comparison.compare import distance_between
 from cases.studies.equations import Equation
 from cases.studies.levels import Level, timed_first
-from cases.studies.prices import NotTimed, Priced
+from cases.studies.prices import NotTimed, Priced, judged
 from cases.studies.simulation import SMALL_STEP, SMALLEST, Reference, largest_stable, run
 from fpk.density import Density
 from fpk.method import Progress, silent
@@ -165,9 +165,6 @@ def averaged_route(system: System, equation: Equation, *, seed: int) -> Priced |
     settings = f"{method.paths} paths, step {method.step:g}"
     mean = expected - p.l1_error
     level = Level(settings, mean, mean, seconds, distance, allowed)
-    names = method.route.label, equation.name
-    if not level.honest:
-        words = f"differs from the {equation.reference_words} by more than chance explains"
-        return NotTimed(*names, settings, distance, level.estimate, words)
     axis = "sampling error: expected L1 of p(H), within chance of the reference"
-    return Priced(*names, axis, (level,))
+    words = f"differs from the {equation.reference_words} by more than chance explains"
+    return judged(method.route.label, equation.name, axis, [level], words)

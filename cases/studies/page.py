@@ -104,9 +104,9 @@ class Table:
 class Page:
     """The page of a study: its title, tables, and a picture.
 
-    Tables without rows are left out. Of a map ``gridded`` are the variables that are written in the
-    place of the tables, the first of them beside it as comma-separated values; ``summary`` is all
-    that is printed once the page is written, empty for the page itself.
+    Tables without rows are left out. ``gridded`` are the variables of a study over a grid: netCDF
+    has them in the place of the tables, and the first table is written as comma-separated values,
+    too. ``summary`` is what a terminal shows once the page is written; empty: the whole page.
     """
 
     name: str
@@ -127,7 +127,7 @@ class Page:
         return "\n".join([f"# {title}", "", *tables]).rstrip() + "\n"
 
     def write(self, folder: Path) -> list[Path]:
-        """Write files of the study's name: md, svg, nc and, of a map, csv and html."""
+        """Write files of the study's name: md, svg, nc and, if it is over a grid, csv and html."""
         texts = {"md": self.text(), "svg": svg_text(self.figure(), salt=self.name)}
         variables = self.gridded
         if variables is None:

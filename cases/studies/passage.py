@@ -14,7 +14,7 @@ import numpy as np
 from cases.comparison.routes import listed_routes
 from cases.scene.questions import PassageQuestion
 from cases.studies.levels import Level, timed_first, timing
-from cases.studies.prices import NotTimed, Priced
+from cases.studies.prices import NotTimed, Priced, judged
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.evolution import Passage, Passages
 from fpk.method import Progress, silent
@@ -44,8 +44,8 @@ def passage_routes(
 
     The equations are the averaged one of each theory, and that of the full system.
     """
-    results: list[Priced | NotTimed] = []
-    best: dict[str, Number] = {}
+    refused: list[Priced | NotTimed] = []
+    answers = []
     for route in listed_routes():
         method: Any = route.make()
         if not isinstance(method, Passages) or (route.sampled and not simulate):
@@ -58,12 +58,14 @@ def passage_routes(
             ask = partial(_rate, method, system, question, progress)
             measured = _sampled(ask) if route.sampled else _solved(ask)
         except (NotApplicable, NotCertified, InvalidInput) as reason:
-            results.append(NotTimed(route.label, equation, reason=str(reason)))
-            continue
-        known = [best[equation]] if equation in best else []
-        best[equation] = min([*known, *(rate for _, rate in measured)], key=_relative)
-        results.append(_priced(route, equation, measured, best[equation]))
-    return results
+            refused.append(NotTimed(route.label, equation, reason=str(reason)))
+        else:
+            answers.append((route, equation, measured))
+    best: dict[str, Number] = {}
+    for _, equation, measured in answers:
+        for _, rate in measured:
+            best[equation] = min(best.get(equation, rate), rate, key=_relative)
+    return refused + [_priced(*answer, best[answer[1]]) for answer in answers]
 
 
 def equation_name(question: PassageQuestion, method: str, solves: str) -> str:
@@ -117,18 +119,15 @@ def _priced(
     route: Route, equation: str, measured: Sequence[tuple[Level, Number]], best: Number
 ) -> Priced | NotTimed:
     """The route, unless an answer is off by more than it, or four times it, and the best allow."""
-    names, points = (route.label, equation), []
+    sure, points = 4.0 if route.sampled else 1.0, []
     for level, rate in measured:
-        sure = 4.0 if route.sampled else 1.0
-        allowed = sure * rate.error + best.error
-        distance, allowed = (x / best.value for x in (abs(rate.value - best.value), allowed))
-        if not distance <= allowed:
-            words = "differs from the best answer by more than both state"
-            return NotTimed(*names, level.settings, distance, allowed, words)
+        distance = abs(rate.value - best.value) / best.value
         if not route.sampled:
-            level = replace(level, error=max(distance, best.error / best.value))
+            level = replace(level, error=max(distance, _relative(best)))
         if not level.modelled:
+            allowed = (sure * rate.error + best.error) / best.value
             level = replace(level, distance=distance, estimate=allowed)
         points.append(level)
-    kind = "sampling" if route.sampled else "numerical"
-    return Priced(*names, f"{kind}: relative error of the failure rate", tuple(points))
+    axis = f"{'sampling' if route.sampled else 'numerical'}: relative error of the failure rate"
+    words = "differs from the best answer by more than both state"
+    return judged(route.label, equation, axis, points, words)

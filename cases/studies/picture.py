@@ -76,8 +76,14 @@ def study_figure(panels: Sequence[Panel], *, width: float = 4.3) -> Figure:
     return figure
 
 
+def curves_over(axis: Axis, names: Sequence[str], values: Any, errors: Any) -> list[Curve]:
+    """Return a curve for each of ``names`` with its row of ``values``, unless all are NaN."""
+    rows = zip(names, values, errors, strict=True)
+    return [Curve(name, axis.values, y, bar) for name, y, bar in rows if np.isfinite(y).any()]
+
+
 def heat(axes: Axes, x: Axis, y: Axis, field: Any, **palette: Any) -> Any:
-    """Draw ``field`` (x, y) as cells around the values of two axes; what is not a number is not."""
+    """Draw ``field`` (x, y) as cells around the values of two axes; NaN leaves its cell empty."""
     shown = np.ma.masked_invalid(field).T
     cells = axes.pcolormesh(_edges(x), _edges(y), shown, rasterized=True, **palette)
     scales = ["log" if axis.logarithmic else "linear" for axis in (x, y)]

@@ -59,6 +59,16 @@ class NotTimed:
         return not (isnan(self.distance) or self.baseline)
 
 
+def judged(
+    route: str, equation: str, axis: str, points: Sequence[Level], reason: str
+) -> Priced | NotTimed:
+    """Return the route, not timed for this ``reason`` where a measured point is not honest."""
+    for p in points:
+        if not (p.modelled or p.honest):
+            return NotTimed(route, equation, p.settings, p.distance, p.estimate, reason)
+    return Priced(route, equation, axis, tuple(points))
+
+
 @dataclass(frozen=True)
 class Cheapest:
     """For an error 10^−digits the cheapest route and its point, None where none reaches it."""

@@ -6,7 +6,7 @@ from functools import partial
 from cases.comparison.compare import distance_between
 from cases.comparison.routes import listed_routes
 from cases.studies.levels import Level, timed_first, timing
-from cases.studies.prices import NotTimed, Priced
+from cases.studies.prices import NotTimed, Priced, judged
 from cases.studies.simulation import Reference, observed
 from fpk.density import Density
 from fpk.errors import NotApplicable, NotCertified
@@ -43,14 +43,9 @@ def solved_routes(
         for level, p in answers:
             distance, allowed, _ = distance_between(p, finest)
             points.append(replace(level, distance=distance, estimate=allowed))
-        wrong = next((p for p in points if not p.honest), None)
-        if wrong is not None:
-            words = "differs from its own finest answer by more than both state"
-            at = wrong.settings, wrong.distance, wrong.estimate
-            results.append(NotTimed(route.label, equation, *at, words))
-        else:
-            axis = f"numerical, as stated: L1 of p({observable_name(observed(system))})"
-            results.append(Priced(route.label, equation, axis, tuple(points)))
+        axis = f"numerical, as stated: L1 of p({observable_name(observed(system))})"
+        words = "differs from its own finest answer by more than both state"
+        results.append(judged(route.label, equation, axis, points, words))
     return results, best
 
 

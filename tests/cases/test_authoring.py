@@ -12,7 +12,7 @@ import click
 import pytest
 
 from cases.commands.app import app
-from cases.commands.examples import EXAMPLES, QUICK
+from cases.commands.examples import EXAMPLES
 from cases.commands.parts import as_wide
 from cases.comparison.routes import method_for
 from cases.output.duration import duration
@@ -22,6 +22,8 @@ from cases.scene.schema import SCENE
 from fpk.clearance import stop_clearances
 from fpk.contact_law import LAWS
 
+QUICK = ("list", "new", "check", "schema", "show", "passage", "transient", "density", "crossings")
+"""Commands whose first example takes a second or less once the program is compiled."""
 CALL = re.compile(r'fpk [^)>"]*(?:"[^"]*"[^)>"]*)*')
 """The call in an example, which may stand in a substitution or before a redirection."""
 

@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
 import pytest
 
 from cases.comparison.answers import run_scene
@@ -21,10 +20,8 @@ from cases.output.report import write_report
 from cases.output.vtk import write_pvd, write_vtu
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
-from cases.studies.regime_map.map import RegimeMap
+from cases.studies.regime_map.map import build_map
 from cases.studies.regime_map.map_page import map_page
-from cases.studies.regime_map.points import MapPoint
-from cases.studies.sweep.grid import Axis
 
 resource = pytest.importorskip("resource", reason="limits of a process are Unix's")
 
@@ -49,14 +46,8 @@ def outcome():
 
 
 @pytest.fixture(scope="module")
-def regime_map(outcome):
-    values = np.array([0.5, 1.0])
-    points = tuple(
-        MapPoint((v,), {"integrable": 0.1}, {"integrable": 0.01}, "exact", v, "integrable", (), 0.0)
-        for v in values.tolist()
-    )
-    axis = Axis("contact.clearance", "δ", values, False)
-    return RegimeMap(outcome.scene, outcome.scene.observables[0], (axis,), points, 0, 0.0)
+def regime_map():
+    return build_map(load_scene("fig3a"), ["contact.clearance=0.5,1"])
 
 
 def _svg(folder, outcome):

@@ -99,7 +99,7 @@ def test_points_of_another_run_are_refused_and_kept(fpk, tmp_path):
     line = ["--vary", "contact.clearance=0.5:2:2", *QUICK, "--out", tmp_path]
     assert fpk("regime", "fig3a", *line)[0] == 0
     before = path.read_text()
-    for arguments in (["fig3b", *line], ["fig3a", *line, "--seed", 4]):
+    for arguments in (["fig4a", *line], ["fig3a", *line, "--seed", 4]):
         status, out, err = fpk("regime", *arguments)
         assert (status, out) == (2, "") and err.count("\n") == 1 and "another run" in err
     path.write_text("something else\n")
@@ -109,8 +109,7 @@ def test_points_of_another_run_are_refused_and_kept(fpk, tmp_path):
 
 def test_where_there_is_an_exact_answer_no_simulation_is_needed(monkeypatch):
     scene = load_scene("fig3a")
-    axes = parse_axes(["contact.clearance=0.5:2:3"], scene.system)
-    found = build_map(scene, axes)
+    found = build_map(scene, ["contact.clearance=0.5:2:3"])
     assert {p.reference for p in found.points} == {"exact"} and not found.problems
     assert all(p.L1["nonintegrable"] < 1e-10 for p in found.points)
 

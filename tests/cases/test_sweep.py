@@ -24,6 +24,7 @@ from cases.studies.regime_map.map import build_map
 from cases.studies.sweep.grid import parse_axes
 from cases.studies.sweep.quantity import parse_quantity
 from cases.studies.sweep.sweep_page import sweep_figure
+from fpk.number import Number
 
 FREE = face.System([1, 2], [1, 3], [0.1, 0.2], [[0.02, 0.01], [0.01, 0.04]])
 ROUND_OFF = 1e-12
@@ -115,14 +116,42 @@ def test_both_sides_of_a_contact_are_felt_as_by_the_exact_density():
 def test_the_averaging_error_is_what_regime_maps():
     scene = load_scene("fig3a")
     text = ["contact.clearance=0.5:2:2"]
-    mapped = build_map(scene, parse_axes(text, scene.system))
+    mapped = build_map(scene, text)
     swept = face.sweep(scene, text, ["averaging_error(q2)"])
     assert swept.methods == ("nonintegrable", "integrable")
-    # Several solvers of a theory are certified; regime takes the one with the smallest error.
-    for j, theory in enumerate(swept.methods):
-        for k, point in enumerate(mapped.points):
-            errors = swept.field("error")[0, j, k] + point.error[theory]
-            assert abs(swept.field("value")[0, j, k] - point.L1[theory]) <= errors
+    for k, point in enumerate(mapped.points):
+        system = with_numbers(scene.system, {"contact.clearance": point.values[0]})
+        methods = [*swept.methods, "exact"]
+        q = np.linspace(-8.0, 8.0, 40_001)  # p(8) < exp(-32): the largest rms is 1
+        *theories, exact = (face.solve(system, ["q2"], methods=[m])["q2"].at(q)[0] for m in methods)
+        for j, theory in enumerate(swept.methods):
+            judge = np.trapezoid(np.abs(theories[j] - exact), q)
+            # The trapezoidal rule is off by the step times the total variation at most.
+            variation = np.abs(np.diff(theories[j])).sum() + np.abs(np.diff(exact)).sum()
+            assert abs(point.L1[theory] - judge) <= (q[1] - q[0]) * variation + point.error[theory]
+            assert swept.field("value")[0, j, k] == point.L1[theory]
+            assert swept.points[k].answers[j].reference == point.reference == "exact"
+
+
+def test_a_force_whose_error_is_beyond_it_is_not_certified():
+    # The numerical error of p behind the stop, about 1e-14, times the force there: B.
+    names = ["mean_force(1)", "contact_probability(1)", "mean_overlap(1)"]
+    values = {"contact.stiffness": [1e3, 1e30, 1e90]}
+    result = face.sweep(load_scene("fig6a"), values, names, methods=["nonintegrable"])
+    force, *others = result.field("certified")[:, 0]
+    assert force.tolist() == [True, False, False] and all(other.all() for other in others)
+    value, error = result.field("value")[0, 0], result.field("error")[0, 0]
+    assert all(error[1:] >= value[1:]) and len(result.problems) == 2
+    # A force that is zero but for rounding is known: no stop is ever reached.
+    far = {"contact.clearance": [20.0, 30.0]}
+    result = face.sweep(load_scene("fig6a"), far, names[:1], methods=["nonintegrable"])
+    assert result.field("certified").all() and not result.problems
+
+
+def test_a_rate_whose_error_is_beyond_it_is_not_certified():
+    rate = parse_quantity("failure_rate(H=1.5)", FREE)
+    assert rate.failures(Number(1e-9, 2e-9), None, FREE)
+    assert not rate.failures(Number(1e-9, 5e-10), None, FREE)
 
 
 LINE = ["sweep", "fig3a", "--vary", "contact.clearance=0.2:2:3", "--vary", "system.mass[1]=1,2",

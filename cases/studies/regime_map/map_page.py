@@ -13,10 +13,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from cases.output.pictures.style import COLOURS, INK, STYLE, symbol_of
-from cases.output.records import UNITS
 from cases.output.time_fields import Variables
 from cases.studies.page import Page, Table
-from cases.studies.picture import DASHES, Curve, Panel, heat, study_figure
+from cases.studies.picture import DASHES, Panel, curves_over, heat, study_figure
 from cases.studies.regime_map.map import RegimeMap
 from cases.studies.regime_map.points import NEITHER, THEORIES, UNDECIDED
 from cases.studies.sweep.grid import Axis
@@ -34,7 +33,7 @@ def map_page(result: RegimeMap) -> Page:
     """Return what ``fpk regime`` shows and writes: every point, and how often each is nearer."""
     rows = [
         {
-            **dict(zip((a.key for a in result.axes), p.values, strict=True)),
+            **dict(zip((a.key for a in result.sweep.axes), p.values, strict=True)),
             **{f"L1 {t}": p.L1.get(t) for t in THEORIES},
             **{f"error {t}": p.error.get(t) for t in THEORIES},
             "winner": p.winner,
@@ -47,11 +46,11 @@ def map_page(result: RegimeMap) -> Page:
     names = [name for name in (*THEORIES, UNDECIDED, NEITHER) if counts[name]]
     summary = (
         f"p({observable_name(result.observable)}), {len(result.points)} points"
-        f" ({result.reused} from disk), nearer to the full system: "
+        f" ({result.sweep.reused} from disk), nearer to the full system: "
         + ", ".join(f"{name} {counts[name]}" for name in names)
     )
     title = "L1 distance to the full system, rms_ratio the clearance over the rms without contact"
-    fields = map_variables(result, rows)
+    fields = map_variables(result)
     return Page(
         "regime",
         result.scene,
@@ -63,28 +62,24 @@ def map_page(result: RegimeMap) -> Page:
     )
 
 
-def map_variables(result: RegimeMap, rows: list[dict[str, Any]]) -> Variables:
+def map_variables(result: RegimeMap) -> Variables:
     """Return ``L1`` and ``error`` (theory, parameters); by parameters what else is known."""
-    keys, name = tuple(axis.dimension for axis in result.axes), observable_name(result.observable)
+    swept, name = result.sweep, observable_name(result.observable)
+    keys = tuple(axis.dimension for axis in swept.axes)
 
-    def field(key: str, kind: type = float) -> Any:
-        shape = [axis.values.size for axis in result.axes]
-        return np.array([row[key] for row in rows], dtype=kind).reshape(shape)
+    def field(key: str, kind: type) -> Any:
+        shape = [axis.values.size for axis in swept.axes]
+        return np.array([getattr(p, key) for p in result.points], dtype=kind).reshape(shape)
 
-    def by_theory(key: str, words: str) -> Any:
-        fields = np.stack([field(f"{key} {theory}") for theory in THEORIES])
-        return ("theory", *keys), fields, {"long_name": words}
-
+    distance = f"L1 distance of p({name}) to the full system"
+    moved = "how far chance and the solvers may have moved L1"
     ratio = "smallest clearance over rms displacement without contact"
     return {
         "theory": (("theory",), np.array(THEORIES), {}),
-        **{
-            a.dimension: ((a.dimension,), a.values, {"units": UNITS, "symbol": a.symbol})
-            for a in result.axes
-        },
-        "L1": by_theory("L1", f"L1 distance of p({name}) to the full system"),
-        "error": by_theory("error", "how far chance and the solvers may have moved L1"),
-        "rms_ratio": (keys, field("rms_ratio"), {"long_name": ratio}),
+        **swept.coordinates(),
+        "L1": (("theory", *keys), swept.field("value")[0], {"long_name": distance}),
+        "error": (("theory", *keys), swept.field("error")[0], {"long_name": moved}),
+        "rms_ratio": (keys, field("rms_ratio", float), {"long_name": ratio}),
         **{key: (keys, field(key, str), {}) for key in ("winner", "reference")},
     }
 
@@ -93,15 +88,11 @@ def regime_figure(result: RegimeMap, fields: Variables) -> Figure:
     """Draw a map over one parameter as curves, over two as fields."""
     L1, error, ratio, winner = (fields[key][1] for key in ("L1", "error", "rms_ratio", "winner"))
     words = f"L₁ distance of p({symbol_of(result.observable[0])}) to the full system"
-    if len(result.axes) == 2:
+    if len(result.sweep.axes) == 2:
         with mpl.rc_context(dict(STYLE)):
-            return _fields(*result.axes, L1, ratio, winner, words)
-    (axis,) = result.axes
-    curves = [
-        Curve(theory, axis.values, values, bar)
-        for theory, values, bar in zip(THEORIES, L1, error, strict=True)
-        if not np.all(np.isnan(values))
-    ]
+            return _fields(*result.sweep.axes, L1, ratio, winner, words)
+    (axis,) = result.sweep.axes
+    curves = curves_over(axis, THEORIES, L1, error)
     title, x = result.scene.title, axis.label
     return study_figure([Panel(title, x, words, curves, logarithmic=axis.logarithmic)])
 

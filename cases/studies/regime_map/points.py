@@ -1,17 +1,8 @@
 """The points of a map: what each theory is worth at one."""
 
 from dataclasses import dataclass
-from time import perf_counter
 
-from cases.comparison.compare import distance_between
-from cases.output.records import Record
-from cases.studies.simulation import best_answer, deterministic
-from cases.studies.sweep.reference import reference_of
-from fpk.clearance import stop_clearances
-from fpk.method import Method
-from fpk.observable import Observable
-from fpk.system import System
-from sim.montecarlo import MonteCarlo
+from cases.studies.sweep.result import SweepPoint
 
 THEORIES = ("nonintegrable", "integrable")
 """Averaged methods that are mapped, in the order of the pictures."""
@@ -24,9 +15,9 @@ class MapPoint:
     """Measured distances of the theories at one grid point.
 
     ``L1`` and ``error`` by theory; a theory that does not apply is left out. ``reference`` is the
-    route that they are held against; ``rms_ratio`` the smallest clearance over the rms displacement
-    without contact; ``winner`` the nearer theory, or ``UNDECIDED``, or ``NEITHER``; ``problems``
-    what failed or was not certified.
+    route that they are held against, empty where no theory applies; ``rms_ratio`` the smallest
+    clearance over the rms displacement without contact; ``winner`` the nearer theory, or
+    ``UNDECIDED``, or ``NEITHER``; ``problems`` what failed or was not certified.
     """
 
     values: tuple[float, ...]
@@ -38,42 +29,23 @@ class MapPoint:
     problems: tuple[str, ...]
     seconds: float
 
-    @classmethod
-    def read(cls, record: Record) -> "MapPoint":
-        """Return the point of its record in JSON."""
-        return cls(**{**record, **{key: tuple(record[key]) for key in ("values", "problems")}})
 
-
-def map_point(
-    system: System,
-    observable: Observable,
-    values: tuple[float, ...],
-    solver: Method | None,
-    simulation: MonteCarlo,
-) -> MapPoint:
-    """Return what each theory is worth for ``observable`` of ``system``.
-
-    ``reference_of`` is the reference.
-    """
-    start = perf_counter()
-    problems: list[str] = []
-    reference = reference_of(system, observable, solver, simulation, problems)
-    distances = {}
-    for theory in THEORIES:
-        own = [m for m in deterministic("averaged") if m.route.method == theory]
-        answer = best_answer(own, system, observable, problems)
-        if answer is not None and reference is not None:
-            distances[theory] = distance_between(answer[1], reference[1])[:2]
-    ratios = [s.ratio for s in stop_clearances(system) if s.ratio is not None]
+def map_point(point: SweepPoint, rms_ratio: float | None) -> MapPoint:
+    """Return what the averaging errors that are the answers of ``point`` say."""
+    distances = {
+        a.method: (a.value, a.error)
+        for a in point.answers
+        if a.value is not None and a.error is not None
+    }
     return MapPoint(
-        values=values,
-        L1={name: d[0] for name, d in distances.items()},
-        error={name: d[1] for name, d in distances.items()},
-        reference="" if reference is None else reference[0],
-        rms_ratio=min(ratios, default=None),
+        values=point.values,
+        L1={name: value for name, (value, _) in distances.items()},
+        error={name: error for name, (_, error) in distances.items()},
+        reference=max(a.reference for a in point.answers),
+        rms_ratio=rms_ratio,
         winner=winner_of(distances),
-        problems=tuple(problems),
-        seconds=perf_counter() - start,
+        problems=point.problems,
+        seconds=point.seconds,
     )
 
 

@@ -26,10 +26,11 @@ from sim.montecarlo import MonteCarlo
 
 Asked = tuple[str, tuple[Method, ...]]
 """The name of a method and its solvers in the order in which they are tried."""
-Found = tuple[Number | None, str, tuple[str, ...]]
-"""A number, None where the method does not give it, the kind of its error, and failed checks."""
-Reference = Callable[[Observable], tuple[AnyDensity, tuple[str, ...]]]
-"""Returns the density that averaged theories are held against, and its failed checks."""
+Found = tuple[Number | None, str, tuple[str, ...], str]
+"""A number, None where the method does not give it, the kind of its error, failed checks, and the
+route of the full system that it was compared with (else empty)."""
+Reference = Callable[[Observable], tuple[str, AnyDensity, tuple[str, ...]]]
+"""Returns route and density that averaged theories are held against, and its failed checks."""
 
 
 def sweep_point(
@@ -44,12 +45,12 @@ def sweep_point(
     start = perf_counter()
 
     @cache
-    def reference(observable: Observable) -> tuple[AnyDensity, tuple[str, ...]]:
+    def reference(observable: Observable) -> tuple[str, AnyDensity, tuple[str, ...]]:
         problems: list[str] = []
         found = reference_of(system, observable, solver, simulation, problems)
         if found is None:
             raise NotCertified(f"no reference: {'; '.join(problems)}")
-        return found[1], tuple(problems)
+        return *found, tuple(problems)
 
     columns = []
     for name, own in asked:
@@ -79,7 +80,8 @@ def _values(
                 passages[limit] = _passage(methods, system, quantity.limit)
             passage = passages[limit]
             number = getattr(passage, PASSAGE[quantity.kind])
-            return number, passage.error_kind, passage.certificate.failures
+            more = () if number is None else quantity.failures(number, None, system)
+            return number, passage.error_kind, (*passage.certificate.failures, *more), ""
         if quantity not in own:
             raise NotApplicable("is no averaged theory")
         if quantity.observable not in densities:
@@ -87,15 +89,17 @@ def _values(
         density = densities[quantity.observable]
         failures = density.certificate.failures
         if quantity.kind != AVERAGING:
-            return quantity.of(density, system), density.error_kind, failures
-        full, problems = reference(quantity.observable)
+            number = quantity.of(density, system)
+            failures = (*failures, *quantity.failures(number, density, system))
+            return number, density.error_kind, failures, ""
+        route, full, problems = reference(quantity.observable)
         kinds = density.error_kind, full.error_kind
         L1, error, _ = distance_between(density, full)
-        return Number(L1, error), max(kinds), (*failures, *problems)  # "sampling" is the last
+        return Number(L1, error), max(kinds), (*failures, *problems), route  # "sampling" is last
 
     for quantity in quantities:
         try:
-            number, kind, failures = found(quantity)
+            number, kind, failures, route = found(quantity)
             if number is None or not (isfinite(number.value) and isfinite(number.error)):
                 raise NotApplicable("gives no such number with an error that has a bound")
         except REFUSALS as error:
@@ -105,7 +109,7 @@ def _values(
         checks = tuple(dict.fromkeys(failures))
         yield Value(
             str(quantity), name, number.value, number.error, kind, certified=not checks,
-            failures=checks,
+            failures=checks, reference=route,
         )  # fmt: skip
 
 
@@ -130,13 +134,23 @@ def _densities(
 
 
 def _passage(methods: Sequence[Method], system: System, limit: Limit) -> Passage:
-    """The first passage from rest by the first of ``methods`` that gives it, or why none does."""
+    """The first passage from rest by the first of ``methods`` that certifies it, else any.
+
+    Raises the reason of the first method where none gives it.
+    """
     refused: list[Exception] = []
+    answers: list[Passage] = []
+    question = PassageQuestion(limit, REST)
     for method in methods:
         if isinstance(method, Passages):
             try:
-                question = PassageQuestion(limit, REST)
-                return passage_answer(method, system, question, tol=None, progress=silent)
+                answer = passage_answer(method, system, question, tol=None, progress=silent)
             except REFUSALS as error:
                 refused.append(error)
+                continue
+            if answer.certificate.certified:
+                return answer
+            answers.append(answer)
+    if answers:
+        return answers[0]
     raise refused[0] if refused else NotApplicable("gives no first passage")

@@ -1,32 +1,22 @@
-"""A grid of parameters: each point computed once, finished ones taken from disk.
+"""A grid of one or two parameters, and its form in words.
 
-A grid on the command line is ``contact.stiffness=0.01:1000:log25``, or a list of numbers.
+One parameter on the command line is ``contact.stiffness=0.01:1000:log25``, or a list of numbers.
 """
 
 import re
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, replace
-from functools import partial
-from itertools import pairwise, product
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from math import nan, prod
-from pathlib import Path
 
 import numpy as np
 
-from cases.output.claim import claimed
-from cases.output.records import Record
 from cases.scene.errors import BadInput, toml_value
 from cases.scene.numbers import place_of, with_numbers
 from cases.scene.vary import VARIED
-from cases.studies.sweep.store import P, PointStore
 from fpk.arrays import Array
-from fpk.cores import usable_cores
 from fpk.errors import InvalidInput
-from fpk.method import Progress
 from fpk.system import System
-from sim.montecarlo import MonteCarlo
-from sim.workers import workers_of
 
 LABELS = {"contact.stiffness": "contact stiffness $B$", "contact.clearance": "clearance $δ$"}
 """Labels of axes that have one of their own."""
@@ -60,64 +50,6 @@ class Axis:
 def place_words(axes: Sequence[Axis], values: Sequence[float]) -> str:
     """Return a point of the grid in words: ``B = 10, δ = 0.5``."""
     return ", ".join(f"{a.symbol} = {v:g}" for a, v in zip(axes, values, strict=True))
-
-
-def computed(
-    system: System,
-    axes: Sequence[Axis],
-    task: Callable[[System, tuple[float, ...]], Callable[[MonteCarlo], P]],
-    read: Callable[[Record], P],
-    *,
-    identity: Record,
-    simulation: MonteCarlo,
-    side_by_side: bool,
-    folder: Path | None,
-    progress: Progress,
-) -> tuple[tuple[P, ...], int]:
-    """Return the points of a grid in its order, the last axis fastest, and how many were on disk.
-
-    ``task(system, values)`` returns what computes a point by a simulation: by ``simulation`` on all
-    cores, or, ``side_by_side``, by one thread of each point. Its ``cluster`` takes whole points.
-    ``read``, ``folder`` and ``identity`` as of ``PointStore``.
-    """
-    systems = {}
-    for values in product(*(axis.values.tolist() for axis in axes)):
-        numbers = dict(zip((axis.key for axis in axes), values, strict=True))
-        try:
-            systems[values] = with_numbers(system, numbers)
-        except InvalidInput as error:
-            raise BadInput(f"--vary: at {place_words(axes, values)}: {error}") from None
-    with claimed(folder, identity):
-        store = PointStore(folder, identity, read)
-        todo = [task(own, values) for values, own in systems.items() if values not in store.points]
-        progress(0, len(todo), "points of the grid")
-        finished = _finished(todo, simulation, side_by_side=side_by_side)
-        for done, point in enumerate(finished, start=1):
-            store.add(point)
-            progress(done, len(todo), "points of the grid")
-    return tuple(store.points[values] for values in systems), len(systems) - len(todo)
-
-
-def _finished(
-    todo: Sequence[Callable[[MonteCarlo], P]], method: MonteCarlo, *, side_by_side: bool
-) -> Iterator[P]:
-    """Yield the points as they are finished, each a task of a cluster if there is one.
-
-    Else one after the other, as a simulation takes all cores; ``side_by_side``: one on each core.
-    """
-    alone = replace(method, cluster=None, threads=1)
-    if method.cluster is not None:
-        with workers_of(method.cluster) as workers:
-            yield from workers.as_finished([partial(point, alone) for point in todo])
-    elif side_by_side:
-        pool = ThreadPoolExecutor(usable_cores())
-        try:
-            for future in as_completed([pool.submit(point, alone) for point in todo]):
-                yield future.result()
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
-    else:
-        yield from (point(method) for point in todo)
 
 
 def parse_axes(texts: Sequence[str], system: System) -> tuple[Axis, ...]:

@@ -23,6 +23,9 @@ CONTACT = ("contact_probability", "mean_overlap", "mean_force", "overlap_in_cont
 PASSAGE = {"failure_rate": "rate", "mean_passage": "mean"}
 """Numbers of a ``Passage`` from rest."""
 AVERAGING = "averaging_error"
+RESOLVED = 0.01
+"""Largest error of a force that is certified although the force itself is smaller, in units of the
+force of the springs at the rms displacement."""
 FORMS = (
     *(f"{name}(q1)" for name in PLAIN), "quantile(q1,0.99)", "exceedance(q1,1.2)", "cdf(q1,1.2)",
     *(f"{name}(1)" for name in CONTACT), *(f"{name}(H=1.5)" for name in PASSAGE),
@@ -71,6 +74,26 @@ class Quantity:
         if name.endswith("in contact"):
             return ratio(total(f"mean {name.split()[0]}"), total("contact probability"))
         return total(name)
+
+    def failures(
+        self, number: Number, density: AnyDensity | None, system: System
+    ) -> tuple[str, ...]:
+        """Return why ``number``, of a certified answer, is not certified itself: no reason, or one.
+
+        A rate, a time or a force has no bound but its own size: an error beyond it says nothing. A
+        force that is zero but for rounding is known beside those of the springs. Other quantities
+        are of the size of a probability or of the displacement, to which the certificate of their
+        ``density`` (None of a passage) bounds their errors.
+        """
+        force = 0.0
+        if density is not None:
+            if "force" not in self.kind:
+                return ()
+            index = system.contacts[self.contact].index
+            force = system.stiffness_matrix[index, index] * density.rms().value
+        if abs(number.value) > number.error or number.error < RESOLVED * force:
+            return ()
+        return (f"the error {number.error:.2g} is not below the value {number.value:.2g}",)
 
 
 def parse_quantity(text: str, system: System) -> Quantity:

@@ -20,7 +20,7 @@ REFERENCE_TOL = 2e-4
 
 
 def settings_of(simulation: MonteCarlo) -> Record:
-    """Return what its numbers depend on: not where it is run, nor by how many threads."""
+    """Return the settings on which the results of ``simulation`` depend: no threads, no cluster."""
     return {key: getattr(simulation, key) for key in ("paths", "time", "relaxations", "seed")}
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cases.output.records import Record
+from cases.output.records import UNITS, Record
 from cases.output.time_fields import Variables
 from cases.studies.sweep.grid import Axis, place_words
 
@@ -16,7 +16,8 @@ class Value:
     """A quantity by one method with its error; no value where ``reason`` says why not.
 
     ``error_kind`` is "numerical" or "sampling"; ``failures`` say why it is not ``certified``;
-    ``failed`` where the method applies and did not succeed.
+    ``failed`` where the method applies and did not succeed. ``reference`` is the route of the full
+    system that an averaging error is the distance to.
     """
 
     quantity: str
@@ -28,6 +29,7 @@ class Value:
     failures: tuple[str, ...] = ()
     reason: str = ""
     failed: bool = False
+    reference: str = ""
 
     @property
     def said(self) -> bool:
@@ -42,6 +44,18 @@ class SweepPoint:
     values: tuple[float, ...]
     answers: tuple[Value, ...]
     seconds: float
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What failed or is not certified."""
+        return tuple(
+            f"{a.quantity} by {a.method} {words}"
+            for a in self.answers
+            for words in (
+                *(f"is not certified: {failure}" for failure in a.failures),
+                *([f"failed: {a.reason}"] if a.failed else []),
+            )
+        )
 
     @classmethod
     def read(cls, record: Record) -> "SweepPoint":
@@ -70,13 +84,9 @@ class Sweep:
     def problems(self) -> tuple[str, ...]:
         """What failed or is not certified at a point, in words that begin with its place."""
         return tuple(
-            f"{place_words(self.axes, p.values)}: {a.quantity} by {a.method} {words}"
+            f"{place_words(self.axes, p.values)}: {words}"
             for p in self.points
-            for a in p.answers
-            for words in (
-                *(f"is not certified: {failure}" for failure in a.failures),
-                *([f"failed: {a.reason}"] if a.failed else []),
-            )
+            for words in p.problems
         )
 
     def record(self) -> Record:
@@ -93,6 +103,13 @@ class Sweep:
         array = np.array(rows, dtype=kind).T
         return array.reshape(len(self.quantities), len(self.methods), *sizes)
 
+    def coordinates(self) -> Variables:
+        """Return the parameters as variables of their own dimensions."""
+        return {
+            a.dimension: ((a.dimension,), a.values, {"units": UNITS, "symbol": a.symbol})
+            for a in self.axes
+        }
+
     def variables(self) -> Variables:
         """Return ``value``, ``error``, ``error_kind``, ``certified`` (quantity, route, axes)."""
         dimensions = ("quantity", "route", *(axis.dimension for axis in self.axes))
@@ -100,7 +117,7 @@ class Sweep:
         return {
             "quantity": (dimensions[:1], np.array(self.quantities), {}),
             "route": (dimensions[1:2], np.array(self.methods), {}),
-            **{a.dimension: ((a.dimension,), a.values, {"long_name": a.symbol}) for a in self.axes},
+            **self.coordinates(),
             "value": (dimensions, self.field("value"), {}),
             "error": (dimensions, self.field("error"), {"long_name": words}),
             "error_kind": (dimensions, self.field("error_kind"), {}),

@@ -1,24 +1,32 @@
 """``fpk.sweep``: quantities by several methods over a grid of one or two numbers of a system."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import fields, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 
 from cases.comparison.routes import methods_of
+from cases.output.claim import claimed
+from cases.scene.errors import BadInput
+from cases.scene.numbers import with_numbers
 from cases.scene.scene import Scene
 from cases.studies.sweep.answering import sweep_point
-from cases.studies.sweep.grid import computed, parse_axes
+from cases.studies.sweep.grid import Axis, parse_axes, place_words
 from cases.studies.sweep.quantity import AVERAGING, parse_quantity
 from cases.studies.sweep.reference import SIMULATION, settings_of, solver_of
 from cases.studies.sweep.result import Sweep, SweepPoint
+from cases.studies.sweep.store import PointStore
+from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import Method, Progress, silent
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
+from sim.workers import workers_of
 
 METHODS = ("exact", "linear", "nonintegrable", "integrable")
 """Methods that are asked where none is named: they take milliseconds a point."""
@@ -52,47 +60,107 @@ def sweep(
     Raises ``InvalidInput`` or ``BadInput`` for what cannot be used, ``NotApplicable`` where a
     method gives none of the quantities anywhere, or a quantity has no value by any.
     """
+    result = every_answer(
+        system, vary, quantities, methods=methods, tol=tol, simulation=simulation,
+        reference=reference, folder=folder, progress=progress,
+    )  # fmt: skip
+    answers = [answer for point in result.points for answer in point.answers]
+    for key, texts in (("method", methods), ("quantity", result.quantities)):
+        for text in texts:
+            own = [a for a in answers if getattr(a, key) == text]
+            if not any(a.said for a in own):
+                raise NotApplicable(f"{text}: no value anywhere: {own[0].reason}")
+    given = tuple(m for m in result.methods if any(a.method == m and a.said for a in answers))
+    return replace(result, methods=given, points=tuple(p.by(given) for p in result.points))
+
+
+def every_answer(
+    system: System | Scene,
+    vary: Mapping[str, str | Sequence[float]] | Sequence[str],
+    quantities: Sequence[str],
+    *,
+    methods: Sequence[str],
+    tol: float | None = None,
+    simulation: MonteCarlo,
+    reference: str,
+    folder: Path | None,
+    progress: Progress,
+) -> Sweep:
+    """Return the answers of ``sweep`` with those of methods that say nothing anywhere.
+
+    Raises ``InvalidInput`` or ``BadInput`` for what cannot be used.
+    """
     start = perf_counter()
-    for key, given in (("quantities", quantities), ("methods", methods)):
-        if isinstance(given, str) or (not given and key == "quantities"):
-            raise InvalidInput(key, given, "must be a list of one or more names")
+    for key, names in (("quantities", quantities), ("methods", methods)):
+        if isinstance(names, str) or (not names and key == "quantities"):
+            raise InvalidInput(key, names, "must be a list of one or more names")
     if not isinstance(system, System | Scene):
         raise InvalidInput("system", system, 'must be a System or a scene, as fpk.load("fig6a")')
     name, system = (system.name, system.system) if isinstance(system, Scene) else ("", system)
     axes = parse_axes(_texts(vary), system)
     wanted = {str(q): q for q in (parse_quantity(text, system) for text in quantities)}
-    names = tuple(dict.fromkeys(methods)) or METHODS
-    asked = tuple((method, _candidates(method, tol, simulation)) for method in names)
+    methods = tuple(dict.fromkeys(methods)) or METHODS
+    asked = tuple((method, _candidates(method, tol, simulation)) for method in methods)
     solver = solver_of(reference)
     identity = {
         "system": {f.name: getattr(system, f.name) for f in fields(system) if f.init},
         "keys": [axis.key for axis in axes],
         "quantities": list(wanted),
-        "methods": names,
+        "methods": methods,
         "tol": tol,
         "reference": reference,
         **settings_of(simulation),
     }
-
-    def task(system: System, values: tuple[float, ...]) -> Callable[[MonteCarlo], SweepPoint]:
-        return partial(sweep_point, system, values, tuple(wanted.values()), asked, solver)
-
+    tasks: dict[tuple[float, ...], Callable[[MonteCarlo], SweepPoint]] = {
+        values: partial(sweep_point, own, values, tuple(wanted.values()), asked, solver)
+        for values, own in _systems(system, axes).items()
+    }
     sampled = any(m.route.sampled for _, own in asked for m in own)
     against_samples = solver is None and any(q.kind == AVERAGING for q in wanted.values())
-    points, reused = computed(
-        system, axes, task, SweepPoint.read, identity=identity, simulation=simulation,
-        side_by_side=not (sampled or against_samples), folder=folder, progress=progress,
-    )  # fmt: skip
-    answers = [answer for point in points for answer in point.answers]
-    for key, texts in (("method", methods), ("quantity", wanted)):
-        for text in texts:
-            own = [a for a in answers if getattr(a, key) == text]
-            if not any(a.said for a in own):
-                raise NotApplicable(f"{text}: no value anywhere: {own[0].reason}")
-    given = [m for m in names if any(a.method == m and a.said for a in answers)]
-    points = tuple(point.by(given) for point in points)
-    seconds = perf_counter() - start
-    return Sweep(name, axes, tuple(wanted), tuple(given), points, reused, seconds)
+    with claimed(folder, identity):
+        store = PointStore(folder, identity)
+        todo = [task for values, task in tasks.items() if values not in store.points]
+        progress(0, len(todo), "points of the grid")
+        finished = _finished(todo, simulation, side_by_side=not (sampled or against_samples))
+        for done, point in enumerate(finished, start=1):
+            store.add(point)
+            progress(done, len(todo), "points of the grid")
+    points, reused = tuple(store.points[values] for values in tasks), len(tasks) - len(todo)
+    return Sweep(name, axes, tuple(wanted), methods, points, reused, perf_counter() - start)
+
+
+def _systems(system: System, axes: Sequence[Axis]) -> dict[tuple[float, ...], System]:
+    """The system at every point of the grid, the last axis fastest."""
+    systems = {}
+    for values in product(*(axis.values.tolist() for axis in axes)):
+        numbers = dict(zip((axis.key for axis in axes), values, strict=True))
+        try:
+            systems[values] = with_numbers(system, numbers)
+        except InvalidInput as error:
+            raise BadInput(f"--vary: at {place_words(axes, values)}: {error}") from None
+    return systems
+
+
+def _finished(
+    todo: Sequence[Callable[[MonteCarlo], SweepPoint]], method: MonteCarlo, *, side_by_side: bool
+) -> Iterator[SweepPoint]:
+    """Yield the points as they are finished, each a task of a cluster if there is one.
+
+    Else one after the other, as a simulation takes all cores; ``side_by_side``: one on each core.
+    """
+    alone = replace(method, cluster=None, threads=1)
+    if method.cluster is not None:
+        with workers_of(method.cluster) as workers:
+            yield from workers.as_finished([partial(point, alone) for point in todo])
+    elif side_by_side:
+        pool = ThreadPoolExecutor(usable_cores())
+        try:
+            for future in as_completed([pool.submit(point, alone) for point in todo]):
+                yield future.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+    else:
+        yield from (point(method) for point in todo)
 
 
 def _texts(vary: Mapping[str, str | Sequence[float]] | Sequence[str]) -> list[str]:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from cases.output.pictures.style import STYLE
 from cases.scene.scene import Scene
 from cases.studies.page import Page, Table
-from cases.studies.picture import Curve, Panel, heat, study_figure
+from cases.studies.picture import Panel, curves_over, heat, study_figure
 from cases.studies.sweep.result import Sweep
 
 DECADES = 100.0
@@ -66,11 +66,7 @@ def sweep_figure(result: Sweep) -> Figure:
             quantity,
             axis.label,
             quantity,
-            [
-                Curve(method, axis.values, value, error)
-                for method, value, error in zip(result.methods, own, bars, strict=True)
-                if np.isfinite(value).any()
-            ],
+            curves_over(axis, result.methods, own, bars),
             logarithmic=axis.logarithmic,
             y_logarithmic=_spans_decades(own),
         )

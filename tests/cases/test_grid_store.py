@@ -1,4 +1,4 @@
-"""Points of a map on disk: whole at every point, damage is refused; folders of other runs."""
+"""Points of a grid on disk: whole at every point, damage is refused; folders of other runs."""
 
 import json
 import os
@@ -8,26 +8,29 @@ import pytest
 
 from cases.output.claim import claimed
 from cases.scene.errors import BadInput
-from cases.studies.regime_map.points import MapPoint
+from cases.studies.sweep.result import SweepPoint, Value
 from cases.studies.sweep.store import NAME, PointStore
 
 POINTS = [
-    MapPoint((x, 0.5), {"integrable": 0.1 / x}, {"integrable": 1e-3}, "exact", x, "integrable",
-             ("é: a problem",) if x > 1 else (), 0.25)
+    SweepPoint(
+        (x, 0.5),
+        (Value("rms(q2)", "exact", 0.1 / x, 1e-3, failures=("é: a failure",) if x > 1 else ()),),
+        0.25,
+    )
     for x in (0.1, 1.0, 3.0)
-]  # fmt: skip
+]
 
 
 @pytest.fixture
 def written(tmp_path):
-    store = PointStore(tmp_path, IDENTITY, MapPoint.read)
+    store = PointStore(tmp_path, IDENTITY)
     for point in POINTS:
         store.add(point)
     return tmp_path / NAME
 
 
 def reopened(path):
-    return PointStore(path.parent, IDENTITY, MapPoint.read)
+    return PointStore(path.parent, IDENTITY)
 
 
 def test_what_was_written_is_read_to_the_last_digit(written):
@@ -70,7 +73,7 @@ def test_a_byte_that_changed_or_is_missing_is_never_read_as_a_number(written):
 
 def test_lines_that_were_changed_or_removed_or_doubled_are_refused(written):
     head, *lines = written.read_text(encoding="utf-8").split("\n")[:-1]
-    foreign = json.dumps({**json.loads(lines[1]), "winner": "nonintegrable"})
+    foreign = json.dumps({**json.loads(lines[1]), "seconds": 0.5})
     for kept in (
         [head, *lines[:2]],
         [head, lines[0], *lines],
@@ -124,12 +127,12 @@ def test_what_is_no_such_file_is_refused_without_reading_on(kind, tmp_path):
     make, words = ODD[kind]
     make(tmp_path / NAME)
     with pytest.raises(BadInput, match=words) as refusal:
-        PointStore(tmp_path, IDENTITY, MapPoint.read)
+        PointStore(tmp_path, IDENTITY)
     assert "\n" not in str(refusal.value) and str(tmp_path) in str(refusal.value)
 
 
 def test_points_of_another_map_are_refused_where_nothing_else_names_theirs(written):
     before = written.read_bytes()
     with pytest.raises(BadInput, match="another run's"):
-        PointStore(written.parent, {**IDENTITY, "scene": "another"}, MapPoint.read)
+        PointStore(written.parent, {**IDENTITY, "scene": "another"})
     assert written.read_bytes() == before
