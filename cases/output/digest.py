@@ -4,12 +4,13 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import get_args
 
-from cases.comparison.answers import Answers, Outcome
+from cases.comparison.answers import Answers
 from cases.comparison.claims import Verdict, findings
 from cases.comparison.compare import Comparison
 from cases.comparison.in_time import Replies
 from cases.comparison.quantities import Quantity
 from cases.comparison.refusal import Refusal
+from cases.comparison.run import Outcome
 from cases.comparison.time_claims import time_findings
 from cases.output.facts import facts_record
 from cases.output.records import Record, answer_tail, passage_numbers, plain

@@ -11,8 +11,9 @@ from averaging.closed_form import averaged_rate
 from averaging.conditional import conditional
 from averaging.modal.analysis import modal_analysis
 from averaging.modal.observables import gaussian_modes
-from cases.comparison.answers import Answers, Outcome
+from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
+from cases.comparison.run import Outcome
 from cases.output.fields import common_grid
 from cases.output.pictures.choice import lines_of
 from cases.output.pictures.lines import MARKERS, TAIL, dashes_of, walls_of

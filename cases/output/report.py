@@ -13,8 +13,8 @@ import matplotlib as mpl
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from cases.comparison.answers import Outcome
 from cases.comparison.claims import ACCEPTABLE_L1, ALMOST_KURTOSIS, ALMOST_L1
+from cases.comparison.run import Outcome
 from cases.output.digest import curves_of
 from cases.output.facts import theories
 from cases.output.files import write_text

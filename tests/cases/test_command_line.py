@@ -13,8 +13,8 @@ pytest.importorskip("averaging.exact")
 pytest.importorskip("averaging.nonintegrable")
 pytest.importorskip("sim.montecarlo")
 
-from cases.comparison.answers import run_scene
 from cases.comparison.routes import all_methods, method_for
+from cases.comparison.run import run_scene
 from cases.scene.scene import load_scene, shipped_scenes
 from fpk.route import solvers_of
 

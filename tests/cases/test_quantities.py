@@ -11,8 +11,9 @@ from scipy import stats
 from scipy.integrate import quad
 
 import fpk as face
-from cases.comparison.answers import Answers, run_scene
+from cases.comparison.answers import Answers
 from cases.comparison.routes import method_for
+from cases.comparison.run import run_scene
 from cases.output.digest import digest_of
 from cases.output.tables import concise, quantity_tables
 from cases.scene.scene import load_scene

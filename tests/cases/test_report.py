@@ -166,8 +166,8 @@ def test_the_policy_allows_the_style_of_the_page_alone(outcome):
 
 @pytest.fixture(scope="module")
 def outcome(scene_text, tmp_path_factory):
-    from cases.comparison.answers import run_scene  # noqa: PLC0415
     from cases.comparison.routes import method_for  # noqa: PLC0415
+    from cases.comparison.run import run_scene  # noqa: PLC0415
     from cases.scene.scene import load_scene  # noqa: PLC0415
 
     path = tmp_path_factory.mktemp("scene") / "any.toml"

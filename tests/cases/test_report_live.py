@@ -12,8 +12,9 @@ from html import escape, unescape
 import numpy as np
 import pytest
 
-from cases.comparison.answers import answers_of, run_scene
 from cases.comparison.routes import method_for
+from cases.comparison.run import run_scene
+from cases.comparison.stationary import answers_of
 from cases.output.digest import digest_of
 from cases.output.live import _model, _rounded, as_script_data, live_record
 from cases.output.records import plain

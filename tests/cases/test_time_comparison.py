@@ -11,10 +11,10 @@ import pytest
 
 from cases.comparison import answering, time_distances
 from cases.comparison.answering import replies_of
-from cases.comparison.answers import run_scene
 from cases.comparison.compare import FALSE_ALARMS
 from cases.comparison.in_time import Given, Replies
 from cases.comparison.routes import listed_routes, method_for, register_routes
+from cases.comparison.run import run_scene
 from cases.comparison.time_claims import time_findings
 from cases.output.digest import digest_of, verify_row
 from cases.output.fields import write_netcdf
