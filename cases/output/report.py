@@ -18,7 +18,7 @@ from cases.comparison.run import Outcome
 from cases.output.digest import curves_of
 from cases.output.facts import theories
 from cases.output.files import write_text
-from cases.output.headline import headline_of, quantity_table
+from cases.output.headline import headline_of
 from cases.output.live import as_script_data, live_record
 from cases.output.pictures.chain import chain_svg
 from cases.output.pictures.in_time import time_pictures
@@ -26,6 +26,7 @@ from cases.output.pictures.joint import joint_pictures
 from cases.output.pictures.lines import line_pictures
 from cases.output.pictures.style import STYLE, in_units, inline_svg, svg_text
 from cases.output.records import Record, program_version
+from cases.output.tables import theory_table
 from cases.output.text import rendered
 from cases.scene.scene import Scene
 from fpk.method import Progress, silent
@@ -113,7 +114,7 @@ def report_html(
         "digest": digest,
         "curves": curves,
         "answer": headline_of(curves),
-        "tables": [{"label": c["label"], **quantity_table(c)} for c in curves],
+        "tables": [{"label": c["label"], **theory_table(c["quantities"])} for c in curves],
         "sketch": chain_svg(scene.system),
         "style": style,
         "policy": {"style": _hash(style), "script": _hash(script) if live else "'none'"},

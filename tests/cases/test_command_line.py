@@ -253,7 +253,7 @@ def test_a_path_that_cannot_be_used_is_refused_before_the_work(
         raise AssertionError("worked")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("cases.comparison.answers.run_scene", worked)
+    monkeypatch.setattr("cases.comparison.run.run_scene", worked)
     status, out, err = fpk(*arguments)
     assert (status, out) == (2, "") and err.count("\n") == 1
     assert not list(tmp_path.iterdir())
