@@ -1,6 +1,7 @@
-"""What is common to the commands that ask one method one question, from options to exit status.
+"""Commands that put one question to one method: their options, their answer, their exit status.
 
-They are ``fpk density``, ``crossings``, ``spectrum``, ``relaxation``, ``transient``, ``passage``.
+Used by ``fpk density``, ``crossings``, ``spectrum``, ``correlation``, ``relaxation``, ``transient``
+and ``passage``.
 """
 
 from collections.abc import Callable
@@ -31,9 +32,11 @@ SIMULATED = (parts.seed, parts.seconds, parts.threads)
 
 @dataclass(frozen=True)
 class Asked:
-    """The scene and the method asked for.
+    """The scene, the method and what the user set for it.
 
-    ``settings`` are what the method may take, such as its seed, None where the user gave none.
+    ``solver`` None: any of the method's. ``tol``: the tolerance of the answer, None for the
+    method's own. ``settings``: values of further fields of the method, as its seed, None where the
+    user gave none.
     """
 
     scene: "Scene"
@@ -54,13 +57,14 @@ class Asked:
         key: str = "",
         **settings: Any,
     ) -> None:
-        """Print what ``work(method, tol=, progress=)`` returns, below what is ``given`` of it.
+        """Print the answer ``work(method, tol=, progress=)`` as JSON or by ``text`` of its record.
 
-        ``words`` are for what a method of this ``kind``, a protocol, gives, ``about`` for this
-        answer, ``key`` as of ``answer_record``. Where no solver was asked for it is the first of
-        the method that gives the answer; ``settings`` are further ones of the method. Raises
-        ``BadInput`` for a method that has not the protocol or a setting, or with the first reason
-        why it does not apply.
+        ``kind`` is the protocol that the method must have, and ``words`` names in the plural what
+        such a method gives; ``about`` names this answer where it is not certified. ``given`` has
+        the words of the question, as of ``answer_record``, like ``key``. ``settings`` are values
+        of fields that the command sets. Without a solver the first one that answers is taken.
+        Raises ``BadInput`` for a method without the protocol or a field that was set, and with the
+        first reason where no solver applies.
         """
         from cases.output.records import answer_record
 

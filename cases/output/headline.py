@@ -1,9 +1,9 @@
 """The answer of a run in one sentence."""
 
 from cases.comparison.claims import ACCEPTABLE_L1
-from cases.output.numbers import percent
 from cases.output.records import Record
 from cases.output.words import named
+from cases.written import percent
 
 
 def headline_of(curves: list[Record]) -> str:

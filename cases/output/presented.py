@@ -10,13 +10,13 @@ import matplotlib as mpl
 from cases.comparison.answers import Answers
 from cases.output.digest import quantity_row
 from cases.output.fields import common_grid, density_variables
-from cases.output.numbers import NOTE
 from cases.output.pictures.lines import POINTS, density_figure
 from cases.output.pictures.style import SHOWN, STYLE
 from cases.output.records import UNITS, plain, program_version
 from cases.output.tables import quantity_columns
-from cases.output.time_fields import Variables
+from cases.output.variables import Variables
 from cases.scene.units import Units
+from cases.written import NOTE
 from fpk.errors import InvalidInput, Unavailable
 from fpk.observable import Observable, observable_name
 

@@ -8,9 +8,9 @@ import numpy as np
 from pydantic_core import to_jsonable_python
 
 from cases.comparison.time_distances import failure_of
-from cases.output.numbers import bound
 from cases.scene.scene import Scene
 from cases.scene.units import CONSISTENT, DIMENSIONS, Units, bracketed
+from cases.written import bound
 from fpk.arrays import Array
 from fpk.certificate import Certificate
 from fpk.dynamics import Curve, Rates

@@ -148,11 +148,11 @@ def report_html(
 
 
 def _source(name: str) -> Markup:
-    """A file of this program that stands in the page as it is."""
+    """The text of a file in ``templates``, which the page takes over without escaping."""
     return Markup((TEMPLATES / name).read_text(encoding="utf-8").strip())
 
 
 def _hash(text: str) -> Markup:
-    """What the policy of the page calls a style or a script that it allows."""
+    """The source expression 'sha256-…' by which a content security policy allows a text."""
     digest = sha256(text.encode()).digest()
     return Markup(f"'sha256-{b64encode(digest).decode()}'")

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator, Sequence
 
-from cases.output.numbers import concise
 from cases.output.records import Record
 from cases.output.words import theory_of_route
+from cases.written import concise
 
 
 def shown_rows(rows: Sequence[Record]) -> list[Record]:

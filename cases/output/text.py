@@ -9,10 +9,10 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from cases.output.digest import curves_of, refusals_of, verdict_of
 from cases.output.duration import duration
-from cases.output.numbers import NOTE, bound, number, with_error
 from cases.output.records import Record
 from cases.output.tables import quantity_tables
 from cases.output.words import named
+from cases.written import NOTE, bound, number, with_error
 
 
 def rendered(template: str, record: Mapping[str, Any]) -> str:

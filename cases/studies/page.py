@@ -18,7 +18,7 @@ from cases.output.fields import attributes_of, write_variables
 from cases.output.files import write_text
 from cases.output.pictures.style import inline_svg, svg_text
 from cases.output.text import rendered
-from cases.output.time_fields import Variables
+from cases.output.variables import Variables
 from cases.scene.scene import Scene
 
 MARKUP = re.compile(r"[\\`*_\[\]<>&#|~$]")

@@ -15,9 +15,9 @@ from cases.comparison.answers import Answers
 from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
 from cases.output.digest import digest_of
-from cases.output.numbers import concise
 from cases.output.tables import quantity_tables
 from cases.scene.scene import load_scene
+from cases.written import concise
 from fpk.contact import Contact
 from fpk.density import Density
 from fpk.errors import InvalidInput, Unavailable

@@ -13,12 +13,12 @@ from cases.commands.parts import command_line
 from cases.comparison.routes import register_routes
 from cases.output.digest import digest_of
 from cases.output.headline import headline_of
-from cases.output.numbers import bound, with_error
 from cases.output.pictures.chain import chain_svg
 from cases.output.pictures.style import COLOURS, inline_svg, svg_text
 from cases.output.report import report_html
 from cases.output.tables import theory_table
 from cases.output.words import named
+from cases.written import bound, with_error
 from fpk import Contact, System
 from fpk.route import ROUTES
 

@@ -204,7 +204,7 @@ def test_rms_says_by_which_route_it_is():
 
 def test_show_has_modes_and_rms_with_their_units(scene, fpk):
     out = fpk("show", scene)[1]
-    assert "[rad/s]" in out and " mm ± " in out and "in mm, kg, s" in out and "averaged" in out
+    assert "[rad/s]" in out and " mm by " in out and "in mm, kg, s" in out and "averaged" in out
     record = json.loads(fpk("show", scene, "--json")[1])
     assert record["units"]["force"] == "kg mm s⁻²" and record["units"]["length"] == "mm"
     assert [m["frequency"] for m in record["modes"]] == record["natural_frequencies"]
