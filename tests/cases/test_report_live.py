@@ -17,8 +17,9 @@ from cases.comparison.run import run_scene
 from cases.comparison.stationary import answers_of
 from cases.output.digest import digest_of
 from cases.output.live import _model, as_script_data, live_record
+from cases.output.page import TEMPLATES
 from cases.output.records import plain
-from cases.output.report import TEMPLATES, write_report
+from cases.output.report import write_report
 from cases.scene.scene import load_scene
 from fpk import Contact, System
 from fpk.observable import observable_name, parse_observable
