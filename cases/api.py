@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 
-from cases.comparison.answers import Answers, answers_of
+from cases.comparison.answers import Answers
 from cases.comparison.compare import Comparison
 from cases.comparison.routes import all_methods, method_for
+from cases.comparison.stationary import answers_of
 from cases.scene.scene import load_scene
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import Method

@@ -51,7 +51,8 @@ class Certificate:
     """Checks that an answer passed or failed; nothing was mended to make them pass.
 
     The numbers are those of ``Measured``. ``failures`` says in words what does not hold; the answer
-    is certified when it is empty. Made by ``certify`` only.
+    is certified when it is empty. ``missed`` is the estimated error where it exceeds the tolerance,
+    None where it does not. Made by ``certify`` only.
     """
 
     mass_defect: float
@@ -60,6 +61,7 @@ class Certificate:
     tail_mass: float
     net_flux: float | None = None
     failures: tuple[str, ...] = ()
+    missed: float | None = None
 
     @property
     def certified(self) -> bool:
@@ -85,7 +87,8 @@ def certify(measured: Measured, *, tol: float, sampled: bool = False) -> Certifi
     m, failures = measured, list(measured.failures)
     if not m.minimum >= NEGATIVE - m.absolute_error:
         failures.append(f"the density falls to {m.minimum:.2g} of its maximum")
-    if not m.l1_error <= tol:
+    missed = None if m.l1_error <= tol else m.l1_error
+    if missed is not None:
         failures.append(f"the estimated error {m.l1_error:.2g} exceeds the tolerance {tol:.2g}")
     if not m.tail_mass < float("inf"):
         failures.append("the density does not fall off at the end of the mesh")
@@ -105,4 +108,5 @@ def certify(measured: Measured, *, tol: float, sampled: bool = False) -> Certifi
         tail_mass=m.tail_mass,
         net_flux=m.net_flux,
         failures=tuple(failures),
+        missed=missed,
     )

@@ -32,9 +32,11 @@ SIMULATED = (parts.seed, parts.seconds, parts.threads)
 
 @dataclass(frozen=True)
 class Asked:
-    """The scene and the method asked for.
+    """The scene, the method and what the user set for it.
 
-    ``settings`` are what the method may take, such as its seed, None where the user gave none.
+    ``solver`` None: any of the method's. ``tol``: the tolerance of the answer, None for the
+    method's own. ``settings``: values of further fields of the method, as its seed, None where the
+    user gave none.
     """
 
     scene: "Scene"

@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import cache
+from functools import partial as partial_of
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from cases.comparison.in_time import Given, Replies
+from cases.comparison.loosened import loosened, note_of
 from cases.comparison.rare import SPLITTING, split_passage
 from cases.comparison.refusal import Attempts
 from cases.comparison.time_distances import failure_of
@@ -17,11 +19,8 @@ from cases.scene.questions import PassageQuestion, Question, TransientQuestion
 from fpk.arrays import Array
 from fpk.errors import InvalidInput, NotCertified
 from fpk.evolution import Passage, Passages, Transient, Transients
-from fpk.method import Method, Progress
+from fpk.method import Method, Progress, silent
 from fpk.system import System
-
-LOOSER = (1e-7, 1e-4)
-"""Tolerances that a solver is given where it misses its default one, which nobody asked for."""
 
 LEAST_FAILURES = 400.0
 """Least expected number of failures by the last time for which a plain simulation is run, 5 % of
@@ -33,19 +32,21 @@ def replies_of(
     question: Question,
     methods: Sequence[Method],
     *,
-    progress: Progress,
-    partial: bool,
+    progress: Progress = silent,
+    partial: bool = False,
+    relax: bool = False,
 ) -> Replies:
     """Return the answers of those of ``methods`` that are able to answer ``question``.
 
-    ``partial``: Ctrl-C ends the work with the answers that there are by then. Simulations follow
-    their paths until the last time. Splitting takes the place of the simulation of the full system
+    ``partial`` and ``relax`` as of ``answers_of``. Simulations follow their paths until the last
+    time. Splitting takes the place of the simulation of the full system
     where that would see few failures, by an answer that came before, or is not certified.
     """
     attempts, names = Attempts(partial), (question.name,)
     kind: Any = Passages if isinstance(question, PassageQuestion) else Transients
     able: list[Any] = [method for method in methods if isinstance(method, kind)]
     given: list[Given] = []
+    notes: list[str] = []
 
     @cache
     def window() -> tuple[Array | None, tuple[Any, ...]]:
@@ -63,11 +64,18 @@ def replies_of(
         given.extend([answer] if answer else [])
         return answer is not None
 
+    def answered(method: Any, points: Array | None) -> Passage | Transient:
+        options: Any = {"relax": relax, "progress": progress}
+        answer, tol = _answer(method, system, question, points, **options)
+        if tol is not None:
+            notes.append(f"{question.name}: {note_of(method.route.label, tol)}")
+        return answer
+
     for method in able:
         if reason := _too_rare(question, method, given):
             attempts.refuse(method.route, names, reason)
             continue
-        ask(method.route, lambda points, m=method: _answer(m, system, question, points, progress))
+        ask(method.route, partial_of(answered, method))
     if isinstance(question, PassageQuestion) and not attempts.interrupted:
         plain = _to_be_replaced(system, question, able, given)
         if plain and ask(SPLITTING, lambda _: split_passage(system, question, plain, progress)):
@@ -77,7 +85,8 @@ def replies_of(
                 attempts.refuse(plain.route, names, words)
     points, windows = window() if given else (None, ())
     refused = tuple(attempts.refused)
-    return Replies(question, tuple(given), refused, points, windows, attempts.interrupted)
+    ends = attempts.interrupted, tuple(notes)
+    return Replies(question, tuple(given), refused, points, windows, *ends)
 
 
 def _to_be_replaced(
@@ -112,25 +121,30 @@ def _too_rare(question: Question, method: Any, given: Sequence[Given]) -> str | 
 
 
 def _answer(
-    method: Any, system: System, question: Question, points: Array | None, progress: Progress
-) -> Passage | Transient:
-    """The answer of one method, at the least tolerance that it meets where none was asked for."""
+    method: Any,
+    system: System,
+    question: Question,
+    points: Array | None,
+    *,
+    relax: bool,
+    progress: Progress,
+) -> tuple[Passage | Transient, float | None]:
+    """The answer of one method, and the tolerance of ``loosened`` where ``relax`` led to one."""
     bounds: dict[str, Any] = {"checkpoint": None, "partial": False}
     if isinstance(question, PassageQuestion) and question.times:
         bounds["time"] = question.times[-1]
     known = {f.name for f in fields(method)}
     method = replace(method, **{k: v for k, v in bounds.items() if k in known})
-    own = getattr(method, "tol", None)
-    unasked = not method.route.sampled and own == getattr(method.route.make(), "tol", None)
-    answer: Passage | Transient
-    for tol in (None, *(LOOSER if unasked else ())):
-        times = np.array(question.times)
+    start, times = question.start, np.array(question.times)
+
+    def ask(tol: float | None) -> Passage | Transient:
+        answer: Passage | Transient
         if isinstance(question, PassageQuestion):
-            asked = system, question.limit, question.start, times
+            asked = system, question.limit, start, times
             answer = method.passage(*asked, tol=tol, progress=progress)
         else:
-            asked_of = system, question.of, question.start, times, (points,)
+            asked_of = system, question.of, start, times, (points,)
             answer = method.transient(*asked_of, tol=tol, progress=progress)
-        if answer.certificate.certified:
-            break
-    return answer
+        return answer
+
+    return loosened(ask, lambda answer: [answer.certificate]) if relax else (ask(None), None)

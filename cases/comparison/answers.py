@@ -1,16 +1,12 @@
-"""The answers to the systems of a scene by several methods, and what is wrong with them."""
+"""The answers for one system by several methods, and what is wrong with them."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property
-from functools import partial as partial_of
 from importlib import import_module
-from math import ceil, inf, log10
-from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from averaging.exact import compatibility
-from cases.comparison.answering import replies_of
 from cases.comparison.compare import Comparison, compared, discrepancies
 from cases.comparison.in_time import Replies
 from cases.comparison.quantities import (
@@ -19,13 +15,11 @@ from cases.comparison.quantities import (
     quantities_of,
     quantity_discrepancies,
 )
-from cases.comparison.refusal import INTERRUPTED, REFUSALS, Attempts, Refusal
-from cases.scene.questions import Question
-from cases.scene.scene import Scene
-from fpk.density import AnyDensity, Density
+from cases.comparison.refusal import Refusal
+from fpk.density import AnyDensity
 from fpk.errors import NotApplicable
-from fpk.method import Method, Plan, Progress, Result, silent, solved
-from fpk.observable import Observable, observable_name, parse_observable
+from fpk.method import Result
+from fpk.observable import Observable, parse_observable
 from fpk.route import Route
 from fpk.system import System
 
@@ -33,10 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
     from xarray import Dataset
-
-LOOSEST = 1e-4
-"""Largest tolerance that takes the place of a default one that is missed: it is still well below
-what simulations resolve."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -206,172 +196,3 @@ def incompatibility(system: System) -> str | None:
     except NotApplicable as reason:
         return str(reason)
     return None
-
-
-def answers_of(
-    system: System,
-    observables: Sequence[Observable],
-    methods: Sequence[Method],
-    *,
-    progress: Progress = silent,
-    partial: bool = False,
-    relax: bool = False,
-    share: float | None = None,
-) -> Answers:
-    """Return the answers of ``methods``, each for the observables that it gives.
-
-    ``share``: the methods were not named, and each is taken as its ``unasked`` says; None: they
-    were.
-
-    ``partial``: Ctrl-C ends the work with the answers that there are by then. ``relax``: tolerances
-    are defaults that nobody asked for, so that an answer that misses its own is solved for again at
-    the next power of ten that it meets, up to ``LOOSEST``, with a note.
-    """
-    results: list[Result] = []
-    notes: list[str] = []
-    attempts = Attempts(partial)
-    for method in methods:
-        refuse = partial_of(attempts.refuse, method.route)
-        if attempts.interrupted:
-            refuse(map(observable_name, observables), INTERRUPTED)
-            continue
-        reasons: dict[Observable, str | None]
-        try:
-            taken = method if share is None else method.unasked(system, share=share)
-            plan = taken.prepare(system)
-            reasons = {observable: plan.refusal(observable) for observable in observables}
-        except NotApplicable as error:
-            reasons = dict.fromkeys(observables, str(error))
-        for reason in dict.fromkeys(filter(None, reasons.values())):
-            refuse((observable_name(o) for o, r in reasons.items() if r == reason), reason)
-        given = [observable for observable, reason in reasons.items() if not reason]
-        if not given:
-            continue
-        result = attempts.answer_of(
-            method.route,
-            map(observable_name, given),
-            partial_of(_solved, plan, system, given, notes, relax, progress),
-            failures=REFUSALS if taken is method else (),
-        )
-        if result is None:
-            continue
-        attempts.interrupted |= result.partial
-        if taken is not method and _worst_error(result) > getattr(taken, "tol", inf):
-            notes.append(
-                f"{method.route.label}: certified to {_worst_error(result):.2g}, as far as it"
-                f" may work unasked; fpk density --method {method.name} goes further"
-            )
-        results.append(result)
-    refused = tuple(attempts.refused)
-    return Answers(
-        system, tuple(results), refused, notes=tuple(notes), interrupted=attempts.interrupted
-    )
-
-
-def _solved(
-    plan: Plan,
-    system: System,
-    observables: Sequence[Observable],
-    notes: list[str],
-    relax: bool,
-    progress: Progress,
-) -> Result:
-    """The answer of ``plan``, or with a note the certified one of a looser tolerance."""
-    result = solved(plan, system, observables, progress=progress)
-    if not (relax and (relaxed := _relaxed(result))):
-        return result
-    again = relaxed.solve(system, observables, progress=progress)
-    if not all(d.certificate.certified for d in again.densities):
-        return result
-    notes.append(
-        f"{again.method.route.label}: certified to {_worst_error(again):.2g}, which"
-        " misses the default tolerance that nobody asked for"
-    )
-    return again
-
-
-def _relaxed(result: Result) -> Method | None:
-    """The method at the least power of ten that its answer meets; None without need or use."""
-    tol, worst = getattr(result.method, "tol", None), _worst_error(result)
-    if tol is None or not tol < worst <= LOOSEST:
-        return None
-    relaxed: Method = replace(result.method, tol=10.0 ** ceil(log10(worst)))  # type: ignore[type-var]
-    return relaxed
-
-
-def _worst_error(result: Result) -> float:
-    """Largest L1 error that a solver states, 0 of samples."""
-    return max((d.l1_error for d in result.densities if isinstance(d, Density)), default=0.0)
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """The curves of a scene, the scene's own first, and the seconds that their answers took."""
-
-    scene: Scene
-    curves: tuple[Answers, ...]
-    seconds: float
-
-    @property
-    def problems(self) -> tuple[str, ...]:
-        """Every check that does not hold, in words; empty when all do."""
-        return tuple(text for curve in self.curves for text in curve.problems)
-
-
-def run_scene(
-    scene: Scene,
-    methods: Sequence[Method],
-    *,
-    progress: Progress = silent,
-    partial: bool = False,
-    relax: bool = False,
-    save: Callable[[Outcome], object] = lambda outcome: None,
-) -> Outcome:
-    """Return the answers of ``methods`` for every curve of ``scene``, as they are taken unasked.
-
-    ``partial`` and ``relax`` as in ``answers_of``; once one was interrupted, the curves that follow
-    are not run. ``save`` gets the outcome so far when the answers of a curve have been made, before
-    they are compared.
-    """
-    start, share = perf_counter(), 1.0 / len(scene.curves)
-    options: Any = {"progress": progress, "partial": partial, "relax": relax, "share": share}
-    curves: list[Answers] = []
-    for k, curve in enumerate(scene.curves, start=1):
-        interrupted = any(c.interrupted for c in curves)
-        wanted = [] if interrupted else methods
-        answers = answers_of(curve.system, scene.observables, wanted, **options)
-        answers = replace(answers, label=curve.label, value=curve.value)
-        if not (interrupted or answers.interrupted):
-            answers = _with_time(answers, scene, methods, progress=progress, partial=partial)
-        curves.append(answers)
-        save(Outcome(scene, tuple(curves), perf_counter() - start))
-        progress(k - 1, len(scene.curves), "comparing")
-        _ = (
-            curves[-1].comparisons,
-            curves[-1].quantity_comparisons,
-            [replies.comparisons for replies in curves[-1].in_time],
-        )
-        progress(k, len(scene.curves), "comparing")
-    return Outcome(scene, tuple(curves), perf_counter() - start)
-
-
-def _with_time(
-    answers: Answers, scene: Scene, methods: Sequence[Method], *, progress: Progress, partial: bool
-) -> Answers:
-    """Return the answers with the replies to the scene's questions about motion in time."""
-    replies: list[Replies] = []
-    questions: tuple[Question, ...] = (*scene.passages, *scene.transients)
-    for question in questions:
-        if any(r.interrupted for r in replies):
-            replies.append(Replies(question, interrupted=True))
-            continue
-        replies.append(
-            replies_of(answers.system, question, methods, progress=progress, partial=partial)
-        )
-    count = len(scene.passages)
-    return replace(
-        answers,
-        passages=tuple(replies[:count]),
-        transients=tuple(replies[count:]),
-        interrupted=any(r.interrupted for r in replies),
-    )

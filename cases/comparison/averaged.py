@@ -28,7 +28,8 @@ BURN_IN, SAMPLED = 10.0, 20.0
 """Relaxation times that each path runs before it is sampled, and that it is sampled for."""
 
 PER_PATH, MOST_PATHS = 1.1, 1 << 22
-"""Relative standard error of a mean time by one path, about, and paths at most."""
+"""Standard deviation of a first-passage time over its mean, about (1 of an exponential one), which
+sets the paths for a wanted relative error; and most paths."""
 
 
 @dataclass(frozen=True)
@@ -111,9 +112,7 @@ class AveragedSimulation(Method):
             dt=self.step * float(scales.min()),
             memory=2.0 * float(scales.max()),
             paths=min(paths, MOST_PATHS),
-            seed=self.seed,
-            threads=self.threads or usable_cores(),
-            seconds=self.seconds,
+            **self._sampling(),
             tol=inf if wanted is None else wanted,
             progress=progress,
         )
@@ -150,9 +149,7 @@ class AveragedSimulation(Method):
             at,
             dt=self.step * float((form.scales / form.noise).min()),
             paths=self.paths,
-            seed=self.seed,
-            threads=self.threads or usable_cores(),
-            seconds=self.seconds,
+            **self._sampling(),
             tol=self.tol if tol is None else tol,
             progress=progress,
         )
@@ -175,7 +172,11 @@ class AveragedSimulation(Method):
         return (line_form if self.theory == "nonintegrable" else square_root_form)(process)
 
     def _starts(self, system: System, start: Start) -> Any:
-        """What draws the energies at time 0; for ``noise=`` by a simulation under that noise."""
+        """Return ``draw(paths, stream)``, the energies (paths, d) at time 0.
+
+        A start ``noise=F`` is the stationary state under F times the noise intensity: its energies
+        are sampled by a simulation of ``BURN_IN`` relaxation times under that noise.
+        """
         from cases.comparison.averaged_passage import starts_of
         from sim.averaged.paths import burnt_in
 
@@ -190,10 +191,15 @@ class AveragedSimulation(Method):
         return lambda paths, stream: form.energies(begun(paths, stream))
 
     def _steps(self, form: Any) -> tuple[float, int]:
-        """The slowest time, and the steps of half of it."""
+        """The longest relaxation time, and the number of steps in half of it."""
         times, exact = form.scales / form.noise, form.damping is None
         slowest, longest = float(times.max()), self.step * float(times.min())
         return slowest, 1 if exact else ceil(0.5 * slowest / longest - 1e-9)
+
+    def _sampling(self) -> dict[str, Any]:
+        """Arguments that every simulation takes from the fields as they are."""
+        threads = self.threads or usable_cores()
+        return {"seed": self.seed, "threads": threads, "seconds": self.seconds}
 
     def _unknown(self, observable: Observable) -> str | None:
         """Why the averaged energies do not give the observable, None where they do."""
@@ -222,9 +228,7 @@ class AveragedSimulation(Method):
             time=SAMPLED * slowest,
             burn_in=BURN_IN * slowest,
             paths=self.paths,
-            seed=self.seed,
-            threads=self.threads or usable_cores(),
-            seconds=self.seconds,
+            **self._sampling(),
             tol=inf if self.tol is None else self.tol,
             progress=progress,
         )

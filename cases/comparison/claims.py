@@ -13,6 +13,7 @@ from scipy.special import ndtr
 from cases.comparison.answers import Answers
 from cases.comparison.compare import distance_between
 from cases.scene.expect import RELATIONS, Expect, Range
+from cases.written import with_error
 from fpk.clearance import stop_clearances
 from fpk.density import AnyDensity, gauss_grid, integral, moment
 from fpk.observable import Observable, observable_name
@@ -163,8 +164,7 @@ def _nearer(
     """Whether ``near`` is the smaller of two distances to the full system, with their errors."""
     if near is None or far is None:
         return Finding(claim, where, "no answer to compare with", "not checked")
-    limit = f"{far[0]:.5f} ± {far[1]:.1g}" if far[1] else f"{far[0]:g}"
-    measured = f"L1 {near[0]:.5f} ± {near[1]:.1g} against {limit}"
+    measured = f"L1 {with_error(*near)} against {with_error(*far)}"
     return Finding(claim, where, measured, _verdict(_below(near[0], far[0], near[1] + far[1])))
 
 

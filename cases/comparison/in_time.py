@@ -36,7 +36,8 @@ class Replies:
 
     Of a transient, ``points`` (points,) are those of all its densities, ascending, and ``windows``
     holds for each time the indices of the points at which its density is compared and drawn; no
-    windows where nobody knows where it is.
+    windows where no route says where the density is large. ``notes`` say in words which default
+    tolerances were missed.
     """
 
     question: Question
@@ -45,6 +46,7 @@ class Replies:
     points: Array | None = None
     windows: tuple[Any, ...] = ()
     interrupted: bool = False
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def comparisons(self) -> tuple[Comparison, ...]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from averaging.energy_process import energy_process
 from cases.scene.questions import PassageQuestion
+from cases.written import bound
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
 from fpk.errors import InvalidInput, NotApplicable
@@ -37,7 +38,8 @@ REPLICAS, REPETITIONS = 256, 8
 1e-9 to 20 %."""
 
 MORE_REPLICAS = 512
-"""Of splitting where an error is wanted: fewer are too scattered to know it below 1e-10."""
+"""Replicas of a run of splitting for which a relative error is asked: with fewer, the independent
+runs scatter too much for the error of a probability below 1e-10 to be known."""
 
 ERROR = 0.2
 """Relative error of P(T <= t) that is aimed at, where a simulation is left to splitting."""
@@ -46,8 +48,8 @@ MOST_ERROR = 0.5
 """Relative error of a probability above which it is not certified."""
 
 TOL, LEAST = 1e-4, 1e-12
-"""Tolerance of the averaged reliability as a score, and the least probability of failure from rest
-for which it is used: as the difference of numbers about one, it has no digits far below."""
+"""Tolerance of the averaged probability of failure as a score, and its least value, from rest at
+the last time, for which it is used: as one minus the reliability it has no digits below 1e-12."""
 
 
 def passage_answer(
@@ -58,13 +60,14 @@ def passage_answer(
     tol: float | None,
     progress: Progress,
 ) -> Passage:
-    """Return the answer of ``method``, of a plain simulation by splitting where passages are rare.
+    """Return the answer of ``method``; by splitting where a simulation sees few failures.
 
-    That is so where fewer than ``LEAST_FAILURES`` of its paths pass the limit until the last time
-    of ``question``. Where more than ``ALIVE`` live on, or ``tol`` is given, they are followed on
-    after it, from the start again. It is not so where the simulation was given
-    its wall time, which splitting does not know. ``tol`` as of ``Passages``; of
-    splitting it is the relative error wanted of P(T <= t).
+    A plain simulation of the full system runs to the last time of ``question`` first. If fewer than
+    ``LEAST_FAILURES`` of its paths pass the limit by then, splitting answers. If at most ``ALIVE``
+    of them are left, no ``tol`` is given and it is certified, it is the answer. Else it is run
+    again from the start and followed beyond the last time. There is no such first run without times
+    > 0, under modulated noise, or where ``method.seconds`` bounds the wall time: splitting cannot
+    be bounded. ``tol``: as of ``Passages``; of splitting the relative error wanted of P(T <= t).
     """
     times = np.array(question.times)
     asked = system, question.limit, question.start, times
@@ -119,7 +122,7 @@ def split_passage(
     later = times > 0.0
     words = [
         f"P(T ≤ {t:g}) = {row.probability:.2g} is known to"
-        f" {row.error:.2g} only, and {row.upper_bound:.2g} at most (95 %)"
+        f" {bound(row.error)} only, and {bound(row.upper_bound)} at most (95 %)"
         for t, row in zip(times[later], rows, strict=True)
         if not row.error <= MOST_ERROR * row.probability
     ]

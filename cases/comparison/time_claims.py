@@ -7,6 +7,7 @@ from cases.comparison.claims import Finding, verdict_within
 from cases.comparison.compare import Comparison
 from cases.scene.expect import RELATIONS, Range
 from cases.scene.questions import PassageQuestion
+from cases.written import with_error
 
 
 def time_findings(curves: Sequence[Answers]) -> Iterator[Finding]:
@@ -36,7 +37,7 @@ def _finding(
     if not own:
         return Finding(claim, label, "no answer to compare with", "not checked")
     c = min(own, key=lambda c: c.error)
-    measured = f"relative {c.L1:.3g} ± {c.error:.1g}, {c.a.label} against {c.b.label}"
+    measured = f"relative {with_error(c.L1, c.error)}, {c.a.label} against {c.b.label}"
     return Finding(claim, label, measured, verdict_within(c.L1, 2.0 * c.error, limits))
 
 

@@ -1,15 +1,14 @@
-"""Records of a run and of the regression gate, from which all that is shown is written."""
+"""The record of a run, from which all that is shown is written."""
 
-from collections import Counter
-from collections.abc import Iterable, Sequence
-from typing import get_args
+from collections.abc import Iterable
 
-from cases.comparison.answers import Answers, Outcome
-from cases.comparison.claims import Verdict, findings
+from cases.comparison.answers import Answers
+from cases.comparison.claims import findings
 from cases.comparison.compare import Comparison
 from cases.comparison.in_time import Replies
 from cases.comparison.quantities import Quantity
 from cases.comparison.refusal import Refusal
+from cases.comparison.run import Outcome
 from cases.comparison.time_claims import time_findings
 from cases.output.facts import facts_record
 from cases.output.records import Record, answer_tail, passage_numbers, plain
@@ -240,44 +239,3 @@ def _three_errors(
 def _theory(route: Route) -> str:
     """A theory's solvers by one name; its simulation is another route to it."""
     return route.label if route.sampled else route.method
-
-
-def verify_row(digest: Record) -> Record:
-    """Return what the gate says of a scene; a curve about which nothing is judged is a problem."""
-    curves = curves_of(digest)
-    unjudged = [
-        f"{curve['label'] or digest['scene']}: no comparison was judged"
-        for curve in curves
-        if all(comparison["band"] is None for comparison in curve["comparisons"])
-    ]
-    problems = [*digest["problems"], *unjudged]
-    taken = [method for curve in curves for method in curve["methods"] if method["applies"]]
-    in_time = [
-        answer["certificate"]["certified"]
-        for curve in curves
-        for question in curve["passages"] + curve["transients"]
-        for answer in question["answers"]
-    ]
-    return {
-        "scene": digest["scene"],
-        "curves": len(curves),
-        "judged": digest["judged"],
-        "certificates": sum(
-            [d["certificate"]["certified"] for m in taken for d in m["densities"]] + in_time
-        ),
-        "problems": problems,
-        "claims": digest["claims"],
-        "seconds": digest["seconds"],
-        "holds": not problems,
-    }
-
-
-def verify_record(rows: Sequence[Record]) -> Record:
-    """Return the record of ``fpk verify``."""
-    verdicts = Counter(claim["verdict"] for row in rows for claim in row["claims"])
-    return {
-        "scenes": list(rows),
-        "holds": all(row["holds"] for row in rows),
-        "claims": {word: verdicts[word] for word in get_args(Verdict)},
-        "seconds": sum(row["seconds"] for row in rows),
-    }

@@ -10,11 +10,13 @@ import h5netcdf
 import h5py
 import numpy as np
 
-from cases.comparison.answers import Answers, Outcome
+from cases.comparison.answers import Answers
+from cases.comparison.run import Outcome
 from cases.output.digest import method_record
 from cases.output.files import write_by, write_text
 from cases.output.records import plain, program_version
-from cases.output.time_fields import Variables, time_variables
+from cases.output.time_fields import time_variables
+from cases.output.variables import ByRoute, Variables
 from cases.scene.scene import Scene
 from cases.scene.units import CONSISTENT, Units, attribute
 from fpk.arrays import Array
@@ -129,34 +131,19 @@ def density_variables(all_of: Sequence[Answers], observable: Observable, units: 
         return {}
     grid = common_grid(answers.values())
     mesh = np.meshgrid(*grid, indexing="ij")
-    name = variable_name(observable)
-    routes = list(dict.fromkeys(route for _, route in answers))
-    values = np.full((len(all_of), len(routes), *mesh[0].shape), np.nan)
-    errors, kinds = values.copy(), np.full(values.shape[:2], "", dtype=object)
-    for (i, route), density in answers.items():
-        where = i, routes.index(route)
-        values[where], errors[where] = density.at(*mesh)
-        kinds[where] = density.error_kind
     # Each observable has its own grid and routes: a coordinate of another must not realign it.
-    axes = [str(c) for c in observable]
+    name, axes = variable_name(observable), [str(c) for c in observable]
     points = [f"{axis}_of_{name}" if len(axes) == 2 else axis for axis in axes]
-    first = ("curve", f"route_{name}")
-    long_name = f"probability density of {observable_name(observable)}"
-    words = {"units": attribute(units.density(observable)), "coordinates": LABELS}
-    coordinates: Variables = {
+    variables: Variables = {
         point: ((point,), g, {"long_name": axis, "units": attribute(units.coordinate(c))})
         for point, axis, g, c in zip(points, axes, grid, observable, strict=True)
     }
-    return coordinates | {
-        first[1]: (first[1:], np.array(routes), {}),
-        f"p_{name}": ((*first, *points), values, {**words, "long_name": long_name}),
-        f"error_{name}": (
-            (*first, *points),
-            errors,
-            {**words, "long_name": f"error of the {long_name}"},
-        ),
-        f"error_kind_{name}": (first, kinds, {}),
-    }
+    of = ByRoute(name, len(all_of), answers, {"coordinates": LABELS})
+    words = f"probability density of {observable_name(observable)}"
+    sizes = dict(zip(points, mesh[0].shape, strict=True))
+    unit = attribute(units.density(observable))
+    density = of.pair(("p", "error"), words, unit, lambda d: d.at(*mesh), sizes)
+    return variables | of.labels({}) | density
 
 
 def variable_name(observable: Observable) -> str:

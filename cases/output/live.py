@@ -1,4 +1,4 @@
-"""What the page of a run needs to be touched: curves with their errors, and closed forms."""
+"""Data of the interactive plots of a report: curves with errors, parameters of closed forms."""
 
 import json
 from collections.abc import Sequence
@@ -11,14 +11,14 @@ from averaging.closed_form import averaged_rate
 from averaging.conditional import conditional
 from averaging.modal.analysis import modal_analysis
 from averaging.modal.observables import gaussian_modes
-from cases.comparison.answers import Answers, Outcome
-from cases.comparison.compare import joined
+from cases.comparison.answers import Answers
+from cases.comparison.run import Outcome
 from cases.output.fields import common_grid
 from cases.output.pictures.choice import lines_of
-from cases.output.pictures.lines import MARKERS, TAIL, dashes_of, walls_of
+from cases.output.pictures.lines import MARKERS, TAIL, bins_within, dashes_of, walls_of
 from cases.output.pictures.style import COLOURS, density_words, words_of
 from cases.output.records import Record, plain
-from fpk.arrays import Array
+from cases.written import bound
 from fpk.contact import Contact
 from fpk.observable import Observable, observable_name
 from fpk.sampled_density import SampledDensity
@@ -31,9 +31,9 @@ DIGITS, ERROR_DIGITS = 10, 2
 
 
 def live_record(outcome: Outcome) -> Record | None:
-    """Return the curves of every single coordinate, and the closed forms; None without curves.
+    """Return the plots of all single coordinates and the model of ``_model``; None without plots.
 
-    The values are those of the densities themselves, rounded; the errors are rounded up.
+    Densities are rounded to ``DIGITS`` digits, their errors up to ``ERROR_DIGITS``.
     """
     curves = sorted(outcome.curves, key=lambda c: c.value or 0.0)
     singles = [o for o in outcome.scene.observables if len(o) == 1]
@@ -43,7 +43,7 @@ def live_record(outcome: Outcome) -> Record | None:
 
 
 def as_script_data(record: Record) -> Markup:
-    """Return the record as JSON that ends no script element and is markup nowhere."""
+    """Return the record as JSON for a script element: ``<``, ``>`` and ``&`` are escaped in it."""
     text = json.dumps(record, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")
@@ -51,6 +51,7 @@ def as_script_data(record: Record) -> Markup:
 
 
 def _plot(curves: list[Answers], observable: Observable) -> Record | None:
+    """Words, points and series of the plot of one coordinate; None where no route gives it."""
     answers = [
         (k, route, density)
         for k, curve in enumerate(curves)
@@ -65,16 +66,15 @@ def _plot(curves: list[Answers], observable: Observable) -> Record | None:
         own: Record = {"curve": curves[k].label, "name": route.words, "shown": drawn}
         own["colour"] = route.colour if len(curves) == 1 else COLOURS[k % len(COLOURS)]
         if isinstance(density, SampledDensity):
-            few = joined(density, 2 * MARKERS)
-            at = 0.5 * (few.edges[0][1:] + few.edges[0][:-1])
-            seen = (few.values > 0) & (at >= x[0]) & (at <= x[-1])
-            own["x"] = at[seen]
-            values, errors = few.values[seen], few.standard_error[seen]
+            few, middles, inside = bins_within(density, 2 * MARKERS, x)
+            values, errors = few.values[inside], few.standard_error[inside]
+            own["x"], values, errors = (v[values > 0.0] for v in (middles, values, errors))
         else:
             dashes = dashes_of(route)
             own["dash"] = "" if dashes == "-" else " ".join(str(2 * d) for d in dashes[1])
             values, errors = density.at(x)
-        own |= {"p": _rounded(values, DIGITS), "error": _rounded(errors, ERROR_DIGITS, up=True)}
+        own["p"] = [float(f"{p:.{DIGITS - 1}e}") for p in values]
+        own["error"] = [float(bound(error, ERROR_DIGITS)) for error in errors]
         series.append(own)
     return {
         "of": observable_name(observable),
@@ -86,12 +86,6 @@ def _plot(curves: list[Answers], observable: Observable) -> Record | None:
     }
 
 
-def _rounded(values: Array, digits: int, *, up: bool = False) -> list[float]:
-    """Numbers of so many digits; ``up``: none is less than it was."""
-    factor = 1.0 + 10.0 ** (1 - digits) if up else 1.0
-    return [float(f"{v * factor:.{digits - 1}e}") for v in np.where(np.isfinite(values), values, 0)]
-
-
 def _power_law(stop: Contact) -> bool:
     """Whether the contact energy is that of a power law, which the page knows."""
     x = np.array([0.3, 1.7])
@@ -100,9 +94,10 @@ def _power_law(stop: Contact) -> bool:
 
 
 def _model(curve: Answers, observables: Sequence[Observable]) -> Record | None:
-    """The numbers of the closed forms, None where they do not hold: (29), (30), (34), (36).
+    """Parameters of the closed forms (29), (30), (34), (36), which a slider evaluates anew.
 
-    They need constant damping and a single contact mass.
+    None where these do not hold: they need constant damping, noise without modulation, one contact
+    mass and contact forces by power laws.
     """
     system = curve.system
     taken = {r.method.route.method for r in curve.results if r.method.route.solves == "averaged"}

@@ -13,9 +13,10 @@ from cases.output.fields import common_grid, density_variables
 from cases.output.pictures.lines import POINTS, density_figure
 from cases.output.pictures.style import SHOWN, STYLE
 from cases.output.records import UNITS, plain, program_version
-from cases.output.tables import NOTE, quantity_columns
-from cases.output.time_fields import Variables
+from cases.output.tables import quantity_columns
+from cases.output.variables import Variables
 from cases.scene.units import Units
+from cases.written import NOTE
 from fpk.errors import InvalidInput, Unavailable
 from fpk.observable import Observable, observable_name
 
@@ -71,7 +72,7 @@ def html_tables(answers: Answers) -> str:
     """Return the quantities as HTML, a table of each observable."""
     rows = [plain(quantity_row(q)) for q in answers.quantities]
     parts = [f"<p>{escape(repr(answers))}</p>"]
-    for heads, columns in quantity_columns(rows, every=True):
+    for heads, columns in quantity_columns(rows):
         first, *others = zip(heads, *columns, strict=True)
         body = "".join(f"<tr>{_cells('td', row)}</tr>" for row in others)
         head = f"<thead><tr>{_cells('th', first)}</tr></thead>"

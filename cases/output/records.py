@@ -10,6 +10,7 @@ from pydantic_core import to_jsonable_python
 from cases.comparison.time_distances import failure_of
 from cases.scene.scene import Scene
 from cases.scene.units import CONSISTENT, DIMENSIONS, Units, bracketed
+from cases.written import bound
 from fpk.arrays import Array
 from fpk.certificate import Certificate
 from fpk.dynamics import Curve, Rates
@@ -194,4 +195,4 @@ def _kind(record: Record) -> str:
 def _row(values: Iterable[float | None], error: float | None) -> str:
     """Numbers of a line, a dash for one that there is not or that is beyond range."""
     words = ["-" if x is None else f"{x:.12g}" for x in values]
-    return "  ".join([*words, "-" if error is None else f"{error:.2g}"])
+    return "  ".join([*words, "-" if error is None else bound(error)])

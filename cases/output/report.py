@@ -1,39 +1,36 @@
 """The report of a run: one self-contained page, the pictures beside it, the fields as netCDF."""
 
 import platform
-from base64 import b64encode
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
-from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from cases.comparison.answers import Outcome
 from cases.comparison.claims import ACCEPTABLE_L1, ALMOST_KURTOSIS, ALMOST_L1
+from cases.comparison.run import Outcome
 from cases.output.digest import curves_of
 from cases.output.facts import theories
 from cases.output.files import write_text
-from cases.output.headline import headline_of, quantity_table
+from cases.output.headline import headline_of
 from cases.output.live import as_script_data, live_record
+from cases.output.page import page_record
 from cases.output.pictures.chain import chain_svg
 from cases.output.pictures.in_time import time_pictures
 from cases.output.pictures.joint import joint_pictures
 from cases.output.pictures.lines import line_pictures
 from cases.output.pictures.style import STYLE, in_units, inline_svg, svg_text
 from cases.output.records import Record, program_version
+from cases.output.tables import theory_table
 from cases.output.text import rendered
 from cases.scene.scene import Scene
 from fpk.method import Progress, silent
 
 GROUPS = {"passage": "time", "transient": "time", "solver": "difference", "left": "difference"}
-"""Part of the page in which a picture stands, by the start of its name; else the densities."""
-
-TEMPLATES = Path(__file__).parent / "templates"
+"""Part of the page in which a picture stands, by the first word of its file; others: "density"."""
 
 SCRIPTS = "closed_forms.js", "live.js"
 
@@ -106,19 +103,15 @@ def report_html(
     """
     values = {curve.label: curve.value or 0.0 for curve in scene.curves}
     curves = sorted(curves_of(digest), key=lambda curve: values.get(curve["label"], 0.0))
-    style = _source("report.css")
-    script = Markup("\n").join(map(_source, SCRIPTS))
     record = {
         "scene": scene,
         "digest": digest,
         "curves": curves,
         "answer": headline_of(curves),
-        "tables": [{"label": c["label"], **quantity_table(c)} for c in curves],
+        "tables": [{"label": c["label"], **theory_table(c["quantities"])} for c in curves],
         "sketch": chain_svg(scene.system),
-        "style": style,
-        "policy": {"style": _hash(style), "script": _hash(script) if live else "'none'"},
+        **page_record(SCRIPTS if live else ()),
         "live": live and as_script_data(live),
-        "script": script,
         "command": command or f"fpk run {scene.name}",
         "seeds": sorted(
             {
@@ -144,14 +137,3 @@ def report_html(
         ],
     }
     return rendered("report.html", record)
-
-
-def _source(name: str) -> Markup:
-    """A file of this program that stands in the page as it is."""
-    return Markup((TEMPLATES / name).read_text(encoding="utf-8").strip())
-
-
-def _hash(text: str) -> Markup:
-    """What the policy of the page calls a style or a script that it allows."""
-    digest = sha256(text.encode()).digest()
-    return Markup(f"'sha256-{b64encode(digest).decode()}'")

@@ -1,60 +1,41 @@
-"""Quantities of a run as a table: a row for each quantity, a column for each route."""
+"""Quantities of a run as tables: a row for each quantity, a column for each route or theory."""
 
 from collections.abc import Iterator, Sequence
-from math import ceil, floor, log10
 
 from cases.output.records import Record
-
-DIGITS = 7
-"""Significant digits shown at most."""
-
-SMALL = 1e-3
-"""Error below which a number that may be zero is shown as zero and its error."""
-
-NOTE = (
-    "(3): error of the last digits, numerical or one standard error of sampling;\n"
-    "without it the error is below the last digit."
-)
+from cases.output.words import theory_of_route
+from cases.written import concise
 
 
-def concise(value: float | None, error: float | None) -> str:
-    """Return a number with its error in brackets, in units of the last digits: ``0.4123(5)``.
+def shown_rows(rows: Sequence[Record]) -> list[Record]:
+    """Return the quantities by the first route of each method that solves, and that samples.
 
-    The error is rounded up. There are no brackets where it is below the last of ``DIGITS`` digits;
-    a number within its error of zero is ``0(2e-10)``; a dash stands for what is not known.
+    Chosen for each observable on its own. Other solvers of the same equation agree with the first
+    within their errors, or the run fails.
     """
-    if value is None or error is None:
-        return "–"
-    if error == 0.0:
-        return f"{value:.{DIGITS}g}"
-    if abs(value) <= error < SMALL:
-        unit = 10.0 ** floor(log10(error))
-        return f"0({ceil(round(error / unit, 9)) * unit:.0e})"
-    magnitude = floor(log10(max(abs(value), error)))
-    last = magnitude - DIGITS + 1
-    shift = magnitude if not -4 <= magnitude < 6 else 0
-    suffix = f"e{shift:+03d}" if shift else ""
-    bracket = ""
-    if error >= 0.5 * 10.0**last:
-        # Two digits of an error that begins with 1.
-        leading = floor(log10(error))
-        last = leading - (1 if error < 2.0 * 10.0**leading else 0)
-        count = ceil(round(error / 10.0**last, 9))
-        decimals = shift - last
-        bracket = f"({count})" if decimals >= 0 else f"({count * 10**-decimals})"
-    decimals = max(shift - last, 0)
-    return f"{value / 10.0**shift:.{decimals}f}{bracket}{suffix}"
+    first: dict[tuple[str, str, str], str] = {}
+
+    def route_of(row: Record) -> str:
+        key = row["observable"], row["route"].partition("/")[0], row["error_kind"]
+        return first.setdefault(key, row["route"])
+
+    return [row for row in rows if route_of(row) == row["route"]]
 
 
-def shown_routes(rows: Sequence[Record]) -> list[str]:
-    """Return of each method the first route that solves and the one that samples.
+def theory_table(rows: Sequence[Record]) -> Record:
+    """Return the names of the theories as ``routes``, and of each quantity a cell by theory.
 
-    Other solvers of the same equation agree with the first within their errors, or the run fails.
+    Of ``rows``, each with its observable (``of``), ``quantity`` and ``cells``, those of
+    ``shown_rows`` are taken.
     """
-    chosen: dict[tuple[str, str], str] = {}
-    for row in rows:
-        chosen.setdefault((row["route"].partition("/")[0], row["error_kind"]), row["route"])
-    return list(chosen.values())
+    cells: dict[tuple[str, str], Record] = {}
+    for row in shown_rows(rows):
+        name = theory_of_route(row["route"])
+        cells.setdefault((row["observable"], row["quantity"]), {})[name] = row
+    return {
+        "routes": list(dict.fromkeys(name for own in cells.values() for name in own)),
+        "rows": [{"of": of, "quantity": q, "cells": own} for (of, q), own in cells.items()],
+    }
 
 
 def quantity_tables(rows: Sequence[Record], width: int, every: bool = False) -> list[str]:
@@ -63,7 +44,7 @@ def quantity_tables(rows: Sequence[Record], width: int, every: bool = False) -> 
     Columns that do not fit are in a second table below. ``every``: all routes.
     """
     lines: list[str] = []
-    for heads, columns in quantity_columns(rows, every=every):
+    for heads, columns in quantity_columns(rows if every else shown_rows(rows)):
         first = max(map(len, heads))
         for together in _blocks(columns, width - first - 2):
             widths = [max(map(len, column)) for column in together]
@@ -74,13 +55,11 @@ def quantity_tables(rows: Sequence[Record], width: int, every: bool = False) -> 
     return lines
 
 
-def quantity_columns(
-    rows: Sequence[Record], *, every: bool
-) -> Iterator[tuple[list[str], list[list[str]]]]:
+def quantity_columns(rows: Sequence[Record]) -> Iterator[tuple[list[str], list[list[str]]]]:
     """Yield of each observable its name above its quantities, and each route above its numbers."""
     for observable in dict.fromkeys(row["observable"] for row in rows):
         own = [row for row in rows if row["observable"] == observable]
-        routes = list(dict.fromkeys(row["route"] for row in own)) if every else shown_routes(own)
+        routes = list(dict.fromkeys(row["route"] for row in own))
         cells = {(r["quantity"], r["route"]): concise(r["value"], r["error"]) for r in own}
         names = list(dict.fromkeys(row["quantity"] for row in own))
         columns = [[route, *(cells.get((n, route), "") for n in names)] for route in routes]

@@ -1,4 +1,4 @@
-"""Records as text and as HTML, by templates; numbers, damping terms and claims in words."""
+"""Records as text and as HTML, by templates; damping terms and claims in words."""
 
 from collections.abc import Mapping
 from functools import cache
@@ -9,11 +9,10 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from cases.output.digest import curves_of, refusals_of, verdict_of
 from cases.output.duration import duration
-from cases.output.headline import named, with_error
 from cases.output.records import Record
-from cases.output.tables import NOTE, quantity_tables
-
-SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+from cases.output.tables import quantity_tables
+from cases.output.words import named
+from cases.written import NOTE, bound, number, with_error
 
 
 def rendered(template: str, record: Mapping[str, Any]) -> str:
@@ -42,25 +41,12 @@ def _templates() -> Environment:
         "claim": _claim,
         "named": named,
         "pm": with_error,
+        "bound": bound,
         "reasons": refusals_of,
         "curves": curves_of,
         "verdict": verdict_of,
     }
     return environment
-
-
-def number(value: Any, digits: int = 3) -> str:
-    """Return a number as a table shows it: plain where it is short, else with a power of ten."""
-    if value is None:
-        return "–"
-    if isinstance(value, (list, tuple)):
-        return ", ".join(number(v, digits) for v in value)
-    if not isinstance(value, float):
-        return str(value)
-    mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
-    if value == 0 or -3 <= int(exponent or 0) < 5:
-        return f"{value:.{digits + 1}g}"
-    return f"{mantissa} × 10{str(int(exponent)).translate(SUPERSCRIPTS)}"
 
 
 def _claim(claim: Record) -> str:

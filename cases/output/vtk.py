@@ -8,7 +8,8 @@ from xml.sax.saxutils import quoteattr
 import meshio
 import numpy as np
 
-from cases.comparison.answers import Answers, Outcome
+from cases.comparison.answers import Answers
+from cases.comparison.run import Outcome
 from cases.output.fields import attributes_of, common_grid, curve_numbers, variable_name
 from cases.output.files import write_by
 from cases.scene.units import attribute, bracketed

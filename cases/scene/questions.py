@@ -19,7 +19,7 @@ from fpk.system import System
 
 @dataclass(frozen=True)
 class TransientQuestion:
-    """The densities of one coordinate at ``times`` > 0 after a start."""
+    """What is the density of one coordinate, ``of``, at ``times`` > 0 after ``start``?"""
 
     of: Observable
     start: Start
@@ -33,11 +33,11 @@ class TransientQuestion:
 
 @dataclass(frozen=True)
 class PassageQuestion:
-    """The first passage of a limit from a start, with the reliability at ``times``.
+    """When is ``limit`` passed first after ``start``: moments, failure rate, P(T > t) at ``times``?
 
-    ``rate_error`` and ``failure_error`` are claims about the averaging error of ``theory``: the
-    relative difference from the full system of its failure rate, and the largest of its P(T <= t)
-    at the times.
+    ``rate_error`` claims in which range the averaging error of ``theory`` lies in the failure rate,
+    ``failure_error`` in P(T <= t) at that one of the times where it is largest: |averaged − full
+    system| over that of the full system. None: nothing is claimed.
     """
 
     limit: Limit
@@ -56,7 +56,7 @@ class PassageQuestion:
 Question = TransientQuestion | PassageQuestion
 
 CLAIMS = ("rate_error", "failure_error")
-"""Keys of a question that claim something of the averaging error."""
+"""Keys of [[passage]] whose values are ranges of a claimed averaging error."""
 
 
 def passages_of(tables: Sequence[Mapping[str, Any]], system: System) -> tuple[PassageQuestion, ...]:

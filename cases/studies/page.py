@@ -16,9 +16,10 @@ from matplotlib.figure import Figure
 from cases.output.duration import duration
 from cases.output.fields import attributes_of, write_variables
 from cases.output.files import write_text
+from cases.output.page import page_record
 from cases.output.pictures.style import inline_svg, svg_text
 from cases.output.text import rendered
-from cases.output.time_fields import Variables
+from cases.output.variables import Variables
 from cases.scene.scene import Scene
 
 MARKUP = re.compile(r"[\\`*_\[\]<>&#|~$]")
@@ -135,7 +136,7 @@ class Page:
         else:
             texts["csv"] = self.tables[0].csv()
             svg = inline_svg(texts["svg"], self.title)
-            texts["html"] = rendered("study.html", {"page": self, "svg": svg})
+            texts["html"] = rendered("study.html", {"page": self, "svg": svg, **page_record()})
         attributes = {**attributes_of(self.scene), "title": self.title}
         paths = {ending: folder / f"{self.name}.{ending}" for ending in (*texts, "nc")}
         for ending, text in texts.items():

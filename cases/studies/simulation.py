@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cases.comparison.answers import answers_of
 from cases.comparison.compare import chance_l1, joined
 from cases.comparison.routes import listed_routes
+from cases.comparison.stationary import answers_of
 from cases.studies.levels import timed_first
 from fpk.certificate import Measured
 from fpk.density import AnyDensity, Density, certified_density

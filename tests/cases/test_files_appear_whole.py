@@ -10,8 +10,8 @@ from functools import partial
 
 import pytest
 
-from cases.comparison.answers import run_scene
 from cases.comparison.routes import method_for
+from cases.comparison.run import run_scene
 from cases.output.digest import digest_of
 from cases.output.fields import write_csv, write_netcdf
 from cases.output.files import make_folder, write_by, write_text

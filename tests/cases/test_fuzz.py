@@ -9,8 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scenes_drawn import mutated_scenes, valid_scenes
 
-from cases.comparison.answers import run_scene
 from cases.comparison.routes import method_for
+from cases.comparison.run import run_scene
 from cases.output.facts import show_record
 from cases.output.text import rendered
 from cases.scene.errors import LONGEST, BadInput

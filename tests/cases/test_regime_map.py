@@ -135,6 +135,9 @@ def test_a_map_is_printed_and_once_written_its_summary_only(fpk, tmp_path):
     for ending in ("md", "nc", "svg", "csv"):
         path = tmp_path / f"regime.{ending}"
         assert path.stat().st_size > 100 and f"wrote {path}" in out
+    page = (tmp_path / "regime.html").read_text(encoding="utf-8")
+    # The policy of the page allows its one style by its hash, and no style of an element.
+    assert "style-src 'sha256-" in page and ' style="' not in page and page.count("<style") == 1
 
 
 def test_a_scene_without_contact_has_no_map(fpk, tmp_path, scene_text):

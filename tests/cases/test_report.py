@@ -12,10 +12,13 @@ from matplotlib.figure import Figure
 from cases.commands.parts import command_line
 from cases.comparison.routes import register_routes
 from cases.output.digest import digest_of
-from cases.output.headline import headline_of, named, quantity_table, with_error
+from cases.output.headline import headline_of
 from cases.output.pictures.chain import chain_svg
 from cases.output.pictures.style import COLOURS, inline_svg, svg_text
 from cases.output.report import report_html
+from cases.output.tables import theory_table
+from cases.output.words import named
+from cases.written import bound, with_error
 from fpk import Contact, System
 from fpk.route import ROUTES
 
@@ -80,44 +83,46 @@ def test_colours_are_legible_on_every_page():
     assert contrast("#000000", "#ffffff") == pytest.approx(21.0)
 
 
-def row(a, b, L1, error, observable="q2", measures="averaging"):
-    row = {"a": a, "b": b, "L1": L1, "error": error, "observable": observable}
-    return row | {"measures": measures}
+def row(theory, reference, L1, error, observable="q2"):
+    return {"theory": theory, "reference": reference, "L1": L1, "error": error,
+            "observable": observable}  # fmt: skip
 
 
 def curve(*rows, label="", incompatible="no h"):
-    return {"label": label, "comparisons": rows, "regime": {"incompatible": incompatible}}
+    return {"label": label, "averaging": rows, "regime": {"incompatible": incompatible}}
 
 
 def test_the_answer_takes_the_best_reference_and_the_worst_density():
     rows = (
-        row("nonintegrable/fem", "montecarlo", 0.0300, 1e-3),
-        row("nonintegrable/closed-form", "phase-space", 0.0126, 2e-4),
-        row("nonintegrable/fem", "montecarlo", 0.0061, 1e-4, "H"),
-        row("nonintegrable/fem", "integrable/closed-form", 0.9, 1e-12),
-        row("phase-space", "montecarlo", 0.8, 1e-4, measures="sampling"),
-        row("integrable/closed-form", "phase-space", 0.598, 2e-4),
+        row("nonintegrable/simulation", "montecarlo", 0.0300, 1e-3),
+        row("nonintegrable", "phase-space", 0.0126, 2e-4),
+        row("nonintegrable", "montecarlo", 0.0061, 1e-4, "H"),
+        row("integrable", "phase-space", 0.598, 2e-4),
     )
     # A bound is rounded up with its error: 1.28 % is within 1.3 %.
     expected = "Energy averaging is within 1.3 % of the full system, modal averaging is 60 % off."
     assert headline_of([curve(*rows)]) == expected
     assert headline_of([curve(*rows, label="B = 10")]).startswith("At B = 10: energy averaging is")
-    near = row("nonintegrable/fem", "montecarlo", 0.0996, 6e-4)
+    near = row("nonintegrable", "montecarlo", 0.0996, 6e-4)
     assert "10 % off" in headline_of([curve(near)])  # with its error it may be beyond 10 %
     assert headline_of([curve()]) == ""
     assert "exact density" in headline_of([curve(incompatible=None)])
 
 
 def test_quantities_have_a_column_for_each_theory():
-    def q(route, value, error=1e-3):
-        return {"observable": "q2", "quantity": "rms", "route": route, "value": value,
-                "error": error, "error_kind": "numerical"}  # fmt: skip
+    def q(route, value, of="q2"):
+        kind = "sampling" if route == "montecarlo" else "numerical"
+        return {"observable": of, "quantity": "rms", "route": route, "value": value,
+                "error": 1e-3, "error_kind": kind}  # fmt: skip
 
-    table = quantity_table({"quantities": [q("nonintegrable/fem", 1.0), q("montecarlo", 2.0)]})
+    rows = [q("nonintegrable/closed-form", 1.0), q("nonintegrable/fem", 1.1), q("montecarlo", 2.0)]
+    table = theory_table([*rows, q("nonintegrable/fem", 3.0, "H")])
     assert table["routes"] == ["energy averaging", "simulation"]
-    (one,) = table["rows"]
-    assert one["cells"]["simulation"]["value"] == 2.0 and one["quantity"] == "rms"
-    assert quantity_table({})["rows"] == []
+    one, energy = table["rows"]
+    assert [cell["value"] for cell in one["cells"].values()] == [1.0, 2.0]
+    # The closed form does not give H: another solver of the theory does.
+    assert energy["of"] == "H" and energy["cells"]["energy averaging"]["value"] == 3.0
+    assert theory_table([])["rows"] == []
 
 
 def test_digits_follow_the_error():
@@ -126,7 +131,7 @@ def test_digits_follow_the_error():
     assert with_error(12345.678, 100.0) == "1.235e+04 ± 1.0e+02"
     assert with_error(-7e-18, 3.4e-12) == "0 ± 3.5e−12"
     assert with_error(-0.25, 0.1) == "−0.25 ± 1.0e−1"
-    assert with_error(None, None) == "–" and with_error(0.5, None) == "0.5"
+    assert with_error(None, None) == "–" and with_error(0.5, None) == "–"
 
 
 def test_one_name_for_a_theory():
@@ -166,8 +171,8 @@ def test_the_policy_allows_the_style_of_the_page_alone(outcome):
 
 @pytest.fixture(scope="module")
 def outcome(scene_text, tmp_path_factory):
-    from cases.comparison.answers import run_scene  # noqa: PLC0415
     from cases.comparison.routes import method_for  # noqa: PLC0415
+    from cases.comparison.run import run_scene  # noqa: PLC0415
     from cases.scene.scene import load_scene  # noqa: PLC0415
 
     path = tmp_path_factory.mktemp("scene") / "any.toml"
@@ -184,3 +189,14 @@ def test_the_command_is_what_was_given():
     assert line[:3] == ["fpk", "run", "fig6a"] and sorted(line[3:]) == sorted(words[1:])
     with app.commands["run"].make_context("fpk run", ["fig6a"]):
         assert command_line() == "fpk run fig6a"
+
+
+def test_an_error_is_never_shown_below_what_it_is():
+    rng = np.random.default_rng(7)
+    for error in 10.0 ** rng.uniform(-300, 300, 400):
+        for digits in (1, 2, 3):
+            shown = float(bound(error, digits))
+            # At most one unit of the last digit more, but for round-off (1e-12) no less.
+            assert -1e-11 <= shown / error - 1.0 <= 10.0 ** (1 - digits) + 1e-11
+    assert [bound(x) for x in (None, 0.0, np.inf)] == ["–", "0", "inf"]
+    assert bound(9.91e-3) == "1.0e-02"

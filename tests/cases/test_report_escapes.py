@@ -10,8 +10,8 @@ from xml.etree import ElementTree
 import pytest
 from matplotlib.figure import Figure
 
-from cases.comparison.answers import run_scene
 from cases.comparison.routes import method_for
+from cases.comparison.run import run_scene
 from cases.output.digest import digest_of
 from cases.output.live import live_record
 from cases.output.report import report_html, write_report

@@ -12,12 +12,14 @@ from html import escape, unescape
 import numpy as np
 import pytest
 
-from cases.comparison.answers import answers_of, run_scene
 from cases.comparison.routes import method_for
+from cases.comparison.run import run_scene
+from cases.comparison.stationary import answers_of
 from cases.output.digest import digest_of
-from cases.output.live import _model, _rounded, as_script_data, live_record
+from cases.output.live import _model, as_script_data, live_record
+from cases.output.page import TEMPLATES
 from cases.output.records import plain
-from cases.output.report import TEMPLATES, write_report
+from cases.output.report import write_report
 from cases.scene.scene import load_scene
 from fpk import Contact, System
 from fpk.observable import observable_name, parse_observable
@@ -251,7 +253,6 @@ def test_the_data_are_those_of_the_densities_and_end_no_element(outcome):
     assert record["model"]["n"] == 2 and first["walls"] == [-0.5, 0.5]
     text = as_script_data({"a": "</script><!-- & \u2028"})
     assert not set("<>&\u2028") & set(text) and json.loads(text)["a"] == "</script><!-- & \u2028"
-    assert _rounded(np.array([1.234, 1.0, 0.0]), 2, up=True) == [1.4, 1.1, 0.0]
 
 
 def test_closed_forms_are_offered_only_where_they_hold(outcome, scene_text, tmp_path):

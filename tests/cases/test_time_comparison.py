@@ -11,13 +11,14 @@ import pytest
 
 from cases.comparison import answering, time_distances
 from cases.comparison.answering import replies_of
-from cases.comparison.answers import run_scene
 from cases.comparison.compare import FALSE_ALARMS
 from cases.comparison.in_time import Given, Replies
 from cases.comparison.routes import listed_routes, method_for, register_routes
+from cases.comparison.run import run_scene
 from cases.comparison.time_claims import time_findings
-from cases.output.digest import digest_of, verify_row
+from cases.output.digest import digest_of
 from cases.output.fields import write_netcdf
+from cases.output.gate import verify_row
 from cases.output.report import write_report
 from cases.output.text import rendered
 from cases.output.vtk import write_time_pvd
@@ -229,6 +230,24 @@ def test_an_answer_that_fails_is_a_problem_and_one_that_does_not_apply_is_not():
     answers = replies(method_for("nonintegrable", "quadrature"), Stub(FEM, good))
     assert [r.failed for r in answers.refused] == [False] and not answers.problems
     assert "no route answers" in replies(method_for("exact")).problems[0]
+
+
+@dataclass(frozen=True)
+class Inexact(Stub):
+    """A method with a default tolerance of 1e-5 and an error of 3e-5."""
+
+    def passage(self, *asked, tol, progress):
+        measured = Measured(3e-5, 0.0, 0.0, 0.0, 0.0)
+        return replace(self.says, certificate=certify(measured, tol=tol or 1e-5))
+
+
+def test_a_default_that_is_missed_in_time_is_a_note_where_nobody_asked_for_it():
+    method = Inexact(FEM, survival_answer([0.5] * 9, 3e-5, "numerical"))
+    asked = {"progress": silent, "partial": False}
+    strict = replies_of(CIR.system, PASSAGE, [method], **asked)
+    assert not strict.notes and any("exceeds the tolerance 1e-05" in p for p in strict.problems)
+    relaxed = replies_of(CIR.system, PASSAGE, [method], relax=True, **asked)
+    assert not relaxed.problems and "nonintegrable/fem: certified to 1e-04" in relaxed.notes[0]
 
 
 def test_routes_that_do_not_know_of_modulated_noise_are_refused():

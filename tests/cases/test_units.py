@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from cases.comparison.answers import run_scene
 from cases.comparison.routes import method_for
+from cases.comparison.run import run_scene
 from cases.output.motion import modes_record, rms_record
 from cases.output.pictures.style import density_words, in_units, time_words, words_of
 from cases.output.report import figures
@@ -204,7 +204,7 @@ def test_rms_says_by_which_route_it_is():
 
 def test_show_has_modes_and_rms_with_their_units(scene, fpk):
     out = fpk("show", scene)[1]
-    assert "[rad/s]" in out and " mm ± " in out and "in mm, kg, s" in out and "averaged" in out
+    assert "[rad/s]" in out and " mm by " in out and "in mm, kg, s" in out and "averaged" in out
     record = json.loads(fpk("show", scene, "--json")[1])
     assert record["units"]["force"] == "kg mm s⁻²" and record["units"]["length"] == "mm"
     assert [m["frequency"] for m in record["modes"]] == record["natural_frequencies"]

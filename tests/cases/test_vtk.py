@@ -8,8 +8,8 @@ import pytest
 
 from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
-from cases.comparison.answers import run_scene
 from cases.comparison.routes import method_for
+from cases.comparison.run import run_scene
 from cases.output.vtk import SUBDIVISION, field_of, write_vtu
 from cases.scene.scene import load_scene
 from fpk.certificate import Certificate

@@ -187,7 +187,7 @@ def density_figure(
         for route, sampled in samples_of(curve, observable).items():
             colour, ink = (route.colour,) * 2 if alone else (colours[curve.label], INK)
             mark = {**MARK, "marker": MARKS[route.solves] if alone else own_mark}
-            few, middles, inside = _bins(sampled, MARKERS, x)
+            few, middles, inside = bins_within(sampled, MARKERS, x)
             values, error = few.values[inside], 2.0 * few.standard_error[inside]
             floor = 0.1 * lowest * values.max()  # a logarithm ends somewhere
             low = np.minimum(values, np.maximum(values - error, floor))
@@ -214,7 +214,7 @@ def theory_differences(curve: Answers, observable: Observable, x: Array) -> Diff
     theories = lines_of(curve, observable).items()
     if not sampled or not theories:
         return None
-    few, middles, inside = _bins(sampled[0], 2 * MARKERS, x)
+    few, middles, inside = bins_within(sampled[0], 2 * MARKERS, x)
     return middles, 2.0 * few.standard_error[inside], {
         f"simulation − {route.name}": bin_differences(few, theory)[inside]
         for route, theory in theories
@@ -263,8 +263,11 @@ def difference_figure(
     return figure
 
 
-def _bins(sampled: SampledDensity, count: int, x: Array) -> tuple[SampledDensity, Array, Any]:
-    """About ``count`` joined bins, the middles of those between the ends of ``x``, and which."""
+def bins_within(sampled: SampledDensity, count: int, x: Array) -> tuple[SampledDensity, Array, Any]:
+    """Return the histogram in about ``count`` joined bins, and which lie between the ends of ``x``.
+
+    The middles of these (bins,) come second, third a mask over all joined bins.
+    """
     few = joined(sampled, count)
     middles = 0.5 * (few.edges[0][1:] + few.edges[0][:-1])
     inside = (middles >= x[0]) & (middles <= x[-1])

@@ -148,7 +148,7 @@ const report = (() => {
       const i = nearest(plot.x, view.cursor);
       return series.filter(s => s.p.length && !off.curve.has(s.curve)).map(s => {
         const j = s.x ? nearest(s.x, view.cursor) : i;
-        return {curve: s.curve, name: s.name, x: (s.x || plot.x)[j], p: s.p[j], error: s.error ? s.error[j] : null, bin: Boolean(s.x)};
+        return {curve: s.curve, name: s.name, x: (s.x || plot.x)[j], p: s.p[j], error: s.error ? s.error[j] : undefined, bin: Boolean(s.x)};
       });
     }
 
@@ -158,7 +158,7 @@ const report = (() => {
       html(readout, "strong", `${plot.xlabel} = ${show(plot.x[nearest(plot.x, view.cursor)])}`);
       for (const v of values()) {
         const where = v.bin ? `, bin at ${show(+v.x.toPrecision(4))}` : "";
-        html(readout, "div", `${v.curve ? v.curve + ", " : ""}${v.name}${where}: ${show(v.p)}${v.error === null ? "" : ` ± ${few(v.error)}`}`);
+        html(readout, "div", `${v.curve ? v.curve + ", " : ""}${v.name}${where}: ${show(v.p)}${v.error === undefined ? "" : v.error === null ? ", error not known" : ` ± ${few(v.error)}`}`);
       }
     }
 

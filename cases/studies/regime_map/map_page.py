@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from cases.output.pictures.style import COLOURS, INK, STYLE, symbol_of
-from cases.output.time_fields import Variables
+from cases.output.variables import Variables
 from cases.studies.page import Page, Table
 from cases.studies.picture import DASHES, Panel, curves_over, heat, study_figure
 from cases.studies.regime_map.map import RegimeMap

@@ -5,10 +5,10 @@ from functools import cache
 from math import isfinite
 from time import perf_counter
 
-from cases.comparison.answers import answers_of
 from cases.comparison.compare import distance_between
 from cases.comparison.rare import passage_answer
 from cases.comparison.refusal import REFUSALS
+from cases.comparison.stationary import answers_of
 from cases.scene.questions import PassageQuestion
 from cases.studies.sweep.quantity import AVERAGING, PASSAGE, Quantity
 from cases.studies.sweep.reference import reference_of

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from cases.output.records import UNITS, Record
-from cases.output.time_fields import Variables
+from cases.output.variables import Variables
 from cases.studies.sweep.grid import Axis, place_words
 
 

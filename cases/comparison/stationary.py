@@ -1,0 +1,106 @@
+"""Stationary densities of a system, asked of several methods one after the other."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial as partial_of
+from math import inf
+from typing import Any
+
+from cases.comparison.answers import Answers
+from cases.comparison.loosened import loosened, note_of
+from cases.comparison.refusal import INTERRUPTED, REFUSALS, Attempts
+from fpk.density import Density
+from fpk.errors import NotApplicable
+from fpk.method import Method, Plan, Progress, Result, silent, solved
+from fpk.observable import Observable, observable_name
+from fpk.system import System
+
+
+def answers_of(
+    system: System,
+    observables: Sequence[Observable],
+    methods: Sequence[Method],
+    *,
+    progress: Progress = silent,
+    partial: bool = False,
+    relax: bool = False,
+    share: float | None = None,
+) -> Answers:
+    """Return the answers of ``methods``, each for the observables that it gives.
+
+    ``share``: no method was named, and each is taken as its ``unasked`` says with this share of the
+    work; None: they were named. ``partial``: Ctrl-C ends the work with the answers that there are
+    by then. ``relax``: tolerances are defaults that nobody asked for; an answer that misses its own
+    is solved for again as ``loosened`` says, with a note.
+    """
+    results: list[Result] = []
+    notes: list[str] = []
+    attempts = Attempts(partial)
+    for method in methods:
+        refuse = partial_of(attempts.refuse, method.route)
+        if attempts.interrupted:
+            refuse(map(observable_name, observables), INTERRUPTED)
+            continue
+        reasons: dict[Observable, str | None]
+        try:
+            taken = method if share is None else method.unasked(system, share=share)
+            plan = taken.prepare(system)
+            reasons = {observable: plan.refusal(observable) for observable in observables}
+        except NotApplicable as error:
+            reasons = dict.fromkeys(observables, str(error))
+        for reason in dict.fromkeys(filter(None, reasons.values())):
+            refuse((observable_name(o) for o, r in reasons.items() if r == reason), reason)
+        given = [observable for observable, reason in reasons.items() if not reason]
+        if not given:
+            continue
+        result = attempts.answer_of(
+            method.route,
+            map(observable_name, given),
+            partial_of(_solved, plan, system, given, notes, relax, progress),
+            failures=REFUSALS if taken is method else (),
+        )
+        if result is None:
+            continue
+        attempts.interrupted |= result.partial
+        if taken is not method and _worst_error(result) > getattr(taken, "tol", inf):
+            notes.append(
+                f"{method.route.label}: certified to {_worst_error(result):.2g}, as far as it"
+                f" may work unasked; fpk density --method {method.name} goes further"
+            )
+        results.append(result)
+    refused = tuple(attempts.refused)
+    return Answers(
+        system, tuple(results), refused, notes=tuple(notes), interrupted=attempts.interrupted
+    )
+
+
+def _solved(
+    plan: Plan,
+    system: System,
+    observables: Sequence[Observable],
+    notes: list[str],
+    relax: bool,
+    progress: Progress,
+) -> Result:
+    """The answer of ``plan``, with ``relax`` as ``loosened`` says and then with a note."""
+    result = solved(plan, system, observables, progress=progress)
+    if not relax:
+        return result
+
+    def ask(tol: float | None) -> Result:
+        if tol is None:
+            return result
+        method: Any = replace(result.method, tol=tol)  # type: ignore[type-var]  # methods are dataclasses
+        again: Result = method.solve(system, observables, progress=progress)
+        return again
+
+    own = hasattr(result.method, "tol")
+    answer, tol = loosened(ask, lambda r: [d.certificate for d in r.densities] if own else [])
+    if tol is not None:
+        notes.append(note_of(answer.method.route.label, tol))
+    return answer
+
+
+def _worst_error(result: Result) -> float:
+    """Largest L1 error that a solver states, 0 of samples."""
+    return max((d.l1_error for d in result.densities if isinstance(d, Density)), default=0.0)

@@ -1,0 +1,104 @@
+"""Numbers and their errors as text; an error or a bound is never shown below what it is."""
+
+from math import ceil, floor, isfinite, log10
+from typing import Any
+
+DIGITS = 7
+"""Significant digits of a number with its error in brackets, at most."""
+
+SMALL = 1e-3
+"""Error below which a number that may be zero is shown as zero and its error."""
+
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+NOTE = (
+    "(3): error of the last digits, numerical or one standard error of sampling;\n"
+    "without it the error is below the last digit."
+)
+
+
+def number(value: Any, digits: int = 3) -> str:
+    """Return a number as a table shows it: plain where it is short, else with a power of ten."""
+    if value is None:
+        return "–"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(number(v, digits) for v in value)
+    if not isinstance(value, float):
+        return str(value)
+    mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
+    if value == 0 or -3 <= int(exponent or 0) < 5:
+        return f"{value:.{digits + 1}g}"
+    return f"{mantissa} × 10{str(int(exponent)).translate(SUPERSCRIPTS)}"
+
+
+def rounded_up(value: float, last: int) -> int:
+    """Return the least count of 10**``last`` that is no less than ``value`` >= 0.
+
+    Round-off of the division, 1e-12 of the value, does not make one more.
+    """
+    return ceil(value / 10.0**last * (1.0 - 1e-12))
+
+
+def bound(error: float | None, digits: int = 2) -> str:
+    """Return an error to so many digits, rounded up: ``1.3e-03`` of 0.00121; a dash of None."""
+    if error is None:
+        return "–"
+    if error == 0.0 or not isfinite(error):
+        return f"{error:g}"
+    last = floor(log10(error)) - digits + 1
+    return f"{rounded_up(error, last) * 10.0**last:.{digits - 1}e}"
+
+
+def percent(share: float, *, up: bool = False) -> str:
+    """Return two digits of a share as a percentage, rounded up where it is a bound."""
+    value = 100.0 * share
+    if value <= 0.0:
+        return "0 %"
+    last = floor(log10(value)) - 1
+    digits = rounded_up(value, last) if up else round(value / 10.0**last)
+    return f"{digits * 10.0**last:.2g} %" if value < 99.5 else f"{digits * 10.0**last:.0f} %"
+
+
+def with_error(value: float | None, error: float | None) -> str:
+    """Return ``0.1235 ± 1.3e−3``: the digits that the error leaves, at most six, and the error.
+
+    A value well within its error is 0, by which the error grows; a dash stands for what is not
+    known, be it the error alone.
+    """
+    if value is None or error is None:
+        return "–"
+    if error == 0.0:
+        return f"{value:.6g}"
+    if abs(value) < 0.1 * error:
+        value, error = 0.0, error + abs(value)
+    last = floor(log10(error)) - 1
+    digits = 1 if value == 0 else floor(log10(abs(value))) - last + 1
+    text = f"{value:.{min(max(digits, 1), 6)}g} ± {bound(error)}"
+    return text.replace("e-0", "e-").replace("-", "−")
+
+
+def concise(value: float | None, error: float | None) -> str:
+    """Return a number with its error in brackets, in units of the last digits: ``0.4123(5)``.
+
+    There are no brackets where the error is below the last of ``DIGITS`` digits; a number within
+    its error of zero is ``0(2e-10)``; a dash stands for what is not known.
+    """
+    if value is None or error is None:
+        return "–"
+    if error == 0.0:
+        return f"{value:.{DIGITS}g}"
+    if abs(value) <= error < SMALL:
+        return f"0({bound(error, 1)})"
+    magnitude = floor(log10(max(abs(value), error)))
+    last = magnitude - DIGITS + 1
+    shift = magnitude if not -4 <= magnitude < 6 else 0
+    suffix = f"e{shift:+03d}" if shift else ""
+    bracket = ""
+    if error >= 0.5 * 10.0**last:
+        # Two digits of an error that begins with 1.
+        leading = floor(log10(error))
+        last = leading - (1 if error < 2.0 * 10.0**leading else 0)
+        count, decimals = rounded_up(error, last), shift - last
+        bracket = f"({count})" if decimals >= 0 else f"({count * 10**-decimals})"
+    decimals = max(shift - last, 0)
+    return f"{value / 10.0**shift:.{decimals}f}{bracket}{suffix}"
