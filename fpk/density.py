@@ -118,7 +118,7 @@ class Density(Quantities):
         f = np.asarray(function(*mesh))
         value = integral(f * p, grids)
         own = integral(np.abs(f) * (e + EPS * np.abs(p)), grids)
-        error = own * max(1.0, self.l1_error / integral(e, grids))
+        error = own * max(1.0, self.l1_error / integral(e + EPS * np.abs(p), grids))
         tail = self.certificate.tail_mass * beyond(function, self.panels)
         return Number(value, error + abs(value - coarse) + tail)
 
@@ -288,21 +288,6 @@ def bin_differences(sampled: SampledDensity, other: AnyDensity) -> Array:
     if not all(map(np.array_equal, sampled.edges, other.edges)):
         raise ValueError("two histograms can be compared on the same bins only")
     return sampled.values - other.values
-
-
-def moment(density: AnyDensity, *powers: int) -> float:
-    """Return E[x^a y^b ...] over the support, one power >= 0 per axis; for none the mass."""
-    if isinstance(density, SampledDensity):
-        # The midpoint of a bin stands for its samples: bias h²/12 times the second derivative.
-        values, grids = (
-            density.values,
-            [(0.5 * (e[1:] + e[:-1]), np.diff(e)) for e in density.edges],
-        )
-    else:
-        mesh, grids = gauss_grid(density.panels)
-        values = density.pdf(*mesh)
-    exponents = powers or (0,) * len(grids)
-    return integral(values, [(x, w * x**k) for (x, w), k in zip(grids, exponents, strict=True)])
 
 
 def _refined_by(nodes: Array, others: Array) -> Array:

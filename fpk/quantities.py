@@ -6,6 +6,7 @@ error where the density is a function, with one standard error where it was samp
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from functools import reduce
 from math import inf, isfinite
 
 import numpy as np
@@ -25,7 +26,7 @@ STEP = 1e-100
 class Quantities(ABC):
     """What follows from the density of one coordinate X.
 
-    All methods raise ``InvalidInput`` for a joint density. ::
+    All but ``expectation`` and ``moment`` raise ``InvalidInput`` for a joint density. ::
 
         q2 = fpk.solve(fpk.load("fig6a").system, ["q2"])["q2"]
         q2.std().value, q2.std().error
@@ -48,15 +49,22 @@ class Quantities(ABC):
         """Return P(low < X <= high) without its error."""
         return self.probability(low, high).value
 
-    def moment(self, power: int, *, about: float = 0.0) -> Number:
-        """Return E (X − about)^power; raise ``InvalidInput`` for a power below 0."""
-        if power < 0:
-            raise InvalidInput("power", power, "must be 0 or more")
-        self._axis()
-        return self.expectation(lambda x: (x - about) ** power)
+    def moment(self, *powers: int, about: float = 0.0) -> Number:
+        """Return E (X − about)^power, of two coordinates E (X − about)^power (Y − about)^other.
+
+        Raises ``InvalidInput`` for a power below 0, or unless each coordinate has one.
+        """
+        if len(powers) != len(self.axes()) or min(powers) < 0:
+            raise InvalidInput("power", powers, "takes one number >= 0 for each coordinate")
+
+        def product(*x: Array) -> Array:
+            return reduce(np.multiply, [(y - about) ** k for y, k in zip(x, powers, strict=True)])
+
+        return self.expectation(product)
 
     def mean(self) -> Number:
         """Return E X."""
+        self._axis()
         return self.moment(1)
 
     def rms(self) -> Number:

@@ -153,6 +153,10 @@ def test_a_stop_that_is_never_reached_has_no_force_in_contact():
 def test_joint_densities_have_expectations_but_no_quantiles():
     joint = solved(Exact(), EXACT, "q2,p2")
     within(joint.expectation(lambda q, p: p**2), 0.3)
+    within(joint.moment(0, 2), 0.3)
+    for powers in ((2,), (2, -1), (1, 1, 1)):
+        with pytest.raises(InvalidInput, match="each coordinate"):
+            joint.moment(*powers)
     with pytest.raises(InvalidInput, match="two coordinates"):
         joint.quantile(0.5)
     with pytest.raises(InvalidInput, match="two coordinates"):
