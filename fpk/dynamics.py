@@ -15,10 +15,11 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.certificate import Certificate, Measured, certify, with_values
-from fpk.density import SMALLEST, Density, gauss_grid
+from fpk.density import SMALLEST, Density
 from fpk.errors import InvalidInput
 from fpk.evolution import ErrorKind
 from fpk.method import Progress
+from fpk.quadrature import gauss_grid
 from fpk.system import System
 
 Complex = np.ndarray[tuple[int, ...], np.dtype[np.complex128]]

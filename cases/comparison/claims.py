@@ -13,8 +13,9 @@ from cases.comparison.answers import Answers
 from cases.comparison.compare import distance_between
 from cases.scene.expect import RELATIONS, Expect, Range
 from fpk.clearance import stop_clearances
-from fpk.density import AnyDensity, gauss_grid, integral
+from fpk.density import AnyDensity
 from fpk.observable import Observable, observable_name
+from fpk.quadrature import gauss_grid, integral
 from fpk.sampled_density import SampledDensity
 
 Verdict = Literal["holds", "does not hold", "undecided", "not checked"]

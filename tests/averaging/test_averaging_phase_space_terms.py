@@ -18,11 +18,12 @@ from averaging.phase_space.marginals import marginal
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import ladders
 from cases.comparison.compare import compared
-from fpk.density import gauss_grid, integral, l1_distance
+from fpk.density import l1_distance
 from fpk.errors import NotApplicable
 from fpk.method import silent
 from fpk.moments import gaussian_moment
 from fpk.observable import parse_observable
+from fpk.quadrature import gauss_grid, integral
 from sim.montecarlo import MonteCarlo
 
 Term = fpk.DampingTerm

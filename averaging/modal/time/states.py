@@ -11,7 +11,7 @@ from fpk.evolution import Transient
 from fpk.observable import Coordinate, Observable
 from fpk.plane.time.levels import Frame
 from fpk.plane.time.start import Start
-from fpk.plane.time.transient import ROUNDING, UNRESOLVED, Level, resolved
+from fpk.plane.time.transient import ROUNDING, UNRESOLVED, Level, transient_densities
 from fpk.plane.time.view import View
 
 SHARE = 0.5
@@ -34,7 +34,7 @@ def state_transient(
     worst time; a time too short for the operator is not certified, its errors infinite.
     """
     none = np.zeros(0), np.zeros(0)
-    answer, levels = resolved(frame, start, View("pair"), times, none, tol=SHARE * tol)
+    answer, levels = transient_densities(frame, start, View("pair"), times, none, tol=SHARE * tol)
     values, errors = np.empty((2, times.size, at[0].size))
     densities = []
     for k, t in enumerate(times.tolist()):

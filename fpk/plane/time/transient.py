@@ -52,30 +52,14 @@ def transient_densities(
     *,
     tol: float,
     coefficients_error: Callable[..., Array] = lambda t, *at: np.zeros(at[0].shape),
-) -> Transient:
+) -> tuple[Transient, tuple[Level, Level]]:
     """Return the densities seen at ``times`` > 0, ascending, at points ``at`` (points,) each.
 
     Levels rise until two of them agree to ``tol`` in L1 and in units of the largest density; the
     answer is that of the finer one. A time too short for the last level is not certified.
-    ``coefficients_error(t, *at)`` is the relative error of p by that of the coefficients.
+    ``coefficients_error(t, *at)`` is the relative error of p by that of the coefficients. With the
+    answer come the last two levels, the finer one last.
     """
-    answer, _ = resolved(
-        frame, start, view, times, at, tol=tol, coefficients_error=coefficients_error
-    )
-    return answer
-
-
-def resolved(
-    frame: Frame,
-    start: Start,
-    view: View,
-    times: Array,
-    at: tuple[Array, ...],
-    *,
-    tol: float,
-    coefficients_error: Callable[..., Array] = lambda t, *at: np.zeros(at[0].shape),
-) -> tuple[Transient, tuple[Level, Level]]:
-    """Return the answer of ``transient_densities``, and its last two levels, the finer last."""
     for coarse, fine in pairwise(_levels(frame, start, times, tol)):
         answer, distance = _compared(coarse, fine, start, view, times, at, tol, coefficients_error)
         hopeless = fine.op.degree >= GIVEN_UP[0] and distance > GIVEN_UP[1]
