@@ -12,7 +12,7 @@ from fpk.system import System
 from sim.arrays import LANES
 from sim.diagnostics import drift_limit, drifts
 from sim.montecarlo import MonteCarlo
-from sim.motion.counting import compiled_counting, count_upcrossings
+from sim.motion.counting import count_upcrossings
 from sim.motion.motion import Motion, in_rows
 from sim.motion.stationary import error_of, interruption, losses, not_met, sampled_curve, working
 from sim.motion.steps import motion_step
@@ -38,7 +38,6 @@ def crossings(
     negative within its error. ``time`` of each trajectory (``RELAXATIONS`` relaxation times where
     none is given) is followed by more until ``tol`` is met or ``seconds`` have passed.
     """
-    compiled_counting()  # here: threads that read find it
     method.prepare(system)  # refuses what has no stationary state
     wanted = tol if tol is not None else method.tol
     dt = motion_step(method, system, error=wanted)
