@@ -35,7 +35,11 @@ KRYLOV = 1e-2
 
 
 class Level(NamedTuple):
-    """The coefficients at all times, in all functions, of one operator."""
+    """Densities at all times on the elements of one operator.
+
+    ``evolved`` holds the free unknowns; ``g`` and ``change`` (times, n1, n2) are its ``values`` and
+    ``change`` as coefficients of all shape functions.
+    """
 
     op: PlaneOperator
     evolved: Evolved
