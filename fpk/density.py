@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from fpk.arrays import Array
 from fpk.certificate import Certificate, Measured, certify
 from fpk.function_quantities import FunctionQuantities
+from fpk.number import SMALLEST
 from fpk.observable import Observable, observable_name
 from fpk.piecewise import PiecewiseTensor, interpolated_tensor
 from fpk.quadrature import GAUSS_POINTS, gauss_grid, integral
@@ -20,8 +21,6 @@ CHECKED, SAFETY = 7, 3.0
 """Gauss points per panel and axis at which the table of a joint density is compared with it, none
 of them one of its own; and the multiple of the distance there, an integral of few points, that is
 the error of the table."""
-SMALLEST = float(np.finfo(float).tiny)
-"""Smallest number (2e-308) with full relative accuracy: what is less is known to no better."""
 
 
 @dataclass(frozen=True)

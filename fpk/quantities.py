@@ -10,15 +10,13 @@ from functools import reduce
 from math import inf, isfinite
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from fpk.arrays import Array
+from fpk.arrays import Array, Complexes
 from fpk.errors import InvalidInput
 from fpk.number import Number
 
 Function = Callable[..., Array]
-Moments = NDArray[np.complex128]
 STEP = 1e-100
 """Imaginary step by which a function is differentiated without a difference."""
 
@@ -82,7 +80,7 @@ class Quantities(ABC):
     def skewness(self) -> Number:
         """Return E (X − E X)³ over the cube of the standard deviation, 0 of a symmetric density."""
 
-        def skewness(m: Moments) -> complex:
+        def skewness(m: Complexes) -> complex:
             return complex((m[3] - 3.0 * m[1] * m[2] + 2.0 * m[1] ** 3) / (m[2] - m[1] ** 2) ** 1.5)
 
         return self._of_moments(skewness, self.mean().value)
@@ -90,7 +88,7 @@ class Quantities(ABC):
     def kurtosis(self) -> Number:
         """Return E (X − E X)⁴ over the square of the variance: 3 of a Gaussian."""
 
-        def kurtosis(m: Moments) -> complex:
+        def kurtosis(m: Complexes) -> complex:
             fourth = m[4] - 4.0 * m[1] * m[3] + 6.0 * m[1] ** 2 * m[2] - 3.0 * m[1] ** 4
             return complex(fourth / (m[2] - m[1] ** 2) ** 2)
 
@@ -140,7 +138,7 @@ class Quantities(ABC):
         nodes, more = self.axes()[0], np.asarray(points)
         return np.union1d(nodes, more[(more > nodes[0]) & (more < nodes[-1])])
 
-    def _of_moments(self, function: Callable[[Moments], complex], about: float) -> Number:
+    def _of_moments(self, function: Callable[[Complexes], complex], about: float) -> Number:
         """A ``function`` of the moments about a point, by power up to 4.
 
         A small change of the density changes it by that of the expectation of its gradient times
