@@ -7,7 +7,7 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.certificate import Certificate
-from fpk.number import Number
+from fpk.number import SMALLEST, Number
 from fpk.quadrature import GAUSS_POINTS, gauss_grid, integral
 from fpk.quantities import Function, Quantities, beyond
 
@@ -46,10 +46,11 @@ class FunctionQuantities(Quantities):
         mesh, grids = gauss_grid(panels)
         f = np.asarray(function(*mesh))
         value = integral(f * p, grids)
-        own = integral(np.abs(f) * (e + EPS * np.abs(p)), grids)
-        error = own * max(1.0, self.l1_error / integral(e + EPS * np.abs(p), grids))
+        e = e + SMALLEST  # where there is none at points the L1 error is spread evenly
+        error = integral(np.abs(f) * e, grids) * max(1.0, self.l1_error / integral(e, grids))
+        rounding = EPS * integral(np.abs(f * p), grids)
         tail = self.certificate.tail_mass * beyond(function, self.panels)
-        return Number(value, error + abs(value - coarse) + tail)
+        return Number(value, error + rounding + abs(value - coarse) + tail)
 
     def probability(self, low: float, high: float) -> Number:
         """Return P(low < X <= high) and its error; as the mass is 1, no more than that beside it.

@@ -103,6 +103,22 @@ def test_a_wrong_density_is_seen_by_its_moments():
     assert abs(density.mean().value - 1.001 * gamma.mean()) > 100.0 * density.mean().error
 
 
+@pytest.mark.parametrize("power", [1, 2, 4])
+def test_an_l1_error_that_is_at_no_point_is_in_the_moments(power):
+    """A Gaussian wider by 1e-6 of itself and shifted as much, which states its L1 error alone."""
+    normal, wrong = stats.norm(0.0, 1.0), stats.norm(1e-6, 1.0 + 1e-6)
+    nodes = np.linspace(-9.0, 9.0, 37)
+    x = np.linspace(-9.0, 9.0, 20001)
+    l1 = float(np.trapezoid(np.abs(normal.pdf(x) - wrong.pdf(x)), x))
+    density = Density(
+        parse_observable("q1", 2), (nodes,), wrong.pdf, np.zeros_like, l1,
+        Certificate(mass_defect=0.0, minimum=0.0, residual=0.0, tail_mass=0.0),
+    )  # fmt: skip
+    number = density.moment(power)
+    within(number, normal.moment(power))
+    assert number.error < 1e3 * abs(number.value - normal.moment(power))
+
+
 def test_contact_in_an_exact_scene_against_quadrature():
     density = solved(Exact(), EXACT, "q2")
 
