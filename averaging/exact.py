@@ -11,7 +11,7 @@ from averaging.closed_form import state_closed_form
 from averaging.energy_process import damping_by_energy, energy_process
 from averaging.theory import Theory, energy_only_refusal
 from fpk.arrays import Array
-from fpk.density import Density, moment
+from fpk.density import Density
 from fpk.dynamics import Curve, certified_curve, upcrossings
 from fpk.errors import NotApplicable
 from fpk.method import Plan, Progress, Result
@@ -94,8 +94,8 @@ class Exact(Theory):
         assert isinstance(joint, Density)
         mass = float(system.mass[row])
         values, errors = upcrossings(joint, mass, at)
-        q, v = np.sqrt(moment(joint, 2, 0)), np.sqrt(moment(joint, 0, 2)) / mass
-        scale = float(v / (2.0 * np.pi * q))
+        q, p = (np.sqrt(joint.moment(*powers).value) for powers in ((2, 0), (0, 2)))
+        scale = float(p / mass / (2.0 * np.pi * q))
         return certified_curve(values, errors, scale=scale, of=joint, tol=tol or self.tol)
 
 

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import eig, expm
 
-from fpk.arrays import Array
-from fpk.dynamics import Complex
+from fpk.arrays import Array, Complexes
 from fpk.linear import EPS, linear_covariance, natural_modes
 from fpk.system import System
 
@@ -74,7 +73,7 @@ def rice_rates(q: float, v: float, relative: float, at: Array) -> tuple[Array, A
     return values, values * (relative + 4.0 * EPS) * (1.0 + 0.5 * square)
 
 
-def eigenvalue_sums(system: System, count: int) -> tuple[Complex, Array]:
+def eigenvalue_sums(system: System, count: int) -> tuple[Complexes, Array]:
     """Return the ``count`` eigenvalues of −L with the least positive real parts, and their errors.
 
     They are Σ n_j μ_j, n_j = 0, 1, …, with μ those of minus the drift matrix: the products of j

@@ -16,9 +16,9 @@ from scipy.special import hyp0f1, j0
 
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
-from fpk.density import SMALLEST
 from fpk.errors import NotApplicable
 from fpk.evolution import Transient, checked_times
+from fpk.number import SMALLEST
 from fpk.square_root import SquareRoot
 
 EPS = float(np.finfo(float).eps)

@@ -15,10 +15,10 @@ from averaging.shell.averages import log_linear_states
 from averaging.weyl_in_time import WeylInTime
 from fpk.arrays import Array
 from fpk.certificate import certify
-from fpk.density import SMALLEST
 from fpk.errors import NotApplicable
 from fpk.evolution import Transient
 from fpk.line.time.transition import Transition
+from fpk.number import SMALLEST
 from fpk.observable import Observable, observable_name
 from fpk.quadrature import gauss_legendre
 from fpk.system import System

@@ -5,9 +5,8 @@ from math import pi, sqrt
 import numpy as np
 from scipy.special import gammaln, ive, xlogy
 
-from fpk.arrays import Array
-from fpk.density import SMALLEST
-from fpk.dynamics import Complex
+from fpk.arrays import Array, Complexes
+from fpk.number import SMALLEST
 from fpk.quadrature import panel_rule
 
 EPS = float(np.finfo(float).eps)
@@ -63,7 +62,7 @@ def _log_ive(order: int, z: Array) -> Array:
     return np.where(large, far, np.log(near))
 
 
-def kummer(a: Complex, n: int, x: float) -> tuple[Complex, Array]:
+def kummer(a: Complexes, n: int, x: float) -> tuple[Complexes, Array]:
     """Return 1F1(a; n; x) at complex ``a`` (points,), x >= 0, by its series, and its error.
 
     The error is infinite where ``MOST_TERMS`` are too few or overflow.
@@ -82,7 +81,7 @@ def kummer(a: Complex, n: int, x: float) -> tuple[Complex, Array]:
     return total, np.where(np.isfinite(size), 4.0 * EPS * sqrt(k) * size, np.inf)
 
 
-def log_kummer_ratio(a: Complex, n: int, low: float, high: float) -> tuple[Complex, Array]:
+def log_kummer_ratio(a: Complexes, n: int, low: float, high: float) -> tuple[Complexes, Array]:
     """Return ln 1F1(a; n; low)/1F1(a; n; high), 0 < low < high, and its error, at ``a`` (points,).
 
     It is −∫ 1F1'/1F1 dx, in which nothing cancels however large a is, away from the negative axis.

@@ -5,8 +5,7 @@ from math import acosh, ceil, log, pi, sin
 
 import numpy as np
 
-from fpk.arrays import Array
-from fpk.dynamics import Complex
+from fpk.arrays import Array, Complexes
 
 SPREAD = 10.0
 """Largest ratio of the times that share one contour: 75 points, where one time has 46."""
@@ -31,11 +30,11 @@ class Contour:
 
     times: Array
     index: np.ndarray[tuple[int, ...], np.dtype[np.intp]]
-    z: Complex
-    weights: Complex
+    z: Complexes
+    weights: Complexes
 
     @property
-    def factors(self) -> Complex:
+    def factors(self) -> Complexes:
         """e^(z t) w, (times, points)."""
         return np.asarray(np.exp(np.multiply.outer(self.times, self.z)) * self.weights)
 
@@ -53,7 +52,7 @@ def contours(times: Array, *, more: int = 0) -> list[Contour]:
     return found
 
 
-def _hyperbola(last: float, spread: float, more: int) -> tuple[Complex, Complex]:
+def _hyperbola(last: float, spread: float, more: int) -> tuple[Complexes, Complexes]:
     """Points and weights for times from ``last``/``spread`` to ``last``.
 
     The rule errs by e^(μt − 2πφ/h), and ends where e^(z t) is round-off at the first time.

@@ -1,8 +1,8 @@
 """Probability densities that carry their error, their certificate and where they come from."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial, reduce
+from functools import cache, partial, reduce
 from typing import Any
 
 import numpy as np
@@ -10,29 +10,21 @@ from numpy.typing import ArrayLike
 
 from fpk.arrays import Array
 from fpk.certificate import Certificate, Measured, certify
-from fpk.number import Number
+from fpk.function_quantities import FunctionQuantities
+from fpk.number import SMALLEST
 from fpk.observable import Observable, observable_name
 from fpk.piecewise import PiecewiseTensor, interpolated_tensor
-from fpk.quadrature import panel_rule
-from fpk.quantities import Function, Quantities, beyond
+from fpk.quadrature import GAUSS_POINTS, gauss_grid, integral
 from fpk.sampled_density import ErrorKind, SampledDensity, described
 
-GAUSS_POINTS = {1: 20, 2: 12}
-"""Nodes per panel and axis of the integrals below, by the number of axes: exact for polynomials of
-degree 39 and 23 (panels of joint densities are many, and |p_a − p_b| has kinks anyway)."""
-FEWER = {1: 16, 2: 9}
-"""Nodes of the coarser rule whose distance is the error of an expectation."""
 CHECKED, SAFETY = 7, 3.0
 """Gauss points per panel and axis at which the table of a joint density is compared with it, none
 of them one of its own; and the multiple of the distance there, an integral of few points, that is
 the error of the table."""
-EPS = float(np.finfo(float).eps)
-SMALLEST = float(np.finfo(float).tiny)
-"""Smallest number (2e-308) with full relative accuracy: what is less is known to no better."""
 
 
 @dataclass(frozen=True)
-class Density(Quantities):
+class Density(FunctionQuantities):
     """Density of one or two coordinates, as a function, with its numerical error.
 
     ``panels`` holds for every axis the ascending nodes between which the density is smooth; the
@@ -99,88 +91,6 @@ class Density(Quantities):
     def tabulated(self, *points: Array) -> Array:
         """Return the density at ``points`` by its table; by itself where there is none."""
         return self.pdf(*points) if self.table is None else self.table(*points)
-
-    def axes(self) -> tuple[Array, ...]:
-        """Return ``panels``."""
-        return self.panels
-
-    def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
-        """Return E f(X) and its error: that of the density, weighted by |f|, and of the tails.
-
-        ``function`` takes an array per axis; ``kinks`` (one axis only) are where it is not smooth.
-        """
-        panels = [self._axis(kinks)] if kinks else self.panels
-        known = not kinks and len(panels) == 1
-        coarse_p, p, e = self._at_nodes if known else self._at_nodes_of(panels)
-        mesh, grids = gauss_grid(panels, points=FEWER[len(panels)])
-        coarse = integral(function(*mesh) * coarse_p, grids)
-        mesh, grids = gauss_grid(panels)
-        f = np.asarray(function(*mesh))
-        value = integral(f * p, grids)
-        own = integral(np.abs(f) * (e + EPS * np.abs(p)), grids)
-        error = own * max(1.0, self.l1_error / integral(e, grids))
-        tail = self.certificate.tail_mass * beyond(function, self.panels)
-        return Number(value, error + abs(value - coarse) + tail)
-
-    def probability(self, low: float, high: float) -> Number:
-        """Return P(low < X <= high) and its error; as the mass is 1, no more than that beside it.
-
-        What of ``l1_error`` is not in the errors at points may lie anywhere.
-        """
-        nodes = self._axis()
-        first, last = (float(x) for x in np.clip([low, high], nodes[0], nodes[-1]))
-        tail = self.certificate.tail_mass
-        beyond_ends = (tail if low < nodes[0] else 0.0) + (tail if high > nodes[-1] else 0.0)
-        shares = self._share(first, last, self.pdf, self.pointwise)
-        value, error = (float(x) for x in shares)
-        beside = self._error_of_all - error
-        return Number(
-            value, max(min(error, beside), 0.0) + self._unlocated + beyond_ends + EPS * value
-        )
-
-    @property
-    def _error_of_all(self) -> float:
-        """∫ of the error at points."""
-        return float(self._panel_shares[1].sum())
-
-    @property
-    def _unlocated(self) -> float:
-        """What of the L1 error is not in the errors at points."""
-        return max(self.l1_error - self._error_of_all, 0.0)
-
-    def share(self, low: float, high: float) -> float:
-        """Return P(low < X <= high) without its error, which takes as long again."""
-        ends = np.clip([low, high], *self._axis()[[0, -1]])
-        return float(self._share(*ends, self.pdf)[0])
-
-    def _share(self, low: float, high: float, *functions: Callable[..., Array]) -> Array:
-        """∫ of the density, and of its error if both are ``functions``, within the support."""
-        nodes = self.panels[0]
-        first, last = np.searchsorted(nodes, low), np.searchsorted(nodes, high, side="right") - 1
-        whole: Array = self._panel_shares[: len(functions), first:last].sum(axis=1)
-        cut = [(low, nodes[first]), (nodes[last], high)] if first <= last else [(low, high)]
-        for a, b in cut:
-            if a < b:
-                mesh, grids = gauss_grid([np.array([a, b])])
-                whole = whole + [integral(f(*mesh), grids) for f in functions]
-        return whole
-
-    @cached_property
-    def _panel_shares(self) -> Array:
-        """∫ of the density and of its error over every panel of the one axis."""
-        _, [(_, w)] = gauss_grid(self.panels)
-        weighted = [np.broadcast_to(f, w.shape) * w for f in self._at_nodes[1:]]
-        shares: Array = np.reshape(weighted, (2, -1, GAUSS_POINTS[1])).sum(axis=2)
-        return shares
-
-    @cached_property
-    def _at_nodes(self) -> tuple[Array, Array, Array]:
-        return self._at_nodes_of(self.panels)
-
-    def _at_nodes_of(self, panels: Sequence[Array]) -> tuple[Array, Array, Array]:
-        """The density at the Gauss points of the coarser and finer rule, and its error at these."""
-        coarse, mesh = gauss_grid(panels, points=FEWER[len(panels)])[0], gauss_grid(panels)[0]
-        return self.pdf(*coarse), self.pdf(*mesh), self.pointwise(*mesh)
 
     def cell_averages(self, *edges: Array) -> Array:
         """Return the mean of the density over each cell of the grid of ``edges``."""
@@ -250,14 +160,6 @@ def certified_density(
     )  # fmt: skip
 
 
-def integral(values: Array, grids: list[tuple[Array, Array]]) -> float:
-    """Return the integral of ``values`` on the mesh of ``gauss_grid``."""
-    total = np.broadcast_to(values, tuple(w.size for _, w in grids))
-    for _, w in reversed(grids):
-        total = total @ w
-    return float(total)
-
-
 AnyDensity = Density | SampledDensity
 
 
@@ -290,34 +192,7 @@ def bin_differences(sampled: SampledDensity, other: AnyDensity) -> Array:
     return sampled.values - other.values
 
 
-def moment(density: AnyDensity, *powers: int) -> float:
-    """Return E[x^a y^b ...] over the support, one power >= 0 per axis; for none the mass."""
-    if isinstance(density, SampledDensity):
-        # The midpoint of a bin stands for its samples: bias h²/12 times the second derivative.
-        values, grids = (
-            density.values,
-            [(0.5 * (e[1:] + e[:-1]), np.diff(e)) for e in density.edges],
-        )
-    else:
-        mesh, grids = gauss_grid(density.panels)
-        values = density.pdf(*mesh)
-    exponents = powers or (0,) * len(grids)
-    return integral(values, [(x, w * x**k) for (x, w), k in zip(grids, exponents, strict=True)])
-
-
 def _refined_by(nodes: Array, others: Array) -> Array:
     """``nodes`` and those of ``others`` that lie between its first and last."""
     between = (others > nodes[0]) & (others < nodes[-1])
     return np.unique(np.concatenate([nodes, others[between]]))
-
-
-def gauss_grid(
-    panels: Sequence[Array], *, points: int | None = None
-) -> tuple[Sequence[Array], list[tuple[Array, Array]]]:
-    """Return the mesh of the Gauss points of ``panels``, and points and weights of each axis.
-
-    ``points`` a panel and axis; None: as many as in ``GAUSS_POINTS``.
-    """
-    rules = [panel_rule(nodes, points or GAUSS_POINTS[len(panels)]) for nodes in panels]
-    grids = [(x.ravel(), w.ravel()) for x, w in rules]
-    return np.meshgrid(*(x for x, _ in grids), indexing="ij", sparse=True), grids

@@ -13,15 +13,15 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import Array, Complexes
 from fpk.certificate import Certificate, Measured, certify, with_values
-from fpk.density import SMALLEST, Density, gauss_grid
+from fpk.density import Density
 from fpk.errors import InvalidInput
 from fpk.evolution import ErrorKind
 from fpk.method import Progress
+from fpk.number import SMALLEST
+from fpk.quadrature import gauss_grid
 from fpk.system import System
-
-Complex = np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Rates:
     Correlations fall as e^(−λt). Of a conjugate pair the one with Im λ > 0 stands for both.
     """
 
-    values: Complex
+    values: Complexes
     errors: Array
     certificate: Certificate
     settings: Mapping[str, str | float | int] = field(default_factory=dict)

@@ -6,18 +6,17 @@ error where the density is a function, with one standard error where it was samp
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from functools import reduce
 from math import inf, isfinite
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from fpk.arrays import Array
+from fpk.arrays import Array, Complexes
 from fpk.errors import InvalidInput
 from fpk.number import Number
 
 Function = Callable[..., Array]
-Moments = NDArray[np.complex128]
 STEP = 1e-100
 """Imaginary step by which a function is differentiated without a difference."""
 
@@ -25,7 +24,7 @@ STEP = 1e-100
 class Quantities(ABC):
     """What follows from the density of one coordinate X.
 
-    All methods raise ``InvalidInput`` for a joint density. ::
+    All but ``expectation`` and ``moment`` raise ``InvalidInput`` for a joint density. ::
 
         q2 = fpk.solve(fpk.load("fig6a").system, ["q2"])["q2"]
         q2.std().value, q2.std().error
@@ -48,15 +47,22 @@ class Quantities(ABC):
         """Return P(low < X <= high) without its error."""
         return self.probability(low, high).value
 
-    def moment(self, power: int, *, about: float = 0.0) -> Number:
-        """Return E (X − about)^power; raise ``InvalidInput`` for a power below 0."""
-        if power < 0:
-            raise InvalidInput("power", power, "must be 0 or more")
-        self._axis()
-        return self.expectation(lambda x: (x - about) ** power)
+    def moment(self, *powers: int, about: float = 0.0) -> Number:
+        """Return E (X − about)^power, of two coordinates E (X − about)^power (Y − about)^other.
+
+        Raises ``InvalidInput`` for a power below 0, or unless each coordinate has one.
+        """
+        if len(powers) != len(self.axes()) or min(powers) < 0:
+            raise InvalidInput("power", powers, "takes one number >= 0 for each coordinate")
+
+        def product(*x: Array) -> Array:
+            return reduce(np.multiply, [(y - about) ** k for y, k in zip(x, powers, strict=True)])
+
+        return self.expectation(product)
 
     def mean(self) -> Number:
         """Return E X."""
+        self._axis()
         return self.moment(1)
 
     def rms(self) -> Number:
@@ -74,7 +80,7 @@ class Quantities(ABC):
     def skewness(self) -> Number:
         """Return E (X − E X)³ over the cube of the standard deviation, 0 of a symmetric density."""
 
-        def skewness(m: Moments) -> complex:
+        def skewness(m: Complexes) -> complex:
             return complex((m[3] - 3.0 * m[1] * m[2] + 2.0 * m[1] ** 3) / (m[2] - m[1] ** 2) ** 1.5)
 
         return self._of_moments(skewness, self.mean().value)
@@ -82,7 +88,7 @@ class Quantities(ABC):
     def kurtosis(self) -> Number:
         """Return E (X − E X)⁴ over the square of the variance: 3 of a Gaussian."""
 
-        def kurtosis(m: Moments) -> complex:
+        def kurtosis(m: Complexes) -> complex:
             fourth = m[4] - 4.0 * m[1] * m[3] + 6.0 * m[1] ** 2 * m[2] - 3.0 * m[1] ** 4
             return complex(fourth / (m[2] - m[1] ** 2) ** 2)
 
@@ -132,7 +138,7 @@ class Quantities(ABC):
         nodes, more = self.axes()[0], np.asarray(points)
         return np.union1d(nodes, more[(more > nodes[0]) & (more < nodes[-1])])
 
-    def _of_moments(self, function: Callable[[Moments], complex], about: float) -> Number:
+    def _of_moments(self, function: Callable[[Complexes], complex], about: float) -> Number:
         """A ``function`` of the moments about a point, by power up to 4.
 
         A small change of the density changes it by that of the expectation of its gradient times

@@ -8,12 +8,11 @@ from math import exp, expm1, sqrt
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import Array, Complexes
 from fpk.certificate import Measured, certify
 from fpk.confluent import kummer, log_kummer_ratio, noncentral, series_terms
 from fpk.contour import contours
-from fpk.density import SMALLEST
-from fpk.dynamics import Complex, Rates
+from fpk.dynamics import Rates
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import (
     BEYOND_RANGE,
@@ -23,7 +22,7 @@ from fpk.evolution import (
     Transient,
     certified_passage,
 )
-from fpk.number import Number
+from fpk.number import SMALLEST, Number
 from fpk.quadrature import panel_rule
 
 EPS = float(np.finfo(float).eps)
@@ -177,7 +176,7 @@ class SquareRoot:
             )
         return p, error
 
-    def _transform(self, a: Complex, x0: float, xf: float) -> tuple[Complex, Array]:
+    def _transform(self, a: Complexes, x0: float, xf: float) -> tuple[Complexes, Array]:
         """Return 1F1(a; n; x_0)/1F1(a; n; x_f) and its relative error."""
         (above, above_error), (below, below_error) = (kummer(a, self.n, x) for x in (x0, xf))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):

@@ -1,11 +1,11 @@
 """From a system, a scheme and a step to the arrays that the kernel reads, and its key."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import Array, Integers
 from fpk.effects import effects_of
 from fpk.linear import natural_modes
 from fpk.observable import Coordinate
@@ -113,12 +113,7 @@ def watched(
 
     shapes, frequency = natural_modes(system) if modes else (np.zeros((n, 0)), np.zeros(0))
     T = shapes.T[modes]
-    rows = np.full((len(histograms), 2), -1, dtype=np.int64)
-    low, scale, bins = np.zeros(rows.shape), np.ones(rows.shape), np.ones_like(rows)
-    for m, histogram in enumerate(histograms):
-        for axis, (c, e) in enumerate(zip(histogram.observable, histogram.edges, strict=True)):
-            rows[m, axis], low[m, axis], bins[m, axis] = row_of(c), e[0], e.size - 1
-            scale[m, axis] = (e.size - 1) / (e[-1] - e[0])
+    rows, low, scale, bins = _binned(histograms, row_of)
     half, shift = 0.5 * step.dt if scheme.kick_first else 0.0, scheme.modified * step.dt**2
     watch = WatchArrays(
         half_kick=half,
@@ -158,3 +153,16 @@ def watched(
         halved=halved,
     )
     return key, watch
+
+
+def _binned(
+    histograms: Sequence[Histogram], row_of: Callable[[Coordinate], int]
+) -> tuple[Integers, Array, Array, Integers]:
+    """Rows, low ends, bins per unit and numbers of bins, (histograms, 2) each; no axis: row −1."""
+    rows = np.full((len(histograms), 2), -1, dtype=np.int64)
+    low, scale, bins = np.zeros(rows.shape), np.ones(rows.shape), np.ones_like(rows)
+    for m, histogram in enumerate(histograms):
+        for axis, (c, e) in enumerate(zip(histogram.observable, histogram.edges, strict=True)):
+            rows[m, axis], low[m, axis], bins[m, axis] = row_of(c), e[0], e.size - 1
+            scale[m, axis] = (e.size - 1) / (e[-1] - e[0])
+    return rows, low, scale, bins

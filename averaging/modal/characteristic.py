@@ -12,7 +12,7 @@ from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.groups import POINTS, joined
 from fpk.arrays import Array
-from fpk.density import Density, certified_density, moment
+from fpk.density import Density, certified_density
 from fpk.observable import Observable
 from fpk.quadrature import panel_rule
 
@@ -91,7 +91,7 @@ def state_density(
     mean, largest = np.zeros(modes.n), np.zeros(modes.n)
     for group in groups:
         for m, x in zip(_modes_of(group), group.panels, strict=True):
-            mean[m] = moment(group, *(int(other == m) for other in _modes_of(group)))
+            mean[m] = group.moment(*(int(other == m) for other in _modes_of(group))).value
             largest[m] = np.sqrt(x[-1])
     whitened = np.linalg.inv(np.linalg.cholesky((U * mean) @ U.T / 2 + (W * mean) @ W.T / 2))
     box = np.hypot(whitened @ U, whitened @ W) @ largest

@@ -6,8 +6,8 @@ from averaging.phase_space.equation.elimination import Expansion
 from averaging.phase_space.equation.frame import Frame
 from averaging.phase_space.marginals import marginal
 from fpk.arrays import Array
-from fpk.density import gauss_grid
 from fpk.observable import Coordinate
+from fpk.quadrature import gauss_grid
 
 AT_ONCE = 16
 """Levels that are treated at once: arrays are as large as this times all points of p and y."""

@@ -30,8 +30,7 @@ from averaging.phase_space.resolvent import (
     times,
     transforms,
 )
-from fpk.arrays import Array
-from fpk.dynamics import Complex
+from fpk.arrays import Array, Complexes
 from fpk.method import Progress
 from fpk.observable import Coordinate, Observable
 
@@ -58,7 +57,7 @@ class Compared:
     is the modulus up to which eigenvalues are known.
     """
 
-    values: Array | Complex
+    values: Array | Complexes
     distance: Array
     scale: Array
     added: Array | float = 0.0
@@ -138,7 +137,7 @@ def spectrum(frame: Frame, row: int, at: Array, options: Options) -> Answer:
 
     def measured(
         e: Expansion, A: Generator, c: Array, b: Array, step: Step
-    ) -> tuple[Complex, float]:
+    ) -> tuple[Complexes, float]:
         return transforms(A, c, b, w, step)
 
     once = _of_displacement(frame, row, "spectrum", measured)
@@ -192,7 +191,7 @@ def relaxation(frame: Frame, count: int, options: Options) -> Answer:
     """
     momentum = (Coordinate("p", frame.contact),)
 
-    def measured(e: Expansion, progress: Progress) -> tuple[Complex, float]:
+    def measured(e: Expansion, progress: Progress) -> tuple[Complexes, float]:
         step = steps(progress, "relaxation", e.degrees)
         odd = Generator.of(frame, e, odd=e.basis.mirrored)
         even = Generator.of(frame, e, odd=False) if e.basis.mirrored else odd
@@ -223,7 +222,7 @@ def relaxation(frame: Frame, count: int, options: Options) -> Answer:
     return _adapted(frame, [momentum], compare, options)
 
 
-def _unlike(rates: Complex) -> Complex:
+def _unlike(rates: Complexes) -> Complexes:
     """``rates`` without those that an earlier one equals: several correlations show one rate."""
     return np.array(
         [x for k, x in enumerate(rates) if not np.any(np.abs(rates[:k] - x) <= SAME * abs(x))]

@@ -13,9 +13,9 @@ from averaging.phase_space.equation.frame import Frame, Reference, gibbs_referen
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import moments, refitted
 from fpk.cores import usable_cores
-from fpk.density import gauss_grid, integral
 from fpk.method import Progress
 from fpk.observable import Coordinate, Observable
+from fpk.quadrature import gauss_grid, integral
 
 REFITS = 2
 """Solutions of the lowest degrees from which the reference takes its moments: the second changes

@@ -19,8 +19,7 @@ from averaging.phase_space.equation.elimination import Expansion, factored
 from averaging.phase_space.equation.equations import chain_of
 from averaging.phase_space.equation.frame import Frame
 from averaging.phase_space.marginals import Form
-from fpk.arrays import Array
-from fpk.dynamics import Complex
+from fpk.arrays import Array, Complexes
 
 VECTORS = 120
 """Most vectors of a Krylov space: with more, making them orthogonal takes as long as an elimination
@@ -110,7 +109,7 @@ def times(b: Basis, levels: Sequence[Array], form: Form, to: Generator) -> Array
     return to.packed(product)
 
 
-def transforms(A: Generator, c: Array, b: Array, at: Array, step: Step) -> tuple[Complex, float]:
+def transforms(A: Generator, c: Array, b: Array, at: Array, step: Step) -> tuple[Complexes, float]:
     """Return c·(iω − A)⁻¹ b at the ascending frequencies ω >= 0 of ``at``, and the residual.
 
     One elimination, at a shift s, serves the frequencies about it: with B = (s − A)⁻¹ the solution
@@ -140,8 +139,8 @@ def transforms(A: Generator, c: Array, b: Array, at: Array, step: Step) -> tuple
 
 
 def _near(
-    solve: Callable[[Array], Array], c: Array, b: Array, away: Complex
-) -> tuple[Complex, Array]:
+    solve: Callable[[Array], Array], c: Array, b: Array, away: Complexes
+) -> tuple[Complexes, Array]:
     """Return c·u of (1 + a B) u = B b for all a of ``away``, and the residuals of each.
 
     ``solve`` is B. The space grows until all residuals are small or it has ``VECTORS`` vectors.
@@ -220,7 +219,7 @@ def _krylov(
         V[m] = new / length
 
 
-def rates_in(solve: Callable[[Array], Array], c: Array, b: Array) -> tuple[Complex, float]:
+def rates_in(solve: Callable[[Array], Array], c: Array, b: Array) -> tuple[Complexes, float]:
     """Return the rates λ that c·e^(At) b falls with, Im λ >= 0, and the |λ| up to which.
 
     Σ g_j e^(−λ_j t): those with |g_j| of at least ``SEEN`` of the sum. They are the eigenvalues of

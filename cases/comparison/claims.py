@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from math import sqrt
 from typing import Literal
 
 import numpy as np
@@ -15,8 +14,9 @@ from cases.comparison.compare import distance_between
 from cases.scene.expect import RELATIONS, Expect, Range
 from cases.written import with_error
 from fpk.clearance import stop_clearances
-from fpk.density import AnyDensity, gauss_grid, integral, moment
+from fpk.density import AnyDensity
 from fpk.observable import Observable, observable_name
+from fpk.quadrature import gauss_grid, integral
 from fpk.sampled_density import SampledDensity
 
 Verdict = Literal["holds", "does not hold", "undecided", "not checked"]
@@ -99,20 +99,13 @@ def findings(expect: Expect | None, curves: Sequence[Answers]) -> Iterator[Findi
 
 def shape_of(density: AnyDensity) -> Shape:
     """Return excess kurtosis and L1 distance to the Gaussian of the same mean and variance."""
-    mean = moment(density, 1)
-    variance = moment(density, 2) - mean * mean
-    kurtosis = _kurtosis(density)
-    distance, rule_error = _to_gaussian(density, mean, sqrt(variance))
-    if not isinstance(density, SampledDensity):
-        # A relative error of the fourth moment is at most that of the mass far out: a bound by
-        # the support, which ends where the density has died out.
-        reach = float(np.abs(density.panels[0] - mean).max())
-        slack = density.l1_error * reach**4 / variance**2
-        return Shape(distance, 2.0 * density.l1_error + rule_error, kurtosis, slack)
-    batches = [_kurtosis(replace(density, values=v)) for v in density.batch_values]
-    spread = float(np.std(batches, ddof=1) / np.sqrt(len(batches)))
-    chance = float(np.sum(density.standard_error * np.diff(density.edges[0])))
-    return Shape(distance, chance, kurtosis, 3.0 * spread)
+    kurtosis = density.kurtosis()
+    distance, error = _to_gaussian(density, density.mean().value, density.std().value)
+    excess = kurtosis.value - 3.0
+    if isinstance(density, SampledDensity):
+        chance = float(np.sum(density.standard_error * np.diff(density.edges[0])))
+        return Shape(distance, chance, excess, 3.0 * kurtosis.error)
+    return Shape(distance, 2.0 * density.l1_error + error, excess, kurtosis.error)
 
 
 def _reference(curve: Answers, of: Observable) -> AnyDensity | None:
@@ -193,12 +186,6 @@ def verdict_within(value: float, slack: float, limits: Range) -> Verdict:
 
 def _verdict(holds: bool | None) -> Verdict:
     return "undecided" if holds is None else "holds" if holds else "does not hold"
-
-
-def _kurtosis(density: AnyDensity) -> float:
-    m1, m2, m3, m4 = (moment(density, k) for k in (1, 2, 3, 4))
-    fourth = m4 - 4.0 * m1 * m3 + 6.0 * m1**2 * m2 - 3.0 * m1**4
-    return fourth / (m2 - m1 * m1) ** 2 - 3.0
 
 
 def _to_gaussian(density: AnyDensity, mean: float, scale: float) -> tuple[float, float]:

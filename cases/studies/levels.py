@@ -20,11 +20,12 @@ from averaging.energy_density import density_of_energies
 from averaging.quadrature import POINTS
 from averaging.zero_flux import ZeroFluxDensity
 from fpk.arrays import Array
-from fpk.density import Density, gauss_grid, integral
+from fpk.density import Density
 from fpk.line.stationary import StationarySolution
 from fpk.observable import Observable
 from fpk.plane.solution import PlaneSolution
 from fpk.process import Coefficients
+from fpk.quadrature import gauss_grid, integral
 
 T = TypeVar("T")
 

@@ -18,7 +18,6 @@ from cases.studies.simulation import (
     squared,
 )
 from fpk.arrays import Array
-from fpk.density import moment
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
 from sim.schemes import SCHEMES
@@ -98,7 +97,7 @@ def weak_order(system: System, method: MonteCarlo, *, seconds: float) -> WeakOrd
     if first is None:
         return unusable
     exact = full_density(system, observed(system))
-    count, truth = LEVELS, moment(exact.density, 2) if exact else None
+    count, truth = LEVELS, exact.density.moment(2).value if exact else None
     if first < SMALL_STEP:  # only a large bias asks for such steps: it needs few paths to be seen
         method, count = replace(method, paths=LEAST_PATHS), FEW_LEVELS
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from math import ceil, inf, nan
 from time import perf_counter
 
@@ -13,7 +14,7 @@ from fpk.errors import InvalidInput
 from fpk.method import Progress, silent
 from fpk.observable import Coordinate, Observable
 from fpk.sampled_density import SampledDensity
-from sim.averaged.square_root import SquareRootForm, square_root_step
+from sim.averaged.square_root import SquareRootForm, advanced
 from sim.histogram import covering, sampled_density
 
 BATCHES = 64
@@ -56,15 +57,7 @@ def simulate_energies(
     if paths < LEAST_PATHS or paths % BATCHES:
         raise InvalidInput("paths", paths, f"use a multiple of {BATCHES}, {LEAST_PATHS} or more")
     own, samples = paths // BATCHES, max(1, round(time / interval))
-
-    def advanced(X: Array, stream: np.random.Generator) -> Array:
-        for _ in range(steps):
-            X = square_root_step(form, X, interval / steps, stream)
-        return X
-
-    def begun(paths: int, stream: np.random.Generator) -> Array:
-        return burnt_in(form, paths, stream, interval=interval, steps=steps, time=burn_in)
-
+    begun = partial(burnt_in, form, interval=interval, steps=steps, time=burn_in)
     pilot = form.energies(begun(PILOT_PATHS, batch_stream(seed, BATCHES)))
     reached = np.array([(0.0, column(pilot, c).max()) for o in observables for c in o])
     histograms = covering(observables, reached, mirror=False, bins=BINS)
@@ -78,7 +71,7 @@ def simulate_energies(
             if number and ends():
                 break
             taken[batch] += own
-            X = advanced(X, stream)
+            X = advanced(form, X, interval / steps, steps, stream)
             H = form.energies(X)
             for total, histogram in zip(counts, histograms, strict=True):
                 columns = [column(H, c) for c in histogram.observable]
@@ -115,9 +108,7 @@ def burnt_in(
 ) -> Array:
     """Return X (paths, d) after ``time``, in intervals of ``steps`` each, from exponential ones."""
     X = stream.exponential(form.scales, (paths, form.scales.size))
-    for _ in range(ceil(time / interval) * steps):
-        X = square_root_step(form, X, interval / steps, stream)
-    return X
+    return advanced(form, X, interval / steps, ceil(time / interval) * steps, stream)
 
 
 def share_of(seconds: float | None, threads: int) -> Callable[[], bool]:

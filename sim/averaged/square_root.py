@@ -148,6 +148,15 @@ def square_root_step(
     return _damped(form, k * stream.noncentral_chisquare(freedom, X * decay / k), 0.5 * dt)
 
 
+def advanced(
+    form: SquareRootForm, X: Array, dt: float, steps: int, stream: np.random.Generator
+) -> Array:
+    """Draw X (paths, d) so many ``steps`` of ``dt`` later."""
+    for _ in range(steps):
+        X = square_root_step(form, X, dt, stream)
+    return X
+
+
 def _damped(form: SquareRootForm, X: Array, dt: float) -> Array:
     if form.damping is None:
         return X

@@ -14,7 +14,7 @@ from fpk.observable import Observable
 from sim.arrays import MAX_TRAJECTORIES
 from sim.averaged.passage import Starts, from_energies
 from sim.averaged.paths import batch_stream, column
-from sim.averaged.square_root import SquareRootForm, square_root_step
+from sim.averaged.square_root import SquareRootForm, advanced
 from sim.motion.densities import Counted, answer_of
 
 ROUNDS = 2
@@ -86,7 +86,6 @@ def _followed(
     rows, gaps = [], np.diff(times, prepend=0.0).tolist()
     for gap in gaps:
         steps = 0 if gap == 0.0 else 1 if form.damping is None else ceil(gap / dt * (1.0 - 1e-12))
-        for _ in range(steps):
-            X = square_root_step(form, X, gap / steps, stream)
+        X = advanced(form, X, gap / max(1, steps), steps, stream)
         rows.append(form.energies(X))
     return rows

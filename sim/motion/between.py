@@ -2,25 +2,13 @@
 
 import numpy as np
 
-from fpk.compiling import ROOT, checksum, inlined
-
-READERS = (
-    "sim/arrays.py",
-    *(f"sim/motion/{name}.py" for name in ("between", "counting", "passing", "sums")),
-)
-"""Files that readers of traces are compiled from."""
+from fpk.compiling import inlined
 
 BULGE = 4.0 / 27.0
 """A cubic passes the larger of its ends by ``BULGE · h (|v0| + |v1|)`` at most."""
 
 BISECTIONS = 30
 """Halvings of the interval in which a cubic meets a level: 1e-9 of it."""
-
-
-def readers_checksum() -> int:
-    """Return the checksum of ``READERS``, that the compiled readers return as a constant."""
-    return checksum([ROOT / name for name in READERS])
-
 
 Cubic = tuple[float, float, float, float]
 

@@ -1,6 +1,5 @@
 """Reader of a trace that counts the upcrossings of levels, between the steps too."""
 
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -8,7 +7,8 @@ import numpy as np
 from fpk.arrays import Array, Integers
 from fpk.compiling import cached_njit, inlined
 from sim.arrays import LANES as W
-from sim.motion.between import cubic_of, readers_checksum, turning_points, value_of
+from sim.motion.between import cubic_of, turning_points, value_of
+from sim.motion.reading import reader
 
 
 @inlined
@@ -22,17 +22,19 @@ def count_rise(counts: Integers, levels: Array, low: float, high: float) -> None
         counts[end] -= 1
 
 
-@cache
-def compiled_counting() -> Any:
-    """Return the compiled ``count_upcrossings``."""
-    sources = readers_checksum()
+@reader
+def count_upcrossings(sources: int) -> Any:
+    """Add to ``counts`` (blocks, levels + 1), whose running sums are upcrossings of the ``levels``.
+
+    Levels ascend. Between samples q is the cubic through q and v at both ends: each of its rising
+    parts is counted, so that a level passed up and down within a step is not lost.
+    """
 
     @cached_njit()
-    def count_upcrossings(
+    def read(
         trace: Array, samples: int, done: int, counts: Integers, dt: float, row: int, momentum: int,
         inverse_mass: float, levels: Array,
     ) -> int:  # fmt: skip
-        """Do what ``count_upcrossings`` of this module says; return the checksum of its sources."""
         for b in range(trace.shape[0]):
             own = counts[b]
             for k in range(samples):
@@ -54,13 +56,4 @@ def compiled_counting() -> Any:
                         count_rise(own, levels, before, q1[w])
         return sources
 
-    return count_upcrossings
-
-
-def count_upcrossings(*arrays: Any, **numbers: Any) -> None:
-    """Add to ``counts`` (blocks, levels + 1), whose running sums are upcrossings of the ``levels``.
-
-    Levels ascend. Between samples q is the cubic through q and v at both ends: each of its rising
-    parts is counted, so that a level passed up and down within a step is not lost.
-    """
-    compiled_counting()(*arrays, **numbers)
+    return read

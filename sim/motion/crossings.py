@@ -1,5 +1,6 @@
 """Upcrossing rates of the full system (6) by simulation, counted between the steps too."""
 
+from collections.abc import Sequence
 from functools import partial
 from math import ceil, inf, pi
 
@@ -12,9 +13,17 @@ from fpk.system import System
 from sim.arrays import LANES
 from sim.diagnostics import drift_limit, drifts
 from sim.montecarlo import MonteCarlo
-from sim.motion.counting import compiled_counting, count_upcrossings
-from sim.motion.motion import Motion, in_rows
-from sim.motion.stationary import error_of, interruption, losses, not_met, sampled_curve, working
+from sim.motion.counting import count_upcrossings
+from sim.motion.motion import Motion, Reader, in_rows
+from sim.motion.stationary import (
+    Watch,
+    error_of,
+    interruption,
+    losses,
+    not_met,
+    sampled_curve,
+    working,
+)
 from sim.motion.steps import motion_step
 from sim.relaxation import relaxation_time
 
@@ -38,7 +47,6 @@ def crossings(
     negative within its error. ``time`` of each trajectory (``RELAXATIONS`` relaxation times where
     none is given) is followed by more until ``tol`` is met or ``seconds`` have passed.
     """
-    compiled_counting()  # here: threads that read find it
     method.prepare(system)  # refuses what has no stationary state
     wanted = tol if tol is not None else method.tol
     dt = motion_step(method, system, error=wanted)
@@ -54,23 +62,17 @@ def crossings(
             for h, halved in ((0.5 * dt, False), (dt, True))
         ]
         counts = [np.zeros((paths // LANES, at.size + 1), dtype=np.int64) for _ in pair]
+        read = partial(
+            count_upcrossings, row=row, momentum=system.n + row, inverse_mass=1.0 / mass,
+            levels=at[order],
+        )  # fmt: skip
         ends: list[Array] = []
         times: list[float] = []
         squares: list[Array] = []
         scale, error, rates = inf, inf, np.zeros(0)
         while not (done := len(ends) >= CHUNKS and not not_met(method, wanted, error)):
             chunk = max(1, steps * (len(ends) + 1) // CHUNKS - steps * len(ends) // CHUNKS)
-            for begun in range(0, chunk, AT_ONCE):
-                piece = min(AT_ONCE, chunk - begun)
-                for motion, own in zip(pair, counts, strict=True):
-                    read = partial(
-                        count_upcrossings, dt=motion.dt, row=row, momentum=system.n + row,
-                        inverse_mass=1.0 / mass, levels=at[order],
-                    )  # fmt: skip
-                    motion.advance(piece if motion.halved else 2 * piece, read, own)
-                if watch.ends():
-                    break
-            else:
+            if _counted(pair, counts, chunk, read, watch):
                 ends.append(np.cumsum(counts[0], axis=1)[:, :-1].astype(float))
                 times.append(pair[0].time)
             states = in_rows(pair[0].last)
@@ -100,6 +102,23 @@ def crossings(
         "largest step bias": float(np.max(np.abs(bias))),
     }
     return sampled_curve(values, errors, scale, wanted, failures, settings)
+
+
+def _counted(
+    pair: Sequence[Motion], counts: Sequence[Integers], steps: int, read: Reader, watch: Watch
+) -> bool:
+    """Follow both motions for so many ``steps`` of the longer one and count what ``read`` sees.
+
+    Return whether all were made before the ``watch`` ended them.
+    """
+    for begun in range(0, steps, AT_ONCE):
+        piece = min(AT_ONCE, steps - begun)
+        for motion, own in zip(pair, counts, strict=True):
+            each = partial(read, dt=motion.dt)
+            motion.advance(piece if motion.halved else 2 * piece, each, own)
+        if watch.ends():
+            return False
+    return True
 
 
 def _rates(counts: Integers, time: float) -> Array:

@@ -1,6 +1,6 @@
 """Readers of a trace that see when each trajectory first passes its limit, between steps too."""
 
-from functools import cache, partial
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,9 +11,10 @@ from fpk.limit import Limit
 from fpk.linear import natural_modes
 from fpk.system import System
 from sim.arrays import LANES as W
-from sim.motion.between import BULGE, cubic_of, distance_to, first_passage, readers_checksum
+from sim.motion.between import BULGE, cubic_of, distance_to, first_passage
 from sim.motion.limits import energies_at, energies_of
 from sim.motion.motion import Reader
+from sim.motion.reading import reader
 
 NATS = 40.0
 """−ln of a probability that counts as none: 4e-18."""
@@ -35,17 +36,18 @@ def quadratic(out: Array, rows: Array, first: int, form: Array) -> None:
                     out[w] += factor * x[w] * y[w]
 
 
-@cache
-def compiled_passing() -> tuple[Any, Any]:
-    """Return the readers of a displacement and of energies."""
-    sources = readers_checksum()
+@reader
+def pass_displacement(sources: int) -> Any:
+    """Write when |q| in ``row`` first passes ``limit`` to ``time`` (blocks, 1, LANES), where inf.
+
+    Between samples q is the cubic through q and v at both ends: no ``chance`` is in it.
+    """
 
     @cached_njit()
-    def pass_displacement(
+    def read(
         trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, row: int,
         momentum: int, inverse_mass: float, limit: float,
     ) -> int:  # fmt: skip
-        """Do what ``pass_displacement`` of this module says; return the checksum of its sources."""
         for b in range(trace.shape[0]):
             own = time[b, 0]
             for k in range(samples):
@@ -69,12 +71,28 @@ def compiled_passing() -> tuple[Any, Any]:
                             own[w] = (done + k + share) * dt
         return sources
 
+    return read
+
+
+@reader
+def pass_energies(sources: int) -> Any:
+    """Write when one of the energies in ``rows`` first passes its limit to ``time``, where inf.
+
+    Energies pass by diffusion: dH = … + σ dB, σ² = p'Fp, and as the noise moves H by 1 it moves
+    σ² by β = p'Gp/σ², of ``diffusion``; momenta p are rows from ``first`` on. Between samples, h
+    apart, the distance d of ``distance_to`` is a Brownian bridge, and vanishes with
+    the probability exp(−2 d0 d1/h), then at the share d0/(d0 + |d1|) of the step, the mean of which
+    is right.
+    ``chance`` (blocks, limits, LANES) holds an exponential number for each: that limit is passed
+    when the sum of −ln(1 − probability) is more. One number for all steps: the same motion at
+    another step passes at nearly the same time.
+    """
+
     @cached_njit()
-    def pass_energies(
+    def read(
         trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, first: int,
         rows: Integers, limits: Array, diffusion: Diffusion,
     ) -> int:  # fmt: skip
-        """Do what ``pass_energies`` of this module says; return the checksum of its sources."""
         variance, rise, before, after = np.empty(W), np.empty(W), np.empty(W), np.empty(W)
         for b in range(trace.shape[0]):
             own = time[b, 0]
@@ -103,30 +121,7 @@ def compiled_passing() -> tuple[Any, Any]:
                     before[:] = after
         return sources
 
-    return pass_displacement, pass_energies
-
-
-def pass_displacement(*arrays: Any, **numbers: Any) -> None:
-    """Write when |q| in ``row`` first passes ``limit`` to ``time`` (blocks, 1, LANES), where inf.
-
-    Between samples q is the cubic through q and v at both ends: no ``chance`` is in it.
-    """
-    compiled_passing()[0](*arrays, **numbers)
-
-
-def pass_energies(*arrays: Any, **numbers: Any) -> None:
-    """Write when one of the energies in ``rows`` first passes its limit to ``time``, where inf.
-
-    Energies pass by diffusion: dH = … + σ dB, σ² = p'Fp, and as the noise moves H by 1 it moves
-    σ² by β = p'Gp/σ², of ``diffusion``; momenta p are rows from ``first`` on. Between samples, h
-    apart, the distance d of ``distance_to`` is a Brownian bridge, and vanishes with
-    the probability exp(−2 d0 d1/h), then at the share d0/(d0 + |d1|) of the step, the mean of which
-    is right.
-    ``chance`` (blocks, limits, LANES) holds an exponential number for each: that limit is passed
-    when the sum of −ln(1 − probability) is more. One number for all steps: the same motion at
-    another step passes at nearly the same time.
-    """
-    compiled_passing()[1](*arrays, **numbers)
+    return read
 
 
 class Diffusion(NamedTuple):
@@ -162,7 +157,6 @@ def reader_of(system: System, limit: Limit, dt: float) -> Reader:
 
     It takes the arrays ``time`` and ``chance`` of ``pass_energies``.
     """
-    compiled_passing()  # here: threads that read find it
     n = system.n
     if limit.kind == "q":
         row = limit.observable(n)[0].row

@@ -1,9 +1,9 @@
-"""Whether the bins of a histogram resolve its density, or are too wide for what it does there.
+"""Whether the bins of a histogram are narrow enough for its density.
 
-A density that is smooth on the scale of the bins is met by the fit of ``SampledDensity.at`` but for
-chance. One with a spike, a jump or a kink is missed by some ``m``; where that falls as the bins
-narrow, it is the error of the fit, and where it does not, the density has an edge or a spike within
-a bin, of which the samples there do not show the height.
+In each bin let m be the average of the fit of ``SampledDensity.at`` less the value of the bin.
+Where the density is smooth on the scale of the bins m is chance; near a spike, a jump or a kink it
+is not. Where m falls as the bins narrow it is the error of the fit. Where it does not, the density
+has an edge or a spike within a bin, and the samples do not show how high it is.
 """
 
 from collections.abc import Sequence
@@ -23,15 +23,15 @@ POINTS = 2
 """Gauss points at which the fit is averaged over a bin."""
 
 FALLS = 0.75
-"""Share of itself to which ``m`` falls, at the most, on bins of half the width where they resolve
-the density: it halves at a kink, and stays at a jump."""
+"""Ratio of m to that on bins twice as wide above which bins are too wide: it is one half at a kink
+and 1 at a jump."""
 
 
 def misfit(density: SampledDensity, *points: Array) -> tuple[Array, Flags]:
-    """Return by what share of itself the density is missed near ``points``, and where it is lost.
+    """Return the largest |m| near ``points`` over the density there, and where bins are too wide.
 
-    0 where chance explains it, with a false alarm in ``FALSE_ALARMS`` questions. Of a pair it is
-    that of the density of each coordinate alone, the larger one.
+    An m that chance explains counts as 0, with false alarms as of ``drift_limit``. Of a pair of
+    coordinates it is the larger one of the densities of each alone.
     """
     missed, lost = np.zeros(points[0].shape), np.zeros(points[0].shape, dtype=bool)
     for axis, x in enumerate(points):
@@ -45,7 +45,7 @@ def misfit(density: SampledDensity, *points: Array) -> tuple[Array, Flags]:
 
 
 def too_wide(density: SampledDensity, time: float, point: Sequence[float]) -> str:
-    """Return words for a ``point`` where the density is lost."""
+    """Return words for a ``point`` at which bins are too wide."""
     at = ", ".join(f"{c} = {x:g}" for c, x in zip(density.observable, point, strict=True))
     width = " x ".join(f"{e[1] - e[0]:.2g}" for e in density.edges)
     return (

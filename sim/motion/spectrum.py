@@ -16,7 +16,7 @@ from sim.motion.motion import needs_steps
 from sim.motion.rounds import Window, in_rounds
 from sim.motion.stationary import error_of, sampled_curve
 from sim.motion.steps import motion_step
-from sim.motion.sums import add_fourier, compiled_sums
+from sim.motion.sums import add_fourier
 from sim.relaxation import relaxation_time
 from sim.step_size import contact_frequency, highest_frequency
 
@@ -47,7 +47,6 @@ def spectrum(
     of trajectories, all of that third, and a bound of what sampling folds back. Steps are half
     those of a density, of whose bias a sixteenth is left.
     """
-    compiled_sums()  # here: threads that read find it
     method.prepare(system)
     wanted = tol if tol is not None else method.tol
     spacing, step, length = _sampling(method, system, at)

@@ -1,6 +1,5 @@
 """A reader of a trace that adds to windowed Fourier sums of its samples."""
 
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -8,19 +7,21 @@ import numpy as np
 from fpk.arrays import Array
 from fpk.compiling import cached_njit
 from sim.arrays import LANES as W
-from sim.motion.between import readers_checksum
+from sim.motion.reading import reader
 
 
-@cache
-def compiled_sums() -> Any:
-    """Return the compiled ``add_fourier``."""
-    sources = readers_checksum()
+@reader
+def add_fourier(sources: int) -> Any:
+    """Add w q cos and w q sin to ``sums`` (blocks, 6 · frequencies, LANES).
+
+    ``omega`` (frequencies,) is in radians per sample. Of each frequency the rows are those of a
+    Hann window over ``length`` samples, of one over its first half, and of one over its second.
+    """
 
     @cached_njit()
-    def add_fourier(
+    def read(
         trace: Array, samples: int, done: int, sums: Array, row: int, omega: Array, length: int,
     ) -> int:  # fmt: skip
-        """Do what ``add_fourier`` of this module says; return the checksum of its sources."""
         turn = 2.0 * np.pi / length
         for k in range(1, samples + 1):
             t = done + k - 1
@@ -42,13 +43,4 @@ def compiled_sums() -> Any:
                         half_im[w] += ps * q[w]
         return sources
 
-    return add_fourier
-
-
-def add_fourier(*arrays: Any, **numbers: Any) -> None:
-    """Add w q cos and w q sin to ``sums`` (blocks, 6 · frequencies, LANES).
-
-    ``omega`` (frequencies,) is in radians per sample. Of each frequency the rows are those of a
-    Hann window over ``length`` samples, of one over its first half, and of one over its second.
-    """
-    compiled_sums()(*arrays, **numbers)
+    return read

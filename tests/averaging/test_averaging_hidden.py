@@ -15,7 +15,6 @@ from averaging.hidden import HiddenIntegral, gibbs_integral
 from averaging.nonintegrable import NonIntegrable
 from averaging.zero_flux import flux_residual
 from fpk.contact import Contact
-from fpk.density import moment
 from fpk.observable import parse_observable
 from fpk.system import System
 
@@ -99,7 +98,7 @@ def test_the_norm_over_two_tied_contact_masses(ratio):
     assert np.all(error < 1e-11)
     # E p² = m/h whatever touches what.
     (p1,) = solved(Exact(), system, "p1")
-    assert moment(p1, 2) == pytest.approx(1.0 / ALPHA, rel=1e-10)
+    assert p1.moment(2).value == pytest.approx(1.0 / ALPHA, rel=1e-10)
 
 
 @pytest.mark.parametrize("stiffness", [pytest.param(1.0, marks=pytest.mark.slow), 1e4])

@@ -16,7 +16,6 @@ from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.laplace import PartitionLines
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
-from fpk.density import moment
 from fpk.errors import NotApplicable
 from fpk.observable import parse_observable
 from fpk.system import System
@@ -155,7 +154,7 @@ def test_the_gibbs_average_of_damping_power_over_six_contact_masses():
     contacts = (1, 2, 4, 5, 7, 9)
     system = chain(10, contacts, damping_terms=(DampingTerm(2, 2, 1.0, q=((2, 2),)),))
     (density,) = solved(Exact(tol=1e-10), chain(10, contacts), "q2")
-    square = moment(density, 2)
+    square = density.moment(2).value
     x, w = np.polynomial.legendre.leggauss(80)
     H = 0.5 * TEMPERATURE * 45.0 * (1.0 + x)
     weight = w * shell_averages(system, H).states * H**9 * np.exp(-H / TEMPERATURE)

@@ -18,11 +18,12 @@ from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.moments import moments
 from averaging.phase_space.refinement import ladders
 from cases.comparison.compare import compared
-from fpk.density import gauss_grid, integral, l1_distance
+from fpk.density import l1_distance
 from fpk.errors import NotApplicable
 from fpk.linear import stationary_covariance
 from fpk.method import silent
 from fpk.observable import Coordinate, parse_observable
+from fpk.quadrature import gauss_grid, integral
 from sim.montecarlo import MonteCarlo
 
 FIG6 = {"mass": [1, 1], "stiffness": [1, 1], "damping": [0.08, 0.04]}

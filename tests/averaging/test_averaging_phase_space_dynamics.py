@@ -17,7 +17,6 @@ from averaging.phase_space.equation.frame import (
 )
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.resolvent import Generator, transforms
-from fpk.density import moment
 from fpk.errors import NotApplicable
 from fpk.method import silent
 from fpk.observable import parse_observable
@@ -79,7 +78,7 @@ def test_sums_over_the_spectrum_of_a_gibbs_state_with_contact_are_exact():
     weight = np.pi / count * (1.0 + w**2)
     settings = answer.settings
     (q,) = Exact().solve(GIBBS, [parse_observable("q1", 1)]).densities
-    mean, square = (moment(q, k) for k in (1, 2))
+    mean, square = (q.moment(k).value for k in (1, 2))
     assert settings["E q1²"] == pytest.approx(square, abs=1e-6)
     S, errors = answer.values, answer.errors
     assert weight @ S == pytest.approx(square - mean**2, abs=weight @ errors)
@@ -105,7 +104,7 @@ def test_the_autocovariance_of_a_gibbs_state_with_contact_is_that_of_its_spectru
     weight = np.pi / count * (1.0 + w**2) * np.cos(np.outer(lags, w))
     answer = ask(PhaseSpace(threads=1), "correlation", GIBBS, 0, lags, tol=1e-4)
     (q,) = Exact().solve(GIBBS, [parse_observable("q1", 1)]).densities
-    mean, square = (moment(q, k) for k in (1, 2))
+    mean, square = (q.moment(k).value for k in (1, 2))
     assert abs(answer.values[0] - (square - mean**2)) <= answer.errors[0]
     assert np.all(np.abs(weight @ S.values - answer.values) <= np.abs(weight) @ S.errors)
 

@@ -14,8 +14,8 @@ from averaging.phase_space.equation.elimination import expanded, inverted
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import refitted
-from fpk.density import gauss_grid, integral
 from fpk.observable import parse_observable
+from fpk.quadrature import gauss_grid, integral
 
 DEGREES = Degrees(total=16, others=6, outer=18)
 

@@ -18,11 +18,12 @@ from averaging.phase_space.marginals import marginal
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import ladders
 from cases.comparison.compare import compared
-from fpk.density import gauss_grid, integral, l1_distance, moment
+from fpk.density import l1_distance
 from fpk.errors import NotApplicable
 from fpk.method import silent
 from fpk.moments import gaussian_moment
 from fpk.observable import parse_observable
+from fpk.quadrature import gauss_grid, integral
 from sim.montecarlo import MonteCarlo
 
 Term = fpk.DampingTerm
@@ -196,7 +197,10 @@ def test_sums_over_the_spectrum_of_one_mass_damped_by_its_energy_are_exact():
     weight = np.pi / count * (1.0 + w**2)
     observables = [parse_observable(o, 1) for o in ("q1", "p1")]
     q, p = Exact().solve(system, observables).densities
-    for power, variance in ((0, moment(q, 2) - moment(q, 1) ** 2), (2, moment(p, 2))):
+    for power, variance in (
+        (0, q.moment(2).value - q.moment(1).value ** 2),
+        (2, p.moment(2).value),
+    ):
         error = weight @ (w**power * answer.errors)
         assert weight @ (w**power * answer.values) == pytest.approx(variance, abs=error)
 

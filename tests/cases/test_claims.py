@@ -14,7 +14,7 @@ from cases.scene.expect import Expect, Range
 from cases.scene.scene import load_scene, shipped_scenes
 from fpk.certificate import Certificate
 from fpk.clearance import StopClearance
-from fpk.density import Density, moment
+from fpk.density import Density
 from fpk.observable import parse_observable
 from fpk.route import ROUTES
 from fpk.sampled_density import SampledDensity
@@ -179,7 +179,7 @@ def test_every_figure_of_the_paper_states_what_it_claims():
 def test_the_distance_to_the_gaussian_is_within_its_stated_error():
     """|p − Gaussian| has kinks, which no Gauss rule of the density's own panels integrates."""
     p = fpk.solve(fpk.load("fig6a").system, ["q2"], methods=["nonintegrable/fem"])["q2"]
-    shape, scale = shape_of(p), moment(p, 2) ** 0.5
+    shape, scale = shape_of(p), p.moment(2).value ** 0.5
     x = np.linspace(p.panels[0][0], p.panels[0][-1], 400_001)
     gaussian = np.exp(-0.5 * (x / scale) ** 2) / (np.sqrt(2.0 * np.pi) * scale)
     expected = np.trapezoid(np.abs(p(x) - gaussian), x) + 2.0 * ndtr(x[0] / scale)

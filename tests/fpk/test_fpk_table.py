@@ -7,8 +7,9 @@ import pytest
 
 from fpk.arrays import Array
 from fpk.certificate import Measured
-from fpk.density import Density, certified_density, gauss_grid, integral, l1_distance
+from fpk.density import Density, certified_density, l1_distance
 from fpk.observable import parse_observable
+from fpk.quadrature import gauss_grid, integral
 
 NODES = np.linspace(-8.0, 8.0, 17)
 

@@ -17,7 +17,7 @@ from sim.arrays import LANES
 from sim.checkpoint import program_checksum
 from sim.ensemble import Ensemble
 from sim.kernel import KERNEL, KernelKey, kernel_checksum
-from sim.motion.between import READERS
+from sim.motion.reading import SOURCES
 from sim.plan import step_arrays, watched
 from sim.schemes import SCHEMES
 from sim.splitting.averaged import NAMES as AVERAGED
@@ -125,7 +125,7 @@ def test_an_edit_changes_the_checksums_of_what_depends_on_it(tmp_path: Path) -> 
 
 def test_whatever_is_compiled_is_in_the_checksum() -> None:
     own = (f"sim/{name}.py" for name in (*NAMES, *AVERAGED))
-    files = {ROOT / name for name in (*KERNEL, *READERS, *own)}
+    files = {ROOT / name for name in (*KERNEL, *SOURCES, *own)}
     sources = {p: p.read_text("utf-8") for p in (ROOT / "sim").rglob("*.py")}
     decorated = re.compile(r"@(njit\(|inlined|cached_njit\()")
     compiled = {p for p, text in sources.items() if decorated.search(text)}

@@ -16,12 +16,11 @@ from averaging.modal.time.questions import TOL, limited_modes, observed_modes
 from averaging.orbit_density import OrbitPart, orbit_transient
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
-from fpk.density import SMALLEST
 from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient, certified_passage, checked_times
 from fpk.limit import Limit
-from fpk.number import Number
+from fpk.number import SMALLEST, Number
 from fpk.observable import Observable
 from fpk.quadrature import panel_rule
 from fpk.square_root import EPS, SquareRoot

@@ -64,9 +64,10 @@ def transient(
         return np.asarray(2.0 * modes.relative_error * (1.0 + reach + begins))
 
     frame, first = _posed(modes, pair, start, wanted)
-    return transient_densities(
+    answer, _ = transient_densities(
         frame, first, view, times, at, tol=wanted, coefficients_error=by_modes
     )
+    return answer
 
 
 def passage(

@@ -6,12 +6,13 @@ from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
 from fpk.arrays import Array
 from fpk.certificate import Measured
-from fpk.density import SMALLEST, Density, certified_density
+from fpk.density import Density, certified_density
 from fpk.evolution import Transient
+from fpk.number import SMALLEST
 from fpk.observable import Coordinate, Observable
 from fpk.plane.time.levels import Frame
 from fpk.plane.time.start import Start
-from fpk.plane.time.transient import ROUNDING, UNRESOLVED, Level, resolved
+from fpk.plane.time.transient import ROUNDING, UNRESOLVED, Level, transient_densities
 from fpk.plane.time.view import View
 
 SHARE = 0.5
@@ -34,7 +35,7 @@ def state_transient(
     worst time; a time too short for the operator is not certified, its errors infinite.
     """
     none = np.zeros(0), np.zeros(0)
-    answer, levels = resolved(frame, start, View("pair"), times, none, tol=SHARE * tol)
+    answer, levels = transient_densities(frame, start, View("pair"), times, none, tol=SHARE * tol)
     values, errors = np.empty((2, times.size, at[0].size))
     densities = []
     for k, t in enumerate(times.tolist()):

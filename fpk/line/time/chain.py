@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fpk.arrays import Array
-from fpk.dynamics import Complex
+from fpk.arrays import Array, Complexes
 from fpk.line.time.modes import Modes
 
 Numbers = np.ndarray[tuple[Any, ...], np.dtype[Any]]
@@ -127,7 +126,7 @@ def residual(e: Modes, y: Admittances, f: Solution, at_ends: Array, inner: Array
     return float((np.abs(terms.sum(axis=0)) / size).max())
 
 
-def kept(e: Modes, f: Solution) -> Complex:
+def kept(e: Modes, f: Solution) -> Complexes:
     """Return ∫p of a density that ``resolvent`` gives, (points,)."""
     turn = e.diagonal[1]
     own = np.einsum("ewv,ew->ev", turn, e.coupling.sum(axis=2))
@@ -136,7 +135,7 @@ def kept(e: Modes, f: Solution) -> Complex:
     )
 
 
-def lifted(e: Modes, y: Admittances, end: Complex) -> Solution:
+def lifted(e: Modes, y: Admittances, end: Complexes) -> Solution:
     """Return f of (z − L) f = 0 that is ``end`` (points,) at the right end of the last element."""
     ratio = eliminated(e, y).ratio
     high = np.empty_like(ratio)

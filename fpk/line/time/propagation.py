@@ -6,9 +6,8 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import Array, Complexes
 from fpk.contour import Contour, contours
-from fpk.dynamics import Complex
 from fpk.line.time import chain
 from fpk.line.time.mesh import GROWTH, HIGHEST, time_nodes
 from fpk.line.time.modes import EPS, Modes, log_density, log_phase_density, modes
@@ -119,7 +118,7 @@ def transforms(
 
 
 def inverted(
-    parts: Sequence[Part], value: Callable[[chain.Solution], Complex], *shape: int
+    parts: Sequence[Part], value: Callable[[chain.Solution], Complexes], *shape: int
 ) -> tuple[Array, Array]:
     """Return what has the transform ``value`` (Laplace variables, …), and the size of its terms.
 
@@ -132,7 +131,7 @@ def inverted(
     return p, size
 
 
-def values_at(e: Modes, x: Array, f: chain.Solution) -> Complex:
+def values_at(e: Modes, x: Array, f: chain.Solution) -> Complexes:
     """Return a solution at points x of the elements, (Laplace variables, points)."""
     return np.asarray(chain.values(e, f, x, turned=True).T)
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
-from fpk.density import SMALLEST
 from fpk.evolution import Transient
+from fpk.number import SMALLEST
 from fpk.plane.solution import Nodes, graded
 from fpk.plane.time.exponential import Evolved, evolved
 from fpk.plane.time.levels import Frame, operators
@@ -35,7 +35,11 @@ KRYLOV = 1e-2
 
 
 class Level(NamedTuple):
-    """The coefficients at all times, in all functions, of one operator."""
+    """Densities at all times on the elements of one operator.
+
+    ``evolved`` holds the free unknowns; ``g`` and ``change`` (times, n1, n2) are its ``values`` and
+    ``change`` as coefficients of all shape functions.
+    """
 
     op: PlaneOperator
     evolved: Evolved
@@ -52,30 +56,14 @@ def transient_densities(
     *,
     tol: float,
     coefficients_error: Callable[..., Array] = lambda t, *at: np.zeros(at[0].shape),
-) -> Transient:
+) -> tuple[Transient, tuple[Level, Level]]:
     """Return the densities seen at ``times`` > 0, ascending, at points ``at`` (points,) each.
 
     Levels rise until two of them agree to ``tol`` in L1 and in units of the largest density; the
     answer is that of the finer one. A time too short for the last level is not certified.
-    ``coefficients_error(t, *at)`` is the relative error of p by that of the coefficients.
+    ``coefficients_error(t, *at)`` is the relative error of p by that of the coefficients. With the
+    answer come the last two levels, the finer one last.
     """
-    answer, _ = resolved(
-        frame, start, view, times, at, tol=tol, coefficients_error=coefficients_error
-    )
-    return answer
-
-
-def resolved(
-    frame: Frame,
-    start: Start,
-    view: View,
-    times: Array,
-    at: tuple[Array, ...],
-    *,
-    tol: float,
-    coefficients_error: Callable[..., Array] = lambda t, *at: np.zeros(at[0].shape),
-) -> tuple[Transient, tuple[Level, Level]]:
-    """Return the answer of ``transient_densities``, and its last two levels, the finer last."""
     for coarse, fine in pairwise(_levels(frame, start, times, tol)):
         answer, distance = _compared(coarse, fine, start, view, times, at, tol, coefficients_error)
         hopeless = fine.op.degree >= GIVEN_UP[0] and distance > GIVEN_UP[1]

@@ -1,0 +1,113 @@
+"""Quantities of a density that is known as a function: expectations and probabilities."""
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from fpk.arrays import Array
+from fpk.certificate import Certificate
+from fpk.number import SMALLEST, Number
+from fpk.quadrature import GAUSS_POINTS, gauss_grid, integral
+from fpk.quantities import Function, Quantities, beyond
+
+FEWER = {1: 16, 2: 9}
+"""Gauss points per panel and axis, by the number of axes, of the coarser rule: its distance from
+that of ``GAUSS_POINTS`` is in the error of an expectation."""
+EPS = float(np.finfo(float).eps)
+
+
+class FunctionQuantities(Quantities):
+    """Integrals of a density p and of its error, by Gauss rules on the panels of p.
+
+    The attributes are those of ``fpk.density.Density``.
+    """
+
+    panels: tuple[Array, ...]
+    pdf: Callable[..., Array]
+    pointwise: Callable[..., Array]
+    l1_error: float
+    certificate: Certificate
+
+    def axes(self) -> tuple[Array, ...]:
+        """Return ``panels``."""
+        return self.panels
+
+    def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
+        """Return E f(X) and its error: that of the density, weighted by |f|, and of the tails.
+
+        ``function`` takes an array per axis; ``kinks`` (one axis only) are where it is not smooth.
+        """
+        panels = [self._axis(kinks)] if kinks else self.panels
+        known = not kinks and len(panels) == 1
+        coarse_p, p, e = self._at_nodes if known else self._at_nodes_of(panels)
+        mesh, grids = gauss_grid(panels, points=FEWER[len(panels)])
+        coarse = integral(function(*mesh) * coarse_p, grids)
+        mesh, grids = gauss_grid(panels)
+        f = np.asarray(function(*mesh))
+        value = integral(f * p, grids)
+        e = e + SMALLEST  # where there is none at points the L1 error is spread evenly
+        error = integral(np.abs(f) * e, grids) * max(1.0, self.l1_error / integral(e, grids))
+        rounding = EPS * integral(np.abs(f * p), grids)
+        tail = self.certificate.tail_mass * beyond(function, self.panels)
+        return Number(value, error + rounding + abs(value - coarse) + tail)
+
+    def probability(self, low: float, high: float) -> Number:
+        """Return P(low < X <= high) and its error; as the mass is 1, no more than that beside it.
+
+        What of ``l1_error`` is not in the errors at points may lie anywhere.
+        """
+        nodes = self._axis()
+        first, last = (float(x) for x in np.clip([low, high], nodes[0], nodes[-1]))
+        tail = self.certificate.tail_mass
+        beyond_ends = (tail if low < nodes[0] else 0.0) + (tail if high > nodes[-1] else 0.0)
+        shares = self._share(first, last, self.pdf, self.pointwise)
+        value, error = (float(x) for x in shares)
+        beside = self._error_of_all - error
+        return Number(
+            value, max(min(error, beside), 0.0) + self._unlocated + beyond_ends + EPS * value
+        )
+
+    @property
+    def _error_of_all(self) -> float:
+        """∫ of the error at points."""
+        return float(self._panel_shares[1].sum())
+
+    @property
+    def _unlocated(self) -> float:
+        """What of the L1 error is not in the errors at points."""
+        return max(self.l1_error - self._error_of_all, 0.0)
+
+    def share(self, low: float, high: float) -> float:
+        """Return P(low < X <= high) without its error, which takes as long again."""
+        ends = np.clip([low, high], *self._axis()[[0, -1]])
+        return float(self._share(*ends, self.pdf)[0])
+
+    def _share(self, low: float, high: float, *functions: Callable[..., Array]) -> Array:
+        """∫ of the density, and of its error if both are ``functions``, within the support."""
+        nodes = self.panels[0]
+        first, last = np.searchsorted(nodes, low), np.searchsorted(nodes, high, side="right") - 1
+        whole: Array = self._panel_shares[: len(functions), first:last].sum(axis=1)
+        cut = [(low, nodes[first]), (nodes[last], high)] if first <= last else [(low, high)]
+        for a, b in cut:
+            if a < b:
+                mesh, grids = gauss_grid([np.array([a, b])])
+                whole = whole + [integral(f(*mesh), grids) for f in functions]
+        return whole
+
+    @cached_property
+    def _panel_shares(self) -> Array:
+        """∫ of the density and of its error over every panel of the one axis."""
+        _, [(_, w)] = gauss_grid(self.panels)
+        weighted = [np.broadcast_to(f, w.shape) * w for f in self._at_nodes[1:]]
+        shares: Array = np.reshape(weighted, (2, -1, GAUSS_POINTS[1])).sum(axis=2)
+        return shares
+
+    @cached_property
+    def _at_nodes(self) -> tuple[Array, Array, Array]:
+        return self._at_nodes_of(self.panels)
+
+    def _at_nodes_of(self, panels: Sequence[Array]) -> tuple[Array, Array, Array]:
+        """The density at the Gauss points of the coarser and finer rule, and its error at these."""
+        coarse, mesh = gauss_grid(panels, points=FEWER[len(panels)])[0], gauss_grid(panels)[0]
+        return self.pdf(*coarse), self.pdf(*mesh), self.pointwise(*mesh)
