@@ -150,7 +150,7 @@ def _mirrored(half: Array) -> Array:
 
 
 def _joined(nodes: list[float], h: Callable[[Array], Array], closest: dict[float, float]) -> Array:
-    """Nodes about h(x) apart that hold ``nodes``; ``closest``: the least panels at some of these."""
+    """Nodes about h(x) apart that hold ``nodes``, with the least panel ``closest`` at some."""
     return np.unique(
         np.concatenate(
             [
