@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from averaging.energy_start import modal_start
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
 from averaging.modal.groups import unsolved
 from averaging.modal.observables import gaussian_modes, modal_densities
 from averaging.modal.resonance import correlations, nearest_resonance, require_no_resonance
 from averaging.modal.time import closed_form, elements
 from averaging.theory import Theory
+from averaging.time.start import modal_start
 from fpk.arrays import Array
 from fpk.clearance import CLEARANCE_RULE
 from fpk.dynamics import Rates

@@ -7,10 +7,10 @@ from functools import partial
 from averaging.back_transformation import back_transformed
 from averaging.closed_form import averaged_rate, state_closed_form
 from averaging.energy_process import energy_process
-from averaging.energy_start import total_energy_start
-from averaging.energy_time import total_energy
 from averaging.quadrature import solve_by_quadrature
 from averaging.theory import Theory, energy_only_refusal
+from averaging.time.energy import total_energy
+from averaging.time.start import total_energy_start
 from averaging.weyl import Solution, StateDensity, tabulated
 from fpk.arrays import Array
 from fpk.dynamics import Rates

@@ -166,31 +166,39 @@ def weyl_table(order: float, nodes: Array, u: Function, *, points: int = POINTS[
     node. There u, smooth between ``nodes``, is continued exponentially at the rate of the last
     element: Ψ then keeps its relative accuracy up to that node.
     """
-    left, right = nodes[:-1, None], nodes[1:, None]
-    x, w = panel_rule(nodes, points)
-    t, t_weights = gauss_legendre(points)
 
     def log_weyl(energy: Array) -> Array:
         if order == 0.0:
             return np.log(np.maximum(u(energy), TINY))
-        values, total = w * u(x), np.zeros(energy.size)
-        far = left - energy >= right - left
-        k, i = np.nonzero(~far & (energy < right))
-        # H = E + s² takes out the root at E.
-        low, high = (
-            np.sqrt(np.maximum(nodes[k + end] - energy[i], 0.0))[:, None] for end in (0, 1)
-        )
-        s = 0.5 * (low + high) + 0.5 * (high - low) * t
-        inner = u(energy[i, None] + s * s) * 2.0 * s ** (2.0 * order - 1.0)
-        near = (0.5 * (high - low) * inner) @ t_weights
-        total += np.bincount(i, near, minlength=energy.size)
-        for here, points_of, weighted in zip(far, x, values, strict=True):
-            total[here] += (points_of - energy[here, None]) ** (order - 1.0) @ weighted
         beyond = continued(order, energy, nodes, u)
-        return np.log(np.maximum(beyond + total / gamma(order), TINY))
+        total = beyond + weyl_integral(order, nodes, u, energy, points=points)
+        return np.log(np.maximum(total, TINY))
 
     coefficients = interpolated(log_weyl, nodes[:-1], nodes[1:], points - 1)
     return Piecewise(nodes, coefficients, outside=-np.inf)
+
+
+def weyl_integral(order: float, nodes: Array, u: Function, energy: Array, *, points: int) -> Array:
+    """Return Ψ_ν of what lies up to the last node, ν = ``order`` = ½, 1, ..., at energies (n,).
+
+    ``u``, smooth between ``nodes``, has values (*shape of its energies, *more); Ψ is (n, *more).
+    By ``points`` of Gauss on each panel, or on what of it is above E.
+    """
+    left, right = nodes[:-1, None], nodes[1:, None]
+    x, w = panel_rule(nodes, points)
+    values = np.einsum("kg,kg...->kg...", w, u(x))
+    total = np.zeros((energy.size, *values.shape[2:]))
+    far = left - energy >= right - left
+    for here, x_k, weighted in zip(far, x, values, strict=True):
+        total[here] += (x_k - energy[here, None]) ** (order - 1.0) @ weighted
+    # H = E + s² takes out the root at E.
+    k, i = np.nonzero(~far & (energy < right))
+    low, high = (np.sqrt(np.maximum(nodes[k + end] - energy[i], 0.0))[:, None] for end in (0, 1))
+    t, t_weights = gauss_legendre(points)
+    s = 0.5 * (low + high) + 0.5 * (high - low) * t
+    kernel = (high - low) * t_weights * s ** (2.0 * order - 1.0)
+    np.add.at(total, i, np.einsum("kg,kg...->k...", kernel, u(energy[i, None] + s * s)))
+    return np.asarray(total / gamma(order))
 
 
 def continued(order: float, energy: Array, nodes: Array, u: Function) -> Array:

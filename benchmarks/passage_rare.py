@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from averaging.energy_process import energy_process
-from averaging.energy_time import total_energy
+from averaging.time.energy import total_energy
 from fpk.system import System
 from sim.splitting import Splitting, rare_failure_of_process
 

@@ -49,7 +49,7 @@ class FunctionQuantities(Quantities):
         e = e + SMALLEST  # where there is none at points the L1 error is spread evenly
         error = integral(np.abs(f) * e, grids) * max(1.0, self.l1_error / integral(e, grids))
         rounding = EPS * integral(np.abs(f * p), grids)
-        tail = self.certificate.tail_mass * beyond(function, self.panels)
+        tail = self.certificate.tail_mass * beyond(function, self.panels, kinks)
         return Number(value, error + rounding + abs(value - coarse) + tail)
 
     def probability(self, low: float, high: float) -> Number:

@@ -152,11 +152,16 @@ class Quantities(ABC):
         return Number(float(np.real(function(moments.astype(complex)))), own.error)
 
 
-def beyond(function: Callable[..., Array], panels: Sequence[Array]) -> float:
+def beyond(
+    function: Callable[..., Array], panels: Sequence[Array], kinks: Sequence[float] = ()
+) -> float:
     """Return the largest |f| at the corners of twice the support: what the tails weigh with.
 
     A density falls at least exponentially beyond the end of its support, so that next to nothing
-    lies at more than twice its distance.
+    lies at more than twice its distance. A function that begins farther out, at one of its
+    ``kinks``, is taken at twice their distance: it would count as 0 otherwise, and is not.
     """
-    corners = np.meshgrid(*(2.0 * x[[0, -1]] for x in panels))
+    reach = 2.0 * float(np.max(np.abs(kinks), initial=0.0))
+    ends = (2.0 * x[[0, -1]] for x in panels)
+    corners = np.meshgrid(*([min(a, -reach), max(b, reach)] for a, b in ends))
     return float(np.max(np.abs(function(*corners))))

@@ -82,7 +82,7 @@ class SampledDensity(Quantities):
         Within a bin the samples count as evenly spread. With the bin width h that errs by
         (h²/12) ∫f′p′ along every axis, which is corrected for and counted as an error, too.
         """
-        del kinks  # in a single bin they matter less than the correction
+        # Within a single bin the kinks matter less than the correction.
         rules = [panel_rule(e, BIN_POINTS) for e in self.edges]
         f = np.asarray(function(*np.meshgrid(*(x.ravel() for x, _ in rules), indexing="ij")))
         f = np.broadcast_to(f, tuple(x.size for x, _ in rules))
@@ -100,7 +100,7 @@ class SampledDensity(Quantities):
         chance = _standard_error(total[1:])
         # One visit more, at what was seen; where only what was not seen counts, there.
         seen = float(np.max(np.abs(f), initial=0.0, where=self.values > 0.0))
-        far = beyond(function, self.edges)
+        far = beyond(function, self.edges, kinks)
         visit = self._one_visit * cell * (seen or float(np.max(np.abs(f))) or far)
         tail = self.certificate.tail_mass * far
         error = float(np.hypot(chance, visit) + np.abs(np.asarray(change).flat[0]) + tail)

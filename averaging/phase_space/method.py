@@ -6,20 +6,18 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from scipy.ndimage import map_coordinates, maximum_filter
 
 from averaging.exact import Exact
 from averaging.gaussian import Linear
-from averaging.phase_space import dynamics
+from averaging.phase_space.densities import density_of, settings_of
+from averaging.phase_space.dynamics.answer import Answer, Options
+from averaging.phase_space.dynamics.correlations import correlation, relaxation, spectrum
+from averaging.phase_space.dynamics.crossings import crossings
 from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
-from averaging.phase_space.identities import heat_into_masses, identities
-from averaging.phase_space.marginals import marginal
-from averaging.phase_space.moments import moments
+from averaging.phase_space.identities import identities
 from averaging.phase_space.passage.first_passage import first_passage
 from averaging.phase_space.refinement import (
-    ROUND_OFF,
     WORK,
-    Ladder,
     cost,
     degrees_of,
     refusal,
@@ -28,7 +26,6 @@ from averaging.phase_space.refinement import (
 from averaging.theory import Theory
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
-from fpk.density import Density, certified_density
 from fpk.dynamics import Curve, Rates, certified_curve, require_lags
 from fpk.errors import NotApplicable, NotCertified
 from fpk.evolution import Passage
@@ -51,13 +48,6 @@ UNASKED_WORK = 6.6e11
 CROSSINGS_TOL, SPECTRUM_TOL, CORRELATION_TOL, RELAXATION_TOL = 1e-3, 1e-2, 1e-2, 5e-2
 """Relative errors wanted where none is asked for. Spectra and rates converge more slowly than
 densities, and take more eliminations, those of spectra in complex numbers."""
-GRID = {1: 721, 2: 181}
-"""Points of an axis at which the distance to the coarser solution is sampled, by the axes."""
-WINDOW = {1: 41, 2: 11}
-"""Points over which its largest value is taken: a standard deviation, two half-waves of a Hermite
-function of degree 20, as the error does not vanish where the distance does."""
-FEWER = 0.8
-"""Share of the points at which the contact displacement is integrated out, to see their error."""
 
 
 @dataclass(frozen=True)
@@ -126,9 +116,9 @@ class PhaseSpace(Theory):
                 raise NotCertified(f"an L1 error of {worst:.1g} was reached: {ladder.limit}")
             return Result(
                 self,
-                tuple(_density(ladder, o, self.accepted or self.tol) for o in observables),
+                tuple(density_of(ladder, o, self.accepted or self.tol) for o in observables),
                 identities=identities(ladder),
-                settings=_settings(ladder),
+                settings=settings_of(ladder),
             )
 
         return Plan(_refusal, solve)
@@ -137,13 +127,13 @@ class PhaseSpace(Theory):
         self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
     ) -> Curve:
         """Return the upcrossings per unit time of q from the joint density of (q, p)."""
-        return self._curve(dynamics.crossings, system, row, at, tol or CROSSINGS_TOL, progress)
+        return self._curve(crossings, system, row, at, tol or CROSSINGS_TOL, progress)
 
     def spectrum(
         self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
     ) -> Curve:
         """Return the power spectral density of q from the resolvent of the FPK operator."""
-        return self._curve(dynamics.spectrum, system, row, at, tol or SPECTRUM_TOL, progress)
+        return self._curve(spectrum, system, row, at, tol or SPECTRUM_TOL, progress)
 
     def correlation(
         self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
@@ -152,32 +142,34 @@ class PhaseSpace(Theory):
         require_lags(at)
         wanted = tol or CORRELATION_TOL
         return self._curve(
-            dynamics.correlation, system, row, at, wanted, progress, signed=True
+            correlation, system, row, at, wanted, progress, signed=True
         )  # fmt: skip
 
     def relaxation(
         self, system: System, count: int, *, tol: float | None, progress: Progress
     ) -> Rates:
         """Return the slowest eigenvalues of the expansion's FPK operator."""
-        options = self._options(tol or RELAXATION_TOL, progress)
+        options, frame = self._options(tol or RELAXATION_TOL, progress), self._frame(system)
         with _breakdowns():
-            answer = dynamics.relaxation(self._frame(system), count, options)
+            answer = relaxation(frame, count, options)
+        values = np.asarray(answer.last.values, dtype=complex)
+        momentum = (Coordinate("p", frame.contact),)
+        stationary = density_of(answer.ladder, momentum, options.tol).certificate
         measured = Measured(
             l1_error=answer.relative,
-            mass_defect=0.0,
-            minimum=0.0,
-            residual=answer.ladder.finest.residual,
-            tail_mass=0.0,
+            mass_defect=stationary.mass_defect,
+            minimum=float(np.min(values.real / np.abs(values))),
+            residual=stationary.residual,
+            tail_mass=stationary.tail_mass,
             failures=(answer.limit,) if answer.limit else (),
         )
         certificate = certify(measured, tol=options.tol)
-        values = np.asarray(answer.last.values, dtype=complex)
-        settings = _settings(answer.ladder) | {"sought_up_to_the_modulus": answer.last.end}
+        settings = settings_of(answer.ladder) | {"sought_up_to_the_modulus": answer.last.end}
         return Rates(values, answer.errors, certificate, settings)
 
     def _curve(
         self,
-        question: Callable[[Frame, int, Array, dynamics.Options], dynamics.Answer],
+        question: Callable[[Frame, int, Array, Options], Answer],
         system: System,
         row: int,
         at: Array,
@@ -194,11 +186,11 @@ class PhaseSpace(Theory):
             values,
             answer.errors,
             scale=scale,
-            of=_density(answer.ladder, (Coordinate("q", row),), tol),
+            of=density_of(answer.ladder, (Coordinate("q", row),), tol),
             tol=tol,
             residual=answer.last.residual,
             failures=(answer.limit,) if answer.limit else (),
-            settings=_settings(answer.ladder),
+            settings=settings_of(answer.ladder),
             positive=scale - np.abs(values) if signed else None,
         )
 
@@ -215,8 +207,8 @@ class PhaseSpace(Theory):
         """Return the first passage of one mass, by finite elements of the backward equation."""
         return first_passage(system, limit, start, times, tol=tol, progress=progress)
 
-    def _options(self, tol: float, progress: Progress) -> dynamics.Options:
-        return dynamics.Options(tol, progress, self.work, self.threads, self.reference)
+    def _options(self, tol: float, progress: Progress) -> Options:
+        return Options(tol, progress, self.work, self.threads, self.reference)
 
     def _frame(self, system: System) -> Frame:
         """Return the frame; raise ``NotApplicable`` where the expansion is not for the system."""
@@ -249,98 +241,6 @@ def _refusal(observable: Observable) -> str | None:
             "momenta, not of energies; ask for q, p or pairs of them"
         )
     return None
-
-
-def _density(ladder: Ladder, observable: Observable, tol: float) -> Density:
-    frame, factor = ladder.frame, ladder.factors[observable]
-    panels, pdf = marginal(frame, ladder.finest, observable)
-    _, coarser = marginal(frame, ladder.coarser, observable)
-    local, largest = _local_distance(panels, pdf, coarser)
-    floor, tail = ROUND_OFF * largest, _tail(panels, pdf)
-    measured = Measured(
-        l1_error=ladder.errors[observable] + tail,
-        mass_defect=np.nan,
-        minimum=np.inf,
-        residual=ladder.finest.residual,
-        tail_mass=tail,
-        absolute_error=factor * float(local.max()) / largest,
-    )
-    if ladder.limit and ladder.errors[observable] > tol:
-        measured = measured.with_failures(ladder.limit)
-    ends = np.array([[nodes[0], nodes[-1]] for nodes in panels])
-
-    def pointwise(*x: Array) -> Array:
-        arrays = np.broadcast_arrays(*x)
-        place = [
-            (a - low) / (high - low) * (GRID[len(panels)] - 1)
-            for a, (low, high) in zip(arrays, ends, strict=True)
-        ]
-        distance = map_coordinates(local, np.array(place), order=1, mode="nearest")
-        return np.asarray(factor * distance + floor)
-
-    _, fewer = marginal(frame, ladder.finest, observable, share=FEWER)
-
-    def integration_error(p: Array, *x: Array) -> Array:
-        return np.abs(p - np.asarray(fewer(*x)))
-
-    return certified_density(
-        observable,
-        panels,
-        pdf,
-        lambda *x: pointwise(*x) + integration_error(pdf(*x), *x),
-        measured=measured,
-        tol=tol,
-        added_error=integration_error,
-    )
-
-
-def _local_distance(
-    panels: tuple[Array, ...], pdf: Callable[..., Array], coarser: Callable[..., Array]
-) -> tuple[Array, float]:
-    """Largest distance to the coarser solution around the points of a grid, and largest density."""
-    count, window = GRID[len(panels)], WINDOW[len(panels)]
-    axes = [np.linspace(nodes[0], nodes[-1], count) for nodes in panels]
-    mesh = np.meshgrid(*axes, indexing="ij", sparse=True)
-    values = np.asarray(pdf(*mesh))
-    distance = np.abs(values - np.asarray(coarser(*mesh)))
-    return maximum_filter(distance, size=window, mode="nearest"), float(values.max())
-
-
-def _tail(panels: tuple[Array, ...], pdf: Callable[..., Array]) -> float:
-    """Mass beyond the panels: the density at their ends times the length of the last ones.
-
-    The density falls by more than e over a panel at the end of the support.
-    """
-    total = 0.0
-    for axis, nodes in enumerate(panels):
-        others = [np.linspace(x[0], x[-1], GRID[2]) for k, x in enumerate(panels) if k != axis]
-        weight = float(np.prod([x[1] - x[0] for x in others])) if others else 1.0
-        for end, length in ((nodes[0], nodes[1] - nodes[0]), (nodes[-1], nodes[-1] - nodes[-2])):
-            at = [np.array([end]), *others] if axis == 0 else [*others, np.array([end])]
-            total += float(np.abs(pdf(*at)).sum()) * weight * float(length)
-    return total
-
-
-def _settings(ladder: Ladder) -> dict[str, str | float | int]:
-    d, n = ladder.finest.degrees, ladder.frame.n
-    settings: dict[str, str | float | int] = {
-        "equation": "(6)",
-        "highest degree": d.total,
-        "degree without the contact velocity": d.others,
-        "solutions": ladder.solutions,
-    }
-    if ladder.limit:
-        settings["ended by"] = ladder.limit
-    m = moments(ladder.frame, ladder.finest)
-    order, mass = ladder.frame.order, ladder.frame.system.mass
-    for place, i in enumerate(order):
-        square = m.covariance[place, place] + m.mean[place] ** 2
-        settings[f"E q{i + 1}²"] = float(square / mass[i])
-        velocity = m.covariance[n + place, n + place] + m.mean[n + place] ** 2
-        settings[f"E p{i + 1}²"] = float(velocity * mass[i])
-    for i, heat in zip(order, heat_into_masses(ladder.frame, ladder.finest), strict=True):
-        settings[f"net power of damping and noise on mass {i + 1}"] = heat
-    return settings
 
 
 PhaseSpace.register(quick=False)

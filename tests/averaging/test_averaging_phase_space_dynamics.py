@@ -6,7 +6,9 @@ import pytest
 import fpk
 from averaging.exact import Exact
 from averaging.gaussian import Linear
-from averaging.phase_space import dynamics, resolvent
+from averaging.phase_space.dynamics import answer as answers
+from averaging.phase_space.dynamics import correlations, resolvent
+from averaging.phase_space.dynamics.resolvent import Generator, transforms
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import expanded
 from averaging.phase_space.equation.frame import (
@@ -16,7 +18,6 @@ from averaging.phase_space.equation.frame import (
     linear_part,
 )
 from averaging.phase_space.method import PhaseSpace
-from averaging.phase_space.resolvent import Generator, transforms
 from fpk.errors import NotApplicable
 from fpk.method import silent
 from fpk.observable import parse_observable
@@ -122,7 +123,7 @@ def test_what_the_space_leaves_of_a_correlation_is_in_its_error(monkeypatch):
     frame, lags = contact_frame(GIBBS), np.linspace(0.0, 20.0, 41)
     e = expanded(frame, gibbs_reference(frame), Degrees(24, 0, 22))
     A = Generator.of(frame, e, odd=False)
-    c, b = dynamics._displaced(frame, e, 0, A)
+    c, b = correlations._displaced(frame, e, 0, A)
 
     def correlation(most):
         monkeypatch.setattr(resolvent, "RITZ_VECTORS", most)
@@ -157,7 +158,7 @@ def test_one_elimination_serves_the_frequencies_about_its_shift(monkeypatch):
 
 def test_the_memory_that_a_spectrum_is_judged_by_holds_its_inverses(monkeypatch):
     judged, used = [], []
-    refuse, eliminate = dynamics.refusal, resolvent.factored
+    refuse, eliminate = answers.refusal, resolvent.factored
 
     def factored(*chain, **options):
         factors, scale = eliminate(*chain, **options)
@@ -166,7 +167,7 @@ def test_the_memory_that_a_spectrum_is_judged_by_holds_its_inverses(monkeypatch)
 
     monkeypatch.setattr(resolvent, "factored", factored)
     monkeypatch.setattr(
-        dynamics,
+        answers,
         "refusal",
         lambda size, *rest, **most: judged.append(size) or refuse(size, *rest, **most),
     )

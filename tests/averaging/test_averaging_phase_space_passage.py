@@ -158,6 +158,20 @@ def test_rare_failure_keeps_its_digits():
     assert answer.mean.value * answer.rate.value == pytest.approx(1.0, rel=1e-8)
 
 
+def test_mass_is_conserved_and_a_loss_is_seen():
+    e = elements(energy_mesh(oscillator_of(HERTZ), 1.5, 0))
+    start = e.at(np.zeros(1), np.array([1.7]), np.ones(1))  # H = 1.445
+    assert Solution(e).mass_defect(start) < 1e-13  # some hundred roundings
+    leaky = Solution(replace(e, exit=0.5 * e.exit))
+    # Half of what has left by 1/σ, in which noise moves H by √(2D/σ) v = 0.28, five times as far
+    # as the limit is away: some tens of per cent have.
+    assert 0.05 < leaky.mass_defect(start) < 0.5
+    assert leaky.moments(start)[2] == pytest.approx(0.5)
+    answer = ask(HERTZ, "H=1.5", tol=1e-2)
+    assert 0.0 < answer.certificate.mass_defect < 1e-12
+    assert answer.settings["solved_by"] == "finite elements of the backward equation"
+
+
 def test_units_and_gain():
     """q' = 2 q and t' = ω t, ω = 2: D' = (2/m)² f² D/ω³, and times are twice as long."""
     scaled = System([3.0], [12.0], [0.6], [0.5], noise_gain=[[1.2]])

@@ -89,7 +89,7 @@ def wrong(system, factor):
     return reference_of(frame, right.slope, right.offset, factor * right.covariance)
 
 
-def holds(system, tol, *, factor):
+def assert_within_stated_error(system, tol, *, factor):
     """Solve to ``tol`` and compare with the exact densities."""
     observables = [parse_observable(f"{c}{i + 1}", system.n) for c in "qp" for i in range(system.n)]
     # What does no work does not change the density.
@@ -111,14 +111,14 @@ def holds(system, tol, *, factor):
 @pytest.mark.parametrize(("tol", "factor"), [(1e-2, 0.8), (1e-3, 1.25)])
 @pytest.mark.parametrize("name", ONE_MASS)
 def test_one_mass_damped_by_its_energy_is_found_within_the_stated_error(name, tol, factor):
-    holds(ONE_MASS[name], tol, factor=factor)
+    assert_within_stated_error(ONE_MASS[name], tol, factor=factor)
 
 
 @pytest.mark.parametrize(
     "name", [pytest.param(x, marks=[pytest.mark.slow] * ("odd" in x)) for x in TWO_MASSES]
 )
 def test_two_masses_are_found_within_the_stated_error(name):
-    holds(*TWO_MASSES[name], factor=1.2)
+    assert_within_stated_error(*TWO_MASSES[name], factor=1.2)
 
 
 @pytest.mark.parametrize("contacts", [(), stop(1)])

@@ -41,7 +41,7 @@ def transient(method, system, name, start, times, *at, tol=1e-10):
     return method.transient(system, *asked, times, points, tol=tol, progress=silent)
 
 
-def holds(answer, exact, tol=1e-8):
+def assert_within_stated_error(answer, exact, tol=1e-8):
     """The answer is certified, within its stated error of the exact one, and that is small."""
     assert answer.certificate.certified, answer.certificate.failures
     rounding = 1e-13 * np.max(exact)  # of the judge
@@ -70,10 +70,10 @@ def test_oscillator_is_a_gaussian_on_a_circle_of_uniform_phase(method, start, t)
     x = np.append(np.linspace(-1.0, 1.0, 12), np.array([0.99, 1.0, 1.001]) * np.sqrt(square / 2.0))
     z = np.sqrt(2.0) * x  # √k q
     exact = np.sqrt(2.0) * np.array([np.mean(normal(y - orbit, theta)) for y in z])
-    holds(transient(method, ONE, "q1", f"H={start}", [t], x), exact)
+    assert_within_stated_error(transient(method, ONE, "q1", f"H={start}", [t], x), exact)
     # Below, p = √m z.
     p = transient(method, ONE, "p1", f"H={start}", [t], z * np.sqrt(1.5))
-    holds(p, exact / np.sqrt(3.0))
+    assert_within_stated_error(p, exact / np.sqrt(3.0))
 
 
 def test_sharp_energy_peaks_near_the_turning_point():
@@ -93,7 +93,7 @@ def test_modes_from_rest_are_gaussian(name):
         covariance = rows * np.tile(theta, 2) @ rows.T
         at = np.sqrt(np.diag(covariance))[:, None] * scaled
         exact = multivariate_normal(np.zeros(len(rows)), covariance).pdf(at.T)
-        holds(transient(MODES, TWO, name, "rest", [t], *at), exact)
+        assert_within_stated_error(transient(MODES, TWO, name, "rest", [t], *at), exact)
 
 
 @pytest.mark.parametrize(("name", "t"), [("q2", 0.05), ("p1", 3.0), ("q1,p2", 1.0), ("q1,q2", 9.0)])
@@ -111,7 +111,7 @@ def test_modes_from_energies_are_gaussians_on_a_torus(name, t):
     at = np.random.default_rng(2).normal(0.0, 0.4, (len(rows), 8))
     gauss = multivariate_normal(np.zeros(len(rows)), covariance)
     exact = np.array([np.mean(gauss.pdf((x[:, None] - centre).T)) for x in at.T])
-    holds(transient(MODES, TWO, name, "H1=0.3,H2=0.1", [t], *at), exact)
+    assert_within_stated_error(transient(MODES, TWO, name, "H1=0.3,H2=0.1", [t], *at), exact)
     wrong = transient(MODES, TWO, name, "H1=0.3,H2=0.11", [t], *at)
     assert np.max(np.abs(wrong.values - exact)) > 1e3 * np.max(wrong.errors)
 
@@ -126,7 +126,7 @@ def test_total_energy_is_a_gaussian_on_a_sphere(t):
     mixed = normal(z[:, None] - np.sqrt(square) * e, theta) @ w / w.sum()
     exact = mixed / np.sqrt(THREE.compliance[1, 1])
     for method in (TOTAL, FEM):
-        holds(transient(method, THREE, "q2", "H=0.5", [t], at), exact)
+        assert_within_stated_error(transient(method, THREE, "q2", "H=0.5", [t], at), exact)
 
 
 @pytest.mark.parametrize("start", ["rest", "H=0.4", "noise=0.3"])
@@ -138,7 +138,7 @@ def test_stops_out_of_reach_change_nothing(name, start):
     times = [0.02, 0.5, 30.0]
     exact = transient(TOTAL, TWO, name, start, times, *at).values
     for k, t in enumerate(times):
-        holds(transient(FEM, far, name, start, [t], *at), exact[k])
+        assert_within_stated_error(transient(FEM, far, name, start, [t], *at), exact[k])
 
 
 @pytest.mark.parametrize(("name", "start"), [("q1", "H=0.5"), ("p1", "rest")])
@@ -151,7 +151,7 @@ def test_joint_density_with_a_stop_integrates_to_the_marginal(name, start):
         joint = transient(FEM, HERTZ, f"{name},q2", start, [t], np.repeat(at, q2.size),
                           np.tile(q2, at.size))  # fmt: skip
         exact = joint.values.reshape(at.size, -1) @ weights
-        holds(transient(FEM, HERTZ, name, start, [t], at), exact)
+        assert_within_stated_error(transient(FEM, HERTZ, name, start, [t], at), exact)
 
 
 @pytest.mark.parametrize("name", ["q1", "q2", "p1", "q2,p2"])
@@ -174,7 +174,7 @@ def test_two_energies_by_elements_give_what_the_closed_form_gives(name):
     at = np.random.default_rng(6).normal(0.0, 0.4, (name.count(",") + 1, 10))
     asked = TWO, name, "H1=0.1,H2=0.3", [30.0, 300.0], *at
     exact = transient(MODES, *asked).values
-    holds(transient(Integrable("fem"), *asked, tol=1e-8), exact)
+    assert_within_stated_error(transient(Integrable("fem"), *asked, tol=1e-8), exact)
 
 
 def test_late_state_of_coupled_energies_is_stationary():
@@ -224,7 +224,9 @@ def test_no_density_at_the_start_and_none_too_narrow():
     with pytest.raises(NotApplicable, match="too narrow"):
         transient(TOTAL, TWO, "q1,p1", "H=0.5", [1e-6], [0.0], [0.0])
     at_once = transient(MODES, TWO, "q1", "noise=0.5", [0.0], [0.1])
-    holds(at_once, transient(MODES, TWO, "q1", "noise=0.5", [1e-12], [0.1]).values)
+    assert_within_stated_error(
+        at_once, transient(MODES, TWO, "q1", "noise=0.5", [1e-12], [0.1]).values
+    )
 
 
 @pytest.mark.slow

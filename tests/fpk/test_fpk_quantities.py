@@ -267,3 +267,13 @@ def test_quantities_can_be_asked_of_a_copy():
     again = pickle.loads(pickle.dumps(density))
     assert again.cdf(0.1) == density.cdf(0.1)
     assert partial(again.moment, 2)() == density.moment(2)
+
+
+@pytest.mark.parametrize("clearance", [8.0, 30.0, 300.0])
+def test_a_stop_far_beyond_the_support_is_not_known_to_have_no_force(clearance):
+    """The true force is e^(−δ²/2 ...), not 0: the error has to be above it, however far it is."""
+    far = Contact(1, "right", 10.0, clearance)
+    sampled = histogram(np.random.default_rng(8).standard_normal(800), 120, 6.0)
+    for density in (solved(Linear(), LINEAR, "q1"), gamma_energies()[0], sampled):
+        felt = contact_quantities(far, density)
+        assert felt["mean force"].error > 0.0 and felt["mean overlap"].error > 0.0

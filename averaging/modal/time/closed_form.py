@@ -9,11 +9,11 @@ from math import prod
 
 import numpy as np
 
-from averaging.energy_start import FROM_NOISE, EnergyStart
 from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.time.questions import TOL, limited_modes, observed_modes
-from averaging.orbit_density import OrbitPart, orbit_transient
+from averaging.time.orbits import OrbitPart, orbit_transient
+from averaging.time.start import FROM_NOISE, EnergyStart
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
 from fpk.dynamics import Rates

@@ -5,11 +5,11 @@ from typing import Literal
 
 import numpy as np
 
-from averaging.energy_start import EnergyStart
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.groups import unsolved
 from averaging.modal.time.questions import TOL, limited_modes, observed_modes
 from averaging.modal.time.states import state_transient
+from averaging.time.start import EnergyStart
 from fpk.arrays import Array
 from fpk.dynamics import Rates
 from fpk.errors import NotApplicable

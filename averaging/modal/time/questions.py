@@ -1,6 +1,6 @@
 """Observables and limits of modal energies in time, of whatever solver: which modes they name."""
 
-from averaging.energy_start import EnergyStart
+from averaging.time.start import EnergyStart
 from fpk.errors import NotApplicable
 from fpk.limit import Limit
 from fpk.observable import Observable, observable_name

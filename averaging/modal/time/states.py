@@ -66,7 +66,7 @@ def _energies(
     theta = modes.temperature * -np.expm1(-2.0 * modes.half_bandwidth * t)
 
     def of(level: Level, g: Array, H1: Array, H2: Array) -> Array:
-        """What has the coefficients g, on a grid: H1 a column, H2 a row."""
+        """The density with the coefficients ``g``, (energies, energies): H1 a column, H2 a row."""
         grid = View("pair").on_grid(level.op, g[k : k + 1], (H1.ravel(), H2.ravel()))
         return np.asarray(grid[0])
 

@@ -95,9 +95,9 @@ def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Me
         return np.asarray(np.minimum(_smooth_step(o, q, step, swift, level), graded))
 
     half = _equidistributed(0.0, end, across, float(least.min()))
-    nodes = [0.0 if o.even else -b, *(q for q, _ in _inside(o, -b, b) if q > 0.0 or not o.even), b]
+    nodes = [0.0 if o.even else -b, *(q for q in _inside(o, -b, b) if q > 0.0 or not o.even), b]
     closest = least**3 / o.diffusion
-    x = _joined(o, nodes, along, {-b: float(closest[0]), b: float(closest[1])})
+    x = _joined(nodes, along, {-b: float(closest[0]), b: float(closest[1])})
     return Mesh(o, x, _mirrored(half), DEGREES[level], None, 0.0, b, o.even)
 
 
@@ -119,9 +119,9 @@ def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
         graded = np.minimum(*(TIP * (np.abs(x - at) + 0.3 * slow) for at in ends))
         return np.asarray(np.minimum(smooth, graded))
 
-    inside = [asin((q - centre) / radius) for q, _ in _inside(o, left, right)]
+    inside = [asin((q - centre) / radius) for q in _inside(o, left, right)]
     first = 0.0 if o.even else float(ends[0])
-    x = _joined(o, [first, *(a for a in inside if a > first), float(ends[1])], along, {})
+    x = _joined([first, *(a for a in inside if a > first), float(ends[1])], along, {})
     return Mesh(o, x, _mirrored(s), DEGREES[level], energy, centre, radius, o.even)
 
 
@@ -140,23 +140,25 @@ def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int)
     return np.asarray(length)
 
 
-def _inside(o: Oscillator, left: float, right: float) -> list[tuple[float, float]]:
-    return [(q, side) for q, side in sorted(o.stops) if left < q < right]
+def _inside(o: Oscillator, left: float, right: float) -> list[float]:
+    """Stops between ``left`` and ``right``, ascending."""
+    return [q for q, _ in sorted(o.stops) if left < q < right]
 
 
 def _mirrored(half: Array) -> Array:
     return np.concatenate([-half[:0:-1], half])
 
 
-def _joined(
-    o: Oscillator, nodes: list[float], h: Callable[[Array], Array], closest: dict[float, float]
-) -> Array:
-    parts = []
-    for a, b in pairwise(sorted(set(nodes))):
-        near, far = closest.get(a, 0.0), closest.get(b, 0.0)
-        inner = _equidistributed(a, b, h, near, far)
-        parts.append(inner[:-1])
-    return np.append(np.concatenate(parts), nodes[-1])
+def _joined(nodes: list[float], h: Callable[[Array], Array], closest: dict[float, float]) -> Array:
+    """Nodes about h(x) apart that hold ``nodes``, with the least panel ``closest`` at some."""
+    return np.unique(
+        np.concatenate(
+            [
+                _equidistributed(a, b, h, closest.get(a, 0.0), closest.get(b, 0.0))
+                for a, b in pairwise(sorted(set(nodes)))
+            ]
+        )
+    )
 
 
 def _equidistributed(

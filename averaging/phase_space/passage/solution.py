@@ -67,19 +67,20 @@ class Solution:
         defect = np.abs(e.load - e.K @ self.mean)
         return float(np.max(defect) / np.max(abs(e.K) @ np.abs(self.mean)))
 
-    def moments(self, start: Array) -> tuple[float, float]:
-        """Return E T and E T² of the functional ``start``.
+    def moments(self, start: Array) -> tuple[float, float, float]:
+        """Return E T and E T² of the functional ``start``, and the mass that round-off lost.
 
         All that starts fails in the end: y'(−L 1) = start'1 with the density y = K⁻ᵀ start of the
         time spent. Where failure is rare K is nearly singular, and y is right up to a factor, that
-        this identity gives back.
+        this identity gives back. What it is off from 1 is the mass lost, relative to all.
         """
         e = self.elements
         y = self._solved(start, "T")
-        y *= float(start @ (1.0 / e.scale)) / float(y @ e.exit)
+        kept = float(y @ e.exit) / float(start @ (1.0 / e.scale))
+        y /= kept
         mean = float(y @ e.load)
         second = 2.0 * float(y @ (e.M @ self.mean)) * mean / float(start @ self.mean)
-        return mean, second
+        return mean, second, abs(kept - 1.0)
 
     def rate(self) -> float:
         """Return the least eigenvalue of −L, by the flow out of its left eigenvector."""
@@ -91,20 +92,38 @@ class Solution:
         y = y[:, 0] / y[np.argmax(np.abs(y[:, 0])), 0]
         return float(np.real(y @ e.exit) / np.real(y @ e.load))
 
+    @cached_property
+    def sigma(self) -> float:
+        """A rate of the order of the frequency, less where damping outdoes it."""
+        mesh = self.elements.mesh
+        frequency = pi / mesh.oscillator.travel(mesh.radius)
+        return (
+            SHIFT * frequency / (1.0 + mesh.oscillator.damping / (mesh.oscillator.mass * frequency))
+        )
+
+    @cached_property
+    def shifted(self) -> Any:
+        """The factors of K + σM."""
+        return factorised(csc_array(self.elements.K + self.sigma * self.elements.M))
+
+    def mass_defect(self, start: Array) -> float:
+        """Return what is wrong with the mass at a time of exponential distribution, the mean 1/σ.
+
+        By its density σ (K + σM)⁻ᵀ start, what is within and what has left add up to ``start``.
+        """
+        e, one = self.elements, 1.0 / self.elements.scale
+        y = self.shifted.solve(start, "T")
+        return abs(float(y @ (self.sigma * (e.M @ one) + e.exit) - start @ one))
+
     def failure(self, start: Array, times: Array, *, tol: float) -> tuple[Array, Array]:
         """Return P(T <= t) at ascending times > 0, and what the last vectors changed.
 
         M F' = −K F + exit from F = 0, so that what is small keeps its digits. Galerkin's method on
         the Krylov space of (K + σM)⁻¹M from the function 1, which F tends to, orthonormal in M: as
-        K + Kᵀ is not negative, neither is its projection, and nothing grows. σ is of the order of
-        the frequency, less where damping outdoes it. At H = E, where there are no unknowns, F is 1:
-        what that adds within the last panels is constant.
+        K + Kᵀ is not negative, neither is its projection, and nothing grows. At H = E, where there
+        are no unknowns, F is 1: what that adds within the last panels is constant.
         """
-        e, o = self.elements, self.elements.mesh.oscillator
-        frequency = pi / o.travel(self.elements.mesh.radius)
-        sigma = SHIFT * frequency / (1.0 + o.damping / (o.mass * frequency))
-        shifted = factorised(csc_array(e.K + sigma * e.M))
-        v = 1.0 / e.scale
+        e, v = self.elements, 1.0 / self.elements.scale
         at_limit = 1.0 - float(start @ v)
         Mv, Kv = e.M @ v, e.K @ v
         length = np.sqrt(v @ Mv)
@@ -121,9 +140,9 @@ class Solution:
                 enough = tol * min(1.0, float(np.max(np.abs(values))))
                 if np.max(change) <= KRYLOV * enough and np.max(before) <= enough:
                     break
-            v = shifted.solve(Mv)
+            v = self.shifted.solve(Mv)
             ahead = e.M @ v
-            Kv, Mv, parts = Mv - sigma * ahead, ahead, np.zeros(n + 1)
+            Kv, Mv, parts = Mv - self.sigma * ahead, ahead, np.zeros(n + 1)
             for _ in range(2):
                 more = MV[: n + 1] @ v
                 v -= more @ V[: n + 1]

@@ -20,51 +20,37 @@ AT_LIMIT = 1.0 - 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """The states within the limit: |q| < ``displacement``, or H < ``energy``."""
+    """The states within a limit: H < ``limit`` if ``of_energy``, |q| < ``limit`` if not."""
 
     oscillator: Oscillator
-    displacement: float | None
-    energy: float | None
+    limit: float
+    of_energy: bool
 
     @property
     def height(self) -> float:
         """Potential energy at the limit: the least on either side."""
-        if self.energy is not None:
-            return self.energy
-        assert self.displacement is not None
-        ends = np.array([-self.displacement, self.displacement])
-        return float(self.oscillator.potential(ends).min())
-
-    @property
-    def highest(self) -> float:
-        """Potential energy at the limit: the larger of both sides."""
-        if self.displacement is None:
-            return self.height
-        ends = np.array([-self.displacement, self.displacement])
-        return float(self.oscillator.potential(ends).max())
+        if self.of_energy:
+            return self.limit
+        return float(self.oscillator.potential(np.array([-self.limit, self.limit])).min())
 
     def mesh(self, fastest: float, level: int) -> Mesh:
         """Return the mesh of ``level`` for starts up to the speed ``fastest``."""
-        if self.energy is not None:
-            return energy_mesh(self.oscillator, self.energy, level)
-        assert self.displacement is not None
-        return displacement_mesh(self.oscillator, self.displacement, fastest, level)
+        if self.of_energy:
+            return energy_mesh(self.oscillator, self.limit, level)
+        return displacement_mesh(self.oscillator, self.limit, fastest, level)
 
     def within(self, q: Array, v: Array) -> Array:
         """Return which states are within the limit."""
-        if self.energy is not None:
-            return np.asarray(self.oscillator.energy(q, v) < AT_LIMIT * self.energy)
-        assert self.displacement is not None
-        return np.asarray(np.abs(q) < self.displacement)
+        if self.of_energy:
+            return np.asarray(self.oscillator.energy(q, v) < AT_LIMIT * self.limit)
+        return np.asarray(np.abs(q) < self.limit)
 
 
 def region_of(system: System, oscillator: Oscillator, limit: Limit) -> Region:
     """Return the states within ``limit``; ``NotApplicable`` for a mode of a mass with stops."""
     if limit.kind == "modal" and system.contacts:
         raise NotApplicable(f"limit {limit}: {MODAL}")
-    if limit.kind == "q":
-        return Region(oscillator, limit.value, None)
-    return Region(oscillator, None, limit.value)
+    return Region(oscillator, limit.value, of_energy=limit.kind != "q")
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +81,9 @@ class Source:
         o, region = self.region.oscillator, self.region
         left, right = o.turning_points(self.energy)
         centre, radius = 0.5 * (left + right), 0.5 * (right - left)
-        b = region.displacement
-        cuts = [q for q, _ in o.stops] + ([0.0] if b is None else [0.0, -b, b])
+        cuts = [q for q, _ in o.stops] + [0.0]
+        if not region.of_energy:
+            cuts += [-region.limit, region.limit]
         angles = np.arcsin([(q - centre) / radius for q in cuts if left < q < right])
         # Weights near a turning point need more digits than E − V has: pieces do not begin there.
         edges = np.unique(np.concatenate([[-0.5 * np.pi, 0.5 * np.pi], angles]))
@@ -108,7 +95,7 @@ class Source:
         weights = (half * w).ravel() * radius * np.cos(theta) / v
         weights = 0.5 * weights / weights.sum()
         q, v, weights = np.tile(q, 2), np.concatenate([v, -v]), np.tile(weights, 2)
-        inside = np.ones(q.size, dtype=bool) if b is None else region.within(q, v)
+        inside = np.ones(q.size, dtype=bool) if region.of_energy else region.within(q, v)
         return q[inside], v[inside], weights[inside]
 
 
@@ -125,7 +112,7 @@ def source_of(system: System, region: Region, start: Start) -> Source:
         raise NotApplicable(f"start {start}: {MODAL}")
     if start.kind in ("energy", "modal") and not start.rest:
         (energy,) = start.values.values()
-        if region.energy is not None and not energy < AT_LIMIT * region.energy:
+        if region.of_energy and not energy < AT_LIMIT * region.limit:
             raise InvalidInput("start", str(start), beyond)
         return Source(region, energy=energy)
     q, p = (float(x[0]) for x in start.state(1)) if start.kind == "state" else (0.0, 0.0)

@@ -7,12 +7,13 @@ from math import gamma
 
 import numpy as np
 
+from averaging.weyl import weyl_integral
 from fpk.arrays import Array
 from fpk.line.mesh import with_layers
 from fpk.line.time.modes import EPS
 from fpk.line.time.transition import ROUND_OFF, SAFETY, Transition, common_error
 from fpk.piecewise import Piecewise, interpolated
-from fpk.quadrature import gauss_legendre, panel_rule
+from fpk.quadrature import panel_rule
 
 POINTS = (20, 24)
 """Gauss points an element of the coarser table of Ψ, and of the answer."""
@@ -105,22 +106,4 @@ class WeylInTime:
         return Piecewise(self.nodes, interpolated(f, left, right, points - 1))
 
     def _integral(self, energy: Array, points: int) -> Array:
-        """Ψ at energies (points,), (points, times)."""
-        left, right = self.nodes[:-1, None], self.nodes[1:, None]
-        x, w = panel_rule(self.nodes, points)
-        values = w[..., None] * self._u(x)
-        total = np.zeros((energy.size, values.shape[-1]))
-        far = left - energy >= right - left
-        for here, x_k, weighted in zip(far, x, values, strict=True):
-            total[here] += (x_k - energy[here, None]) ** (self.order - 1.0) @ weighted
-        # H = E + s² takes out the root at E.
-        k, i = np.nonzero(~far & (energy < right))
-        low, high = (
-            np.sqrt(np.maximum(self.nodes[k + end] - energy[i], 0.0))[:, None] for end in (0, 1)
-        )
-        t, t_weights = gauss_legendre(points)
-        s = 0.5 * (low + high) + 0.5 * (high - low) * t
-        kernel = (high - low) * t_weights * s ** (2.0 * self.order - 1.0)
-        near = np.einsum("ks,kst->kt", kernel, self._u(energy[i, None] + s * s))
-        np.add.at(total, i, near)
-        return np.asarray(total / gamma(self.order))
+        return weyl_integral(self.order, self.nodes, self._u, energy, points=points)

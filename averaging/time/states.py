@@ -12,7 +12,7 @@ import numpy as np
 from averaging.back_transformation import hidden_quadratic
 from averaging.conditional import Conditional, conditionals
 from averaging.shell.averages import log_linear_states
-from averaging.weyl_in_time import WeylInTime
+from averaging.time.weyl import WeylInTime
 from fpk.arrays import Array
 from fpk.certificate import certify
 from fpk.errors import NotApplicable

@@ -25,7 +25,7 @@ EPS = float(np.finfo(float).eps)
 REACH = 9.0
 """Standard deviations up to which a Gaussian counts, of the coordinates and of the waves."""
 BEYOND = exp(-0.5 * REACH**2)
-"""What is left there of its highest value: 3e-18."""
+"""A standard normal density at ``REACH``, relative to its maximum: 3e-18."""
 MOST_WAVES = {1: 400_000, 2: 1_000_000}
 """Largest number of waves, by the number of coordinates: seconds for each time."""
 CHUNK = 4_000_000
@@ -36,9 +36,10 @@ ROUNDINGS = 4.0
 
 @dataclass(frozen=True, eq=False)
 class OrbitPart:
-    """An energy from ``start``, and C of what it contributes to the coordinates.
+    """One of the independent energies whose orbits add up to the coordinates.
 
-    C, ``shape`` (count, count), is their covariance where the energy is of temperature 1.
+    It begins at ``start`` >= 0 and is a square-root ``process``. ``shape`` C, (count, count), is
+    the covariance of its share of the coordinates in the stationary state of temperature 1.
     """
 
     process: SquareRoot

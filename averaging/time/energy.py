@@ -7,10 +7,10 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from averaging.energy_process import damping_and_noise, energy_process
-from averaging.energy_start import FROM_NOISE, EnergyStart
 from averaging.gaussian_state import state_rows
-from averaging.orbit_density import OrbitPart, orbit_transient
-from averaging.state_in_time import state_transient
+from averaging.time.orbits import OrbitPart, orbit_transient
+from averaging.time.start import FROM_NOISE, EnergyStart
+from averaging.time.states import state_transient
 from fpk.arrays import Array
 from fpk.dynamics import Rates
 from fpk.errors import NotApplicable

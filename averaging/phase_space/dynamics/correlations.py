@@ -1,28 +1,20 @@
-"""Crossings, spectra, autocovariances and relaxation rates to a tolerance, with their errors."""
+"""Spectra, autocovariances and relaxation rates: of what displacements show of the FPK operator."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeVar
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
 
-from averaging.phase_space.crossings import crossing_rates
-from averaging.phase_space.equation.degrees import Degrees
-from averaging.phase_space.equation.elimination import Expansion
-from averaging.phase_space.equation.frame import Frame, Reference
-from averaging.phase_space.marginals import Form, form_of, marginal
-from averaging.phase_space.moments import moments
-from averaging.phase_space.refinement import (
-    ROUND_OFF,
-    Ladder,
-    cost,
-    falling,
-    ladders,
-    refusal,
-    steps,
+from averaging.phase_space.dynamics.answer import (
+    REAL,
+    Answer,
+    Compared,
+    Options,
+    adapted,
+    deviations,
 )
-from averaging.phase_space.resolvent import (
+from averaging.phase_space.dynamics.resolvent import (
     Generator,
     Step,
     decays,
@@ -30,98 +22,22 @@ from averaging.phase_space.resolvent import (
     times,
     transforms,
 )
+from averaging.phase_space.equation.degrees import Degrees
+from averaging.phase_space.equation.elimination import Expansion
+from averaging.phase_space.equation.frame import Frame
+from averaging.phase_space.marginals import Form, form_of
+from averaging.phase_space.moments import moments
+from averaging.phase_space.refinement import Ladder, steps
 from fpk.arrays import Array, Complexes
 from fpk.method import Progress
-from fpk.observable import Coordinate, Observable
+from fpk.observable import Coordinate
 
 Value = TypeVar("Value")
 
-GRID, WINDOW = 181, 11
-"""Levels between the ends of the support at which the distance of crossing rates is sampled, and
-over how many of them its largest value is taken: it does not vanish where the error is not small.
-"""
-REAL, COMPLEX = 8, 16
-"""Bytes of a number in double precision: the resolvent is eliminated in one or the other."""
 SPACE = 1e-3
 """Share of the tolerance at which the space that a correlation is taken from is large enough."""
 SAME = 1e-6
 """Relative distance of two rates of different correlations that are one."""
-
-
-@dataclass(frozen=True, eq=False)
-class Compared:
-    """Values by the last solution of a ladder, and their ``distance`` to those by the one before.
-
-    ``scale`` is what a tolerance is relative to. ``added`` is an error beside the one that follows
-    from the distance, ``residual`` that of equations beyond those of the densities; ``end``
-    is the modulus up to which eigenvalues are known.
-    """
-
-    values: Array | Complexes
-    distance: Array
-    scale: Array
-    added: Array | float = 0.0
-    residual: float = 0.0
-    end: float = np.inf
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """Values with their errors, from two expansions and the distances of coarser ones.
-
-    ``last`` holds the values, ``ladder`` the two expansions, ``errors`` the error of each value.
-    ``limit`` says why there is no finer answer, empty where the tolerance is met.
-    """
-
-    last: Compared
-    ladder: Ladder
-    errors: Array
-    limit: str
-
-    @property
-    def relative(self) -> float:
-        """The largest error in units of the scale."""
-        return float(np.max(self.errors / self.last.scale))
-
-
-Compare = Callable[[Ladder, Progress], Compared]
-
-
-class Options(NamedTuple):
-    """The relative error wanted, and the settings of ``PhaseSpace`` for how to get it."""
-
-    tol: float
-    progress: Progress
-    work: float
-    threads: int | None
-    reference: Reference | None
-
-
-def crossings(frame: Frame, row: int, at: Array, options: Options) -> Answer:
-    """Return the rates of upcrossing of the levels ``at``; their scale is σ_v/(2πσ_q).
-
-    The distance is the largest one about a level. What flows past the level is added to the error.
-    """
-    q, p = (Coordinate("q", row),), (Coordinate("p", row),)
-
-    def compare(ladder: Ladder, progress: Progress) -> Compared:
-        (ends,), _ = marginal(frame, ladder.finest, q)
-        grid = np.linspace(ends[0], ends[-1], GRID)
-        (fine, net), (coarse, _) = (
-            crossing_rates(frame, e, row, np.append(grid, at))
-            for e in (ladder.finest, ladder.coarser)
-        )
-        distance = np.abs(fine - coarse)
-        about = np.interp(at, grid, maximum_filter1d(distance[:GRID], WINDOW))
-        sizes = _sizes(frame, ladder.finest, row)
-        return Compared(
-            fine[GRID:],
-            np.maximum(about, distance[GRID:]),
-            np.array(sizes[1] / (2.0 * np.pi * sizes[0])),
-            added=np.abs(net[GRID:]),
-        )
-
-    return _adapted(frame, [q, p], compare, options)
 
 
 def spectrum(frame: Frame, row: int, at: Array, options: Options) -> Answer:
@@ -144,7 +60,7 @@ def spectrum(frame: Frame, row: int, at: Array, options: Options) -> Answer:
 
     def compare(ladder: Ladder, progress: Progress) -> Compared:
         (fine, residual), (coarse, _) = (once(e, progress) for e in (ladder.finest, ladder.coarser))
-        sizes = [_sizes(frame, e, row) for e in (ladder.finest, ladder.coarser)]
+        sizes = [deviations(frame, e, row) for e in (ladder.finest, ladder.coarser)]
         first, second = (
             q**2 * (1j * w + v / q) / ((1j * w) ** 2 + 1j * w * v / q + (v / q) ** 2)
             for q, v in sizes
@@ -155,7 +71,7 @@ def spectrum(frame: Frame, row: int, at: Array, options: Options) -> Answer:
         return Compared(fine.real[place] / np.pi, distance[place], scale, residual=residual)
 
     # A momentum, so that all levels of the stationary state are computed.
-    return _adapted(frame, [q, p], compare, options)
+    return adapted(frame, [q, p], compare, options)
 
 
 def correlation(frame: Frame, row: int, at: Array, options: Options) -> Answer:
@@ -167,7 +83,7 @@ def correlation(frame: Frame, row: int, at: Array, options: Options) -> Answer:
     q, p = (Coordinate("q", row),), (Coordinate("p", row),)
 
     def measured(e: Expansion, A: Generator, c: Array, b: Array, step: Step) -> tuple[Array, float]:
-        size, velocity = _sizes(frame, e, row)
+        size, velocity = deviations(frame, e, row)
         rate, tol = 2.0 * velocity / size, SPACE * options.tol
         values, error = decays(A, c, b, at, rate, step, tol=tol)
         return values, error + abs(float(c @ b) - size**2)
@@ -176,10 +92,10 @@ def correlation(frame: Frame, row: int, at: Array, options: Options) -> Answer:
 
     def compare(ladder: Ladder, progress: Progress) -> Compared:
         (fine, error), (coarse, _) = (once(e, progress) for e in (ladder.finest, ladder.coarser))
-        scale = np.array(_sizes(frame, ladder.finest, row)[0] ** 2)
+        scale = np.array(deviations(frame, ladder.finest, row)[0] ** 2)
         return Compared(fine[0], np.hypot(*(fine - coarse)), scale, added=error)
 
-    return _adapted(frame, [q, p], compare, options, number=REAL)
+    return adapted(frame, [q, p], compare, options, number=REAL)
 
 
 def relaxation(frame: Frame, count: int, options: Options) -> Answer:
@@ -219,7 +135,7 @@ def relaxation(frame: Frame, count: int, options: Options) -> Answer:
         distance = np.min(np.abs(slowest[:, None] - coarse), axis=1, initial=np.abs(slowest).max())
         return Compared(slowest, distance, np.abs(slowest), end=end)
 
-    return _adapted(frame, [momentum], compare, options)
+    return adapted(frame, [momentum], compare, options)
 
 
 def _unlike(rates: Complexes) -> Complexes:
@@ -227,52 +143,6 @@ def _unlike(rates: Complexes) -> Complexes:
     return np.array(
         [x for k, x in enumerate(rates) if not np.any(np.abs(rates[:k] - x) <= SAME * abs(x))]
     )
-
-
-def _adapted(
-    frame: Frame,
-    observables: Sequence[Observable],
-    compare: Compare,
-    options: Options,
-    *,
-    number: int = COMPLEX,
-) -> Answer:
-    """Return the first answer with a relative error of at most the tolerance, else the finest one.
-
-    ``number`` is how many bytes a number of the resolvent's elimination has.
-
-    The error follows from the largest relative distance as that of densities does, which are solved
-    to the tolerance before.
-    """
-    answer, fall = None, None
-    for ladder in ladders(
-        frame,
-        observables,
-        wanted=options.tol,
-        work=options.work,
-        threads=options.threads,
-        progress=options.progress,
-        reference=options.reference,
-    ):
-        if max(ladder.errors.values()) > options.tol and not ladder.limit:
-            continue
-        e = ladder.finest
-        size, work = cost(frame, e.basis.reference, e.degrees, number=number)
-        # A product of complex numbers takes four multiplications.
-        limit = refusal(size, (number / REAL) ** 2 * work, most=options.work)
-        if answer is not None and limit:
-            return replace(answer, limit=limit)
-        last = compare(ladder, options.progress)
-        own = float(np.max(last.distance / last.scale))
-        fall = falling(own, fall)
-        factor = fall.error / own if own > 0.0 else 0.0
-        errors = factor * last.distance + last.added + ROUND_OFF * last.scale
-        answer = Answer(last, ladder, np.broadcast_to(errors, last.distance.shape), "")
-        if answer.relative <= options.tol:
-            return answer
-        answer = replace(answer, limit=ladder.limit)
-    assert answer is not None
-    return answer
 
 
 def _of_displacement(
@@ -320,10 +190,3 @@ def _displaced(frame: Frame, e: Expansion, row: int, A: Generator) -> tuple[Arra
     reference = [np.zeros_like(u) for u in e.levels]
     reference[0][0] = e.basis.of_one()
     return times(e.basis, reference, form, A), times(e.basis, e.levels, form, A)
-
-
-def _sizes(frame: Frame, e: Expansion, row: int) -> tuple[float, float]:
-    """Standard deviations of q and of the velocity."""
-    place, variances = frame.order.index(row), np.diag(moments(frame, e).covariance)
-    q, v = np.sqrt(variances[[place, frame.n + place]] / frame.system.mass[row])
-    return float(q), float(v)
