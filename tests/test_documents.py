@@ -10,7 +10,8 @@ import pytest
 from averaging import Exact, Integrable, Linear, NonIntegrable, PhaseSpace, theory
 from averaging.modal.time import questions
 from averaging.phase_space import method as phase_space
-from averaging.phase_space import refinement, resolvent
+from averaging.phase_space import refinement
+from averaging.phase_space.dynamics import resolvent
 from averaging.phase_space.passage import first_passage, mesh
 from cases.commands.app import app
 from cases.comparison import answering, claims, compare

@@ -44,7 +44,7 @@ def assert_within(seed):
     t = float(10.0 ** rng.uniform(-0.3, 1.0) / c.max())
     x, y = (theta * rng.exponential(1.5, 40) for theta in d / c)
     tol = 10.0 ** rng.uniform(-8, -3)
-    answer = transient_densities(
+    answer, _ = transient_densities(
         frame(square_root_process(tuple(c), tuple(d))), PointStart(start), View("pair"),
         np.array([t]), (x, y), tol=tol,
     )  # fmt: skip
@@ -140,7 +140,7 @@ def test_coupled_transients_relax_to_the_exact_density(name, seen):
     x = np.linspace(0.05, 1.0, 5)
     at = (x, x) if seen == "pair" else (x,)
     start = PointStart(0.5 * np.array(process.energy_scales))
-    answer = transient_densities(of, start, View(seen), np.array([600.0]), at, tol=1e-8)
+    answer, _ = transient_densities(of, start, View(seen), np.array([600.0]), at, tol=1e-8)
     assert answer.certificate.certified, answer.certificate.failures
     nodes = np.linspace(0.0, 1.0, 41)
     ends = (x[-1] for x in of.stationary.nodes)
