@@ -51,8 +51,8 @@ def transient(asked: Asked, of: str, start: str, times: str, at: str) -> None:
 def passage(asked: Asked, limit: str, start: str, times: str | None) -> None:
     """Give the first passage of a limit: moments of its time, failure rate, reliability.
 
-    Where it is so rare by the last of the times that a plain simulation sees too few, montecarlo
-    gives the reliability by multilevel splitting, and no more.
+    Where it is so rare that a plain simulation sees too few in all the time that it may take,
+    montecarlo gives the reliability at the times by multilevel splitting, and no more.
     """
     from cases.comparison.rare import passage_answer
     from cases.output.records import passage_text

@@ -19,6 +19,7 @@ from fpk.number import Number
 from fpk.route import Route
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
+from sim.motion.passage import horizon
 from sim.motion.survival import LEAST_FAILURES
 from sim.splitting.run import rare_failure
 from sim.splitting.score import ScoreFunction
@@ -62,12 +63,13 @@ def passage_answer(
 ) -> Passage:
     """Return the answer of ``method``; by splitting where a simulation sees few failures.
 
-    A plain simulation of the full system runs to the last time of ``question`` first. If fewer than
-    ``LEAST_FAILURES`` of its paths pass the limit by then, splitting answers. If at most ``ALIVE``
-    of them are left, no ``tol`` is given and it is certified, it is the answer. Else it is run
-    again from the start and followed beyond the last time. There is no such first run without times
-    > 0, under modulated noise, or where ``method.seconds`` bounds the wall time: splitting cannot
-    be bounded. ``tol``: as of ``Passages``; of splitting the relative error wanted of P(T <= t).
+    A plain simulation of the full system runs to the last time of ``question`` first. If its paths,
+    followed for as long as ``method`` may, would then pass the limit fewer than ``LEAST_FAILURES``
+    times, splitting answers. If at most ``ALIVE`` of them are left, no ``tol`` is given and it is
+    certified, it is the answer. Else it is run again from the start and followed beyond the last
+    time. There is no such first run without times > 0, under modulated noise, or where
+    ``method.seconds`` bounds the wall time: splitting cannot be bounded. ``tol``: as of
+    ``Passages``; of splitting the relative error wanted of P(T <= t).
     """
     times = np.array(question.times)
     asked = system, question.limit, question.start, times
@@ -77,8 +79,9 @@ def passage_answer(
         until = replace(method, time=last, tol=None)
         plain: Passage = until.passage(*asked, tol=None, progress=progress)
         failed = (1.0 - float(plain.survival[-1])) * method.paths
-        if failed < LEAST_FAILURES:
-            answer = split_passage(system, question, method, progress, tol or ERROR)
+        longest = horizon(method, plain.settings["coarse dt"], last)
+        if failed * longest / last < LEAST_FAILURES:
+            answer = split_passage(system, question, method, progress, tol, tol or ERROR)
             words = f"splitting: of {method.paths} plain paths {failed:.0f} pass by t = {last:g}"
             return replace(answer, settings={"sampled_by": words, **answer.settings})
         if plain.survival[-1] < ALIVE and tol is None and plain.certificate.certified:
@@ -92,18 +95,20 @@ def split_passage(
     method: Any,
     progress: Progress,
     tol: float | None = None,
+    aim: float | None = None,
 ) -> Passage:
     """Return P(T <= t) at the times > 0 of ``question`` by splitting, each on its own.
 
-    ``method`` is the plain simulation, whose step, seed, threads and cluster are taken; ``tol`` as
-    of ``Splitting``. The score is that of ``averaged_score``, or least action where there is none.
-    The moments and the failure rate, that for t → ∞, are not given.
+    ``method`` is the plain simulation, whose step, seed, threads and cluster are taken; ``aim`` is
+    ``tol`` of ``Splitting``, and ``tol`` the relative error that is certified at most. The score
+    is that of ``averaged_score``, or least action where there is none. The moments and the failure
+    rate, that for t → ∞, are not given.
     """
     names = ("dt", "seed", "threads", "cluster")
     settings = Splitting(
-        REPLICAS if tol is None else MORE_REPLICAS,
+        REPLICAS if aim is None else MORE_REPLICAS,
         repetitions=REPETITIONS,
-        tol=tol,
+        tol=aim,
         **{name: getattr(method, name) for name in names},
     )
     times = np.array(question.times)

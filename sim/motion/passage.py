@@ -66,13 +66,12 @@ def passage(
     wanted = tol if tol is not None else method.tol
     energy = energy_reached(system, limit, start)
     dt = motion_step(method, system, energy=energy, error=wanted)
-    steps = method.most_steps / 3.0  # two of the finer simulation to one of the coarser
     last = float(np.max(times, initial=0.0))
-    horizon = method.time or max(steps * dt, last)
-    hopeless = method.time or max(steps * dt / HOPELESS, last)
+    longest = horizon(method, dt, last)
+    hopeless = method.time or max(longest / HOPELESS, last)
     sampled, lost, number, done = Times(*np.zeros((3, 0))), 0, 0, False
     with working(method, system, wanted, start) as (workers, watch, origin):
-        rounds = Rounds(method, system, limit, origin, dt, horizon, hopeless, workers)
+        rounds = Rounds(method, system, limit, origin, dt, longest, hopeless, workers)
         while not done:
             more, lost = rounds.run(number, watch.ends, progress)
             sampled, number = sampled.joined(more), number + 1
@@ -93,6 +92,12 @@ def passage(
         failures=failures,
         settings={"dt": 0.5 * dt, "coarse dt": dt, "scheme": method.scheme, "seed": method.seed},
     )
+
+
+def horizon(method: MonteCarlo, dt: float, last: float) -> float:
+    """Return how long a trajectory is followed at most, at least to the ``last`` time asked for."""
+    # Two steps of the finer simulation to one, dt, of the coarser.
+    return method.time or max(method.most_steps / 3.0 * dt, last)
 
 
 @dataclass(frozen=True, eq=False)
