@@ -29,6 +29,7 @@ class DampingTerm:
 
         term = fpk.DampingTerm(1, 1, 0.4, q=((1, 2),))
         fpk.System([1.0], [1.0], [-0.1], [0.005], damping_terms=(term,))
+        term.value(q=[0.5], v=[0.0], energy=0.125)
 
     Raises ``InvalidInput`` naming the field that cannot be used.
     """

@@ -182,7 +182,7 @@ def cost_table(lines: Sequence[Line]) -> str:
 
 
 def short_table(lines: Sequence[Line]) -> str:
-    """Return the README's table: a row a program, whichever of its settings is fastest.
+    """Return the short table: a row a program, whichever of its settings is fastest.
 
     Of the two problems in two energies it has the fair one.
     """
