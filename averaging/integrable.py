@@ -47,6 +47,7 @@ class Integrable(Theory):
         free = fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02])
         Integrable().passage(free, parse_limit("H1=0.8", 2), REST, times).mean
         Integrable().transient(free, parse_observable("H1", 2), REST, times, at).values
+        Integrable().relaxation(free, 3).values
     """
 
     method = "integrable"
