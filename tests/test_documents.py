@@ -178,3 +178,14 @@ def test_tolerances_of_the_methods_are_their_defaults():
     stated = {row[0].strip("| `"): row[-1].removesuffix(" |") for row in rows}
     for method in (Exact, Linear, NonIntegrable, Integrable, PhaseSpace):
         assert stated[method().route.method] == short(method().tol)
+
+
+def test_the_version_to_cite_is_that_of_the_program():
+    for file, pattern in (
+        ("docs/cite.md", r"version = \{(.*?)\}"),
+        ("CITATION.cff", r"\nversion: (.*)"),
+    ):
+        (stated,) = re.findall(pattern, (ROOT / file).read_text(encoding="utf-8"))
+        assert f'version = "{stated}"' in (ROOT / "pyproject.toml").read_text(encoding="utf-8"), (
+            file
+        )
