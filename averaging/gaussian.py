@@ -29,8 +29,8 @@ from fpk.system import System
 class Linear(Theory):
     """Gaussian density with the covariance of the Lyapunov equation, for a scene without contact.
 
-    It is the exact stationary density of the full linear system; averaging does not reproduce it
-    unless (8) holds, and the difference is the averaging error. ::
+    It is the exact stationary density of the full linear system, Eq. (6); averaging does not
+    reproduce it unless (8) holds, and the difference is the averaging error. ::
 
         free = fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02])
         fpk.solve(free, ["q2"], methods=[Linear()])

@@ -27,7 +27,7 @@ from fpk.system import System
 
 @dataclass(frozen=True)
 class Integrable(Theory):
-    """Averaged modal energies (17), (33), their stationary density (34) and (35), (36).
+    """Averaged modal energies, Eqs. (17), (33), their stationary density, Eqs. (34)-(36).
 
     Contacts are left out: ``neglected`` says so, with the rule clearance > 2 rms of section 6.3
     evaluated. ``solver``: "closed-form" is (34), Π e^(−H_i/θ_i)/θ_i with the modal temperatures

@@ -30,7 +30,7 @@ Settings = dict[str, str | float | int]
 
 @dataclass(frozen=True)
 class NonIntegrable(Theory):
-    """Averaged energy process (24)-(28), its stationary density and what follows from it, (30).
+    """Averaged energy, Eqs. (24)-(28), its stationary density and what follows from it, Eq. (30).
 
     ``solver``: "fem" solves the FPK equation of the process by finite elements; "quadrature"
     evaluates (11); "closed-form" is (29) in its general form, for damping that is constant or

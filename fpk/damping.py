@@ -18,7 +18,7 @@ MOST_POWERS = 8
 
 @dataclass(frozen=True)
 class DampingTerm:
-    """One monomial that an entry of the damping matrix gains.
+    """One monomial that an entry of the damping matrix of Eq. (1) gains.
 
     ``c_ij += coefficient · Π q_a^m · Π v_a^n · H^energy``: on mass i it adds the force
     ``−coefficient · … · v_j``, and nothing on mass j (give a second term where it should). ``i``,

@@ -52,7 +52,7 @@ densities, and take more eliminations, those of spectra in complex numbers."""
 
 @dataclass(frozen=True)
 class PhaseSpace(Theory):
-    """Densities of displacements and momenta from the unreduced stationary FPK equation.
+    """Densities of displacements and momenta from the stationary FPK equation of Eq. (6) itself.
 
     An expansion in Hermite functions of all velocities and displacements but that of the mass that
     meets the stops, and in polynomials on panels of that one, solved by elimination of levels of

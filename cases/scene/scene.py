@@ -60,7 +60,7 @@ def shipped_scenes() -> dict[str, Path]:
 def load_scene(scene: str | Path) -> Scene:
     """Return the shipped scene of that name, or the one at that path; its ``system`` is Eq. (1).
 
-    A path may be ``"my/pipe.toml"``. ::
+    A path is one like ``"my/pipe.toml"``; a shipped scene has a name. ::
 
         system = fpk.load("fig6a").system
 
