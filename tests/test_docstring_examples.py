@@ -16,6 +16,7 @@ import pytest
 import averaging
 import fpk
 import sim
+from averaging.energy_process import energy_process
 from cases.comparison.run import run_scene
 from cases.output.fields import write_netcdf
 from cases.output.vtk import write_vtu
@@ -87,8 +88,8 @@ def test_the_example_of_a_docstring_runs(name, tmp_path, monkeypatch):
     space = {"fpk": fpk, "np": np, "Path": Path, "system": fpk.load("fig6a").system, "REST": REST}
     space |= {key: getattr(averaging, key) for key in averaging.__all__}
     space |= {"MonteCarlo": sim.MonteCarlo, "Splitting": Splitting}
-    functions = (contact_quantities, parse_limit, parse_observable, parse_start, rare_failure)
-    files = (run_scene, shipped_scenes, write_netcdf, write_vtu, ContactLaw, register)
+    functions = (contact_quantities, energy_process, parse_limit, parse_observable, parse_start)
+    files = (rare_failure, run_scene, shipped_scenes, write_netcdf, write_vtu, ContactLaw, register)
     space |= {f.__name__: f for f in (*functions, *files)}
     before = set(LAWS)
     try:

@@ -130,7 +130,8 @@ CONSTANTS = {
         f"at a false-alarm rate of {short(compare.FALSE_ALARMS)} an observable",
         f"to {short(PhaseSpace().tol)} by default",
         f"for `phase-space` {DYNAMICS} and {short(phase_space.RELAXATION_TOL)} if left out",
-        f"to {short(first_passage.TOL)} (H) or {short(first_passage.GLANCING_TOL)} (a displacement)",
+        f"to {short(first_passage.TOL)} (H) or"
+        f" {short(first_passage.GLANCING_TOL)} (a displacement)",
         f"of `fem` {short(NonIntegrable().tol)}, with two energies {short(questions.TOL)},",
         f"solved to {short(reference.REFERENCE_TOL)}",
         f"within {short(vtk.SUBDIVISION)} of the largest density",
