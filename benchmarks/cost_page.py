@@ -19,8 +19,9 @@ INTRODUCTION = """# What accuracy costs
 Written by `benchmarks/cost_page.py`: the pages of `fpk cost`. {}.
 
 Of each equation, what an L1 error costs by each route: (24) is the averaged energy, (17) the modal
-energies, (6) the full system. `exact_flow`, `baoab` and `euler_maruyama` are schemes of the simulation;
-(dt, N): step and number of paths are those of least cost, the error that of sampling and step.
+energies, (6) the full system. `exact_flow`, `baoab` and `euler_maruyama` are schemes of the
+simulation; (dt, N): step and number of paths are those of least cost, the error that of sampling
+and step.
 """
 
 
