@@ -59,6 +59,11 @@ def energy_process(system: System) -> Process:
     Corrections: (10) prints D f f for the noise terms without ∂²H/∂p_i∂p_j and v_i v_j; (28)
     prints the damping term of s with a plus sign; (25)-(29) hold for unit masses only.
 
+    Drift and diffusion at two energies::
+
+        averaged = energy_process(system).coefficients(np.array([0.1, 0.5]))
+        averaged.drift, averaged.diffusion
+
     Raises ``NotApplicable`` where noise or damping vanishes, or damping terms do not outweigh the
     noise at high energy: there is no stationary density then.
     """

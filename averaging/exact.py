@@ -14,7 +14,7 @@ from fpk.arrays import Array
 from fpk.density import Density
 from fpk.dynamics import Curve, certified_curve, upcrossings
 from fpk.errors import NotApplicable
-from fpk.method import Plan, Progress, Result
+from fpk.method import Plan, Progress, Result, silent
 from fpk.observable import Coordinate, Observable
 from fpk.system import System
 
@@ -61,6 +61,10 @@ class Exact(Theory):
     configuration integral over the contact masses; otherwise it is an integral over the shells. ::
 
         fpk.solve(fpk.load("fig3a").system, ["q2,p2"], methods=[Exact()])
+
+    Upcrossings per unit time of levels by the second mass, whose row is 1::
+
+        Exact().crossings(fpk.load("fig3a").system, 1, np.array([0.0, 0.5])).values
     """
 
     method = "exact"
@@ -86,7 +90,13 @@ class Exact(Theory):
         return Plan(partial(energy_only_refusal, system, exponential=h.size == 1), solve)
 
     def crossings(
-        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+        self,
+        system: System,
+        row: int,
+        at: Array,
+        *,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Curve:
         """Return the upcrossings per unit time of q from its joint density with p."""
         observable = (Coordinate("q", row), Coordinate("p", row))

@@ -20,7 +20,7 @@ from fpk.density import Density
 from fpk.dynamics import Curve, Rates, certified_curve, require_lags
 from fpk.errors import NotApplicable
 from fpk.linear import linear_covariance, stationary_covariance
-from fpk.method import Plan, Progress, Result
+from fpk.method import Plan, Progress, Result, silent
 from fpk.observable import Coordinate, Observable
 from fpk.system import System
 
@@ -29,11 +29,18 @@ from fpk.system import System
 class Linear(Theory):
     """Gaussian density with the covariance of the Lyapunov equation, for a scene without contact.
 
-    It is the exact stationary density of the full linear system; averaging does not reproduce it
-    unless (8) holds, and the difference is the averaging error. ::
+    It is the exact stationary density of the full linear system, Eq. (6); averaging does not
+    reproduce it unless (8) holds, and the difference is the averaging error. ::
 
         free = fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02])
         fpk.solve(free, ["q2"], methods=[Linear()])
+
+    Of the second mass, whose row is 1, crossings of levels, spectrum and autocovariance::
+
+        Linear().crossings(free, 1, np.array([0.0, 0.5])).values
+        Linear().spectrum(free, 1, np.linspace(0.0, 2.0, 5)).values
+        Linear().correlation(free, 1, np.linspace(0.0, 20.0, 5)).values
+        Linear().relaxation(free, 3).values
     """
 
     method = "linear"
@@ -66,7 +73,13 @@ class Linear(Theory):
         return Plan(lambda observable: energy_only_refusal(system, observable), solve)
 
     def crossings(
-        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+        self,
+        system: System,
+        row: int,
+        at: Array,
+        *,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Curve:
         """Return the upcrossings per unit time of q, by Rice's formula for a Gaussian."""
         density, q, v = self._state(system, row)
@@ -76,7 +89,13 @@ class Linear(Theory):
         )
 
     def spectrum(
-        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+        self,
+        system: System,
+        row: int,
+        at: Array,
+        *,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Curve:
         """Return the power spectral density of q from the transfer functions."""
         density, q, v = self._state(system, row)
@@ -84,7 +103,13 @@ class Linear(Theory):
         return certified_curve(values, errors, scale=q**3 / v, of=density, tol=tol or self.tol)
 
     def correlation(
-        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+        self,
+        system: System,
+        row: int,
+        at: Array,
+        *,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Curve:
         """Return the autocovariance of q by the exponential of the drift matrix."""
         require_lags(at)
@@ -96,7 +121,7 @@ class Linear(Theory):
         )  # fmt: skip
 
     def relaxation(
-        self, system: System, count: int, *, tol: float | None, progress: Progress
+        self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
     ) -> Rates:
         """Return sums of eigenvalues of the drift matrix: those of −L are no others."""
         self.prepare(system)

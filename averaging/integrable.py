@@ -18,7 +18,7 @@ from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
-from fpk.method import Plan, Progress, Result
+from fpk.method import Plan, Progress, Result, silent
 from fpk.modulation import require_constant_noise
 from fpk.observable import Observable, observable_name
 from fpk.start import Start
@@ -27,7 +27,7 @@ from fpk.system import System
 
 @dataclass(frozen=True)
 class Integrable(Theory):
-    """Averaged modal energies (17), (33), their stationary density (34) and (35), (36).
+    """Averaged modal energies, Eqs. (17), (33), their stationary density, Eqs. (34)-(36).
 
     Contacts are left out: ``neglected`` says so, with the rule clearance > 2 rms of section 6.3
     evaluated. ``solver``: "closed-form" is (34), Π e^(−H_i/θ_i)/θ_i with the modal temperatures
@@ -40,6 +40,14 @@ class Integrable(Theory):
     observable: displacements and momenta by the characteristic function of the energies. ::
 
         fpk.solve(system, ["H1,H2"], methods=[Integrable("fem", tol=1e-9)])
+
+    First passage and the density in time, of a modal energy::
+
+        times, at = np.array([10.0]), (np.array([0.1, 0.5]),)
+        free = fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02])
+        Integrable().passage(free, parse_limit("H1=0.8", 2), REST, times).mean
+        Integrable().transient(free, parse_observable("H1", 2), REST, times, at).values
+        Integrable().relaxation(free, 3).values
     """
 
     method = "integrable"
@@ -83,8 +91,8 @@ class Integrable(Theory):
         times: Array,
         at: tuple[Array, ...],
         *,
-        tol: float | None,
-        progress: Progress,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Transient:
         """Return the densities of modal energies at times, as ``fpk.evolution`` says."""
         modes = self._in_time(system)
@@ -100,8 +108,8 @@ class Integrable(Theory):
         start: Start,
         times: Array,
         *,
-        tol: float | None,
-        progress: Progress,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Passage:
         """Return the first passage of modal energies or of their sum."""
         modes = self._in_time(system)
@@ -111,7 +119,7 @@ class Integrable(Theory):
         return replace(answer, settings=_time_settings(answer.settings, system, modes))
 
     def relaxation(
-        self, system: System, count: int, *, tol: float | None, progress: Progress
+        self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
     ) -> Rates:
         """Return the slowest relaxation rates of the modal energies."""
         modes = self._in_time(system)

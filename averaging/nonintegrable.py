@@ -18,7 +18,7 @@ from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.line.stationary import solve_stationary
-from fpk.method import Plan, Progress, Result
+from fpk.method import Plan, Progress, Result, silent
 from fpk.observable import Coordinate, Observable
 from fpk.process import Process
 from fpk.start import Start
@@ -30,7 +30,7 @@ Settings = dict[str, str | float | int]
 
 @dataclass(frozen=True)
 class NonIntegrable(Theory):
-    """Averaged energy process (24)-(28), its stationary density and what follows from it, (30).
+    """Averaged energy, Eqs. (24)-(28), its stationary density and what follows from it, Eq. (30).
 
     ``solver``: "fem" solves the FPK equation of the process by finite elements; "quadrature"
     evaluates (11); "closed-form" is (29) in its general form, for damping that is constant or
@@ -38,6 +38,13 @@ class NonIntegrable(Theory):
     meet (8), an approximation otherwise, and the better the more the contacts matter. ::
 
         fpk.solve(system, ["q2", "H"], methods=[NonIntegrable("fem", tol=1e-8)])
+
+    First passage, the density in time, and the slowest rates::
+
+        times, at = np.array([10.0]), (np.array([0.1, 0.5]),)
+        NonIntegrable().passage(system, parse_limit("H=1", 2), REST, times).mean
+        NonIntegrable().transient(system, parse_observable("H", 2), REST, times, at).values
+        NonIntegrable().relaxation(system, 3).values
     """
 
     solver: str = "fem"
@@ -70,8 +77,8 @@ class NonIntegrable(Theory):
         times: Array,
         at: tuple[Array, ...],
         *,
-        tol: float | None,
-        progress: Progress,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Transient:
         """Return the densities of the energy, or of one or two of (q, p), at ``times``."""
         one, begins = total_energy(system), total_energy_start(system, start)
@@ -90,8 +97,8 @@ class NonIntegrable(Theory):
         start: Start,
         times: Array,
         *,
-        tol: float | None,
-        progress: Progress,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Passage:
         """Return the first passage of the energy through ``limit``."""
         one = total_energy(system)
@@ -104,7 +111,7 @@ class NonIntegrable(Theory):
         return one.passage(self.solver, begins, limit.value, times, tol=tol or self.tol)
 
     def relaxation(
-        self, system: System, count: int, *, tol: float | None, progress: Progress
+        self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
     ) -> Rates:
         """Return the slowest rates at which the energy forgets its past."""
         return total_energy(system).relaxation(self.solver, count, tol=tol or self.tol)

@@ -10,15 +10,24 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from report import machine
+
 DOCS = Path(__file__).resolve().parent.parent / "docs" / "cost"
 SCENES = ("fig6b", "fig8b")
+INTRODUCTION = """# What accuracy costs
+
+Written by `benchmarks/cost_page.py`: the pages of `fpk cost`. {}.
+
+Of each equation, what an L1 error costs by each route: (24) is the averaged energy, (17) the modal
+energies, (6) the full system. `exact_flow`, `baoab` and `euler_maruyama` are schemes of the
+simulation; (dt, N): step and number of paths are those of least cost, the error that of sampling
+and step.
+"""
 
 
 def main() -> None:
     """Write the page; stop where a study fails."""
-    parts = [
-        "# What accuracy costs\n\nWritten by `benchmarks/cost_page.py`: the pages of `fpk cost`.\n"
-    ]
+    parts = [INTRODUCTION.format(machine())]
     command = "from cases.commands.cli import main; main()"
     for scene in SCENES:
         with TemporaryDirectory() as folder:

@@ -58,7 +58,7 @@ ORDER = [
     "density", "three_routes", "summary", "routes", "refusals", "contact_forces", "tails",
     "exact_scene", "linear_chain", "simulation", "phase_space", "rigid_stop", "many_masses",
     "modal_energies", "contact_law", "damping_terms", "convergence", "transient", "first_passage",
-    "rare_failure", "crossings_spectrum", "sweep", "export", "kept_answers",
+    "rare_failure", "crossings_spectrum", "sweep", "export", "reference_values", "kept_answers",
 ]  # fmt: skip
 
 

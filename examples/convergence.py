@@ -41,7 +41,7 @@ axes.set(xlabel="n, cells per range", ylabel="L1 error of $p(H)$")
 axes.legend()
 
 # %%
-# By itself the program grades the mesh and chooses the degree: the tolerance is all it is told.
+# By itself the program grades the mesh and chooses the degree: the tolerance is all that it needs.
 
 for tol in (1e-2, 1e-4, 1e-6, 1e-8, 1e-10):
     p = fpk.solve(system, ["H"], methods=[NonIntegrable(tol=tol)])["H"]

@@ -11,18 +11,16 @@ import numpy as np
 
 import fpk
 from averaging import Exact, Linear, PhaseSpace
-from fpk.method import silent
 
-options = {"tol": None, "progress": silent}
 stop = fpk.Contact(mass=1, side="both", stiffness=4.0, clearance=0.5)
 between_stops = fpk.System([1.0], [1.0], [0.6], [0.3], contacts=(stop,))
 free = fpk.System([1.0], [1.0], [0.6], [0.3])
 levels, frequencies = np.linspace(0.0, 1.5, 61), np.linspace(0.0, 4.0, 81)
 
-crossings = Exact().crossings(between_stops, 0, levels, **options)
-rice = Linear().crossings(free, 0, levels, **options)
-spectrum = PhaseSpace().spectrum(between_stops, 0, frequencies, **options)
-peak = Linear().spectrum(free, 0, frequencies, **options)
+crossings = Exact().crossings(between_stops, 0, levels)
+rice = Linear().crossings(free, 0, levels)
+spectrum = PhaseSpace().spectrum(between_stops, 0, frequencies)
+peak = Linear().spectrum(free, 0, frequencies)
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
 left.axvspan(0.5, 1.5, color="0.9")

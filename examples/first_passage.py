@@ -13,16 +13,14 @@ from scipy.special import expi
 import fpk
 from averaging import NonIntegrable
 from fpk.limit import parse_limit
-from fpk.method import silent
 from fpk.start import REST
 
 times = np.linspace(1.0, 200.0, 100)
-options = {"tol": None, "progress": silent}
 stop = fpk.Contact(mass=2, side="both", stiffness=10.0, clearance=0.5)
 figure, axes = plt.subplots()
 for contacts, words in (((stop,), "stops of B = 10"), ((), "without stops")):
     system = fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02], contacts=contacts)
-    answer = NonIntegrable().passage(system, parse_limit("H=1", 2), REST, times, **options)
+    answer = NonIntegrable().passage(system, parse_limit("H=1", 2), REST, times)
     print(f"{words}: mean {answer.mean.value:.9f} ± {answer.mean.error:.0e}, "
           f"rate {answer.rate.value:.9f} ± {answer.rate.error:.0e}")  # fmt: skip
     axes.plot(times, answer.survival, label=words)
@@ -37,7 +35,7 @@ axes.legend()
 c, D = 0.1, 0.05
 one = fpk.System([1.0], [1.0], [c], [D])
 for limit in (0.5, 1.5, 10.0, 100.0):
-    mean = NonIntegrable().passage(one, parse_limit(f"H={limit}", 1), REST, times, **options).mean
+    mean = NonIntegrable().passage(one, parse_limit(f"H={limit}", 1), REST, times).mean
     x = c * limit / D
     exact = (expi(x) - np.log(x) - np.euler_gamma) / c
     off = abs(mean.value - exact)

@@ -13,7 +13,6 @@ import numpy as np
 import fpk
 from averaging import NonIntegrable
 from fpk.limit import parse_limit
-from fpk.method import silent
 from fpk.start import REST
 from sim.splitting import Splitting, rare_failure
 
@@ -32,10 +31,8 @@ for value in limits:
 
 energies, failures = np.linspace(2.5, 5.5, 13), []
 for value in energies:
-    answer = NonIntegrable().passage(
-        system, parse_limit(f"H={value}", 1), REST, np.array([40.0]), tol=None, progress=silent
-    )
-    failures.append(answer.failure[0])
+    limit = parse_limit(f"H={value}", 1)
+    failures.append(NonIntegrable().passage(system, limit, REST, np.array([40.0])).failure[0])
 figure, axes = plt.subplots()
 axes.semilogy(energies, failures, label="averaged equation")
 bars = [2 * s.error for s in split]

@@ -12,22 +12,14 @@ from scipy.stats import ncx2
 
 import fpk
 from averaging import NonIntegrable
-from fpk.method import silent
 from fpk.observable import parse_observable
 from fpk.start import parse_start
 
 c, D, H0 = 0.1, 0.05, 0.3
 system = fpk.System([1.0], [1.0], [c], [D])
 energy, times = np.linspace(0.01, 2.5, 250), np.array([1.0, 5.0, 20.0, 80.0])
-answer = NonIntegrable().transient(
-    system,
-    parse_observable("H", 1),
-    parse_start(f"H={H0}", system),
-    times,
-    (energy,),
-    tol=None,
-    progress=silent,
-)
+H, start = parse_observable("H", 1), parse_start(f"H={H0}", system)
+answer = NonIntegrable().transient(system, H, start, times, (energy,))
 
 figure, axes = plt.subplots()
 for t, values in zip(times, answer.values, strict=True):

@@ -52,7 +52,10 @@ class Certificate:
 
     The numbers are those of ``Measured``. ``failures`` says in words what does not hold; the answer
     is certified when it is empty. ``missed`` is the estimated error where it exceeds the tolerance,
-    None where it does not. Made by ``certify`` only.
+    None where it does not. Made by ``certify`` only. ::
+
+        certificate = fpk.solve(system, ["q2"], methods=["integrable"])["q2"].certificate
+        certificate.certified, certificate.failures, certificate.mass_defect
     """
 
     mass_defect: float

@@ -31,7 +31,8 @@ class Contact:
 
     A Hertzian stop, and one whose force grows with the square of the overlap::
 
-        fpk.Contact(mass=1, side="right", stiffness=10.0, clearance=0.5)
+        stop = fpk.Contact(mass=1, side="right", stiffness=10.0, clearance=0.5)
+        stop.force(0.1), stop.energy(0.1), stop.slope(0.1), stop.one_sided()
         fpk.Contact(1, "left", 10.0, 0.5, law="power", exponent=2.0)
 
     Raises ``InvalidInput`` naming the field that cannot be used.

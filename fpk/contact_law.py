@@ -16,7 +16,12 @@ class ContactLaw:
     ``force(x, e)``, ``energy(x, e)`` (its integral from 0) and ``slope(x, e)`` (its derivative)
     take the overlap ``x >= 0`` and the exponent ``e``. ``exponent`` is the law's own one, or None
     where the contact has to state it. All are non-negative, the force increases with the
-    overlap, and the slope stays finite at first touch.
+    overlap, and the slope stays finite at first touch. ::
+
+        cubic = ContactLaw(
+            "cubic", exponent=3.0, force=lambda x, e: x**3,
+            energy=lambda x, e: 0.25 * x**4, slope=lambda x, e: 3.0 * x**2,
+        )
     """
 
     name: str
@@ -30,7 +35,18 @@ LAWS: dict[str, ContactLaw] = {}
 
 
 def register(law: ContactLaw) -> ContactLaw:
-    """Add a law to the registry and return it; a name is taken once."""
+    """Add a law to the registry and return it; raises ``ValueError`` for a name that is taken.
+
+    An example::
+
+        register(
+            ContactLaw(
+                "square", exponent=2.0, force=lambda x, e: x * x,
+                energy=lambda x, e: x**3 / 3.0, slope=lambda x, e: 2.0 * x,
+            )
+        )
+        fpk.Contact(mass=1, side="right", stiffness=10.0, clearance=0.5, law="square")
+    """
     if law.name in LAWS:
         raise ValueError(f"contact law {law.name!r} is registered already")
     LAWS[law.name] = law

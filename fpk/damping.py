@@ -18,7 +18,7 @@ MOST_POWERS = 8
 
 @dataclass(frozen=True)
 class DampingTerm:
-    """One monomial that an entry of the damping matrix gains.
+    """One monomial that an entry of the damping matrix of Eq. (1) gains.
 
     ``c_ij += coefficient · Π q_a^m · Π v_a^n · H^energy``: on mass i it adds the force
     ``−coefficient · … · v_j``, and nothing on mass j (give a second term where it should). ``i``,
@@ -29,6 +29,7 @@ class DampingTerm:
 
         term = fpk.DampingTerm(1, 1, 0.4, q=((1, 2),))
         fpk.System([1.0], [1.0], [-0.1], [0.005], damping_terms=(term,))
+        term.value(q=[0.5], v=[0.0], energy=0.125)
 
     Raises ``InvalidInput`` naming the field that cannot be used.
     """

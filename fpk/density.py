@@ -37,7 +37,9 @@ class Density(FunctionQuantities):
 
         p = fpk.solve(fpk.load("fig6a").system, ["q2"], methods=["nonintegrable/fem"])["q2"]
         value, error = p.at(np.linspace(-1.5, 1.5, 31))
-        p.rms(), p.exceedance(0.5), p.certificate.certified
+        p.mean(), p.std(), p.rms(), p.variance(), p.skewness(), p.kurtosis(), p.moment(4)
+        p.exceedance(0.5), p.cdf(0.5), p.probability(-0.5, 0.5), p.quantile(0.99)
+        p.expectation(np.abs, kinks=[0.0]), p.certificate.certified
     """
 
     observable: Observable

@@ -4,7 +4,8 @@ A ``Method`` gives crossing rates if it has a method ``crossings``, as the proto
 says, and likewise ``spectrum``, ``correlation`` and ``relaxation``. In all of them ``tol`` is the
 largest error wanted: of curves in units of a natural size of the quantity (σ_v/(2πσ_q) of
 crossings, σ_q³/σ_v of spectra, σ_q² of autocovariances), of rates relative to each; None for the
-default of the method. ``progress`` as of ``Method.solve``.
+default of the method. ``row`` is that of the mass in arrays: 0 for the first. ``progress`` as of
+``Method.solve``.
 """
 
 from collections.abc import Mapping
@@ -18,7 +19,7 @@ from fpk.certificate import Certificate, Measured, certify, with_values
 from fpk.density import Density
 from fpk.errors import InvalidInput
 from fpk.evolution import ErrorKind
-from fpk.method import Progress
+from fpk.method import Progress, silent
 from fpk.number import SMALLEST
 from fpk.quadrature import gauss_grid
 from fpk.system import System
@@ -28,7 +29,11 @@ from fpk.system import System
 class Curve:
     """Values at the points asked for, with an error each, and the certificate of all of them.
 
-    An error is an estimate of the numerical one, or one standard error of sampling.
+    An error is an estimate of the numerical one, or one standard error of sampling. ::
+
+        free = fpk.System([1.0], [1.0], [0.1], [0.05])
+        spectrum = Linear().spectrum(free, 0, np.linspace(0.0, 2.0, 21))
+        spectrum.values, spectrum.errors, spectrum.certificate.certified
     """
 
     values: Array
@@ -47,7 +52,10 @@ class Curve:
 class Rates:
     """Eigenvalues λ of −L, L the generator, in ascending order of their real parts.
 
-    Correlations fall as e^(−λt). Of a conjugate pair the one with Im λ > 0 stands for both.
+    Correlations fall as e^(−λt). Of a conjugate pair the one with Im λ > 0 stands for both. ::
+
+        rates = NonIntegrable().relaxation(system, 3)
+        rates.values, rates.errors
     """
 
     values: Complexes
@@ -61,9 +69,15 @@ class Crossings(Protocol):
     """A method that gives the rates at which a displacement crosses levels upwards."""
 
     def crossings(
-        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+        self,
+        system: System,
+        row: int,
+        at: Array,
+        *,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Curve:
-        """Return the upcrossings per unit time of the levels ``at`` by q of mass ``row`` (of 0)."""
+        """Return the upcrossings per unit time of the levels ``at`` by q in row ``row``."""
 
 
 @runtime_checkable
@@ -75,9 +89,15 @@ class Spectrum(Protocol):
     """
 
     def spectrum(
-        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+        self,
+        system: System,
+        row: int,
+        at: Array,
+        *,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Curve:
-        """Return S of q of mass ``row`` (of 0) at the angular frequencies ``at``."""
+        """Return S of q in row ``row`` at the angular frequencies ``at``."""
 
 
 @runtime_checkable
@@ -88,9 +108,15 @@ class Correlation(Protocol):
     """
 
     def correlation(
-        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+        self,
+        system: System,
+        row: int,
+        at: Array,
+        *,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Curve:
-        """Return C of q of mass ``row`` (of 0) at the lags ``at``.
+        """Return C of q in row ``row`` at the lags ``at``.
 
         Raises ``InvalidInput`` as ``require_lags``.
         """
@@ -101,7 +127,7 @@ class Relaxation(Protocol):
     """A method that gives the slowest rates at which the system forgets its past."""
 
     def relaxation(
-        self, system: System, count: int, *, tol: float | None, progress: Progress
+        self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
     ) -> Rates:
         """Return the ``count`` eigenvalues of −L with the least real parts but 0 itself."""
 

@@ -5,7 +5,15 @@ from typing import Any
 
 
 class InvalidInput(ValueError):
-    """A value of the system or of a request that cannot be used, and what would do."""
+    """A value of the system or of a request that cannot be used, and what would do.
+
+    An example::
+
+        try:
+            fpk.System([-1.0], [1.0], [0.1], [0.05])
+        except fpk.InvalidInput as error:
+            print(error, error.key, error.remedy)
+    """
 
     def __init__(self, key: str, value: Any, remedy: str) -> None:
         """Keep the key, the value and the remedy; the message is one line of the three."""
@@ -14,11 +22,29 @@ class InvalidInput(ValueError):
 
 
 class NotApplicable(ValueError):
-    """A theory or method whose conditions the system does not meet; the message is the reason."""
+    """A theory or method whose conditions the system does not meet; the message is the reason.
+
+    An example::
+
+        try:
+            fpk.solve(system, ["q2"], methods=["exact"])
+        except fpk.NotApplicable as reason:
+            print(reason)
+    """
 
 
 class NotCertified(RuntimeError):
-    """A solver that could not certify its answer; the message says which check failed."""
+    """No answer could be certified, so that there is none; the message says which check failed.
+
+    An answer that misses its tolerance is returned, and its certificate says so. An example::
+
+        try:
+            p = fpk.solve(system, ["q2"], methods=["nonintegrable/fem"], tol=1e-10)["q2"]
+        except fpk.NotCertified as failure:
+            print(failure)
+        else:
+            print(p.certificate.certified, p.certificate.failures)
+    """
 
 
 class Unavailable(RuntimeError):

@@ -17,7 +17,7 @@ from fpk.arrays import Array
 from fpk.certificate import Certificate, Measured, certify, with_values
 from fpk.errors import InvalidInput
 from fpk.limit import Limit
-from fpk.method import Progress
+from fpk.method import Progress, silent
 from fpk.number import Number
 from fpk.observable import Observable
 from fpk.start import Start
@@ -50,7 +50,12 @@ class Transient:
     """Densities at several times at the points asked for.
 
     ``values`` and ``errors`` are (times, points). An error is an estimate of the numerical error,
-    or one standard error of sampling, as ``error_kind`` says.
+    or one standard error of sampling, as ``error_kind`` says. ::
+
+        times, energies = np.array([1.0, 10.0]), np.linspace(0.1, 1.0, 10)
+        H = parse_observable("H", 2)
+        p = NonIntegrable().transient(system, H, REST, times, (energies,))
+        p.values, p.errors, p.certificate.certified
     """
 
     times: Array
@@ -88,7 +93,11 @@ class Passage:
     where the method does not give it. ``survival`` is P(T > t) at ``times``, with
     ``survival_error``, (times,) each; where the method knows it better than 1 − ``survival``,
     ``failure`` is P(T <= t), with ``failure_error``. ``starts`` has moments for all starts at once
-    where the method gives them. ``error_kind`` as of ``Transient``.
+    where the method gives them. ``error_kind`` as of ``Transient``. ::
+
+        limit, times = parse_limit("H=1", 2), np.array([10.0, 100.0])
+        first = NonIntegrable().passage(system, limit, REST, times)
+        first.mean.value, first.rate.value, first.survival, first.survival_error
     """
 
     mean: Number
@@ -160,8 +169,8 @@ class Transients(Protocol):
         times: Array,
         at: tuple[Array, ...],
         *,
-        tol: float | None,
-        progress: Progress,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Transient:
         """Return the densities of ``observable`` at ``times`` at the points ``at``.
 
@@ -180,7 +189,7 @@ class Passages(Protocol):
         start: Start,
         times: Array,
         *,
-        tol: float | None,
-        progress: Progress,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Passage:
         """Return the first passage of ``limit`` from ``start``, the reliability at ``times``."""

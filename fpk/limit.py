@@ -44,6 +44,10 @@ class Limit:
 def parse_limit(text: str, n: int) -> Limit:
     """Return the limit that ``text`` names in a system of ``n`` masses.
 
+    Of the energy, of modal energies (whichever is passed first), of a displacement::
+
+        parse_limit("H=1.5", 2), parse_limit("H1=0.4,H2=0.6", 2), parse_limit("q2=1.2", 2)
+
     Raises ``InvalidInput`` for an unknown name, several limits that are not modal energies, or one
     that is not a finite number of at least ``LEAST``.
     """

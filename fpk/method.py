@@ -132,6 +132,11 @@ class Method(ABC):
     ) -> Result:
         """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses.
 
+        An example::
+
+            answer = NonIntegrable().solve(system, [parse_observable("q2", system.n)])
+            (p,) = answer.densities
+
         Raises ``InvalidInput`` for an observable that is a name instead of a parsed one.
         """
         require_observables(observables)

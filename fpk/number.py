@@ -10,7 +10,13 @@ SMALLEST = float(np.finfo(float).tiny)
 
 @dataclass(frozen=True)
 class Number:
-    """A number and its error: an estimate of the numerical one, or one standard error."""
+    """A number and its error: an estimate of the numerical one, or one standard error.
+
+    An example::
+
+        rms = fpk.solve(system, ["q2"], methods=["integrable"])["q2"].rms()
+        print(f"{rms.value:.6f} ± {rms.error:.0e}")
+    """
 
     value: float
     error: float

@@ -38,7 +38,11 @@ class SampledDensity(Quantities):
     single sample makes of its bin. ``l1_error`` is the expected ∫|p − p_exact| by chance of the
     density as ``at`` returns it, not a number where it was not computed. ``log_references`` has for
     each axis the ln of a function about as steep as the density, kinks at stops included (none: a
-    constant one), see ``at``.
+    constant one), see ``at``. ::
+
+        sampled = MonteCarlo(paths=4096, relaxations=20.0)
+        p = fpk.solve(system, ["q2"], methods=[sampled])["q2"]
+        value, error = p.at(np.linspace(-1.0, 1.0, 21))
     """
 
     observable: Observable

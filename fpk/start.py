@@ -51,6 +51,11 @@ REST = Start()
 def parse_start(text: str, system: System) -> Start:
     """Return the start that ``text`` names in ``system``.
 
+    At rest, at an energy, stationary under half the noise, at a state::
+
+        parse_start("rest", system), parse_start("H=0.3", system), parse_start("noise=0.5", system)
+        parse_start("q1=0.2,p1=0.1", system)
+
     Raises ``InvalidInput`` for an unknown name, a mixture of kinds, a number that is not finite, an
     energy or a factor below 0, or modal energies that are not all there.
     """

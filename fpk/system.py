@@ -43,6 +43,9 @@ class System:
 
         stop = fpk.Contact(mass=2, side="both", stiffness=10.0, clearance=0.5)
         system = fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02], contacts=(stop,))
+        system.n, system.stops
+        system.potential(np.array([0.2, 0.6])), system.contact_energy(1, 0.6)
+        system.hamiltonian(np.array([0.2, 0.6]), np.array([0.0, 0.1]))
 
     Raises ``InvalidInput`` naming the field that cannot be used.
     """

@@ -15,7 +15,7 @@ from fpk.dynamics import Curve
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
-from fpk.method import Method, Plan, Progress, Result
+from fpk.method import Method, Plan, Progress, Result, silent
 from fpk.modulation import require_constant_noise
 from fpk.observable import Observable
 from fpk.route import ROUTES, Route, register
@@ -76,6 +76,15 @@ class MonteCarlo(Method):
     ``allow_unstable``: take a ``dt`` at or above the stability limit; nothing is certified then. ::
 
         fpk.solve(system, ["q2"], methods=[MonteCarlo(paths=4096, relaxations=40.0, seed=7)])
+
+    Motion in time; the second mass has the row 1::
+
+        short, times = MonteCarlo(paths=4096, relaxations=5.0), np.array([5.0, 10.0])
+        at = np.linspace(0.0, 1.0, 5)
+        short.passage(system, parse_limit("H=0.3", 2), REST, times).mean
+        short.transient(system, parse_observable("H", 2), REST, times, (at,)).values
+        short.crossings(system, 1, at).values, short.correlation(system, 1, at).values
+        short.spectrum(system, 1, at).values
 
     Raises ``InvalidInput`` naming the field that cannot be used.
     """
@@ -139,8 +148,8 @@ class MonteCarlo(Method):
         start: Start,
         times: Array,
         *,
-        tol: float | None,
-        progress: Progress,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Passage:
         """Return first passage: Brownian bridges or cubics between steps; see ``sim.motion``."""
         require_constant_noise(system.modulation)
@@ -157,8 +166,8 @@ class MonteCarlo(Method):
         times: Array,
         at: tuple[Array, ...],
         *,
-        tol: float | None,
-        progress: Progress,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Transient:
         """Return densities at ``times`` from histograms of an ensemble; see ``sim.motion``."""
         require_constant_noise(system.modulation)
@@ -168,19 +177,37 @@ class MonteCarlo(Method):
         return answer
 
     def crossings(
-        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+        self,
+        system: System,
+        row: int,
+        at: Array,
+        *,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Curve:
         """Return upcrossing rates, counted between steps too; see ``sim.motion``."""
         return self._stationary("crossings", system, row, at, tol, progress)
 
     def spectrum(
-        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+        self,
+        system: System,
+        row: int,
+        at: Array,
+        *,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Curve:
         """Return power spectral densities by Welch's method; see ``sim.motion``."""
         return self._stationary("spectrum", system, row, at, tol, progress)
 
     def correlation(
-        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+        self,
+        system: System,
+        row: int,
+        at: Array,
+        *,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Curve:
         """Return autocovariances from products at a distance in time; see ``sim.motion``."""
         return self._stationary("correlation", system, row, at, tol, progress)

@@ -2,6 +2,7 @@
 
 import ast
 import re
+import runpy
 import shlex
 from pathlib import Path
 
@@ -74,8 +75,12 @@ def test_the_command_line_page_has_every_method_and_solver():
 
 
 def commands_in(text):
-    """Commands in the blocks of a shell, without their comments."""
+    """Commands in the blocks of a shell and of a console, without their comments."""
     shell = "\n".join(re.findall(r"```sh\n(.*?)```", text, flags=re.DOTALL))
+    console = "\n".join(re.findall(r"```console\n(.*?)```", text, flags=re.DOTALL))
+    shell += "\n" + "\n".join(re.findall(r"^\$ (.*)", console, flags=re.MULTILINE)).replace(
+        " && ", "\n"
+    )
     lines = shell.replace("\\\n", " ").split("\n")
     calls = [line.split(" > ")[0] for line in lines if line.startswith("fpk ")]
     return [shlex.split(call, comments=True)[1:] for call in calls]
@@ -87,6 +92,20 @@ def test_commands_in_documents_parse():
     for name, *arguments in found:
         with app.commands[name].make_context(name, arguments):
             pass
+
+
+def test_the_readme_is_short_and_its_ten_lines_are_those_of_the_gallery():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(readme.split("\n")) <= 140
+    (ten,) = re.findall(r"```python\n(.*?)```", readme, flags=re.DOTALL)
+    assert len([line for line in ten.split("\n") if line]) == 10
+    assert ten in (ROOT / "examples" / "summary.py").read_text(encoding="utf-8")
+
+
+def test_the_readme_has_the_figures_of_the_pages(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    table = runpy.run_path(str(ROOT / "benchmarks" / "readme.py"))["trust_table"]()
+    assert table in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def short(number):
@@ -111,7 +130,8 @@ CONSTANTS = {
         f"at a false-alarm rate of {short(compare.FALSE_ALARMS)} an observable",
         f"to {short(PhaseSpace().tol)} by default",
         f"for `phase-space` {DYNAMICS} and {short(phase_space.RELAXATION_TOL)} if left out",
-        f"to {short(first_passage.TOL)} or {short(first_passage.GLANCING_TOL)} if left out",
+        f"to {short(first_passage.TOL)} (H) or"
+        f" {short(first_passage.GLANCING_TOL)} (a displacement)",
         f"of `fem` {short(NonIntegrable().tol)}, with two energies {short(questions.TOL)},",
         f"solved to {short(reference.REFERENCE_TOL)}",
         f"within {short(vtk.SUBDIVISION)} of the largest density",
@@ -159,3 +179,14 @@ def test_tolerances_of_the_methods_are_their_defaults():
     stated = {row[0].strip("| `"): row[-1].removesuffix(" |") for row in rows}
     for method in (Exact, Linear, NonIntegrable, Integrable, PhaseSpace):
         assert stated[method().route.method] == short(method().tol)
+
+
+def test_the_version_to_cite_is_that_of_the_program():
+    for file, pattern in (
+        ("docs/cite.md", r"version = \{(.*?)\}"),
+        ("CITATION.cff", r"\nversion: (.*)"),
+    ):
+        (stated,) = re.findall(pattern, (ROOT / file).read_text(encoding="utf-8"))
+        assert f'version = "{stated}"' in (ROOT / "pyproject.toml").read_text(encoding="utf-8"), (
+            file
+        )

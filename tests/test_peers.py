@@ -123,24 +123,24 @@ def test_the_page_names_who_is_missing(tmp_path: Path) -> None:
     assert "FiPy: not installed." in empty.stdout
 
 
-def test_the_tables_of_the_readme_have_the_structure_of_the_pages(tmp_path: Path) -> None:
-    script = str(ROOT / "benchmarks" / "readme_table.py")
+def test_the_short_tables_have_the_structure_of_the_pages(tmp_path: Path) -> None:
+    script = str(ROOT / "benchmarks" / "measured_tables.py")
     assert run(script, "--check").returncode == 0
-    readme = tmp_path / "README.md"
-    readme.write_text("before\n<!-- table: cost -->\n| old |\n| --- |\n<!-- end -->\nafter\n")
-    stale = run(script, "--check", "--readme", str(readme))
+    page = tmp_path / "measured.md"
+    page.write_text("before\n<!-- table: cost -->\n| old |\n| --- |\n<!-- end -->\nafter\n")
+    stale = run(script, "--check", "--page", str(page))
     assert stale.returncode == 1 and "cost" in stale.stderr
-    assert run(script, "--readme", str(readme)).returncode == 0
-    text = readme.read_text()
+    assert run(script, "--page", str(page)).returncode == 0
+    text = page.read_text()
     assert text.startswith("before\n<!-- table: cost -->\n| ms to") and text.endswith("after\n")
-    assert run(script, "--check", "--readme", str(readme)).returncode == 0
+    assert run(script, "--check", "--page", str(page)).returncode == 0
 
 
 def test_the_page_in_the_repository_has_the_rows_that_the_scripts_write() -> None:
     code = (
         f"import sys; sys.path[:0] = [{str(PEERS)!r}, {str(PEERS.parent)!r}]\n"
         "from page import KINDS, PROGRAMS\n"
-        "from readme_table import page_blocks, structure\n"
+        "from measured_tables import page_blocks, structure\n"
         "programs = [PROGRAMS.get(k[0], k[0]) for k in KINDS]\n"
         "header, rows = structure(page_blocks()['cost'])\n"
         "assert len(header) == 7 and rows == list(dict.fromkeys(programs)), rows"

@@ -30,7 +30,7 @@ from fpk.dynamics import Curve, Rates, certified_curve, require_lags
 from fpk.errors import NotApplicable, NotCertified
 from fpk.evolution import Passage
 from fpk.limit import Limit
-from fpk.method import Plan, Progress, Result
+from fpk.method import Plan, Progress, Result, silent
 from fpk.observable import Coordinate, Observable, observable_name
 from fpk.start import Start
 from fpk.system import System
@@ -52,7 +52,7 @@ densities, and take more eliminations, those of spectra in complex numbers."""
 
 @dataclass(frozen=True)
 class PhaseSpace(Theory):
-    """Densities of displacements and momenta from the unreduced stationary FPK equation.
+    """Densities of displacements and momenta from the stationary FPK equation of Eq. (6) itself.
 
     An expansion in Hermite functions of all velocities and displacements but that of the mass that
     meets the stops, and in polynomials on panels of that one, solved by elimination of levels of
@@ -66,6 +66,16 @@ class PhaseSpace(Theory):
     ``reference`` is where the expansion starts, for tests of its independence; None: Gibbs. ::
 
         fpk.solve(system, ["q2", "q2,p2"], methods=[PhaseSpace(tol=1e-3)])
+
+    Crossings, spectrum, autocovariance, rates and first passage of one mass, whose row is 0::
+
+        stop = fpk.Contact(mass=1, side="both", stiffness=4.0, clearance=0.5)
+        one = fpk.System([1.0], [1.0], [0.6], [0.3], contacts=(stop,))
+        PhaseSpace().crossings(one, 0, np.array([0.0, 0.5])).values
+        PhaseSpace().spectrum(one, 0, np.linspace(0.0, 2.0, 5)).values
+        PhaseSpace().correlation(one, 0, np.linspace(0.0, 5.0, 5)).values
+        PhaseSpace().relaxation(one, 2).values
+        PhaseSpace().passage(one, parse_limit("q1=1", 1), REST, np.array([10.0])).mean
     """
 
     solver: str = "hermite"
@@ -124,19 +134,37 @@ class PhaseSpace(Theory):
         return Plan(_refusal, solve)
 
     def crossings(
-        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+        self,
+        system: System,
+        row: int,
+        at: Array,
+        *,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Curve:
         """Return the upcrossings per unit time of q from the joint density of (q, p)."""
         return self._curve(crossings, system, row, at, tol or CROSSINGS_TOL, progress)
 
     def spectrum(
-        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+        self,
+        system: System,
+        row: int,
+        at: Array,
+        *,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Curve:
         """Return the power spectral density of q from the resolvent of the FPK operator."""
         return self._curve(spectrum, system, row, at, tol or SPECTRUM_TOL, progress)
 
     def correlation(
-        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+        self,
+        system: System,
+        row: int,
+        at: Array,
+        *,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Curve:
         """Return the autocovariance of q from the exponential of the FPK operator."""
         require_lags(at)
@@ -146,7 +174,7 @@ class PhaseSpace(Theory):
         )  # fmt: skip
 
     def relaxation(
-        self, system: System, count: int, *, tol: float | None, progress: Progress
+        self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
     ) -> Rates:
         """Return the slowest eigenvalues of the expansion's FPK operator."""
         options, frame = self._options(tol or RELAXATION_TOL, progress), self._frame(system)
@@ -201,8 +229,8 @@ class PhaseSpace(Theory):
         start: Start,
         times: Array,
         *,
-        tol: float | None,
-        progress: Progress,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Passage:
         """Return the first passage of one mass, by finite elements of the backward equation."""
         return first_passage(system, limit, start, times, tol=tol, progress=progress)

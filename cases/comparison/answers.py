@@ -37,7 +37,11 @@ class Answers(Mapping[Any, AnyDensity]):
     method. ``results`` has what each method returned, ``refused`` who gives not all that was asked
     for. Of a scene's curve ``label`` and ``value`` are as in ``Curve``; ``notes`` say in words what
     was done that nobody asked for, ``interrupted`` whether Ctrl-C ended the work. ``passages`` and
-    ``transients`` are what was said to the scene's questions about motion in time.
+    ``transients`` are what was said to the scene's questions about motion in time. ::
+
+        answers = fpk.solve(fpk.load("fig3a").system, ["q2"])
+        answers["q2", "exact"], answers.of("q2"), answers.refusals, answers.problems
+        answers.quantities, answers.quantity_comparisons, answers.comparisons
     """
 
     system: System

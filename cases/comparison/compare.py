@@ -57,7 +57,10 @@ class Comparison:
 
     ``band`` is None where the difference is reported, not judged; ``error`` says how far chance
     and the solvers may have moved ``L1`` itself. ``uncertified`` are those of the two routes whose
-    own checks fail: the difference says nothing against the other one then.
+    own checks fail: the difference says nothing against the other one then. ::
+
+        for c in fpk.compare(fpk.solve(fpk.load("fig3a").system, ["q2"])):
+            print(c.measures, c.L1, c.error, c.band, c.holds)
     """
 
     observable: str
@@ -74,6 +77,13 @@ class Comparison:
     def holds(self) -> bool:
         """Whether the difference is allowed; one that is not judged is."""
         return self.band is None or bool(self.band >= self.L1)
+
+    def __str__(self) -> str:
+        """Return the comparison in one line."""
+        judged = "reported" if self.band is None else f"allowed {self.band:.2g}"
+        names = f"{self.observable}, {self.a.label} and {self.b.label}"
+        difference = f"{self.norm} = {self.L1:.4g} ± {self.error:.1g}"
+        return f"{names}: {self.measures}, {difference}, {judged}"
 
 
 def compared(results: Sequence[Result], *, averaging_is_exact: bool) -> tuple[Comparison, ...]:

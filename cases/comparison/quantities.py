@@ -42,7 +42,10 @@ class Quantity:
     """A number that follows from the density of ``observable`` by ``route``, with its error.
 
     ``reach`` is how far it may be from the truth: by numerics its error, by chance what is exceeded
-    in ``FALSE_ALARMS`` by any of the quantities of the observable.
+    in ``FALSE_ALARMS`` by any of the quantities of the observable. ::
+
+        for x in fpk.solve(system, ["q2"], methods=["integrable"]).quantities:
+            print(x.observable, x.quantity, x.route.label, x.number.value, x.number.error)
     """
 
     observable: str

@@ -32,7 +32,10 @@ MOST_CELLS = {1: 20_000, 2: 60_000}
 def write_vtu(outcome: Outcome, path: Path) -> list[Path]:
     """Write the first observable of the scene's own system as a grid of quadratic cells.
 
-    Beside it ``…_stops.vtu`` has the stops of its displacements, where there are any.
+    Beside it ``…_stops.vtu`` has the stops of its displacements, where there are any. ::
+
+        outcome = run_scene(fpk.load("fig7"), [NonIntegrable("closed-form")])
+        write_vtu(outcome, Path("fig7.vtu"))
     """
     return _write(outcome, outcome.curves[0], outcome.scene.observables[0], path)
 

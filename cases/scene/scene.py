@@ -27,7 +27,10 @@ class Scene:
 
     ``name`` is the file's stem; ``text`` the file as it was read; ``curves`` holds the scene's own
     system first, then those that ``[vary]`` adds. Of each, ``passages`` and ``transients`` ask.
-    ``units`` are the names of ``[units]``.
+    ``units`` are the names of ``[units]``. ::
+
+        scene = fpk.load("fig6a")
+        scene.title, scene.system, [(curve.label, curve.value) for curve in scene.curves]
     """
 
     name: str
@@ -44,7 +47,12 @@ class Scene:
 
 
 def shipped_scenes() -> dict[str, Path]:
-    """Return the shipped scenes: name to path."""
+    """Return the shipped scenes: name to path.
+
+    An example::
+
+        sorted(shipped_scenes())
+    """
     here = Path(__file__).parents[1]
     return {path.stem: path for folder in SHIPPED for path in sorted(here.glob(f"{folder}/*.toml"))}
 
@@ -52,7 +60,7 @@ def shipped_scenes() -> dict[str, Path]:
 def load_scene(scene: str | Path) -> Scene:
     """Return the shipped scene of that name, or the one at that path; its ``system`` is Eq. (1).
 
-    A path may be ``"my/pipe.toml"``. ::
+    A path is one like ``"my/pipe.toml"``; a shipped scene has a name. ::
 
         system = fpk.load("fig6a").system
 

@@ -22,6 +22,10 @@ class Splitting:
     made. ``dt`` None: that of the system. ``threads``, ``cluster``, ``checkpoint`` and ``partial``
     as of ``MonteCarlo``: the numbers depend on none of them.
 
+    A small one::
+
+        Splitting(replicas=64, repetitions=8, seed=1)
+
     Raises ``InvalidInput`` naming the field that cannot be used.
     """
 
@@ -61,7 +65,11 @@ class RareFailure:
     that bound as its error. ``sampling_error`` and ``bias_error`` are standard errors; ``extinct``
     repetitions had no replica left.
     ``levels`` is the mean number of levels, ``steps`` all that were simulated, ``seconds`` their
-    wall time. ``log_probability`` is right where the probability is too small to be a number.
+    wall time. ``log_probability`` is right where the probability is too small to be a number. ::
+
+        settings = Splitting(replicas=64, repetitions=8, seed=1)
+        rare = rare_failure(system, parse_limit("H=2", 2), REST, 5.0, settings=settings)
+        rare.probability, rare.error, rare.upper_bound
     """
 
     probability: float

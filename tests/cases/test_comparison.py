@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+import fpk
 from cases.comparison.compare import chance_l1, compared, what_is_measured
 from cases.comparison.routes import register_routes
 from fpk.certificate import Certificate
@@ -131,3 +132,14 @@ def test_which_error_a_pair_measures(a, b, coincide, expected):
     a, b = Named(a).route, Named(b).route
     assert what_is_measured(a, b, averaging_is_exact=coincide) == expected
     assert what_is_measured(b, a, averaging_is_exact=coincide) == expected
+
+
+def test_a_comparison_is_one_line_of_text():
+    answers = fpk.solve(fpk.load("fig6a").system, ["q2"], methods=["nonintegrable", "integrable"])
+    (comparison,) = fpk.compare(answers)
+    assert str(comparison) == (
+        f"q2, nonintegrable/fem and integrable/closed-form: averaging, L1 = {comparison.L1:.4g}"
+        f" ± {comparison.error:.1g}, reported"
+    )
+    judged = replace(comparison, measures="numerical", band=0.25, error=0.0)
+    assert str(judged).endswith("± 0, allowed 0.25")

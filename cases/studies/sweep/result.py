@@ -70,7 +70,13 @@ class SweepPoint:
 
 @dataclass(frozen=True, repr=False)
 class Sweep:
-    """Quantities by methods over a grid, its last axis fastest; ``reused`` are from disk."""
+    """Quantities by methods over a grid, its last axis fastest; ``reused`` are from disk.
+
+    An example::
+
+        result = fpk.sweep(system, {"contact[1].clearance": "0.4:0.6:3"}, ["rms(q2)"])
+        result.field("value"), result.field("error"), result.problems, result.to_xarray()
+    """
 
     name: str
     axes: tuple[Axis, ...]

@@ -1,8 +1,8 @@
-"""Cut the README's short tables from the pages of docs/benchmarks.
+"""Cut the short tables of docs/measured.md from the pages of docs/benchmarks.
 
-    python benchmarks/readme_table.py [--check]
+    python benchmarks/measured_tables.py [--check]
 
-The README holds pairs of lines ``<!-- table: NAME -->`` and ``<!-- end -->``; what stands between
+The page holds pairs of lines ``<!-- table: NAME -->`` and ``<!-- end -->``; what stands between
 them is replaced by what stands between the same lines of the page that has them. ``--check`` writes
 nothing and exits 1 where the structure of a table, its header and first column, is not the page's.
 """
@@ -47,18 +47,18 @@ def with_tables(text: str, tables: dict[str, str]) -> str:
 def main() -> None:
     """Replace the tables, or check them."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--readme", type=Path, default=ROOT / "README.md")
+    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "measured.md")
     parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if not current")
     arguments = parser.parse_args()
-    text, tables = arguments.readme.read_text(), page_blocks()
+    text, tables = arguments.page.read_text(), page_blocks()
     if arguments.check:
         old = [
             name
             for name, body in blocks(text).items()
             if structure(body) != structure(tables[name])
         ]
-        sys.exit(f"not current: {', '.join(old)}; run benchmarks/readme_table.py" if old else 0)
-    arguments.readme.write_text(with_tables(text, tables))
+        sys.exit(f"not current: {', '.join(old)}; run benchmarks/measured_tables.py" if old else 0)
+    arguments.page.write_text(with_tables(text, tables))
 
 
 if __name__ == "__main__":
