@@ -130,16 +130,17 @@ def _map(curves: Sequence[Answers], observable: Observable) -> Record | None:
         _field(route, density, grid, shown=route in drawn or route.sampled)
         for route, density in densities.items()
     ]
+    energies = all(c.kind == "H" for c in observable)  # they fall exponentially
     top = max(field["high"] for field in fields)
     for field in fields:
-        field |= {"low": 0.0, "high": top, "floor": LOWEST * top}
+        field |= {"log": energies, "low": 0.0, "high": top, "floor": LOWEST * top}
     x, y = observable
     name = observable_name(observable)
     return {
         "id": name,
         "of": name,
         "still": [f"density_{name.replace(',', '_')}"],
-        "log": all(c.kind == "H" for c in observable),
+        "cut": SHOWN,
         "x": grid[0],
         "y": grid[1],
         "xlabel": words_of(x),

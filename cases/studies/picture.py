@@ -204,8 +204,12 @@ def _live_map(fields: Sequence[Field]) -> Record:
         if field.errors is None:
             del numbers["error"]
         words, colours = zip(*field.categories, strict=True) if field.categories else ((), ())
-        one: Record = {"name": field.title, "shown": True, "low": low, **numbers}
-        one |= {"high": high if high > low else low + (abs(low) or 1.0), "floor": max(low, 0.0)}
+        one: Record = {"name": field.title, "shown": True, "log": field.logarithmic, **numbers}
+        one |= {
+            "low": low,
+            "high": high if high > low else low + (abs(low) or 1.0),
+            "floor": max(low, 0.0),
+        }
         own.append({**one, **({"names": words, "colours": colours} if words else {})})
     return {
         "x": x.values,
@@ -214,7 +218,6 @@ def _live_map(fields: Sequence[Field]) -> Record:
         "ylog": y.logarithmic,
         "xlabel": x.label,
         "ylabel": y.label,
-        "log": any(field.logarithmic for field in fields),
         "split": None if split is None else split.astype(int).ravel(),
         "fields": own,
     }

@@ -10,11 +10,12 @@ const report = (() => {
   };
   const svg = (parent, tag, attributes, text) => add(parent, document.createElementNS(NS, tag), attributes, text);
   const html = (parent, tag, words, attributes = {}) => add(parent, document.createElement(tag), attributes, words);
-  const show = v => v === 0 ? "0" : Math.abs(v) >= 1e-3 && Math.abs(v) < 1e5 ? String(+v.toPrecision(7)) : v.toExponential(4);
-  const few = v => v.toExponential(1).replace("e+0", "").replace("e-0", "e-");
+  const minus = text => text.replaceAll("-", "−");
+  const show = v => minus(v === 0 || Math.abs(v) >= 1e-3 && Math.abs(v) < 1e5 ? String(+v.toPrecision(7)) : v.toExponential(4));
+  const few = v => minus(v.toExponential(1).replace("e+0", "").replace("e-0", "e-"));
   const plusMinus = v => v === undefined ? "" : v === null ? ", error not known" : ` ± ${few(v)}`;
   const ends = list => list.reduce(([a, b], v) => v === null || Number.isNaN(v) ? [a, b] : [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]);
-  const word = v => (v && (Math.abs(v) >= 1e5 || Math.abs(v) < 1e-3) ? v.toExponential().replace("e+", "e") : String(v)).replaceAll("-", "−");
+  const word = v => minus(v && (Math.abs(v) >= 1e5 || Math.abs(v) < 1e-3) ? v.toExponential().replace("e+", "e") : String(v));
 
   function ticks(low, high, log, count) {
     const list = [];
@@ -79,7 +80,7 @@ const report = (() => {
       const [a, b] = everywhere, pad = plot.x ? 0 : 0.04;
       return plot.xlog ? [a / (b / a) ** pad, b * (b / a) ** pad] : [a - pad * (b - a), b + pad * (b - a)];
     };
-    const point = (s, i) => ({curve: s.curve, name: s.name, x: s.x[i], p: s.y[i], error: s.error?.[i], note: s.notes?.[i], own: s.x !== plot.x});
+    const point = (s, i) => ({curve: s.curve, name: s.name, x: s.x[i], p: s.y[i], error: s.error?.[i], note: s.notes?.[i], own: plot.x && s.x[i] !== view.cursor.x});
 
     function height(panel, shown, [a, b]) {
       const seen = shown.flatMap(s => s.y.filter((v, i) => v !== null && s.x[i] >= a && s.x[i] <= b && (!panel.log || v > 0)));
@@ -198,10 +199,10 @@ const report = (() => {
 
     function draw(panel) {
       const s = panel.item, ranges = ["x", "y"].map(key => view[key] || edges(key, plot[key]));
-      const inside = frame(panel, plot, ranges[0], plot.xlog, ranges[1], plot.ylog, {right: s.names ? 10 : 74, name: s.name});
+      const inside = frame(panel, plot, ranges[0], plot.xlog, ranges[1], plot.ylog, {right: 74, name: s.name});
       const {X, Y, left, right, top, bottom} = panel.frame, log = panel.log && s.floor > 0;
       const C = s.names ? null : axis([log ? s.floor : s.low, s.high], log, bottom, top);
-      const colour = s.names ? z => rgb(s.colours[z]) : z => z < C.low && log ? null : colours[Math.round(Math.min(Math.max((bottom - C.to(z)) / (bottom - top), 0), 1) * (colours.length - 1))];
+      const colour = s.names ? z => rgb(s.colours[z]) : z => z < C.low && log && plot.cut ? null : colours[Math.round(Math.min(Math.max((bottom - C.to(z)) / (bottom - top), 0), 1) * (colours.length - 1))];
       svg(inside, "image", {href: picture(s, panel.frame, colour), x: left, y: top, width: right - left, height: bottom - top, preserveAspectRatio: "none"});
       (plot.walls || []).forEach((walls, k) => {
         for (const wall of walls) svg(inside, "line", k ? {x1: left, x2: right, y1: Y.to(wall), y2: Y.to(wall), class: "stop"} : {x1: X.to(wall), x2: X.to(wall), y1: top, y2: bottom, class: "stop"});
@@ -230,7 +231,7 @@ const report = (() => {
 
     return {
       items, draw, zoomed: ["x", "y"],
-      panels: items.map(item => ({item, log: plot.log})),
+      panels: items.map(item => ({item, log: item.log})),
       snap: ([x, y]) => ({x: plot.x[nearest(plot.x, x, f("x"))], y: plot.y[nearest(plot.y, y, f("y"))]}),
       step: (by, up) => {
         const place = (key, k) => plot[key][within((view.cursor ? plot[key].indexOf(view.cursor[key]) : plot[key].length >> 1) + k, plot[key])];
@@ -322,7 +323,7 @@ const report = (() => {
       if (!view.cursor) return;
       html(readout, "strong", kind.place());
       for (const v of kind.values()) {
-        const where = !v.own || view.cursor.s ? "" : v.y === undefined ? `, at ${show(+v.x.toPrecision(4))}` : `, at (${show(+v.x.toPrecision(4))}, ${show(+v.y.toPrecision(4))})`;
+        const where = !v.own ? "" : v.y === undefined ? `, at ${show(+v.x.toPrecision(4))}` : `, at (${show(+v.x.toPrecision(4))}, ${show(+v.y.toPrecision(4))})`;
         html(readout, "div", `${v.curve ? v.curve + ", " : ""}${v.name}${where}${kind.tell(v)}`);
       }
     }
