@@ -44,7 +44,7 @@ def slider_model(curve: Answers, observables: Sequence[Observable]) -> tuple[Rec
         if len(o) == 1 and (one := _form(o[0], system, contact_mass, modes)) is not None
     }
     others = [o for o in map(observable_name, observables) if o not in known]
-    missing = [f"for {', '.join(others)}"] if others else []
+    missing = [f"for {' and '.join(others)}"] if others else []
     if modes is None:
         missing.append("of modal averaging, which gives no answer here")
     words = f"Sliders compute nothing {' and nothing '.join(missing)}." if missing else ""

@@ -2,15 +2,12 @@
 
 import json
 import re
-import shutil
-import subprocess
-from base64 import b64encode
 from dataclasses import replace
-from hashlib import sha256
-from html import escape, unescape
+from html import escape
 
 import numpy as np
 import pytest
+from browser import RESULTS, shown
 
 from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
@@ -34,12 +31,6 @@ AT = {
     "H2": [0.0, 0.1, 1.0],
 }
 OBSERVABLES = tuple(AT)
-
-RESULTS = """
-const pre = document.createElement("pre");
-pre.id = "results"; pre.textContent = JSON.stringify(out);
-document.body.append(pre);
-"""
 
 SCRIPT = (
     """
@@ -97,34 +88,11 @@ def asked(factors):
 
 
 @pytest.fixture(scope="module")
-def chromium():
-    path = shutil.which("chromium")
-    if path is None:
-        pytest.skip("chromium is not installed (Debian package chromium)")
-    return path
-
-
-@pytest.fixture(scope="module")
 def outcome(scene_text, tmp_path_factory):
     path = tmp_path_factory.mktemp("scene") / "any.toml"
     path.write_text(scene_text.replace('["q2", "H"]', json.dumps(OBSERVABLES)))
     names = ("nonintegrable", "integrable")
     return run_scene(load_scene(str(path)), [method_for(m, "closed-form") for m in names])
-
-
-def shown(chromium, page, script, folder, *options):
-    """What the script has to say when it is added to the page, allowed by its hash."""
-    own = b64encode(sha256(script.encode()).digest()).decode()
-    page = page.replace("script-src ", f"script-src 'sha256-{own}' ", 1)
-    path = folder / "page.html"
-    page = page.replace("</body>", f"<script>{script}</script></body>")
-    path.write_text(page, encoding="utf-8")
-    command = [chromium, "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
-               f"--user-data-dir={folder / 'profile'}", *options,
-               "--dump-dom", path.as_uri()]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-    (text,) = re.findall(r'<pre id="results">(.*?)</pre>', done.stdout, re.DOTALL)
-    return json.loads(unescape(text))
 
 
 def varied(system, B=(1.0,), delta=(1.0,), c=1.0, D=1.0):

@@ -19,6 +19,7 @@ const report = (() => {
 
   function ticks(low, high, log, count) {
     const list = [];
+    if (!(high > low && Number.isFinite(high - low) && (low > 0 || !log))) return list;
     if (log && high / low > 15) {
       const first = Math.ceil(Math.log10(low) - 1e-9), last = Math.floor(Math.log10(high) + 1e-9);
       const stride = Math.ceil((last - first + 1) / count), each = stride > 1 || last - first > 3 ? [1] : [1, 2, 5];
@@ -49,7 +50,7 @@ const report = (() => {
   const within = (k, list) => Math.min(Math.max(k, 0), list.length - 1);
 
   // Axes with numbers and words around the box of a panel; returned is the group inside, which is clipped.
-  function frame(panel, plot, x, log, y, ylog, {right = 10, name = ""} = {}) {
+  function frame(panel, plot, x, log, y, ylog, {right = 16, name = ""} = {}) {
     const {canvas, width} = panel, height = Math.min(360, 0.66 * width + 40), top = name ? 24 : 10, bottom = height - 42;
     canvas.replaceChildren();
     canvas.setAttribute("viewBox", `0 0 ${width} ${height}`);
@@ -84,7 +85,7 @@ const report = (() => {
 
     function height(panel, shown, [a, b]) {
       const seen = shown.flatMap(s => s.y.filter((v, i) => v !== null && s.x[i] >= a && s.x[i] <= b && (!panel.log || v > 0)));
-      let [low, high] = seen.length ? ends(seen) : [0, highest > 0 ? highest : 1];
+      let [low, high] = seen.length ? ends(seen) : [1e-3, 1].map(v => v * (highest > 0 ? highest : 1));
       if (plot.yends && panel.log) return plot.yends;
       if (plot.cut) high = Math.max(high, 1e-6 * highest);
       const pad = 0.06 * (high - (plot.zero ? 0 : low)) || Math.abs(high) || 1;
