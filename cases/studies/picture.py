@@ -219,6 +219,7 @@ def _live_map(fields: Sequence[Field]) -> Record:
         "xlabel": x.label,
         "ylabel": y.label,
         "split": None if split is None else split.astype(int).ravel(),
+        "border": fields[0].border,
         "fields": own,
     }
 

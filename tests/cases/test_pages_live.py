@@ -69,6 +69,7 @@ try {
     own.ends = [whole.low, panel.frame.X.low, panel.frame.X.high, whole.high];
     key(panel, "0"); own.whole = [panel.frame.X.low, panel.frame.X.high];
     key(panel, "Escape"); own.cursor = p.view.cursor;
+    own.said = [...p.host.querySelectorAll("p")].map(e => e.textContent).join(" ");
     own.image = p.host.querySelector("image")?.getAttribute("href").slice(0, 22);
     out.plots.push(own);
   }
@@ -224,6 +225,7 @@ def test_a_map_of_regimes_says_which_theory_is_nearer(touched):
     assert values["L₁, integrable"]["p"] > 0.1 > values["L₁, nonintegrable"]["p"]
     assert "nearer to the full system: nonintegrable" in hover["words"]
     assert values["clearance over rms"]["p"] > 0.0
+    assert touched["regime"]["picture_0"]["said"] == "Dotted: clearance = 2 rms."
 
 
 def test_the_diagram_of_cost_says_method_setting_error_and_time(touched, study):

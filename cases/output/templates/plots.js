@@ -304,6 +304,7 @@ const report = (() => {
     panels.forEach((panel, number) => Object.assign(panel, {
       number, canvas: svg(pair, "svg", {tabindex: 0, role: "application", "aria-label": `${panel.item?.name || plot.ylabel} over ${plot.xlabel}; ${keys}`}),
     }));
+    if (plot.border) html(host, "p", `Dotted: ${plot.border}.`, {class: "soft"});
     const readout = html(host, "div", "", {class: "readout", "aria-live": "polite"});
     const seen = () => panels.filter(p => !p.item || on(p.item));
 
