@@ -47,6 +47,8 @@ def slider_model(curve: Answers, observables: Sequence[Observable]) -> tuple[Rec
     missing = [f"for {' and '.join(others)}"] if others else []
     if modes is None:
         missing.append("of modal averaging, which gives no answer here")
+    elif system.n > MOST_MODES and "H" in known:
+        missing.append(f"for the sum of more than {MOST_MODES} modal energies")
     words = f"Sliders compute nothing {' and nothing '.join(missing)}." if missing else ""
     if not known:
         return None, words
