@@ -24,7 +24,9 @@ def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
     @click.command()
     @parts.scene_name
     @click.option(
-        "--out", type=parts.FOLDER, help="Folder: tables (.md), numbers (.nc), picture (.svg)."
+        "--out",
+        type=parts.FOLDER,
+        help="Folder: tables (.md), numbers (.nc), picture (.svg), .html.",
     )
     @parts.seed
     @parts.as_json

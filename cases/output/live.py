@@ -1,56 +1,71 @@
-"""Data of the interactive plots of a report: curves with errors, parameters of closed forms."""
+"""Data of the plots of a report: curves and maps with errors, parameters of closed forms."""
 
-import json
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 
-from averaging.closed_form import averaged_rate
-from averaging.conditional import conditional
-from averaging.modal.analysis import modal_analysis
-from averaging.modal.observables import gaussian_modes
 from cases.comparison.answers import Answers
+from cases.comparison.compare import joined
+from cases.comparison.in_time import Replies
 from cases.comparison.run import Outcome
 from cases.output.fields import common_grid
+from cases.output.page import rounded, script_record
 from cases.output.pictures.choice import lines_of
+from cases.output.pictures.in_time import EVERY, asked_in_time, drawn_passage, shades_of, styled
+from cases.output.pictures.joint import LOWEST
 from cases.output.pictures.lines import MARKERS, TAIL, bins_within, dashes_of, walls_of
-from cases.output.pictures.style import COLOURS, density_words, words_of
-from cases.output.records import Record, plain
-from cases.written import bound
-from fpk.contact import Contact
+from cases.output.pictures.style import (
+    COLOURS,
+    SHOWN,
+    density_words,
+    in_units,
+    time_words,
+    words_of,
+)
+from cases.output.records import Record
+from cases.output.slider_model import slider_model, slider_series
+from cases.scene.questions import TransientQuestion
+from fpk.arrays import Array
+from fpk.density import AnyDensity
+from fpk.evolution import Passage, Transient
 from fpk.observable import Observable, observable_name
+from fpk.route import Route
 from fpk.sampled_density import SampledDensity
 
-POINTS = 301
-"""Points of a curve in the page."""
+POINTS, MAP_POINTS, MAP_BINS = 301, 61, 40
+"""Points of a curve in the page, points an axis of a map, and about as many bins of a sampled one.
+"""
 
-DIGITS, ERROR_DIGITS = 10, 2
-"""Digits of a density in the page, and of its error."""
+BARS = 2
+"""Standard errors that a bar shows."""
 
 
 def live_record(outcome: Outcome) -> Record | None:
-    """Return the plots of all single coordinates and the model of ``_model``; None without plots.
+    """Return the plots of all observables and of motion in time, and the model of the sliders.
 
-    Densities are rounded to ``DIGITS`` digits, their errors up to ``ERROR_DIGITS``.
+    None where nothing can be drawn.
     """
     curves = sorted(outcome.curves, key=lambda c: c.value or 0.0)
-    singles = [o for o in outcome.scene.observables if len(o) == 1]
-    plots = [plot for o in singles if (plot := _plot(curves, o)) is not None]
-    model = _model(outcome.curves[0], singles) if plots else None
-    return plain({"plots": plots, "model": model}) if plots else None
+    observables = outcome.scene.observables
+    model, missing = slider_model(outcome.curves[0], observables)
+    with in_units(outcome.scene.units):
+        plots = [
+            plot
+            for o in observables
+            if (plot := _curves(curves, o, model) if len(o) == 1 else _map(outcome.curves, o))
+        ]
+        for k, curve in enumerate(outcome.curves):
+            plots += _in_time(curve, f"_{k}" if k else "")
+    return script_record(plots, model=model, missing=missing) if plots else None
 
 
-def as_script_data(record: Record) -> Markup:
-    """Return the record as JSON for a script element: ``<``, ``>`` and ``&`` are escaped in it."""
-    text = json.dumps(record, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
-    for character in "<>&":
-        text = text.replace(character, f"\\u{ord(character):04x}")
-    return Markup(text)
+def _series(name: str, y: Array, error: Array, **own: Any) -> Record:
+    """A curve of a plot, by its name in words."""
+    return {"curve": "", "shown": True, **own, "name": name, **rounded(y=y, error=error)}
 
 
-def _plot(curves: list[Answers], observable: Observable) -> Record | None:
+def _curves(curves: list[Answers], observable: Observable, model: Record | None) -> Record | None:
     """Words, points and series of the plot of one coordinate; None where no route gives it."""
     answers = [
         (k, route, density)
@@ -62,69 +77,148 @@ def _plot(curves: list[Answers], observable: Observable) -> Record | None:
     (x,) = common_grid((density for *_, density in answers), cut=TAIL, count=POINTS)
     series = []
     for k, route, density in answers:
-        drawn = route in lines_of(curves[k], observable) or isinstance(density, SampledDensity)
-        own: Record = {"curve": curves[k].label, "name": route.words, "shown": drawn}
-        own["colour"] = route.colour if len(curves) == 1 else COLOURS[k % len(COLOURS)]
+        own: Record = {
+            "curve": curves[k].label,
+            "colour": route.colour if len(curves) == 1 else COLOURS[k % len(COLOURS)],
+        }
         if isinstance(density, SampledDensity):
             few, middles, inside = bins_within(density, 2 * MARKERS, x)
             values, errors = few.values[inside], few.standard_error[inside]
-            own["x"], values, errors = (v[values > 0.0] for v in (middles, values, errors))
+            middles, values, errors = (v[values > 0.0] for v in (middles, values, errors))
+            own |= {"x": middles, "marks": True, "band": True, "bars": BARS}
         else:
-            dashes = dashes_of(route)
-            own["dash"] = "" if dashes == "-" else " ".join(str(2 * d) for d in dashes[1])
+            own |= {
+                "dash": _dash(dashes_of(route)),
+                "shown": route in lines_of(curves[k], observable),
+            }
             values, errors = density.at(x)
-        own["p"] = [float(f"{p:.{DIGITS - 1}e}") for p in values]
-        own["error"] = [float(bound(error, ERROR_DIGITS)) for error in errors]
-        series.append(own)
+        series.append(_series(route.words, values, errors, **own))
+    name = observable_name(observable)
     return {
-        "of": observable_name(observable),
+        "id": name,
+        "of": name,
+        "still": [f"density_{name}", f"density_{name}_log"],
+        "scales": [False, True],
+        "cut": SHOWN,
+        "zero": True,
+        "lowest": TAIL,
         "x": x,
         "xlabel": words_of(observable[0]),
         "ylabel": density_words(observable),
         "walls": walls_of(curves, observable),
-        "series": series,
+        "series": [*series, *slider_series(model, observable)],
     }
 
 
-def _power_law(stop: Contact) -> bool:
-    """Whether the contact energy is that of a power law, which the page knows."""
-    x = np.array([0.3, 1.7])
-    expected = stop.stiffness * x ** (stop.power + 1.0) / (stop.power + 1.0)
-    return bool(np.allclose(stop.energy(x), expected, rtol=1e-12))
+def _dash(dashes: Any) -> str:
+    """Dashes of matplotlib as those of SVG."""
+    return "" if dashes == "-" else " ".join(str(2 * d) for d in dashes[1])
 
 
-def _model(curve: Answers, observables: Sequence[Observable]) -> Record | None:
-    """Parameters of the closed forms (29), (30), (34), (36), which a slider evaluates anew.
+def _map(curves: Sequence[Answers], observable: Observable) -> Record | None:
+    """Fields of the joint density of a pair by every route, on common levels; of the first curve.
 
-    None where these do not hold: they need constant damping, noise without modulation, one contact
-    mass and contact forces by power laws.
+    None where no route gives it.
     """
-    system = curve.system
-    taken = {r.method.route.method for r in curve.results if r.method.route.solves == "averaged"}
-    masses = system.contact_masses
-    plain_system = not system.damping_terms and system.modulation is None
-    if not (plain_system and len(masses) == 1 and all(map(_power_law, system.stops))):
+    found = [(c, densities) for c in curves if (densities := c.densities(observable))]
+    if not found:
         return None
-    if "nonintegrable" not in taken:
-        return None
-    modes = system.fact(modal_analysis) if "integrable" in taken else None
-    variances = None if modes is None else np.sum(gaussian_modes(modes).factor ** 2, axis=1)
-    of: dict[str, Any] = {}
-    for (c,) in observables:
-        if c.kind == "H" and c.index is None:
-            of[str(c)] = {"kind": "H"}
-        elif c.kind == "p" or (c.kind == "q" and c.row == masses[0]):
-            row = c.row + (system.n if c.kind == "p" else 0)
-            variance = None if variances is None else float(variances[row])
-            of[str(c)] = {"kind": c.kind, "mass": system.mass[c.row], "variance": variance}
+    curve, densities = found[0]
+    drawn = lines_of(curve, observable)
+    grid = common_grid(densities.values(), cut=SHOWN, count=MAP_POINTS)
+    fields = [
+        _field(route, density, grid, shown=route in drawn or route.sampled)
+        for route, density in densities.items()
+    ]
+    energies = all(c.kind == "H" for c in observable)  # they fall exponentially
+    top = max(field["high"] for field in fields)
+    for field in fields:
+        field |= {"log": energies, "low": 0.0, "high": top, "floor": LOWEST * top}
+    x, y = observable
+    name = observable_name(observable)
     return {
-        "n": system.n,
-        "a": conditional(system, masses[0], ()).precision,
-        "alpha": float(averaged_rate(system)[0]),
-        "stops": [
-            {"sign": s.sign, "B": s.stiffness, "delta": s.clearance, "e": s.power}
-            for s in system.stops
-        ],
-        "theta": [] if modes is None else modes.temperature,
-        "of": of,
+        "id": name,
+        "of": name,
+        "still": [f"density_{name.replace(',', '_')}"],
+        "cut": SHOWN,
+        "x": grid[0],
+        "y": grid[1],
+        "xlabel": words_of(x),
+        "ylabel": words_of(y),
+        "walls": [walls_of([curve], (c,)) for c in observable],
+        "fields": fields,
+    }
+
+
+def _field(route: Route, density: AnyDensity, grid: tuple[Array, ...], *, shown: bool) -> Record:
+    """The field of one route: of a function at the points of ``grid``, of a sample its bins."""
+    if isinstance(density, SampledDensity):
+        few = joined(density, MAP_BINS)
+        middles = [0.5 * (e[1:] + e[:-1]) for e in few.edges]
+        inside = [(m >= g[0]) & (m <= g[-1]) for m, g in zip(middles, grid, strict=True)]
+        x, y = (m[i] for m, i in zip(middles, inside, strict=True))
+        values, errors = few.values[np.ix_(*inside)], few.standard_error[np.ix_(*inside)]
+        own: Record = {"x": x, "y": y}
+    else:
+        values, errors = density.at(*np.meshgrid(*grid, indexing="ij"))
+        own = {"smooth": True}
+    numbers = rounded(z=values.ravel(), error=errors.ravel())
+    return {"name": route.words, "shown": shown, "high": float(values.max()), **numbers, **own}
+
+
+def _in_time(curve: Answers, label: str) -> list[Record]:
+    """Plots of the questions about time that somebody answered."""
+    plots = []
+    for stem, replies in asked_in_time(curve, label):
+        first = replies.given[0].answer
+        common: Record = {"id": stem, "still": [stem], "title": curve.label}
+        if isinstance(first, Passage):
+            name, answers = drawn_passage(replies)
+            series = [
+                _series(
+                    route.words, values, errors, x=times, colour=route.colour, band=True,
+                    bars=BARS if route.sampled else 1,
+                    **({"marks": True} if route.sampled else {"dash": _dash(style)}),
+                )
+                for route, style, times, values, errors in answers
+            ]  # fmt: skip
+            times = np.unique(np.concatenate([times for *_, times, _, _ in answers]))
+            own: Record = {"x": times, "xlabel": time_words(), "ylabel": name}
+            own |= {"scales": [True], "zero": True}
+        else:
+            own = _transient(replies)
+            series = own.pop("series")
+        plots.append({**common, **own, "series": series})
+    return plots
+
+
+def _transient(replies: Replies) -> Record:
+    """Words and series of the densities at all times: curves are times, names routes."""
+    question, points = replies.question, replies.points
+    assert isinstance(question, TransientQuestion) and points is not None
+    series = []
+    for route, p, style in styled(replies):
+        assert isinstance(p, Transient)
+        for k, colour in enumerate(shades_of(len(question.times))):
+            inside = replies.windows[k]
+            own: Record = {"curve": f"t = {question.times[k]:g}", "colour": colour}
+            if route.sampled:
+                inside = inside[::EVERY]
+                own |= {"marks": True, "bars": BARS}
+            else:
+                own["dash"] = _dash(style)
+            values, errors = p.values[k, inside], p.errors[k, inside]
+            series.append(_series(route.words, values, errors, x=points[inside], **own))
+    answers = [p for _, p, _ in styled(replies) if isinstance(p, Transient)]
+    tops = [
+        max(float(p.values[k, i].max()) for p in answers) for k, i in enumerate(replies.windows)
+    ]
+    return {
+        "x": points,
+        "xlabel": words_of(question.of[0]),
+        "ylabel": density_words(question.of),
+        "scales": [question.of[0].kind == "H"],
+        "zero": True,
+        "lowest": SHOWN * min(tops) / max(tops),
+        "series": series,
     }

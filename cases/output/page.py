@@ -1,15 +1,26 @@
 """Style and scripts that stand inside a page, and the policy that allows no others."""
 
+import json
 from base64 import b64encode
 from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 from markupsafe import Markup
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 
-from cases.output.records import Record
+from cases.output.records import Record, plain
+from cases.written import bound
 
 TEMPLATES = Path(__file__).parent / "templates"
+
+DIGITS, ERROR_DIGITS = 10, 2
+"""Digits of a number in the data of a page, and of its error, which is rounded up."""
+
+PALETTE = 64
+"""Colours of a map in a page."""
 
 
 def page_record(scripts: Sequence[str] = ()) -> Record:
@@ -20,6 +31,32 @@ def page_record(scripts: Sequence[str] = ()) -> Record:
     style, script = _source("report.css"), Markup("\n").join(map(_source, scripts))
     policy = {"style": _hash(style), "script": _hash(script) if scripts else "'none'"}
     return {"style": style, "script": script, "policy": policy}
+
+
+def script_record(plots: Sequence[Record], **more: Any) -> Record:
+    """Return the data of the script ``plots.js``: plots, the colours of maps, and ``more``."""
+    palette = [to_hex(c) for c in colormaps["viridis"](range(0, 256, 256 // PALETTE))]
+    return plain({"plots": plots, "palette": palette, **more})
+
+
+def rounded(*, error: Any, **values: Any) -> Record:
+    """Return the values to ``DIGITS`` digits and their ``error``, rounded up; no number is None."""
+    return {
+        **{key: [_number(f"{v:.{DIGITS - 1}e}") for v in own] for key, own in values.items()},
+        "error": [_number(bound(e, ERROR_DIGITS)) for e in error],
+    }
+
+
+def _number(text: str) -> float | None:
+    return None if text == "nan" else float(text)
+
+
+def as_script_data(record: Record) -> Markup:
+    """Return the record as JSON for a script element: ``<``, ``>`` and ``&`` are escaped in it."""
+    text = json.dumps(record, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    for character in "<>&":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return Markup(text)
 
 
 def _source(name: str) -> Markup:

@@ -16,8 +16,8 @@ from cases.output.digest import curves_of
 from cases.output.facts import theories
 from cases.output.files import write_text
 from cases.output.headline import headline_of
-from cases.output.live import as_script_data, live_record
-from cases.output.page import page_record
+from cases.output.live import live_record
+from cases.output.page import as_script_data, page_record
 from cases.output.pictures.chain import chain_svg
 from cases.output.pictures.in_time import time_pictures
 from cases.output.pictures.joint import joint_pictures
@@ -32,7 +32,7 @@ from fpk.method import Progress, silent
 GROUPS = {"passage": "time", "transient": "time", "solver": "difference", "left": "difference"}
 """Part of the page in which a picture stands, by the first word of its file; others: "density"."""
 
-SCRIPTS = "closed_forms.js", "live.js"
+SCRIPTS = "plots.js", "closed_forms.js", "sliders.js"
 
 LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "h5netcdf")
 
@@ -99,7 +99,7 @@ def report_html(
     """Return the page; every text that comes from a scene is escaped by the template.
 
     Curves are sorted by the number that they vary. ``live`` is ``live_record``, with which the
-    pictures of single coordinates can be touched.
+    pictures can be touched.
     """
     values = {curve.label: curve.value or 0.0 for curve in scene.curves}
     curves = sorted(curves_of(digest), key=lambda curve: values.get(curve["label"], 0.0))

@@ -9,7 +9,7 @@ import numpy as np
 from cases.studies.converge import ROUND_OFF, ConvergenceStudy, Ladder
 from cases.studies.orders import LIMITS
 from cases.studies.page import Page, Table
-from cases.studies.picture import Curve, Panel, study_figure
+from cases.studies.picture import Curve, Panel
 from cases.studies.weak import ORDERS, WeakOrder
 
 GCI_WORDS = (
@@ -71,7 +71,7 @@ def convergence_page(study: ConvergenceStudy) -> Page:
         Table("refusals", "Routes that do not apply", refusals),
     ]
     title = f"Convergence: {study.scene.title}"
-    return Page("converge", study.scene, title, tables, lambda: study_figure(study_panels(study)))
+    return Page("converge", study.scene, title, tables, study_panels(study))
 
 
 def study_panels(study: ConvergenceStudy) -> list[Panel]:
@@ -81,30 +81,33 @@ def study_panels(study: ConvergenceStudy) -> list[Panel]:
     """
     panels = []
     for e in study.equations:
-        name, y = e["equation"], f"$L_1$ error of p({e['observable']})"
+        name, y = e["equation"], f"L₁ error of p({e['observable']})"
         axis: dict[str, Any] = {"floor": e["reference_error"] + ROUND_OFF, "limits": LIMITS_OF_AXIS}
         curves = [_in_unknowns(ladder) for ladder in e["ladders"] if ladder.equation == name]
-        panels.append(Panel(f"{name}; dashed: order of theory", "unknowns $N$", y, curves, **axis))
+        panels.append(Panel(f"{name}; dashed: order of theory", "unknowns N", y, curves, **axis))
         if e["dimension"] == 1:
             curves = [_in_degree(ladder) for ladder in e["ladders"] if ladder.family == "p"]
-            x, axis["logarithmic"] = "degree $p$ on a fixed mesh", False
-            panels.append(Panel("exponential in $p$", x, y, curves, **axis))
+            x, axis["logarithmic"] = "degree p on a fixed mesh", False
+            panels.append(Panel("exponential in p", x, y, curves, **axis))
     return [*panels, _step_panel(study.schemes)] if study.schemes else panels
 
 
 def _in_unknowns(ladder: Ladder) -> Curve:
     N = np.array([level.unknowns for level in ladder.levels], dtype=float)
     e = np.array([level.error for level in ladder.levels])
+    notes = [str(level.settings) for level in ladder.levels]
     if not ladder.degree:
-        return Curve(ladder.name, N, e)
+        return Curve(ladder.name, N, e, notes=notes)
     power = (ladder.degree + 1.0) / ladder.dimension
     dashed = N[-3:], 0.5 * e[-1] * (N[-3:] / N[-1]) ** -power
-    return Curve(f"{ladder.name}: order {ladder.verdicts['L1'].order:.2f}", N, e, dashed=dashed)
+    return Curve(
+        f"{ladder.name}: order {ladder.verdicts['L1'].order:.2f}", N, e, dashed=dashed, notes=notes
+    )
 
 
 def _in_degree(ladder: Ladder) -> Curve:
     degrees = [-np.log(level.size) for level in ladder.levels]
-    label = f"{ladder.equation}: $e^{{-{ladder.verdicts['L1'].order:.1f} p}}$"
+    label = f"{ladder.equation}: exp(−{ladder.verdicts['L1'].order:.1f} p)"
     return Curve(label, degrees, [level.error for level in ladder.levels])
 
 
@@ -117,5 +120,5 @@ def _step_panel(schemes: Sequence[WeakOrder]) -> Panel:
         line = (dt, abs(s.slope) * dt**s.theory) if dt.size else None
         label, bar = f"{s.scheme}: {words}", np.array(s.error_bars)
         curves.append(Curve(label, dt, s.errors, bar, dashed=line, style="none"))
-    x, y = "step $dt$, in the scene's unit of time", f"step error of {schemes[0].observable}"
+    x, y = "step dt, in the scene's unit of time", f"step error of {schemes[0].observable}"
     return Panel("full system (6), simulation; lines: theory", x, y, curves)

@@ -1,17 +1,16 @@
 """A work-precision study as tables and panels of a picture."""
 
 from dataclasses import asdict
-from functools import partial
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from cases.output.duration import duration
 from cases.studies.cost import CostStudy
 from cases.studies.law import FULL
+from cases.studies.levels import Level
 from cases.studies.page import Page, Table
-from cases.studies.picture import Curve, Panel, study_figure
+from cases.studies.picture import Curve, Panel
 from cases.studies.prices import Cheapest, by_equation, crossovers, price_list
 
 MEANING = (
@@ -72,7 +71,7 @@ def cost_page(study: CostStudy) -> Page:
         Table("measurements", "Measurements", measured, (*axes, MEANING)),
     ]
     title = f"What accuracy costs: {study.scene.title}"
-    return Page("cost", study.scene, title, tables, partial(_figure, study))
+    return Page("cost", study.scene, title, tables, _panels(study))
 
 
 def _overtaking(study: CostStudy) -> tuple[str, ...]:
@@ -105,8 +104,16 @@ def _price(c: Cheapest) -> dict[str, Any]:
     return {"equation": c.equation, "digits": c.digits, "route": route, **price, "priced by": by}
 
 
-def _figure(study: CostStudy) -> Figure:
-    """Draw a panel for each equation: error against time of every route.
+def _note(point: Level) -> str:
+    """The setting of a point, and how well its error and time are known."""
+    if point.modelled:
+        return f"{point.settings}, by the law of sampling"
+    spread = f", time ± {duration(point.spread)}" if point.spread > 0.0 else ""
+    return f"{point.settings}, states {point.stated:.1e}{spread}"
+
+
+def _panels(study: CostStudy) -> list[Panel]:
+    """Return a panel for each equation: error against time of every route.
 
     Open markers and dotted lines are prices by the law of sampling; dashed levels are the averaging
     error, which no solver lowers.
@@ -125,11 +132,13 @@ def _figure(study: CostStudy) -> Figure:
             if drawn:
                 style = ":" if drawn[-1].modelled else "-"
                 times, errors = [p.seconds for p in drawn], [p.error for p in drawn]
-                curves.append(Curve(route.route, times, errors, style=style))
+                curves.append(
+                    Curve(route.route, times, errors, style=style, notes=list(map(_note, drawn)))
+                )
         x, floor = "processor time in seconds, one thread", study.floors.get(equation, 0.0)
         lowest = 0.4 * min([DRAWN, *(min(curve.y) for curve in curves)])
         marks, limits = (models, (lowest, 1.0)) if equation == FULL else ((), (2e-16, 2.0))
-        y = "$L_1$ error" if equation in study.floors else "relative error"
+        y = "L₁ error" if equation in study.floors else "relative error"
         panel = Panel(equation, x, y, curves, max(floor, 2e-15), marks, limits=limits)
         panels.append(panel)
-    return study_figure(panels, width=5.2)
+    return panels

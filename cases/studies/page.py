@@ -11,16 +11,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from cases.output.duration import duration
 from cases.output.fields import attributes_of, write_variables
 from cases.output.files import write_text
-from cases.output.page import page_record
+from cases.output.page import as_script_data, page_record, script_record
 from cases.output.pictures.style import inline_svg, svg_text
 from cases.output.text import rendered
 from cases.output.variables import Variables
 from cases.scene.scene import Scene
+from cases.studies.picture import Field, Panel, live_plots, study_figure
 
 MARKUP = re.compile(r"[\\`*_\[\]<>&#|~$]")
 """Characters to which Markdown gives a meaning inside a line, HTML and formulas included."""
@@ -103,7 +103,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Page:
-    """The page of a study: its title, tables, and a picture.
+    """The page of a study: its title, tables, and panels of a picture.
 
     Tables without rows are left out. ``gridded`` are the variables of a study over a grid: netCDF
     has them in the place of the tables, and the first table is written as comma-separated values,
@@ -114,7 +114,7 @@ class Page:
     scene: Scene
     title: str
     tables: Sequence[Table]
-    figure: Callable[[], Figure]
+    panels: Sequence[Panel | Field]
     summary: str = ""
     gridded: Variables | None = None
 
@@ -128,15 +128,21 @@ class Page:
         return "\n".join([f"# {title}", "", *tables]).rstrip() + "\n"
 
     def write(self, folder: Path) -> list[Path]:
-        """Write files of the study's name: md, svg, nc and, if it is over a grid, csv and html."""
-        texts = {"md": self.text(), "svg": svg_text(self.figure(), salt=self.name)}
+        """Write files of the study's name: md, svg, html, nc and, if it is over a grid, csv."""
+        texts = {"md": self.text(), "svg": svg_text(study_figure(self.panels), salt=self.name)}
         variables = self.gridded
         if variables is None:
             variables = {k: v for t in self.tables if t.rows for k, v in t.variables().items()}
         else:
             texts["csv"] = self.tables[0].csv()
-            svg = inline_svg(texts["svg"], self.title)
-            texts["html"] = rendered("study.html", {"page": self, "svg": svg, **page_record()})
+        data = script_record(live_plots(self.panels, "picture"))
+        record = {
+            "page": self,
+            "svg": inline_svg(texts["svg"], self.title),
+            "data": as_script_data(data),
+            **page_record(["plots.js"]),
+        }
+        texts["html"] = rendered("study.html", record)
         attributes = {**attributes_of(self.scene), "title": self.title}
         paths = {ending: folder / f"{self.name}.{ending}" for ending in (*texts, "nc")}
         for ending, text in texts.items():

@@ -1,5 +1,6 @@
-"""Scenes on disk and the command line in process."""
+"""Scenes on disk, the command line in process, and a browser."""
 
+import shutil
 import sys
 
 import pytest
@@ -45,3 +46,12 @@ def fpk(monkeypatch, capsys):
         return (0 if code is None else code), captured.out, captured.err
 
     return run
+
+
+@pytest.fixture(scope="session")
+def chromium():
+    """The path of Chromium, in which pages are tested."""
+    path = shutil.which("chromium")
+    if path is None:
+        pytest.skip("chromium is not installed (Debian package chromium)")
+    return path

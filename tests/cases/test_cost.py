@@ -120,7 +120,7 @@ def test_json_says_null_where_a_route_states_an_infinite_error(fpk, monkeypatch)
 def test_both_studies_say_where_files_are_written_and_print_one_object(fpk, tmp_path, monkeypatch):
     monkeypatch.setattr("cases.studies.cost.study_cost", lambda *a, **k: EMPTY)
     status, out, err = fpk("cost", "fig6b", "--out", tmp_path)
-    assert status == 0 and out.count("wrote ") == 3 and not err
+    assert status == 0 and out.count("wrote ") == 4 and not err
     status, out, err = fpk("cost", "fig6b", "--json", "--out", tmp_path)
     assert status == 0 and json.loads(out)["scene"] == "fig6b" and not err
     for command in ("cost", "converge"):

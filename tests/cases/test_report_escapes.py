@@ -8,7 +8,6 @@ from html.parser import HTMLParser
 from xml.etree import ElementTree
 
 import pytest
-from matplotlib.figure import Figure
 
 from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
@@ -133,7 +132,7 @@ def test_the_title_of_a_page_is_text_in_markdown(words, tmp_path, scene_text):
     path = tmp_path / "any.toml"
     path.write_text(scene_text.replace('"A scene"', "'''" + words + "'''"))
     scene = load_scene(str(path))
-    page = Page("regime", scene, f"Map: {scene.title}", [], Figure)
+    page = Page("regime", scene, f"Map: {scene.title}", [], [])
     first, _, rest = page.text().partition("\n")
     assert first.startswith("# Map: ") and rest.strip() == ""
     title = first.removeprefix("# ")

@@ -20,10 +20,11 @@ import fpk as face
 from cases.scene.errors import BadInput
 from cases.scene.numbers import with_numbers
 from cases.scene.scene import load_scene
+from cases.studies.picture import study_figure
 from cases.studies.regime_map.map import build_map
 from cases.studies.sweep.grid import parse_axes
 from cases.studies.sweep.quantity import parse_quantity
-from cases.studies.sweep.sweep_page import sweep_figure
+from cases.studies.sweep.sweep_page import sweep_panels
 from fpk.number import Number
 
 FREE = face.System([1, 2], [1, 3], [0.1, 0.2], [[0.02, 0.01], [0.01, 0.04]])
@@ -221,9 +222,9 @@ def test_a_quantity_without_any_value_is_drawn_as_nothing(values):
             replace(p, answers=tuple(replace(a, value=None, failed=True) for a in p.answers))
             for p in result.points
         ]
-        assert sweep_figure(result).axes and result.field("value").min() > 0.0
+        assert study_figure(sweep_panels(result)).axes and result.field("value").min() > 0.0
         failed = replace(result, points=tuple(none))
-        sweep_figure(failed).savefig(BytesIO(), format="svg")  # warnings are errors
+        study_figure(sweep_panels(failed)).savefig(BytesIO(), format="svg")  # warnings are errors
         assert len(failed.problems) == len(none)
 
 

@@ -17,6 +17,7 @@ from cases.comparison.time_distances import failure_of
 from cases.output.pictures.lines import HEIGHT, LINES, MARK
 from cases.output.pictures.style import INK, SHOWN, arrange, density_words, time_words, words_of
 from cases.scene.questions import PassageQuestion, TransientQuestion
+from fpk.arrays import Array
 from fpk.evolution import Passage, Transient
 from fpk.route import Route
 
@@ -29,26 +30,52 @@ RARE = 0.05
 LOWEST = 1e-4
 """Least reliability that is drawn; nothing that is sampled is known below it."""
 
+EVERY = 6
+"""Every so many points a marker of a sampled density in time is drawn."""
+
 SHADES = 0.05, 0.88
 """Part of the colours from the first time to the last: the rest is too light on white."""
+
+
+def asked_in_time(curve: Answers, label: str) -> Iterator[tuple[str, Replies]]:
+    """Yield file stem and replies of every question that somebody answered with what is drawn."""
+    for k, replies in enumerate(curve.passages, start=1):
+        if replies.given and replies.question.times:
+            yield f"passage_{k}{label}", replies
+    for k, replies in enumerate(curve.transients, start=1):
+        if replies.given and replies.windows:
+            yield f"transient_{k}{label}", replies
 
 
 def time_pictures(curve: Answers, label: str) -> Iterator[tuple[str, str, Figure]]:
     """Yield file stem, caption and figure of every question that somebody answered."""
     suffix = f", {curve.label}" if curve.label else ""
-    for k, replies in enumerate(curve.passages, start=1):
-        if replies.given and replies.question.times:
-            assert isinstance(replies.question, PassageQuestion)
+    for stem, replies in asked_in_time(curve, label):
+        name = f"{replies.question.name}{suffix}"
+        if isinstance(replies.question, PassageQuestion):
             figure, words = passage_figure(replies)
-            caption = f"First passage of {replies.question.name}{suffix}: {words}"
-            yield f"passage_{k}{label}", caption, figure
-    for k, replies in enumerate(curve.transients, start=1):
-        if replies.given and replies.windows:
+            yield stem, f"First passage of {name}: {words}", figure
+        else:
             caption = (
-                f"Density after the start, {replies.question.name}{suffix}, dark to light in time:"
-                " theory as lines, simulation as points with two standard errors."
+                f"Density after the start, {name}, dark to light in time: theory as lines,"
+                " simulation as points with two standard errors."
             )
-            yield f"transient_{k}{label}", caption, transient_figure(replies)
+            yield stem, caption, transient_figure(replies)
+
+
+def drawn_passage(replies: Replies) -> tuple[str, list[tuple[Route, Any, Array, Array, Array]]]:
+    """Return what is drawn in words, and by route its style, times, probabilities and errors.
+
+    P(T > t), or P(T ≤ t) of rare failure; what a logarithmic scale cannot show is left out.
+    """
+    answers = [(r, p, style) for r, p, style in styled(replies) if isinstance(p, Passage)]
+    rare = max(float(failure_of(p)[0][-1]) for _, p, _ in answers) < RARE
+    drawn = []
+    for route, p, style in answers:
+        values, errors = failure_of(p) if rare else (p.survival, p.survival_error)
+        seen = values > (0.0 if rare else LOWEST)
+        drawn.append((route, style, p.times[seen], values[seen], errors[seen]))
+    return ("P(T ≤ t), failure by t" if rare else "P(T > t), reliability"), drawn
 
 
 def passage_figure(replies: Replies) -> tuple[Figure, str]:
@@ -58,15 +85,10 @@ def passage_figure(replies: Replies) -> tuple[Figure, str]:
     """
     figure = Figure()
     axes = figure.subplots()
-    answers = [(r, p, style) for r, p, style in _styled(replies) if isinstance(p, Passage)]
-    rare = max(float(failure_of(p)[0][-1]) for _, p, _ in answers) < RARE
+    name, answers = drawn_passage(replies)
+    rare = "≤" in name
     legend: dict[str, Artist] = {}
-    lowest = 1.0
-    for route, p, style in answers:
-        values, errors = failure_of(p) if rare else (p.survival, p.survival_error)
-        seen = values > (0.0 if rare else LOWEST)
-        times, values, errors = p.times[seen], values[seen], errors[seen]
-        lowest = min([lowest, *values])
+    for route, style, times, values, errors in answers:
         colour = route.colour
         if route.sampled:
             marks = {**MARK, "marker": style, "markersize": 4.2}
@@ -77,7 +99,7 @@ def passage_figure(replies: Replies) -> tuple[Figure, str]:
             low, high = np.maximum(values - errors, 1e-300), values + errors
             axes.fill_between(times, low, high, color=colour, alpha=0.16, linewidth=0)
             legend[route.name] = Line2D([], [], color=colour, linestyle=style)
-    name = "P(T ≤ t), failure by t" if rare else "P(T > t), reliability"
+    lowest = min([1.0, *(value for *_, values, _ in answers for value in values)])
     axes.set(yscale="log", xlabel=time_words(), ylabel=name)
     axes.set_xlim(left=0.0)
     axes.set_ylim(0.5 * lowest, None if rare else 1.3)
@@ -86,24 +108,28 @@ def passage_figure(replies: Replies) -> tuple[Figure, str]:
     return figure, f"{words} by every route, on a logarithmic scale."
 
 
+def shades_of(count: int) -> list[str]:
+    """Return the colours of so many times, dark to light."""
+    return [to_hex(shade) for shade in colormaps["viridis"](np.linspace(*SHADES, count))]
+
+
 def transient_figure(replies: Replies) -> Figure:
     """Draw the densities at all times: colours are times, dashes and markers routes."""
     question, points = replies.question, replies.points
     assert isinstance(question, TransientQuestion) and points is not None
     figure = Figure()
     axes = figure.subplots()
-    shades = colormaps["viridis"](np.linspace(*SHADES, len(question.times)))
-    colours = [to_hex(shade) for shade in shades]
+    colours = shades_of(len(question.times))
     legend: dict[str, Artist] = {
         f"t = {t:g}": Line2D([], [], color=c, linewidth=3)
         for t, c in zip(question.times, colours, strict=True)
     }
-    for route, p, style in _styled(replies):
+    for route, p, style in styled(replies):
         assert isinstance(p, Transient)
         for k, (inside, colour) in enumerate(zip(replies.windows, colours, strict=True)):
             x, values, errors = points[inside], p.values[k, inside], p.errors[k, inside]
             if route.sampled:
-                few = slice(None, None, 6)
+                few = slice(None, None, EVERY)
                 axes.errorbar(
                     x[few], values[few], 2.0 * errors[few], color=colour, elinewidth=0.9,
                     **{**MARK, "marker": style},
@@ -123,8 +149,8 @@ def transient_figure(replies: Replies) -> Figure:
     return figure
 
 
-def _styled(replies: Replies) -> Iterator[tuple[Route, Passage | Transient, Any]]:
-    """Routes and answers with dashes or markers: of what solves an equation its first solver."""
+def styled(replies: Replies) -> Iterator[tuple[Route, Passage | Transient, Any]]:
+    """Yield routes, answers, dashes or markers: of what solves an equation its first solver."""
     dashes, marks = cycle(LINES), {solves: cycle(own) for solves, own in MARKS.items()}
     solved: set[str] = set()
     for g in sorted(replies.given, key=lambda g: g.route.sampled):

@@ -1,5 +1,6 @@
 // Closed forms of a chain with one contact mass, damping constant: energy averaging (11), (29), (30)
-// with u = exp(-alpha H), modal averaging (34), (36) without its contacts. Plain functions of numbers.
+// with u = exp(-alpha H), modal averaging (34), (36) without its
+// contacts. Plain functions of numbers.
 const GAUSS = (n => { // Gauss-Legendre nodes and weights on [0, 1]
   const rule = [];
   for (let i = 0; i < n; i++) {
@@ -27,18 +28,29 @@ function integral(f, a, b, panels) {
   return (b - a) * sum;
 }
 
-// Factors of the contact stiffness B, the clearance, the damping c and the noise D, all 1 as run.
-const AS_RUN = {B: 1, delta: 1, c: 1, D: 1};
+// Factors of stiffness B and clearance of each contact, of damping c and noise D, all 1 as run.
+const asRun = model => Object.fromEntries(["B", "delta", "c", "D"].map(key => [key, model[key].map(() => 1)]));
 
 function closedForms(model, factors) {
-  const {n, a} = model, alpha = model.alpha * factors.c / factors.D, heat = factors.D / factors.c;
+  const {n, a} = model, sum = (list, f) => list.reduce((total, one, k) => total + f(one, k), 0);
+  const weighted = (key, of) => sum(model[key], (one, k) => one.value * factors[key][k] * of(one));
+  const alpha = weighted("c", one => one.rate) / weighted("D", one => one.rate);
+  const {frequency: omega, most} = model, entry = (i, j) => one => one.vector ? one.vector[i] * one.vector[j] : one.matrix[i][j];
+  const modal = key => omega.map((_, i) => omega.map((_, j) => weighted(key, entry(i, j)))), damping = modal("c"), noise = modal("D");
+  const theta = omega.map((_, i) => noise[i][i] / damping[i][i]);
+  let neglected = 0; // the largest correlation of two modes that averaging neglects
+  omega.forEach((w, i) => omega.forEach((v, j) => {
+    if (j <= i) return;
+    const source = Math.abs(2 * noise[i][j] - damping[i][j] * theta[j] - damping[j][i] * theta[i]), [c, d] = [damping[i][i], damping[j][j]];
+    const gap = Math.abs(w - v) * (w + v), weight = c * v * v + d * w * w;
+    const largest = Math.max(Math.max(w, v) * gap, w * v * (c + d), weight) / (gap ** 2 + (c + d) * weight);
+    neglected = Math.max(neglected, source / Math.sqrt(theta[i] * theta[j]) * largest);
+  }));
   const sides = [1, -1].map(sign => {
     const stops = model.stops.filter(s => s.sign === sign).map(
-      s => ({B: s.B * factors.B, delta: s.delta * factors.delta, e: s.e}));
-    const V = x => stops.reduce((sum, s) =>
-      sum + (x > s.delta ? s.B / (s.e + 1) * (x - s.delta) ** (s.e + 1) : 0), 0.5 * a * x * x);
-    const force = x => stops.reduce((sum, s) =>
-      sum + (x > s.delta ? s.B * (x - s.delta) ** s.e : 0), a * x);
+      s => ({B: s.B * factors.B[s.contact], delta: s.delta * factors.delta[s.contact], e: s.e}));
+    const V = x => sum(stops, s => x > s.delta ? s.B / (s.e + 1) * (x - s.delta) ** (s.e + 1) : 0) + 0.5 * a * x * x;
+    const force = x => sum(stops, s => x > s.delta ? s.B * (x - s.delta) ** s.e : 0) + a * x;
     const end = H => { // V is convex: Newton's iterates descend to the turning point
       let x = Math.sqrt(2 * H / a);
       for (let k = 0; k < 100; k++) {
@@ -48,35 +60,57 @@ function closedForms(model, factors) {
       }
       return x;
     };
-    const over = (f, end, panels) => {
-      const nodes = [0, ...stops.map(s => s.delta).filter(d => d > 0 && d < end).sort((p, q) => p - q), end];
-      return nodes.slice(1).reduce((sum, b, k) => sum + integral(f, nodes[k], b, panels), 0);
+    const over = (f, end, panels, more = []) => {
+      const inner = [...stops.map(s => s.delta), ...more].filter(d => d > 0 && d < end).sort((p, q) => p - q);
+      const nodes = [0, ...inner, end];
+      return sum(nodes.slice(1), (b, k) => b > nodes[k] ? integral(f, nodes[k], b, panels) : 0);
     };
-    return {V, end, over};
+    return {sign, V, end, over};
   });
-  const Z = sides.reduce((sum, s) => sum + s.over(q => Math.exp(-alpha * s.V(q)), s.end(60 / alpha), 8), 0);
+  const U = q => sides[q < 0 ? 1 : 0].V(Math.abs(q));
+  const Z = sum(sides, s => s.over(q => Math.exp(-alpha * s.V(q)), s.end(60 / alpha), 8));
   let gamma = Math.sqrt(Math.PI); // of n - 1/2
   for (let k = 1; k < n; k++) gamma *= k - 0.5;
   const normal = (x, variance) => Math.exp(-0.5 * x * x / variance) / Math.sqrt(2 * Math.PI * variance);
-  const energy = {
-    q: q => Math.exp(-alpha * sides[q < 0 ? 1 : 0].V(Math.abs(q))) / Z,
-    H: H => H <= 0 ? 0 : alpha ** (n - 0.5) / gamma / Z * Math.exp(-alpha * H) * sides.reduce((sum, s) =>
-      sum + s.over(q => Math.max(H - s.V(q), 0) ** (n - 1.5), s.end(H), 1), 0),
+
+  // A mass that touches nothing is Gaussian about w q of the one that does: integrated over q.
+  const beside = ({w, precision}) => q => {
+    const variance = 1 / (alpha * precision), ends = [-9, -5, -2, 0, 2, 5, 9].map(k => (q + k * Math.sqrt(variance)) / w);
+    return sum(sides, s => s.over(x => normal(q - w * s.sign * x, variance) * Math.exp(-alpha * s.V(x)),
+      s.end(60 / alpha), 2, ends.map(x => s.sign * x))) / Z;
   };
+
+  const energyOf = H => H <= 0 ? 0 : alpha ** (n - 0.5) / gamma / Z * Math.exp(-alpha * H) * sum(sides, s =>
+    s.over(q => Math.max(H - s.V(q), 0) ** (n - 1.5), s.end(H), 1));
+
+  // The sum of independent exponential energies: exp of a matrix with these rates, all terms positive.
   const total = H => {
-    const [x, y] = model.theta.map(t => t * heat);
+    const rates = theta.map(t => 1 / t), most = Math.max(...rates), halvings = Math.max(0, Math.ceil(Math.log2(most * H)) + 1);
+    const h = H / 2 ** halvings, rows = [...rates.keys()];
     if (H < 0) return 0;
-    if (n === 1) return Math.exp(-H / x) / x;
-    const z = H * (1 / y - 1 / x); // exp(-H/x) (1 - exp(-z)) / (x - y), also where x = y
-    return Math.exp(-H / x) * H / (x * y) * (Math.abs(z) < 1e-14 ? 1 : -Math.expm1(-z) / z);
+    const times = (A, B) => A.map((row, i) => rows.map(j => { let v = 0; for (let k = i; k <= j; k++) v += row[k] * B[k][j]; return v; }));
+    const A = rows.map(i => rows.map(j => j === i ? (most - rates[i]) * h : j === i + 1 ? rates[i] * h : 0));
+    let E = rows.map(i => rows.map(j => i === j ? 1 : 0)), term = E;
+    for (let k = 1; k < n + 18; k++) {
+      term = times(term, A).map(row => row.map(v => v / k));
+      E = E.map((row, i) => row.map((v, j) => v + term[i][j]));
+    }
+    E = E.map(row => row.map(v => v * Math.exp(-most * h)));
+    for (let k = 0; k < halvings; k++) E = times(E, E);
+    return E[0][n - 1] * rates[n - 1];
   };
-  return of => { // the densities of an observable by both theories
+
+  const forms = of => { // the densities of an observable by both theories
     const one = model.of[of];
     if (!one) return null;
-    if (one.kind === "H") return {energy: energy.H, modal: model.theta.length === n && n <= 2 ? total : null};
-    return {
-      energy: one.kind === "q" ? energy.q : p => normal(p, one.mass / alpha),
-      modal: one.variance ? x => normal(x, one.variance * heat) : null,
-    };
+    const variance = one.weights && sum(one.weights, (w, i) => w * theta[i]);
+    const both = {
+      H: {energy: energyOf, modal: total},
+      Hi: {modal: H => H < 0 ? 0 : Math.exp(-H / theta[one.mode]) / theta[one.mode]},
+      q: {energy: one.beside ? beside(one.beside) : q => Math.exp(-alpha * U(q)) / Z, modal: x => normal(x, variance)},
+      p: {energy: p => normal(p, one.mass / alpha), modal: x => normal(x, variance)},
+    }[one.kind];
+    return Object.fromEntries(one.forms.map(theory => [theory, both[theory]]));
   };
+  return Object.assign(forms, {neglected, resonant: neglected > most});
 }

@@ -1,25 +1,16 @@
 """A map as a page: its table, and the distance of each theory with the nearer one as a picture."""
 
 from collections import Counter
-from functools import partial
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import ListedColormap, LogNorm
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
-from cases.output.pictures.style import COLOURS, INK, STYLE, symbol_of
+from cases.output.pictures.style import COLOURS, symbol_of
 from cases.output.variables import Variables
 from cases.studies.page import Page, Table
-from cases.studies.picture import DASHES, Panel, curves_over, heat, study_figure
+from cases.studies.picture import Field, Panel, curves_over, spans_decades
 from cases.studies.regime_map.map import RegimeMap
 from cases.studies.regime_map.points import NEITHER, THEORIES, UNDECIDED
-from cases.studies.sweep.grid import Axis
-from fpk.arrays import Array
 from fpk.clearance import CLEARANCE_RULE
 from fpk.observable import observable_name
 
@@ -56,7 +47,7 @@ def map_page(result: RegimeMap) -> Page:
         result.scene,
         f"Map of regimes: {result.scene.title}",
         [Table("points", title, rows, (summary,))],
-        partial(regime_figure, result, fields),
+        regime_panels(result, fields),
         summary=summary,
         gridded=fields,
     )
@@ -84,43 +75,34 @@ def map_variables(result: RegimeMap) -> Variables:
     }
 
 
-def regime_figure(result: RegimeMap, fields: Variables) -> Figure:
-    """Draw a map over one parameter as curves, over two as fields."""
+def regime_panels(result: RegimeMap, fields: Variables) -> list[Panel] | list[Field]:
+    """Return a map over one parameter as curves, over two as fields."""
     L1, error, ratio, winner = (fields[key][1] for key in ("L1", "error", "rms_ratio", "winner"))
     words = f"L₁ distance of p({symbol_of(result.observable[0])}) to the full system"
-    if len(result.sweep.axes) == 2:
-        with mpl.rc_context(dict(STYLE)):
-            return _fields(*result.sweep.axes, L1, ratio, winner, words)
-    (axis,) = result.sweep.axes
-    curves = curves_over(axis, THEORIES, L1, error)
-    title, x = result.scene.title, axis.label
-    return study_figure([Panel(title, x, words, curves, logarithmic=axis.logarithmic)])
-
-
-def _fields(x: Axis, y: Axis, L1: Array, ratio: Array, winner: Any, words: str) -> Figure:
+    axes = result.sweep.axes
+    if len(axes) == 1:
+        (axis,) = axes
+        curves = curves_over(axis, THEORIES, L1, error)
+        title = result.scene.title
+        return [Panel(title, axis.label, words, curves, logarithmic=axis.logarithmic, by_x=True)]
+    x, y = axes
     low = max(np.nanmin(L1, initial=0.1), SMALLEST)
-    norm = LogNorm(low, max(np.nanmax(L1, initial=SMALLEST), 2.0 * low))
-    distances: dict[str, Any] = {"norm": norm, "cmap": "viridis_r"}
+    border: dict[str, Any] = {
+        "split": ratio < CLEARANCE_RULE,
+        "border": f"clearance = {CLEARANCE_RULE:g} rms",
+    }
+    distances: dict[str, Any] = {
+        "logarithmic": True,
+        "limits": (low, max(np.nanmax(L1, initial=SMALLEST), 2.0 * low)),
+        **border,
+    }
     index = np.select([winner == name for name in (*THEORIES, UNDECIDED)], [0.0, 1.0, 2.0], np.nan)
-    colours = (COLOURS[0], COLOURS[1], PALE)
-    nearer: dict[str, Any] = {"vmin": -0.5, "vmax": 2.5, "cmap": ListedColormap(colours)}
-    figure = Figure(figsize=(9.6, 3.9), layout="constrained")
-    panels = figure.subplots(1, 3, sharex=True, sharey=True)
-    titles, palettes = (*THEORIES, "nearer to the full system"), (distances, distances, nearer)
-    for axes, title, field, palette in zip(panels, titles, (*L1, index), palettes, strict=True):
-        heat(axes, x, y, field, **palette)
-        axes.set_title(title)
-        if np.nanmin(ratio, initial=np.inf) < CLEARANCE_RULE < np.nanmax(ratio, initial=-np.inf):
-            axes.contour(
-                x.values, y.values, ratio.T, levels=[CLEARANCE_RULE], colors=[INK],
-                linestyles=[DASHES], linewidths=1.2,
-            )  # fmt: skip
-    panels[0].set_ylabel(y.label)
-    shades = ScalarMappable(**distances)
-    bar = figure.colorbar(shades, ax=list(panels[:2]), location="right", shrink=0.95, pad=0.02)
-    bar.set_label(words)
-    rule = Line2D([], [], color=INK, linestyle=DASHES, linewidth=1.2)
-    handles: list[Any] = [*(Patch(color=colour) for colour in colours), rule]
-    legend = [*THEORIES, "within the errors", f"clearance = {CLEARANCE_RULE:g} rms"]
-    figure.legend(handles, legend, loc="outside lower center", ncols=4)
-    return figure
+    nearer = (*zip(THEORIES, COLOURS, strict=False), ("within the errors", PALE))
+    return [
+        *(
+            Field(f"L₁, {name}", x, y, *of, **distances)
+            for name, *of in zip(THEORIES, L1, error, strict=True)
+        ),
+        Field("nearer to the full system", x, y, index, categories=nearer, **border),
+        Field("clearance over rms", x, y, ratio, logarithmic=spans_decades(ratio), **border),
+    ]

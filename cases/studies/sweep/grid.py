@@ -18,7 +18,7 @@ from fpk.arrays import Array
 from fpk.errors import InvalidInput
 from fpk.system import System
 
-LABELS = {"contact.stiffness": "contact stiffness $B$", "contact.clearance": "clearance $δ$"}
+LABELS = {"contact.stiffness": "contact stiffness B", "contact.clearance": "clearance δ"}
 """Labels of axes that have one of their own."""
 MAX_POINTS = 2000
 """Points of a grid; each is a simulation of about a second."""

@@ -1,23 +1,12 @@
 """A sweep as a page: its table, and curves over one axis or heat pictures over two."""
 
-from functools import partial
-from math import ceil
-from typing import Any
-
-import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
 
-from cases.output.pictures.style import STYLE
 from cases.scene.scene import Scene
 from cases.studies.page import Page, Table
-from cases.studies.picture import Panel, curves_over, heat, study_figure
+from cases.studies.picture import Field, Panel, curves_over, spans_decades
 from cases.studies.sweep.result import Sweep
-
-DECADES = 100.0
-"""Ratio of the largest to the smallest value from which an axis is logarithmic."""
-COLUMN, ROW = 3.4, 3.0
-"""Width and height of a heat picture in inches."""
+from fpk.arrays import Array
 
 
 def sweep_page(result: Sweep, scene: Scene) -> Page:
@@ -48,49 +37,52 @@ def sweep_page(result: Sweep, scene: Scene) -> Page:
         scene,
         f"Sweep of {', '.join(a.key for a in result.axes)}: {scene.title}",
         [Table("points", title, rows, (summary, *reasons))],
-        partial(sweep_figure, result),
+        sweep_panels(result),
         summary=summary,
         gridded=result.variables(),
     )
 
 
-def sweep_figure(result: Sweep) -> Figure:
-    """Draw a panel for each quantity, over two axes one for each of its methods."""
+def sweep_panels(result: Sweep) -> list[Panel] | list[Field]:
+    """Return a panel for each quantity, over two axes one for each of its methods."""
     values, errors = result.field("value"), result.field("error")
     if len(result.axes) == 2:
-        with mpl.rc_context({**STYLE, "font.size": 8.5, "axes.titlesize": 8.5}):
-            return _heats(result, values)
+        return [
+            field
+            for quantity, own, bars in zip(result.quantities, values, errors, strict=True)
+            for field in _fields(quantity, result, own, bars)
+        ]
     (axis,) = result.axes
-    panels = [
+    return [
         Panel(
             quantity,
             axis.label,
             quantity,
             curves_over(axis, result.methods, own, bars),
             logarithmic=axis.logarithmic,
-            y_logarithmic=_spans_decades(own),
+            y_logarithmic=spans_decades(own),
+            by_x=True,
         )
         for quantity, own, bars in zip(result.quantities, values, errors, strict=True)
     ]
-    return study_figure(panels)
 
 
-def _heats(result: Sweep, values: Any) -> Figure:
-    shown = [(i, j) for i, j in np.ndindex(values.shape[:2]) if np.isfinite(values[i, j]).any()]
-    (x, y), columns = result.axes, min(max(len(shown), 1), 3)
-    rows = max(ceil(len(shown) / columns), 1)
-    figure = Figure(figsize=(COLUMN * columns, ROW * rows), layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes in grid[len(shown) :]:
-        axes.remove()
-    for axes, (i, j) in zip(grid, shown, strict=False):
-        norm = "log" if _spans_decades(values[i, j]) else "linear"
-        cells = heat(axes, x, y, values[i, j], cmap="viridis", norm=norm)
-        axes.set(title=f"{result.quantities[i]} by {result.methods[j]}", ylabel=y.label)
-        figure.colorbar(cells, ax=axes)
-    return figure
-
-
-def _spans_decades(values: Any) -> bool:
-    given = values[np.isfinite(values)]
-    return bool(given.size and given.min() > 0.0 and given.max() > DECADES * given.min())
+def _fields(quantity: str, result: Sweep, values: Array, errors: Array) -> list[Field]:
+    """A field for each method with a value, (methods, axes), on common colours."""
+    if not np.isfinite(values).any():
+        return []
+    x, y = result.axes
+    limits = float(np.nanmin(values)), float(np.nanmax(values))
+    return [
+        Field(
+            f"{quantity} by {method}",
+            x,
+            y,
+            own,
+            bars,
+            logarithmic=spans_decades(values),
+            limits=limits,
+        )
+        for method, own, bars in zip(result.methods, values, errors, strict=True)
+        if np.isfinite(own).any()
+    ]

@@ -1,0 +1,300 @@
+"""Maps, answers in time and pages of studies in a browser: numbers, hover, keyboard, toggles."""
+
+import json
+import re
+from html import escape
+
+import numpy as np
+import pytest
+from browser import RESULTS, shown, source_of, with_script
+
+import fpk as face
+from cases.comparison.routes import method_for
+from cases.comparison.run import run_scene
+from cases.output.digest import digest_of
+from cases.output.live import live_record
+from cases.output.report import write_report
+from cases.scene.scene import load_scene
+from cases.studies.cost import CostStudy
+from cases.studies.cost_page import cost_page
+from cases.studies.levels import Level
+from cases.studies.picture import Curve, Field, Panel, live_plots, study_figure
+from cases.studies.prices import Priced
+from cases.studies.regime_map.map import build_map
+from cases.studies.regime_map.map_page import map_page
+from cases.studies.sweep.sweep_page import sweep_page
+
+QUESTIONS = """
+[[passage]]
+limit = "H=1.0"
+times = [5.0, 20.0, 60.0]
+
+[[transient]]
+of    = "H"
+times = [10.0, 40.0]
+"""
+
+SCRIPT = """
+const out = {errors: [], plots: []};
+const key = (panel, ...keys) => keys.forEach(k => panel.canvas.dispatchEvent(
+  new KeyboardEvent("keydown", {key: k, bubbles: true, cancelable: true})));
+const pointed = (panel, x, y) => {
+  const box = panel.canvas.getBoundingClientRect(), size = panel.canvas.viewBox.baseVal.width;
+  panel.canvas.dispatchEvent(new PointerEvent("pointermove", {pointerType: "mouse", bubbles: true,
+    clientX: box.left + panel.frame.X.to(x) * box.width / size,
+    clientY: box.top + panel.frame.Y.to(y) * box.width / size}));
+};
+const drawn = ".pair > svg, .pair path.curve, .pair .marks";
+const visible = plot => [...plot.host.querySelectorAll(drawn)].filter(
+  e => getComputedStyle(e).display !== "none" && e.getBoundingClientRect().width).length;
+const told = plot => ({
+  values: plot.values(), place: {x: plot.view.cursor.x, y: plot.view.cursor.y},
+  words: plot.host.querySelector(".readout").textContent});
+try {
+  for (const p of report.plots) {
+    const [panel] = p.panels, {plot} = p, own = {id: plot.id, hover: [], visible: [visible(p)]};
+    const s = (plot.fields || plot.series)[0];
+    if (plot.fields) pointed(panel, plot.x[plot.x.length >> 1], plot.y[plot.y.length >> 1]);
+    else pointed(panel, s.x[1], s.y[1]);
+    own.hover.push(told(p));
+    key(panel, "ArrowRight", "ArrowUp");
+    own.hover.push(told(p));
+    for (const node of Object.values(p.buttons)) {
+      node.click(); own.visible.push(visible(p)); node.click();
+    }
+    own.visible.push(visible(p));
+    own.log = [panel.log]; key(panel, "l"); own.log.push(panel.log); key(panel, "l");
+    const whole = {...panel.frame.X};
+    key(panel, "+");
+    own.ends = [whole.low, panel.frame.X.low, panel.frame.X.high, whole.high];
+    key(panel, "0"); own.whole = [panel.frame.X.low, panel.frame.X.high];
+    key(panel, "Escape"); own.cursor = p.view.cursor;
+    own.said = [...p.host.querySelectorAll("p")].map(e => e.textContent).join(" ");
+    own.image = p.host.querySelector("image")?.getAttribute("href").slice(0, 22);
+    out.plots.push(own);
+  }
+} catch (error) { out.errors.push(String(error.stack)); }
+"""
+
+
+def priced(route, *points):
+    levels = [Level(f"setting {k}", e, 2 * e, s, spread=s / 9) for k, (e, s) in enumerate(points)]
+    return Priced(route, "averaged equation (24)", "L1", tuple(levels))
+
+
+@pytest.fixture(scope="module")
+def outcome(scene_text, tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "any.toml"
+    path.write_text(scene_text.replace('["q2", "H"]', '["q2,p2", "H1,H2"]') + QUESTIONS)
+    methods = [method_for("nonintegrable"), method_for("integrable", "closed-form")]
+    return run_scene(load_scene(str(path)), methods)
+
+
+@pytest.fixture(scope="module")
+def sweeps():
+    scene = load_scene("fig3a")
+    both = {"contact.clearance": [0.3, 0.5, 1.0], "contact.stiffness": [1.0, 10.0, 100.0]}
+    one = {"contact.clearance": both["contact.clearance"]}
+    wanted = ["rms(q2)", "exceedance(q2,0.5)"]
+    return scene, [face.sweep(scene, axes, wanted) for axes in (one, both)]
+
+
+@pytest.fixture(scope="module")
+def study(outcome):
+    coarse = priced("coarse", (0.2, 1e-3), (1e-5, 3e-3), (1e-9, 0.1))
+    floors = {"averaged equation (24)": 1e-13}
+    return CostStudy(outcome.scene, [coarse, priced("fine", (1e-12, 2.0))], floors=floors)
+
+
+@pytest.fixture(scope="module")
+def pages(outcome, sweeps, study, tmp_path_factory):
+    """The pages by name, as they are written."""
+    folder = tmp_path_factory.mktemp("pages")
+    write_report(outcome, digest_of(outcome), folder)
+    found = {"report": (folder / "report.html").read_text(encoding="utf-8")}
+    scene, (one, two) = sweeps
+    regime = build_map(scene, ["contact.clearance=0.5,1", "contact.stiffness=1,10,100"])
+    studies = {"line": sweep_page(one, scene), "heat": sweep_page(two, scene)}
+    for name, page in {**studies, "regime": map_page(regime), "cost": cost_page(study)}.items():
+        (folder / name).mkdir()
+        page.write(folder / name)
+        found[name] = (folder / name / f"{page.name}.html").read_text(encoding="utf-8")
+    return found
+
+
+@pytest.fixture(scope="module")
+def touched(chromium, pages, tmp_path_factory):
+    """What every plot of every page says when it is touched, by page and identifier."""
+    frames = "".join(
+        f'<iframe name="{name}" width="1100" height="900"'
+        f' srcdoc="{escape(with_script(page, SCRIPT + RESULTS))}"></iframe>'
+        for name, page in pages.items()
+    )
+    late = """addEventListener("load", () => {
+      const out = Object.fromEntries([...document.querySelectorAll("iframe")].map(frame => [
+        frame.name, JSON.parse(frame.contentDocument.querySelector("#results").textContent)]));
+    """
+    folder = tmp_path_factory.mktemp("browser")
+    page = f"<!doctype html><body>{frames}</body>"
+    found = {}
+    for name, said in shown(chromium, page, late + RESULTS + "});", folder).items():
+        assert said["errors"] == [], name
+        found[name] = {plot["id"]: plot for plot in said["plots"]}
+    return found
+
+
+def test_every_plot_answers_to_the_pointer_keys_and_buttons(touched):
+    count = {name: len(plots) for name, plots in touched.items()}
+    assert count == {"report": 4, "line": 2, "heat": 1, "regime": 1, "cost": 1}
+    for plot in (plot for plots in touched.values() for plot in plots.values()):
+        first, *off, last = plot["visible"]
+        assert first == last and min(off) < first
+        assert plot["log"][0] is not plot["log"][1] and plot["cursor"] is None
+        low, zoomed, end, high = plot["ends"]
+        assert low <= zoomed < end <= high and (low, high) != (zoomed, end)
+        assert plot["whole"] == [low, high]
+        assert plot["hover"][0]["place"] != plot["hover"][1]["place"]
+        for hover in plot["hover"]:
+            assert hover["values"] and all(v["name"] in hover["words"] for v in hover["values"])
+    images = [p.get("image") for p in (*touched["heat"].values(), touched["report"]["H1,H2"])]
+    assert images == ["data:image/png;base64,"] * 2
+
+
+def test_maps_of_joint_densities_have_the_numbers_of_every_route(touched, outcome):
+    plots = {plot["id"]: plot for plot in live_record(outcome)["plots"]}
+    for name in ("q2,p2", "H1,H2"):
+        densities = outcome.curves[0].of(name)
+        first, second = touched["report"][name]["hover"]
+        x, y = plots[name]["x"], plots[name]["y"]
+        assert list(first["place"].values()) == [x[30], y[30]]
+        assert list(second["place"].values()) == [x[31], y[31]]
+        for hover in (first, second):
+            at = [np.array([hover["place"][axis]]) for axis in "xy"]
+            assert len(hover["values"]) == len(densities) >= 1
+            for value, density in zip(hover["values"], densities.values(), strict=True):
+                p, error = density.at(*at)
+                assert value["p"] == pytest.approx(p[0], rel=1e-9) and value["error"] >= error[0]
+                # Another point has another number: the comparison can fail.
+                assert value["p"] != pytest.approx(density(at[0], at[1] + 0.05)[0], rel=1e-4)
+            assert hover["words"].count("±") == len(densities)
+
+
+def test_answers_in_time_have_the_numbers_of_every_route(touched, outcome):
+    (passages,), (transients,) = outcome.curves[0].passages, outcome.curves[0].transients
+    given = {g.route.words: g.answer for g in passages.given}
+    for hover, k in zip(touched["report"]["passage_1"]["hover"], (1, 2), strict=True):
+        assert hover["place"]["x"] == passages.question.times[k]
+        for value in hover["values"]:
+            answer = given[value["name"]]
+            assert value["p"] == pytest.approx(answer.survival[k], rel=1e-9)
+            assert value["error"] >= answer.survival_error[k]
+    hover = touched["report"]["transient_1"]["hover"][0]
+    times = [f"t = {t:g}" for t in transients.question.times]
+    assert {v["curve"] for v in hover["values"]} == set(times)
+    given = {g.route.words: g.answer for g in transients.given}
+    for value in hover["values"]:
+        answer, k = given[value["name"]], times.index(value["curve"])
+        i = int(np.argmin(np.abs(transients.points - value["x"])))
+        assert value["p"] == pytest.approx(answer.values[k, i], rel=1e-9)
+        assert value["error"] >= answer.errors[k, i]
+
+
+def test_sweeps_have_the_numbers_of_every_method(touched, sweeps):
+    _, (one, two) = sweeps
+    for k in range(2):
+        for hover, i in zip(touched["line"][f"picture_{k}"]["hover"], (1, 2), strict=True):
+            assert hover["place"]["x"] == one.axes[0].values[i]
+            assert [v["name"] for v in hover["values"]] == list(one.methods)
+            for m, value in enumerate(hover["values"]):
+                assert value["p"] == pytest.approx(one.field("value")[k, m, i], rel=1e-9)
+                assert value["error"] >= one.field("error")[k, m, i]
+    for hover, place in zip(touched["heat"]["picture_0"]["hover"], ((1, 1), (2, 2)), strict=True):
+        values = {v["name"]: v for v in hover["values"]}
+        assert len(values) == len(two.quantities) * len(two.methods)
+        for k, quantity in enumerate(two.quantities):
+            for m, method in enumerate(two.methods):
+                value, at = values[f"{quantity} by {method}"], (k, m, *place)
+                assert value["p"] == pytest.approx(two.field("value")[at], rel=1e-9)
+                assert value["error"] >= two.field("error")[at]
+
+
+def test_a_map_of_regimes_says_which_theory_is_nearer(touched):
+    hover = touched["regime"]["picture_0"]["hover"][0]
+    values = {v["name"]: v for v in hover["values"]}
+    assert values["nearer to the full system"]["words"] == "nonintegrable"
+    assert values["L₁, integrable"]["p"] > 0.1 > values["L₁, nonintegrable"]["p"]
+    assert "nearer to the full system: nonintegrable" in hover["words"]
+    assert values["clearance over rms"]["p"] > 0.0
+    assert touched["regime"]["picture_0"]["said"] == "Dotted: clearance = 2 rms."
+
+
+def test_the_diagram_of_cost_says_method_setting_error_and_time(touched, study):
+    first, second = touched["cost"]["picture_0"]["hover"]
+    (value,) = first["values"]
+    point = study.routes[0].points[1]
+    assert (value["name"], value["x"], value["p"]) == ("coarse", point.seconds, point.error)
+    assert "setting 1, states 2.0e-05" in value["note"] and value["note"] in first["words"]
+    assert "processor time" in first["words"] and "L₁ error = 1.0000e−5" in first["words"]
+    (value,) = second["values"]  # to the right; above the first curve is no other
+    point = study.routes[0].points[2]
+    assert (value["x"], value["p"]) == (point.seconds, point.error)
+
+
+def test_no_page_is_wider_than_a_telephone_and_paper_and_no_script_have_the_pictures(
+    chromium, pages, tmp_path
+):
+    def on_paper(page):
+        style = re.search("<style>(.*?)</style>", page, re.DOTALL)[1]
+        paper = style.replace("@media screen", "@media none").replace("@media print", "@media all")
+        assert source_of(style) in page and paper != style
+        return page.replace(source_of(style), source_of(paper)).replace(style, paper)
+
+    kinds = {
+        "screen": (390, lambda page: page),
+        "wide": (1280, lambda page: page),
+        "paper": (700, on_paper),
+        "bare": (390, lambda page: re.sub("<script>.*?</script>", "", page, flags=re.DOTALL)),
+    }
+    frames = "".join(
+        f'<iframe name="{name} {kind}" width="{width}" srcdoc="{escape(own(page))}"></iframe>'
+        for name, page in pages.items()
+        for kind, (width, own) in kinds.items()
+    )
+    script = """
+    addEventListener("load", () => {
+    const out = {};
+    for (const frame of document.querySelectorAll("iframe")) {
+      const page = frame.contentDocument, box = e => e.getBoundingClientRect();
+      for (const d of page.querySelectorAll("details")) d.open = true;
+      const count = words => [...page.querySelectorAll(words)].filter(e => box(e).width).length;
+      out[frame.name] = {live: count(".live"), drawn: count("figure:not(.live)"),
+        still: page.querySelectorAll(".still").length, touch: count("#touch > *"),
+        beyond: [...page.querySelectorAll("body *")].filter(e => !e.closest("svg, .wide") &&
+          box(e).right > page.documentElement.clientWidth + 1).map(e => e.outerHTML.slice(0, 90)),
+        small: [...page.querySelectorAll(".live svg text")].map(box)
+          .filter(r => r.height > 0 && Math.min(r.height, r.width) < 6).length};
+    }
+    """
+    page = f"<!doctype html><body>{frames}</body>"
+    out = shown(chromium, page, script + RESULTS + "});", tmp_path)
+    for name in pages:
+        screen, wide, paper, bare = (out[f"{name} {kind}"] for kind in kinds)
+        for one in (screen, wide):
+            assert one["beyond"] == [] and one["small"] == 0, name
+            assert one["live"] > 0 and one["touch"] > 0
+        assert paper["live"] == paper["touch"] == 0 < paper["still"], name
+        assert bare["live"] == bare["still"] == 0
+        assert paper["drawn"] == bare["drawn"] == screen["drawn"] + screen["still"], name
+
+
+def test_what_there_is_not_is_null_in_the_data_and_empty_in_the_picture(sweeps):
+    _, (_, two) = sweeps
+    values = np.array([[1.0, np.nan, 2.0], [3.0, 4.0, 5.0], [6.0, 7.0, 8.0]])
+    fields = [Field("a", *two.axes, values, values, logarithmic=True, limits=(1.0, 8.0))]
+    (plot,) = live_plots(fields, "picture")
+    assert plot["fields"][0]["z"][:3] == [1.0, None, 2.0]
+    assert plot["fields"][0]["error"][:3] == [1.0, None, 2.0]
+    assert study_figure(fields).axes
+    (plot,) = live_plots([Panel("t", "x", "y", [Curve("a", [1.0, 2.0], [np.nan, 0.0])])], "p")
+    assert plot["series"][0]["y"] == [None, 1e-16]
+    assert "NaN" not in json.dumps([plot["series"][0]["y"]])
