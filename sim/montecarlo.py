@@ -217,7 +217,7 @@ register(
         equation="(6)",
         solves="full",
         sampled=True,
-        colour="#cc001f",
+        colour="#b50c01",
         make=MonteCarlo,
     )
 )

@@ -25,7 +25,7 @@ from sim.splitting.score import ScoreFunction
 from sim.splitting.settings import Splitting
 
 SPLITTING = Route(
-    "splitting", "splitting", "splitting", "(6)", "full", True, "#5b8def", make=MonteCarlo
+    "splitting", "splitting", "splitting", "(6)", "full", True, "#b50c01", make=MonteCarlo
 )
 """The route that takes the place of the plain simulation; it gives no densities."""
 

@@ -26,6 +26,17 @@ from fpk.sampled_density import SampledDensity
 POINTS = 301
 """Points of a curve in the page."""
 
+MARKS = (
+    "m-2.4,0a2.4,2.4 0 1,0 4.8,0a2.4,2.4 0 1,0 -4.8,0",
+    "m-2.2,-2.2h4.4v4.4h-4.4z",
+    "m0,-3.2l3.2,3.2l-3.2,3.2l-3.2,-3.2z",
+    "m0,-3l2.8,5h-5.6z",
+    "m0,3l2.8,-5h-5.6z",
+    "m-2.4,-2.4l4.8,4.8m0,-4.8l-4.8,4.8",
+    "m-3,0h6m-3,-3v6",
+)
+"""Paths of the markers of samples by curve, as ``CURVE_MARKS`` of the drawn pictures."""
+
 DIGITS, ERROR_DIGITS = 10, 2
 """Digits of a density in the page, and of its error."""
 
@@ -68,6 +79,8 @@ def _plot(curves: list[Answers], observable: Observable) -> Record | None:
         if isinstance(density, SampledDensity):
             few, middles, inside = bins_within(density, 2 * MARKERS, x)
             values, errors = few.values[inside], few.standard_error[inside]
+            mark = k if len(curves) > 1 else int(route.solves == "averaged")
+            own["mark"] = MARKS[mark % len(MARKS)]
             own["x"], values, errors = (v[values > 0.0] for v in (middles, values, errors))
         else:
             dashes = dashes_of(route)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from cases.output.pictures.style import COLOURS, DARK
 from cases.output.records import Record
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -17,7 +18,8 @@ def page_record(scripts: Sequence[str] = ()) -> Record:
 
     The policy is the content security policy of the page: of styles and scripts it has the sources.
     """
-    style, script = _source("report.css"), Markup("\n").join(map(_source, scripts))
+    style = Markup("\n").join((_source("report.css"), _dark_curves()))
+    script = Markup("\n").join(map(_source, scripts))
     policy = {"style": _hash(style), "script": _hash(script) if scripts else "'none'"}
     return {"style": style, "script": script, "policy": policy}
 
@@ -25,6 +27,16 @@ def page_record(scripts: Sequence[str] = ()) -> Record:
 def _source(name: str) -> Markup:
     """The text of a file in ``templates``, which the page takes over without escaping."""
     return Markup((TEMPLATES / name).read_text(encoding="utf-8").strip())
+
+
+def _dark_curves() -> Markup:
+    """Rules by which curves take their colours on a dark page; those of an attribute yield."""
+    rules = "".join(
+        f'[{key}="{light}"]{{{key}:{dark}}}'
+        for light, dark in zip(COLOURS, DARK, strict=True)
+        for key in ("fill", "stroke")
+    )
+    return Markup(f"@media screen and (prefers-color-scheme: dark) {{ {rules} }}")
 
 
 def _hash(text: str) -> Markup:

@@ -15,7 +15,15 @@ from cases.comparison.answers import Answers
 from cases.comparison.in_time import Replies
 from cases.comparison.time_distances import failure_of
 from cases.output.pictures.lines import HEIGHT, LINES, MARK
-from cases.output.pictures.style import INK, SHOWN, arrange, density_words, time_words, words_of
+from cases.output.pictures.style import (
+    COLOURS,
+    INK,
+    SHOWN,
+    arrange,
+    density_words,
+    time_words,
+    words_of,
+)
 from cases.scene.questions import PassageQuestion, TransientQuestion
 from fpk.evolution import Passage, Transient
 from fpk.route import Route
@@ -30,7 +38,7 @@ LOWEST = 1e-4
 """Least reliability that is drawn; nothing that is sampled is known below it."""
 
 SHADES = 0.05, 0.88
-"""Part of the colours from the first time to the last: the rest is too light on white."""
+"""Part of the colours of many times, first to last: the rest is too light on white."""
 
 
 def time_pictures(curve: Answers, label: str) -> Iterator[tuple[str, str, Figure]]:
@@ -45,8 +53,8 @@ def time_pictures(curve: Answers, label: str) -> Iterator[tuple[str, str, Figure
     for k, replies in enumerate(curve.transients, start=1):
         if replies.given and replies.windows:
             caption = (
-                f"Density after the start, {replies.question.name}{suffix}, dark to light in time:"
-                " theory as lines, simulation as points with two standard errors."
+                f"Density after the start, {replies.question.name}{suffix}: theory as"
+                " lines, simulation as points with two standard errors."
             )
             yield f"transient_{k}{label}", caption, transient_figure(replies)
 
@@ -92,8 +100,9 @@ def transient_figure(replies: Replies) -> Figure:
     assert isinstance(question, TransientQuestion) and points is not None
     figure = Figure()
     axes = figure.subplots()
-    shades = colormaps["viridis"](np.linspace(*SHADES, len(question.times)))
-    colours = [to_hex(shade) for shade in shades]
+    count = len(question.times)
+    shades = map(to_hex, colormaps["viridis"](np.linspace(*SHADES, count)))
+    colours = list(COLOURS[:count] if count <= len(COLOURS) else shades)
     legend: dict[str, Artist] = {
         f"t = {t:g}": Line2D([], [], color=c, linewidth=3)
         for t, c in zip(question.times, colours, strict=True)

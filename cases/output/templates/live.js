@@ -66,11 +66,12 @@ const report = (() => {
           if (!off[kind].delete(value)) off[kind].add(value);
           press(node, !off[kind].has(value));
         }, !off[kind].has(value));
+        const sampled = series.find(s => s[kind] === value && s.mark);
         const swatch = svg(node, "svg", {width: 26, height: 10, "aria-hidden": "true"});
         node.prepend(swatch);
         const colour = kind === "curve" || new Set(plot.series.map(s => s.curve)).size === 1 ? one.colour : "currentColor";
-        if (kind === "name" && one.x) svg(swatch, "circle", {cx: 13, cy: 5, r: 3, fill: "none", stroke: colour});
-        else svg(swatch, "line", {x1: 1, y1: 5, x2: 25, y2: 5, stroke: colour, "stroke-width": kind === "curve" ? 4 : 2, "stroke-dasharray": kind === "name" && one.dash || "none"});
+        if (sampled) svg(swatch, "path", {d: `M13,5${sampled.mark}`, fill: "none", stroke: colour});
+        if (kind === "curve" || !sampled) svg(swatch, "line", {x1: 1, y1: 5, x2: 25, y2: 5, stroke: colour, "stroke-width": 2, "stroke-dasharray": kind === "name" && one.dash || "none"});
       }
     }
     const top = Math.max(...plot.series.flatMap(s => s.p));
@@ -123,7 +124,7 @@ const report = (() => {
         const band = side => s.x.map((x, i) => `${X(x).toFixed(2)},${Y(s.p[i] + side * 2 * s.error[i]).toFixed(2)}`);
         svg(inside, "polygon", {points: [...band(1), ...band(-1).reverse()].join(" "), fill: s.colour, class: "band"});
         const bars = s.x.map((x, i) => `M${X(x).toFixed(2)},${Y(s.p[i] + 2 * s.error[i]).toFixed(2)}V${Y(s.p[i] - 2 * s.error[i]).toFixed(2)}`);
-        const rings = s.x.map((x, i) => `M${(X(x) - 2.4).toFixed(2)},${Y(s.p[i]).toFixed(2)}a2.4,2.4 0 1,0 4.8,0a2.4,2.4 0 1,0 -4.8,0`);
+        const rings = s.x.map((x, i) => `M${X(x).toFixed(2)},${Y(s.p[i]).toFixed(2)}${s.mark}`);
         svg(inside, "path", {d: bars.concat(rings).join(""), fill: "none", stroke: s.colour});
       }
       svg(canvas, "path", {d: `M${box.left},${box.top}V${box.bottom}H${box.right}`, class: "axis"});
