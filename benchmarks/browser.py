@@ -5,7 +5,6 @@ import json
 import os
 import shutil
 import subprocess
-from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any
@@ -35,7 +34,7 @@ class Browser:
         os.close(to_read)
         os.close(to_write)
         self._commands, self._answers = os.fdopen(commands, "wb", 0), os.fdopen(answers, "rb")
-        self._unread, self._number, self._session = b"", 0, ""
+        self._unread, self._number, self._session, self._loaded = b"", 0, "", False
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         attached = self.call("Target.attachToTarget", targetId=target, flatten=True)
         self._session = attached["sessionId"]
@@ -66,7 +65,9 @@ class Browser:
                 raise RuntimeError("chromium ended")
             self._unread += more
         text, self._unread = self._unread.split(b"\0", 1)
-        return json.loads(text)
+        message: dict[str, Any] = json.loads(text)
+        self._loaded |= message.get("method") == "Page.loadEventFired"
+        return message
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
         """Return the result of a method of the protocol; raises ``RuntimeError`` where it fails."""
@@ -97,9 +98,10 @@ class Browser:
         scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         self.call("Emulation.setEmulatedMedia", media="print" if paper else "", features=scheme)
         self.call("Emulation.setScriptExecutionDisabled", value=not script)
+        self._loaded = False
         self.call("Page.navigate", url=url)
-        while self._message().get("method") != "Page.loadEventFired":
-            pass
+        while not self._loaded:
+            self._message()
 
     def value(self, expression: str) -> Any:
         """Return the value of an expression in the page, of a promise what it comes to.
@@ -114,13 +116,13 @@ class Browser:
             raise RuntimeError(str(result["exceptionDetails"]["exception"].get("description")))
         return result["result"].get("value")
 
-    def shoot(self, path: Path, *, height: int | None = None) -> None:
-        """Write the page, or its upper ``height`` pixels, as PNG."""
+    def shot(self, *, top: int = 0, height: int | None = None) -> bytes:
+        """Return the page, or ``height`` pixels of it from ``top`` on, as PNG."""
         size = self.call("Page.getLayoutMetrics")["cssContentSize"]
-        clip = {"x": 0, "y": 0, "scale": 1, "width": size["width"]}
-        clip["height"] = min(size["height"], height or size["height"])
-        shot = self.call("Page.captureScreenshot", clip=clip, captureBeyondViewport=True)
-        path.write_bytes(base64.b64decode(shot["data"]))
+        clip = {"x": 0, "y": top, "scale": 1, "width": size["width"]}
+        clip["height"] = min(size["height"] - top, height or size["height"])
+        picture = self.call("Page.captureScreenshot", clip=clip, captureBeyondViewport=True)
+        return base64.b64decode(picture["data"])
 
     def pdf(self) -> bytes:
         """Return the printed page, A4."""

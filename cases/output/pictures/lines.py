@@ -36,8 +36,8 @@ from fpk.observable import Observable, observable_name
 from fpk.route import ROUTES, Route
 from fpk.sampled_density import SampledDensity
 
-POINTS = 600
-"""Points of a line."""
+POINTS = 300
+"""Points of a line: one for each point of a picture's width."""
 
 MARKERS = 48
 """Bins drawn as points."""

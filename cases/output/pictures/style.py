@@ -111,6 +111,7 @@ def words_of(coordinate: Coordinate) -> str:
 
 
 PATHS, DIGITS = re.compile(r' (?:d|x|y)="[^"]*"'), re.compile(r"(\.\d\d)\d+")
+BLANKS = re.compile(r"\s*([A-Za-z])\s+(?=[-\d.])|\s*\n")
 
 
 def svg_text(figure: Figure, *, salt: str) -> str:
@@ -120,7 +121,7 @@ def svg_text(figure: Figure, *, salt: str) -> str:
         nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
         figure.savefig(stream, format="svg", metadata=nothing)
     # A hundredth of a point is seen by nobody; sixteen digits make a file three times as long.
-    return PATHS.sub(lambda path: DIGITS.sub(r"\1", path[0]), stream.getvalue())
+    return PATHS.sub(lambda path: BLANKS.sub(r"\1", DIGITS.sub(r"\1", path[0])), stream.getvalue())
 
 
 STYLES = re.compile(r'style="([^"]*)"')

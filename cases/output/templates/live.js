@@ -84,6 +84,7 @@ const report = (() => {
       log, canvas: svg(pair, "svg", {tabindex: 0, role: "application", "aria-label": `${plot.ylabel} over ${plot.xlabel}; arrows move, + and − zoom, 0 shows all, l changes the scale`}),
     }));
     const readout = html(host, "div", "", {class: "readout", "aria-live": "polite"});
+    html(host, "figcaption", drawn.querySelector("figcaption").textContent);
     const on = s => !off.name.has(s.name) && !off.curve.has(s.curve);
     
 
