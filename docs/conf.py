@@ -47,7 +47,7 @@ MEASURED = [f"benchmarks/{path.stem}" for path in Path(__file__).parent.glob("be
 html_theme_options = {
     "navbar_persistent": ["search-button"],
     "navbar_end": ["theme-switcher"],
-    "secondary_sidebar_items": {"**": ["page-toc"]} | dict.fromkeys(MEASURED, []),
+    "secondary_sidebar_items": {"**": ["page-toc"]} | {page: [] for page in MEASURED},
     "show_prev_next": False,
     "footer_start": ["copyright"],
     "footer_end": [],
