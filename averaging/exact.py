@@ -69,7 +69,7 @@ class Exact(Theory):
 
     method = "exact"
     solvers = (("closed-form", "exact", "(7)"),)
-    colour = "#5266ad"
+    colour = "#056c66"
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where (8) does not hold."""

@@ -45,7 +45,7 @@ class Linear(Theory):
 
     method = "linear"
     solvers = (("closed-form", "Gaussian, exact without contact", "(6)"),)
-    colour = "#a37aff"
+    colour = "#b86cfa"
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it is not Gaussian."""

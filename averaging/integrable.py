@@ -57,7 +57,7 @@ class Integrable(Theory):
         ("quadrature", "modal averaging, quadrature", "(11)"),
     )
     solves = "averaged"
-    colour = "#00a3ad"
+    colour = "#00a688"
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""

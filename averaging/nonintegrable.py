@@ -55,7 +55,7 @@ class NonIntegrable(Theory):
         ("quadrature", "energy averaging, quadrature", "(11)"),
     )
     solves = "averaged"
-    colour = "#f56600"
+    colour = "#e07500"
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""

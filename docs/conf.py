@@ -42,10 +42,12 @@ html_title = "vibro-fpk"
 html_static_path = ["_static", str(MATHJAX)]
 html_css_files = ["site.css"]
 html_copy_source = html_show_sourcelink = False
+MEASURED = [f"benchmarks/{path.stem}" for path in Path(__file__).parent.glob("benchmarks/*.md")]
+"""Pages of wide tables, which need the room of a second sidebar."""
 html_theme_options = {
     "navbar_persistent": ["search-button"],
     "navbar_end": ["theme-switcher"],
-    "secondary_sidebar_items": ["page-toc"],
+    "secondary_sidebar_items": {"**": ["page-toc"]} | {page: [] for page in MEASURED},
     "show_prev_next": False,
     "footer_start": ["copyright"],
     "footer_end": [],

@@ -244,7 +244,7 @@ register(
         equation="(6)",
         solves="full",
         sampled=True,
-        colour="#cc001f",
+        colour="#b50c01",
         make=MonteCarlo,
     )
 )

@@ -86,7 +86,7 @@ class PhaseSpace(Theory):
     reference: Reference | None = None
     method = "phase-space"
     solvers = (("hermite", "full FPK equation, Hermite expansion", "(6)"),)
-    colour = "#9900f5"
+    colour = "#5e02e0"
 
     def unasked(self, system: System, *, share: float = 1.0) -> Self:
         """Return the method with work for seconds; refuse where the full density is known."""

@@ -253,5 +253,6 @@ def _register(theory: Theory, words: str, equation: str, colour: str) -> None:
     register(Route(*names, "averaged", True, colour, make))
 
 
-_register("nonintegrable", "energy averaging, simulated", "(24)", "#c28566")
-_register("integrable", "modal averaging, simulated", "(17)", "#ad3d66")
+_register("nonintegrable", "energy averaging, simulated", "(24)", "#601626")
+# The colour of the Gaussian of a linear chain, which has no energies.
+_register("integrable", "modal averaging, simulated", "(17)", "#b86cfa")

@@ -26,7 +26,7 @@ from sim.splitting.score import ScoreFunction
 from sim.splitting.settings import Splitting
 
 SPLITTING = Route(
-    "splitting", "splitting", "splitting", "(6)", "full", True, "#5b8def", make=MonteCarlo
+    "splitting", "splitting", "splitting", "(6)", "full", True, "#b50c01", make=MonteCarlo
 )
 """The route that takes the place of the plain simulation; it gives no densities."""
 
@@ -79,7 +79,7 @@ def passage_answer(
         until = replace(method, time=last, tol=None)
         plain: Passage = until.passage(*asked, tol=None, progress=progress)
         failed = (1.0 - float(plain.survival[-1])) * method.paths
-        longest = horizon(method, plain.settings["coarse dt"], last)
+        longest = horizon(method, float(plain.settings["coarse dt"]), last)
         if failed * longest / last < LEAST_FAILURES:
             answer = split_passage(system, question, method, progress, tol, tol or ERROR)
             words = f"splitting: of {method.paths} plain paths {failed:.0f} pass by t = {last:g}"

@@ -10,7 +10,7 @@ from cases.comparison.compare import joined
 from cases.comparison.in_time import Replies
 from cases.comparison.run import Outcome
 from cases.output.fields import common_grid
-from cases.output.page import rounded, script_record
+from cases.output.page import MARKS, rounded, script_record
 from cases.output.pictures.choice import lines_of
 from cases.output.pictures.in_time import EVERY, asked_in_time, drawn_passage, shades_of, styled
 from cases.output.pictures.joint import LOWEST
@@ -85,7 +85,8 @@ def _curves(curves: list[Answers], observable: Observable, model: Record | None)
             few, middles, inside = bins_within(density, 2 * MARKERS, x)
             values, errors = few.values[inside], few.standard_error[inside]
             middles, values, errors = (v[values > 0.0] for v in (middles, values, errors))
-            own |= {"x": middles, "marks": True, "band": True, "bars": BARS}
+            mark = MARKS[(k if len(curves) > 1 else int(route.solves == "averaged")) % len(MARKS)]
+            own |= {"x": middles, "marks": mark, "band": True, "bars": BARS}
         else:
             own |= {
                 "dash": _dash(dashes_of(route)),
@@ -178,7 +179,7 @@ def _in_time(curve: Answers, label: str) -> list[Record]:
                 _series(
                     route.words, values, errors, x=times, colour=route.colour, band=True,
                     bars=BARS if route.sampled else 1,
-                    **({"marks": True} if route.sampled else {"dash": _dash(style)}),
+                    **({"marks": MARKS[0]} if route.sampled else {"dash": _dash(style)}),
                 )
                 for route, style, times, values, errors in answers
             ]  # fmt: skip
@@ -204,7 +205,7 @@ def _transient(replies: Replies) -> Record:
             own: Record = {"curve": f"t = {question.times[k]:g}", "colour": colour}
             if route.sampled:
                 inside = inside[::EVERY]
-                own |= {"marks": True, "bars": BARS}
+                own |= {"marks": MARKS[0], "bars": BARS}
             else:
                 own["dash"] = _dash(style)
             values, errors = p.values[k, inside], p.errors[k, inside]

@@ -11,6 +11,7 @@ from markupsafe import Markup
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
+from cases.output.pictures.style import COLOURS, DARK
 from cases.output.records import Record, plain
 from cases.written import bound
 
@@ -18,6 +19,17 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 DIGITS, ERROR_DIGITS = 10, 2
 """Digits of a number in the data of a page, and of its error, which is rounded up."""
+
+MARKS = (
+    "m-2.4,0a2.4,2.4 0 1,0 4.8,0a2.4,2.4 0 1,0 -4.8,0",
+    "m-2.2,-2.2h4.4v4.4h-4.4z",
+    "m0,-3.2l3.2,3.2l-3.2,3.2l-3.2,-3.2z",
+    "m0,-3l2.8,5h-5.6z",
+    "m0,3l2.8,-5h-5.6z",
+    "m-2.4,-2.4l4.8,4.8m0,-4.8l-4.8,4.8",
+    "m-3,0h6m-3,-3v6",
+)
+"""Paths of the markers of points, by curve, as ``CURVE_MARKS`` of the drawn pictures."""
 
 PALETTE = 64
 """Colours of a map in a page."""
@@ -28,7 +40,8 @@ def page_record(scripts: Sequence[str] = ()) -> Record:
 
     The policy is the content security policy of the page: of styles and scripts it has the sources.
     """
-    style, script = _source("report.css"), Markup("\n").join(map(_source, scripts))
+    style = Markup("\n").join((_source("report.css"), _dark_curves()))
+    script = Markup("\n").join(map(_source, scripts))
     policy = {"style": _hash(style), "script": _hash(script) if scripts else "'none'"}
     return {"style": style, "script": script, "policy": policy}
 
@@ -62,6 +75,16 @@ def as_script_data(record: Record) -> Markup:
 def _source(name: str) -> Markup:
     """The text of a file in ``templates``, which the page takes over without escaping."""
     return Markup((TEMPLATES / name).read_text(encoding="utf-8").strip())
+
+
+def _dark_curves() -> Markup:
+    """Rules by which curves take their colours on a dark page; those of an attribute yield."""
+    rules = "".join(
+        f'[{key}="{light}"]{{{key}:{dark}}}'
+        for light, dark in zip(COLOURS, DARK, strict=True)
+        for key in ("fill", "stroke")
+    )
+    return Markup(f"@media screen and (prefers-color-scheme: dark) {{ {rules} }}")
 
 
 def _hash(text: str) -> Markup:

@@ -14,13 +14,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from cases.output.page import rounded
+from cases.output.page import MARKS, rounded
+from cases.output.pictures.lines import CURVE_MARKS
 from cases.output.pictures.style import COLOURS, INK, STYLE
 from cases.output.records import Record
 from cases.studies.sweep.grid import Axis
 from fpk.arrays import Array
 
-MARKERS = "osD^vXPh"
 DASHES: Any = (0, (4, 2))
 HALO: Any = {"boxstyle": "square,pad=0.1", "fc": "#f4f4f4", "ec": "none", "alpha": 0.85}
 """Box behind words that a curve may cross."""
@@ -164,10 +164,10 @@ def _live_curves(panel: Panel) -> Record:
     if panel.floor is not None:
         levels.append({"y": panel.floor, "words": FLOOR_WORDS, "fill": True})
     series = []
-    for curve, colour in zip(panel.curves, cycle(COLOURS), strict=False):
+    for curve, colour, mark in zip(panel.curves, cycle(COLOURS), cycle(MARKS), strict=False):
         y = np.asarray(curve.y, dtype=float)
         own: Record = {
-            "curve": "", "name": curve.name, "shown": True, "colour": colour, "marks": True,
+            "curve": "", "name": curve.name, "shown": True, "colour": colour, "marks": mark,
             "x": curve.x, "notes": curve.notes, "guide": curve.dashed,
             "y": rounded(y=np.maximum(y, ROUND_OFF) if panel.y_logarithmic else y, error=())["y"],
         }  # fmt: skip
@@ -238,7 +238,9 @@ def _draw(axes: Axes, panel: Panel) -> None:
     axes.set_yscale("log" if panel.y_logarithmic else "linear")
     if panel.limits is not None:
         axes.set_ylim(panel.limits)
-    for curve, colour, marker in zip(panel.curves, cycle(COLOURS), cycle(MARKERS), strict=False):
+    for curve, colour, marker in zip(
+        panel.curves, cycle(COLOURS), cycle(CURVE_MARKS), strict=False
+    ):
         y, bars = np.asarray(curve.y), None if curve.bar is None else [curve.bar, curve.bar]
         if panel.y_logarithmic:
             y = np.maximum(y, ROUND_OFF)

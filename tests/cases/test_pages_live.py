@@ -6,7 +6,7 @@ from html import escape
 
 import numpy as np
 import pytest
-from browser import RESULTS, shown, source_of, with_script
+from scripted_page import RESULTS, shown, source_of, with_script
 
 import fpk as face
 from cases.comparison.routes import method_for

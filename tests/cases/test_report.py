@@ -10,11 +10,15 @@ import pytest
 from matplotlib.figure import Figure
 
 from cases.commands.parts import command_line
+from cases.comparison.rare import SPLITTING
 from cases.comparison.routes import register_routes
 from cases.output.digest import digest_of
 from cases.output.headline import headline_of
+from cases.output.live import MARKS
+from cases.output.page import TEMPLATES
 from cases.output.pictures.chain import chain_svg
-from cases.output.pictures.style import COLOURS, inline_svg, svg_text
+from cases.output.pictures.lines import CURVE_MARKS, LINES
+from cases.output.pictures.style import COLOURS, DARK, inline_svg, svg_text
 from cases.output.report import report_html
 from cases.output.tables import theory_table
 from cases.output.words import named
@@ -24,7 +28,6 @@ from fpk.route import ROUTES
 
 register_routes()
 
-PAGES = "#fdfdfb", "#16181c", "#ffffff"
 XYZ = np.array(
     [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750],
      [0.0193339, 0.1191920, 0.9503041]]
@@ -52,9 +55,35 @@ def lab(rgb):
     return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
 
 
-def distance(a, b, vision):
+def cie76(a, b):
+    return float(np.linalg.norm(np.subtract(a, b)))
+
+
+def ciede2000(first, second):
+    """Luo, Cui, Rigg 2001 in the form of Sharma, Wu, Dalal 2005, all weights 1."""
+    (L1, a1, b1), (L2, a2, b2) = first, second
+
+    def share(c):
+        return np.sqrt(c**7 / (c**7 + 25.0**7))
+
+    stretch = 1.5 - 0.5 * share((np.hypot(a1, b1) + np.hypot(a2, b2)) / 2)
+    C1, C2 = np.hypot(stretch * a1, b1), np.hypot(stretch * a2, b2)
+    h1, h2 = (np.degrees(np.arctan2(b, stretch * a)) % 360 for a, b in ((a1, b1), (a2, b2)))
+    turn = (h2 - h1 + 180) % 360 - 180
+    hue = (h1 + turn / 2) % 360  # the middle of the shorter arc
+    L, C = (L1 + L2) / 2, (C1 + C2) / 2
+    waves = ((1, -30, -0.17), (2, 0, 0.24), (3, 6, 0.32), (4, -63, -0.20))
+    T = 1 + sum(w * np.cos(np.radians(k * hue + o)) for k, o, w in waves)
+    light = (L2 - L1) / (1 + 0.015 * (L - 50) ** 2 / np.sqrt(20 + (L - 50) ** 2))
+    chroma = (C2 - C1) / (1 + 0.045 * C)
+    round_ = 2 * np.sqrt(C1 * C2) * np.sin(np.radians(turn / 2)) / (1 + 0.015 * C * T)
+    rotation = -2 * share(C) * np.sin(np.radians(60 * np.exp(-(((hue - 275) / 25) ** 2))))
+    return float(np.sqrt(light**2 + chroma**2 + round_**2 + rotation * chroma * round_))
+
+
+def distance(a, b, vision, measure=cie76):
     seen = (np.clip(np.array(vision) @ linear_rgb(c), 0, 1) for c in (a, b))
-    return float(np.linalg.norm(np.subtract(*map(lab, seen))))
+    return measure(*map(lab, seen))
 
 
 def contrast(a, b):
@@ -66,20 +95,49 @@ def route_colours():
     return sorted({route.colour for route in ROUTES.values() if "toy" not in route.method})
 
 
+@pytest.mark.parametrize("measure", [cie76, ciede2000])
 @pytest.mark.parametrize("vision", DEFICIENCIES)
-@pytest.mark.parametrize("colours", [COLOURS, None], ids=["curves", "routes"])
-def test_colours_are_apart_in_every_vision(colours, vision):
-    colours = colours or route_colours()
-    assert len(colours) >= 7
-    assert min(distance(*p, DEFICIENCIES[vision]) for p in combinations(colours, 2)) > 20
+@pytest.mark.parametrize("colours", [COLOURS, DARK], ids=["light", "dark"])
+def test_colours_are_apart_in_every_vision(colours, vision, measure):
+    matrix = DEFICIENCIES[vision]
+    assert min(distance(*p, matrix, measure) for p in combinations(colours, 2)) > 20
     # The pair that the deficiency confuses is found: the measure can fail.
     if vision == "deutan":
-        assert distance("#d1603d", "#9a7a2e", DEFICIENCIES[vision]) < 20
+        assert distance("#d1603d", "#9a7a2e", matrix, measure) < 20
 
 
-def test_colours_are_legible_on_every_page():
-    for page in PAGES:
-        assert min(contrast(colour, page) for colour in {*COLOURS, *route_colours()}) >= 3.0
+def test_colour_differences_are_those_of_the_published_table():
+    # Sharma, Wu, Dalal 2005, Table 1: pairs 1, 7, 10, 17, 25 and 34.
+    table = [
+        ((50, 2.6772, -79.7751), (50, 0, -82.7485), 2.0425),
+        ((50, 0, 0), (50, -1, 2), 2.3669),
+        ((50, 2.4900, -0.0010), (50, -2.4900, 0.0010), 7.1792),
+        ((50, 2.5, 0), (73, 25, -18), 27.1492),
+        ((60.2574, -34.0099, 36.2677), (60.4626, -34.1751, 39.4387), 1.2644),
+        ((2.0776, 0.0795, -1.1350), (0.9033, -0.0636, -0.5514), 0.9082),
+    ]
+    for a, b, expected in table:
+        assert ciede2000(a, b) == pytest.approx(expected, abs=5.1e-5)
+
+
+def test_every_curve_has_a_second_cue():
+    assert {*route_colours(), SPLITTING.colour} == set(COLOURS) and len(COLOURS) == len(DARK) == 7
+    assert len(set(MARKS)) == len(set(CURVE_MARKS)) == len(COLOURS)
+    assert len(set(LINES)) == 4
+
+
+def scheme(text):
+    return dict(re.findall(r"--(\w+): (#[0-9a-f]{3,6})", text))
+
+
+def test_curves_and_words_are_legible_in_both_schemes():
+    light, dark, *_ = re.findall(r":root \{(.*?)\}", (TEMPLATES / "report.css").read_text())
+    for own, curves in ((scheme(light), COLOURS), (scheme(dark), DARK)):
+        assert {"paper", "wash", "ink", "soft", "link", "bad"} <= set(own)
+        for ground in (own["paper"], own["wash"]):
+            words = [own[name] for name in ("ink", "soft", "link", "bad")]
+            assert min(contrast(word, ground) for word in words) >= 4.5
+        assert min(contrast(curve, own["paper"]) for curve in curves) >= 3.0
     assert contrast("#000000", "#ffffff") == pytest.approx(21.0)
 
 

@@ -7,7 +7,7 @@ from html import escape
 
 import numpy as np
 import pytest
-from browser import RESULTS, shown
+from scripted_page import RESULTS, shown
 
 from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene

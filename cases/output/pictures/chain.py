@@ -41,7 +41,7 @@ def chain_svg(system: System) -> Markup:
             # From the edge of the mass to the stop.
             parts.append(_line((x + 6, 30), (x + 6, TOP)))
             parts.append(
-                _text(x + 6, 52 if stop.sign > 0 else 22, f"δ = {stop.clearance:g}", side=stop.sign)
+                _text(x + 6, 13 if stop.sign > 0 else 28, f"δ = {stop.clearance:g}", side=stop.sign)
             )
         if k + 1 < count or system.n > count:
             parts.append(_line((box + BOX, 54), (left + CELL, 54)))

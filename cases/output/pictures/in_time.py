@@ -15,7 +15,15 @@ from cases.comparison.answers import Answers
 from cases.comparison.in_time import Replies
 from cases.comparison.time_distances import failure_of
 from cases.output.pictures.lines import HEIGHT, LINES, MARK
-from cases.output.pictures.style import INK, SHOWN, arrange, density_words, time_words, words_of
+from cases.output.pictures.style import (
+    COLOURS,
+    INK,
+    SHOWN,
+    arrange,
+    density_words,
+    time_words,
+    words_of,
+)
 from cases.scene.questions import PassageQuestion, TransientQuestion
 from fpk.arrays import Array
 from fpk.evolution import Passage, Transient
@@ -34,7 +42,7 @@ EVERY = 6
 """Every so many points a marker of a sampled density in time is drawn."""
 
 SHADES = 0.05, 0.88
-"""Part of the colours from the first time to the last: the rest is too light on white."""
+"""Part of the colours of many times, first to last: the rest is too light on white."""
 
 
 def asked_in_time(curve: Answers, label: str) -> Iterator[tuple[str, Replies]]:
@@ -57,7 +65,7 @@ def time_pictures(curve: Answers, label: str) -> Iterator[tuple[str, str, Figure
             yield stem, f"First passage of {name}: {words}", figure
         else:
             caption = (
-                f"Density after the start, {name}, dark to light in time: theory as lines,"
+                f"Density after the start, {name}: theory as lines,"
                 " simulation as points with two standard errors."
             )
             yield stem, caption, transient_figure(replies)
@@ -109,8 +117,9 @@ def passage_figure(replies: Replies) -> tuple[Figure, str]:
 
 
 def shades_of(count: int) -> list[str]:
-    """Return the colours of so many times, dark to light."""
-    return [to_hex(shade) for shade in colormaps["viridis"](np.linspace(*SHADES, count))]
+    """Return the colours of so many times: those of curves, or of many times dark to light."""
+    shades = map(to_hex, colormaps["viridis"](np.linspace(*SHADES, count)))
+    return list(COLOURS[:count] if count <= len(COLOURS) else shades)
 
 
 def transient_figure(replies: Replies) -> Figure:

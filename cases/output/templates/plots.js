@@ -116,7 +116,7 @@ const report = (() => {
         if (s.guide) svg(inside, "path", {d: run(s.guide[0].map((x, i) => at(x, s.guide[1][i]))), class: "curve guide", stroke: s.colour, "stroke-dasharray": "5 3"});
         if (!s.marks) continue;
         const bars = s.bars && s.error ? seen.map(i => `M${side(i, 1)}L${side(i, -1)}`) : [];
-        const rings = seen.map(i => `M${at(s.x[i], s.y[i])}m-2.6,0a2.6,2.6 0 1,0 5.2,0a2.6,2.6 0 1,0 -5.2,0`);
+        const rings = seen.map(i => `M${at(s.x[i], s.y[i])}${s.marks}`);
         svg(inside, "path", {d: bars.concat(rings).join(""), fill: "none", stroke: s.colour, class: "marks"});
       }
     }
@@ -212,7 +212,7 @@ const report = (() => {
       if (s.names) return s.names.forEach((words, k) => {
         const x = left + 6, y = top + 8 + 18 * k;
         svg(panel.canvas, "rect", {x, y: y - 4, width: 18 + 7.2 * words.length, height: 18, class: "plate"});
-        svg(panel.canvas, "rect", {x: x + 4, y, width: 10, height: 10, fill: s.colours[k]});
+        svg(panel.canvas, "rect", {x: x + 4, y, width: 10, height: 10}).style.fill = s.colours[k]; // as in the image, on a dark page too
         svg(panel.canvas, "text", {x: x + 18, y: y + 9}, words);
       });
       colours.forEach((c, k) => svg(panel.canvas, "rect", {x: right + 10, width: 12, y: bottom - (k + 1) * (bottom - top) / colours.length, height: (bottom - top) / colours.length + 0.5, fill: data.palette[k]}));
@@ -296,8 +296,9 @@ const report = (() => {
         if (plot.fields) continue;
         const swatch = svg(node, "svg", {width: 26, height: 10, "aria-hidden": "true"}), stroke = key === "curve" || !many ? one.colour : "currentColor";
         node.prepend(swatch);
-        if (key === "name" && one.marks) svg(swatch, "circle", {cx: 13, cy: 5, r: 3, fill: "none", stroke});
-        if (key === "curve" || one.dash !== undefined) svg(swatch, "line", {x1: 1, y1: 5, x2: 25, y2: 5, stroke, "stroke-width": key === "curve" ? 4 : 2, "stroke-dasharray": key === "name" && one.dash || "none"});
+        const pointed = items.find(s => s[key] === value && s.marks);
+        if (pointed) svg(swatch, "path", {d: `M13,5${pointed.marks}`, fill: "none", stroke});
+        if (key === "curve" || one.dash !== undefined) svg(swatch, "line", {x1: 1, y1: 5, x2: 25, y2: 5, stroke, "stroke-width": 2, "stroke-dasharray": key === "name" && one.dash || "none"});
       }
     }
     const pair = html(host, "div", "", {class: "pair"}), keys = "arrows move, + and − zoom, 0 shows all, l changes the scale";
@@ -306,6 +307,8 @@ const report = (() => {
     }));
     if (plot.border) html(host, "p", `Dotted: ${plot.border}.`, {class: "soft"});
     const readout = html(host, "div", "", {class: "readout", "aria-live": "polite"});
+    const caption = drawn.querySelector("figcaption");
+    if (caption && !host.previousElementSibling?.classList.contains("live")) html(host, "figcaption", caption.textContent);
     const seen = () => panels.filter(p => !p.item || on(p.item));
 
     function draw() {
@@ -366,7 +369,9 @@ const report = (() => {
     return {plot, host, view, draw, reveal, buttons, panels, values: () => kind.values()};
   }
 
-  if (data.plots.length) html(document.getElementById("touch"), "p", "Point, touch or use the arrow keys for values; drag or use + and − to zoom; l changes between linear and logarithmic scale.", {class: "soft"});
+  const touch = document.getElementById("touch");
+  touch.hidden = false;
+  if (data.plots.length) html(touch, "p", "Point, touch or use the arrow keys for values; drag or use + and − to zoom; l changes between linear and logarithmic scale.", {class: "soft"});
   const plots = data.plots.map(livePlot);
   plots.forEach(p => p.draw());
   addEventListener("resize", () => plots.forEach(p => p.draw()));

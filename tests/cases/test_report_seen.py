@@ -1,0 +1,152 @@
+"""The page as it is seen: both schemes, a telephone, without script, on paper."""
+
+import shutil
+from itertools import product
+
+import pytest
+from browser import Browser
+
+from cases.comparison.routes import method_for
+from cases.comparison.run import run_scene
+from cases.output.digest import digest_of
+from cases.output.report import write_report
+from cases.scene.scene import load_scene
+
+TEXT = 9.0
+"""Least height in pixels of letters in pictures as drawn."""
+
+SEEN = """
+const parts = [...document.querySelectorAll("body *")];
+const seen = e => e.checkVisibility({visibilityProperty: true}) &&
+  e.getBoundingClientRect().height > 0;
+"""
+"""All elements, and whether one of them is seen."""
+
+CONTRAST = (
+    SEEN
+    + """
+const channels = colour => colour.match(/[\\d.]+/g).map(Number);
+const over = ([r, g, b, a = 1], ground) => [r, g, b].map((c, i) => a * c + (1 - a) * ground[i]);
+const ground = e => {
+  const under = e.parentElement ? ground(e.parentElement) : [255, 255, 255];
+  return over(channels(getComputedStyle(e).backgroundColor), under);
+};
+const opacity = e => e ? getComputedStyle(e).opacity * opacity(e.parentElement) : 1;
+const luminance = rgb => rgb.map(c => c / 255).map(
+  c => c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4
+).reduce((sum, c, i) => sum + c * [0.2126, 0.7152, 0.0722][i], 0);
+const contrast = e => {
+  const under = ground(e), style = getComputedStyle(e);
+  const [r, g, b, a = 1] = channels(e.closest("svg") ? style.fill : style.color);
+  const [x, y] = [over([r, g, b, a * opacity(e)], under), under].map(luminance);
+  return (Math.max(x, y) + 0.05) / (Math.min(x, y) + 0.05);
+};
+const words = parts.filter(e => seen(e) && [...e.childNodes].some(n => n.nodeType === 3 &&
+  n.textContent.trim()));
+"""
+)
+"""Contrast of an element's text with what is under it, as the browser colours both."""
+
+
+@pytest.fixture(scope="module")
+def browser():
+    if shutil.which("chromium") is None:
+        pytest.skip("chromium is not installed (Debian package chromium)")
+    with Browser() as own:
+        yield own
+
+
+@pytest.fixture(scope="module")
+def page(scene_text, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("scene")
+    (folder / "any.toml").write_text(scene_text)
+    names = ("nonintegrable", "integrable")
+    outcome = run_scene(
+        load_scene(str(folder / "any.toml")), [method_for(m, "closed-form") for m in names]
+    )
+    write_report(outcome, digest_of(outcome), folder)
+    return (folder / "report.html").as_uri()
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_words_are_legible(browser, page, dark):
+    browser.open(page, width=1280, dark=dark)
+    ratio, count = browser.value(
+        f"(() => {{ {CONTRAST} document.querySelectorAll('details').forEach(d => d.open = true);"
+        " return [Math.min(...words.map(contrast)), words.length]; })()"
+    )
+    assert count > 200 and ratio >= 4.5
+    (paper,) = browser.value(
+        f"(() => {{ {CONTRAST} return [luminance(ground(document.body))]; }})()"
+    )
+    assert (paper < 0.02) is dark
+    # Pale words are found: the measure can fail.
+    pale = "(() => { document.querySelector('h1').style.color = '#777'; %s return %s; })()"
+    assert browser.value(pale % (CONTRAST, "Math.min(...words.map(contrast))")) < 4.5
+
+
+def test_curves_have_other_colours_on_a_dark_page(browser, page):
+    curves = "[...document.querySelectorAll('.curve')].map(e => getComputedStyle(e).stroke)"
+    shown = []
+    for dark in (False, True):
+        browser.open(page, width=1280, dark=dark)
+        shown.append(set(browser.value(curves)))
+    assert len(shown[0]) == len(shown[1]) == 2 and not shown[0] & shown[1]
+
+
+@pytest.mark.parametrize("script", [True, False])
+def test_telephone_cuts_nothing(browser, page, script):
+    browser.open(page, width=390, height=844, script=script)
+    cut, small = browser.value(
+        "(() => {"
+        + SEEN
+        + """
+        document.querySelectorAll("details").forEach(d => d.open = true);
+        const page = document.documentElement;
+        const own = e => e.closest("svg, .wide, pre");  // these clip or scroll by themselves
+        const cut = parts.filter(e => !own(e) && (e.scrollWidth > e.clientWidth + 1 &&
+          getComputedStyle(e).display !== "inline" && e.clientWidth ||
+          e.getBoundingClientRect().right > page.clientWidth + 1));
+        const slant = e => Math.hypot(e.getScreenCTM().a, e.getScreenCTM().b);
+        const texts = [...document.querySelectorAll("svg text")].filter(seen);
+        return [cut.map(e => e.outerHTML.slice(0, 80)),
+          texts.map(e => parseFloat(getComputedStyle(e).fontSize) * slant(e))];
+        })()"""
+    )
+    assert cut == [] and len(small) > 20 and min(small) >= TEXT
+
+
+def test_without_script_the_drawn_pictures_are_there_and_nothing_is_empty(browser, page):
+    browser.open(page, width=1280, script=False)
+    drawn, live, empty = browser.value(
+        "(() => {"
+        + SEEN
+        + """
+        const drawn = [...document.querySelectorAll("figure > svg")].filter(seen);
+        const live = parts.filter(e => e.matches("input, button, .live, #sliders") && seen(e));
+        const empty = [...document.querySelectorAll("h2")].filter(h => seen(h) &&
+          !h.parentElement.querySelector(`#${h.id} ~ :not([hidden])`)?.textContent.trim());
+        return [drawn.map(e => e.querySelectorAll("path").length), live.length,
+          empty.map(h => h.textContent)]; })()"""
+    )
+    assert len(drawn) == 4 and min(drawn) >= 10 and live == 0 and empty == []
+
+
+@pytest.mark.parametrize(("script", "dark"), [*product([True, False], [True, False])])
+def test_paper_has_the_drawn_pictures_in_dark_ink_and_no_controls(browser, page, script, dark):
+    browser.open(page, width=718, script=script, dark=dark, paper=True)
+    drawn, controls, paper, ink, strokes = browser.value(
+        "(() => {"
+        + CONTRAST
+        + """
+        const drawn = [...document.querySelectorAll("figure > svg")].filter(seen);
+        const controls = parts.filter(e => e.matches("input, button") && seen(e));
+        const strokes = [...document.querySelectorAll('[stroke="#e07500"]')].filter(seen).map(
+          e => getComputedStyle(e).stroke);
+        return [drawn.length, controls.length, luminance(ground(document.body)),
+          luminance(channels(getComputedStyle(document.body).color)), [...new Set(strokes)]];
+        })()"""
+    )
+    assert drawn >= 4 and controls == 0 and paper == 1.0 and ink == 0.0
+    assert strokes == ["rgb(224, 117, 0)"]
+    assert browser.pdf().startswith(b"%PDF")
