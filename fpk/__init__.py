@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cases.api import compare as compare
     from cases.api import load as load
+    from cases.api import plot as plot
     from cases.api import solve as solve
     from cases.studies.sweep.sweep import sweep as sweep
     from fpk.contact import Contact as Contact
@@ -47,6 +48,7 @@ _HOME = {
     "System": "fpk.system",
     "compare": "cases.api",
     "load": "cases.api",
+    "plot": "cases.api",
     "solve": "cases.api",
     "sweep": "cases.studies.sweep.sweep",
 }
