@@ -22,8 +22,9 @@ Function = Callable[..., Array]
 FIRST_FOUR = tuple((k,) for k in range(1, 5))
 UP_TO_SECOND = (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)
 """Powers of the moments that quantities follow from, of one coordinate and of two."""
-STEP = 1e-100
-"""Imaginary step by which a function is differentiated without a difference."""
+STEP = 1e-20
+"""Imaginary step by which a function is differentiated without a difference, relative to the size
+of a moment: its square is nothing beside 1, in any unit."""
 
 
 class Quantities(ABC):
@@ -174,10 +175,13 @@ class Quantities(ABC):
         A small change of the density changes it by that of the expectation of its gradient times
         the powers, whose error is taken.
         """
-        terms = [monomial(k, about) for k in (FIRST_FOUR if len(about) == 1 else UP_TO_SECOND)]
+        powers = FIRST_FOUR if len(about) == 1 else UP_TO_SECOND
+        terms = [monomial(k, about) for k in powers]
         moments = np.array([self.expectation(term).value for term in terms])
-        steps = moments + 1j * STEP * np.eye(moments.size)
-        gradient = np.imag([function(m) for m in steps]) / STEP
+        squares = moments[[1]] if len(about) == 1 else moments[[2, 4]]
+        sizes = np.prod(np.sqrt(squares) ** np.array(powers), axis=1)
+        steps = moments + 1j * np.diag(STEP * sizes)
+        gradient = np.imag([function(m) for m in steps]) / (STEP * sizes)
 
         def change(*x: Array) -> Array:
             total: Array = sum(g * term(*x) for g, term in zip(gradient, terms, strict=True))
