@@ -9,6 +9,7 @@ from typing import Any
 from cases.comparison.answers import Answers
 from cases.comparison.loosened import loosened, note_of
 from cases.comparison.refusal import INTERRUPTED, REFUSALS, Attempts
+from cases.written import bound
 from fpk.contact_quantities import joint_at_stops
 from fpk.density import Density
 from fpk.errors import NotApplicable
@@ -67,7 +68,7 @@ def answers_of(
         attempts.interrupted |= result.partial
         if taken is not method and _worst_error(result) > getattr(taken, "tol", inf):
             notes.append(
-                f"{method.route.label}: certified to {_worst_error(result):.2g}, as far as it"
+                f"{method.route.label}: certified to {bound(_worst_error(result))}, as far as it"
                 f" may work unasked; fpk density --method {method.name} goes further"
             )
         results.append(result)

@@ -70,13 +70,14 @@ class Exact:
     def __post_init__(self):
         touching = [i for i in self.system.contact_masses if i != self.row]
         self.masses = (self.row, *touching)
-        rows = np.ix_(self.masses, self.masses)
-        self.compliance = np.linalg.inv(self.system.stiffness_matrix)[rows]
+        # Springs in series to the wall: the nearer of two masses decides.
+        series, rows = np.cumsum(1.0 / self.system.stiffness), np.array(self.masses)
+        self.compliance = series[np.minimum.outer(rows, rows)]
         self.order = self.system.n - 0.5 * len(self.masses)
         self.gibbs = self.rate.size == 1
         exponent = polynomial.polyint(self.rate)
         # exp(−Φ) is e^−100 of its largest at the last energy.
-        energies = np.geomspace(1e-3, 1e3, 6001) / abs(self.rate[0])
+        energies = np.geomspace(1e-3, 1e6, 20001) / abs(self.rate[0])
         phi = polynomial.polyval(energies, exponent)
         self.shift = min(0.0, phi.min())
         self.end = float(energies[np.nonzero(phi - self.shift < 100.0)[0][-1]])
@@ -95,8 +96,9 @@ class Exact:
         """∫ f(W + y) y^(ν−1) exp(−Φ(W + y)) dy/Γ(ν) up to H = ``most``; f None: 1."""
         if self.gibbs and of is np.ones_like:
             T, room = 1.0 / self.rate[0], np.maximum(most - W, 0.0)
-            return T**order * np.exp(-W / T) * (1.0 if most == np.inf else gammainc(order, room / T))
-        z, w = rule(np.linspace(0.0, 1.0, 25))
+            share = 1.0 if most == np.inf else gammainc(order, room / T)
+            return T**order * np.exp(-W / T) * share
+        z, w = rule(np.linspace(0.0, 1.0, 33))
         root = np.sqrt(np.maximum(min(most, self.end) - W, 0.0))[..., None]
         H = W[..., None] + (root * z) ** 2
         kernel = 2.0 * root ** (2.0 * order) * z ** (2.0 * order - 1.0) / gamma(order)
@@ -107,12 +109,15 @@ class Exact:
         axes = []
         for k, mass in enumerate(self.masses):
             own = np.sqrt(self.compliance[k, k])
-            reach = own * np.sqrt(2.0 * self.end) if not self.gibbs else (
-                REACH * own / np.sqrt(self.rate[0])
+            reach = (
+                own * np.sqrt(2.0 * self.end)
+                if not self.gibbs
+                else (REACH * own / np.sqrt(self.rate[0]))
             )
             places = [s.sign * s.clearance for s in self.system.stops if s.mass - 1 == mass]
             places += [*cuts, *ends] if k == 0 else []
-            nodes = [np.linspace(-reach, reach, PANELS + 1)]
+            panels = PANELS if self.gibbs else 4 * PANELS
+            nodes = [np.linspace(-reach, reach, panels + 1)]
             nodes += [layers(a, reach) for a in places if np.isfinite(a)]
             low, high = (max(-reach, ends[0]), min(reach, ends[1])) if k == 0 else (-reach, reach)
             nodes = np.unique(np.concatenate(nodes))
@@ -144,17 +149,11 @@ class Exact:
 
     def cdf_H(self, x):
         """P(H <= x) and p(x), the latter by a difference."""
-        if len(self.masses) > 1:
-            mesh, weights, W = self.grid()
-            step = 1e-4 * x
-            values = [weights @ self.psi(W, self.order, most) for most in (x, x - step, x + step)]
-        else:
-            values = []
-            for most in (x, x * (1.0 - 1e-4), x * (1.0 + 1e-4)):
-                ends = self.turning(most)
-                mesh, weights, W = self.grid(ends=ends)
-                values.append(weights @ self.psi(W, self.order, most))
-            step = 1e-4 * x
+        values = []
+        for most in (x, x * (1.0 - 1e-4), x * (1.0 + 1e-4)):
+            _, weights, W = self.grid(ends=self.turning(most))
+            values.append(weights @ self.psi(W, self.order, most))
+        step = 1e-4 * x
         low = values[0] / self.whole[3]
         return low, 1.0 - low, (values[2] - values[1]) / (2.0 * step) / self.whole[3]
 
@@ -174,25 +173,22 @@ class Exact:
         mesh, W, shares, total = self.whole
         m = self.system.mass[self.row]
         if name == "H":
+            cdf = self.cdf_H if len(self.masses) == 1 else None
             if not self.gibbs:
-                own = [shares @ np.ones_like(W) / total]
                 weights = self.grid()[1]
 
                 def mean(f):
                     return float(weights @ self.psi(W, self.order, of=f)) / total
 
                 first = mean(lambda H: H)
-                second, third, fourth = (
-                    mean(lambda H, k=k: (H - first) ** k) for k in (2, 3, 4)
-                )
-                assert abs(own[0] - 1.0) < 1e-12
-                return of_cumulants(first, second, third, fourth - 3 * second**2), self.cdf_H
+                second, third, fourth = (mean(lambda H, k=k: (H - first) ** k) for k in (2, 3, 4))
+                return of_cumulants(first, second, third, fourth - 3.0 * second**2), cdf
             share, T = shares / total, 1.0 / self.rate[0]
             mu = share @ W
             c2, c3, c4 = (share @ (W - mu) ** k for k in (2, 3, 4))
             own = (mu, c2, c3, c4 - 3.0 * c2**2)
             kappa = [o + self.order * factorial(k) * T ** (k + 1) for k, o in enumerate(own)]
-            return of_cumulants(*kappa), self.cdf_H
+            return of_cumulants(*kappa), cdf
         if name[0] == "p":
             assert self.gibbs
             normal = stats.norm(scale=np.sqrt(m / self.rate[0]))
@@ -258,7 +254,8 @@ class Linear:
     def truth(self, name):
         """As of ``Exact``."""
         n = self.system.n
-        rows = [int(part[1:]) - 1 + (n if part[0] == "p" else 0) for part in name.split(",") if part != "H"]
+        first, parts = {"q": -1, "p": n - 1}, [part for part in name.split(",") if part != "H"]
+        rows = [first[part[0]] + int(part[1:]) for part in parts]
         if len(rows) == 2:
             a, b = rows
             both = self.covariance[a, b]
@@ -271,8 +268,8 @@ class Linear:
         A[n:, n:] = np.diag(0.5 / self.system.mass)
         powers = [np.linalg.matrix_power(A @ self.covariance, k) for k in (1, 2, 3, 4)]
         kappa = [2.0**k * factorial(k) * np.trace(P) for k, P in enumerate(powers)]
-        factor = np.linalg.cholesky(self.covariance)
-        scales = 2.0 * np.linalg.eigvalsh(factor.T @ A @ factor)
+        scales = 2.0 * np.linalg.eigvals(A @ self.covariance).real
+        scales = scales[scales > 1e-14 * scales.max()]
 
         def cdf(x):
             with mp.workdps(30):

@@ -1,8 +1,10 @@
 """Engineering quantities of a run: against closed forms, between routes, in tables."""
 
 import json
+import re
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -17,12 +19,13 @@ from cases.comparison.run import run_scene
 from cases.output.digest import digest_of
 from cases.output.tables import quantity_tables
 from cases.scene.scene import load_scene
-from cases.written import concise
+from cases.written import concise, up, with_error
 from fpk.contact import Contact
 from fpk.density import Density
 from fpk.errors import InvalidInput, Unavailable
 from fpk.system import System
 
+ROOT = Path(__file__).parent.parent.parent
 LINEAR = System([1.0, 2.0], [1.0, 0.5], [0.08, 0.04], [0.08 * 0.3, 0.04 * 0.3])
 """In equilibrium at the temperature 0.3: q1 has the variance 0.3, q2 that of springs in series."""
 TEMPERATURE = 0.3
@@ -290,6 +293,23 @@ def test_a_number_in_brackets_is_no_less_than_the_error():
         unit = 1.0 if "e" in rest else 10.0**-decimals
         assert shown * unit >= error * (1.0 - 1e-11), text
         assert abs(float(digits) - value) <= max(0.5 * 10.0**-decimals, error) * (1 + 1e-9), text
+
+
+def test_an_error_is_never_shown_below_what_it_is():
+    rng = np.random.default_rng(4)
+    for error in 10.0 ** rng.uniform(-20, 9, 500):
+        plain = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+        text = up(error).replace(" × 10", "e").translate(plain)
+        assert error * (1.0 - 1e-11) <= float(text) <= 1.1 * error, text
+        shown = with_error(9.0 * error, error).partition("± ")[2].replace("−", "-").replace("e-", "e-0")
+        assert error * (1.0 - 1e-11) <= float(shown) <= 1.1 * error
+    assert (up(None), up(0.0), up(0.00121)) == ("–", "0", "0.0013")
+
+
+def test_a_page_rounds_no_error_to_the_nearest():
+    for template in (ROOT / "cases" / "output" / "templates").glob("*.*"):
+        nearest = re.findall(r"\b\w*(?:error|sampling|chance)\|num\b", template.read_text("utf-8"))
+        assert not nearest, (template.name, nearest)
 
 
 def test_a_table_is_as_wide_as_the_terminal_and_repeats_no_solver():
