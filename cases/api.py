@@ -71,9 +71,12 @@ def solve(
 
 
 def plot(density: AnyDensity, *, log: bool = False) -> "Figure":
-    """Return a figure of pyplot with one density and its error, see ``Density.plot``. ::
+    """Return a figure of pyplot with one density and its error.
 
-    fpk.plot(fpk.solve(fpk.load("fig3a").system, ["q2,p2"], methods=["exact"])["q2,p2"])
+    Of two coordinates as contours; ``log``: on a logarithmic scale. ::
+
+        answers = fpk.solve(fpk.load("fig3a").system, ["q2,p2"], methods=["exact"])
+        fpk.plot(answers["q2,p2"], log=True)
     """
     figure: Figure = presented().plot_density(density, log=log)
     return figure

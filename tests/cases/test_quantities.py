@@ -301,7 +301,9 @@ def test_an_error_is_never_shown_below_what_it_is():
         plain = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
         text = up(error).replace(" × 10", "e").translate(plain)
         assert error * (1.0 - 1e-11) <= float(text) <= 1.1 * error, text
-        shown = with_error(9.0 * error, error).partition("± ")[2].replace("−", "-").replace("e-", "e-0")
+        shown = (
+            with_error(9.0 * error, error).partition("± ")[2].replace("−", "-").replace("e-", "e-0")
+        )
         assert error * (1.0 - 1e-11) <= float(shown) <= 1.1 * error
     assert (up(None), up(0.0), up(0.00121)) == ("–", "0", "0.0013")
 

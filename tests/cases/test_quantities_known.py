@@ -21,7 +21,7 @@ SAMPLED = [
     (STOPPED, ["q1", "H", "q1,p1"], "exact"),
     (LINEAR, ["q2", "p1", "q1,q2"], "linear"),
 ]
-DEFAULT = {"fig3a", "fig4a", "one-mass", "bistable", "near-resonance", "unequal-sides", "cir"}
+DEFAULT = {"fig3a", "fig4a", "one-mass", "near-resonance", "unequal-sides", "cir"}
 
 
 def shares_of(system, observables, route):
