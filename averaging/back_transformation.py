@@ -1,6 +1,7 @@
 """From a density of the energy to densities of displacements and momenta, Eqs. (23), (30)."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from math import ceil, pi
 
 import numpy as np
@@ -58,15 +59,8 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
             observable, solution, (nodes,), own, tol=tol, added=source.closed
         )
     q = tuple(c.row for c in observable if c.kind == "q")
-    hidden = len(set(system.contact_masses) - set(q))
-    marginal = _marginal(source, observable)
-
-    def added(p: Array, *x: Array) -> Array:
-        """Error of integrating out: tables of Weyl integrals, quadrature over hidden masses."""
-        lower = rules_of(hidden)[0]  # enough for an error
-        error = marginal(*x, part="table", points=lower)
-        return error + np.abs(p - marginal(*x, points=lower)) if hidden else error
-
+    marginal = marginal_of(source, observable)
+    added = partial(integration_error, source, observable, marginal)
     T, end = source.temperature, source.end
 
     def panels(c: Coordinate) -> Array:
@@ -88,11 +82,28 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
     )
 
 
-def _marginal(source: StateDensity, observable: Observable) -> Callable[..., Array]:
+def integration_error(
+    source: StateDensity,
+    observable: Observable,
+    marginal: Callable[..., Array],
+    values: Array,
+    *x: Array,
+) -> Array:
+    """Error of integrating out: tables of Weyl integrals, quadrature over hidden masses."""
+    hidden = len(set(source.system.contact_masses) - {c.row for c in observable if c.kind == "q"})
+    lower = rules_of(hidden)[0]  # enough for an error
+    error = marginal(*x, part="table", points=lower)
+    return error + np.abs(values - marginal(*x, points=lower)) if hidden else error
+
+
+def marginal_of(
+    source: StateDensity, observable: Observable, *, flux_of: float | None = None
+) -> Callable[..., Array]:
     """Return the integral of u(H) over everything but the observed displacements and momenta.
 
     It is a function of these, broadcast together, of ``part`` of u and of the number of ``points``
     of the rule over hidden contact masses. All else is quadratic in H and integrated exactly.
+    ``flux_of``, a mass: the momentum of the one displacement is integrated over its velocity > 0.
     """
     system = source.system
     q, p = ([c.row for c in observable if c.kind == kind] for kind in "qp")
@@ -100,6 +111,8 @@ def _marginal(source: StateDensity, observable: Observable) -> Callable[..., Arr
     laws = conditionals(system, [*q, *hidden])
     over_hidden = HiddenIntegral(laws[len(q) :], source.temperature, source.end)
     order, log_factor = hidden_quadratic(system, p, laws)
+    if flux_of is not None:  # dx of x = p²/2m in the place of dp
+        order, log_factor = order + 0.5, log_factor - 0.5 * np.log(2.0 * pi * flux_of)
     # u is in the unit of T of the process.
     log_factor -= float(log_linear_states(system, source.unit))
 

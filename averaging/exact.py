@@ -8,11 +8,12 @@ import numpy as np
 
 from averaging.back_transformation import back_transformed
 from averaging.closed_form import state_closed_form
+from averaging.crossing_rates import crossing_rates
 from averaging.energy_process import damping_by_energy, energy_process
 from averaging.theory import Theory, energy_only_refusal
+from averaging.weyl import StateDensity
 from fpk.arrays import Array
-from fpk.density import Density
-from fpk.dynamics import Curve, certified_curve, upcrossings
+from fpk.dynamics import Curve
 from fpk.errors import NotApplicable
 from fpk.method import Plan, Progress, Result, silent
 from fpk.observable import Coordinate, Observable
@@ -80,10 +81,7 @@ class Exact(Theory):
             settings[f"h, H^{power}"] = float(coefficient)
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
-            # u solves the full equation where (8) holds: what is left of (8) is the residual.
-            constant, D = 0.5 * (system.damping + system.damping.T), h[0] * system.noise_matrix
-            left = float(np.max(np.abs(constant - D)) / np.max(np.abs(D)))
-            source = state_closed_form(system, h, residual=None if h.size > 1 else left)
+            source = _source(system, h)
             densities = tuple(back_transformed(source, o, tol=self.tol) for o in observables)
             return Result(self, densities, settings=settings)
 
@@ -98,15 +96,19 @@ class Exact(Theory):
         tol: float | None = None,
         progress: Progress = silent,
     ) -> Curve:
-        """Return the upcrossings per unit time of q from its joint density with p."""
-        observable = (Coordinate("q", row), Coordinate("p", row))
-        (joint,) = self.solve(system, [observable], progress=progress).densities
-        assert isinstance(joint, Density)
-        mass = float(system.mass[row])
-        values, errors = upcrossings(joint, mass, at)
-        q, p = (np.sqrt(joint.moment(*powers).value) for powers in ((2, 0), (0, 2)))
-        scale = float(p / mass / (2.0 * np.pi * q))
-        return certified_curve(values, errors, scale=scale, of=joint, tol=tol or self.tol)
+        """Return the upcrossings per unit time of q, by Rice's formula; refuses as densities."""
+        plan = self.prepare(system)
+        if reason := plan.refusal((Coordinate("q", row),)):
+            raise NotApplicable(reason)
+        source = _source(system, compatibility(system))
+        return crossing_rates(source, row, at, tol=tol or self.tol)
+
+
+def _source(system: System, h: Array) -> StateDensity:
+    """Density of the state; u solves the full equation, what is left of (8) is its residual."""
+    constant, D = 0.5 * (system.damping + system.damping.T), h[0] * system.noise_matrix
+    left = float(np.max(np.abs(constant - D)) / np.max(np.abs(D)))
+    return state_closed_form(system, h, residual=None if h.size > 1 else left)
 
 
 Exact.register()

@@ -14,15 +14,17 @@ from averaging.theory import Theory
 from averaging.time.start import modal_start
 from fpk.arrays import Array
 from fpk.clearance import CLEARANCE_RULE
-from fpk.dynamics import Rates
+from fpk.density import Density
+from fpk.dynamics import Curve, Rates, certified_curve
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.method import Plan, Progress, Result, silent
 from fpk.modulation import require_constant_noise
-from fpk.observable import Observable, observable_name
+from fpk.observable import Coordinate, Observable, observable_name
 from fpk.start import Start
 from fpk.system import System
+from fpk.upcrossings import upcrossings
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,19 @@ class Integrable(Theory):
             return Result(self, densities, settings=settings, neglected=neglected)
 
         return Plan(lambda observable: self._refusal(observable, modes), solve)
+
+    def crossings(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return the upcrossings per unit time of q from its joint density with p."""
+        joint, q = (Coordinate("q", row), Coordinate("p", row)), (Coordinate("q", row),)
+        of_both, of_q = self.solve(system, [joint, q], progress=progress).densities
+        assert isinstance(of_both, Density) and isinstance(of_q, Density)
+        mass = float(system.mass[row])
+        values, errors = upcrossings(of_both, mass, at)
+        velocity = float(np.sqrt(of_both.moment(0, 2).value)) / mass
+        scale = velocity / (2.0 * np.pi * of_q.rms().value)
+        return certified_curve(values, errors, scale=scale, of=of_q, tol=tol or self.tol)
 
     def transient(
         self,

@@ -6,6 +6,7 @@ from functools import partial
 
 from averaging.back_transformation import back_transformed
 from averaging.closed_form import averaged_rate, state_closed_form
+from averaging.crossing_rates import crossing_rates
 from averaging.energy_process import energy_process
 from averaging.quadrature import solve_by_quadrature
 from averaging.theory import Theory, energy_only_refusal
@@ -13,7 +14,7 @@ from averaging.time.energy import total_energy
 from averaging.time.start import total_energy_start
 from averaging.weyl import Solution, StateDensity, tabulated
 from fpk.arrays import Array
-from fpk.dynamics import Rates
+from fpk.dynamics import Curve, Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
@@ -68,6 +69,16 @@ class NonIntegrable(Theory):
             return Result(self, densities, settings=settings)
 
         return Plan(partial(energy_only_refusal, system, exponential=exponential), solve)
+
+    def crossings(
+        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+    ) -> Curve:
+        """Return the upcrossings per unit time of q, by Rice's formula; refuses as densities."""
+        plan = self.prepare(system)
+        if reason := plan.refusal((Coordinate("q", row),)):
+            raise NotApplicable(reason)
+        source, _ = self._state_density(system, energy_process(system))
+        return crossing_rates(source, row, at, tol=tol or self.tol)
 
     def transient(
         self,

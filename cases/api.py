@@ -1,16 +1,22 @@
 """The functions of ``import fpk`` that need all rooms: load, solve, compare."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from cases.comparison.answers import Answers
+from cases.comparison.answers import Answers, presented
 from cases.comparison.compare import Comparison
 from cases.comparison.routes import all_methods, method_for
 from cases.comparison.stationary import answers_of
 from cases.scene.scene import load_scene
+from fpk.contact_quantities import joint_at_stops
+from fpk.density import AnyDensity
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import Method
 from fpk.observable import parse_observable
 from fpk.system import System
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 load = load_scene
 
@@ -53,15 +59,27 @@ def solve(
     wanted = [parse_observable(name, system.n) for name in observables]
     if methods is None:
         unsampled = [m for m in all_methods(tol=tol) if not m.route.sampled]
-        return answers_of(system, wanted, unsampled, share=1.0)
-    results = []
+        return answers_of(system, wanted, unsampled, share=1.0, rates=True)
+    results, beside = [], joint_at_stops(system, wanted)
     for name in methods:
         method = method_for(*name.split("/", 1), tol=tol) if isinstance(name, str) else name
         try:
-            results.append(method.solve(system, wanted))
+            results.append(method.solve(system, wanted, beside=beside))
         except NotApplicable as reason:
             raise NotApplicable(f"{method.route.label}: {reason}") from None
     return Answers(system, tuple(results))
+
+
+def plot(density: AnyDensity, *, log: bool = False) -> "Figure":
+    """Return a figure of pyplot with one density and its error.
+
+    Of two coordinates as contours; ``log``: on a logarithmic scale. ::
+
+        answers = fpk.solve(fpk.load("fig3a").system, ["q2,p2"], methods=["exact"])
+        fpk.plot(answers["q2,p2"], log=True)
+    """
+    figure: Figure = presented().plot_density(density, log=log)
+    return figure
 
 
 def compare(answers: Answers) -> tuple[Comparison, ...]:

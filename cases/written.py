@@ -59,6 +59,11 @@ def percent(share: float, *, up: bool = False) -> str:
     return f"{digits * 10.0**last:.2g} %" if value < 99.5 else f"{digits * 10.0**last:.0f} %"
 
 
+def up(error: float | None) -> str:
+    """Return ``bound`` of an error as ``number`` shows it: ``0.0013`` of 0.00121."""
+    return number(None if error is None else float(bound(error)), 2)
+
+
 def with_error(value: float | None, error: float | None) -> str:
     """Return ``0.1235 ± 1.3e−3``: the digits that the error leaves, at most six, and the error.
 

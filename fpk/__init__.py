@@ -2,7 +2,7 @@
 
 ``System``, ``Contact`` and ``DampingTerm`` describe Eq. (1); ``load`` reads a scene; ``solve``
 returns densities with their errors and certificates; ``compare`` says what separates them;
-``sweep`` varies numbers of a system::
+``sweep`` varies numbers of a system, ``plot`` draws a density::
 
     import fpk
     stop = fpk.Contact(mass=2, side="both", stiffness=10.0, clearance=0.5)
@@ -10,13 +10,12 @@ returns densities with their errors and certificates; ``compare`` says what sepa
     answers = fpk.solve(system, ["q2", "H"], methods=["nonintegrable/fem"])
     answers["q2"](0.3)
 
-Every name is loaded when it is first used. ``load``, ``solve``, ``compare`` and ``sweep`` come from
-the room ``cases``: the one place where this room, which knows neither averaging, nor sampling, nor
-scenes, points up. Conventions that hold in every room: Ito equations
-``dX = drift dt + noise_factor dB``, ``B`` standard Wiener processes;
-``diffusion = noise_factor @ noise_factor.T``; the FPK operator is
-``-d_i(s_i p) + ½ d_i d_j(b_ij p)``, the ½ staying in the equation; a noise intensity ``D`` means
-``E[W(t) W(t+τ)] = 2 D δ(τ)``. Masses count from 1.
+Every name is loaded when it is first used. ``load``, ``solve``, ``compare``, ``sweep`` and ``plot``
+come from the room ``cases``: the one place where this room, which knows neither averaging, nor
+sampling, nor scenes, points up. Conventions that hold in every room: Ito equations ``dX = drift dt
++ noise_factor dB``, ``B`` standard Wiener processes; ``diffusion = noise_factor @ noise_factor.T``;
+the FPK operator is ``-d_i(s_i p) + ½ d_i d_j(b_ij p)``, the ½ staying in the equation; a noise
+intensity ``D`` means ``E[W(t) W(t+τ)] = 2 D δ(τ)``. Masses count from 1.
 """
 
 from importlib import import_module
@@ -27,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cases.api import compare as compare
     from cases.api import load as load
+    from cases.api import plot as plot
     from cases.api import solve as solve
     from cases.studies.sweep.sweep import sweep as sweep
     from fpk.contact import Contact as Contact
@@ -47,6 +47,7 @@ _HOME = {
     "System": "fpk.system",
     "compare": "cases.api",
     "load": "cases.api",
+    "plot": "cases.api",
     "solve": "cases.api",
     "sweep": "cases.studies.sweep.sweep",
 }

@@ -1,13 +1,15 @@
 """What a stop feels: how long it is touched, how deep, how hard; from the density of its mass."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from fpk.arrays import Array
 from fpk.contact import Contact
 from fpk.number import Number
+from fpk.observable import Coordinate, Observable
 from fpk.quantities import Quantities
+from fpk.system import System
 
 
 def contact_quantities(stop: Contact, displacement: Quantities) -> Mapping[str, Number]:
@@ -36,6 +38,16 @@ def contact_quantities(stop: Contact, displacement: Quantities) -> Mapping[str, 
         "overlap in contact": ratio(depth, touching),
         "force in contact": ratio(force, touching),
     }
+
+
+def joint_at_stops(system: System, observables: Sequence[Observable]) -> list[Observable]:
+    """Return the pairs (q, p) that crossing rates of stops follow from, but those asked for.
+
+    Of the masses at stops whose displacement is one of the ``observables``.
+    """
+    touching = [Coordinate("q", i) for i in system.contact_masses]
+    pairs = [(q, Coordinate("p", q.row)) for q in touching if (q,) in observables]
+    return [pair for pair in pairs if pair not in observables]
 
 
 def ratio(a: Number, b: Number) -> Number:

@@ -21,7 +21,6 @@ from fpk.errors import InvalidInput
 from fpk.evolution import ErrorKind
 from fpk.method import Progress, silent
 from fpk.number import SMALLEST
-from fpk.quadrature import gauss_grid
 from fpk.system import System
 
 
@@ -170,15 +169,3 @@ def certified_curve(
     )
     certificate = certify(measured, tol=tol)
     return Curve(values, errors + SMALLEST, certificate, settings or {})
-
-
-def upcrossings(joint: Density, mass: float, at: Array) -> tuple[Array, Array]:
-    """Return the rates ∫_0^∞ (p/m) f(q, p) dp of a joint density of (q, p) at q = ``at``.
-
-    Rice's formula. The error is the integral of that of the density.
-    """
-    nodes = joint.panels[1]
-    _, [(p, w)] = gauss_grid([np.union1d(0.0, nodes[nodes > 0.0])], points=20)
-    density, error = joint.at(at[:, None], p)
-    flux = w * p / mass
-    return density @ flux, error @ flux

@@ -47,15 +47,15 @@ class FunctionQuantities(Quantities):
         f = np.asarray(function(*mesh))
         value = integral(f * p, grids)
         e = e + SMALLEST  # where there is none at points the L1 error is spread evenly
-        error = integral(np.abs(f) * e, grids) * max(1.0, self.l1_error / integral(e, grids))
-        rounding = EPS * integral(np.abs(f * p), grids)
+        error = integral(np.abs(f) * e, grids) * max(1.0, self._least_l1 / integral(e, grids))
+        rounding = EPS * integral(np.abs(f * p) * _condition(panels), grids)
         tail = self.certificate.tail_mass * beyond(function, self.panels, kinks)
         return Number(value, error + rounding + abs(value - coarse) + tail)
 
     def probability(self, low: float, high: float) -> Number:
         """Return P(low < X <= high) and its error; as the mass is 1, no more than that beside it.
 
-        What of ``l1_error`` is not in the errors at points may lie anywhere.
+        What of the L1 error is not in the errors at points may lie anywhere.
         """
         nodes = self._axis()
         first, last = (float(x) for x in np.clip([low, high], nodes[0], nodes[-1]))
@@ -64,9 +64,15 @@ class FunctionQuantities(Quantities):
         shares = self._share(first, last, self.pdf, self.pointwise)
         value, error = (float(x) for x in shares)
         beside = self._error_of_all - error
+        rounding = float(self._share(first, last, self.pdf, rounding=True)[0])
         return Number(
-            value, max(min(error, beside), 0.0) + self._unlocated + beyond_ends + EPS * value
+            value, max(min(error, beside), 0.0) + self._unlocated + beyond_ends + rounding
         )
+
+    @property
+    def _least_l1(self) -> float:
+        """The L1 error, which is no less than what of the mass is missing."""
+        return max(self.l1_error, self.certificate.mass_defect)
 
     @property
     def _error_of_all(self) -> float:
@@ -75,24 +81,31 @@ class FunctionQuantities(Quantities):
 
     @property
     def _unlocated(self) -> float:
-        """What of the L1 error is not in the errors at points."""
-        return max(self.l1_error - self._error_of_all, 0.0)
+        """What of the L1 error is not in the errors at points, or else what mass is missing."""
+        return max(self.l1_error - self._error_of_all, self.certificate.mass_defect)
 
     def share(self, low: float, high: float) -> float:
         """Return P(low < X <= high) without its error, which takes as long again."""
         ends = np.clip([low, high], *self._axis()[[0, -1]])
         return float(self._share(*ends, self.pdf)[0])
 
-    def _share(self, low: float, high: float, *functions: Callable[..., Array]) -> Array:
-        """∫ of the density, and of its error if both are ``functions``, within the support."""
+    def _share(
+        self, low: float, high: float, *functions: Callable[..., Array], rounding: bool = False
+    ) -> Array:
+        """∫ of the density, and of its error if both are ``functions``, within the support.
+
+        ``rounding``: the round-off of these in their place.
+        """
         nodes = self.panels[0]
+        each = EPS * condition_of(nodes) if rounding else np.ones(nodes.size - 1)
         first, last = np.searchsorted(nodes, low), np.searchsorted(nodes, high, side="right") - 1
-        whole: Array = self._panel_shares[: len(functions), first:last].sum(axis=1)
+        whole: Array = (self._panel_shares[: len(functions)] * each)[:, first:last].sum(axis=1)
         cut = [(low, nodes[first]), (nodes[last], high)] if first <= last else [(low, high)]
         for a, b in cut:
             if a < b:
                 mesh, grids = gauss_grid([np.array([a, b])])
-                whole = whole + [integral(f(*mesh), grids) for f in functions]
+                own = each[min(max(np.searchsorted(nodes, a, side="right") - 1, 0), each.size - 1)]
+                whole = whole + own * np.array([integral(f(*mesh), grids) for f in functions])
         return whole
 
     @cached_property
@@ -111,3 +124,15 @@ class FunctionQuantities(Quantities):
         """The density at the Gauss points of the coarser and finer rule, and its error at these."""
         coarse, mesh = gauss_grid(panels, points=FEWER[len(panels)])[0], gauss_grid(panels)[0]
         return self.pdf(*coarse), self.pdf(*mesh), self.pointwise(*mesh)
+
+
+def condition_of(nodes: Array) -> Array:
+    """Return 1 + |x|/width of every panel: its width, and what changes over it, round by that."""
+    largest = np.maximum(np.abs(nodes[1:]), np.abs(nodes[:-1]))
+    return np.asarray(1.0 + largest / np.diff(nodes))
+
+
+def _condition(panels: Sequence[Array]) -> Array:
+    """The same at the Gauss points of all panels."""
+    each = [np.repeat(condition_of(nodes), GAUSS_POINTS[len(panels)]) for nodes in panels]
+    return each[0] if len(each) == 1 else np.add.outer(*each)

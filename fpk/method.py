@@ -46,7 +46,8 @@ class Result:
     ``neglected`` names in words the effects of the system that the method leaves out, empty where
     none; ``partial`` says that the work was interrupted and the answer is what there was by then;
     ``report`` is the typed report of a simulation, None otherwise. ``settings`` is for readers
-    alone: no decision rests on it.
+    alone: no decision rests on it. ``beside`` are densities of the same solution that were not
+    asked for, from which numbers follow.
     """
 
     method: "Method"
@@ -57,6 +58,7 @@ class Result:
     neglected: str = ""
     partial: bool = False
     report: object | None = None
+    beside: tuple[AnyDensity, ...] = ()
 
     def __repr__(self) -> str:
         """Return the route and the observables in one line."""
@@ -70,11 +72,16 @@ class Plan:
     """A method prepared for one system: what it refuses, and how it solves.
 
     ``refusal(observable)`` returns why the observable is not given, None where it is;
-    ``solve(observables, progress)`` returns the result for observables that are.
+    ``solve(observables, progress)`` returns the result for observables that are. One that gives
+    more densities with little more work has ``solve_beside(observables, others, progress)``, whose
+    result has those of ``others`` in ``beside``.
     """
 
     refusal: Callable[[Observable], str | None]
     solve: Callable[[Sequence[Observable], Progress], Result]
+    solve_beside: (
+        Callable[[Sequence[Observable], Sequence[Observable], Progress], Result] | None
+    ) = None
 
 
 class Method(ABC):
@@ -128,6 +135,7 @@ class Method(ABC):
         system: System,
         observables: Sequence[Observable],
         *,
+        beside: Sequence[Observable] = (),
         progress: Progress = silent,
     ) -> Result:
         """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses.
@@ -137,6 +145,8 @@ class Method(ABC):
             answer = NonIntegrable().solve(system, [parse_observable("q2", system.n)])
             (p,) = answer.densities
 
+        ``beside`` as of ``solved``.
+
         Raises ``InvalidInput`` for an observable that is a name instead of a parsed one.
         """
         require_observables(observables)
@@ -144,7 +154,7 @@ class Method(ABC):
         for observable in observables:
             if reason := plan.refusal(observable):
                 raise NotApplicable(reason)
-        return solved(plan, system, observables, progress=progress)
+        return solved(plan, system, observables, beside=beside, progress=progress)
 
 
 @dataclass(frozen=True)
@@ -161,20 +171,37 @@ class Source:
 
 
 def solved(
-    plan: Plan, system: System, observables: Sequence[Observable], *, progress: Progress = silent
+    plan: Plan,
+    system: System,
+    observables: Sequence[Observable],
+    *,
+    beside: Sequence[Observable] = (),
+    progress: Progress = silent,
 ) -> Result:
     """Return the result of the plan for ``system`` with the seconds that solving took.
 
     Its densities have its settings as their provenance; those by functions know what they follow
-    from and can be pickled.
+    from and can be pickled. Those of ``beside`` are given where they take little more work.
     """
     start = perf_counter()
-    result = plan.solve(observables, progress)
+    others = [o for o in beside if not plan.refusal(o)] if plan.solve_beside else []
+    if plan.solve_beside and others:
+        result = plan.solve_beside(observables, others, progress)
+    else:
+        result = plan.solve(observables, progress)
     source = Source(result.method, system)
-    densities = tuple(
-        replace(d, source=source, provenance=result.settings)
-        if isinstance(d, Density)
-        else replace(d, provenance=result.settings)
-        for d in result.densities
+
+    def known(densities: Sequence[AnyDensity]) -> tuple[AnyDensity, ...]:
+        return tuple(
+            replace(d, source=source, provenance=result.settings)
+            if isinstance(d, Density)
+            else replace(d, provenance=result.settings)
+            for d in densities
+        )
+
+    return replace(
+        result,
+        densities=known(result.densities),
+        beside=known(result.beside),
+        seconds=perf_counter() - start,
     )
-    return replace(result, densities=densities, seconds=perf_counter() - start)

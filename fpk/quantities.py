@@ -1,4 +1,4 @@
-"""Numbers that follow from the density of one coordinate: moments, probabilities, quantiles.
+"""Numbers that follow from a density: moments, probabilities, quantiles, correlations.
 
 Both kinds of density have them as methods. Each is a ``Number``: with an estimate of the numerical
 error where the density is a function, with one standard error where it was sampled.
@@ -7,7 +7,9 @@ error where the density is a function, with one standard error where it was samp
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import reduce
+from importlib import import_module
 from math import inf, isfinite
+from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -17,14 +19,19 @@ from fpk.errors import InvalidInput
 from fpk.number import Number
 
 Function = Callable[..., Array]
-STEP = 1e-100
-"""Imaginary step by which a function is differentiated without a difference."""
+FIRST_FOUR = tuple((k,) for k in range(1, 5))
+UP_TO_SECOND = (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)
+"""Powers of the moments that quantities follow from, of one coordinate and of two."""
+STEP = 1e-20
+"""Imaginary step by which a function is differentiated without a difference, relative to the size
+of a moment: its square is nothing beside 1, in any unit."""
 
 
 class Quantities(ABC):
-    """What follows from the density of one coordinate X.
+    """What follows from the density of one coordinate X, or of two, X and Y.
 
-    All but ``expectation`` and ``moment`` raise ``InvalidInput`` for a joint density. ::
+    All but ``expectation``, ``moment`` and ``plot`` raise ``InvalidInput`` for a joint density,
+    ``covariance`` and ``correlation`` for any other. ::
 
         q2 = fpk.solve(fpk.load("fig6a").system, ["q2"])["q2"]
         q2.std().value, q2.std().error
@@ -54,11 +61,7 @@ class Quantities(ABC):
         """
         if len(powers) != len(self.axes()) or min(powers) < 0:
             raise InvalidInput("power", powers, "takes one number >= 0 for each coordinate")
-
-        def product(*x: Array) -> Array:
-            return reduce(np.multiply, [(y - about) ** k for y, k in zip(x, powers, strict=True)])
-
-        return self.expectation(product)
+        return self.expectation(monomial(powers, [about] * len(powers)))
 
     def mean(self) -> Number:
         """Return E X."""
@@ -67,21 +70,21 @@ class Quantities(ABC):
 
     def rms(self) -> Number:
         """Return √E X²."""
-        return self._of_moments(lambda m: np.sqrt(m[2]), 0.0)
+        return self._of_moments(lambda m: np.sqrt(m[1]), 0.0)
 
     def std(self) -> Number:
         """Return the standard deviation, √E (X − E X)²."""
-        return self._of_moments(lambda m: np.sqrt(m[2] - m[1] ** 2), self.mean().value)
+        return self._of_moments(lambda m: np.sqrt(m[1] - m[0] ** 2), self.mean().value)
 
     def variance(self) -> Number:
         """Return E (X − E X)²."""
-        return self._of_moments(lambda m: m[2] - m[1] ** 2, self.mean().value)
+        return self._of_moments(lambda m: m[1] - m[0] ** 2, self.mean().value)
 
     def skewness(self) -> Number:
         """Return E (X − E X)³ over the cube of the standard deviation, 0 of a symmetric density."""
 
         def skewness(m: Complexes) -> complex:
-            return complex((m[3] - 3.0 * m[1] * m[2] + 2.0 * m[1] ** 3) / (m[2] - m[1] ** 2) ** 1.5)
+            return complex((m[2] - 3.0 * m[0] * m[1] + 2.0 * m[0] ** 3) / (m[1] - m[0] ** 2) ** 1.5)
 
         return self._of_moments(skewness, self.mean().value)
 
@@ -89,10 +92,23 @@ class Quantities(ABC):
         """Return E (X − E X)⁴ over the square of the variance: 3 of a Gaussian."""
 
         def kurtosis(m: Complexes) -> complex:
-            fourth = m[4] - 4.0 * m[1] * m[3] + 6.0 * m[1] ** 2 * m[2] - 3.0 * m[1] ** 4
-            return complex(fourth / (m[2] - m[1] ** 2) ** 2)
+            fourth = m[3] - 4.0 * m[0] * m[2] + 6.0 * m[0] ** 2 * m[1] - 3.0 * m[0] ** 4
+            return complex(fourth / (m[1] - m[0] ** 2) ** 2)
 
         return self._of_moments(kurtosis, self.mean().value)
+
+    def covariance(self) -> Number:
+        """Return E (X − E X)(Y − E Y) of a joint density."""
+        return self._of_moments(lambda m: m[3] - m[0] * m[1], *self._middle())
+
+    def correlation(self) -> Number:
+        """Return the covariance over both standard deviations, from −1 to 1 but for its error."""
+
+        def correlation(m: Complexes) -> complex:
+            variances = (m[2] - m[0] ** 2) * (m[4] - m[1] ** 2)
+            return complex((m[3] - m[0] * m[1]) / np.sqrt(variances))
+
+        return self._of_moments(correlation, *self._middle())
 
     def cdf(self, x: float) -> Number:
         """Return P(X <= x)."""
@@ -131,6 +147,15 @@ class Quantities(ABC):
         rounding = 1e-14 * (high - low)
         return Number(x, max(abs(end - x) for end in ends) + rounding)
 
+    def plot(self, *, log: bool = False) -> Any:
+        """Return a figure of pyplot with the density and its error; of two coordinates as contours.
+
+        ``log``: on a logarithmic scale. ::
+
+            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"])["q2"].plot(log=True)
+        """
+        return import_module("fpk").plot(self, log=log)
+
     def _axis(self, points: Sequence[float] = ()) -> Array:
         """The nodes of the one coordinate, and those of ``points`` that lie between them."""
         if len(self.axes()) != 1:
@@ -138,18 +163,42 @@ class Quantities(ABC):
         nodes, more = self.axes()[0], np.asarray(points)
         return np.union1d(nodes, more[(more > nodes[0]) & (more < nodes[-1])])
 
-    def _of_moments(self, function: Callable[[Complexes], complex], about: float) -> Number:
-        """A ``function`` of the moments about a point, by power up to 4.
+    def _middle(self) -> tuple[float, float]:
+        """E X and E Y of a joint density."""
+        if len(self.axes()) != 2:
+            raise InvalidInput("density", "single", "of one coordinate: ask for that of a pair")
+        return self.moment(1, 0).value, self.moment(0, 1).value
+
+    def _of_moments(self, function: Callable[[Complexes], complex], *about: float) -> Number:
+        """A ``function`` of the moments about a point, of ``FIRST_FOUR`` or ``UP_TO_SECOND``.
 
         A small change of the density changes it by that of the expectation of its gradient times
         the powers, whose error is taken.
         """
-        moments = np.array([self.moment(k, about=about).value for k in range(5)])
-        steps = moments + 1j * STEP * np.eye(5)
-        gradient = np.imag([function(m) for m in steps]) / STEP
-        change = np.polynomial.Polynomial(gradient)
-        own = self.expectation(lambda x: change(x - about))
+        powers = FIRST_FOUR if len(about) == 1 else UP_TO_SECOND
+        terms = [monomial(k, about) for k in powers]
+        moments = np.array([self.expectation(term).value for term in terms])
+        squares = moments[[1]] if len(about) == 1 else moments[[2, 4]]
+        sizes = np.prod(np.sqrt(squares) ** np.array(powers), axis=1)
+        steps = moments + 1j * np.diag(STEP * sizes)
+        gradient = np.imag([function(m) for m in steps]) / (STEP * sizes)
+
+        def change(*x: Array) -> Array:
+            total: Array = sum(g * term(*x) for g, term in zip(gradient, terms, strict=True))
+            return total
+
+        own = self.expectation(change)
         return Number(float(np.real(function(moments.astype(complex)))), own.error)
+
+
+def monomial(powers: Sequence[int], about: Sequence[float]) -> Function:
+    """Return the product of the powers of the distances of each coordinate from ``about``."""
+
+    def product(*x: Array) -> Array:
+        factors = [(y - a) ** k for y, a, k in zip(x, about, powers, strict=True)]
+        return reduce(np.multiply, factors)
+
+    return product
 
 
 def beyond(

@@ -134,12 +134,15 @@ class MonteCarlo(Method):
                 "some motion is not damped: under noise it grows and never becomes stationary"
             )
 
-        def solve(observables: Sequence[Observable], progress: Progress) -> Result:
+        def solve(
+            observables: Sequence[Observable], beside: Sequence[Observable], progress: Progress
+        ) -> Result:
             # Compiled code and what it needs are imported by those who simulate only.
-            result: Result = import_module("sim.run").run(self, system, observables, progress)
+            run = import_module("sim.run").run
+            result: Result = run(self, system, observables, progress, beside=beside)
             return result
 
-        return Plan(lambda observable: None, solve)
+        return Plan(lambda _: None, lambda observables, p: solve(observables, (), p), solve)
 
     def passage(
         self,

@@ -20,10 +20,18 @@ from sim.workers import workers_of
 
 
 def run(
-    method: MonteCarlo, system: System, observables: Sequence[Observable], progress: Progress
+    method: MonteCarlo,
+    system: System,
+    observables: Sequence[Observable],
+    progress: Progress,
+    *,
+    beside: Sequence[Observable] = (),
 ) -> Result:
-    """Return the densities of ``observables`` with their report, as ``method`` asks for them."""
-    setup = setup_of(method, system, observables)
+    """Return the densities of ``observables`` with their report, as ``method`` asks for them.
+
+    Those of ``beside`` are sampled with them.
+    """
+    setup = setup_of(method, system, [*observables, *beside])
     with workers_of(method.cluster, method.threads or usable_cores()) as workers:
         result = simulate(setup, workers=workers, progress=progress)
         report = result.report
@@ -40,7 +48,15 @@ def run(
                 histograms=tuple(Histogram(d.observable, d.panels) for d in result.densities),
             )
             report = with_step_bias(result, simulate(half, workers=workers, progress=progress))
-    return replace(result, report=report, settings=report.settings(result.densities))
+    asked = len(observables)
+    densities, others = result.densities[:asked], result.densities[asked:]
+    return replace(
+        result,
+        densities=densities,
+        beside=others,
+        report=report,
+        settings=report.settings(densities),
+    )
 
 
 def with_step_bias(result: Result, at_half: Result) -> Report:

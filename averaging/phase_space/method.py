@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from math import inf
 from typing import Self
 
 import numpy as np
@@ -110,7 +111,9 @@ class PhaseSpace(Theory):
         """Return the plan for ``system``; raise ``NotApplicable`` where the expansion is not."""
         frame = self._frame(system)
 
-        def solve(observables: Sequence[Observable], progress: Progress) -> Result:
+        def solve(
+            observables: Sequence[Observable], beside: Sequence[Observable], progress: Progress
+        ) -> Result:
             with _breakdowns():
                 ladder = solved_to(
                     frame,
@@ -129,9 +132,10 @@ class PhaseSpace(Theory):
                 tuple(density_of(ladder, o, self.accepted or self.tol) for o in observables),
                 identities=identities(ladder),
                 settings=settings_of(ladder),
+                beside=tuple(density_of(ladder.with_error_of(o), o, inf) for o in beside),
             )
 
-        return Plan(_refusal, solve)
+        return Plan(_refusal, lambda observables, p: solve(observables, (), p), solve)
 
     def crossings(
         self,

@@ -63,6 +63,17 @@ class Ladder:
     limit: str
     solutions: int
 
+    def with_error_of(self, observable: Observable) -> "Ladder":
+        """Return the ladder with the error of one more density, from these two solutions alone."""
+        solutions = self.frame, self.finest, self.coarser
+        own = _distance(*solutions, observable)
+        error = falling(max(own, _common_distance(*solutions)), None).error
+        return replace(
+            self,
+            errors={**self.errors, observable: error + ROUND_OFF},
+            factors={**self.factors, observable: error / own if own > 0.0 else 0.0},
+        )
+
 
 def degrees_of(level: int, frame: Frame) -> Degrees:
     """Return the degrees of a level of refinement, from 0, so that all have like errors.

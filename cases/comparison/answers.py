@@ -145,8 +145,8 @@ class Answers(Mapping[Any, AnyDensity]):
     def plot(self, observable: str, *, log: bool = False) -> "Figure":
         """Return a figure of pyplot with the densities of ``observable`` by every route drawn.
 
-        ``log``: on a logarithmic axis, down to 1e-6 of the largest. Raises ``InvalidInput`` for a
-        pair, and for an observable that there is not. ::
+        Of a pair as contours. ``log``: on a logarithmic axis, down to 1e-6 of the largest, contours
+        to 1e-3. Raises ``InvalidInput`` for an observable that there is not. ::
 
             fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).plot("q2", log=True)
         """

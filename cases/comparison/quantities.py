@@ -1,7 +1,8 @@
 """Engineering quantities of the answers: moments, quantiles, what a stop feels; and their judging.
 
-Each follows from one density (an upcrossing rate from the closed form of the motion), so that it
-comes in the same way from every route. Two routes are judged as two densities are, see ``compare``.
+Each follows from one density (an upcrossing rate from that of displacement and momentum, by Rice's
+formula), so that it comes in the same way from every route. Two routes are judged as two densities
+are, see ``compare``.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -22,18 +23,22 @@ from cases.comparison.compare import (
 from fpk.contact import Contact
 from fpk.contact_quantities import contact_quantities
 from fpk.density import AnyDensity, Density
-from fpk.dynamics import Crossings, upcrossings
-from fpk.errors import NotApplicable
+from fpk.dynamics import Crossings
+from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Result, silent
 from fpk.number import Number
 from fpk.observable import Coordinate
 from fpk.route import Route
 from fpk.sampled_density import ErrorKind, SampledDensity
 from fpk.system import System
+from fpk.upcrossings import upcrossings
 
 QUANTILES = {"quantile 1 %": 0.01, "median": 0.5, "quantile 99 %": 0.99}
-FELT = ("contact probability", "mean overlap", "mean force", "force in contact")
-MOST = len(QUANTILES) + 5 + 2 * len(FELT)
+FELT = (
+    "contact probability", "mean overlap", "overlap in contact", "mean force", "force in contact",
+)  # fmt: skip
+RATE = "upcrossing rate"
+MOST = len(QUANTILES) + 5 + 2 * (len(FELT) + 1)
 """Quantities of one observable between two stops, which share the rate of false alarms."""
 
 
@@ -61,20 +66,24 @@ def quantities_of(system: System, results: Sequence[Result]) -> tuple[Quantity, 
 
     Routes are in the order of ``Answers.densities``. Of a coordinate: mean, rms, std, skewness,
     kurtosis and ``QUANTILES``. Of a displacement besides, for every stop of its mass: ``FELT`` of
-    ``contact_quantities``, and the rate of upcrossings of its position by ``exact``; that rate also
-    of a joint density of displacement and momentum that is no histogram. By other routes it takes
-    another solution, see ``fpk crossings``.
+    ``contact_quantities``, and the upcrossing rate of its position, which is that of impacts. Of a
+    pair: covariance and correlation.
     """
-    rows = [
-        row
-        for result in results
-        for density in result.densities
-        for row in (_quantities if len(density.observable) == 1 else _rates)(
-            system, result, density
-        )
-    ]
+    rows: list[Quantity] = []
+    for result in results:
+        rates = list(_rates(system, result))
+        for density in result.densities:
+            one = len(density.observable) == 1
+            rows += _quantities(system, result, density) if one else _of_pair(result, density)
+        rows += rates
     observables = list(dict.fromkeys(q.observable for q in rows))
     names = list(dict.fromkeys(q.quantity for q in rows))
+    # Beside the share of time in contact.
+    for rate in [name for name in names if name.startswith(RATE)]:
+        share = FELT[0] + rate.removeprefix(RATE)
+        if share in names:
+            names.remove(rate)
+            names.insert(names.index(share) + 1, rate)
 
     def place(q: Quantity) -> tuple[int, int, bool, bool]:
         averaged = q.route.solves != "full"
@@ -160,21 +169,47 @@ def _quantities(system: System, result: Result, density: AnyDensity) -> Iterator
         felt = contact_quantities(stop, density)
         for name in FELT:
             yield row(f"{name}, {where}", felt[name], reach_of(density, felt[name], 0.0))
-        if rate := _upcrossings(system, result, stop):
-            yield row(f"upcrossing rate, {where}", rate, rate.error)
 
 
-def _rates(system: System, result: Result, density: AnyDensity) -> Iterator[Quantity]:
-    """The upcrossing rates of the stops of a mass, of the joint density of its q and p, (Rice)."""
-    q, p = density.observable
-    if (q.kind, p.kind) != ("q", "p") or q.row != p.row or not isinstance(density, Density):
-        return
-    for stop, where in _stops_at(system, q):
-        at = np.array([stop.sign * stop.clearance])
-        (value,), (error,) = upcrossings(density, float(system.mass[q.row]), at)
-        rate = Number(float(value), float(error))
-        name, reach = f"upcrossing rate, {where}", reach_of(density, rate, 0.0)
-        yield Quantity(density.name, name, result.method.route, rate, density.error_kind, reach)
+def _of_pair(result: Result, density: AnyDensity) -> Iterator[Quantity]:
+    route, kind = result.method.route, density.error_kind
+    covariance, correlation = density.covariance(), density.correlation()
+    # What both would be of coordinates in proportion to each other.
+    size = abs(covariance.value / correlation.value) if correlation.value else covariance.error
+    for name, number, most in (
+        ("covariance", covariance, size),
+        ("correlation", correlation, 1.0),
+    ):
+        yield Quantity(density.name, name, route, number, kind, reach_of(density, number, most))
+
+
+def _rates(system: System, result: Result) -> Iterator[Quantity]:
+    """The upcrossing rates of all stops of masses whose displacement is observed."""
+    method, known = result.method, {d.observable: d for d in (*result.densities, *result.beside)}
+    for row in system.contact_masses:
+        q, p = Coordinate("q", row), Coordinate("p", row)
+        if not {(q,), (q, p)} & {d.observable for d in result.densities}:
+            continue
+        stops = list(_stops_at(system, q))
+        at = np.array([stop.sign * stop.clearance for stop, _ in stops])
+        joint = known.get((q, p))
+        if joint is not None:
+            values, errors = upcrossings(joint, float(system.mass[row]), at)
+        elif isinstance(method, Crossings) and method.route.quick and not method.route.sampled:
+            try:
+                curve = method.crossings(system, row, at, tol=None, progress=silent)
+            except (NotApplicable, NotCertified):
+                continue
+            values, errors = curve.values, curve.errors
+        else:
+            continue
+        kind = "numerical" if joint is None else joint.error_kind
+        for (_, where), value, error in zip(stops, values, errors, strict=True):
+            rate = Number(float(value), float(error))
+            reach = rate.error + ROUND_OFF * abs(rate.value)
+            if joint is not None:
+                reach = reach_of(joint, rate, 0.0)
+            yield Quantity(str(q), f"{RATE}, {where}", method.route, rate, kind, reach)
 
 
 def _stops_at(system: System, coordinate: Coordinate) -> Iterator[tuple[Contact, str]]:
@@ -184,19 +219,6 @@ def _stops_at(system: System, coordinate: Coordinate) -> Iterator[tuple[Contact,
         alone = [s.side for s in own].count(stop.side) == 1
         where = "" if alone else f" at {stop.sign * stop.clearance:g}"
         yield stop, f"{stop.side} stop{where}"
-
-
-def _upcrossings(system: System, result: Result, stop: Contact) -> Number | None:
-    """Upcrossings of the stop per unit time, in closed form alone."""
-    method = result.method
-    if method.name != "exact" or not isinstance(method, Crossings):
-        return None
-    at = np.array([stop.sign * stop.clearance])
-    try:
-        curve = method.crossings(system, stop.mass - 1, at, tol=None, progress=silent)
-    except NotApplicable:
-        return None
-    return Number(float(curve.values[0]), float(curve.errors[0]))
 
 
 def reach_of(density: AnyDensity, number: Number, size: float) -> float:

@@ -49,7 +49,7 @@ def run_scene(
     for k, curve in enumerate(scene.curves, start=1):
         interrupted = any(c.interrupted for c in curves)
         wanted = [] if interrupted else methods
-        answers = answers_of(curve.system, scene.observables, wanted, **options)
+        answers = answers_of(curve.system, scene.observables, wanted, rates=True, **options)
         answers = replace(answers, label=curve.label, value=curve.value)
         if not (interrupted or answers.interrupted):
             answers = _with_time(

@@ -9,6 +9,8 @@ from typing import Any
 from cases.comparison.answers import Answers
 from cases.comparison.loosened import loosened, note_of
 from cases.comparison.refusal import INTERRUPTED, REFUSALS, Attempts
+from cases.written import bound
+from fpk.contact_quantities import joint_at_stops
 from fpk.density import Density
 from fpk.errors import NotApplicable
 from fpk.method import Method, Plan, Progress, Result, silent, solved
@@ -25,13 +27,15 @@ def answers_of(
     partial: bool = False,
     relax: bool = False,
     share: float | None = None,
+    rates: bool = False,
 ) -> Answers:
     """Return the answers of ``methods``, each for the observables that it gives.
 
     ``share``: no method was named, and each is taken as its ``unasked`` says with this share of the
     work; None: they were named. ``partial``: Ctrl-C ends the work with the answers that there are
     by then. ``relax``: tolerances are defaults that nobody asked for; an answer that misses its own
-    is solved for again as ``loosened`` says, with a note.
+    is solved for again as ``loosened`` says, with a note. ``rates``: joint densities that crossing
+    rates of stops follow from are wanted ``beside``.
     """
     results: list[Result] = []
     notes: list[str] = []
@@ -56,7 +60,7 @@ def answers_of(
         result = attempts.answer_of(
             method.route,
             map(observable_name, given),
-            partial_of(_solved, plan, system, given, notes, relax, progress),
+            partial_of(_solved, plan, system, given, notes, relax, progress, rates),
             failures=REFUSALS if taken is method else (),
         )
         if result is None:
@@ -64,7 +68,7 @@ def answers_of(
         attempts.interrupted |= result.partial
         if taken is not method and _worst_error(result) > getattr(taken, "tol", inf):
             notes.append(
-                f"{method.route.label}: certified to {_worst_error(result):.2g}, as far as it"
+                f"{method.route.label}: certified to {bound(_worst_error(result))}, as far as it"
                 f" may work unasked; fpk density --method {method.name} goes further"
             )
         results.append(result)
@@ -81,9 +85,11 @@ def _solved(
     notes: list[str],
     relax: bool,
     progress: Progress,
+    rates: bool,
 ) -> Result:
     """The answer of ``plan``, with ``relax`` as ``loosened`` says and then with a note."""
-    result = solved(plan, system, observables, progress=progress)
+    beside = joint_at_stops(system, observables) if rates else []
+    result = solved(plan, system, observables, beside=beside, progress=progress)
     if not relax:
         return result
 
@@ -91,7 +97,7 @@ def _solved(
         if tol is None:
             return result
         method: Any = replace(result.method, tol=tol)  # type: ignore[type-var]  # methods are dataclasses
-        again: Result = method.solve(system, observables, progress=progress)
+        again: Result = method.solve(system, observables, beside=beside, progress=progress)
         return again
 
     own = hasattr(result.method, "tol")

@@ -6,17 +6,20 @@ from importlib import import_module
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 
 from cases.comparison.answers import Answers
 from cases.output.digest import quantity_row
 from cases.output.fields import common_grid, density_variables
+from cases.output.pictures.joint import LOWEST, contour_panels, joint_figure
 from cases.output.pictures.lines import POINTS, density_figure
-from cases.output.pictures.style import SHOWN, STYLE
+from cases.output.pictures.style import COLOURS, SHOWN, STYLE, density_words, words_of
 from cases.output.records import UNITS, plain, program_version
 from cases.output.tables import quantity_columns
 from cases.output.variables import Variables
 from cases.scene.units import Units
 from cases.written import NOTE
+from fpk.density import AnyDensity
 from fpk.errors import InvalidInput, Unavailable
 from fpk.observable import Observable, observable_name
 
@@ -50,21 +53,42 @@ def dataset(answers: Answers) -> Any:
 
 
 def plot(answers: Answers, observable: Observable, *, log: bool) -> Any:
-    """Return a figure of the densities of one coordinate, see ``Answers.plot``."""
-    name, densities = observable_name(observable), answers.densities(observable)
-    if len(observable) != 1 or not densities:
-        there = ", ".join(dict.fromkeys(o for o, _ in answers if "," not in o)) or "none"
-        raise InvalidInput("observable", name, f"is not drawn; one of these can be: {there}")
-    (x,) = common_grid(densities.values(), cut=TAIL if log else SHOWN, count=POINTS)
+    """Return a figure of the densities of one coordinate or two, see ``Answers.plot``."""
+    densities = answers.densities(observable)
+    if not densities:
+        there = "; ".join(dict.fromkeys(o for o, _ in answers)) or "none"
+        name = observable_name(observable)
+        raise InvalidInput("observable", name, f"has no density; one of these has: {there}")
     with mpl.rc_context(dict(STYLE)):
-        figure = density_figure(
-            [answers], observable, x, import_module("matplotlib.pyplot").figure()
-        )
+        figure = import_module("matplotlib.pyplot").figure()
+        if len(observable) == 2:
+            return joint_figure(answers, observable, decades=log, figure=figure)
+        (x,) = common_grid(densities.values(), cut=TAIL if log else SHOWN, count=POINTS)
+        return density_figure([answers], observable, x, figure, lowest=TAIL if log else 0.0)
+
+
+def plot_density(density: AnyDensity, *, log: bool) -> Any:
+    """Return a figure of one density, see ``Density.plot``: a band of ± its error where it is seen.
+
+    Of two coordinates the levels are in one proportion with ``log``.
+    """
+    observable, words = density.observable, density_words(density.observable)
+    with mpl.rc_context(dict(STYLE)):
+        figure = import_module("matplotlib.pyplot").figure(layout="constrained")
+        if len(observable) == 2:
+            grid = common_grid([density], cut=LOWEST if log else SHOWN)
+            values = density.tabulated(*np.meshgrid(*grid, indexing="ij"))
+            panels = {density.name: values}
+            return contour_panels(panels, grid, observable, words, decades=log, figure=figure)
+        (x,) = common_grid([density], cut=TAIL if log else SHOWN, count=POINTS)
+        values, errors = density.at(x)
+        axes = figure.subplots()
+        axes.plot(x, values, color=COLOURS[0])
+        axes.fill_between(x, values - errors, values + errors, color=COLOURS[0], alpha=0.25)
+        axes.set(xlim=(x[0], x[-1]), xlabel=words_of(observable[0]), ylabel=words)
         if log:
-            (axes,) = figure.axes
-            top = max(float(d.tabulated(x).max()) for d in densities.values())
-            axes.set_yscale("log")
-            axes.set_ylim(TAIL * top, 2.0 * top)
+            top = float(values.max())
+            axes.set(yscale="log", ylim=(TAIL * top, 2.0 * top))
     return figure
 
 

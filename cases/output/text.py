@@ -12,7 +12,7 @@ from cases.output.duration import duration
 from cases.output.records import Record
 from cases.output.tables import quantity_tables
 from cases.output.words import named
-from cases.written import NOTE, bound, number, with_error
+from cases.written import NOTE, bound, number, up, with_error
 
 
 def rendered(template: str, record: Mapping[str, Any]) -> str:
@@ -42,6 +42,7 @@ def _templates() -> Environment:
         "named": named,
         "pm": with_error,
         "bound": bound,
+        "up": up,
         "reasons": refusals_of,
         "curves": curves_of,
         "verdict": verdict_of,

@@ -12,6 +12,7 @@ from cases.studies.levels import Level
 from cases.studies.page import Page, Table
 from cases.studies.picture import Curve, Panel
 from cases.studies.prices import Cheapest, by_equation, crossovers, price_list
+from cases.written import bound
 
 MEANING = (
     "Processor times on one thread after a warm-up, the median of 3 to 21 runs where one takes"
@@ -92,7 +93,7 @@ def _overtaking(study: CostStudy) -> tuple[str, ...]:
         times = duration(seconds[-1]), duration(sampling[-1])
         words.append(
             f"{FULL}: {route.route} overtakes sampling {where}. At its least error here,"
-            f" {errors[-1]:.1e}, it takes {times[0]}, sampling {times[1]}."
+            f" {bound(errors[-1])}, it takes {times[0]}, sampling {times[1]}."
         )
     return tuple(words)
 

@@ -1,8 +1,10 @@
 """Engineering quantities of a run: against closed forms, between routes, in tables."""
 
 import json
+import re
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -17,12 +19,13 @@ from cases.comparison.run import run_scene
 from cases.output.digest import digest_of
 from cases.output.tables import quantity_tables
 from cases.scene.scene import load_scene
-from cases.written import concise
+from cases.written import concise, up, with_error
 from fpk.contact import Contact
 from fpk.density import Density
 from fpk.errors import InvalidInput, Unavailable
 from fpk.system import System
 
+ROOT = Path(__file__).parent.parent.parent
 LINEAR = System([1.0, 2.0], [1.0, 0.5], [0.08, 0.04], [0.08 * 0.3, 0.04 * 0.3])
 """In equilibrium at the temperature 0.3: q1 has the variance 0.3, q2 that of springs in series."""
 TEMPERATURE = 0.3
@@ -89,15 +92,58 @@ def test_what_a_stop_feels_in_an_exact_scene_is_that_of_quadrature(one):
 
 def test_the_upcrossing_rate_follows_from_a_joint_density_too(one):
     joint = face.solve(ONE, ["q1,p1"], methods=["exact", "nonintegrable/fem"])
-    rates = {q.route.label: q.number for q in joint.quantities}
-    assert {q.quantity for q in joint.quantities} == {"upcrossing rate, right stop"}
-    (known,) = [q.number for q in one.quantities if q.quantity == "upcrossing rate, right stop"]
+    rates = {q.route.label: q.number for q in joint.quantities if q.observable == "q1"}
+    names = {(q.observable, q.quantity) for q in joint.quantities}
+    pair = {("q1,p1", "covariance"), ("q1,p1", "correlation")}
+    assert names == {("q1", "upcrossing rate, right stop")} | pair
+    known = {
+        q.route.label: q.number
+        for q in one.quantities
+        if q.quantity == "upcrossing rate, right stop"
+    }
+    assert {*known} == {"exact", "nonintegrable/fem", "montecarlo"}
     for number in rates.values():
-        assert abs(number.value - known.value) <= number.error + known.error
-    (comparison,) = joint.quantity_comparisons
+        assert abs(number.value - known["exact"].value) <= number.error + known["exact"].error
+    sampled = known["montecarlo"]
+    # 4.5 standard errors of a normal estimate: by chance of one in 1e5.
+    off = abs(sampled.value - known["exact"].value)
+    assert off < 4.5 * sampled.error < 0.1 * known["exact"].value
+    compared = {c.observable: c for c in joint.quantity_comparisons}
+    comparison = compared["q1: upcrossing rate, right stop"]
     assert comparison.measures == "numerical" and comparison.holds
     free = System([1.0], [1.0], [0.1], [0.1])
-    assert not face.solve(free, ["q1,p1"], methods=["exact"]).quantities
+    without = face.solve(free, ["q1,p1", "q1"], methods=["exact"])
+    assert not [q for q in without.quantities if "stop" in q.quantity]
+    assert not [d for r in without.results for d in r.beside]
+
+
+def test_the_rate_of_impacts_stands_beside_the_share_of_time_in_contact(one):
+    names = list(dict.fromkeys(q.quantity for q in one.quantities))
+    k = names.index("contact probability, right stop")
+    assert names[k + 1] == "upcrossing rate, right stop"
+
+
+def test_a_pair_has_its_correlation_by_every_route():
+    """Springs in series in equilibrium: cov(q1, q2) = T/k1, var q2 = T (1/k1 + 1/k2)."""
+    names = ["linear", "exact", method_for("montecarlo", paths=4096, relaxations=10.0, seed=4)]
+    answers = face.solve(LINEAR, ["q1,q2"], methods=names)
+    of = {(q.quantity, q.route.label): q.number for q in answers.quantities}
+    correlation = 1.0 / np.sqrt(3.0)
+    for route in ("linear", "exact", "montecarlo"):
+        most = 4.5 if route == "montecarlo" else 1.0
+        for name, true in (("covariance", TEMPERATURE), ("correlation", correlation)):
+            number = of[name, route]
+            assert abs(number.value - true) <= most * number.error, (name, route)
+            assert number.error < (0.02 if route == "montecarlo" else 1e-9) * true
+    assert not answers.problems and len(answers.quantity_comparisons) == 6
+    wrong = replace(LINEAR, stiffness=[1.0, 0.6])
+    other = face.solve(wrong, ["q1,q2"], methods=["exact"]).results
+    assert Answers(LINEAR, other + answers.results[2:]).problems
+
+
+def test_the_correlation_of_one_coordinate_is_refused(one):
+    with pytest.raises(InvalidInput, match="ask for that of a pair"):
+        one["q1", "exact"].correlation()
 
 
 def test_the_full_system_comes_first_and_samples_last(one):
@@ -211,7 +257,7 @@ def test_the_record_of_a_run_has_the_quantities_as_rows():
         for row in curve["quantities"]:
             assert [*row] == ["observable", "quantity", "route", "value", "error", "error_kind"]
             assert isinstance(row["value"], float) and isinstance(row["error"], float)
-        assert len(curve["quantities"]) == 2 * 8 + 2 * 4  # of q2 and H, at two stops
+        assert len(curve["quantities"]) == 2 * 8 + 2 * 6  # of q2 and H, at two stops
     json.dumps(digest, allow_nan=False)
 
 
@@ -249,6 +295,25 @@ def test_a_number_in_brackets_is_no_less_than_the_error():
         assert abs(float(digits) - value) <= max(0.5 * 10.0**-decimals, error) * (1 + 1e-9), text
 
 
+def test_an_error_is_never_shown_below_what_it_is():
+    rng = np.random.default_rng(4)
+    for error in 10.0 ** rng.uniform(-20, 9, 500):
+        plain = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+        text = up(error).replace(" × 10", "e").translate(plain)
+        assert error * (1.0 - 1e-11) <= float(text) <= 1.1 * error, text
+        shown = (
+            with_error(9.0 * error, error).partition("± ")[2].replace("−", "-").replace("e-", "e-0")
+        )
+        assert error * (1.0 - 1e-11) <= float(shown) <= 1.1 * error
+    assert (up(None), up(0.0), up(0.00121)) == ("–", "0", "0.0013")
+
+
+def test_a_page_rounds_no_error_to_the_nearest():
+    for template in (ROOT / "cases" / "output" / "templates").glob("*.*"):
+        nearest = re.findall(r"\b\w*(?:error|sampling|chance)\|num\b", template.read_text("utf-8"))
+        assert not nearest, (template.name, nearest)
+
+
 def test_a_table_is_as_wide_as_the_terminal_and_repeats_no_solver():
     routes = ("phase-space", "nonintegrable/fem", "nonintegrable/closed-form", "montecarlo")
     rows = [
@@ -278,9 +343,7 @@ def test_a_frame_has_every_quantity_with_its_error_by_route(one):
         row = frame.loc[(q.observable, q.quantity), q.route.label]
         assert (row["value"], row["error"]) == (q.number.value, q.number.error)
     assert [*frame.index] == list(dict.fromkeys((q.observable, q.quantity) for q in one.quantities))
-    assert (
-        face.solve(System([1.0], [1.0], [0.1], [0.1]), ["q1,p1"], methods=["exact"]).summary().empty
-    )
+    assert Answers(ONE, ()).summary().empty
 
 
 def test_labelled_arrays_are_the_densities_at_their_points(one):
@@ -297,8 +360,24 @@ def test_a_plot_has_the_drawn_routes_and_a_logarithmic_axis_reaches_the_tail(one
     assert axes.get_yscale() == "log" and axes.get_ylim()[0] < 1e-5
     (other,) = one.plot("q1").axes
     assert other.get_yscale() == "linear" and len(other.lines) >= 2
-    with pytest.raises(InvalidInput, match="one of these can be: q1, H"):
+    with pytest.raises(InvalidInput, match="one of these has: q1; H"):
         one.plot("p1")
+    plt.close("all")
+
+
+def test_one_density_and_a_pair_are_drawn_too(one):
+    for log in (False, True):
+        (axes,) = one["H", "montecarlo"].plot(log=log).axes
+        assert axes.get_yscale() == ("log" if log else "linear")
+        assert axes.get_xlabel() and axes.get_ylabel() and axes.lines
+    joint = face.solve(ONE, ["q1,p1"], methods=["exact"])
+    for figure in (
+        joint.plot("q1,p1", log=True),
+        joint["q1,p1"].plot(),
+        joint["q1,p1"].plot(log=True),
+    ):
+        contours, bar = figure.axes
+        assert contours.collections and "p(q₁, p₁)" in bar.get_ylabel()
     plt.close("all")
 
 

@@ -38,25 +38,44 @@ def joint_pictures(curve: Answers, observable: Observable) -> Iterator[tuple[str
     stem = name.replace(",", "_")
     energies = all(c.kind == "H" for c in observable)
     walls = [walls_of([curve], (c,)) for c in observable]
-    drawn: dict[Route, AnyDensity] = {**lines_of(curve, observable)}
-    drawn |= samples_of(curve, observable)
-    grid = common_grid(drawn.values(), cut=SHOWN)
-    mesh = np.meshgrid(*grid, indexing="ij")
-    panels = {route.name: density.tabulated(*mesh) for route, density in drawn.items()}
     # A density of energies falls exponentially from its corner: decades, not equal steps.
-    figure = _panels(
-        panels, grid, observable, density_words(observable), decades=energies, walls=walls
-    )
+    figure = joint_figure(curve, observable, decades=energies)
     yield f"density_{stem}", f"Joint density of {name}, on common levels.", figure
+    grid = common_grid(_drawn(curve, observable).values(), cut=SHOWN)
+    mesh = np.meshgrid(*grid, indexing="ij")
     if (pair := solver_difference(curve, observable, *mesh)) is not None:
         _, stated, differences = pair
         panels = {f"|{words}|": np.abs(values) for words, values in differences.items()}
         panels["errors that both state, added"] = stated
-        figure = _panels(panels, grid, observable, "difference of p", decades=True, walls=walls)
+        figure = contour_panels(
+            panels, grid, observable, "difference of p", decades=True, walls=walls
+        )
         yield f"solver_{stem}", SOLVER_WORDS.format(name), figure
     if not energies:  # they pile up in a corner
         words = f"Joint density of {name} as a surface: theory, and simulation in joined bins."
         yield f"surface_{stem}", words, surface_figure(curve, observable)
+
+
+def joint_figure(
+    curve: Answers, observable: Observable, *, decades: bool, figure: Figure | None = None
+) -> Figure:
+    """Draw the joint density of ``observable`` by every route drawn, as ``contour_panels`` does."""
+    drawn = _drawn(curve, observable)
+    grid = common_grid(drawn.values(), cut=LOWEST if decades else SHOWN)
+    mesh = np.meshgrid(*grid, indexing="ij")
+    return contour_panels(
+        {route.name: density.tabulated(*mesh) for route, density in drawn.items()},
+        grid,
+        observable,
+        density_words(observable),
+        decades=decades,
+        walls=[walls_of([curve], (c,)) for c in observable],
+        figure=figure,
+    )
+
+
+def _drawn(curve: Answers, observable: Observable) -> dict[Route, AnyDensity]:
+    return {**lines_of(curve, observable), **samples_of(curve, observable)}
 
 
 def surface_figure(curve: Answers, observable: Observable) -> Figure:
@@ -94,22 +113,30 @@ def surface_figure(curve: Answers, observable: Observable) -> Figure:
     return figure
 
 
-def _panels(
+def contour_panels(
     panels: Mapping[str, Array],
     grid: tuple[Array, ...],
     observable: Observable,
     label: str,
     *,
     decades: bool,
-    walls: Sequence[Sequence[float]],
+    walls: Sequence[Sequence[float]] = ((), ()),
+    figure: Figure | None = None,
 ) -> Figure:
+    """Draw each of the ``panels`` (x, y) on common levels, in ``figure`` or a new one.
+
+    ``decades``: levels are in one proportion, down to ``LOWEST`` of the largest value. ``walls``
+    are the stops of either coordinate.
+    """
     top = max(float(v.max()) for v in panels.values())
     levels = top * (np.geomspace(LOWEST, 1.0, 13) if decades else np.linspace(0.0, 1.0, 13))
     norm = LogNorm(levels[0], top) if decades else Normalize(0.0, top)
     columns = min(ACROSS, len(panels))
     rows = -(-len(panels) // columns)
     size = columns * PANEL + MARGIN, rows * HEIGHT + 0.3
-    figure = Figure(figsize=size, layout="constrained")
+    figure = figure or Figure()
+    figure.set_size_inches(*size)
+    figure.set_layout_engine("constrained")
     grid_of_axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes in grid_of_axes.ravel()[len(panels) :]:
         axes.remove()
