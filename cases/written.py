@@ -12,7 +12,7 @@ SMALL = 1e-3
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 NOTE = (
-    "(3): error of the last digits, numerical or one standard error of sampling;\n"
+    "(3): error of the last digits, numerical or one standard error of sampling; "
     "without it the error is below the last digit."
 )
 

@@ -173,9 +173,11 @@ def end(
     elif not quiet:
         # A path is printed whole: it is to be copied.
         click.echo("\n".join([as_wide(text()), *(f"wrote {path}" for path in written)]))
-    for problem in problems:
-        click.echo(f"fpk: {problem}", err=True)
     if problems:
+        from cases.output.words import named
+
+        for problem in problems:
+            click.echo(f"fpk: {named(problem)}", err=True)
         raise click.exceptions.Exit(1)
 
 

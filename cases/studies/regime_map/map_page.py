@@ -14,6 +14,8 @@ from matplotlib.patches import Patch
 
 from cases.output.pictures.style import COLOURS, INK, STYLE, symbol_of
 from cases.output.variables import Variables
+from cases.output.words import named
+from cases.scene.units import bracketed
 from cases.studies.page import Page, Table
 from cases.studies.picture import DASHES, Panel, curves_over, heat, study_figure
 from cases.studies.regime_map.map import RegimeMap
@@ -31,11 +33,12 @@ SMALLEST = 1e-4
 
 def map_page(result: RegimeMap) -> Page:
     """Return what ``fpk regime`` shows and writes: every point, and how often each is nearer."""
+    heads = [a.key + bracketed(a.unit) for a in result.sweep.axes]
     rows = [
         {
-            **dict(zip((a.key for a in result.sweep.axes), p.values, strict=True)),
-            **{f"L1 {t}": p.L1.get(t) for t in THEORIES},
-            **{f"error {t}": p.error.get(t) for t in THEORIES},
+            **dict(zip(heads, p.values, strict=True)),
+            **{f"L1 {named(t)}": p.L1.get(t) for t in THEORIES},
+            **{f"error {named(t)}": p.error.get(t) for t in THEORIES},
             "winner": p.winner,
             "reference": p.reference,
             "rms_ratio": p.rms_ratio,
@@ -47,7 +50,7 @@ def map_page(result: RegimeMap) -> Page:
     summary = (
         f"p({observable_name(result.observable)}), {len(result.points)} points"
         f" ({result.sweep.reused} from disk), nearer to the full system: "
-        + ", ".join(f"{name} {counts[name]}" for name in names)
+        + ", ".join(f"{named(name)} {counts[name]}" for name in names)
     )
     title = "L1 distance to the full system, rms_ratio the clearance over the rms without contact"
     fields = map_variables(result)
@@ -92,7 +95,7 @@ def regime_figure(result: RegimeMap, fields: Variables) -> Figure:
         with mpl.rc_context(dict(STYLE)):
             return _fields(*result.sweep.axes, L1, ratio, winner, words)
     (axis,) = result.sweep.axes
-    curves = curves_over(axis, THEORIES, L1, error)
+    curves = curves_over(axis, [named(t) for t in THEORIES], L1, error)
     title, x = result.scene.title, axis.label
     return study_figure([Panel(title, x, words, curves, logarithmic=axis.logarithmic)])
 
@@ -106,7 +109,10 @@ def _fields(x: Axis, y: Axis, L1: Array, ratio: Array, winner: Any, words: str) 
     nearer: dict[str, Any] = {"vmin": -0.5, "vmax": 2.5, "cmap": ListedColormap(colours)}
     figure = Figure(figsize=(9.6, 3.9), layout="constrained")
     panels = figure.subplots(1, 3, sharex=True, sharey=True)
-    titles, palettes = (*THEORIES, "nearer to the full system"), (distances, distances, nearer)
+    titles, palettes = (
+        (*map(named, THEORIES), "nearer to the full system"),
+        (distances, distances, nearer),
+    )
     for axes, title, field, palette in zip(panels, titles, (*L1, index), palettes, strict=True):
         heat(axes, x, y, field, **palette)
         axes.set_title(title)
@@ -121,6 +127,6 @@ def _fields(x: Axis, y: Axis, L1: Array, ratio: Array, winner: Any, words: str) 
     bar.set_label(words)
     rule = Line2D([], [], color=INK, linestyle=DASHES, linewidth=1.2)
     handles: list[Any] = [*(Patch(color=colour) for colour in colours), rule]
-    legend = [*THEORIES, "within the errors", f"clearance = {CLEARANCE_RULE:g} rms"]
+    legend = [*map(named, THEORIES), "within the errors", f"clearance = {CLEARANCE_RULE:g} rms"]
     figure.legend(handles, legend, loc="outside lower center", ncols=4)
     return figure

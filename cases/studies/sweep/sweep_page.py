@@ -9,7 +9,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cases.output.pictures.style import STYLE
+from cases.output.words import named
 from cases.scene.scene import Scene
+from cases.scene.units import bracketed
 from cases.studies.page import Page, Table
 from cases.studies.picture import Panel, curves_over, heat, study_figure
 from cases.studies.sweep.result import Sweep
@@ -22,10 +24,15 @@ COLUMN, ROW = 3.4, 3.0
 
 def sweep_page(result: Sweep, scene: Scene) -> Page:
     """Return what ``fpk sweep`` shows and writes: every value, as a table and as a picture."""
+    heads = [a.key + bracketed(a.unit) for a in result.axes]
+    labels = dict(zip(result.quantities, result.labels(), strict=True))
     rows = [
         {
-            **dict(zip((a.key for a in result.axes), p.values, strict=True)),
-            **{key: getattr(a, key) for key in ("quantity", "method", "value", "error")},
+            **dict(zip(heads, p.values, strict=True)),
+            "quantity": labels[a.quantity],
+            "method": a.method,
+            "value": a.value,
+            "error": a.error,
             "kind": a.error_kind,
             "certified": ("no", "yes")[a.certified] if a.value is not None else "",
         }
@@ -39,7 +46,7 @@ def sweep_page(result: Sweep, scene: Scene) -> Page:
         if a.reason
     )
     summary = (
-        f"{', '.join(result.quantities)} by {', '.join(result.methods)}:"
+        f"{', '.join(result.quantities)} by {'; '.join(map(named, result.methods))}:"
         f" {len(result.points)} points ({result.reused} from disk)"
     )
     title = "error: an estimate of the numerical error, or one standard error of sampling"
@@ -60,17 +67,17 @@ def sweep_figure(result: Sweep) -> Figure:
     if len(result.axes) == 2:
         with mpl.rc_context({**STYLE, "font.size": 8.5, "axes.titlesize": 8.5}):
             return _heats(result, values)
-    (axis,) = result.axes
+    (axis,), names = result.axes, list(map(named, result.methods))
     panels = [
         Panel(
-            quantity,
+            quantity.partition(" [")[0],
             axis.label,
             quantity,
-            curves_over(axis, result.methods, own, bars),
+            curves_over(axis, names, own, bars),
             logarithmic=axis.logarithmic,
             y_logarithmic=_spans_decades(own),
         )
-        for quantity, own, bars in zip(result.quantities, values, errors, strict=True)
+        for quantity, own, bars in zip(result.labels(), values, errors, strict=True)
     ]
     return study_figure(panels)
 
@@ -86,7 +93,7 @@ def _heats(result: Sweep, values: Any) -> Figure:
     for axes, (i, j) in zip(grid, shown, strict=False):
         norm = "log" if _spans_decades(values[i, j]) else "linear"
         cells = heat(axes, x, y, values[i, j], cmap="viridis", norm=norm)
-        axes.set(title=f"{result.quantities[i]} by {result.methods[j]}", ylabel=y.label)
+        axes.set(title=f"{result.labels()[i]} by {named(result.methods[j])}", ylabel=y.label)
         figure.colorbar(cells, ax=axes)
     return figure
 
