@@ -114,8 +114,11 @@ def checked(scene: str, *, tol: float | None = None, out: Path | None = None) ->
     from cases.scene.scene import load_scene
 
     loaded = load_scene(scene)
-    if tol is not None and not 1e-12 <= tol <= 0.1:
-        raise BadInput(f"--tol {tol:g}: must be between 1e-12 and 0.1")
+    if tol is not None:
+        from averaging.theory import LARGEST, SMALLEST
+
+        if not SMALLEST <= tol <= LARGEST:
+            raise BadInput(f"--tol {tol:g}: must be between {SMALLEST:g} and {LARGEST:g}")
     if out is not None:
         from cases.output.files import make_folder
 

@@ -40,9 +40,9 @@ def run_scene(
 ) -> Outcome:
     """Return the answers of ``methods`` for every curve of ``scene``, as they are taken unasked.
 
-    ``partial`` and ``relax`` as in ``answers_of``, ``tol`` as in ``replies_of``; once one was interrupted, the curves that follow
-    are not run. ``save`` gets the outcome so far when the answers of a curve have been made, before
-    they are compared.
+    ``partial`` and ``relax`` as in ``answers_of``, ``tol`` as in ``replies_of``; once one was
+    interrupted, the curves that follow are not run. ``save`` gets the outcome so far when the
+    answers of a curve have been made, before they are compared.
     """
     start, share = perf_counter(), 1.0 / len(scene.curves)
     options: Any = {"progress": progress, "partial": partial, "relax": relax, "share": share}

@@ -139,7 +139,9 @@ def _replies(replies: Replies, units: Units) -> Record:
     for g in replies.given:
         own = passage_numbers(g.answer) if isinstance(g.answer, Passage) else {}
         tail = answer_tail(g.answer.certificate, g.answer.settings, g.seconds)
-        answers.append({**_names(g.route), **own, "error_kind": g.answer.error_kind, **tail})
+        names = _names(g.route)
+        names["solver"] = g.answer.settings.get("solver", g.route.solver)
+        answers.append({**names, **own, "error_kind": g.answer.error_kind, **tail})
     rows = comparison_rows(replies.comparisons)
     for row in rows:
         row["of"] = row.pop("observable").removeprefix(f"{question.name}: ")
