@@ -16,6 +16,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from cases.scene.errors import BadInput
+from cases.written import SCHEMA
 from fpk.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -172,7 +173,8 @@ def end(
     Every problem goes to standard error; with one the status is 1.
     """
     if click.get_current_context().meta["json"]:
-        click.echo(json.dumps(with_plain_keys(record), ensure_ascii=False, allow_nan=False))
+        own = with_plain_keys({"schema": SCHEMA, **record})
+        click.echo(json.dumps(own, ensure_ascii=False, allow_nan=False))
     elif not quiet:
         # A path is printed whole: it is to be copied.
         click.echo("\n".join([as_wide(text()), *(f"wrote {path}" for path in written)]))

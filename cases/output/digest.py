@@ -15,6 +15,7 @@ from cases.output.records import Record, answer_tail, answer_units, passage_numb
 from cases.output.words import theory_of_route
 from cases.scene.questions import TransientQuestion
 from cases.scene.units import NO_UNITS, Units
+from cases.written import SCHEMA
 from fpk.density import AnyDensity
 from fpk.evolution import Passage
 from fpk.method import Result
@@ -24,9 +25,6 @@ from sim.report import Report, StepBias
 
 ROW = ("observable", "measures", "norm", "L1", "band", "error")
 """Fields of a comparison that its row has as they are."""
-
-SCHEMA = 2
-"""Version of the record of a run: 2 has ``quantities`` and this number."""
 
 
 def digest_of(outcome: Outcome) -> Record:

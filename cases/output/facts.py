@@ -37,7 +37,7 @@ def show_record(scene: Scene) -> Record:
             "source": scene.source,
             **facts,
             "observables": [observable_name(o) for o in scene.observables],
-            "curves": [curve.label for curve in scene.curves],
+            "curves": [{k: getattr(c, k) for k in ("label", "key", "value")} for c in scene.curves],
             "units": units_record(scene),
             "natural_frequencies": regime["natural_frequencies"],
             "modes": modes_record(scene.system),
