@@ -128,7 +128,7 @@ class Linear(Theory):
         residual = system.fact(linear_covariance).residual
         values, errors = eigenvalue_sums(system, count)
         relative = float(np.max(errors / np.abs(values)))
-        certificate = certify(Measured(relative, 0.0, 0.0, residual, 0.0), tol=tol or self.tol)
+        certificate = certify(Measured(relative, None, None, residual, None), tol=tol or self.tol)
         return Rates(values, errors, certificate)
 
     def _state(self, system: System, row: int) -> tuple[Density, float, float]:

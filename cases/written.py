@@ -9,10 +9,13 @@ DIGITS = 7
 SMALL = 1e-3
 """Error below which a number that may be zero is shown as zero and its error."""
 
+SCHEMA = 2
+"""Version of the records of JSON: 2 has this number, ``quantities``, and curves in one shape."""
+
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 NOTE = (
-    "(3): error of the last digits, numerical or one standard error of sampling;\n"
+    "(3): error of the last digits, numerical or one standard error of sampling; "
     "without it the error is below the last digit."
 )
 

@@ -142,7 +142,9 @@ def certified_density(
         measured,
         l1_error=measured.l1_error + added,
         mass_defect=abs(integral(values, grids) - 1.0),
-        minimum=smallest if not measured.minimum < smallest else measured.minimum,
+        minimum=measured.minimum
+        if measured.minimum is not None and measured.minimum < smallest
+        else smallest,
     )
     certificate = certify(checked, tol=tol)
     table, table_error = None, 0.0

@@ -145,7 +145,7 @@ def certified_curve(
     scale: float,
     of: Density,
     tol: float,
-    residual: float = 0.0,
+    residual: float | None = None,
     failures: tuple[str, ...] = (),
     settings: Mapping[str, str | float | int] | None = None,
     positive: Array | None = None,
@@ -162,7 +162,9 @@ def certified_curve(
         l1_error=relative,
         mass_defect=of.certificate.mass_defect,
         minimum=float(np.min(values if positive is None else positive)) / scale,
-        residual=max(residual, of.certificate.residual),
+        residual=max(
+            (r for r in (residual, of.certificate.residual) if r is not None), default=None
+        ),
         tail_mass=of.certificate.tail_mass,
         failures=failures,
         absolute_error=relative,

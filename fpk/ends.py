@@ -89,7 +89,8 @@ def _upper(process: Process, axis: int, name: str) -> BoundaryClass:
         return BoundaryClass(f"{name} = ∞", "not confining", "the drift points outwards")
     inwards = drift < 0.0
     order = float(np.min(np.log(farther / drift))) / np.log(BESIDE) if inwards.all() else 0.0
-    reason = f"the drift points inwards, about as −{name}^{order:.2g}"
+    power = "" if f"{order:.2g}" == "1" else f"^{order:.2g}"
+    reason = f"the drift points inwards, about as −{name}{power}"
     # An error of either drift; 0 where the process gives none.
     slack = 2.0 * float(np.max(np.nan_to_num(near.relative_error))) / np.log(BESIDE)
     if order > 1.0 + LINEAR + slack:

@@ -121,15 +121,16 @@ def certified_passage(
     failure_error: Array,
     *,
     tol: float,
-    mass_defect: float = 0.0,
-    residual: float = 0.0,
+    mass_defect: float | None = None,
+    residual: float | None = None,
     starts: StartCurve | None = None,
     settings: Mapping[str, str | float | int] | None = None,
 ) -> Passage:
     """Return a numerical answer of mean, variance and failure rate, and P(T <= t) at ``times``.
 
     The certificate counts relative errors of the numbers, but for a variance beyond double
-    precision, and absolute ones of the probabilities.
+    precision, and absolute ones of the probabilities. No ``mass_defect`` and no ``residual``
+    where a formula is evaluated, see ``Measured``.
     """
     finite = np.array([(x.value, x.error) for x in numbers if x.value != np.inf])
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -140,7 +141,7 @@ def certified_passage(
         mass_defect=mass_defect,
         minimum=float(np.min(1.0 - failure, initial=1.0)),
         residual=residual,
-        tail_mass=0.0,
+        tail_mass=None,
         absolute_error=worst,
     )
     return Passage(

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.certificate import Certificate
+from fpk.certificate import Certificate, missing, outside
 from fpk.number import SMALLEST, Number
 from fpk.quadrature import GAUSS_POINTS, gauss_grid, integral
 from fpk.quantities import Function, Quantities, beyond
@@ -49,7 +49,7 @@ class FunctionQuantities(Quantities):
         e = e + SMALLEST  # where there is none at points the L1 error is spread evenly
         error = integral(np.abs(f) * e, grids) * max(1.0, self._least_l1 / integral(e, grids))
         rounding = EPS * integral(np.abs(f * p) * _condition(panels), grids)
-        tail = self.certificate.tail_mass * beyond(function, self.panels, kinks)
+        tail = outside(self.certificate) * beyond(function, self.panels, kinks)
         return Number(value, error + rounding + abs(value - coarse) + tail)
 
     def probability(self, low: float, high: float) -> Number:
@@ -59,7 +59,7 @@ class FunctionQuantities(Quantities):
         """
         nodes = self._axis()
         first, last = (float(x) for x in np.clip([low, high], nodes[0], nodes[-1]))
-        tail = self.certificate.tail_mass
+        tail = outside(self.certificate)
         beyond_ends = (tail if low < nodes[0] else 0.0) + (tail if high > nodes[-1] else 0.0)
         shares = self._share(first, last, self.pdf, self.pointwise)
         value, error = (float(x) for x in shares)
@@ -72,7 +72,7 @@ class FunctionQuantities(Quantities):
     @property
     def _least_l1(self) -> float:
         """The L1 error, which is no less than what of the mass is missing."""
-        return max(self.l1_error, self.certificate.mass_defect)
+        return max(self.l1_error, missing(self.certificate))
 
     @property
     def _error_of_all(self) -> float:
@@ -82,7 +82,7 @@ class FunctionQuantities(Quantities):
     @property
     def _unlocated(self) -> float:
         """What of the L1 error is not in the errors at points, or else what mass is missing."""
-        return max(self.l1_error - self._error_of_all, self.certificate.mass_defect)
+        return max(self.l1_error - self._error_of_all, missing(self.certificate))
 
     def share(self, low: float, high: float) -> float:
         """Return P(low < X <= high) without its error, which takes as long again."""

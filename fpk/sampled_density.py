@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fpk.arrays import Array, Integers
-from fpk.certificate import Certificate
+from fpk.certificate import Certificate, outside
 from fpk.number import Number
 from fpk.observable import Observable, observable_name
 from fpk.quadrature import panel_rule
@@ -106,7 +106,7 @@ class SampledDensity(Quantities):
         seen = float(np.max(np.abs(f), initial=0.0, where=self.values > 0.0))
         far = beyond(function, self.edges, kinks)
         visit = self._one_visit * cell * (seen or float(np.max(np.abs(f))) or far)
-        tail = self.certificate.tail_mass * far
+        tail = outside(self.certificate) * far
         error = float(np.hypot(chance, visit) + np.abs(np.asarray(change).flat[0]) + tail)
         return Number(float(total[0]), error)
 
@@ -117,7 +117,7 @@ class SampledDensity(Quantities):
         """
         edges = self._axis()
         inside = np.diff(np.clip(edges, low, high))
-        tail = self.certificate.tail_mass if low < edges[0] or high > edges[-1] else 0.0
+        tail = outside(self.certificate) if low < edges[0] or high > edges[-1] else 0.0
         cut = (inside > 0.0) & (inside < (1.0 - 1e-12) * np.diff(edges))
         slope = np.abs(np.gradient(self.values))
         bias = float(np.sum(slope[cut] * inside[cut])) / 8.0

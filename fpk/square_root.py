@@ -58,7 +58,7 @@ class SquareRoot:
         """Return k c, the eigenvalues of −L; the eigenfunctions are Laguerre polynomials."""
         values = self.c * np.arange(1.0, count + 1.0)
         relative = 4.0 * EPS + self.relative_error
-        certificate = certify(Measured(relative, 0.0, 0.0, 0.0, 0.0), tol=tol)
+        certificate = certify(Measured(relative, None, None, None, None), tol=tol)
         return Rates(values.astype(complex), relative * values, certificate)
 
     def transient(
@@ -75,7 +75,7 @@ class SquareRoot:
             values[k], errors[k] = self.density(start, noise, t, at)
             judged.append(self.judged(start, noise, t))
         error, mass, least = (max(column) for column in zip(*judged, strict=True))
-        measured = Measured(error, mass, -least, 0.0, 0.0)
+        measured = Measured(error, mass, -least, None, None)
         return Transient(times, values, errors, "numerical", certify(measured, tol=tol))
 
     def density(self, start: float, noise: float | None, t: float, H: Array) -> tuple[Array, Array]:

@@ -69,7 +69,7 @@ def orbit_transient(
         least = min(least, float(values[k].min(initial=0.0)) / height)
     # Of waves on a box the mean is 1 exactly: the mass is that of the box, but for what is beyond.
     tail = 2.0 * len(at) * BEYOND
-    measured = Measured(largest + tail, tail, least, 0.0, tail, absolute_error=largest)
+    measured = Measured(largest + tail, tail, least, None, tail, absolute_error=largest)
     return Transient(
         times, values, errors + SMALLEST, "numerical", certify(measured, tol=tol),
         {"equation": "characteristic function"},

@@ -96,7 +96,9 @@ def run(
 
     methods, asked = all_methods(**settings, partial=True), settings["tol"]
     methods = chosen_methods(methods, only, simulation=simulation)
-    outcome = parts.outcome_of(loaded, methods, partial=True, relax=asked is None, save=save)
+    outcome = parts.outcome_of(
+        loaded, methods, partial=True, relax=asked is None, tol=asked, save=save
+    )
     if only and not any(curve.results for curve in outcome.curves):
         raise BadInput(f"{loaded.name}: {'; '.join(outcome.curves[0].problems)}")
     written, digest = [], digest_of(outcome)

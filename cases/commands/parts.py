@@ -16,6 +16,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from cases.scene.errors import BadInput
+from cases.written import SCHEMA
 from fpk.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -114,8 +115,11 @@ def checked(scene: str, *, tol: float | None = None, out: Path | None = None) ->
     from cases.scene.scene import load_scene
 
     loaded = load_scene(scene)
-    if tol is not None and not 1e-12 <= tol <= 0.1:
-        raise BadInput(f"--tol {tol:g}: must be between 1e-12 and 0.1")
+    if tol is not None:
+        from averaging.theory import LARGEST, SMALLEST
+
+        if not SMALLEST <= tol <= LARGEST:
+            raise BadInput(f"--tol {tol:g}: must be between {SMALLEST:g} and {LARGEST:g}")
     if out is not None:
         from cases.output.files import make_folder
 
@@ -169,13 +173,16 @@ def end(
     Every problem goes to standard error; with one the status is 1.
     """
     if click.get_current_context().meta["json"]:
-        click.echo(json.dumps(with_plain_keys(record), ensure_ascii=False, allow_nan=False))
+        own = with_plain_keys({"schema": SCHEMA, **record})
+        click.echo(json.dumps(own, ensure_ascii=False, allow_nan=False))
     elif not quiet:
         # A path is printed whole: it is to be copied.
         click.echo("\n".join([as_wide(text()), *(f"wrote {path}" for path in written)]))
-    for problem in problems:
-        click.echo(f"fpk: {problem}", err=True)
     if problems:
+        from cases.output.words import named
+
+        for problem in problems:
+            click.echo(f"fpk: {named(problem)}", err=True)
         raise click.exceptions.Exit(1)
 
 

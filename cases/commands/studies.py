@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
+from shutil import get_terminal_size
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -40,9 +41,9 @@ def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
         with progress_bar() as progress:
             result, page = work(loaded, progress=progress, **given)
         written = [] if out is None else page.write(out)
-        short = page.summary if written else ""
+        short, width = page.summary if written else "", get_terminal_size((0, 0)).columns
         record = plain(result.record())
-        parts.end(record, lambda: short or page.text().rstrip(), written, problems=result.problems)
+        parts.end(record, lambda: short or page.shown(width), written, problems=result.problems)
 
     return command
 

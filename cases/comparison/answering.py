@@ -35,10 +35,12 @@ def replies_of(
     progress: Progress = silent,
     partial: bool = False,
     relax: bool = False,
+    tol: float | None = None,
 ) -> Replies:
     """Return the answers of those of ``methods`` that are able to answer ``question``.
 
-    ``partial`` and ``relax`` as of ``answers_of``. Simulations follow their paths until the last
+    ``partial`` and ``relax`` as of ``answers_of``; ``tol`` is asked of the methods that solve, None
+    their own default. Simulations follow their paths until the last
     time. Splitting takes the place of the simulation of the full system
     where that would see few failures, by an answer that came before, or is not certified.
     """
@@ -66,9 +68,10 @@ def replies_of(
 
     def answered(method: Any, points: Array | None) -> Passage | Transient:
         options: Any = {"relax": relax, "progress": progress}
-        answer, tol = _answer(method, system, question, points, **options)
-        if tol is not None:
-            notes.append(f"{question.name}: {note_of(method.route.label, tol)}")
+        wanted = None if method.route.sampled else tol
+        answer, met = _answer(method, system, question, points, tol=wanted, **options)
+        if met is not None:
+            notes.append(f"{question.name}: {note_of(method.route.label, met)}")
         return answer
 
     for method in able:
@@ -126,6 +129,7 @@ def _answer(
     question: Question,
     points: Array | None,
     *,
+    tol: float | None,
     relax: bool,
     progress: Progress,
 ) -> tuple[Passage | Transient, float | None]:
@@ -147,4 +151,4 @@ def _answer(
             answer = method.transient(*asked_of, tol=tol, progress=progress)
         return answer
 
-    return loosened(ask, lambda answer: [answer.certificate]) if relax else (ask(None), None)
+    return loosened(ask, lambda answer: [answer.certificate]) if relax else (ask(tol), None)

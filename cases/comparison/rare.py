@@ -134,8 +134,8 @@ def split_passage(
     shares = errors[later] / np.where(failure[later] > 0.0, failure[later], errors[later])
     relative = float(np.max(shares))
     measured = Measured(
-        l1_error=relative, mass_defect=0.0, minimum=float(failure.min()), residual=nan,
-        tail_mass=0.0, failures=tuple(words),
+        l1_error=relative, mass_defect=None, minimum=float(failure.min()), residual=None,
+        tail_mass=None, failures=tuple(words),
     )  # fmt: skip
     return Passage(
         Number(nan, inf), Number(nan, inf), None, times, 1.0 - failure, errors, "sampling",

@@ -35,13 +35,14 @@ def run_scene(
     progress: Progress = silent,
     partial: bool = False,
     relax: bool = False,
+    tol: float | None = None,
     save: Callable[[Outcome], object] = lambda outcome: None,
 ) -> Outcome:
     """Return the answers of ``methods`` for every curve of ``scene``, as they are taken unasked.
 
-    ``partial`` and ``relax`` as in ``answers_of``; once one was interrupted, the curves that follow
-    are not run. ``save`` gets the outcome so far when the answers of a curve have been made, before
-    they are compared.
+    ``partial`` and ``relax`` as in ``answers_of``, ``tol`` as in ``replies_of``; once one was
+    interrupted, the curves that follow are not run. ``save`` gets the outcome so far when the
+    answers of a curve have been made, before they are compared.
     """
     start, share = perf_counter(), 1.0 / len(scene.curves)
     options: Any = {"progress": progress, "partial": partial, "relax": relax, "share": share}
@@ -52,9 +53,8 @@ def run_scene(
         answers = answers_of(curve.system, scene.observables, wanted, rates=True, **options)
         answers = replace(answers, label=curve.label, value=curve.value)
         if not (interrupted or answers.interrupted):
-            answers = _with_time(
-                answers, scene, methods, progress=progress, partial=partial, relax=relax
-            )
+            own: Any = {"progress": progress, "partial": partial, "relax": relax, "tol": tol}
+            answers = _with_time(answers, scene, methods, **own)
         curves.append(answers)
         save(Outcome(scene, tuple(curves), perf_counter() - start))
         progress(k - 1, len(scene.curves), "comparing")

@@ -11,24 +11,26 @@ from cases.comparison.refusal import Refusal
 from cases.comparison.run import Outcome
 from cases.comparison.time_claims import time_findings
 from cases.output.facts import facts_record
-from cases.output.records import Record, answer_tail, passage_numbers, plain
+from cases.output.records import Record, answer_tail, answer_units, passage_numbers, plain
+from cases.output.words import theory_of_route
+from cases.scene.questions import TransientQuestion
+from cases.scene.units import NO_UNITS, Units
+from cases.written import SCHEMA
 from fpk.density import AnyDensity
 from fpk.evolution import Passage
 from fpk.method import Result
+from fpk.observable import observable_name
 from fpk.route import Route, solvers_of
 from sim.report import Report, StepBias
 
 ROW = ("observable", "measures", "norm", "L1", "band", "error")
 """Fields of a comparison that its row has as they are."""
 
-SCHEMA = 2
-"""Version of the record of a run: 2 has ``quantities`` and this number."""
-
 
 def digest_of(outcome: Outcome) -> Record:
     """Return the record of ``fpk run``: the scene's own system, and beside it the other curves."""
     base, *others = outcome.curves
-    key = outcome.scene.curves[0].key
+    key, units = outcome.scene.curves[0].key, outcome.scene.units
     compared = [c for curve in outcome.curves for c in curve.comparisons]
     in_time = [replies for curve in outcome.curves for replies in curve.in_time]
     compared += [c for curve in outcome.curves for c in curve.quantity_comparisons]
@@ -40,9 +42,9 @@ def digest_of(outcome: Outcome) -> Record:
             "schema": SCHEMA,
             "scene": outcome.scene.name,
             "title": outcome.scene.title,
-            "units": outcome.scene.units.record(),
-            **_curve(base, key),
-            "curves": [_curve(c, key) for c in others],
+            "units": units.record(),
+            **_curve(base, key, units),
+            "curves": [_curve(c, key, units) for c in others],
             "judged": len(judged),
             "problems": outcome.problems,
             "claims": claims,
@@ -59,7 +61,7 @@ def curves_of(digest: Record) -> list[Record]:
 def refusals_of(curve: Record) -> list[Record]:
     """Return the refusals of one curve, those with the same reason joined in one entry.
 
-    ``routes`` has the methods, with their solvers where a method has several.
+    ``routes`` has the theories, with their solvers where a theory has several.
     """
     joined: dict[tuple[str, bool], Record] = {}
     for r in curve["methods"]:
@@ -73,7 +75,8 @@ def refusals_of(curve: Record) -> list[Record]:
         entry["solvers"].setdefault(r["method"], {})[r["solver"]] = None
     for (reason, failed), entry in joined.items():
         routes = ", ".join(
-            method if len(solvers_of(method)) == 1 else f"{method} ({', '.join(own)})"
+            theory_of_route(method)
+            + (f" ({', '.join(own)})" if len(solvers_of(method)) > 1 else "")
             for method, own in entry.pop("solvers").items()
         )
         entry |= {"routes": routes, "reason": reason, "failed": failed}
@@ -89,7 +92,7 @@ def verdict_of(digest: Record) -> str:
     return f"{digest['judged']} judged comparisons, every check holds"
 
 
-def _curve(curve: Answers, key: str) -> Record:
+def _curve(curve: Answers, key: str, units: Units) -> Record:
     return {
         "label": curve.label,
         "key": key,
@@ -97,7 +100,7 @@ def _curve(curve: Answers, key: str) -> Record:
         **facts_record(curve.system),
         "methods": [*map(method_record, curve.results), *map(refusal_record, curve.refused)],
         "notes": curve.notes,
-        "quantities": [quantity_row(q) for q in curve.quantities],
+        "quantities": [quantity_row(q, units) for q in curve.quantities],
         "comparisons": comparison_rows(curve.comparisons),
         "quantity_comparisons": comparison_rows(curve.quantity_comparisons),
         "averaging": [
@@ -105,8 +108,8 @@ def _curve(curve: Answers, key: str) -> Record:
             for name in dict.fromkeys(c.observable for c in curve.comparisons)
             for row in averaging_errors(name, curve.comparisons)
         ],
-        "passages": [_replies(replies) for replies in curve.passages],
-        "transients": [_replies(replies) for replies in curve.transients],
+        "passages": [_replies(replies, units) for replies in curve.passages],
+        "transients": [_replies(replies, units) for replies in curve.transients],
         "errors": [
             _three_errors(r.method.route, d, r.report.step_biases.get(d.name), curve.comparisons)
             for r in curve.results
@@ -121,23 +124,29 @@ def _curve(curve: Answers, key: str) -> Record:
     }
 
 
-def _replies(replies: Replies) -> Record:
+def _replies(replies: Replies, units: Units) -> Record:
     """The entry of a question: it, who answers what and who does not, and the comparisons.
 
     Of a transient the densities themselves are in the files.
     """
     question = replies.question
+    asked: Record = {"limit": ""}
+    if isinstance(question, TransientQuestion):
+        asked = {"observable": observable_name(question.of)}
     answers = []
     for g in replies.given:
         own = passage_numbers(g.answer) if isinstance(g.answer, Passage) else {}
         tail = answer_tail(g.answer.certificate, g.answer.settings, g.seconds)
-        answers.append({**_names(g.route), **own, "error_kind": g.answer.error_kind, **tail})
+        names = _names(g.route)
+        names["solver"] = g.answer.settings.get("solver", g.route.solver)
+        answers.append({**names, **own, "error_kind": g.answer.error_kind, **tail})
     rows = comparison_rows(replies.comparisons)
     for row in rows:
         row["of"] = row.pop("observable").removeprefix(f"{question.name}: ")
     return {
         "question": question.name,
         "start": str(question.start),
+        "units": answer_units(units, asked, "density") if units else None,
         "times": question.times,
         "answers": answers,
         "comparisons": rows,
@@ -191,8 +200,9 @@ def comparison_rows(comparisons: Iterable[Comparison]) -> list[Record]:
     return rows
 
 
-def quantity_row(quantity: Quantity) -> Record:
-    """Return the entry of a quantity by one route."""
+def quantity_row(quantity: Quantity, units: Units = NO_UNITS) -> Record:
+    """Return the entry of a quantity by one route, with its ``unit`` where units have names."""
+    unit = units.number(quantity.quantity, quantity.observable)
     return {
         "observable": quantity.observable,
         "quantity": quantity.quantity,
@@ -200,6 +210,7 @@ def quantity_row(quantity: Quantity) -> Record:
         "value": quantity.number.value,
         "error": quantity.number.error,
         "error_kind": quantity.error_kind,
+        **({"unit": unit} if unit else {}),
     }
 
 

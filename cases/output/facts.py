@@ -8,7 +8,9 @@ from cases.comparison.answers import incompatibility
 from cases.comparison.routes import listed_routes
 from cases.output.motion import modes_record, rms_record
 from cases.output.records import Record, plain
+from cases.scene.numbers import Place
 from cases.scene.scene import Scene
+from cases.scene.units import NUMBER
 from fpk.clearance import stop_clearances
 from fpk.effects import effects_of
 from fpk.ends import BoundaryClass, classify
@@ -35,8 +37,8 @@ def show_record(scene: Scene) -> Record:
             "source": scene.source,
             **facts,
             "observables": [observable_name(o) for o in scene.observables],
-            "curves": [curve.label for curve in scene.curves],
-            "units": scene.units.record(),
+            "curves": [{k: getattr(c, k) for k in ("label", "key", "value")} for c in scene.curves],
+            "units": units_record(scene),
             "natural_frequencies": regime["natural_frequencies"],
             "modes": modes_record(scene.system),
             "rms": rms_record(scene.system),
@@ -44,6 +46,16 @@ def show_record(scene: Scene) -> Record:
             "boundaries": regime["boundaries"],
         }
     )
+
+
+def units_record(scene: Scene) -> Record | None:
+    """Return the units for JSON, with that of every contact's stiffness B; None without names."""
+    record = scene.units.record()
+    if record is not None:
+        places = [Place("contacts", "stiffness", (i,)) for i in range(len(scene.system.contacts))]
+        powers = [place.powers(scene.system) or NUMBER for place in places]
+        record["contact_stiffness"] = [scene.units.of(p) for p in powers]
+    return record
 
 
 def check_record(scene: Scene) -> Record:
@@ -88,6 +100,7 @@ def facts_record(system: System) -> Record:
         "system": {
             **{key: getattr(system, key) for key in given},
             "contacts": system.contacts,
+            "modulation": system.modulation and vars(system.modulation),
             "damping_terms": [
                 {**plain(term), "q": dict(term.q), "v": dict(term.v)}
                 for term in system.damping_terms
@@ -112,14 +125,15 @@ def theories(scene: Scene) -> list[Record]:
     records = []
     for name in dict.fromkeys(route.method for route in listed_routes()):
         routes = [ROUTES[name, solver] for solver in solvers_of(name)]
-        reasons = []
+        reasons: dict[str, list[str]] = {}
         for observable in scene.observables:
             by_solver = [route.make().refusal(scene.system, observable) for route in routes]
             # Refused where every solver refuses it: the default's reason is shown.
             if None not in by_solver:
-                prefix = f"{observable_name(observable)}: "
-                reasons.append(str(by_solver[0]).removeprefix(prefix))
-        applies, left_out = len(reasons) < len(scene.observables), None
+                of = observable_name(observable)
+                reasons.setdefault(str(by_solver[0]).removeprefix(f"{of}: "), []).append(of)
+        refused = sum(map(len, reasons.values()))
+        applies, left_out = refused < len(scene.observables), None
         try:
             routes[0].make().unasked(scene.system)
         except NotApplicable as reason:
@@ -130,7 +144,11 @@ def theories(scene: Scene) -> list[Record]:
                 "meaning": f"{routes[0].words}, Eq. {routes[0].equation}",
                 "solvers": solvers_of(name),
                 "applies": applies,
-                "reason": "; ".join(dict.fromkeys(reasons)) or None,
+                "reason": "; ".join(
+                    f"not for {', '.join(names)}: {reason}" if applies else reason
+                    for reason, names in reasons.items()
+                )
+                or None,
                 "left_out": left_out,
             }
         )

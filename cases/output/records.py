@@ -70,7 +70,8 @@ def answer_record(
     if not isinstance(answer, Rates):
         own["error_kind"] = answer.error_kind
     units = answer_units(scene.units, given, key) if scene.units else None
-    head = {"scene": scene.name, "method": method.name, "solver": method.solver, "units": units}
+    solver = answer.settings.get("solver", method.solver)  # of several inside of one method
+    head = {"scene": scene.name, "method": method.name, "solver": solver, "units": units}
     tail = answer_tail(answer.certificate, answer.settings, seconds)
     return plain({**head, **given, **own, **tail})
 

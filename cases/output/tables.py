@@ -1,9 +1,11 @@
 """Quantities of a run as tables: a row for each quantity, a column for each route or theory."""
 
 from collections.abc import Iterator, Sequence
+from textwrap import wrap
 
 from cases.output.records import Record
-from cases.output.words import theory_of_route
+from cases.output.words import named, theory_of_route
+from cases.scene.units import bracketed
 from cases.written import concise
 
 
@@ -26,12 +28,13 @@ def theory_table(rows: Sequence[Record]) -> Record:
     """Return the names of the theories as ``routes``, and of each quantity a cell by theory.
 
     Of ``rows``, each with its observable (``of``), ``quantity`` and ``cells``, those of
-    ``shown_rows`` are taken.
+    ``shown_rows`` are taken; their units stand behind the quantities.
     """
     cells: dict[tuple[str, str], Record] = {}
     for row in shown_rows(rows):
         name = theory_of_route(row["route"])
-        cells.setdefault((row["observable"], row["quantity"]), {})[name] = row
+        quantity = row["quantity"] + bracketed(row.get("unit") or "")
+        cells.setdefault((row["observable"], quantity), {})[name] = row
     return {
         "routes": list(dict.fromkeys(name for own in cells.values() for name in own)),
         "rows": [{"of": of, "quantity": q, "cells": own} for (of, q), own in cells.items()],
@@ -39,41 +42,72 @@ def theory_table(rows: Sequence[Record]) -> Record:
 
 
 def quantity_tables(rows: Sequence[Record], width: int, every: bool = False) -> list[str]:
-    """Return the lines of a table of each observable, no wider than ``width`` where that can be.
-
-    Columns that do not fit are in a second table below. ``every``: all routes.
-    """
+    """Return the lines of a table of each observable, see ``text_table``. ``every``: all routes."""
     lines: list[str] = []
-    for heads, columns in quantity_columns(rows if every else shown_rows(rows)):
-        first = max(map(len, heads))
-        for together in _blocks(columns, width - first - 2):
-            widths = [max(map(len, column)) for column in together]
-            for head, *row in zip(heads, *together, strict=True):
-                texts = map(str.rjust, row, widths)
-                lines.append("  ".join([head.ljust(first), *texts]).rstrip())
-            lines.append("")
+    for heads, columns in quantity_columns(rows, every=every):
+        lines += [*text_table([heads, *columns], width), ""]
     return lines
 
 
-def quantity_columns(rows: Sequence[Record]) -> Iterator[tuple[list[str], list[list[str]]]]:
-    """Yield of each observable its name above its quantities, and each route above its numbers."""
+def quantity_columns(
+    rows: Sequence[Record], *, every: bool = True
+) -> Iterator[tuple[list[str], list[list[str]]]]:
+    """Yield of each observable its name above its quantities, and each route above its numbers.
+
+    Of ``every`` route, else of those of ``shown_rows``, by the names of the theories.
+    """
+    rows = rows if every else shown_rows(rows)
     for observable in dict.fromkeys(row["observable"] for row in rows):
         own = [row for row in rows if row["observable"] == observable]
         routes = list(dict.fromkeys(row["route"] for row in own))
         cells = {(r["quantity"], r["route"]): concise(r["value"], r["error"]) for r in own}
-        names = list(dict.fromkeys(row["quantity"] for row in own))
-        columns = [[route, *(cells.get((n, route), "") for n in names)] for route in routes]
-        yield [observable, *names], columns
+        units = {row["quantity"]: bracketed(row.get("unit") or "") for row in own}
+        heads = [observable, *(name + unit for name, unit in units.items())]
+        words = named if every else theory_of_route
+        yield heads, [[words(r), *(cells.get((n, r), "") for n in units)] for r in routes]
 
 
-def _blocks(columns: Sequence[list[str]], width: int) -> list[list[list[str]]]:
-    """The columns in blocks that are no wider than ``width``, at least one in each."""
-    blocks: list[list[list[str]]] = []
+def text_table(columns: Sequence[Sequence[str]], width: int, words: int = 1) -> list[str]:
+    """Return the lines of a table no wider than ``width`` where that can be.
+
+    ``columns`` begin with their heads; the first ``words`` of them are text, the others numbers,
+    which stand at the right. Where they do not fit, heads and texts go on in a line below; what
+    then still does not fit is in another table below, with the first column again.
+    """
+    least = [max(len(w) for text in column for w in text.split() or [""]) for column in columns]
+    numbers = [max(map(len, c[1:]), default=0) for c in columns]
+    least[words:] = map(max, least[words:], numbers[words:])
+    sizes = [max(map(len, column)) for column in columns]
+    lines: list[str] = []
+    for block in _blocks(least[1:], width - least[0]):
+        chosen = [0, *(k + 1 for k in block)]
+        own = {k: sizes[k] for k in chosen}
+        while sum(own.values()) + 2 * len(own) - 2 > width:
+            k = max(chosen, key=lambda k: (own[k] > least[k], own[k] - least[k], own[k]))
+            if own[k] == least[k]:
+                break
+            own[k] -= 1
+        for row in zip(*(columns[k] for k in chosen), strict=True):
+            cells = [wrap(t, max(own[k], 1)) or [""] for k, t in zip(chosen, row, strict=True)]
+            for i in range(max(map(len, cells))):
+                texts = [cell[i] if i < len(cell) else "" for cell in cells]
+                aligned = (
+                    t.ljust(own[k]) if k < words else t.rjust(own[k])
+                    for k, t in zip(chosen, texts, strict=True)
+                )
+                lines.append("  ".join(aligned).rstrip())
+        lines.append("")
+    return lines[:-1]
+
+
+def _blocks(sizes: Sequence[int], width: int) -> list[list[int]]:
+    """Indices of columns of such ``sizes`` that fit together, at least one in each block."""
+    blocks: list[list[int]] = []
     left = -1
-    for column in columns:
-        left -= max(map(len, column)) + 2
+    for k, size in enumerate(sizes):
+        left -= size + 2
         if left < 0:
             blocks.append([])
-            left = width - max(map(len, column))
-        blocks[-1].append(column)
+            left = width - size - 2
+        blocks[-1].append(k)
     return blocks

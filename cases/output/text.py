@@ -10,8 +10,9 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from cases.output.digest import curves_of, refusals_of, verdict_of
 from cases.output.duration import duration
 from cases.output.records import Record
-from cases.output.tables import quantity_tables
-from cases.output.words import named
+from cases.output.tables import quantity_tables, text_table
+from cases.output.words import effects_in_words, named, theory_of_route
+from cases.scene.units import bracketed
 from cases.written import NOTE, bound, number, up, with_error
 
 
@@ -40,6 +41,10 @@ def _templates() -> Environment:
         "term": _term,
         "claim": _claim,
         "named": named,
+        "theory": theory_of_route,
+        "effects": effects_in_words,
+        "unit": bracketed,
+        "table": _rows_table,
         "pm": with_error,
         "bound": bound,
         "up": up,
@@ -53,7 +58,12 @@ def _templates() -> Environment:
 def _claim(claim: Record) -> str:
     """Return the claim, the curve that it is about and what was measured."""
     where = f"{claim['curve']}: " if claim["curve"] else ""
-    return f"{claim['claim']}; {where}{claim['measured']}"
+    return named(f"{claim['claim']}; {where}{claim['measured']}")
+
+
+def _rows_table(rows: list[list[str]], width: int, words: int = 1) -> list[str]:
+    """Return the lines of a table of rows, the heads first, as ``text_table`` of its columns."""
+    return text_table(list(zip(*rows, strict=True)), width, words) if len(rows) > 1 else []
 
 
 def _term(term: Record) -> str:

@@ -1,25 +1,59 @@
-"""Names of theories and routes for readers, who do not know those of the command line."""
+"""Names of theories and routes, and effects, in words for readers."""
 
 import re
+from collections.abc import Mapping
+from typing import Any
 
 from fpk.route import ROUTES, Route
 
-AVERAGED = re.compile(r"(?<![\w-])(non)?integrable\b")
-"""Theories that have another name on the command line than for readers."""
+KEYS = re.compile(
+    r"(?<![\w-])(?<!--method )(?<!--route )((?:non)?integrable|phase-space|montecarlo)(/[\w-]+)?\b"
+)
+"""Methods that have another name on the command line than for readers, and routes of them."""
 
 
 def named(text: str) -> str:
-    """Return a route's words for its label; in other text theories by their names for readers."""
+    """Return a route's words for its label; in other text theories by their names for readers.
+
+    A key behind ``--method`` is one to type and stays.
+    """
     if route := _routes().get(text):
         return route.words
-    names = {route.method: route.name for route in ROUTES.values() if not route.sampled}
-    return AVERAGED.sub(lambda word: names.get(word[0], word[0]), text)
+
+    def words(key: re.Match[str]) -> str:
+        route = _routes().get(key[0])
+        return route.words if key[2] and route else theory_of_route(key[1]) + (key[2] or "")
+
+    return KEYS.sub(words, text)
 
 
 def theory_of_route(label: str) -> str:
-    """Return the name of a route's theory, the label itself of one that is not known."""
-    route = _routes().get(label)
+    """Return the name of a route's theory, or of a method; the label of one that is not known."""
+    ordered = sorted(ROUTES.values(), key=lambda route: not route.sampled)
+    first = {route.method: route for route in ordered}  # of a method that of one that solves
+    route = _routes().get(label) or first.get(label)
     return route.name if route else label
+
+
+def effects_in_words(effects: Mapping[str, Any]) -> str:
+    """Return the effects of a system, of ``facts_record``, in one line."""
+    masses, stops, rank = (effects[key] for key in ("masses", "stops", "noise_rank"))
+    where = ", ".join(map(str, effects["contact_masses"]))
+    parts = [
+        _count(masses, "mass", "es"),
+        f"{_count(stops, 'stop')} on mass {where} ({', '.join(effects['laws'])} law)"
+        if stops
+        else "no stops",
+        _count(rank, "independent noise") + (", correlated" * effects["correlated_noise"]),
+    ]
+    parts += ["damping that couples masses"] if effects["coupled_damping"] else []
+    on = "state and the energy" if effects["energy_damping"] else "state"
+    parts += [f"damping that depends on the {on}"] if effects["state_damping"] else []
+    return "; ".join([*parts, "mirror symmetric" if effects["mirror"] else "not mirror symmetric"])
+
+
+def _count(number: int, noun: str, plural: str = "s") -> str:
+    return f"{number or 'no'} {noun}{plural if number != 1 else ''}"
 
 
 def _routes() -> dict[str, Route]:

@@ -7,7 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from cases.scene.units import DERIVED, NUMBER, Powers
 from fpk.arrays import Array
+from fpk.contact import Contact
+from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput
 from fpk.system import System
 
@@ -43,10 +46,31 @@ class Place:
         own = getattr(system, self.field)
         return np.array([getattr(record, self.name) for record in own] if self.name else own)
 
+    def powers(self, system: System) -> Powers | None:
+        """Powers of length, mass and time of the number; None where its records differ in them."""
+        if self.factor:
+            return NUMBER
+        if not self.name:
+            return {"mass": (0, 1, 0), "noise_gain": NUMBER, **DERIVED}[self.field]
+        records = getattr(system, self.field)
+        chosen = records if self.index is None else [records[self.index[0]]]
+        different = {_powers_of(record, self.name) for record in chosen}
+        return different.pop() if len(different) == 1 else None
+
     def overlaps(self, other: "Place") -> bool:
         """Whether both change the same number."""
         same = (self.field, self.name) == (other.field, other.name)
         return same and (self.index == other.index or None in (self.index, other.index))
+
+
+def _powers_of(record: Contact | DampingTerm, name: str) -> Powers:
+    """Powers of a number of a contact, g = B x^e, or of a damping term, c qᵐ vⁿ Hᵏ."""
+    if isinstance(record, Contact):
+        own = {"clearance": (1, 0, 0), "exponent": NUMBER, "stiffness": (1 - record.power, 1, -2)}
+        return own[name]
+    q, v = (sum(power for _, power in pairs) for pairs in (record.q, record.v))
+    H = record.energy
+    return -q - v - 2 * H, 1 - H, v + 2 * H - 1
 
 
 def place_of(path: str, system: System) -> Place:

@@ -98,7 +98,9 @@ POWERS = _then(
 )
 VALUES = _list(NUMBER, most=12)
 MATRICES = _list(NUMBERS_OR_MATRIX, most=12)
-RANGE = _table({}, dict.fromkeys(RELATIONS, NUMBER))
+RANGE = _table(
+    {}, {key: _said(NUMBER, f"claimed to be {key.replace('_', ' ')}") for key in RELATIONS}
+)
 THEORY = core.literal_schema(["nonintegrable", "integrable"])
 TIMES = _list(NUMBER, most=MOST_TIMES)
 
@@ -126,35 +128,80 @@ CONTACT = _table(
     },
 )
 DAMPING_TERM = _table(
-    {"i": MASS, "j": MASS, "coefficient": NUMBER}, {"q": POWERS, "v": POWERS, "energy": WHOLE}
+    {
+        "i": _said(MASS, "row of the damping matrix: the mass that feels the force"),
+        "j": _said(MASS, "column: the mass whose velocity makes it"),
+        "coefficient": _said(NUMBER, "what c_ij gains, times the powers"),
+    },
+    {
+        "q": _said(POWERS, "powers of displacements by mass, as { 1 = 2 } for q_1^2"),
+        "v": _said(POWERS, "powers of velocities by mass"),
+        "energy": _said(WHOLE, "power of the total energy H"),
+    },
 )
 UNIT = core.str_schema(strict=True, pattern=r"^[A-Za-zµμΩÅ]{1,16}$")
-UNITS = _table({"length": UNIT, "mass": UNIT, "time": UNIT}, {})
-MODULATION = _table({"times": NUMBERS, "factor": NUMBERS}, {})
+UNITS = _table(
+    {key: _said(UNIT, f"name of the unit of {key}") for key in ("length", "mass", "time")}, {}
+)
+MODULATION = _table(
+    {
+        "times": _said(NUMBERS, "ascending from 0"),
+        "factor": _said(NUMBERS, "e at these times, linear between them, 1 at the end: e(t)^2 D"),
+    },
+    {},
+)
 VARY = {
-    "contact": _table({}, {"stiffness": VALUES, "clearance": VALUES}),
-    "system": _table({}, {"noise_intensity": MATRICES, "damping": MATRICES}),
+    "contact": _table(
+        {},
+        {
+            "stiffness": _said(VALUES, "B of every contact, a curve for each value"),
+            "clearance": _said(VALUES, "gap of every contact, a curve for each value"),
+        },
+    ),
+    "system": _table(
+        {},
+        {
+            "noise_intensity": _said(MATRICES, "D, a curve for each list or matrix"),
+            "damping": _said(MATRICES, "c, a curve for each list or matrix"),
+        },
+    ),
 }
 EXPECT = {
-    "of": TEXT,
+    "of": _said(TEXT, "the density that the claims are about; the first observed if left out"),
     "non_gaussian": RANGE,
     "almost_gaussian": RANGE,
-    "nonintegrable_better_with": core.literal_schema(["larger", "smaller"]),
-    "better": _then(_distinct, _list(THEORY, least=2, most=2)),
-    "acceptable": _then(_distinct, _list(THEORY, most=2)),
-    "clearance_rule": _then(_in_range, core.float_schema(strict=True, allow_inf_nan=False, gt=0)),
+    "nonintegrable_better_with": _said(
+        core.literal_schema(["larger", "smaller"]), "where along [vary] energy averaging is better"
+    ),
+    "better": _said(
+        _then(_distinct, _list(THEORY, least=2, most=2)), "the first is nearer to the full system"
+    ),
+    "acceptable": _said(
+        _then(_distinct, _list(THEORY, most=2)), "within 0.1 in L1 of the full system"
+    ),
+    "clearance_rule": _said(
+        _then(_in_range, core.float_schema(strict=True, allow_inf_nan=False, gt=0)),
+        "modal averaging is acceptable beyond so many rms",
+    ),
 }
 PASSAGE = _table(
-    {"limit": TEXT},
-    {"start": TEXT, "times": TIMES, "theory": THEORY}
+    {"limit": _said(TEXT, "H=1.5, H1=0.4,H2=0.6 (either) or q2=1.2 (|q2|)")},
+    {
+        "start": _said(TEXT, "rest where it is left out; H=0.3, q1=0.2,p1=0.1 or noise=0.5"),
+        "times": _said(TIMES, "times of the reliability"),
+        "theory": _said(THEORY, "what the claims are about; nonintegrable where it is left out"),
+    }
     | {"rate_error": RANGE, "failure_error": RANGE},
 )
-TRANSIENT = _table({"of": TEXT, "times": TIMES}, {"start": TEXT})
+TRANSIENT = _table(
+    {"of": _said(TEXT, "one coordinate, as H"), "times": _said(TIMES, "times after the start")},
+    {"start": _said(TEXT, "as of [[passage]]")},
+)
 SCENE = _table(
     {"system": SYSTEM},
     {
-        "title": TEXT,
-        "source": TEXT,
+        "title": _said(TEXT, "what the scene shows"),
+        "source": _said(TEXT, "where its values come from"),
         "units": _then(lambda keys: Units(**keys), UNITS),
         "contact": _list(_then(lambda keys: Contact(**keys), CONTACT), least=0),
         "damping_term": _list(

@@ -1,5 +1,6 @@
 """Units of a scene: names of the units of length, mass and time, and what follows from them."""
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,10 +15,16 @@ DATES = ("days", "hours", "minutes", "seconds", "milliseconds", "microseconds", 
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
-DIMENSIONS = {"q": (1, 0, 0), "p": (1, 1, -1), "H": (2, 1, -2)}
+Powers = tuple[float, float, float]
+"""Powers of length, mass and time that a quantity is a product of."""
+
+NUMBER: Powers = (0, 0, 0)
+"""Those of a plain number."""
+
+DIMENSIONS: dict[str, Powers] = {"q": (1, 0, 0), "p": (1, 1, -1), "H": (2, 1, -2)}
 """Powers of length, mass and time of a displacement, a momentum and an energy."""
 
-DERIVED = {
+DERIVED: dict[str, Powers] = {
     "displacement": (1, 0, 0),
     "velocity": (1, 0, -1),
     "momentum": (1, 1, -1),
@@ -25,8 +32,22 @@ DERIVED = {
     "energy": (2, 1, -2),
     "frequency": (0, 0, -1),
     "rate": (0, 0, -1),
+    "stiffness": (0, 1, -2),
+    "damping": (0, 1, -1),
+    "noise_intensity": (2, 2, -3),
 }
-"""Powers of length, mass and time of the quantities whose units JSON lists."""
+"""Powers of length, mass and time of the quantities whose units JSON lists; the intensity D is that
+of a force with E[WW'] = 2Dδ."""
+
+NAMED: tuple[tuple[str, Powers], ...] = (
+    ("probability|share|exceedance|cdf|correlation|skewness|kurtosis|averaging.error|L1", NUMBER),
+    ("force", DERIVED["force"]),
+    ("overlap", DERIVED["displacement"]),
+    ("rate|per unit time|frequency", DERIVED["rate"]),
+    ("time|passage|lag", (0, 0, 1)),
+)
+"""Words in the name of a quantity that give its dimension, the first that is in it; others, such as
+a mean, have that of the observable."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +71,11 @@ class Units:
             key = "time" if self.time in named[:-1] else "mass"
             raise InvalidInput(key, getattr(self, key), "is the unit of something else already")
 
-    def of(self, *dimensions: tuple[int, int, int], inverse: bool = False) -> str:
+    def of(self, *dimensions: Powers, inverse: bool = False) -> str:
         """Return the unit of a product of quantities of these powers of length, mass and time.
 
-        As ``kg mm² s⁻²``, which UDUNITS reads; empty where there are no names, and 1 for a number.
+        As ``kg mm² s⁻²``, which UDUNITS reads, or ``mm^-0.5`` of a power that is no integer; empty
+        where there are no names, and 1 for a number.
         """
         if not self:
             return ""
@@ -61,7 +83,7 @@ class Units:
         length, mass, time = (sign * sum(powers) for powers in zip(*dimensions, strict=True))
         named = (self.mass, mass), (self.length, length), (self.time, time)
         factors = [
-            name + ("" if power == 1 else str(power).translate(SUPERSCRIPTS))
+            name + _power(power)
             for name, power in sorted(named, key=lambda factor: factor[1] < 0)
             if power
         ]
@@ -83,12 +105,28 @@ class Units:
         """Return the unit of a quantity of ``DERIVED``."""
         return self.of(DERIVED[name])
 
+    def number(self, name: str, observable: str = "") -> str:
+        """Return the unit of a quantity by its name, such as ``rms`` or ``mean force, left stop``.
+
+        ``observable`` is the name of what it is a quantity of, as ``q2``; a ``variance`` has the
+        square of its unit.
+        """
+        own = [DIMENSIONS[c[0]] for c in observable.split(",") if c[:1] in DIMENSIONS]
+        named = next(([powers] for words, powers in NAMED if re.search(words, name)), own)
+        return self.of(*named * (2 if "variance" in name else 1))
+
     def record(self) -> dict[str, Any] | None:
         """Return the names and all derived units for JSON, None where there are none."""
         return {**vars(self), **{name: self.quantity(name) for name in DERIVED}} if self else None
 
 
 NO_UNITS = Units()
+
+
+def _power(power: float) -> str:
+    if power != int(power):
+        return f"^{power:g}"
+    return "" if power == 1 else str(int(power)).translate(SUPERSCRIPTS)
 
 
 def attribute(unit: str) -> str:
@@ -100,5 +138,5 @@ def attribute(unit: str) -> str:
 
 
 def bracketed(unit: str) -> str:
-    """Return a unit as it stands behind a name, nothing where it has no name."""
-    return f" [{unit}]" if unit else ""
+    """Return a unit as it stands behind a name, nothing where it has no name or is a number."""
+    return f" [{unit}]" if unit not in ("", "1") else ""

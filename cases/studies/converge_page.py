@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from cases.scene.units import DIMENSIONS, Units, bracketed
 from cases.studies.converge import ROUND_OFF, ConvergenceStudy, Ladder
 from cases.studies.orders import LIMITS
 from cases.studies.page import Page, Table
@@ -61,13 +62,31 @@ def convergence_page(study: ConvergenceStudy) -> Page:
         samples = [{"paths x time": time, "standard error": error} for time, error in pairs]
         of, slope = s.observable, f"slope {s.slope:.3f} ± {s.slope_error:.3f}, theory -0.5"
     refusals = [{"route": route, "reason": why} for route, why in study.refusals.items()]
+    units = study.scene.units
+    square = units.of(DIMENSIONS["q"], DIMENSIONS["q"])
+    time, energy = units.time, units.quantity("energy")
+    means = {"value": square, "error": square, "step error": square, "its error": square}
+    of_steps = {"dt": time, "sampled": time, **means}
+    of_weak = dict.fromkeys(("limit", "limit_error", "wanted"), square)
+    of_samples = {"paths x time": time, "standard error": square}
+    of_errors = {"mean energy": energy}
+    if len(dimensions := {e["dimension"] for e in study.equations}) == 1 and units:
+        powers = np.array(DIMENSIONS["H"]) * -dimensions.pop()
+        of_errors |= {"L2": units.of(tuple(0.5 * powers)), "max": units.of(tuple(powers))}
+        of_errors["integral of p²"] = of_errors["max"]
     tables = [
-        Table("errors", "Averaged equations: errors", errors, tuple(about)),
+        Table("errors", "Averaged equations: errors", errors, tuple(about), of_errors),
         Table("orders", "Averaged equations: observed orders", orders, (ORDER_WORDS,)),
         Table("index", "Richardson and grid convergence index (GCI)", index, (GCI_WORDS,)),
-        Table("steps", f"Simulation: errors of the step in {of}", steps),
-        Table("weak", "Simulation: weak order in the step", weak, (STEP_WORDS,)),
-        Table("samples", f"Simulation: standard error of {of} in samples", samples, (slope,)),
+        Table("steps", f"Simulation: errors of the step in {of}", steps, units=of_steps),
+        Table("weak", "Simulation: weak order in the step", weak, (STEP_WORDS,), of_weak),
+        Table(
+            "samples",
+            f"Simulation: standard error of {of} in samples",
+            samples,
+            (slope,),
+            of_samples,
+        ),
         Table("refusals", "Routes that do not apply", refusals),
     ]
     title = f"Convergence: {study.scene.title}"
@@ -89,7 +108,7 @@ def study_panels(study: ConvergenceStudy) -> list[Panel]:
             curves = [_in_degree(ladder) for ladder in e["ladders"] if ladder.family == "p"]
             x, axis["logarithmic"] = "degree p on a fixed mesh", False
             panels.append(Panel("exponential in p", x, y, curves, **axis))
-    return [*panels, _step_panel(study.schemes)] if study.schemes else panels
+    return [*panels, _step_panel(study.schemes, study.scene.units)] if study.schemes else panels
 
 
 def _in_unknowns(ladder: Ladder) -> Curve:
@@ -111,7 +130,7 @@ def _in_degree(ladder: Ladder) -> Curve:
     return Curve(label, degrees, [level.error for level in ladder.levels])
 
 
-def _step_panel(schemes: Sequence[WeakOrder]) -> Panel:
+def _step_panel(schemes: Sequence[WeakOrder], units: Units) -> Panel:
     curves = []
     for s in schemes:
         dt, words = np.array([level.dt for level in s.levels]), f"{s.verdict} (theory {s.theory})"
@@ -120,5 +139,7 @@ def _step_panel(schemes: Sequence[WeakOrder]) -> Panel:
         line = (dt, abs(s.slope) * dt**s.theory) if dt.size else None
         label, bar = f"{s.scheme}: {words}", np.array(s.error_bars)
         curves.append(Curve(label, dt, s.errors, bar, dashed=line, style="none"))
-    x, y = "step dt, in the scene's unit of time", f"step error of {schemes[0].observable}"
+    x = f"step dt [{units.time}]" if units else "step dt, in the scene's unit of time"
+    square = units.of(DIMENSIONS["q"], DIMENSIONS["q"])
+    y = f"step error of {schemes[0].observable}{bracketed(square)}"
     return Panel("full system (6), simulation; lines: theory", x, y, curves)

@@ -3,11 +3,12 @@
 import csv
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import StringIO
 from itertools import pairwise
 from math import nan
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,12 @@ from cases.output.fields import attributes_of, write_variables
 from cases.output.files import write_text
 from cases.output.page import as_script_data, page_record, script_record
 from cases.output.pictures.style import inline_svg, svg_text
+from cases.output.tables import text_table
 from cases.output.text import rendered
 from cases.output.variables import Variables
+from cases.output.words import named
 from cases.scene.scene import Scene
+from cases.scene.units import attribute, bracketed
 from cases.studies.picture import Field, Panel, live_plots, study_figure
 
 MARKUP = re.compile(r"[\\`*_\[\]<>&#|~$]")
@@ -52,18 +56,31 @@ def cell(value: Any, column: str = "") -> str:
 class Table:
     """Rows of equal keys, which are the columns, under a title; remarks stand below them.
 
-    ``name`` is the dimension of the rows in netCDF.
+    ``name`` is the dimension of the rows in netCDF; ``units`` are those of columns that have one.
     """
 
     name: str
     title: str
     rows: Sequence[Mapping[str, Any]]
     remarks: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def cells(self) -> tuple[list[str], list[list[str]]]:
-        """Return the columns, and the rows in words."""
-        rows = [[cell(value, column) for column, value in row.items()] for row in self.rows]
-        return list(self.rows[0]), rows
+        """Return the columns with their units, and the rows in words."""
+        rows = [[named(cell(v, column)) for column, v in row.items()] for row in self.rows]
+        return [key + bracketed(self.units.get(key, "")) for key in self.rows[0]], rows
+
+    def lines(self, width: int) -> list[str]:
+        """Return title, table and remarks for a terminal, see ``text_table``."""
+        head, rows = self.cells()
+        texts = [all(isinstance(row[key], str) for row in self.rows) for key in self.rows[0]]
+        words = (*texts, False).index(False)
+        for above, row in reversed(list(pairwise(rows))):
+            same = [a == b for a, b in zip(above, row, strict=True)]
+            row[: same.index(False)] = [""] * same.index(False)
+        columns = list(zip(head, *rows, strict=True))
+        wrapped = [line for remark in self.remarks for line in wrap(named(remark), width)]
+        return [self.title, "", *text_table(columns, width, max(words, 1)), "", *wrapped, ""]
 
     def markdown(self) -> list[str]:
         """Return title, rows in aligned columns, and remarks; first cells are not repeated."""
@@ -77,7 +94,7 @@ class Table:
         for first, *others in (head, rule, *rows):
             cells = [first.ljust(widths[0]), *map(str.rjust, others, widths[1:])]
             lines.append(f"| {' | '.join(cells)} |")
-        return [*lines, "", *(line for remark in self.remarks for line in (remark, ""))]
+        return [*lines, "", *(line for remark in map(named, self.remarks) for line in (remark, ""))]
 
     def variables(self) -> Variables:
         """Return the columns as netCDF variables ``name_column``: numbers, else text."""
@@ -89,7 +106,9 @@ class Table:
             else:
                 column = np.array(list(map(cell, values)))
             variable = re.sub(r"\W+", "_", f"{self.name}_{key}".replace("²", "2")).strip("_")
-            columns[variable] = ((self.name,), column, {})
+            unit = self.units.get(key)
+            words = {"units": attribute(unit)} if unit else {}
+            columns[variable] = ((self.name,), column, words)
         return columns
 
     def csv(self) -> str:
@@ -118,8 +137,15 @@ class Page:
     summary: str = ""
     gridded: Variables | None = None
 
+    def shown(self, width: int) -> str:
+        """Return the page for a terminal of so many columns; as Markdown where that is 0."""
+        if not width:
+            return self.text().rstrip()
+        tables = [line for t in self.tables if t.rows for line in t.lines(width)]
+        return "\n".join([*wrap(self.title, width), "", *tables]).rstrip()
+
     def text(self) -> str:
-        """Return the page as Markdown, which a terminal shows as it is.
+        """Return the page as Markdown.
 
         The title has the scene's own, any text: its characters stand for themselves.
         """

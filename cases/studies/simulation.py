@@ -153,7 +153,7 @@ def full_reference(system: System, *, seed: int) -> Reference:
     if not np.all(np.isfinite(sampled.values)):
         raise NotCertified("the long simulation that is the reference has no density")
     few, own = joined(sampled), sampled.certificate
-    measured = Measured(chance_l1(few)[0], 0.0, 0.0, own.residual, own.tail_mass)
+    measured = Measured(chance_l1(few)[0], None, None, own.residual, own.tail_mass)
     density = certified_density(
         observable, few.edges, sampled, lambda q: sampled.at(q)[1], measured=measured, tol=inf
     )

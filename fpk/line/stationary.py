@@ -14,7 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.polynomial.legendre import legvander
 
 from fpk.arrays import Array, Flags
-from fpk.certificate import NEGATIVE, Certificate, Measured, certify
+from fpk.certificate import NEGATIVE, Certificate, Measured, certify, outside
 from fpk.compiling import cached_njit
 from fpk.line.elements import TINY, Elements, element_rule, joined, solve_elements
 from fpk.line.mesh import (
@@ -118,7 +118,7 @@ class StationarySolution:
         point = (np.arccos(1.0 - 2.0 * share) * count / np.pi).astype(int)
         ends = self._log_distance[k, point], self._log_distance[k, np.minimum(point + 1, count)]
         distance = np.exp(np.maximum(*ends) + factor)
-        floor = self.common_error + self.measured.tail_mass
+        floor = self.common_error + outside(self.measured)
         error = POINTWISE_SAFETY * distance + floor * np.abs(self.answer(x, log_factor=factor))
         return np.asarray(error + np.exp(np.interp(x, *self._log_round_off) + factor))
 

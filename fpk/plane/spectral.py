@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fpk.certificate import NEGATIVE
+from fpk.certificate import NEGATIVE, outside
 from fpk.errors import NotCertified
 from fpk.plane.on_mesh import solve_plane_on_mesh
 from fpk.plane.solution import PlaneSolution, graded
@@ -80,7 +80,7 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
         )
         yield solution
         halved = solution.l1_error < 0.5 * least
-        if solution.measured.tail_mass > 0.1 * max(tol, FAINT * solution.l1_error) or not halved:
+        if outside(solution.measured) > 0.1 * max(tol, FAINT * solution.l1_error) or not halved:
             rise = beyond + LENGTHENING
         beyond, better = rise, None
         if halved:
@@ -98,7 +98,7 @@ def _finer(panels: int, degree: int, solution: PlaneSolution, tol: float) -> tup
     An error ε in the norm weighted by w ≈ p is one of ε √p of p: p turns negative below ε² of its
     maximum, so that a negative minimum counts about half its digits.
     """
-    negative = max(solution.measured.minimum / NEGATIVE, 1.0)
+    negative = max((solution.measured.minimum or 0.0) / NEGATIVE, 1.0)
     missing = float(np.log10(max(solution.l1_error / tol, negative**NEGATIVE_DIGITS, 1.0)))
     coarse = solution.l1_error > COARSE
     if panels == FIRST[0]:

@@ -6,7 +6,7 @@ from math import inf
 import numpy as np
 
 from fpk.arrays import Array, Integers
-from fpk.certificate import Measured, certify
+from fpk.certificate import Measured, certify, outside
 from fpk.errors import InvalidInput
 from fpk.evolution import Transient
 from fpk.observable import Observable
@@ -124,10 +124,12 @@ def answer_of(
     own = dict.fromkeys(words for c in certificates for words in c.failures)
     measured = Measured(
         l1_error=max(density.l1_error for density in fine),
-        mass_defect=max(c.mass_defect for c in certificates),
-        minimum=min(c.minimum for c in certificates),
-        residual=max(c.residual for c in certificates),
-        tail_mass=max(c.tail_mass for c in certificates),
+        mass_defect=max(
+            (x for c in certificates if (x := c.mass_defect) is not None), default=None
+        ),
+        minimum=min((x for c in certificates if (x := c.minimum) is not None), default=None),
+        residual=max((x for c in certificates if (x := c.residual) is not None), default=None),
+        tail_mass=max(map(outside, certificates)),
         failures=(*failures, *lost_words(counted.lost, dt), *own, *wide[:1]),
     )
     settings = {

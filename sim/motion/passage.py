@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import ceil, inf, isfinite, sqrt
+from math import ceil, inf, sqrt
 
 import numpy as np
 
@@ -81,13 +81,12 @@ def passage(
     failures = interruption(watch) + lost_words(lost, dt)
     if dt > TOO_LONG * (longest := longest_step(system)):
         failures.append(f"between steps as long as dt = {dt:g} not all is seen; use {longest:.2g}")
-    relaxation = relaxation_time(system)
     return passage_of(
         sampled,
         times,
         limit=str(limit),
         step=dt,
-        memory=relaxation if isfinite(relaxation) else 0.0,
+        memory=relaxation_time(system),
         tol=inf if wanted is None else wanted,
         failures=failures,
         settings={"dt": 0.5 * dt, "coarse dt": dt, "scheme": method.scheme, "seed": method.seed},

@@ -106,10 +106,10 @@ def sampled_curve(
     relative = float(np.max(errors)) / scale
     measured = Measured(
         l1_error=relative,
-        mass_defect=0.0,
+        mass_defect=None,
         minimum=float(np.min(values if positive is None else positive)) / scale,
-        residual=0.0,
-        tail_mass=0.0,
+        residual=None,
+        tail_mass=None,
         failures=tuple(failures),
         absolute_error=relative,
     )

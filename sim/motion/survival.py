@@ -132,7 +132,8 @@ def passage_of(
     Errors are those of leaving out groups, the difference between both steps added in quadrature:
     it is at least the error at half the step where that falls with the step. ``step`` is the longer
     one: where trajectories fail within few of them errors are inf and nothing is certified.
-    ``memory`` is the time after which a trajectory has forgotten its start.
+    ``memory`` is the time after which a trajectory has forgotten its start, infinite where it never
+    does: the rate then is that of the latest failures.
 
     Raises ``InvalidInput`` for a ``limit`` (its name) that all pass at time 0.
     """
@@ -148,9 +149,9 @@ def passage_of(
         error[:] = inf
     measured = Measured(
         l1_error=float(error[0] / best[0]) if best[0] < inf else inf,
-        mass_defect=0.0,
+        mass_defect=None,
         minimum=float(np.min(best[3:], initial=0.0)),
-        residual=nan,
+        residual=None,
         tail_mass=1.0 - sampled.failed / fine.size,
         failures=(*failures, *too_soon, *_too_few(sampled, begin, exposure)),
     )

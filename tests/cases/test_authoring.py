@@ -4,9 +4,9 @@ import json
 import os
 import re
 import shlex
-import time
 import tomllib
 from itertools import product
+from pathlib import Path
 
 import click
 import pytest
@@ -14,13 +14,15 @@ import pytest
 from cases.commands.app import app
 from cases.commands.examples import EXAMPLES
 from cases.commands.parts import as_wide
-from cases.comparison.routes import method_for
 from cases.output.duration import duration
 from cases.scene.json_schema import DIRECTIVE, FILE, scene_schema
+from cases.scene.key_table import key_table, with_table
 from cases.scene.scene import load_scene, shipped_scenes
 from cases.scene.schema import SCENE
 from fpk.clearance import stop_clearances
 from fpk.contact_law import LAWS
+from sim.montecarlo import MonteCarlo
+from sim.setup import expected_seconds
 
 QUICK = ("list", "new", "check", "schema", "show", "passage", "transient", "density", "crossings")
 """Commands whose first example takes a second or less once the program is compiled."""
@@ -115,17 +117,22 @@ def test_check_says_where_nothing_can_be_simulated(fpk, scene_text, tmp_path):
     assert status in (0, 2) and (status == 2 or "no simulation: " in out)
 
 
-@pytest.mark.slow
-def test_the_cost_of_a_simulation_is_about_what_check_says(fpk):
-    """To a factor of ten, which tells seconds from minutes; nothing depends on it."""
-    scene = load_scene("sdof")
-    expected = json.loads(fpk("check", "sdof", "--json")[1])["simulation_seconds"]
-    method = method_for("montecarlo", seed=3)
-    method.solve(scene.system, scene.observables[:1])  # compiled from here on
-    start = time.perf_counter()
-    method.solve(scene.system, scene.observables[:1])
-    taken = (time.perf_counter() - start) * len(scene.curves)
-    assert expected / 10 < taken < expected * 10 + 1
+def test_the_cost_of_a_simulation_is_that_of_all_its_systems(fpk):
+    """A number of seconds for each curve, all added up; how good it is depends on the machine."""
+    scene = load_scene("fig6a")
+    expected = json.loads(fpk("check", "fig6a", "--json")[1])["simulation_seconds"]
+    own = [expected_seconds(MonteCarlo(), curve.system) for curve in scene.curves]
+    assert min(own) > 0.0 and expected == pytest.approx(sum(own), rel=1e-12)
+
+
+def test_the_table_of_keys_is_that_of_the_schema():
+    """``python -m cases.scene.key_table docs/scene.md`` writes it anew."""
+    page = (Path(__file__).parents[2] / "docs" / "scene.md").read_text(encoding="utf-8")
+    assert with_table(page) == page
+    rows = [line.split(" | ") for line in key_table().splitlines()[2:]]
+    assert len(rows) > 40 and not [row[0] for row in rows if row[-1].strip(" |") == ""]
+    with pytest.raises(ValueError, match="marks"):
+        with_table("no table here")
 
 
 @pytest.fixture(scope="module")

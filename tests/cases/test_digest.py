@@ -44,9 +44,9 @@ def test_one_reason_is_given_once():
     ]
     first, second, third = refusals_of({"methods": list(map(refusal_record, refusals))})
     assert first == {
-        "routes": "nonintegrable (fem, quadrature)",
+        "routes": "energy averaging (fem, quadrature)",
         "observables": ["H1", "H2"],
         "reason": "knows the total energy only",
         "failed": False,
     }
-    assert (second["routes"], second["failed"], third["failed"]) == ("linear", False, True)
+    assert (second["routes"], second["failed"], third["failed"]) == ("Gaussian", False, True)

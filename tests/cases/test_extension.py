@@ -42,7 +42,7 @@ def outcome(scene_path):
 def test_they_are_shown(scene_path, fpk):
     record = json.loads(fpk("show", scene_path, "--json")[1])
     (theory,) = [t for t in record["theories"] if t["method"] == TOY[0]]
-    assert theory["applies"] and theory["reason"] == "momenta only"
+    assert theory["applies"] and theory["reason"] == "not for q2: momenta only"
     assert record["system"]["contacts"][0]["law"] == "cubic"
     assert TOY[0] in fpk("show", scene_path)[1]
     assert any(m.name == TOY[0] for m in all_methods())

@@ -329,8 +329,8 @@ def test_a_table_is_as_wide_as_the_terminal_and_repeats_no_solver():
         for route in routes
     ]
     wide = "\n".join(quantity_tables(rows, 100))
-    assert wide.count("q2") == 1 and "closed-form" not in wide and "0.5000(10)" in wide
-    assert "closed-form" in "\n".join(quantity_tables(rows, 100, True))
+    assert wide.count("q2") == 1 and "elements" not in wide and "0.5000(10)" in wide
+    assert "finite elements" in "\n".join(quantity_tables(rows, 100, True))
     for width in (60, 70, 80, 100, 120):
         lines = quantity_tables(rows, width, True)
         assert max(map(len, lines)) <= width

@@ -34,7 +34,7 @@ def test_the_summary_has_the_quantities_first_and_the_details_every_comparison(f
     status, summary, _ = fpk(*QUICK)
     assert status == 0
     lines = summary.split("\n")
-    assert lines[3].split() == ["q2", "exact", "nonintegrable/closed-form"]
+    assert lines[3].split() == ["q2", "exact", "energy", "averaging"]
     assert lines[5].split()[0] == "rms" and "allowed" not in summary
     assert all(len(line) <= 80 for line in lines)
     assert "comparisons, every check holds" in lines[-2]

@@ -250,6 +250,16 @@ def test_a_default_that_is_missed_in_time_is_a_note_where_nobody_asked_for_it():
     assert not relaxed.problems and "nonintegrable/fem: certified to 1e-04" in relaxed.notes[0]
 
 
+def test_a_tolerance_that_was_asked_for_reaches_what_solves_in_time_only():
+    method = Inexact(FEM, survival_answer([0.5] * 9, 3e-5, "numerical"))
+    assert not replies_of(CIR.system, PASSAGE, [method], tol=1e-4).problems
+    (problem,) = replies_of(CIR.system, PASSAGE, [method], tol=2e-5).problems
+    assert "exceeds the tolerance 2e-05" in problem
+    sampled = Inexact(SIMULATED, method.says)
+    (problem,) = replies_of(CIR.system, PASSAGE, [sampled], tol=1e-4).problems
+    assert "exceeds the tolerance 1e-05" in problem  # its own
+
+
 def test_routes_that_do_not_know_of_modulated_noise_are_refused():
     scene = load_scene("modulated")
     (question,) = scene.transients

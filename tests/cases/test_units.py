@@ -13,9 +13,13 @@ from cases.comparison.run import run_scene
 from cases.output.motion import modes_record, rms_record
 from cases.output.pictures.style import density_words, in_units, time_words, words_of
 from cases.output.report import figures
-from cases.scene.scene import load_scene
+from cases.scene.numbers import place_of
+from cases.scene.scene import load_scene, shipped_scenes
 from cases.scene.units import DERIVED, DIMENSIONS, Units
+from cases.studies.sweep.sweep import sweep
+from cases.studies.sweep.sweep_page import sweep_page
 from fpk.contact import Contact
+from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput
 from fpk.linear import stationary_covariance
 from fpk.observable import parse_observable
@@ -30,6 +34,11 @@ def scene(tmp_path, scene_text):
     path = tmp_path / "a.toml"
     path.write_text(scene_text + MM)
     return path
+
+
+def resources(name):
+    """The text of a shipped scene."""
+    return shipped_scenes()[name].read_text()
 
 
 def powers(unit):
@@ -147,6 +156,90 @@ def test_curves_say_their_units_on_both_axes(command, points, values, fpk, tmp_p
     assert record["units"] == {"points": points, key: values}
     head = fpk(*arguments)[1].splitlines()[0]
     assert f"[{points}]" in head and f"{key} [{values}]" in head
+
+
+def test_the_tables_of_a_run_say_units(tmp_path, fpk):
+    """On the terminal, in the report, in JSON: rows of quantities, answers in time."""
+    text = resources("two-modes") + MM
+    path = tmp_path / "a.toml"
+    path.write_text(text)
+    asked = ("run", path, "--method", "integrable/closed-form")
+    out = fpk(*asked, "--out", tmp_path / "out")[1]
+    assert "mean [kg mm² s⁻²]" in out and "mean time [s]" in out and "failure rate [s⁻¹]" in out
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "H1, mean [kg mm² s⁻²]" in page and "mean time [s]" in page and "skewness [" not in page
+    record = json.loads(fpk(*asked, "--json")[1])
+    units = {q["quantity"]: q["unit"] for q in record["quantities"]}
+    assert units["rms"] == "kg mm² s⁻²" and units["skewness"] == "1"
+    assert record["passages"][0]["units"] == {
+        "mean": "s", "variance": "s²", "rate": "s⁻¹", "times": "s"
+    }  # fmt: skip
+    path.write_text(resources("two-modes"))
+    out = fpk(*asked)[1]
+    assert "[" not in out
+    record = json.loads(fpk(*asked, "--json")[1])
+    assert not any("unit" in q for q in record["quantities"])
+    assert record["passages"][0]["units"] is None
+
+
+@pytest.mark.parametrize(
+    ("name", "powers_of_it"),
+    [
+        ("mean", (1, 0, 0)), ("variance", (2, 0, 0)), ("quantile 99 %", (1, 0, 0)),
+        ("contact probability, left stop", None), ("mean overlap, left stop", (1, 0, 0)),
+        ("force in contact, right stop at 0.5", (1, 1, -2)), ("mean_force", (1, 1, -2)),
+        ("upcrossing rate, left stop", (0, 0, -1)), ("failure_rate", (0, 0, -1)),
+        ("mean_passage", (0, 0, 1)), ("impacts per unit time", (0, 0, -1)),
+        ("averaging_error", None),
+        ("share of time in contact", None), ("exceedance", None),
+    ],
+)  # fmt: skip
+def test_a_quantity_has_the_unit_of_its_name(name, powers_of_it):
+    unit = SI.number(name, "q2")
+    assert unit == "1" if powers_of_it is None else powers(unit) == powers_of_it
+    assert Units().number(name, "q2") == ""
+
+
+def test_numbers_of_a_scene_have_units_that_keep_its_equations():
+    """Forces k q, c v, B x^e, and D over time, by the powers of what they are made of."""
+    term = DampingTerm(1, 1, 0.1, ((1, 2),), ((2, 1),), 1)
+    stop = Contact(mass=2, side="both", stiffness=10.0, clearance=0.5)
+    system = System([1, 1], [1, 1], [0.1, 0.2], [0.01, 0.02], contacts=(stop,),
+                    damping_terms=(term,))  # fmt: skip
+
+    def of(path):
+        return np.array(place_of(path, system).powers(system))
+
+    length, _, time = np.eye(3)
+    force = np.array(DERIVED["force"])
+    np.testing.assert_array_equal(of("system.stiffness[1]") + length, force)
+    np.testing.assert_array_equal(of("system.damping[1]") + length - time, force)
+    np.testing.assert_array_equal(of("contact[1].stiffness") + 1.5 * of("contact.clearance"), force)
+    np.testing.assert_array_equal(of("system.noise_intensity[1]") - time, 2 * force)
+    energy, velocity = np.array(DERIVED["energy"]), length - time
+    coefficient = of("damping_term[1].coefficient") + 2 * length + velocity + energy
+    np.testing.assert_array_equal(coefficient, of("system.damping[1]"))
+    assert not of("system.damping").any() and not of("contact.exponent").any()
+    assert SI.of(tuple(of("contact[1].stiffness"))) == "kg m^-0.5 s⁻²"
+
+
+def test_a_sweep_says_the_units_of_its_axes_and_values(scene):
+    swept = sweep(load_scene(scene), ["contact.clearance=0.5,1"], ["rms(q2)", "mean_force(1)"],
+                  methods=["nonintegrable/closed-form"])  # fmt: skip
+    page = sweep_page(swept, load_scene(scene))
+    head, rows = page.tables[0].cells()
+    assert head[0] == "contact.clearance [mm]"
+    assert {row[1] for row in rows} == {"rms(q2) [mm]", "mean_force(1) [kg mm s⁻²]"}
+    axes = page.figure().axes
+    assert {a.get_xlabel() for a in axes} == {"clearance $δ$ [mm]"}
+    assert axes[0].get_ylabel() == "rms(q2) [mm]"
+    variables = swept.variables()
+    assert variables["contact.clearance"][2]["units"] == "mm"
+    assert list(variables["unit"][1]) == ["mm", "kg mm s⁻²"]
+    assert swept.record()["units"] == ["mm", "kg mm s⁻²"]
+    bare = sweep(load_scene(scene).system, ["contact.clearance=0.5,1"], ["rms(q2)"],
+                 methods=["nonintegrable/closed-form"])  # fmt: skip
+    assert bare.record()["units"] == [None] and "[" not in sweep_page(bare, page.scene).text()
 
 
 def test_axes_say_units_while_a_scene_is_drawn():

@@ -29,7 +29,7 @@ def test_the_gate_holds_on_shipped_scenes(fpk):
     status, out, err = fpk("verify", *SCENES, "--coarse", "--json", "--seed", 7)
     record = json.loads(out)
     assert (status, err, out.count("\n")) == (0, "", 1)
-    assert record.keys() == {"scenes", "holds", "claims", "seconds"} and record["holds"]
+    assert record.keys() == {"schema", "scenes", "holds", "claims", "seconds"} and record["holds"]
     assert [s["scene"] for s in record["scenes"]] == list(SCENES)
     for scene in record["scenes"]:
         assert scene.keys() == KEYS and scene["judged"] > 0 and scene["certificates"] > 0

@@ -16,7 +16,7 @@ from fpk.plane.time.domain import Rectangle, Triangle
 from fpk.plane.time.exponential import evolved
 from fpk.plane.time.levels import Frame
 from fpk.plane.time.operator import PlaneOperator
-from fpk.plane.time.passage import PlaneLimit, first_passage
+from fpk.plane.time.passage import PlaneLimit, _hopeless, first_passage
 from fpk.plane.time.relaxation import relaxation_rates
 from fpk.plane.time.start import PointStart
 from fpk.plane.time.transient import transient_densities
@@ -241,3 +241,15 @@ def test_coordinates_and_energies_are_inverse(domain):
     F, _ = domain.pulled_back(y, np.array([[1.0, 2.0]]), np.eye(2)[None])
     assert_allclose(jacobian @ F[0], [1.0, 2.0], rtol=1e-5)
     assert_allclose(abs(np.linalg.det(jacobian)), domain.jacobian(*y)[0], rtol=1e-5)
+
+
+def test_levels_end_where_no_later_one_could_meet_the_tolerance():
+    """Distances as measured at modes of rates 1, 1e-4, 1e-8 and 1e-20 of each other."""
+    assert not _hopeless([3e-6], 4, 1e-8)
+    # Slow at first, then exponential: 1e-8 is met by the last level.
+    falling = [4.9e-2, 9.8e-3, 1.1e-3, 2.1e-5]
+    assert not any(_hopeless(falling[:k], 5 - k, 1e-8) for k in range(1, 5))
+    halving = [5.2e-2, 1.4e-2, 5.2e-3, 2.6e-3]
+    assert not _hopeless(halving[:2], 3, 1e-8) and _hopeless(halving, 1, 1e-8)
+    assert _hopeless([1e-3, 1e-10], 2, 1e-8)  # what is left is no error of the level
+    assert not _hopeless(halving, 1, 1e-2)

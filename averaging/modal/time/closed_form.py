@@ -75,7 +75,7 @@ def transient(
         l1, defect = (max(old, sum(j[i] for j in judged)) for i, old in enumerate((l1, defect)))
     highest = np.max(errors / np.max(values, axis=1, initial=SMALLEST, keepdims=True), initial=0.0)
     measured = Measured(
-        float(np.max([l1, highest])), defect, float(values.min(initial=0.0)), 0.0, 0.0
+        float(np.max([l1, highest])), defect, float(values.min(initial=0.0)), None, None
     )
     certificate = certify(measured, tol=tol or TOL)
     return Transient(times, values, errors + SMALLEST, "numerical", certificate)
@@ -114,7 +114,7 @@ def relaxation(modes: ModalAnalysis, count: int, *, tol: float | None) -> Rates:
         multiples = np.append(0.0, _mode(modes, m).rates(count, tol=1.0).values.real)
         rates = np.sort(np.add.outer(rates, multiples).ravel())[: count + 1]
     relative = modes.relative_error + 4.0 * EPS
-    certificate = certify(Measured(relative, 0.0, 0.0, 0.0, 0.0), tol=tol or TOL)
+    certificate = certify(Measured(relative, None, None, None, None), tol=tol or TOL)
     return Rates(rates[1:].astype(complex), relative * rates[1:], certificate)
 
 

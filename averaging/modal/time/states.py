@@ -5,7 +5,7 @@ import numpy as np
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
 from fpk.arrays import Array
-from fpk.certificate import Measured
+from fpk.certificate import Measured, outside
 from fpk.density import Density, certified_density
 from fpk.evolution import Transient
 from fpk.number import SMALLEST
@@ -36,10 +36,11 @@ def state_transient(
     """
     none = np.zeros(0), np.zeros(0)
     answer, levels = transient_densities(frame, start, View("pair"), times, none, tol=SHARE * tol)
+    tail = outside(answer.certificate)
     values, errors = np.empty((2, times.size, at[0].size))
     densities = []
     for k, t in enumerate(times.tolist()):
-        group = _energies(modes, levels, k, t, l1_error=start.l1_error, tol=tol)
+        group = _energies(modes, levels, k, t, l1_error=start.l1_error, tail=tail, tol=tol)
         densities.append(state_density(modes, [group], observable, tol=tol))
         values[k], errors[k] = densities[k].at(*at)
         errors[k] = errors[k] if group.l1_error <= UNRESOLVED else np.inf
@@ -56,11 +57,12 @@ def _energies(
     t: float,
     *,
     l1_error: float,
+    tail: float,
     tol: float,
 ) -> Density:
     """The joint density of both energies at the time ``t``, its error the distance of two levels.
 
-    ``l1_error`` is that of the start.
+    ``l1_error`` is that of the start, ``tail`` bounds the mass beyond the mesh.
     """
     coarse, fine = levels
     theta = modes.temperature * -np.expm1(-2.0 * modes.half_bandwidth * t)
@@ -87,7 +89,7 @@ def _energies(
         fine.op.nodes,
         pdf,
         pointwise,
-        measured=Measured(l1_error, np.nan, np.inf, fine.evolved.residual, 0.0),
+        measured=Measured(l1_error + 2.0 * tail, None, None, fine.evolved.residual, tail),
         tol=tol,
         added_error=lambda p, *H: pointwise(*H),
     )

@@ -7,6 +7,8 @@ import numpy as np
 
 from cases.output.pictures.style import COLOURS, symbol_of
 from cases.output.variables import Variables
+from cases.output.words import named
+from cases.scene.units import bracketed
 from cases.studies.page import Page, Table
 from cases.studies.picture import Field, Panel, curves_over, spans_decades
 from cases.studies.regime_map.map import RegimeMap
@@ -22,11 +24,12 @@ SMALLEST = 1e-4
 
 def map_page(result: RegimeMap) -> Page:
     """Return what ``fpk regime`` shows and writes: every point, and how often each is nearer."""
+    heads = [a.key + bracketed(a.unit) for a in result.sweep.axes]
     rows = [
         {
-            **dict(zip((a.key for a in result.sweep.axes), p.values, strict=True)),
-            **{f"L1 {t}": p.L1.get(t) for t in THEORIES},
-            **{f"error {t}": p.error.get(t) for t in THEORIES},
+            **dict(zip(heads, p.values, strict=True)),
+            **{f"L1 {named(t)}": p.L1.get(t) for t in THEORIES},
+            **{f"error {named(t)}": p.error.get(t) for t in THEORIES},
             "winner": p.winner,
             "reference": p.reference,
             "rms_ratio": p.rms_ratio,
@@ -38,7 +41,7 @@ def map_page(result: RegimeMap) -> Page:
     summary = (
         f"p({observable_name(result.observable)}), {len(result.points)} points"
         f" ({result.sweep.reused} from disk), nearer to the full system: "
-        + ", ".join(f"{name} {counts[name]}" for name in names)
+        + ", ".join(f"{named(name)} {counts[name]}" for name in names)
     )
     title = "L1 distance to the full system, rms_ratio the clearance over the rms without contact"
     fields = map_variables(result)
@@ -82,7 +85,7 @@ def regime_panels(result: RegimeMap, fields: Variables) -> list[Panel] | list[Fi
     axes = result.sweep.axes
     if len(axes) == 1:
         (axis,) = axes
-        curves = curves_over(axis, THEORIES, L1, error)
+        curves = curves_over(axis, [named(t) for t in THEORIES], L1, error)
         title = result.scene.title
         return [Panel(title, axis.label, words, curves, logarithmic=axis.logarithmic, by_x=True)]
     x, y = axes
@@ -97,10 +100,10 @@ def regime_panels(result: RegimeMap, fields: Variables) -> list[Panel] | list[Fi
         **border,
     }
     index = np.select([winner == name for name in (*THEORIES, UNDECIDED)], [0.0, 1.0, 2.0], np.nan)
-    nearer = (*zip(THEORIES, COLOURS, strict=False), ("within the errors", PALE))
+    nearer = (*zip(map(named, THEORIES), COLOURS, strict=False), ("within the errors", PALE))
     return [
         *(
-            Field(f"L₁, {name}", x, y, *of, **distances)
+            Field(f"L₁, {named(name)}", x, y, *of, **distances)
             for name, *of in zip(THEORIES, L1, error, strict=True)
         ),
         Field("nearer to the full system", x, y, index, categories=nearer, **border),

@@ -49,7 +49,8 @@ def sweep_point(
         problems: list[str] = []
         found = reference_of(system, observable, solver, simulation, problems)
         if found is None:
-            raise NotCertified(f"no reference: {'; '.join(problems)}")
+            why = "; ".join(problems) or "no method gives this density of the full system"
+            raise NotCertified(f"no reference: {why}")
         return *found, tuple(problems)
 
     columns = []

@@ -13,6 +13,7 @@ import numpy as np
 
 from cases.scene.errors import BadInput, toml_value
 from cases.scene.numbers import place_of, with_numbers
+from cases.scene.units import NO_UNITS, Units, bracketed
 from cases.scene.vary import VARIED
 from fpk.arrays import Array
 from fpk.errors import InvalidInput
@@ -29,17 +30,21 @@ FORMS = "low:high:count, low:high:logCOUNT for equal ratios, or a list such as 0
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """One parameter and the values that it takes; ``symbol`` is its letter, such as B."""
+    """One parameter and the values that it takes; ``symbol`` is its letter, such as B.
+
+    ``unit`` is empty without ``[units]``, and where it stands for numbers of several.
+    """
 
     key: str
     symbol: str
     values: Array
     logarithmic: bool
+    unit: str = ""
 
     @property
     def label(self) -> str:
-        """The words of the axis in a picture."""
-        return LABELS.get(self.key, self.symbol)
+        """The words of the axis in a picture, with its unit."""
+        return LABELS.get(self.key, self.symbol) + bracketed(self.unit)
 
     @property
     def dimension(self) -> str:
@@ -52,11 +57,11 @@ def place_words(axes: Sequence[Axis], values: Sequence[float]) -> str:
     return ", ".join(f"{a.symbol} = {v:g}" for a, v in zip(axes, values, strict=True))
 
 
-def parse_axes(texts: Sequence[str], system: System) -> tuple[Axis, ...]:
+def parse_axes(texts: Sequence[str], system: System, units: Units = NO_UNITS) -> tuple[Axis, ...]:
     """Return one or two axes; raise ``BadInput`` for what cannot be used of them."""
     if not 1 <= len(texts) <= 2:
         raise BadInput(f"--vary is given {len(texts)} times; give one parameter or two")
-    axes = tuple(_axis(text, system) for text in texts)
+    axes = tuple(_axis(text, system, units) for text in texts)
     places = [place_of(axis.key, system) for axis in axes]
     if len(axes) == 2 and places[0].overlaps(places[1]):
         raise _wrong(texts[1], f"{axes[0].key} is varied already")
@@ -70,7 +75,7 @@ def parse_axes(texts: Sequence[str], system: System) -> tuple[Axis, ...]:
     return axes
 
 
-def _axis(text: str, system: System) -> Axis:
+def _axis(text: str, system: System, units: Units) -> Axis:
     key, equals, grid = (part.strip() for part in text.partition("="))
     if not equals:
         raise _wrong(text, f"write PATH=GRID; a grid is {FORMS}")
@@ -78,10 +83,12 @@ def _axis(text: str, system: System) -> Axis:
         place = place_of(key, system)
     except InvalidInput as error:
         raise _wrong(text, f"{toml_value(key)} {error.remedy}") from None
+    powers = place.powers(system)
+    unit = "" if powers is None else units.of(powers)
     symbol = VARIED.get(key, key) if place.name else f"{key} (factor)" if place.factor else key
     match = re.fullmatch(r"([^:,]+):([^:,]+):(log)?([0-9]{1,5})", grid)
     if match is None:
-        return Axis(key, symbol, _list(text, grid), False)
+        return Axis(key, symbol, _list(text, grid), False, unit)
     low, high = _number(match[1]), _number(match[2])
     logarithmic, count = match[3] is not None, int(match[4])
     for holds, remedy in (
@@ -95,7 +102,7 @@ def _axis(text: str, system: System) -> Axis:
     values = np.geomspace(low, high, count) if logarithmic else np.linspace(low, high, count)
     # Twelve digits: the same grid point has the same value on any grid that contains it.
     rounded = np.array([float(f"{v:.12g}") for v in values])
-    return Axis(key, symbol, rounded, logarithmic)
+    return Axis(key, symbol, rounded, logarithmic, unit)
 
 
 def _list(text: str, grid: str) -> Array:

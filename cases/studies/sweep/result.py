@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from cases.output.records import UNITS, Record
+from cases.output.records import Record
 from cases.output.variables import Variables
+from cases.scene.units import attribute, bracketed
 from cases.studies.sweep.grid import Axis, place_words
 
 
@@ -72,6 +73,8 @@ class SweepPoint:
 class Sweep:
     """Quantities by methods over a grid, its last axis fastest; ``reused`` are from disk.
 
+    ``units`` are those of the quantities, empty without ``[units]``.
+
     An example::
 
         result = fpk.sweep(system, {"contact[1].clearance": "0.4:0.6:3"}, ["rms(q2)"])
@@ -85,6 +88,7 @@ class Sweep:
     points: tuple[SweepPoint, ...]
     reused: int
     seconds: float
+    units: tuple[str, ...]
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -98,7 +102,8 @@ class Sweep:
     def record(self) -> Record:
         """Return the record of ``fpk sweep`` as ``plain`` takes it."""
         own = {key: value for key, value in vars(self).items() if key != "name"}
-        axes = [{"key": a.key, "values": a.values} for a in self.axes]
+        axes = [{"key": a.key, "unit": a.unit or None, "values": a.values} for a in self.axes]
+        own["units"] = [unit or None for unit in self.units]
         return {"scene": self.name, **own, "axes": axes}
 
     def field(self, key: str) -> Any:
@@ -109,10 +114,18 @@ class Sweep:
         array = np.array(rows, dtype=kind).T
         return array.reshape(len(self.quantities), len(self.methods), *sizes)
 
+    def labels(self) -> list[str]:
+        """Return the quantities with their units."""
+        return [q + bracketed(unit) for q, unit in zip(self.quantities, self.units, strict=True)]
+
     def coordinates(self) -> Variables:
         """Return the parameters as variables of their own dimensions."""
         return {
-            a.dimension: ((a.dimension,), a.values, {"units": UNITS, "symbol": a.symbol})
+            a.dimension: (
+                (a.dimension,),
+                a.values,
+                {"units": attribute(a.unit), "symbol": a.symbol},
+            )
             for a in self.axes
         }
 
@@ -124,7 +137,8 @@ class Sweep:
             "quantity": (dimensions[:1], np.array(self.quantities), {}),
             "route": (dimensions[1:2], np.array(self.methods), {}),
             **self.coordinates(),
-            "value": (dimensions, self.field("value"), {}),
+            "unit": (dimensions[:1], np.array([attribute(u) for u in self.units]), {}),
+            "value": (dimensions, self.field("value"), {"long_name": "in units as unit says"}),
             "error": (dimensions, self.field("error"), {"long_name": words}),
             "error_kind": (dimensions, self.field("error_kind"), {}),
             "certified": (dimensions, self.field("certified").astype(np.int8), {}),

@@ -15,6 +15,7 @@ from cases.output.claim import claimed
 from cases.scene.errors import BadInput
 from cases.scene.numbers import with_numbers
 from cases.scene.scene import Scene
+from cases.scene.units import NO_UNITS
 from cases.studies.sweep.answering import sweep_point
 from cases.studies.sweep.grid import Axis, parse_axes, place_words
 from cases.studies.sweep.quantity import AVERAGING, parse_quantity
@@ -24,6 +25,7 @@ from cases.studies.sweep.store import PointStore
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import Method, Progress, silent
+from fpk.observable import observable_name
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
 from sim.workers import workers_of
@@ -96,8 +98,9 @@ def every_answer(
             raise InvalidInput(key, names, "must be a list of one or more names")
     if not isinstance(system, System | Scene):
         raise InvalidInput("system", system, 'must be a System or a scene, as fpk.load("fig6a")')
-    name, system = (system.name, system.system) if isinstance(system, Scene) else ("", system)
-    axes = parse_axes(_texts(vary), system)
+    name, units = (system.name, system.units) if isinstance(system, Scene) else ("", NO_UNITS)
+    system = system.system if isinstance(system, Scene) else system
+    axes = parse_axes(_texts(vary), system, units)
     wanted = {str(q): q for q in (parse_quantity(text, system) for text in quantities)}
     methods = tuple(dict.fromkeys(methods)) or METHODS
     asked = tuple((method, _candidates(method, tol, simulation)) for method in methods)
@@ -126,7 +129,8 @@ def every_answer(
             store.add(point)
             progress(done, len(todo), "points of the grid")
     points, reused = tuple(store.points[values] for values in tasks), len(tasks) - len(todo)
-    return Sweep(name, axes, tuple(wanted), methods, points, reused, perf_counter() - start)
+    own = tuple(units.number(q.kind, observable_name(q.observable)) for q in wanted.values())
+    return Sweep(name, axes, tuple(wanted), methods, points, reused, perf_counter() - start, own)
 
 
 def _systems(system: System, axes: Sequence[Axis]) -> dict[tuple[float, ...], System]:

@@ -2,7 +2,9 @@
 
 import numpy as np
 
+from cases.output.words import named
 from cases.scene.scene import Scene
+from cases.scene.units import bracketed
 from cases.studies.page import Page, Table
 from cases.studies.picture import Field, Panel, curves_over, spans_decades
 from cases.studies.sweep.result import Sweep
@@ -11,10 +13,15 @@ from fpk.arrays import Array
 
 def sweep_page(result: Sweep, scene: Scene) -> Page:
     """Return what ``fpk sweep`` shows and writes: every value, as a table and as a picture."""
+    heads = [a.key + bracketed(a.unit) for a in result.axes]
+    labels = dict(zip(result.quantities, result.labels(), strict=True))
     rows = [
         {
-            **dict(zip((a.key for a in result.axes), p.values, strict=True)),
-            **{key: getattr(a, key) for key in ("quantity", "method", "value", "error")},
+            **dict(zip(heads, p.values, strict=True)),
+            "quantity": labels[a.quantity],
+            "method": a.method,
+            "value": a.value,
+            "error": a.error,
             "kind": a.error_kind,
             "certified": ("no", "yes")[a.certified] if a.value is not None else "",
         }
@@ -28,7 +35,7 @@ def sweep_page(result: Sweep, scene: Scene) -> Page:
         if a.reason
     )
     summary = (
-        f"{', '.join(result.quantities)} by {', '.join(result.methods)}:"
+        f"{', '.join(result.quantities)} by {'; '.join(map(named, result.methods))}:"
         f" {len(result.points)} points ({result.reused} from disk)"
     )
     title = "error: an estimate of the numerical error, or one standard error of sampling"
@@ -49,21 +56,21 @@ def sweep_panels(result: Sweep) -> list[Panel] | list[Field]:
     if len(result.axes) == 2:
         return [
             field
-            for quantity, own, bars in zip(result.quantities, values, errors, strict=True)
+            for quantity, own, bars in zip(result.labels(), values, errors, strict=True)
             for field in _fields(quantity, result, own, bars)
         ]
-    (axis,) = result.axes
+    (axis,), names = result.axes, list(map(named, result.methods))
     return [
         Panel(
-            quantity,
+            quantity.partition(" [")[0],
             axis.label,
             quantity,
-            curves_over(axis, result.methods, own, bars),
+            curves_over(axis, names, own, bars),
             logarithmic=axis.logarithmic,
             y_logarithmic=spans_decades(own),
             by_x=True,
         )
-        for quantity, own, bars in zip(result.quantities, values, errors, strict=True)
+        for quantity, own, bars in zip(result.labels(), values, errors, strict=True)
     ]
 
 
@@ -75,7 +82,7 @@ def _fields(quantity: str, result: Sweep, values: Array, errors: Array) -> list[
     limits = float(np.nanmin(values)), float(np.nanmax(values))
     return [
         Field(
-            f"{quantity} by {method}",
+            f"{quantity} by {named(method)}",
             x,
             y,
             own,

@@ -90,7 +90,7 @@ def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
     relative = float((errors / rates).max())
     # The eigenvalue 0 of the constant is there whatever the elements: no probability is lost.
     residual = float(eigenvalues_below(answer, rates[:1] * 0.5)[0] != 1)
-    measured = Measured(relative, 0.0, 0.0, residual, 0.0)
+    measured = Measured(relative, None, None, residual, None)
     settings = {"elements": answer.count, "tol": tol}
     return Rates(rates.astype(complex), errors, certify(measured, tol=tol), settings)
 

@@ -100,16 +100,33 @@ def first_passage(
     is that of the finer one. What a density at the start has beyond the limit fails at 0.
     ``coefficients_error`` is the relative error of the coefficients. Raises ``InvalidInput`` for a
     limit whose mean time is beyond double precision, or that takes more than ``MOST_UNKNOWNS``.
+    Levels end early where they are nearer to each other than the error that no level lowers, or
+    come nearer so slowly that those left could not meet it, see ``_hopeless``.
     """
-    levels = (_answer(op, start, times, tol) for op in _operators(frame, start, limit, tol))
-    for coarse, fine in pairwise(levels):
+    every, distances = _operators(frame, start, limit, tol), list[float]()
+    levels = (_answer(op, start, times, tol) for op in every)
+    for left, (coarse, fine) in zip(reversed(range(len(every) - 1)), pairwise(levels), strict=True):
         edge = limit.edge(np.array([x[-1] for x in fine.op.nodes]))
         model = coefficients_error * (2.0 + 2.0 * float(np.min(frame.heights(*edge))))
         model += 2.0 * frame.relative_error + start.l1_error
         answer = _compared(coarse, fine, model, times, tol)
-        if answer.certificate.certified:
+        apart = fine.numbers / coarse.numbers - 1.0, fine.survival - coarse.survival
+        distances.append(float(np.max(np.abs(np.concatenate(apart)))))
+        if answer.certificate.certified or _hopeless(distances, left, max(tol, model)):
             break
     return answer
+
+
+def _hopeless(distances: list[float], left: int, tol: float) -> bool:
+    """Whether ``left`` levels more gain nothing, or cannot come to ``tol``, by their distances.
+
+    Even if each gained the square of what the last did: modes whose rates differ by 1e20 lose half
+    of the error a level, and the last levels take a minute.
+    """
+    if distances[-1] <= tol or len(distances) < 2 or not left:
+        return distances[-1] <= 0.1 * tol
+    gain = distances[-1] / distances[-2]
+    return bool(distances[-1] * gain ** (2 ** (left + 1) - 2) > tol)
 
 
 def _operators(frame: Frame, start: Start, limit: PlaneLimit, tol: float) -> list[PlaneOperator]:

@@ -49,7 +49,7 @@ def relaxation_rates(frame: Frame, count: int, *, tol: float, relative: float = 
         errors = SAFETY * np.abs(coarse - values[:, None]).min(axis=1)
         errors += ROUNDING * (size + shift) ** 2 / shift
         errors += (relative + 2.0 * frame.relative_error) * size
-        measured = Measured(float(np.max(errors / size)), 0.0, 0.0, residual, 0.0)
+        measured = Measured(float(np.max(errors / size)), None, None, residual, None)
         settings = {"unknowns": int(op.free.size), "degree": op.degree}
         answer = Rates(values, errors, certify(measured, tol=tol), settings)
         if answer.certificate.certified:
