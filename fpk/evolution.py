@@ -87,9 +87,10 @@ class Passage:
     """First passage of a limit: moments of its time T, the failure rate, the reliability.
 
     ``rate`` is −d ln P(T > t)/dt for t → ∞, the least eigenvalue with an absorbing limit, None
-    where the method does not give it. Where some never fail ``mean`` and ``variance`` are inf. ``survival`` is P(T > t) at ``times``, with
-    ``survival_error``, (times,) each; where the method knows it better than 1 − ``survival``,
-    ``failure`` is P(T <= t), with ``failure_error``. ``starts`` has moments for all starts at once
+    where the method does not give it. Where some never fail ``mean`` and ``variance`` are inf.
+    ``survival`` is P(T > t) at ``times``, with ``survival_error``, (times,) each; where the method
+    knows it better than 1 − ``survival``, ``failure`` is P(T <= t), with ``failure_error``.
+    ``starts`` has moments for all starts at once
     where the method gives them. ``error_kind`` as of ``Transient``.
     """
 

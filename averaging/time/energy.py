@@ -16,12 +16,12 @@ from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient, checked_times
 from fpk.line.time.evolution import fem_passage, fem_transient
-from fpk.line.time.modulated import modulated_transient, modulated_transition
+from fpk.line.time.modulated import Settings, modulated_transient, modulated_transition
 from fpk.line.time.modulated_passage import modulated_passage
 from fpk.line.time.propagation import Source
 from fpk.line.time.spectrum import spectrum
 from fpk.line.time.transition import transition
-from fpk.modulation import ROUND_OFF, Modulation
+from fpk.modulation import ROUND_OFF, Modulation, require_constant_noise
 from fpk.observable import Observable
 from fpk.process import Process
 from fpk.square_root import SquareRoot
@@ -73,8 +73,9 @@ class OneEnergy:
         checked_times(times, positive=start.noise is None or solver == "fem")
         if solver == "fem":
             source = self._source(start)
+            settings: Settings = {}
             if self.modulation is None:
-                solved, settings = transition(self.under(1.0), source, times, tol=tol), {}
+                solved = transition(self.under(1.0), source, times, tol=tol)
             else:
                 asked = self.under, self.modulation, source, times
                 if not self.modulation.last and times[-1] > self.modulation.times[-1]:
@@ -105,6 +106,7 @@ class OneEnergy:
 
     def relaxation(self, solver: str, count: int, *, tol: float) -> Rates:
         """Return the ``count`` least rates."""
+        require_constant_noise(self.modulation)
         if solver == "fem":
             return spectrum(self.under(1.0), count, tol=tol)
         return self._closed(solver).rates(count, tol=tol)

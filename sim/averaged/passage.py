@@ -205,7 +205,7 @@ def _see(
     being h times the mean e² of modulated noise, then at the share
     d0/(d0 + |d1|) of the step, the mean of which is right.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         none = -np.expm1(-2.0 * np.maximum(before, 0.0) * np.maximum(after, 0.0) / spread)
         chance += np.log(none)
         passed = np.where(chance <= 0.0, before / (before + np.abs(after)), inf)

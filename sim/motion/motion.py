@@ -44,10 +44,11 @@ class Motion:
 
     ``paths`` is a multiple of ``LANES``. A sample is taken every ``stride`` steps ``dt``; its rows
     are q (n), p (n) and the ``energies``; ``last`` (blocks, rows, LANES) is the one of number
-    ``samples``. The noise has the factor ``modulation`` e, of which a step takes the root of the mean
-    square, number 0 being at the time ``begin`` of it. ``halved``: a step has the random numbers of two steps dt/2, so that it is the same
-    motion but for the error of the step. Trajectories own the words of the block ``first`` on, from
-    ``word`` on. The answer does not depend on the number of ``workers`` (None: one thread).
+    ``samples``. ``modulation`` e is of the noise, number 0 at its time ``begin``: a step has the
+    root of the mean square. ``halved``: a step has the random numbers of two steps dt/2, so that it
+    is the same motion but for the error of the step. Trajectories own the words of the block
+    ``first`` on, from ``word`` on. The answer does not depend on the number of ``workers`` (None:
+    one thread).
     """
 
     system: System
@@ -142,7 +143,7 @@ class Motion:
         """The factors on the noise of so many steps from number ``first`` on."""
         if self.modulation is None:
             return None
-        begins = self.begin + self.dt * np.arange(first, first + steps)
+        begins = self.begin + self.dt * np.arange(first, first + steps, dtype=float)
         return np.sqrt(self.modulation.mean_square(begins, self.dt)).astype(np.float32)
 
     def _first_step(self, states: Array) -> Array:

@@ -128,7 +128,14 @@ class Rounds:
         seed = (self.method.seed + number * OTHER_SEED) % 2**64
         pair = [
             Motion(
-                self.system, q, p, dt, seed, energies=energies, halved=halved, workers=self.workers,
+                self.system,
+                q,
+                p,
+                dt,
+                seed,
+                energies=energies,
+                halved=halved,
+                workers=self.workers,
                 modulation=self.system.modulation,
             )
             for dt, halved in ((0.5 * self.dt, False), (self.dt, True))

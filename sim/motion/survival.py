@@ -155,9 +155,15 @@ def passage_of(
         minimum=float(np.min(best[3:], initial=0.0)),
         residual=nan,
         tail_mass=1.0 - sampled.failed / fine.size,
-        failures=(*failures, *too_soon, *(_too_few(sampled, begin, exposure) if settled < inf else ())),
+        failures=(
+            *failures,
+            *too_soon,
+            *(_too_few(sampled, begin, exposure) if settled < inf else ()),
+        ),
     )
-    if not sampled.failed and settled < inf:  # nothing to state but bounds: all lived through their time
+    if (
+        not sampled.failed and settled < inf
+    ):  # nothing to state but bounds: all lived through their time
         best[:3], error[:3] = (exposure / fine.size, inf, 0.0), (inf, inf, _bound(0) / exposure)
     return Passage(
         mean=Number(float(best[0]), float(error[0])),
@@ -169,6 +175,8 @@ def passage_of(
         error_kind="sampling",
         certificate=certify(measured, tol=tol, sampled=True),
         settings=settings | _seen(sampled, begin, bias),
+        failure=None if settled < inf else 1.0 - best[3:],
+        failure_error=None if settled < inf else error[3:],
     )
 
 

@@ -74,7 +74,7 @@ def free_decay(
     dH_0/dH = F(H_0)/F(H). Raises ``NotApplicable`` where damping feeds energy in.
     """
     e = solved.elements
-    inner, w = points(process, e)
+    inner, _ = points(process, e)
     if np.any(process.coefficients(inner.ravel()).dissipation >= 0.0):
         raise NotApplicable("damping feeds energy in: after the end of the noise fem has no answer")
     H, positive = process.on_mesh(at, float(np.max(at, initial=e.right[-1])))
@@ -104,8 +104,10 @@ def free_decay(
     # Beyond the last element p falls faster than 1/H.
     error = error * inside / began
     values, errors = jacobian * p, jacobian * (error + SAFETY * changed)
-    return np.where(positive, values, 0.0), np.where(at >= 0.0, errors + SMALLEST, 0.0), (
-        4.0 * SAFETY * moved * height + 2.0 * relative
+    return (
+        np.where(positive, values, 0.0),
+        np.where(at >= 0.0, errors + SMALLEST, 0.0),
+        (4.0 * SAFETY * moved * height + 2.0 * relative),
     )
 
 

@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import NO_NOISE_YET, Passage, certified_passage
+from fpk.errors import NotApplicable
+from fpk.evolution import Passage, certified_passage
 from fpk.line.time.evolution import fem_passage
 from fpk.line.time.mesh import HIGHEST, time_nodes
 from fpk.line.time.modes import EPS, Modes
@@ -32,6 +32,8 @@ from fpk.process import Process
 
 NEVER = Number(np.inf, np.inf)
 """Moments of a time that is infinite for some."""
+SHARE = 0.1
+"""Share of the tolerance for the mesh, and for the steps: variances have more error than p."""
 Under = Callable[[float], Process]
 
 
@@ -64,7 +66,9 @@ class Absorbed:
         for s in steps_of(m, load, self.modulation, self.unit, self.stops, level=level):
             S = s.stages @ shares
             if s.end <= self.end:
-                moments += s.length * (A[-1] * S @ np.stack([np.ones(STAGES), 2.0 * (now + c * s.length)], 1))
+                moments += s.length * (
+                    A[-1] * S @ np.stack([np.ones(STAGES), 2.0 * (now + c * s.length)], 1)
+                )
             now, residual = s.end, max(residual, s.residual)
             if s.end in self.stops:
                 ends.append(s.end)
@@ -97,13 +101,15 @@ def modulated_passage(
     tol = max(tol, LEAST_TOL)
     unit, last, quiet = modulation.largest, modulation.last, begins(modulation, source)
     if unit == 0.0:
-        raise NotApplicable(f"{NO_NOISE_YET.split(':')[0]}: nothing passes a limit")
+        raise NotApplicable("there is no noise at any time: nothing passes a limit")
     if modulation.times.size == 1:
         return fem_passage(under(last), limit, source, times, tol=tol)
     process = under(unit)
     at_limit = process.coefficients(np.array([limit]))
     if float(modulation.factor.min()) == 0.0 and at_limit.dissipation[0] > 0.0:
-        raise NotApplicable("damping feeds energy in at the limit: while there is no noise, no mesh sees it")
+        raise NotApplicable(
+            "damping feeds energy in at the limit: while there is no noise, no mesh sees it"
+        )
     modulation = modulation.after(quiet)
     end = float(modulation.times[-1])
     asked = np.maximum(times - quiet, 0.0)
@@ -113,23 +119,27 @@ def modulated_passage(
     later = first_passage(under(last), limit, times=np.zeros(0), tol=0.01 * tol) if last else None
     motion = Absorbed(process, source, modulation, unit, stops, end, later)
     first = float(modulation.energy(stops[0])) / unit
-    question, pair = _posed(process, source, limit, first, tol)
+    question, pair = _posed(process, source, limit, first, SHARE * tol)
 
     def carried_pair(pair: Pair) -> Solutions:
         return motion.solved(pair[0], LEVELS[0])[0], motion.solved(pair[1], LEVELS[0])[0]
 
-    solved, pair = adapted(question, pair, carried_pair)
+    _, pair = adapted(question, pair, carried_pair)
     (_, own, _), (_, enriched, _) = (motion.solved(e, LEVELS[0]) for e in pair)
+    finer = own
     for level in range(LEVELS[0] + 1, LEVELS[1] + 1):
-        (solution, finer, lost), coarse = motion.solved(pair[0], level), finer if level > LEVELS[0] + 1 else own
+        coarse = finer
+        solution, finer, lost = motion.solved(pair[0], level)
         moved = np.abs(finer - coarse)
-        if SAFETY * moved[: stops.size].max() <= 0.25 * tol:
+        if SAFETY * np.max(moved / np.maximum(finer, 1.0)) <= SHARE * tol:
             break
     e = pair[0]
     error = SAFETY * (np.abs(own - enriched) + moved)
     failure = 1.0 - finer[: stops.size]
     # At short times ln P ~ −(distance)²/(2 b t): so much more the coefficients count.
-    relative = 2.0 * e.coefficient_error(source.energy) + ROUND_OFF * EPS * (e.count + float(np.ptp(e.log_scale)))
+    relative = 2.0 * e.coefficient_error(source.energy) + ROUND_OFF * EPS * (
+        e.count + float(np.ptp(e.log_scale))
+    )
     steep = 2.0 - np.log(np.clip(np.abs(failure), SMALLEST, 1.0))
     lost_failure = error[: stops.size] + relative * steep * np.abs(failure) + ROUND_OFF * EPS
     mean, square = finer[stops.size :]
@@ -173,7 +183,5 @@ def _posed(
         width = width_of(process, source.energy, time)
         fine.append((source.energy, LAYER * width))
     degree = degree_for(tol)
-    nodes = time_nodes(
-        process, limit, degree, fine=tuple(fine), more=source.nodes(limit, HIGHEST)
-    )
+    nodes = time_nodes(process, limit, degree, fine=tuple(fine), more=source.nodes(limit, HIGHEST))
     return Question(process, source, width, tol), meshed(process, nodes, degree)
