@@ -112,8 +112,12 @@ class Integrable(Theory):
         """Return the densities of modal energies at times, as ``fpk.evolution`` says."""
         modes = self._in_time(system)
         begins = modal_start(system, modes, start)
-        solved = closed_form.transient if self.solver == "closed-form" else elements.transient
-        answer = solved(modes, observable, begins, times, at, tol=tol)
+        asked = modes, observable, begins, times, at
+        if self.solver == "closed-form":
+            answer = closed_form.transient(*asked, tol=tol, modulation=system.modulation)
+        else:
+            require_constant_noise(system.modulation)
+            answer = elements.transient(*asked, tol=tol)
         return replace(answer, settings=_time_settings(answer.settings, system, modes))
 
     def passage(
@@ -127,6 +131,7 @@ class Integrable(Theory):
         progress: Progress = silent,
     ) -> Passage:
         """Return the first passage of modal energies or of their sum."""
+        require_constant_noise(system.modulation)
         modes = self._in_time(system)
         begins = modal_start(system, modes, start)
         solved = closed_form.passage if self.solver == "closed-form" else elements.passage
@@ -137,6 +142,7 @@ class Integrable(Theory):
         self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
     ) -> Rates:
         """Return the slowest relaxation rates of the modal energies."""
+        require_constant_noise(system.modulation)
         modes = self._in_time(system)
         solved = closed_form.relaxation if self.solver == "closed-form" else elements.relaxation
         answer = solved(modes, count, tol=tol)
@@ -144,7 +150,6 @@ class Integrable(Theory):
 
     def _in_time(self, system: System) -> ModalAnalysis:
         """The modes; raises ``NotApplicable`` where the theory or the solver does not hold."""
-        require_constant_noise(system.modulation)
         modes = system.fact(modal_analysis)
         require_no_resonance(system, modes)
         if self.solver == "quadrature":

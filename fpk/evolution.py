@@ -30,6 +30,8 @@ STARTS = 101
 """Starts at which moments are given as a curve, from rest to the limit."""
 BEYOND_RANGE = "the mean time to it is beyond the range of double precision; take a lower one"
 """Why a limit is refused that is hardly ever reached."""
+NO_NOISE_YET = "no noise has acted yet: there is no density"
+"""Why a time is refused before which a modulation is 0."""
 
 
 def checked_times(times: Array, *, positive: bool = False) -> Array:
@@ -90,7 +92,8 @@ class Passage:
     """First passage of a limit: moments of its time T, the failure rate, the reliability.
 
     ``rate`` is −d ln P(T > t)/dt for t → ∞, the least eigenvalue with an absorbing limit, None
-    where the method does not give it. ``survival`` is P(T > t) at ``times``, with
+    where the method does not give it. Where some never fail ``mean`` and ``variance`` are inf.
+    ``survival`` is P(T > t) at ``times``, with
     ``survival_error``, (times,) each; where the method knows it better than 1 − ``survival``,
     ``failure`` is P(T <= t), with ``failure_error``. ``starts`` has moments for all starts at once
     where the method gives them. ``error_kind`` as of ``Transient``. ::
@@ -115,7 +118,7 @@ class Passage:
 
 
 def certified_passage(
-    numbers: tuple[Number, Number, Number],
+    numbers: tuple[Number, Number, Number | None],
     times: Array,
     failure: Array,
     failure_error: Array,
@@ -128,13 +131,14 @@ def certified_passage(
 ) -> Passage:
     """Return a numerical answer of mean, variance and failure rate, and P(T <= t) at ``times``.
 
-    The certificate counts relative errors of the numbers, but for a variance beyond double
-    precision, and absolute ones of the probabilities. No ``mass_defect`` and no ``residual``
-    where a formula is evaluated, see ``Measured``.
+    The certificate counts relative errors of the numbers, but for those that are infinite or
+    beyond double precision, and absolute ones of the probabilities. No ``mass_defect`` and no
+    ``residual`` where a formula is evaluated, see ``Measured``.
     """
-    finite = np.array([(x.value, x.error) for x in numbers if x.value != np.inf])
+    finite = [(x.value, x.error) for x in numbers if x and x.value != np.inf]
+    value, error = np.array(finite).reshape(-1, 2).T
     with np.errstate(divide="ignore", invalid="ignore"):
-        sizes = finite[:, 1] / np.abs(finite[:, 0])
+        sizes = error / np.abs(value)
     worst = float(np.max(failure_error, initial=0.0))
     measured = Measured(
         l1_error=float(np.max([*sizes, worst])),

@@ -1,19 +1,26 @@
 """Noise whose strength varies with time: e(t)² D."""
 
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
+from scipy.special import gammainc
 
 from fpk.arrays import Array
 from fpk.errors import InvalidInput, NotApplicable
+
+LEAST_DECAY = 1e-100
+"""Decay of a segment that stands for none: its cube is within double precision."""
+ROUND_OFF = 1e-13
+"""Relative error of ``Modulation.faded``: 1e-14 was the most of 2,000 random ones (mpmath)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Modulation:
     """The factor e(t) on the noise: linear between ``times`` and constant after the last.
 
-    ``times`` ascend from 0; ``factor`` >= 0 ends with 1, so that the ``noise_intensity`` of a
-    system is that of the end and all that is stationary is what it is without modulation.
+    ``times`` ascend from 0; ``factor`` >= 0. Where it ends with 0 the motion decays freely from
+    then on. What is stationary is that of the ``noise_intensity`` itself, e = 1 at all times.
 
     Raises ``InvalidInput`` for anything else.
     """
@@ -40,21 +47,62 @@ class Modulation:
             )
         if np.any(self.factor < 0.0):
             raise InvalidInput("factor", self.factor, "must not be negative")
-        if self.factor[-1] != 1.0:
-            remedy = "must end with 1; noise_intensity is that of the end"
-            raise InvalidInput("factor", self.factor, remedy)
 
     def __call__(self, time: Array) -> Array:
         """Return e at times >= 0 of any shape."""
         return np.asarray(np.interp(time, self.times, self.factor))
 
-    def energy(self, time: float) -> float:
-        """Return ∫_0^time e² dt."""
-        t = np.unique(np.append(self.times[self.times < time], time))
-        e = self(t)
+    @property
+    def largest(self) -> float:
+        """The largest e²."""
+        return float(self.factor.max()) ** 2
+
+    @property
+    def last(self) -> float:
+        """e² of the end, after the last time."""
+        return float(self.factor[-1]) ** 2
+
+    @property
+    def quiet(self) -> float:
+        """The time until which there is no noise; inf where there never is."""
+        loud = np.flatnonzero(self.factor > 0.0)
+        return float(self.times[max(loud[0] - 1, 0)]) if loud.size else inf
+
+    def after(self, time: float) -> "Modulation":
+        """Return the modulation of what begins at ``time``."""
+        later = self.times[self.times > time]
+        e = self(np.append(time, later))
+        return Modulation(np.append(0.0, later - time), e)
+
+    def energy(self, time: Array) -> Array:
+        """Return ∫e² dt from 0 to ``time`` of any shape."""
+        e, t = self.factor, self.times
         # The mean of the square of a linear function.
-        squares = (e[1:] ** 2 + e[1:] * e[:-1] + e[:-1] ** 2) / 3.0
-        return float(np.diff(t) @ squares)
+        parts = np.diff(t) * (e[1:] ** 2 + e[1:] * e[:-1] + e[:-1] ** 2) / 3.0
+        k = np.searchsorted(t, time, side="right") - 1
+        now, left = self(time), e[k]
+        part = (time - t[k]) * (now**2 + now * left + left**2) / 3.0
+        return np.asarray(np.append(0.0, np.cumsum(parts))[k] + part)
+
+    def mean_square(self, begin: Array, step: float) -> Array:
+        """Return the mean of e² over steps that begin at the times ``begin``, of any shape."""
+        return np.maximum(self.energy(begin + step) - self.energy(begin), 0.0) / step
+
+    def faded(self, begin: float, end: float, rate: Array) -> Array:
+        """Return ∫e(s)² exp(−rate (end − s)) ds from ``begin`` to ``end``, of the shape of rate.
+
+        It is what is left at ``end`` of the energy that the noise has fed in.
+        """
+        inner = self.times[(self.times > begin) & (self.times < end)]
+        nodes = np.concatenate([[begin], inner, [end]])
+        e, h = self(nodes), np.diff(nodes)
+        rate = np.asarray(rate, dtype=float)[..., None]
+        # e² is a square in y, the share of a segment before its end; ∫y^j e^(−uy) dy.
+        u = np.maximum(rate * h, LEAST_DECAY)
+        n0, n1, n2 = (f * gammainc(j + 1, u) / u ** (j + 1) for j, f in enumerate((1.0, 1.0, 2.0)))
+        rise = e[:-1] - e[1:]
+        each = h * (e[1:] ** 2 * n0 + 2.0 * e[1:] * rise * n1 + rise**2 * n2)
+        return np.asarray(np.sum(each * np.exp(-rate * (end - nodes[1:])), axis=-1))
 
 
 def require_constant_noise(modulation: Modulation | None) -> None:

@@ -16,12 +16,14 @@ from fpk.dynamics import Rates
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import (
     BEYOND_RANGE,
+    NO_NOISE_YET,
     STARTS,
     Passage,
     StartCurve,
     Transient,
     certified_passage,
 )
+from fpk.modulation import Modulation, require_constant_noise
 from fpk.number import SMALLEST, Number
 from fpk.quadrature import panel_rule
 
@@ -46,13 +48,15 @@ WIDTHS = 40.0
 class SquareRoot:
     """The process of the shape ``n``, the damping ``c`` (1/time) and the noise ``d``: θ = d/c.
 
-    ``relative_error`` is that of c and of d, which all stated errors include.
+    ``relative_error`` is that of c and of d, which all stated errors include. ``modulation`` e(t)
+    multiplies d by e²: densities stay what they are, with θ_t = ∫d e(s)² e^(−c(t−s)) ds.
     """
 
     n: int
     c: float
     d: float
     relative_error: float = 0.0
+    modulation: Modulation | None = None
 
     def rates(self, count: int, *, tol: float) -> Rates:
         """Return k c, the eigenvalues of −L; the eigenfunctions are Laguerre polynomials."""
@@ -98,11 +102,19 @@ class SquareRoot:
         return float(w @ error), abs(float(w @ p) - 1.0), -float(p.min() / p.max())
 
     def scales(self, start: float, noise: float | None, t: float) -> tuple[float, float]:
-        """Return θ_t and the mean that is left of the start: H is half a noncentral χ² of 2n."""
+        """Return θ_t and the mean that is left of the start: H is half a noncentral χ² of 2n.
+
+        Raises ``InvalidInput`` for an energy on which no noise has acted.
+        """
         left, theta = exp(-self.c * t), self.d / self.c
+        grown = -theta * expm1(-self.c * t)
+        if self.modulation is not None:
+            grown = self.d * float(self.modulation.faded(0.0, t, np.array(self.c)))
         if noise is not None:
-            return theta * (-expm1(-self.c * t) + noise * left), 0.0
-        return -theta * expm1(-self.c * t), start * left
+            return grown + theta * noise * left, 0.0
+        if grown == 0.0:
+            raise InvalidInput("times", t, NO_NOISE_YET)
+        return grown, start * left
 
     def passage(self, limit: float, start: float, times: Array, *, tol: float) -> Passage:
         """Return the first passage of ``limit`` from a ``start`` below it.
@@ -111,6 +123,7 @@ class SquareRoot:
         s = 0, power series of positive terms. Raises ``InvalidInput`` and ``NotApplicable`` as
         ``rate`` and ``failure`` do.
         """
+        require_constant_noise(self.modulation)
         rate, xf = self.rate(limit), limit * self.c / self.d
         starts = np.linspace(0.0, limit, STARTS)
         curves = self._moments(np.append(starts, start) * self.c / self.d, xf)

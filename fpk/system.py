@@ -35,8 +35,8 @@ class System:
     ``noise_gain`` f: (n, l), the identity when left out. ``contacts``: any number on any masses.
     ``damping_terms``: what entries of c gain with the state; one without any power joins the
     constant matrix, one with the coefficient 0 is dropped.
-    ``modulation`` e(t) multiplies the noise intensity by e² in what begins at a time 0; it ends
-    with 1, so that the stationary state, and every method that solves for it, is without it.
+    ``modulation`` e(t) multiplies the noise intensity by e² in what begins at a time 0: the
+    stationary state, and every method that solves for it, is without it.
     All arrays are kept read-only, in float64 and full matrix form.
 
     Two masses, the second between stops (Fig. 6(a))::

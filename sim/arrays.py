@@ -72,6 +72,9 @@ class StepArrays(NamedTuple):
     terms: Any  # TermArrays, or None for constant damping: its kernel does not read it
     words: int  # of the stream that a trajectory takes in one call of the step
     substeps: Any  # SubstepArrays, or None where all trajectories make the same steps
+    strength: Any = (
+        None  # (steps,) float32, factors on the noise of each; None where it is constant
+    )
 
 
 class WatchArrays(NamedTuple):

@@ -14,7 +14,7 @@ from fpk.compiled_laws import compiled_laws, law_files
 from fpk.compiling import ROOT, cached_njit, checksum
 from sim.arrays import LANES as W
 from sim.arrays import StepArrays, WatchArrays
-from sim.lanes import add, add_matrix, aligned_rows, row
+from sim.lanes import add, add_matrix, aligned_rows, row, scale_all
 from sim.parts.contact import add_contact, contact_forces, kick_by_contact
 from sim.parts.damping import damping_forces, spring_energy, term_flow, whole_energy
 from sim.parts.linear import ONE_LOOP, map_state
@@ -43,7 +43,8 @@ class KernelKey:
     ``laws`` are the contact laws that act; ``damping`` and ``energy_damping`` say whether there are
     damping terms, and some with H. A step draws ``pairs`` of normals, ``kicked`` are the masses
     (from 0) whose kick is fused with the map, ``substeps`` whether there are small steps.
-    ``traced`` says whether observed states are handed out, ``halved`` whether a step has two maps.
+    ``traced`` says whether observed states are handed out, ``halved`` whether a step has two maps,
+    ``modulated`` whether the noise of each step has a factor of its own.
     """
 
     laws: tuple[str, ...] = ()
@@ -61,6 +62,7 @@ class KernelKey:
     substeps: bool = False
     traced: bool = False
     halved: bool = False
+    modulated: bool = False
 
 
 def compiled_kernel(key: KernelKey) -> Any:
@@ -75,7 +77,7 @@ def _compiled(key: KernelKey) -> Any:
     contact, observed, kick_first = bool(key.laws), key.observed, key.kick_first
     damping, energy_damping = key.damping, key.energy_damping
     momenta, energy, modes, moments = key.momenta, key.energy, key.modes, key.moments
-    traced, halved = key.traced, key.halved
+    traced, halved, modulated = key.traced, key.halved, key.modulated
     pairs, substeps, fused = key.pairs, key.substeps, bool(key.kicked)
     loop = key.masses if (key.masses, pairs) in ONE_LOOP else 0
     small_loop = loop if fused else 0
@@ -167,11 +169,15 @@ def _compiled(key: KernelKey) -> Any:
                 for pair in range(pairs):
                     to = z[2 * pair * W : 2 * (pair + 1) * W]
                     fill_normals(to, words, trajectory, word + np.uint64(pair), offset)
+                if modulated:
+                    scale_all(z, step.strength[t])
                 map_state(s, z, matrix, step, loop, (now1, now2), pairs, force, slope)
                 if halved:  # the second half of the time between two kicks
                     for pair in range(pairs):
                         to = z[2 * pair * W : 2 * (pair + 1) * W]
                         fill_normals(to, words, trajectory, word + np.uint64(pairs + pair), offset)
+                    if modulated:
+                        scale_all(z, step.strength[t])
                     map_state(s, z, matrix, step, loop, (False, False), pairs, force, slope)
                 if substeps:
                     word += np.uint64(pairs)

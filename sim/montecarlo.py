@@ -16,7 +16,6 @@ from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.method import Method, Plan, Progress, Result, silent
-from fpk.modulation import require_constant_noise
 from fpk.observable import Observable
 from fpk.route import ROUTES, Route, register
 from fpk.start import Start
@@ -155,7 +154,6 @@ class MonteCarlo(Method):
         progress: Progress = silent,
     ) -> Passage:
         """Return first passage: Brownian bridges or cubics between steps; see ``sim.motion``."""
-        require_constant_noise(system.modulation)
         answer: Passage = import_module("sim.motion.passage").passage(
             self, system, limit, start, times, tol=tol, progress=progress
         )
@@ -173,7 +171,6 @@ class MonteCarlo(Method):
         progress: Progress = silent,
     ) -> Transient:
         """Return densities at ``times`` from histograms of an ensemble; see ``sim.motion``."""
-        require_constant_noise(system.modulation)
         answer: Transient = import_module("sim.motion.transient").transient(
             self, system, observable, start, times, at, tol=tol, progress=progress
         )

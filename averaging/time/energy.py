@@ -16,17 +16,19 @@ from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient, checked_times
 from fpk.line.time.evolution import fem_passage, fem_transient
-from fpk.line.time.modulated import modulated_transient
+from fpk.line.time.modulated import Settings, modulated_transient, modulated_transition
+from fpk.line.time.modulated_passage import modulated_passage
 from fpk.line.time.propagation import Source
 from fpk.line.time.spectrum import spectrum
 from fpk.line.time.transition import transition
-from fpk.modulation import Modulation, require_constant_noise
+from fpk.modulation import ROUND_OFF, Modulation, require_constant_noise
 from fpk.observable import Observable
 from fpk.process import Process
 from fpk.square_root import SquareRoot
 from fpk.system import System
 
 STATIONARY_ONLY = "quadrature gives stationary densities only; in time, use fem or closed-form"
+AFTER_THE_NOISE = "after the end of the noise fem gives densities of the energy only, not of q, p"
 
 
 @dataclass(frozen=True)
@@ -47,9 +49,7 @@ class OneEnergy:
     ) -> Transient:
         """Return the densities at energies ``at``; ``InvalidInput`` at the time 0 of an energy."""
         checked_times(times, positive=start.noise is None)
-        if solver != "fem":
-            require_constant_noise(self.modulation)
-        if self.modulation is not None:
+        if solver == "fem" and self.modulation is not None:
             return modulated_transient(
                 self.under, self.modulation, self._source(start), times, at, tol=tol
             )
@@ -70,11 +70,19 @@ class OneEnergy:
         tol: float,
     ) -> Transient:
         """Return the densities of one or two of (q, p) of ``system``, whose energy this is."""
-        require_constant_noise(self.modulation)
         checked_times(times, positive=start.noise is None or solver == "fem")
         if solver == "fem":
-            solved = transition(self.under(1.0), self._source(start), times, tol=tol)
-            return state_transient(system, solved, observable, times, at, tol=tol)
+            source = self._source(start)
+            settings: Settings = {}
+            if self.modulation is None:
+                solved = transition(self.under(1.0), source, times, tol=tol)
+            else:
+                asked = self.under, self.modulation, source, times
+                if not self.modulation.last and times[-1] > self.modulation.times[-1]:
+                    raise NotApplicable(AFTER_THE_NOISE)
+                solved, settings = modulated_transition(*asked, tol=tol)
+            answer = state_transient(system, solved, observable, times, at, tol=solved.question.tol)
+            return replace(answer, settings={**answer.settings, **settings})
         closed, rows = self._closed(solver), state_rows(observable, system.n)
         # At temperature 1; K and M are not coupled.
         shape = block_diag(system.compliance, np.diag(system.mass))[np.ix_(rows, rows)]
@@ -86,7 +94,9 @@ class OneEnergy:
     ) -> Passage:
         """Return the first passage of ``limit`` from a start below it."""
         checked_times(times)
-        require_constant_noise(self.modulation)
+        if solver == "fem" and self.modulation is not None:
+            asked = self.under, self.modulation, limit, self._source(start), times
+            return modulated_passage(*asked, tol=tol)
         if solver == "fem":
             return fem_passage(self.under(1.0), limit, self._source(start), times, tol=tol)
         closed = self._closed(solver)
@@ -96,6 +106,7 @@ class OneEnergy:
 
     def relaxation(self, solver: str, count: int, *, tol: float) -> Rates:
         """Return the ``count`` least rates."""
+        require_constant_noise(self.modulation)
         if solver == "fem":
             return spectrum(self.under(1.0), count, tol=tol)
         return self._closed(solver).rates(count, tol=tol)
@@ -129,8 +140,10 @@ def total_energy(system: System) -> OneEnergy:
         return OneEnergy(under, None, f"the system has {what}", system.modulation)
     damping, noise = damping_and_noise(system)
     n = system.n
-    closed = SquareRoot(n, damping / n, noise / n)
-    return OneEnergy(under, closed, modulation=system.modulation)
+    modulation = system.modulation
+    error = ROUND_OFF if modulation else 0.0
+    closed = SquareRoot(n, damping / n, noise / n, error, modulation)
+    return OneEnergy(under, closed, modulation=modulation)
 
 
 def _with_noise(system: System, factor: float) -> System:

@@ -108,16 +108,22 @@ def _curve(asked: Asked, kind: type, question: str, key: str, of: str, at: str) 
     observable, system = parts.observable_of(of, asked.scene), asked.scene.system
     from cases.output.records import columns_text
     from cases.scene.points import parse_points
+    from fpk.modulation import require_constant_noise
 
     if len(observable) != 1 or observable[0].kind != "q":
         raise BadInput(f'--of "{of}": use a displacement, q1..q{system.n}')
     row, (points,) = observable[0].row, parse_points(at, 1)
+
+    def work(method: Any, **how: Any) -> Any:
+        require_constant_noise(system.modulation)
+        return getattr(method, question)(system, row, points, **how)
+
     asked.reply(
         kind,
         question,
         f"{question} of {of}",
         {"observable": str(observable[0]), "points": points},
-        lambda method, **how: getattr(method, question)(system, row, points, **how),
+        work,
         columns_text,
         key=key,
     )

@@ -17,7 +17,6 @@ from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.method import Method, Plan, Progress, Result
-from fpk.modulation import require_constant_noise
 from fpk.observable import Coordinate, Observable, observable_name
 from fpk.process import Process
 from fpk.route import ROUTES, Route, register
@@ -98,7 +97,6 @@ class AveragedSimulation(Method):
         from sim.averaged.passage import energy_passage
         from sim.motion.steps import require_times
 
-        require_constant_noise(system.modulation)
         require_times(times)
         wanted = self.tol if tol is None else tol
         form = self._form(self._process(system))
@@ -112,6 +110,7 @@ class AveragedSimulation(Method):
             dt=self.step * float(scales.min()),
             memory=2.0 * float(scales.max()),
             paths=min(paths, MOST_PATHS),
+            modulation=system.modulation,
             **self._sampling(),
             tol=inf if wanted is None else wanted,
             progress=progress,
@@ -136,7 +135,6 @@ class AveragedSimulation(Method):
         from sim.averaged.transient import energy_transient
         from sim.motion.steps import require_times
 
-        require_constant_noise(system.modulation)
         require_times(times)
         if reason := self._unknown(observable):
             raise NotApplicable(reason)
@@ -149,6 +147,7 @@ class AveragedSimulation(Method):
             at,
             dt=self.step * float((form.scales / form.noise).min()),
             paths=self.paths,
+            modulation=system.modulation,
             **self._sampling(),
             tol=self.tol if tol is None else tol,
             progress=progress,

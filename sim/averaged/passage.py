@@ -11,9 +11,11 @@ import numpy as np
 from fpk.arrays import Array
 from fpk.evolution import Passage
 from fpk.method import Progress, silent
+from fpk.modulation import Modulation
+from fpk.number import SMALLEST
 from sim.averaged.paths import BATCHES, batch_stream, share_of
 from sim.averaged.square_root import SquareRootForm, square_root_step
-from sim.motion.survival import Times, passage_of
+from sim.motion.survival import Times, passage_of, settled_at
 
 EMPTY = 0.75
 """Share of a batch still running at which those that have failed make room."""
@@ -81,6 +83,7 @@ def energy_passage(
     memory: float,
     paths: int,
     seed: int,
+    modulation: Modulation | None = None,
     threads: int = 1,
     seconds: float | None = None,
     tol: float = inf,
@@ -98,8 +101,11 @@ def energy_passage(
     own = -(-paths // BATCHES)
     draws = 2 if form.damping is None else 3
     horizon = MOST_DRAWS / (draws * BATCHES * own * form.noise.size) * dt
-    horizon = dt * ceil(max(horizon, float(np.max(times, initial=0.0))) / dt)
-    if seconds is not None:
+    last, settled = float(np.max(times, initial=0.0)), settled_at(modulation)
+    horizon = dt * ceil(max(horizon, last) / dt)
+    if modulation is not None and settled == inf:
+        horizon = dt * ceil(max(float(modulation.times[-1]), last) / dt)
+    elif seconds is not None:
         horizon = dt * MOST_STEPS
 
     def followed(batch: int) -> tuple[Array, Array, Array]:
@@ -108,12 +114,13 @@ def energy_passage(
         if form.damping is None:
             ends = share_of(seconds, threads)
             until, fine, coarse = _failed(
-                form, limits, X, dt, horizon, stream, ends, strides=(1, 2)
+                form, limits, X, dt, horizon, stream, ends, strides=(1, 2), modulation=modulation
             )
         else:
             ends = share_of(seconds and seconds * 2.0 / 3.0, threads)
-            until, fine = _failed(form, limits, X, dt, horizon, stream, ends)
-            _, coarse = _failed(form, limits, X, 2.0 * dt, until, stream)
+            own_noise: Any = {"modulation": modulation}
+            until, fine = _failed(form, limits, X, dt, horizon, stream, ends, **own_noise)
+            _, coarse = _failed(form, limits, X, 2.0 * dt, until, stream, **own_noise)
         return fine, coarse, np.full(own, until)
 
     rows = []
@@ -128,6 +135,7 @@ def energy_passage(
         step=dt,
         memory=memory,
         tol=tol,
+        settled=settled,
         failures=(),
         settings={
             "dt": 0.5 * dt,
@@ -148,6 +156,7 @@ def _failed(
     ends: Callable[[], bool] = lambda: False,
     *,
     strides: tuple[int, ...] = (1,),
+    modulation: Modulation | None = None,
 ) -> tuple[Any, ...]:
     """Until when paths were followed, the ``horizon`` unless ``ends()``, and first passages.
 
@@ -161,11 +170,16 @@ def _failed(
     found[:, np.any(before[0] <= 0.0, axis=1)] = 0.0
     lanes, now = np.arange(paths), found.copy()
     for step in range(1, round(horizon / h) + 1):
-        X = square_root_step(form, X, h, stream)
+        now_at = (step - 1) * h
+        X = square_root_step(form, X, h, stream, modulation, now_at)
         after = limits.distances(form, X)
         for s, stride in enumerate(strides):
             if step % stride == 0:
-                _see(now[s], chance[s], before[s], after, step * h, stride * h)
+                spread = long = stride * h
+                if modulation is not None:
+                    square = float(modulation.mean_square(np.array(step * h - long), long))
+                    spread = max(long * square, SMALLEST)
+                _see(now[s], chance[s], before[s], after, step * h, long, spread)
                 before[s] = after
         running = np.isinf(now).any(axis=0)
         alive = int(np.count_nonzero(running))
@@ -182,14 +196,17 @@ def _failed(
     return horizon, *found
 
 
-def _see(time: Array, chance: Array, before: Array, after: Array, end: float, h: float) -> None:
+def _see(
+    time: Array, chance: Array, before: Array, after: Array, end: float, h: float, spread: float
+) -> None:
     """Note what has passed a limit in the step up to ``end``; arrays are (paths,), (paths, limits).
 
-    The bridge over h from d0 to d1 vanishes with the probability exp(−2 d0 d1/h), then at the share
+    The bridge over h from d0 to d1 vanishes with the probability exp(−2 d0 d1/``spread``), spread
+    being h times the mean e² of modulated noise, then at the share
     d0/(d0 + |d1|) of the step, the mean of which is right.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        none = -np.expm1(-2.0 * np.maximum(before, 0.0) * np.maximum(after, 0.0) / h)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        none = -np.expm1(-2.0 * np.maximum(before, 0.0) * np.maximum(after, 0.0) / spread)
         chance += np.log(none)
         passed = np.where(chance <= 0.0, before / (before + np.abs(after)), inf)
     first = end - h + h * passed.min(axis=1)

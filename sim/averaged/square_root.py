@@ -1,12 +1,13 @@
 """Averaged energies as square-root processes, Eqs. (9), (17): the form that exact steps need."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fpk.arrays import Array
 from fpk.errors import NotApplicable
+from fpk.modulation import Modulation
 from fpk.process import Process, log_density_slope
 from fpk.quadrature import panel_rule
 
@@ -37,7 +38,8 @@ class SquareRootForm:
 
     ``noise`` d, ``slope`` β and ``linear`` γ₀ are constants (d,). ``damping`` returns γ − γ₀ at X
     (paths, d), None where γ is constant: a step of any length is then exact. ``energies`` gives H
-    (paths, d) of X; ``scales`` (d,) are X of the order of the mean.
+    (paths, d) of X; ``scales`` (d,) are X of the order of the mean. ``quiet`` are γ₀ and γ − γ₀ of
+    the damping alone, without noise, where these are others.
     """
 
     noise: Array
@@ -46,6 +48,21 @@ class SquareRootForm:
     linear: Array
     energies: Function
     scales: Array
+    quiet: tuple[Array, Function] | None = None
+
+    def under(self, factor: float) -> "SquareRootForm":
+        """Return the form under so many times the noise."""
+        linear, damping = self.linear, self.damping
+        if self.quiet is not None and damping is not None:
+            (alone, of_damping), whole = self.quiet, damping
+            linear = alone + factor * (linear - alone)
+
+            def damping(X: Array) -> Array:
+                rest = of_damping(X)
+                return np.asarray(rest + factor * (whole(X) - rest))
+
+        noise, slope = factor * self.noise, factor * self.slope
+        return replace(self, noise=noise, slope=slope, linear=linear, damping=damping)
 
 
 def square_root_form(process: Process) -> SquareRootForm:
@@ -103,6 +120,10 @@ def line_form(process: Process) -> SquareRootForm:
     gamma = (noise - mu) / R[1:] ** 2
     gamma[:FIRST] = gamma[FIRST]
     table = np.concatenate([gamma[:1], gamma]) - gamma[0]
+    alone = -2.0 * c.dissipation / np.sqrt(c.diffusion) / R[1:]
+    alone[:FIRST] = alone[FIRST]
+    alone = np.concatenate([alone[:1], alone])
+    rest = alone - alone[0]
     # H/R² varies slowly; H itself would be off by the square of a cell next to 0.
     ratio = nodes[1:] / R[1:] ** 2
     ratio = np.concatenate([ratio[:1], ratio])
@@ -116,6 +137,7 @@ def line_form(process: Process) -> SquareRootForm:
         linear=gamma[:1],
         energies=lambda X: np.asarray(X * np.interp(np.sqrt(X), R, ratio)),
         scales=np.array([scale]),
+        quiet=(alone[:1], lambda X: np.interp(np.sqrt(X), R, rest)),
     )
 
 
@@ -130,30 +152,50 @@ def _last_energy(process: Process) -> float:
 
 
 def square_root_step(
-    form: SquareRootForm, X: Array, dt: float, stream: np.random.Generator
+    form: SquareRootForm,
+    X: Array,
+    dt: float,
+    stream: np.random.Generator,
+    modulation: Modulation | None = None,
+    begin: float = 0.0,
 ) -> Array:
     """Draw X (paths, d) one step later, by Strang splitting; it stays positive.
 
     Half a step of the damping beyond the linear, ``dX = −(γ(X) − γ₀) X dt`` by an exponential
     midpoint rule, the exact step of the square-root process that is left, and the other half. That
     process has X(t) = k χ'², k = β (1 − e^{−γ₀t})/(4γ₀), noncentral chi-square with 4 d/β degrees
-    of freedom and noncentrality X e^{−γ₀t}/k. Weak order two.
+    of freedom and noncentrality X e^{−γ₀t}/k. Weak order two. Of modulated noise, the step being
+    from ``begin`` on, (1 − e^{−γ₀t})/γ₀ is ∫e(s)² e^{−γ₀(t−s)} ds, exact as well, and γ that of the
+    mean of e².
     """
+    factor = 1.0 if modulation is None else float(modulation.mean_square(np.array(begin), dt))
+    form = form if modulation is None else form.under(factor)
     X = _damped(form, X, 0.5 * dt)
     # (1 − e^{−γt})/γ, also for γ = 0.
     nonzero = np.where(form.linear, form.linear, 1.0)
     grown = np.where(form.linear == 0.0, dt, -np.expm1(-form.linear * dt) / nonzero)
+    decay = np.exp(-form.linear * dt)
+    if factor == 0.0:
+        return _damped(form, X * decay, 0.5 * dt)
+    if modulation is not None:
+        grown = modulation.faded(begin, begin + dt, form.linear) / factor
     k = 0.25 * form.slope * grown
-    freedom, decay = 4.0 * form.noise / form.slope, np.exp(-form.linear * dt)
+    freedom = 4.0 * form.noise / form.slope
     return _damped(form, k * stream.noncentral_chisquare(freedom, X * decay / k), 0.5 * dt)
 
 
 def advanced(
-    form: SquareRootForm, X: Array, dt: float, steps: int, stream: np.random.Generator
+    form: SquareRootForm,
+    X: Array,
+    dt: float,
+    steps: int,
+    stream: np.random.Generator,
+    modulation: Modulation | None = None,
+    begin: float = 0.0,
 ) -> Array:
-    """Draw X (paths, d) so many ``steps`` of ``dt`` later."""
-    for _ in range(steps):
-        X = square_root_step(form, X, dt, stream)
+    """Draw X (paths, d) so many ``steps`` of ``dt`` later; the noise as of ``square_root_step``."""
+    for k in range(steps):
+        X = square_root_step(form, X, dt, stream, modulation, begin + k * dt)
     return X
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from fpk.arrays import Array
 from fpk.evolution import Transient
 from fpk.method import Progress, silent
+from fpk.modulation import Modulation
 from fpk.observable import Observable
 from sim.arrays import MAX_TRAJECTORIES
 from sim.averaged.passage import Starts, from_energies
@@ -34,6 +35,7 @@ def energy_transient(
     dt: float,
     paths: int,
     seed: int,
+    modulation: Modulation | None = None,
     threads: int = 1,
     seconds: float | None = None,
     tol: float | None = None,
@@ -48,7 +50,7 @@ def energy_transient(
     ``threads``.
     """
     counted = Counted(observable, len(times), lambda H: [column(H, c) for c in observable])
-    simulated = partial(_simulated, form, starts, times, dt, paths, seed)
+    simulated = partial(_simulated, form, starts, times, dt, paths, seed, modulation)
     begin, number, most = perf_counter(), 0, max(ROUNDS, MAX_TRAJECTORIES // paths)
     with ThreadPoolExecutor(threads) as pool:
         while True:
@@ -68,24 +70,25 @@ def energy_transient(
 
 def _simulated(
     form: SquareRootForm, starts: Starts, times: Array, dt: float, paths: int, seed: int,
-    number: int,
+    modulation: Modulation | None, number: int,
 ) -> list[States]:  # fmt: skip
     """The states at all times of round ``number``."""
     stream = batch_stream(seed, number)
     X = from_energies(form, starts(paths, stream))
-    fine = _followed(form, X, times, 0.5 * dt, stream)
+    fine = _followed(form, X, times, 0.5 * dt, stream, modulation)
     if form.damping is None:
         return [(H, None) for H in fine]
-    return list(zip(fine, _followed(form, X, times, dt, stream), strict=True))
+    return list(zip(fine, _followed(form, X, times, dt, stream, modulation), strict=True))
 
 
 def _followed(
-    form: SquareRootForm, X: Array, times: Array, dt: float, stream: np.random.Generator
-) -> list[Array]:
+    form: SquareRootForm, X: Array, times: Array, dt: float, stream: np.random.Generator,
+    modulation: Modulation | None,
+) -> list[Array]:  # fmt: skip
     """The energies (paths, d) at the times, in steps of ``dt`` at most."""
     rows, gaps = [], np.diff(times, prepend=0.0).tolist()
-    for gap in gaps:
+    for time, gap in zip(times.tolist(), gaps, strict=True):
         steps = 0 if gap == 0.0 else 1 if form.damping is None else ceil(gap / dt * (1.0 - 1e-12))
-        X = advanced(form, X, gap / max(1, steps), steps, stream)
+        X = advanced(form, X, gap / max(1, steps), steps, stream, modulation, time - gap)
         rows.append(form.energies(X))
     return rows

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -11,13 +11,14 @@ import numpy as np
 from fpk.arrays import Array, Integers
 from fpk.effects import effects_of
 from fpk.errors import NotApplicable
+from fpk.modulation import Modulation
 from fpk.observable import Coordinate
 from fpk.system import System
 from sim.arrays import LANES, StepArrays, WatchArrays
 from sim.ensemble import LEAST_WORK
 from sim.kernel import KernelKey, compiled_kernel
 from sim.plan import step_arrays, watched
-from sim.random import mixed_seed
+from sim.random import Singles, mixed_seed
 from sim.schemes import SCHEMES, Scheme
 from sim.workers import Workers
 
@@ -43,9 +44,11 @@ class Motion:
 
     ``paths`` is a multiple of ``LANES``. A sample is taken every ``stride`` steps ``dt``; its rows
     are q (n), p (n) and the ``energies``; ``last`` (blocks, rows, LANES) is the one of number
-    ``samples``. ``halved``: a step has the random numbers of two steps dt/2, so that it is the same
-    motion but for the error of the step. Trajectories own the words of the block ``first`` on, from
-    ``word`` on. The answer does not depend on the number of ``workers`` (None: one thread).
+    ``samples``. ``modulation`` e is of the noise, number 0 at its time ``begin``: a step has the
+    root of the mean square. ``halved``: a step has the random numbers of two steps dt/2, so that it
+    is the same motion but for the error of the step. Trajectories own the words of the block
+    ``first`` on, from ``word`` on. The answer does not depend on the number of ``workers`` (None:
+    one thread).
     """
 
     system: System
@@ -60,6 +63,8 @@ class Motion:
     first: int = 0
     word: int = 0
     workers: Any = None
+    modulation: Modulation | None = None
+    begin: float = 0.0
     last: Array = field(init=False)
     samples: int = 0
     _states: Array = field(init=False)  # (blocks, 2n, LANES), one step further, before its kick
@@ -74,6 +79,7 @@ class Motion:
             self.system, self.scheme, self._step, (), (), [*coordinates, *self.energies],
             halved=self.halved,
         )  # fmt: skip
+        self._key = replace(self._key, modulated=self.modulation is not None)
         wanted = in_blocks(np.hstack([self.q, self.p]))
         self._states = wanted.copy()
         # Displacements in units of momenta.
@@ -110,6 +116,7 @@ class Motion:
             followed, key=self._key, step=self._step, watch=self._watch,
             offset=mixed_seed(self.seed), word=self.next_word + self._step.words,
             done=self.samples, samples=samples, stride=self.stride, read=read,
+            strength=self._strength,
         )  # fmt: skip
         blocks = len(self.last)
         worth = samples * self.stride * blocks * LANES // LEAST_WORK
@@ -132,13 +139,21 @@ class Motion:
         """
         self._states, self.last = gathered(self._states, lanes), gathered(self.last, lanes)
 
+    def _strength(self, first: int, steps: int) -> Singles | None:
+        """The factors on the noise of so many steps from number ``first`` on."""
+        if self.modulation is None:
+            return None
+        begins = self.begin + self.dt * np.arange(first, first + steps, dtype=float)
+        return np.sqrt(self.modulation.mean_square(begins, self.dt)).astype(np.float32)
+
     def _first_step(self, states: Array) -> Array:
         """Advance ``states`` by the first step; return the observed states at its start."""
         blocks, rows = len(states), self._watch.traced.size
         trace = np.empty((blocks, 2, rows, LANES))
         _run(
             self._key, states, trace, first=self.first, word=self.word, steps=1, phase=0,
-            stride=self.stride, offset=mixed_seed(self.seed), step=self._step, watch=self._watch,
+            stride=self.stride, offset=mixed_seed(self.seed), watch=self._watch,
+            step=self._step._replace(strength=self._strength(0, 1)),
         )  # fmt: skip
         return np.ascontiguousarray(trace[:, 1])
 
@@ -162,7 +177,7 @@ def gathered(blocks: Array, lanes: Integers) -> Array:
 def followed(
     first: int, states: Array, last: Array, *arrays: Any, key: KernelKey, step: StepArrays,
     watch: WatchArrays, offset: np.uint64, word: int, done: int, samples: int, stride: int,
-    read: Reader,
+    read: Reader, strength: Callable[[int, int], Singles | None],
 ) -> tuple[Any, ...]:  # fmt: skip
     """Advance blocks that begin with ``first`` and read their samples; all change in place."""
     blocks, rows, _ = last.shape
@@ -174,7 +189,8 @@ def followed(
             trace[:, 0] = last[own]
             _run(
                 key, states[own], trace, first=first + b, word=word + k * stride * step.words,
-                steps=many * stride, phase=1, stride=stride, offset=offset, step=step, watch=watch,
+                steps=many * stride, phase=1, stride=stride, offset=offset, watch=watch,
+                step=step._replace(strength=strength((done + k) * stride + 1, many * stride)),
             )  # fmt: skip
             last[own] = trace[:, many]
             read(trace, many, done + k, *(a[own] for a in arrays))

@@ -21,8 +21,8 @@ from sim.motion.motion import Motion, gathered, in_blocks
 from sim.motion.passing import reader_of
 from sim.motion.starts import Origin
 from sim.motion.stationary import interruption, lost_words, not_met, working
-from sim.motion.steps import longest_step, motion_step, require_times
-from sim.motion.survival import Times, passage_of
+from sim.motion.steps import longest_step, loudest, motion_step, require_times
+from sim.motion.survival import Times, passage_of, settled_at
 from sim.random import OTHER_SEED
 from sim.relaxation import relaxation_time
 from sim.workers import Workers
@@ -64,11 +64,14 @@ def passage(
     """
     require_times(times)
     wanted = tol if tol is not None else method.tol
-    energy = energy_reached(system, limit, start)
-    dt = motion_step(method, system, energy=energy, error=wanted)
+    modulation, loud = system.modulation, loudest(system)
+    energy = energy_reached(loud, limit, start)
+    dt = motion_step(method, loud, energy=energy, error=wanted)
     last = float(np.max(times, initial=0.0))
     longest = horizon(method, dt, last)
     hopeless = method.time or max(longest / HOPELESS, last)
+    if modulation is not None and not modulation.last:
+        longest = hopeless = max(float(modulation.times[-1]), last)
     sampled, lost, number, done = Times(*np.zeros((3, 0))), 0, 0, False
     with working(method, system, wanted, start) as (workers, watch, origin):
         rounds = Rounds(method, system, limit, origin, dt, longest, hopeless, workers)
@@ -88,6 +91,7 @@ def passage(
         step=dt,
         memory=relaxation_time(system),
         tol=inf if wanted is None else wanted,
+        settled=settled_at(modulation),
         failures=failures,
         settings={"dt": 0.5 * dt, "coarse dt": dt, "scheme": method.scheme, "seed": method.seed},
     )
@@ -128,7 +132,15 @@ class Rounds:
         seed = (self.method.seed + number * OTHER_SEED) % 2**64
         pair = [
             Motion(
-                self.system, q, p, dt, seed, energies=energies, halved=halved, workers=self.workers
+                self.system,
+                q,
+                p,
+                dt,
+                seed,
+                energies=energies,
+                halved=halved,
+                workers=self.workers,
+                modulation=self.system.modulation,
             )
             for dt, halved in ((0.5 * self.dt, False), (self.dt, True))
         ]

@@ -1,6 +1,7 @@
 """Readers of a trace that see when each trajectory first passes its limit, between steps too."""
 
 from functools import partial
+from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from fpk.arrays import Array, Integers
 from fpk.compiling import cached_njit, inlined
 from fpk.limit import Limit
 from fpk.linear import natural_modes
+from fpk.modulation import Modulation
 from fpk.system import System
 from sim.arrays import LANES as W
 from sim.motion.between import BULGE, cubic_of, distance_to, first_passage
@@ -81,7 +83,8 @@ def pass_energies(sources: int) -> Any:
     Energies pass by diffusion: dH = … + σ dB, σ² = p'Fp, and as the noise moves H by 1 it moves
     σ² by β = p'Gp/σ², of ``diffusion``; momenta p are rows from ``first`` on. Between samples, h
     apart, the distance d of ``distance_to`` is a Brownian bridge, and vanishes with
-    the probability exp(−2 d0 d1/h), then at the share d0/(d0 + |d1|) of the step, the mean of which
+    the probability exp(−2 d0 d1/h), h times the mean e² of modulated noise: ``spread``, the last of
+    which holds from then on; then at the share d0/(d0 + |d1|) of the step, the mean of which
     is right.
     ``chance`` (blocks, limits, LANES) holds an exponential number for each: that limit is passed
     when the sum of −ln(1 − probability) is more. One number for all steps: the same motion at
@@ -92,6 +95,7 @@ def pass_energies(sources: int) -> Any:
     def read(
         trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, first: int,
         rows: Integers, limits: Array, diffusion: Diffusion,
+        spread: Array,
     ) -> int:  # fmt: skip
         variance, rise, before, after = np.empty(W), np.empty(W), np.empty(W), np.empty(W)
         for b in range(trace.shape[0]):
@@ -102,17 +106,17 @@ def pass_energies(sources: int) -> Any:
                     quadratic(variance, trace[b, k], first, diffusion.variance[m])
                     quadratic(rise, trace[b, k], first, diffusion.growth[m])
                     H = trace[b, k, rows[m]]
-                    near = 0
+                    near, h = 0, spread[min(max(done + k - 1, 0), spread.size - 1)]
                     for w in range(W):
                         beta = rise[w] / variance[w] if rise[w] > 0.0 else diffusion.at_rest[m]
                         after[w] = distance_to(limit, H[w], variance[w], beta)
-                        near += 2.0 * before[w] * after[w] < NATS * dt
+                        near += 2.0 * before[w] * after[w] < NATS * h
                     if k > 0 and near > 0:
                         end = (done + k) * dt
                         for w in range(W):
                             # Of several limits in one step the first one counts.
                             if own[w] > end - dt:
-                                nats = 2.0 * before[w] * after[w] / dt
+                                nats = 2.0 * before[w] * after[w] / h
                                 if 0.0 < nats < NATS:
                                     left[w] += np.log1p(-np.exp(-nats))
                                 if nats <= 0.0 or left[w] <= 0.0:
@@ -152,6 +156,14 @@ def diffusion_of(system: System, limit: Limit) -> Diffusion:
     return Diffusion(F, G, np.maximum(trace_g / np.maximum(trace_f, SMALLEST), SMALLEST))
 
 
+def spread_of(modulation: Modulation | None, dt: float) -> Array:
+    """Return ∫e² dt over steps ``dt``, up to the first one after the last time of e."""
+    if modulation is None:
+        return np.array([dt])
+    steps = np.arange(ceil(float(modulation.times[-1]) / dt) + 1.0)
+    return np.maximum(dt * modulation.mean_square(steps * dt, dt), SMALLEST)
+
+
 def reader_of(system: System, limit: Limit, dt: float) -> Reader:
     """Return the reader of samples ``dt`` apart that sees ``limit`` passed.
 
@@ -176,4 +188,5 @@ def reader_of(system: System, limit: Limit, dt: float) -> Reader:
         rows=2 * n + np.arange(limits.size),
         limits=limits,
         diffusion=diffusion_of(system, limit),
+        spread=spread_of(system.modulation, dt),
     )

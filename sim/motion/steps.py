@@ -1,5 +1,6 @@
 """Steps of motions in time, short enough to see what happens between two of them."""
 
+from dataclasses import replace
 from math import inf, pi
 
 import numpy as np
@@ -26,6 +27,14 @@ def require_times(times: Array, *, least: float = 0.0) -> None:
         or np.any(times < least)
     ):
         raise InvalidInput("times", times, f"must be finite, ascend, and be {least:g} or later")
+
+
+def loudest(system: System) -> System:
+    """Return the system under constant noise, as strong as its modulation makes it at the most."""
+    if system.modulation is None:
+        return system
+    most = system.modulation.largest * system.noise_intensity
+    return replace(system, noise_intensity=most, modulation=None)
 
 
 def longest_step(system: System) -> float:

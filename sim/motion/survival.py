@@ -11,6 +11,7 @@ from fpk.arrays import Array, Flags, Integers
 from fpk.certificate import Measured, certify
 from fpk.errors import InvalidInput
 from fpk.evolution import Passage
+from fpk.modulation import Modulation
 from fpk.number import Number
 
 GROUPS = 64
@@ -125,6 +126,7 @@ def passage_of(
     memory: float,
     tol: float,
     failures: Sequence[str],
+    settled: float = 0.0,
     settings: dict[str, str | float | int],
 ) -> Passage:
     """Return first passage from ``sampled`` times, with one standard error of each number.
@@ -133,7 +135,8 @@ def passage_of(
     it is at least the error at half the step where that falls with the step. ``step`` is the longer
     one: where trajectories fail within few of them errors are inf and nothing is certified.
     ``memory`` is the time after which a trajectory has forgotten its start, infinite where it never
-    does: the rate then is that of the latest failures.
+    does: the rate then is that of the latest failures. ``settled`` is the time from which on the
+    noise is constant, inf where there is none then: who lives then never fails.
 
     Raises ``InvalidInput`` for a ``limit`` (its name) that all pass at time 0.
     """
@@ -141,21 +144,27 @@ def passage_of(
     if np.all(fine == 0.0):
         words = "all trajectories begin beyond it or pass it at once; take a higher one"
         raise InvalidInput("limit", limit, words)
-    begin = tail_begin(fine, until, memory)
+    begin = max(tail_begin(fine, until, memory), settled)
     best = estimates(fine, until, times, begin)
     error, bias = _errors(sampled, times, begin, best)
     exposure = float(np.sum(np.minimum(fine, until)))
     if too_soon := _too_soon(fine, step):
         error[:] = inf
     measured = Measured(
-        l1_error=float(error[0] / best[0]) if best[0] < inf else inf,
+        l1_error=_relative(best, error, settled),
         mass_defect=None,
         minimum=float(np.min(best[3:], initial=0.0)),
         residual=None,
         tail_mass=1.0 - sampled.failed / fine.size,
-        failures=(*failures, *too_soon, *_too_few(sampled, begin, exposure)),
+        failures=(
+            *failures,
+            *too_soon,
+            *(_too_few(sampled, begin, exposure) if settled < inf else ()),
+        ),
     )
-    if not sampled.failed:  # nothing to state but bounds: all lived through their time
+    if (
+        not sampled.failed and settled < inf
+    ):  # nothing to state but bounds: all lived through their time
         best[:3], error[:3] = (exposure / fine.size, inf, 0.0), (inf, inf, _bound(0) / exposure)
     return Passage(
         mean=Number(float(best[0]), float(error[0])),
@@ -167,7 +176,23 @@ def passage_of(
         error_kind="sampling",
         certificate=certify(measured, tol=tol, sampled=True),
         settings=settings | _seen(sampled, begin, bias),
+        failure=None if settled < inf else 1.0 - best[3:],
+        failure_error=None if settled < inf else error[3:],
     )
+
+
+def settled_at(modulation: Modulation | None) -> float:
+    """Return from when on the noise is constant; inf where there is none from then on."""
+    if modulation is None:
+        return 0.0
+    return float(modulation.times[-1]) if modulation.last else inf
+
+
+def _relative(best: Array, error: Array, settled: float) -> float:
+    """Relative error of the mean; where some never fail, the absolute ones of probabilities."""
+    if best[0] < inf:
+        return float(error[0] / best[0])
+    return inf if settled < inf else float(np.max(error[3:], initial=0.0))
 
 
 def _seen(sampled: Times, begin: float, bias: Array) -> dict[str, str | float | int]:

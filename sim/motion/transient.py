@@ -20,7 +20,7 @@ from sim.motion.limits import largest_energy
 from sim.motion.motion import Motion, in_rows, needs_steps
 from sim.motion.starts import Origin
 from sim.motion.stationary import interruption, not_met, working
-from sim.motion.steps import motion_step, require_times
+from sim.motion.steps import loudest, motion_step, require_times
 from sim.random import OTHER_SEED
 from sim.step_size import REACHED, temperature
 from sim.workers import Workers
@@ -50,8 +50,9 @@ def transient(
     """
     require_times(times)
     wanted = tol if tol is not None else method.tol
-    energy = largest_energy(system, start) + REACHED * temperature(system)
-    dt = motion_step(method, system, energy=energy, error=wanted)
+    loud = loudest(system)
+    energy = largest_energy(system, start) + REACHED * temperature(loud)
+    dt = motion_step(method, loud, energy=energy, error=wanted)
     mirror = effects_of(system).mirror and (start.kind != "state" or start.rest)
     paths = -(-method.paths // LANES) * LANES
 
@@ -91,7 +92,7 @@ def ensembles(
     The second is None where the step has no error: it is then as long as the time.
     """
     system, seed = origin.system, (origin.seed + number * OTHER_SEED) % 2**64
-    stepped = needs_steps(system)
+    stepped = needs_steps(system) or system.modulation is not None
     q, p = origin.drawn(paths, number)
     states = [np.hstack([q, p]) for _ in range(2 if stepped else 1)]
     words, now = [0, 0], 0.0
@@ -106,6 +107,7 @@ def ensembles(
                 motion = Motion(
                     system, q, p, long / (many if stepped else 1), seed, halved=halved,
                     stride=stride * (many if stepped else 1), word=words[k], workers=workers,
+                    modulation=system.modulation, begin=now,
                 )  # fmt: skip
                 for _ in range(parts):
                     motion.advance(1)

@@ -20,7 +20,6 @@ from averaging.nonintegrable import NonIntegrable
 from fpk.contact import Contact
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import silent
-from fpk.modulation import Modulation
 from fpk.observable import parse_observable
 from fpk.quadrature import panel_rule
 from fpk.start import parse_start
@@ -195,7 +194,6 @@ def test_two_energies_too_soon_after_the_start_are_not_certified():
     assert np.all(np.abs(soon.values - exact.values) <= soon.errors)
 
 
-NOISY = replace(TWO, modulation=Modulation([0.0, 5.0], [2.0, 1.0]))
 STOPS = replace(THREE, contacts=tuple(Contact(i, "both", 10.0, 0.5) for i in (1, 2)))
 
 
@@ -207,7 +205,6 @@ STOPS = replace(THREE, contacts=tuple(Contact(i, "both", 10.0, 0.5) for i in (1,
         (TOTAL, HERTZ, "q1", NotApplicable, "the system has contacts"),
         (FEM, TWO, "H1", NotApplicable, "knows the total energy only"),
         (FEM, STOPS, "p1", NotApplicable, "one contact mass at the most"),
-        (FEM, NOISY, "q1", NotApplicable, "modulat"),
         (MODES, TWO, "q1,H1", NotApplicable, "in time"),
     ],
 )

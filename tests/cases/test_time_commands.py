@@ -107,7 +107,7 @@ def test_modulated_noise(scene_text, tmp_path, fpk):
     steady = record(fpk, *asked("transient", "--times", "5", "--tol", "1e-5"))
     # Less noise at first, less energy.
     assert answer["density"][0][2] < 0.5 * steady["density"][0][2]
-    for factor, word in (("[0.5, 0.9]", "end with 1"), ("[1.0]", "one per time")):
+    for factor, word in (("[0.5, -0.9]", "negative"), ("[1.0]", "one per time")):
         scene.write_text(scene_text + MODULATION.replace("[0.5, 1.0]", factor))
         status, out, err = fpk(*asked("transient", scene=scene))
         assert (status, out) == (2, "") and "modulation.factor" in err and word in err

@@ -4,6 +4,7 @@ It holds without contact, where the damping is constant.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from math import prod
 
@@ -20,6 +21,7 @@ from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient, certified_passage, checked_times
 from fpk.limit import Limit
+from fpk.modulation import ROUND_OFF, Modulation
 from fpk.number import SMALLEST, Number
 from fpk.observable import Observable
 from fpk.quadrature import panel_rule
@@ -44,18 +46,22 @@ def transient(
     at: tuple[Array, ...],
     *,
     tol: float | None,
+    modulation: Modulation | None = None,
 ) -> Transient:
     """Return products of the densities of modal energies, or the convolution of two of them.
 
     Of displacements and momenta, what follows from them with independent uniform phases, (35).
+    ``modulation`` is of the noise.
     """
     if {c.kind for c in observable} <= {"q", "p"}:
-        orbits = _orbits(modes, observable, start)
+        orbits = _orbits(modes, observable, start, modulation)
         return orbit_transient(orbits, start.noise, times, at, tol=tol or TOL)
     checked_times(times, positive=start.noise is None)
     rows = observed_modes(observable)
-    parts = [(_mode(modes, m), float(start.energies[m])) for m in rows or range(modes.n)]
-    if not rows and (alike := _alike(modes)):
+    parts = [
+        (_mode(modes, m, modulation), float(start.energies[m])) for m in rows or range(modes.n)
+    ]
+    if not rows and (alike := _alike(modes, modulation)):
         parts = [(alike, float(start.energies.sum()))]
     if len(parts) > max(len(rows), 2):
         raise NotApplicable(
@@ -118,30 +124,37 @@ def relaxation(modes: ModalAnalysis, count: int, *, tol: float | None) -> Rates:
     return Rates(rates[1:].astype(complex), relative * rates[1:], certificate)
 
 
-def _mode(modes: ModalAnalysis, m: int) -> SquareRoot:
+def _mode(modes: ModalAnalysis, m: int, modulation: Modulation | None = None) -> SquareRoot:
     """The energy of one mode; raises ``NotApplicable`` where its damping is not constant."""
     if not modes.constant:
         raise NotApplicable("damping that depends on the state has no closed form in time; use fem")
     c, d = float(modes.modal_damping[m, m]), float(modes.noise[m])
-    return SquareRoot(1, c, d, modes.relative_error)
+    error = modes.relative_error + (ROUND_OFF if modulation else 0.0)
+    return SquareRoot(1, c, d, error, modulation)
 
 
-def _orbits(modes: ModalAnalysis, observable: Observable, start: EnergyStart) -> list[OrbitPart]:
+def _orbits(
+    modes: ModalAnalysis,
+    observable: Observable,
+    start: EnergyStart,
+    modulation: Modulation | None,
+) -> list[OrbitPart]:
     """The shares of the modes in displacements and momenta, by (q, p) = S (ω Q, P)."""
     rows = modes.state_shapes[state_rows(observable, modes.n)]
     both = [rows[:, [m, m + modes.n]] for m in range(modes.n)]
     return [
-        OrbitPart(_mode(modes, m), float(start.energies[m]), S @ S.T) for m, S in enumerate(both)
+        OrbitPart(_mode(modes, m, modulation), float(start.energies[m]), S @ S.T)
+        for m, S in enumerate(both)
     ]
 
 
-def _alike(modes: ModalAnalysis) -> SquareRoot | None:
+def _alike(modes: ModalAnalysis, modulation: Modulation | None = None) -> SquareRoot | None:
     """The sum of modes of equal decay and temperature, with what they differ by as an error."""
-    one, c, d = _mode(modes, 0), np.diag(modes.modal_damping), modes.noise
+    one, c, d = _mode(modes, 0, modulation), np.diag(modes.modal_damping), modes.noise
     unlike = float(max(np.ptp(c) / c[0], np.ptp(d) / d[0]))
     if unlike > EQUAL + 4.0 * modes.relative_error:
         return None
-    return SquareRoot(modes.n, one.c, one.d, one.relative_error + unlike)
+    return replace(one, n=modes.n, relative_error=one.relative_error + unlike)
 
 
 def _convolved(parts: Sequence[DensityOf], energy: Array) -> tuple[Array, Array]:

@@ -2,25 +2,35 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from fpk.arrays import Array
-from fpk.errors import InvalidInput
-from fpk.evolution import Transient
+from fpk.certificate import certify
+from fpk.errors import InvalidInput, NotApplicable
+from fpk.evolution import NO_NOISE_YET, Transient
 from fpk.line.time.modes import Modes
 from fpk.line.time.pair import Pair
 from fpk.line.time.propagation import Solution, Source, points
 from fpk.line.time.stepping import STAGES, Matrices, matrices, start_of, stepped
-from fpk.line.time.transition import SAFETY, Solutions, adapted, judged, posed
+from fpk.line.time.transition import SAFETY, Solutions, Transition, adapted, judged, posed
 from fpk.modulation import Modulation
+from fpk.number import SMALLEST
+from fpk.observable import number_text
 from fpk.process import Process
 
 LEVELS = (1, 4)
 """Halvings of all steps: those with which the mesh is adapted, and the most."""
 LEAST_TOL = 1e-9
 """Tolerances below it would take minutes of steps for a digit; the default where none is given."""
+UNRESOLVED = 0.1
+"""L1 error above which nothing is known of the density."""
+ODE_TOLS = (1e-12, 1e-10)
+"""Tolerances of two solutions of dH/dt = F(H): the answer, and one whose distance is its error."""
+Settings = dict[str, str | float | int]
 
 
 def modulated_transient(
@@ -32,29 +42,110 @@ def modulated_transient(
     *,
     tol: float,
 ) -> Transient:
-    """Return the densities at ``times`` > 0 after ``source``; ``under(F)`` has F times the noise.
+    """Return the densities at energies ``at``; all else as of ``modulated_transition``.
+
+    Where the modulation ends with 0, those at later times are carried along from its end by
+    ``free_decay``. Where what is estimated exceeds ``UNRESOLVED`` errors are infinite. Raises
+    ``NotApplicable`` as ``free_decay`` does.
+    """
+    end = float(modulation.times[-1]) if modulation.largest and not modulation.last else np.inf
+    later = times > end
+    stops = np.unique(np.minimum(times, end))
+    solved, settings = modulated_transition(under, modulation, source, stops, tol=tol)
+    values, errors = np.zeros((2, times.size, at.size))
+    values[~later], errors[~later] = (a[: int((~later).sum())] for a in solved.density(at))
+    measured, process = solved.measured, under(1.0)
+    for k in np.flatnonzero(later):
+        values[k], errors[k], l1 = free_decay(process, solved, float(times[k] - end), at)
+        worst = max(measured.l1_error, solved.measured.l1_error + l1)
+        measured = replace(measured, l1_error=worst)
+    if not measured.l1_error <= UNRESOLVED:
+        errors[:] = np.inf
+    certificate = certify(measured, tol=solved.question.tol)
+    return Transient(times, values, errors, "numerical", certificate, settings)
+
+
+def free_decay(
+    process: Process, solved: Transition, time: float, at: Array
+) -> tuple[Array, Array, float]:
+    """Return p at energies ``at``, its error, and the L1 error that the ``time`` of decay adds.
+
+    Without noise dH/dt = F(H) leads from H_0 to H, so that p(H, t) dH = p(H_0, 0) dH_0, where
+    dH_0/dH = F(H_0)/F(H). Raises ``NotApplicable`` where damping feeds energy in.
+    """
+    e = solved.elements
+    inner, _ = points(process, e)
+    if np.any(process.coefficients(inner.ravel()).dissipation >= 0.0):
+        raise NotApplicable("damping feeds energy in: after the end of the noise fem has no answer")
+    H, positive = process.on_mesh(at, float(np.max(at, initial=e.right[-1])))
+    z = np.log(H)
+
+    def rate(_: float, z: Array) -> Array:
+        # Beyond the last element there is nothing.
+        energy = np.exp(np.minimum(z, np.log(e.right[-1])))
+        return np.asarray(-process.coefficients(energy).dissipation / energy)
+
+    ends = [
+        solve_ivp(rate, (0.0, time), z, method="DOP853", rtol=rtol, atol=rtol).y[:, -1]
+        for rtol in ODE_TOLS
+    ]
+    began = np.exp(ends[0])
+    jacobian = began * rate(0.0, ends[0]) / (H * rate(0.0, z))
+    inside = np.minimum(began, e.right[-1])
+    # An error of F by ε shifts ln H_0 by ε F/H t.
+    relative = float(e.relative_error.max())
+    fastest = float(np.max(rate(0.0, np.log(inner.ravel()))))
+    moved = float(np.max(np.abs(ends[0] - ends[1]), initial=0.0)) + relative * fastest * time
+    p, error = (a[-1] for a in solved.density(began))
+    shifted = solved.density(np.minimum(inside * np.exp(moved), e.right[-1]))[0][-1]
+    changed = np.abs(shifted - p) * (began <= e.right[-1]) + (moved + 2.0 * relative) * np.abs(p)
+    # The variation of the density of ln H, of one or two maxima.
+    height = float(np.max(np.abs(solved.solution.density(inner.ravel())[0][-1]) * inner.ravel()))
+    # Beyond the last element p falls faster than 1/H.
+    error = error * inside / began
+    values, errors = jacobian * p, jacobian * (error + SAFETY * changed)
+    return (
+        np.where(positive, values, 0.0),
+        np.where(at >= 0.0, errors + SMALLEST, 0.0),
+        (4.0 * SAFETY * moved * height + 2.0 * relative),
+    )
+
+
+def modulated_transition(
+    under: Callable[[float], Process],
+    modulation: Modulation,
+    source: Source,
+    times: Array,
+    *,
+    tol: float,
+) -> tuple[Transition, Settings]:
+    """Return the density at ``times`` > 0 after ``source``; ``under(F)`` has F times the noise.
 
     By steps of Radau IIA of the order 9 on elements that adapt; the error is the distance to
     elements of a higher degree and to steps twice as long, and settings have the order that the
-    last three levels of steps show. Works to ``tol`` or ``LEAST_TOL``, whichever is larger. Raises
-    ``InvalidInput`` for a time before which there is no noise, and as ``posed`` does.
+    last three levels of steps show. Without noise it is the equation of the decay alone, of first
+    order. Works to ``tol`` or ``LEAST_TOL``, whichever is larger. Raises
+    ``InvalidInput`` for times at which the density is still one energy, and as ``begins`` and
+    ``posed`` do.
     """
-    unit, tol = float(modulation.factor.max()) ** 2, max(tol, LEAST_TOL)
-    process, first = under(unit), modulation.energy(float(times[0])) / unit
-    if first == 0.0 and source.process is None:
-        raise InvalidInput("times", float(times[0]), "no noise has acted yet: there is no density")
+    tol = max(tol, LEAST_TOL)
+    quiet = begins(modulation, source)
+    if times[0] <= quiet:
+        raise InvalidInput("times", float(times[0]), NO_NOISE_YET)
+    modulation, times = modulation.after(quiet), times - quiet
+    unit = modulation.largest or 1.0
+    process, first = under(unit), float(modulation.energy(times[0])) / unit
     question, pair = posed(process, source, first, tol)
 
     def carried(e: Modes, level: int) -> Solution:
         m = matrices(process, e)
-        start = start_of(m, e, source)
-        g, residual = stepped(m, start, modulation, unit, times, level=level)
-        return Solution(process, e, partial(_times_factor, e, m, g), residual)
+        g, residual = stepped(m, start_of(m, e, source), modulation, unit, times, level=level)
+        return Solution(process, e, partial(times_factor, e, m, g), residual)
 
     def carried_pair(pair: Pair) -> Solutions:
         return carried(pair[0], LEVELS[0]), carried(pair[1], LEVELS[0])
 
-    solved, _ = adapted(question, pair, carried_pair)
+    solved, pair = adapted(question, pair, carried_pair)
     own = solved.solution
     space = solved.distance
     x, w = points(process, own.elements)
@@ -66,9 +157,15 @@ def modulated_transient(
         distances.append(float((moved * w).sum(axis=(1, 2)).max()))
         if SAFETY * distances[-1] <= 0.25 * tol:
             break
-    solved, _, _ = judged(question, own, solved.enriched, distance=space + moved)
-    values, errors = solved.density(at)
-    settings: dict[str, str | float | int] = {
+    # In steps twice as long, so that what is compared with it sees the error of both.
+    enriched = solved.enriched if level - 1 == LEVELS[0] else carried(pair[1], level - 1)
+    solved, _, _ = judged(question, own, enriched, distance=space + moved)
+    # At the ends of elements, where no point is, distances are largest while there is no noise.
+    nodes = own.elements.right
+    at_ends = np.abs(own.density(nodes)[0] - enriched.density(nodes)[0])
+    beside = np.maximum(at_ends, np.append(0.0 * at_ends[:, :1], at_ends[:, :-1], axis=1))
+    solved = replace(solved, distance=np.maximum(solved.distance, beside[..., None]))
+    settings: Settings = {
         "equation": f"modulated noise, Radau IIA of order {2 * STAGES - 1}",
         "elements": own.elements.count,
         "halvings of the steps": level,
@@ -76,10 +173,24 @@ def modulated_transient(
     }
     if len(distances) > 1 and distances[-1] > 0.0:
         settings["observed order"] = math.log2(distances[-2] / distances[-1])
-    return Transient(times, values, errors, "numerical", solved.certificate, settings)
+    return solved, settings
 
 
-def _times_factor(
+def begins(modulation: Modulation, source: Source) -> float:
+    """Return the time at which the density of ``source`` begins to change.
+
+    Raises ``InvalidInput`` for an energy > 0 that decays before there is any noise.
+    """
+    if source.process is not None:
+        return 0.0
+    quiet = modulation.quiet
+    if quiet > 0.0 and source.energy > 0.0:
+        remedy = f"decays without noise until t = {quiet:g}; begin there, at rest or from noise=F"
+        raise InvalidInput("start", f"H={number_text(source.energy)}", remedy)
+    return quiet
+
+
+def times_factor(
     e: Modes, m: Matrices, g: Array, log_factor: Array, x: Array
 ) -> tuple[Array, Array]:
     """p/π of g (times, functions) times a factor at energies x, and the size of its terms."""

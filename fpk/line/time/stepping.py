@@ -5,6 +5,7 @@ J = π ((1 − e²) F g − e² ½ b g'), F the part of the drift due to damping
 M ∂g/∂t = (−e² K + (1 − e²) C) g.
 """
 
+from collections.abc import Iterator
 from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
@@ -42,8 +43,11 @@ class Matrices(NamedTuple):
     scale: Array
 
 
-def matrices(process: Process, e: Modes) -> Matrices:
-    """Return the matrices of the elements, which are of the reference noise."""
+def matrices(process: Process, e: Modes, *, absorbing: bool = False) -> Matrices:
+    """Return the matrices of the elements, which are of the reference noise.
+
+    No flux leaves at the last end, or it absorbs.
+    """
     x, w = points(process, e)
     c = process.coefficients(x.ravel())
     f, slope = _functions(e, x)
@@ -59,6 +63,8 @@ def matrices(process: Process, e: Modes) -> Matrices:
     place[:, 0], place[:, 1] = np.arange(-1, e.count - 1), np.arange(e.count)
     place[:, 2:] = e.count + np.arange(e.count * modes).reshape(e.count, modes)
     place[np.einsum("eii->ei", M) == 0.0] = -1
+    if absorbing:
+        place[-1, 1] = -1
     numbers = np.unique(place[place >= 0])
     place = np.where(place >= 0, np.searchsorted(numbers, place), -1)
     used = place >= 0
@@ -96,17 +102,45 @@ def start_of(m: Matrices, e: Modes, source: Source) -> Array:
     return load * np.exp(m.scale)
 
 
+def shares_of(m: Matrices, e: Modes) -> Array:
+    """Return ∫π f of the functions f: their product with g is the mass."""
+    each, used = np.concatenate([e.load, e.coupling.sum(axis=2)], axis=1), m.place >= 0
+    shares = np.zeros(m.scale.size)
+    unit = np.exp(e.log_scale[:, None] + m.scale[m.place])
+    np.add.at(shares, m.place[used], (each * unit)[used])
+    return shares
+
+
+class Step(NamedTuple):
+    """A step: its ``end`` and ``length``, g at its stages (stages, functions), and a residual."""
+
+    end: float
+    length: float
+    stages: Array
+    residual: float
+
+
 def stepped(
     m: Matrices, load: Array, modulation: Modulation, unit: float, times: Array, *, level: int
 ) -> tuple[Array, float]:
-    """Return g (times, functions) at ``times`` > 0, and the residual of the equations of steps.
+    """Return g (times, functions) at ``times`` > 0, and the residual of the equations of steps."""
+    steps = steps_of(m, load, modulation, unit, times, level=level)
+    rows = [(s.end, s.stages[-1], s.residual) for s in steps]
+    ends, g, residuals = zip(*rows, strict=True)
+    return np.array([g[ends.index(t)] for t in times.tolist()]), max(residuals)
+
+
+def steps_of(
+    m: Matrices, load: Array, modulation: Modulation, unit: float, times: Array, *, level: int
+) -> Iterator[Step]:
+    """Yield the steps from the start up to the last of ``times`` > 0.
 
     e² is in units of ``unit``, the reference's. Steps end at the times and at the kinks of e; there
     are 2^``level`` of them in each of the level 0.
     """
     A, c = radau(STAGES)
     eye = np.eye(STAGES)
-    g, found, before, residual = None, [], 0.0, 0.0
+    g, before = None, 0.0
     for end, step in _intervals(modulation, times, level):
         r = modulation(before + step * c) ** 2 / unit
         system = csc_array(
@@ -115,12 +149,10 @@ def stepped(
         right = np.repeat(load if g is None else m.M @ g, STAGES)
         stages = splu(system).solve(right)
         size = np.max(abs(system) @ np.abs(stages))
-        residual = max(residual, float(np.max(np.abs(system @ stages - right)) / size))
+        residual = float(np.max(np.abs(system @ stages - right)) / size)
+        yield Step(end, step, stages.reshape(-1, STAGES).T, residual)
         g = stages[STAGES - 1 :: STAGES]
         before = end
-        if np.any(times == end):
-            found.append(g)
-    return np.array(found), residual
 
 
 def _intervals(modulation: Modulation, times: Array, level: int) -> list[tuple[float, float]]:

@@ -132,7 +132,7 @@ def posed(process: Process, source: Source, time: float, tol: float) -> tuple[Qu
         raise InvalidInput("start", f"H={number_text(start or source.extent)}", remedy)
     ends = [_extent(process, source, tail * tol, share) for tail in TAIL]
     if source.process is None:
-        width = _width_of(process, start, time)
+        width = width_of(process, start, time)
         nodes = time_nodes(process, ends[0], degree, fine=((start, LAYER * width),))
     else:
         width = process.energy_scale
@@ -160,7 +160,7 @@ def adapted(
     return solved, pair
 
 
-def _width_of(process: Process, start: float, time: float) -> float:
+def width_of(process: Process, start: float, time: float) -> float:
     """Width of the density at a short ``time`` after an energy: √(b t), b ~ H at H = 0."""
     c = process.coefficients(np.array([max(start, NEAR_ZERO * process.energy_scale)]))
     spread = math.sqrt(float(c.diffusion[0]) * time) if start > 0.0 else 0.0

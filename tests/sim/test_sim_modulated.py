@@ -1,0 +1,171 @@
+"""Modulated noise by simulation: the exact covariance, the order of its step, first passage."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from averaging.nonintegrable import NonIntegrable
+from cases.comparison.averaged import AveragedSimulation
+from fpk.contact import Contact
+from fpk.errors import NotApplicable
+from fpk.limit import parse_limit
+from fpk.linear import diffusion_matrix, drift_matrix
+from fpk.method import silent
+from fpk.modulation import Modulation
+from fpk.observable import parse_observable
+from fpk.quadrature import panel_rule
+from fpk.start import parse_start
+from fpk.system import System
+from sim import MonteCarlo
+from sim.flow import flow_covariance
+from sim.motion.motion import Motion, in_rows
+from sim.motion.starts import Origin
+from sim.motion.transient import ensembles
+from sim.workers import Workers
+
+ENVELOPE = Modulation([0.0, 2.0, 4.0, 9.0], [0.0, 1.5, 1.5, 0.0])
+ONE = System([1.5], [2.0], [0.3], [0.03], modulation=ENVELOPE)
+TIMES = np.array([1.0, 3.0, 9.0, 15.0])
+PATHS = 1 << 16
+SETTINGS = {"tol": None, "progress": silent}
+
+
+def covariance(system, time):
+    """∫ e² e^(A(t−s)) b e^(A'(t−s)) ds, the solution of dΣ/dt = AΣ + ΣA' + e² b."""
+    A, b, e = drift_matrix(system), diffusion_matrix(system), system.modulation
+    ends = np.linspace(0.0, time, 1 + int(np.ceil(time / 0.25)))
+    nodes = np.unique(np.append(ends, e.times[e.times < time]))
+    s, w = (part.ravel() for part in panel_rule(nodes, 10))
+    flows = np.array([expm(A * (time - x)) for x in s])
+    return np.einsum("s,sij,jk,slk->il", w * e(s) ** 2, flows, b, flows)
+
+
+def by_steps(system, time, dt):
+    """The covariance that steps with the mean of e² give, in NumPy."""
+    P, Q = flow_covariance(drift_matrix(system), diffusion_matrix(system), dt)
+    S, e = np.zeros_like(P), system.modulation
+    for k in range(round(time / dt)):
+        S = P @ S @ P.T + float(e.energy((k + 1) * dt) - e.energy(k * dt)) / dt * Q
+    return S
+
+
+def test_steps_of_modulated_noise_have_the_covariance_of_their_rule():
+    workers = Workers(ThreadPoolExecutor(1), 1)
+    origin = Origin(ONE, parse_start("rest", ONE), 3)
+    rows = list(ensembles(origin, TIMES, PATHS, 0, 0.5, workers))
+    for time, (fine, coarse) in zip(TIMES, rows, strict=True):
+        for states, dt in ((fine, 0.25), (coarse, 0.5)):
+            wanted = by_steps(ONE, time, dt)
+            spread = np.sqrt((wanted**2 + np.outer(np.diag(wanted), np.diag(wanted))) / PATHS)
+            # Four standard errors of the entries of a sample covariance, 16 in all.
+            assert np.all(np.abs(np.cov(states.T) - wanted) <= 4.5 * spread)
+    # Without the envelope it would not be: twice the noise of the end.
+    assert by_steps(ONE, 15.0, 0.25)[0, 0] < 0.5 * by_steps(ONE, 4.0, 0.25)[0, 0]
+
+
+def test_the_bias_of_the_step_is_of_second_order():
+    exact = covariance(ONE, 3.0)
+    errors = [np.abs(by_steps(ONE, 3.0, 0.5 / 2**k) - exact).max() for k in range(5)]
+    ratios = np.log2(np.array(errors[:-1]) / errors[1:])
+    np.testing.assert_allclose(ratios, 2.0, atol=0.15)
+
+
+def test_transient_densities_are_within_their_errors():
+    at = np.linspace(-0.3, 0.3, 5)
+    asked = parse_observable("q1", 1), parse_start("rest", ONE), TIMES, (at,)
+    answer = MonteCarlo(paths=8192, threads=1).transient(ONE, *asked, **SETTINGS)
+    variance = np.array([[covariance(ONE, t)[0, 0]] for t in TIMES])
+    exact = np.exp(-0.5 * at**2 / variance) / np.sqrt(2.0 * np.pi * variance)
+    # A false alarm in 1e4 of 20 points.
+    assert np.all(np.abs(answer.values - exact) <= 4.4 * answer.errors + 1e-12)
+    steady = replace(ONE, modulation=None)
+    other = MonteCarlo(paths=8192, threads=1).transient(steady, *asked, **SETTINGS)
+    assert np.any(np.abs(other.values - exact) > 10.0 * other.errors)
+
+
+TWO = System(
+    [1.0, 1.0], [1.0, 1.0], [0.08, 0.04], [0.01, 0.02], contacts=(Contact(2, "both", 10.0, 0.5),)
+)
+
+
+@pytest.mark.parametrize(
+    "limit",
+    ["H=0.4", *(pytest.param(x, marks=pytest.mark.slow) for x in ("q2=0.6", "H1=0.3,H2=0.3"))],
+)
+def test_a_constant_factor_is_that_much_more_noise(limit):
+    # The same random numbers and steps: the bridges between steps see the same noise, too.
+    half = replace(TWO, noise_intensity=0.25 * TWO.noise_intensity)
+    half = replace(half, modulation=Modulation([0.0], [2.0]))
+    asked = parse_limit(limit, 2), parse_start("rest", TWO), np.array([5.0, 10.0, 20.0])
+    method = MonteCarlo(paths=4096, threads=1)
+    a, b = (method.passage(system, *asked, **SETTINGS) for system in (TWO, half))
+    # Factors are single precision: a trajectory or two may pass in another step.
+    assert np.all(np.abs(a.survival - b.survival) <= 2.0 / 4096)
+    assert a.mean.value == pytest.approx(b.mean.value, rel=1e-3)
+
+
+LIGHT = System([1.5], [2.0], [0.03], [0.003])
+RISING = Modulation([0.0, 20.0, 40.0, 90.0], [0.0, 1.5, 1.5, 1.0])
+FADING = Modulation([0.0, 20.0, 40.0, 90.0], [0.0, 1.5, 1.5, 0.0])
+
+
+@pytest.mark.parametrize("modulation", [RISING, FADING])
+def test_the_averaged_equation_fails_as_the_elements_say(modulation):
+    system = replace(LIGHT, modulation=modulation)
+    asked = (
+        parse_limit("H=0.15", 1),
+        parse_start("rest", system),
+        np.array([20.0, 40.0, 90.0, 150.0]),
+    )
+    solved = NonIntegrable("fem").passage(system, *asked, tol=1e-4, progress=silent)
+    sampled = AveragedSimulation("nonintegrable", paths=8192, threads=1, step=0.05)
+    sampled = sampled.passage(system, *asked, **SETTINGS)
+    assert solved.certificate.certified and sampled.certificate.certified
+    # A false alarm in 1e4, of eight numbers.
+    assert np.all(np.abs(sampled.survival - solved.survival) <= 4.2 * sampled.survival_error)
+    if modulation is RISING:
+        for a, b in ((sampled.mean, solved.mean), (sampled.rate, solved.rate)):
+            assert abs(a.value - b.value) <= 4.2 * a.error
+    else:
+        assert sampled.mean.value == np.inf and sampled.rate is None
+        assert sampled.survival[2] == sampled.survival[3]
+
+
+@pytest.mark.parametrize("system", [LIGHT, TWO])
+def test_the_averaged_transient_is_that_of_the_elements(system):
+    modulation = Modulation([0.0, 5.0, 10.0, 20.0], [0.0, 0.0, 1.5, 0.0])
+    system, at = replace(system, modulation=modulation), np.array([0.02, 0.1, 0.3])
+    times = np.array([8.0, 20.0, 30.0])
+    asked = parse_observable("H", system.n), parse_start("rest", system), times, (at,)
+    solved = NonIntegrable("fem").transient(system, *asked, tol=1e-5, progress=silent)
+    sampled = AveragedSimulation("nonintegrable", threads=1).transient(system, *asked, **SETTINGS)
+    assert solved.certificate.certified
+    error = np.hypot(sampled.errors, solved.errors)
+    assert np.all(np.abs(sampled.values - solved.values) <= 4.4 * error + 1e-9)
+
+
+def test_full_system_after_the_noise():
+    system = replace(TWO, modulation=Modulation([0.0, 2.0, 6.0], [0.0, 2.0, 0.0]))
+    asked = parse_limit("H=0.4", 2), parse_start("rest", system), np.array([3.0, 6.0, 30.0])
+    answer = MonteCarlo(paths=4096, threads=1).passage(system, *asked, **SETTINGS)
+    assert answer.certificate.certified and answer.mean.value == np.inf and answer.rate is None
+    assert (
+        0.0 < answer.survival[1] < answer.survival[0] and answer.survival[1] == answer.survival[2]
+    )
+    with pytest.raises(NotApplicable, match="no noise"):
+        silence = replace(TWO, modulation=Modulation([0.0], [0.0]))
+        MonteCarlo(paths=4096).passage(silence, *asked, **SETTINGS)
+
+
+def test_motions_without_modulation_are_what_they_were():
+    plain = replace(TWO, modulation=None)
+    q = p = np.zeros((128, 2))
+    held, free = (
+        Motion(plain, q, p, 0.05, 7, modulation=m) for m in (Modulation([0.0], [1.0]), None)
+    )
+    for motion in (held, free):
+        motion.advance(20)
+    np.testing.assert_array_equal(in_rows(held.last), in_rows(free.last))
