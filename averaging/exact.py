@@ -16,7 +16,7 @@ from fpk.arrays import Array
 from fpk.dynamics import Curve
 from fpk.errors import NotApplicable
 from fpk.method import Plan, Progress, Result, silent
-from fpk.observable import Coordinate, Observable
+from fpk.observable import Observable, displacement_row
 from fpk.system import System
 
 PROPORTION_SLACK = 1e-12
@@ -63,9 +63,10 @@ class Exact(Theory):
 
         fpk.solve(fpk.load("fig3a").system, ["q2,p2"], methods=[Exact()])
 
-    Upcrossings per unit time of levels by the second mass, whose row is 1::
+    Upcrossings per unit time of levels by the second mass::
 
-        Exact().crossings(fpk.load("fig3a").system, 1, np.array([0.0, 0.5])).values
+        system, levels = fpk.load("fig3a").system, np.array([0.0, 0.5])
+        Exact().crossings(system, parse_observable("q2", 2), levels).values
     """
 
     method = "exact"
@@ -90,7 +91,7 @@ class Exact(Theory):
     def crossings(
         self,
         system: System,
-        row: int,
+        observable: Observable,
         at: Array,
         *,
         tol: float | None = None,
@@ -98,7 +99,8 @@ class Exact(Theory):
     ) -> Curve:
         """Return the upcrossings per unit time of q, by Rice's formula; refuses as densities."""
         plan = self.prepare(system)
-        if reason := plan.refusal((Coordinate("q", row),)):
+        row = displacement_row(observable)
+        if reason := plan.refusal(observable):
             raise NotApplicable(reason)
         source = _source(system, compatibility(system))
         return crossing_rates(source, row, at, tol=tol or self.tol)

@@ -21,7 +21,7 @@ from fpk.dynamics import Curve, Rates, certified_curve, require_lags
 from fpk.errors import NotApplicable
 from fpk.linear import linear_covariance, stationary_covariance
 from fpk.method import Plan, Progress, Result, silent
-from fpk.observable import Coordinate, Observable
+from fpk.observable import Coordinate, Observable, displacement_row
 from fpk.system import System
 
 
@@ -35,11 +35,11 @@ class Linear(Theory):
         free = fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02])
         fpk.solve(free, ["q2"], methods=[Linear()])
 
-    Of the second mass, whose row is 1, crossings of levels, spectrum and autocovariance::
+    Of the second mass crossings of levels, spectrum and autocovariance::
 
-        Linear().crossings(free, 1, np.array([0.0, 0.5])).values
-        Linear().spectrum(free, 1, np.linspace(0.0, 2.0, 5)).values
-        Linear().correlation(free, 1, np.linspace(0.0, 20.0, 5)).values
+        Linear().crossings(free, parse_observable("q2", 2), np.array([0.0, 0.5])).values
+        Linear().spectrum(free, parse_observable("q2", 2), np.linspace(0.0, 2.0, 5)).values
+        Linear().correlation(free, parse_observable("q2", 2), np.linspace(0.0, 20.0, 5)).values
         Linear().relaxation(free, 3).values
     """
 
@@ -75,14 +75,14 @@ class Linear(Theory):
     def crossings(
         self,
         system: System,
-        row: int,
+        observable: Observable,
         at: Array,
         *,
         tol: float | None = None,
         progress: Progress = silent,
     ) -> Curve:
         """Return the upcrossings per unit time of q, by Rice's formula for a Gaussian."""
-        density, q, v = self._state(system, row)
+        density, q, v = self._state(system, displacement_row(observable))
         values, errors = rice_rates(q, v, system.fact(linear_covariance).relative_error, at)
         return certified_curve(
             values, errors, scale=v / (2.0 * np.pi * q), of=density, tol=self.tol
@@ -91,13 +91,14 @@ class Linear(Theory):
     def spectrum(
         self,
         system: System,
-        row: int,
+        observable: Observable,
         at: Array,
         *,
         tol: float | None = None,
         progress: Progress = silent,
     ) -> Curve:
         """Return the power spectral density of q from the transfer functions."""
+        row = displacement_row(observable)
         density, q, v = self._state(system, row)
         values, errors = spectral_density(system, row, at)
         return certified_curve(values, errors, scale=q**3 / v, of=density, tol=tol or self.tol)
@@ -105,7 +106,7 @@ class Linear(Theory):
     def correlation(
         self,
         system: System,
-        row: int,
+        observable: Observable,
         at: Array,
         *,
         tol: float | None = None,
@@ -113,6 +114,7 @@ class Linear(Theory):
     ) -> Curve:
         """Return the autocovariance of q by the exponential of the drift matrix."""
         require_lags(at)
+        row = displacement_row(observable)
         density, q, _ = self._state(system, row)
         values, errors = autocovariance(system, row, at)
         return certified_curve(

@@ -21,7 +21,7 @@ from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.method import Plan, Progress, Result, silent
 from fpk.modulation import require_constant_noise
-from fpk.observable import Coordinate, Observable, observable_name
+from fpk.observable import Coordinate, Observable, displacement_row, observable_name
 from fpk.start import Start
 from fpk.system import System
 from fpk.upcrossings import upcrossings
@@ -50,6 +50,7 @@ class Integrable(Theory):
         Integrable().passage(free, parse_limit("H1=0.8", 2), REST, times).mean
         Integrable().transient(free, parse_observable("H1", 2), REST, times, at).values
         Integrable().relaxation(free, 3).values
+        Integrable().crossings(free, parse_observable("q2", 2), np.array([0.0, 0.5])).values
     """
 
     method = "integrable"
@@ -86,11 +87,18 @@ class Integrable(Theory):
         return Plan(lambda observable: self._refusal(observable, modes), solve)
 
     def crossings(
-        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+        self,
+        system: System,
+        observable: Observable,
+        at: Array,
+        *,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Curve:
         """Return the upcrossings per unit time of q from its joint density with p."""
-        joint, q = (Coordinate("q", row), Coordinate("p", row)), (Coordinate("q", row),)
-        of_both, of_q = self.solve(system, [joint, q], progress=progress).densities
+        row = displacement_row(observable)
+        joint = *observable, Coordinate("p", row)
+        of_both, of_q = self.solve(system, [joint, observable], progress=progress).densities
         assert isinstance(of_both, Density) and isinstance(of_q, Density)
         mass = float(system.mass[row])
         values, errors = upcrossings(of_both, mass, at)

@@ -20,7 +20,7 @@ from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.line.stationary import solve_stationary
 from fpk.method import Plan, Progress, Result, silent
-from fpk.observable import Coordinate, Observable
+from fpk.observable import Coordinate, Observable, displacement_row
 from fpk.process import Process
 from fpk.start import Start
 from fpk.system import System
@@ -46,6 +46,7 @@ class NonIntegrable(Theory):
         NonIntegrable().passage(system, parse_limit("H=1", 2), REST, times).mean
         NonIntegrable().transient(system, parse_observable("H", 2), REST, times, at).values
         NonIntegrable().relaxation(system, 3).values
+        NonIntegrable().crossings(system, parse_observable("q2", 2), np.array([0.0, 0.5])).values
     """
 
     solver: str = "fem"
@@ -71,11 +72,18 @@ class NonIntegrable(Theory):
         return Plan(partial(energy_only_refusal, system, exponential=exponential), solve)
 
     def crossings(
-        self, system: System, row: int, at: Array, *, tol: float | None, progress: Progress
+        self,
+        system: System,
+        observable: Observable,
+        at: Array,
+        *,
+        tol: float | None = None,
+        progress: Progress = silent,
     ) -> Curve:
         """Return the upcrossings per unit time of q, by Rice's formula; refuses as densities."""
         plan = self.prepare(system)
-        if reason := plan.refusal((Coordinate("q", row),)):
+        row = displacement_row(observable)
+        if reason := plan.refusal(observable):
             raise NotApplicable(reason)
         source, _ = self._state_density(system, energy_process(system))
         return crossing_rates(source, row, at, tol=tol or self.tol)

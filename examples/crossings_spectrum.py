@@ -11,16 +11,18 @@ import numpy as np
 
 import fpk
 from averaging import Exact, Linear, PhaseSpace
+from fpk.observable import parse_observable
 
 stop = fpk.Contact(mass=1, side="both", stiffness=4.0, clearance=0.5)
 between_stops = fpk.System([1.0], [1.0], [0.6], [0.3], contacts=(stop,))
 free = fpk.System([1.0], [1.0], [0.6], [0.3])
+q1 = parse_observable("q1", 1)
 levels, frequencies = np.linspace(0.0, 1.5, 61), np.linspace(0.0, 4.0, 81)
 
-crossings = Exact().crossings(between_stops, 0, levels)
-rice = Linear().crossings(free, 0, levels)
-spectrum = PhaseSpace().spectrum(between_stops, 0, frequencies)
-peak = Linear().spectrum(free, 0, frequencies)
+crossings = Exact().crossings(between_stops, q1, levels)
+rice = Linear().crossings(free, q1, levels)
+spectrum = PhaseSpace().spectrum(between_stops, q1, frequencies)
+peak = Linear().spectrum(free, q1, frequencies)
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
 left.axvspan(0.5, 1.5, color="0.9")

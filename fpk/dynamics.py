@@ -4,8 +4,8 @@ A ``Method`` gives crossing rates if it has a method ``crossings``, as the proto
 says, and likewise ``spectrum``, ``correlation`` and ``relaxation``. In all of them ``tol`` is the
 largest error wanted: of curves in units of a natural size of the quantity (σ_v/(2πσ_q) of
 crossings, σ_q³/σ_v of spectra, σ_q² of autocovariances), of rates relative to each; None for the
-default of the method. ``row`` is that of the mass in arrays: 0 for the first. ``progress`` as of
-``Method.solve``.
+default of the method. ``observable`` is a displacement, as ``parse_observable("q1", n)`` gives it,
+or else ``InvalidInput`` is raised. ``progress`` as of ``Method.solve``.
 """
 
 from collections.abc import Mapping
@@ -21,6 +21,7 @@ from fpk.errors import InvalidInput
 from fpk.evolution import ErrorKind
 from fpk.method import Progress, silent
 from fpk.number import SMALLEST
+from fpk.observable import Observable
 from fpk.system import System
 
 
@@ -31,7 +32,7 @@ class Curve:
     An error is an estimate of the numerical one, or one standard error of sampling. ::
 
         free = fpk.System([1.0], [1.0], [0.1], [0.05])
-        spectrum = Linear().spectrum(free, 0, np.linspace(0.0, 2.0, 21))
+        spectrum = Linear().spectrum(free, parse_observable("q1", 1), np.linspace(0.0, 2.0, 21))
         spectrum.values, spectrum.errors, spectrum.certificate.certified
     """
 
@@ -70,13 +71,13 @@ class Crossings(Protocol):
     def crossings(
         self,
         system: System,
-        row: int,
+        observable: Observable,
         at: Array,
         *,
         tol: float | None = None,
         progress: Progress = silent,
     ) -> Curve:
-        """Return the upcrossings per unit time of the levels ``at`` by q in row ``row``."""
+        """Return the upcrossings per unit time of the levels ``at`` by a displacement."""
 
 
 @runtime_checkable
@@ -90,13 +91,13 @@ class Spectrum(Protocol):
     def spectrum(
         self,
         system: System,
-        row: int,
+        observable: Observable,
         at: Array,
         *,
         tol: float | None = None,
         progress: Progress = silent,
     ) -> Curve:
-        """Return S of q in row ``row`` at the angular frequencies ``at``."""
+        """Return S at the angular frequencies ``at``."""
 
 
 @runtime_checkable
@@ -109,13 +110,13 @@ class Correlation(Protocol):
     def correlation(
         self,
         system: System,
-        row: int,
+        observable: Observable,
         at: Array,
         *,
         tol: float | None = None,
         progress: Progress = silent,
     ) -> Curve:
-        """Return C of q in row ``row`` at the lags ``at``.
+        """Return C at the lags ``at``.
 
         Raises ``InvalidInput`` as ``require_lags``.
         """

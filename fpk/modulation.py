@@ -12,7 +12,7 @@ from fpk.errors import InvalidInput, NotApplicable
 LEAST_DECAY = 1e-100
 """Decay of a segment that stands for none: its cube is within double precision."""
 ROUND_OFF = 1e-13
-"""Relative error of ``Modulation.faded``: 1e-14 was the most of 2,000 random ones (mpmath)."""
+"""Relative error of ``Modulation.faded``: 1.3e-14 was the most of 60 random ones (mpmath)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -59,6 +59,18 @@ def observable_name(observable: Observable) -> str:
     return ",".join(map(str, observable))
 
 
+def displacement_row(observable: Observable) -> int:
+    """Return the index of the mass whose displacement is observed, counted from 0.
+
+    Raises ``InvalidInput`` where that is not what is observed.
+    """
+    require_observables([observable])
+    if len(observable) != 1 or observable[0].kind != "q":
+        words = "is not a displacement; use q1, q2, ..."
+        raise InvalidInput("observable", observable_name(observable), words)
+    return observable[0].row
+
+
 def require_observables(observables: Sequence[Any]) -> None:
     """Raise ``InvalidInput`` for what is no observable: a name has to be parsed first."""
     for observable in observables:

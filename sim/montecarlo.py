@@ -16,7 +16,7 @@ from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.method import Method, Plan, Progress, Result, silent
-from fpk.observable import Observable
+from fpk.observable import Observable, displacement_row
 from fpk.route import ROUTES, Route, register
 from fpk.start import Start
 from fpk.system import System
@@ -82,8 +82,9 @@ class MonteCarlo(Method):
         at = np.linspace(0.0, 1.0, 5)
         short.passage(system, parse_limit("H=0.3", 2), REST, times).mean
         short.transient(system, parse_observable("H", 2), REST, times, (at,)).values
-        short.crossings(system, 1, at).values, short.correlation(system, 1, at).values
-        short.spectrum(system, 1, at).values
+        q2 = parse_observable("q2", 2)
+        short.crossings(system, q2, at).values, short.correlation(system, q2, at).values
+        short.spectrum(system, q2, at).values
 
     Raises ``InvalidInput`` naming the field that cannot be used.
     """
@@ -179,38 +180,42 @@ class MonteCarlo(Method):
     def crossings(
         self,
         system: System,
-        row: int,
+        observable: Observable,
         at: Array,
         *,
         tol: float | None = None,
         progress: Progress = silent,
     ) -> Curve:
         """Return upcrossing rates, counted between steps too; see ``sim.motion``."""
-        return self._stationary("crossings", system, row, at, tol, progress)
+        return self._stationary(
+            "crossings", system, displacement_row(observable), at, tol, progress
+        )
 
     def spectrum(
         self,
         system: System,
-        row: int,
+        observable: Observable,
         at: Array,
         *,
         tol: float | None = None,
         progress: Progress = silent,
     ) -> Curve:
         """Return power spectral densities by Welch's method; see ``sim.motion``."""
-        return self._stationary("spectrum", system, row, at, tol, progress)
+        return self._stationary("spectrum", system, displacement_row(observable), at, tol, progress)
 
     def correlation(
         self,
         system: System,
-        row: int,
+        observable: Observable,
         at: Array,
         *,
         tol: float | None = None,
         progress: Progress = silent,
     ) -> Curve:
         """Return autocovariances from products at a distance in time; see ``sim.motion``."""
-        return self._stationary("correlation", system, row, at, tol, progress)
+        return self._stationary(
+            "correlation", system, displacement_row(observable), at, tol, progress
+        )
 
     def _stationary(self, question: str, *asked: Any) -> Curve:
         *asked_of, tol, progress = asked

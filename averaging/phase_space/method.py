@@ -32,7 +32,7 @@ from fpk.errors import NotApplicable, NotCertified
 from fpk.evolution import Passage
 from fpk.limit import Limit
 from fpk.method import Plan, Progress, Result, silent
-from fpk.observable import Coordinate, Observable, observable_name
+from fpk.observable import Coordinate, Observable, displacement_row, observable_name
 from fpk.start import Start
 from fpk.system import System
 
@@ -72,9 +72,9 @@ class PhaseSpace(Theory):
 
         stop = fpk.Contact(mass=1, side="both", stiffness=4.0, clearance=0.5)
         one = fpk.System([1.0], [1.0], [0.6], [0.3], contacts=(stop,))
-        PhaseSpace().crossings(one, 0, np.array([0.0, 0.5])).values
-        PhaseSpace().spectrum(one, 0, np.linspace(0.0, 2.0, 5)).values
-        PhaseSpace().correlation(one, 0, np.linspace(0.0, 5.0, 5)).values
+        PhaseSpace().crossings(one, parse_observable("q1", 1), np.array([0.0, 0.5])).values
+        PhaseSpace().spectrum(one, parse_observable("q1", 1), np.linspace(0.0, 2.0, 5)).values
+        PhaseSpace().correlation(one, parse_observable("q1", 1), np.linspace(0.0, 5.0, 5)).values
         PhaseSpace().relaxation(one, 2).values
         PhaseSpace().passage(one, parse_limit("q1=1", 1), REST, np.array([10.0])).mean
     """
@@ -140,31 +140,35 @@ class PhaseSpace(Theory):
     def crossings(
         self,
         system: System,
-        row: int,
+        observable: Observable,
         at: Array,
         *,
         tol: float | None = None,
         progress: Progress = silent,
     ) -> Curve:
         """Return the upcrossings per unit time of q from the joint density of (q, p)."""
-        return self._curve(crossings, system, row, at, tol or CROSSINGS_TOL, progress)
+        return self._curve(
+            crossings, system, displacement_row(observable), at, tol or CROSSINGS_TOL, progress
+        )
 
     def spectrum(
         self,
         system: System,
-        row: int,
+        observable: Observable,
         at: Array,
         *,
         tol: float | None = None,
         progress: Progress = silent,
     ) -> Curve:
         """Return the power spectral density of q from the resolvent of the FPK operator."""
-        return self._curve(spectrum, system, row, at, tol or SPECTRUM_TOL, progress)
+        return self._curve(
+            spectrum, system, displacement_row(observable), at, tol or SPECTRUM_TOL, progress
+        )
 
     def correlation(
         self,
         system: System,
-        row: int,
+        observable: Observable,
         at: Array,
         *,
         tol: float | None = None,
@@ -174,7 +178,7 @@ class PhaseSpace(Theory):
         require_lags(at)
         wanted = tol or CORRELATION_TOL
         return self._curve(
-            correlation, system, row, at, wanted, progress, signed=True
+            correlation, system, displacement_row(observable), at, wanted, progress, signed=True
         )  # fmt: skip
 
     def relaxation(

@@ -112,11 +112,11 @@ def _curve(asked: Asked, kind: type, question: str, key: str, of: str, at: str) 
 
     if len(observable) != 1 or observable[0].kind != "q":
         raise BadInput(f'--of "{of}": use a displacement, q1..q{system.n}')
-    row, (points,) = observable[0].row, parse_points(at, 1)
+    (points,) = parse_points(at, 1)
 
     def work(method: Any, **how: Any) -> Any:
         require_constant_noise(system.modulation)
-        return getattr(method, question)(system, row, points, **how)
+        return getattr(method, question)(system, observable, points, **how)
 
     asked.reply(
         kind,

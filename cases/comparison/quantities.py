@@ -197,7 +197,7 @@ def _rates(system: System, result: Result) -> Iterator[Quantity]:
             values, errors = upcrossings(joint, float(system.mass[row]), at)
         elif isinstance(method, Crossings) and method.route.quick and not method.route.sampled:
             try:
-                curve = method.crossings(system, row, at, tol=None, progress=silent)
+                curve = method.crossings(system, (q,), at, tol=None, progress=silent)
             except (NotApplicable, NotCertified):
                 continue
             values, errors = curve.values, curve.errors

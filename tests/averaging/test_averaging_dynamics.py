@@ -14,7 +14,7 @@ from averaging.phase_space.method import PhaseSpace
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.linear import diffusion_matrix, drift_matrix, stationary_covariance
 from fpk.method import silent
-from fpk.observable import parse_observable
+from fpk.observable import Coordinate, parse_observable
 
 UNEQUAL = fpk.System([1, 2], [1, 1.5], [0.08, 0.04], [0.01, 0.02])
 TURNED = fpk.System([1, 2], [1, 1.5], [[0.08, 0.06], [-0.04, 0.05]], [0.01, 0.02])
@@ -22,6 +22,9 @@ TURNED = fpk.System([1, 2], [1, 1.5], [[0.08, 0.06], [-0.04, 0.05]], [0.01, 0.02
 
 
 def ask(method, question, system, *arguments, tol=None):
+    if question != "relaxation":
+        row, *arguments = arguments
+        arguments = [(Coordinate("q", row),), *arguments]
     answer = getattr(method, question)(system, *arguments, tol=tol, progress=silent)
     assert answer.certificate.certified, answer.certificate.failures
     return answer
@@ -96,7 +99,9 @@ def test_after_long_nothing_is_left_of_a_correlation():
 def test_lags_are_times(lag):
     for method in (Linear(), PhaseSpace()):
         with pytest.raises(InvalidInput, match="at"):
-            method.correlation(UNEQUAL, 0, np.array([0.0, lag]), tol=None, progress=silent)
+            method.correlation(
+                UNEQUAL, (Coordinate("q", 0),), np.array([0.0, lag]), tol=None, progress=silent
+            )
 
 
 def test_crossings_of_a_linear_system_are_those_of_its_joint_density():
@@ -158,4 +163,6 @@ def test_a_system_with_contacts_is_not_linear(question):
     contact = fpk.Contact(mass=2, side="right", stiffness=10.0, clearance=0.2)
     system = fpk.System([1, 2], [1, 1], [0.08, 0.08], [0.02, 0.02], contacts=(contact,))
     with pytest.raises(NotApplicable, match="contacts"):
-        getattr(Linear(), question)(system, 0, np.zeros(1), tol=None, progress=silent)
+        getattr(Linear(), question)(
+            system, (Coordinate("q", 0),), np.zeros(1), tol=None, progress=silent
+        )

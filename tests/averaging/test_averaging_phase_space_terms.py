@@ -22,7 +22,7 @@ from fpk.density import l1_distance
 from fpk.errors import NotApplicable
 from fpk.method import silent
 from fpk.moments import gaussian_moment
-from fpk.observable import parse_observable
+from fpk.observable import Coordinate, parse_observable
 from fpk.quadrature import gauss_grid, integral
 from sim.montecarlo import MonteCarlo
 
@@ -192,7 +192,7 @@ def test_sums_over_the_spectrum_of_one_mass_damped_by_its_energy_are_exact():
     # As with constant damping: ∫ S dω is the variance of q, ∫ ω² S dω that of the velocity.
     system, count = ONE_MASS["one-sided"], 160
     w = np.tan((np.arange(count) + 0.5) * 0.5 * np.pi / count)
-    answer = PhaseSpace().spectrum(system, 0, w, tol=1e-2, progress=silent)
+    answer = PhaseSpace().spectrum(system, (Coordinate("q", 0),), w, tol=1e-2, progress=silent)
     assert answer.certificate.certified
     weight = np.pi / count * (1.0 + w**2)
     observables = [parse_observable(o, 1) for o in ("q1", "p1")]
@@ -207,8 +207,8 @@ def test_sums_over_the_spectrum_of_one_mass_damped_by_its_energy_are_exact():
 
 def test_crossings_of_one_mass_damped_by_its_energy_are_exact():
     system, a = ONE_MASS["two-sided"], np.linspace(-0.8, 0.8, 5)
-    exact = Exact().crossings(system, 0, a, tol=None, progress=silent)
-    answer = PhaseSpace().crossings(system, 0, a, tol=1e-3, progress=silent)
+    exact = Exact().crossings(system, (Coordinate("q", 0),), a, tol=None, progress=silent)
+    answer = PhaseSpace().crossings(system, (Coordinate("q", 0),), a, tol=1e-3, progress=silent)
     assert answer.certificate.certified
     assert np.all(np.abs(answer.values - exact.values) <= answer.errors + exact.errors)
 

@@ -58,7 +58,7 @@ def test_what_new_says_as_json(fpk, tmp_path):
     path = tmp_path / "a.toml"
     record = json.loads(fpk("new", "pipe", "--out", path, "--json")[1])
     assert record == {
-        "scene": "pipe", "file": str(path), "files": [str(path), str(tmp_path / FILE)]
+        "schema": 2, "scene": "pipe", "file": str(path), "files": [str(path), str(tmp_path / FILE)]
     }  # fmt: skip
 
 

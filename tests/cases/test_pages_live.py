@@ -14,6 +14,7 @@ from cases.comparison.run import run_scene
 from cases.output.digest import digest_of
 from cases.output.live import live_record
 from cases.output.report import write_report
+from cases.output.words import named
 from cases.scene.scene import load_scene
 from cases.studies.cost import CostStudy
 from cases.studies.cost_page import cost_page
@@ -204,7 +205,7 @@ def test_sweeps_have_the_numbers_of_every_method(touched, sweeps):
     for k in range(2):
         for hover, i in zip(touched["line"][f"picture_{k}"]["hover"], (1, 2), strict=True):
             assert hover["place"]["x"] == one.axes[0].values[i]
-            assert [v["name"] for v in hover["values"]] == list(one.methods)
+            assert [v["name"] for v in hover["values"]] == [named(m) for m in one.methods]
             for m, value in enumerate(hover["values"]):
                 assert value["p"] == pytest.approx(one.field("value")[k, m, i], rel=1e-9)
                 assert value["error"] >= one.field("error")[k, m, i]
@@ -213,7 +214,7 @@ def test_sweeps_have_the_numbers_of_every_method(touched, sweeps):
         assert len(values) == len(two.quantities) * len(two.methods)
         for k, quantity in enumerate(two.quantities):
             for m, method in enumerate(two.methods):
-                value, at = values[f"{quantity} by {method}"], (k, m, *place)
+                value, at = values[f"{quantity} by {named(method)}"], (k, m, *place)
                 assert value["p"] == pytest.approx(two.field("value")[at], rel=1e-9)
                 assert value["error"] >= two.field("error")[at]
 
@@ -221,9 +222,9 @@ def test_sweeps_have_the_numbers_of_every_method(touched, sweeps):
 def test_a_map_of_regimes_says_which_theory_is_nearer(touched):
     hover = touched["regime"]["picture_0"]["hover"][0]
     values = {v["name"]: v for v in hover["values"]}
-    assert values["nearer to the full system"]["words"] == "nonintegrable"
-    assert values["L₁, integrable"]["p"] > 0.1 > values["L₁, nonintegrable"]["p"]
-    assert "nearer to the full system: nonintegrable" in hover["words"]
+    assert values["nearer to the full system"]["words"] == "energy averaging"
+    assert values["L₁, modal averaging"]["p"] > 0.1 > values["L₁, energy averaging"]["p"]
+    assert "nearer to the full system: energy averaging" in hover["words"]
     assert values["clearance over rms"]["p"] > 0.0
     assert touched["regime"]["picture_0"]["said"] == "Dotted: clearance = 2 rms."
 

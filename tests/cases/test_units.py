@@ -16,6 +16,7 @@ from cases.output.report import figures
 from cases.scene.numbers import place_of
 from cases.scene.scene import load_scene, shipped_scenes
 from cases.scene.units import DERIVED, DIMENSIONS, Units
+from cases.studies.picture import study_figure
 from cases.studies.sweep.sweep import sweep
 from cases.studies.sweep.sweep_page import sweep_page
 from fpk.contact import Contact
@@ -230,8 +231,8 @@ def test_a_sweep_says_the_units_of_its_axes_and_values(scene):
     head, rows = page.tables[0].cells()
     assert head[0] == "contact.clearance [mm]"
     assert {row[1] for row in rows} == {"rms(q2) [mm]", "mean_force(1) [kg mm s⁻²]"}
-    axes = page.figure().axes
-    assert {a.get_xlabel() for a in axes} == {"clearance $δ$ [mm]"}
+    axes = study_figure(page.panels).axes
+    assert {a.get_xlabel() for a in axes} == {"clearance δ [mm]"}
     assert axes[0].get_ylabel() == "rms(q2) [mm]"
     variables = swept.variables()
     assert variables["contact.clearance"][2]["units"] == "mm"

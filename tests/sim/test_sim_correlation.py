@@ -11,6 +11,7 @@ from fpk.contact import Contact
 from fpk.dynamics import Correlation, Curve
 from fpk.errors import InvalidInput
 from fpk.method import silent
+from fpk.observable import Coordinate
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
 from sim.motion.correlation import BEYOND, _curve, _products, _spline_error
@@ -22,12 +23,14 @@ AT = np.array([0.0, 0.05, 0.37, 1.0, 2.0, 3.3, 5.0, 7.3, 10.0, 20.0, 40.0])
 
 def sampled(system: System, row: int, at: Any, **settings: Any) -> Curve:
     method = MonteCarlo(**({"threads": 1, "paths": 4096, "time": 100.0} | settings))
-    return method.correlation(system, row, np.asarray(at), tol=None, progress=silent)
+    return method.correlation(
+        system, (Coordinate("q", row),), np.asarray(at), tol=None, progress=silent
+    )
 
 
 def by_method(name: str, system: System, row: int, at: Any) -> Any:
     method = method_for(name, threads=1)
-    return method.correlation(system, row, at, tol=None, progress=silent)
+    return method.correlation(system, (Coordinate("q", row),), at)
 
 
 @pytest.mark.parametrize("masses", [1, 2])
@@ -91,7 +94,7 @@ def test_the_same_for_any_threads_and_a_tolerance_is_met_or_not_certified() -> N
     np.testing.assert_array_equal(one.values, two.values)
     method = MonteCarlo(paths=4096, threads=1, time=100.0, longest=0.2)
     assert isinstance(method, Correlation)
-    short = method.correlation(linear(1), 0, AT, tol=1e-6, progress=silent)
+    short = method.correlation(linear(1), (Coordinate("q", 0),), AT, tol=1e-6)
     assert any("exceeds the tolerance" in words for words in short.certificate.failures)
 
 

@@ -10,6 +10,7 @@ from cases.comparison.routes import method_for
 from fpk.dynamics import Crossings, Curve
 from fpk.errors import NotApplicable
 from fpk.method import silent
+from fpk.observable import Coordinate
 from fpk.system import System
 from sim.arrays import LANES
 from sim.montecarlo import MonteCarlo
@@ -22,11 +23,15 @@ Z = 4.5
 
 def counted(system: System, row: int, at: Any, **settings: Any) -> Curve:
     method = MonteCarlo(**({"threads": 1, "paths": 4096} | settings))
-    return method.crossings(system, row, np.asarray(at), tol=None, progress=silent)
+    return method.crossings(
+        system, (Coordinate("q", row),), np.asarray(at), tol=None, progress=silent
+    )
 
 
 def by_method(name: str, system: System, row: int, at: Any) -> Any:
-    return method_for(name, None).crossings(system, row, at, tol=None, progress=silent)
+    return method_for(name, None).crossings(
+        system, (Coordinate("q", row),), at, tol=None, progress=silent
+    )
 
 
 @pytest.mark.parametrize("masses", [1, 3])
@@ -128,7 +133,9 @@ def test_a_level_never_reached_has_the_error_of_one_visit() -> None:
 
 def test_too_large_an_error_and_too_short_a_burn_in_are_not_certified() -> None:
     method = MonteCarlo(paths=4096, threads=1, time=5.0, longest=0.5)
-    answer = method.crossings(linear(1), 0, np.array([0.0]), tol=1e-5, progress=silent)
+    answer = method.crossings(
+        linear(1), (Coordinate("q", 0),), np.array([0.0]), tol=1e-5, progress=silent
+    )
     assert any("exceeds the tolerance" in words for words in answer.certificate.failures)
     assert isinstance(method, Crossings)
     with pytest.raises(NotApplicable, match="not damped"):

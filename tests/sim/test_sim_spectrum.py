@@ -12,6 +12,7 @@ from fpk.contact import Contact
 from fpk.dynamics import Curve, Spectrum
 from fpk.linear import drift_matrix, stationary_covariance
 from fpk.method import silent
+from fpk.observable import Coordinate
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
 
@@ -21,11 +22,15 @@ Z = 4.5
 
 def sampled(system: System, row: int, at: Any, **settings: Any) -> Curve:
     method = MonteCarlo(**({"threads": 1, "paths": 4096} | settings))
-    return method.spectrum(system, row, np.asarray(at), tol=None, progress=silent)
+    return method.spectrum(
+        system, (Coordinate("q", row),), np.asarray(at), tol=None, progress=silent
+    )
 
 
 def by_method(name: str, system: System, row: int, at: Any) -> Any:
-    return method_for(name, None).spectrum(system, row, at, tol=None, progress=silent)
+    return method_for(name, None).spectrum(
+        system, (Coordinate("q", row),), at, tol=None, progress=silent
+    )
 
 
 @pytest.mark.parametrize("masses", [1, 2])
@@ -96,5 +101,7 @@ def test_the_same_for_any_threads_and_a_tolerance_is_met_or_not_certified() -> N
     np.testing.assert_array_equal(one.values, two.values)
     method = MonteCarlo(paths=4096, threads=1, time=100.0, longest=0.2)
     assert isinstance(method, Spectrum)
-    short = method.spectrum(linear(1), 0, np.array(at), tol=1e-6, progress=silent)
+    short = method.spectrum(
+        linear(1), (Coordinate("q", 0),), np.array(at), tol=1e-6, progress=silent
+    )
     assert any("exceeds the tolerance" in words for words in short.certificate.failures)

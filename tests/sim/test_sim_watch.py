@@ -9,14 +9,14 @@ from sim_systems import fig6, linear
 from fpk.contact import Contact
 from fpk.dynamics import Curve
 from fpk.errors import InvalidInput
-from fpk.method import silent
+from fpk.observable import Coordinate
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
 
 
 def asked(question: str, system: System, at: Any = (0.0,), **settings: Any) -> Curve:
     method = MonteCarlo(**({"threads": 1, "paths": 4096} | settings))
-    answer: Curve = getattr(method, question)(system, 0, np.array(at), tol=None, progress=silent)
+    answer: Curve = getattr(method, question)(system, (Coordinate("q", 0),), np.array(at))
     return answer
 
 
