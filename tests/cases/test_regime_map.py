@@ -130,7 +130,8 @@ def test_a_map_is_printed_and_once_written_its_summary_only(fpk, tmp_path):
     line = ["regime", "fig3a", "--vary", "contact.clearance=0.5:2:2"]
     status, out, err = fpk(*line)
     assert (
-        (status, err) == (0, "") and "energy averaging" in out and "2 points (0 from disk)" in out
+        (status, err) == (0, "") and "energy averaging" in out
+    assert "2 points (0 from disk)" in out
     )
     status, out, err = fpk(*line, "--out", tmp_path)
     assert (status, err) == (0, "") and "|" not in out and out.startswith("p(q2), 2 points")
