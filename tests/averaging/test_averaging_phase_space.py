@@ -117,7 +117,11 @@ def test_moments_of_a_linear_system_are_those_of_the_lyapunov_equation():
     assert moments(frame, expansion).covariance == pytest.approx(exact, rel=1e-10, abs=1e-12)
 
 
-@pytest.mark.parametrize("name", ["q1", "q2", "p1", "p2", "q1,q2", "q1,p2", "p1,p2", "q2,p2"])
+@pytest.mark.parametrize(
+    "name",
+    ["q1", "q2", "p1", "p2", "q1,q2", "p1,p2", "q2,p2",
+     pytest.param("q1,p2", marks=pytest.mark.slow)],
+)  # fmt: skip
 def test_densities_of_a_linear_system_are_gaussian(name):
     system = fpk.System(**FIG6, noise_intensity=[0.01, 0.02])
     observable = parse_observable(name, 2)

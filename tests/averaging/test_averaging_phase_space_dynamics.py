@@ -211,6 +211,7 @@ def test_relaxation_rates_keep_to_their_error_against_a_finer_solution():
     assert np.all(fine.values.real > 0.0) and np.all(fine.values.imag >= 0.0)
 
 
+@pytest.mark.slow
 def test_rates_of_the_truncation_are_not_listed():
     # A has the eigenvalues of minus the matrix F of all but y, too, in functions of y that are
     # orthogonal to the slopes of those a level below: no correlation shows them.

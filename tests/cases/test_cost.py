@@ -297,6 +297,7 @@ def test_the_page_says_where_a_solution_overtakes_sampling(solved, where):
     assert len(table.remarks) == 1 and f"p overtakes sampling {where}" in table.remarks[0]
 
 
+@pytest.mark.slow
 def test_the_failure_rate_is_priced_by_every_route_that_solves_it():
     scene = load_scene("cir")
     (question,) = scene.passages
