@@ -348,3 +348,11 @@ def test_a_sweep_in_python_is_labelled_and_takes_arrays():
     assert data["system.stiffness.1"].values.tolist() == [1.0, 2.0]
     values = data["value"].sel(quantity="std(q1)", route="linear").values
     assert values[0] > values[1] > 0.0 and len(repr(result).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("grid", "logarithmic"), [("1,10,100", True), ("1,2,3", False), ("0,10,100", False)]
+)
+def test_a_list_over_decades_is_drawn_on_a_logarithmic_axis(grid, logarithmic):
+    (axis,) = parse_axes([f"contact[1].clearance={grid}"], load_scene("fig6a").system)
+    assert axis.logarithmic == logarithmic

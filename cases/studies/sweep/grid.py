@@ -23,6 +23,8 @@ LABELS = {"contact.stiffness": "contact stiffness B", "contact.clearance": "clea
 """Labels of axes that have one of their own."""
 MAX_POINTS = 2000
 """Points of a grid; each is a simulation of about a second."""
+WIDE = 30.0
+"""Ratio of the ends of a list from which on it is drawn on a logarithmic axis."""
 LARGEST = 1e100
 """Largest size of an end of a grid: its square is still a number."""
 FORMS = "low:high:count, low:high:logCOUNT for equal ratios, or a list such as 0.1,0.2"
@@ -88,7 +90,8 @@ def _axis(text: str, system: System, units: Units) -> Axis:
     symbol = VARIED.get(key, key) if place.name else f"{key} (factor)" if place.factor else key
     match = re.fullmatch(r"([^:,]+):([^:,]+):(log)?([0-9]{1,5})", grid)
     if match is None:
-        return Axis(key, symbol, _list(text, grid), False, unit)
+        values = _list(text, grid)
+        return Axis(key, symbol, values, bool(values[-1] >= WIDE * values[0] > 0.0), unit)
     low, high = _number(match[1]), _number(match[2])
     logarithmic, count = match[3] is not None, int(match[4])
     for holds, remedy in (
