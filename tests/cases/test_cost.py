@@ -237,7 +237,8 @@ def test_the_whole_study_agrees_with_itself(tmp_path):
     found = study_cost(load_scene("fig6b"))
     assert not found.problems
     assert {r.equation for r in found.routes} >= {FULL, "averaged equation (24)"}
-    assert len(cost_page(found).write(tmp_path)) == 3
+    written = cost_page(found).write(tmp_path)
+    assert {path.suffix for path in written} == {".md", ".html", ".svg", ".nc"}
 
 
 def test_times_are_shown_in_units_that_suit_them():
