@@ -146,6 +146,8 @@ def passage_of(
         raise InvalidInput("limit", limit, words)
     begin = max(tail_begin(fine, until, memory), settled)
     best = estimates(fine, until, times, begin)
+    if settled == inf:  # some never fail, even where none of them is in the sample
+        best[:2] = inf
     error, bias = _errors(sampled, times, begin, best)
     exposure = float(np.sum(np.minimum(fine, until)))
     if too_soon := _too_soon(fine, step):

@@ -76,6 +76,21 @@ def test_what_is_left_of_the_noise_against_mpmath(seed):
         assert abs(got - exact) <= (ROUND_OFF + 1e-12) * exact
 
 
+@pytest.mark.parametrize("rate", [-2.0, -1e-3, 0.0])
+def test_energy_fed_in_grows_where_damping_is_negative(rate):
+    modulation = Modulation([0.0, 1.0, 3.0], [0.5, 2.0, 0.0])
+    s, w = panel_rule(np.array([0.0, 1.0, 2.5]), 30)
+    wanted = float((w * modulation(s) ** 2 * np.exp(-rate * (2.5 - s))).sum())
+    # 1200 roundings of the sum by quadrature, at the most.
+    assert float(modulation.faded(0.0, 2.5, np.array(rate))) == pytest.approx(wanted, rel=3e-13)
+
+
+@pytest.mark.parametrize("factor", [1e160, 1e-170])
+def test_factors_whose_square_is_no_number_are_refused(factor):
+    with pytest.raises(InvalidInput, match="must be 0 or from"):
+        Modulation([0.0, 1.0], [1.0, factor])
+
+
 @pytest.mark.parametrize(
     ("seed", "start"),
     [

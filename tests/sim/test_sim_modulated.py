@@ -160,6 +160,15 @@ def test_full_system_after_the_noise():
         MonteCarlo(paths=4096).passage(silence, *asked, **SETTINGS)
 
 
+def test_after_the_noise_moments_are_infinite_though_all_of_the_sample_failed():
+    loud = replace(ONE, modulation=Modulation([0.0, 3.0, 4.0], [3.0, 3.0, 0.0]))
+    asked = parse_limit("H=0.01", 1), parse_start("rest", loud), np.array([1.0])
+    answer = AveragedSimulation("nonintegrable", paths=4096, threads=1, step=0.02)
+    answer = answer.passage(loud, *asked, **SETTINGS)
+    assert answer.settings["not failed"] == 0
+    assert answer.mean.value == answer.variance.value == np.inf and answer.rate is None
+
+
 def test_motions_without_modulation_are_what_they_were():
     plain = replace(TWO, modulation=None)
     q = p = np.zeros((128, 2))
