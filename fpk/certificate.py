@@ -1,5 +1,6 @@
 """Certificates of answers: the measured numbers, their limits, and the one place that compares."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -83,6 +84,12 @@ def outside(of: Measured | Certificate) -> float:
 def missing(of: Measured | Certificate) -> float:
     """Return |1 − ∫p|, 0 where no mass is to be 1."""
     return 0.0 if of.mass_defect is None else of.mass_defect
+
+
+def worst(values: Iterable[float | None]) -> float | None:
+    """Return the largest of what was measured, NaN if one is; None where nothing was."""
+    given = [x for x in values if x is not None]
+    return float(np.max(given)) if given else None
 
 
 def with_values(certificate: Certificate, *values: NDArray[Any]) -> Certificate:

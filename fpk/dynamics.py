@@ -15,7 +15,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from fpk.arrays import Array, Complexes
-from fpk.certificate import Certificate, Measured, certify, with_values
+from fpk.certificate import Certificate, Measured, certify, with_values, worst
 from fpk.density import Density
 from fpk.errors import InvalidInput
 from fpk.evolution import ErrorKind
@@ -154,20 +154,19 @@ def certified_curve(
     """Return a curve that rests on the stationary density ``of``, with its certificate.
 
     ``tol`` is the error wanted in units of ``scale``, a natural size of the quantity that is not
-    zero where its values are. Mass and tails are those of the density; so is the residual, unless
-    that of the curve's own equation is larger. What is ``positive``, the values themselves where it
-    is None, fails if it is negative by more than the error.
+    zero where its values are. Mass, tails and failures are those of the density, but that it misses
+    a tolerance of its own; so is the residual, unless that of the curve's own equation is larger.
+    What is ``positive``, the values themselves where it is None, fails if it is negative by more
+    than the error.
     """
-    relative = float(np.max(errors)) / scale
+    relative, own = float(np.max(errors)) / scale, of.certificate.failures
     measured = Measured(
         l1_error=relative,
         mass_defect=of.certificate.mass_defect,
         minimum=float(np.min(values if positive is None else positive)) / scale,
-        residual=max(
-            (r for r in (residual, of.certificate.residual) if r is not None), default=None
-        ),
+        residual=worst((residual, of.certificate.residual)),
         tail_mass=of.certificate.tail_mass,
-        failures=failures,
+        failures=failures if of.certificate.missed else (*own, *failures),
         absolute_error=relative,
     )
     certificate = certify(measured, tol=tol)

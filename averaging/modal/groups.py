@@ -10,7 +10,7 @@ from averaging.modal.analysis import ModalAnalysis
 from averaging.quadrature import solve_by_quadrature
 from averaging.zero_flux import ZeroFluxDensity
 from fpk.arrays import Array
-from fpk.certificate import Measured, outside
+from fpk.certificate import Measured, outside, worst
 from fpk.density import Density
 from fpk.line.stationary import StationarySolution, solve_stationary
 from fpk.observable import Coordinate
@@ -67,8 +67,8 @@ def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:
         l1_error=sum(part.l1_error for part in parts) + added,
         mass_defect=sum(c.mass_defect for c in checks if c.mass_defect is not None),
         minimum=min(c.minimum for c in checks if c.minimum is not None),
-        residual=max((c.residual for c in checks if c.residual is not None), default=None),
+        residual=worst(c.residual for c in checks),
         tail_mass=sum(outside(c) for c in checks),
-        net_flux=max((c.net_flux for c in checks if c.net_flux is not None), default=None),
+        net_flux=worst(c.net_flux for c in checks),
         failures=tuple(dict.fromkeys(words for c in checks for words in c.failures)),
     )

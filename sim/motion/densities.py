@@ -6,7 +6,7 @@ from math import inf
 import numpy as np
 
 from fpk.arrays import Array, Integers
-from fpk.certificate import Measured, certify, outside
+from fpk.certificate import Measured, certify, outside, worst
 from fpk.errors import InvalidInput
 from fpk.evolution import Transient
 from fpk.observable import Observable
@@ -124,11 +124,9 @@ def answer_of(
     own = dict.fromkeys(words for c in certificates for words in c.failures)
     measured = Measured(
         l1_error=max(density.l1_error for density in fine),
-        mass_defect=max(
-            (x for c in certificates if (x := c.mass_defect) is not None), default=None
-        ),
+        mass_defect=worst(c.mass_defect for c in certificates),
         minimum=min((x for c in certificates if (x := c.minimum) is not None), default=None),
-        residual=max((x for c in certificates if (x := c.residual) is not None), default=None),
+        residual=worst(c.residual for c in certificates),
         tail_mass=max(map(outside, certificates)),
         failures=(*failures, *lost_words(counted.lost, dt), *own, *wide[:1]),
     )

@@ -150,6 +150,9 @@ def passage_of(
         best[:2] = inf
     error, bias = _errors(sampled, times, begin, best)
     exposure = float(np.sum(np.minimum(fine, until)))
+    followed = float(np.max(until))
+    if followed < settled and sampled.failed < fine.size:
+        error[3:][times > followed] = inf  # the rate until then says nothing of later
     if too_soon := _too_soon(fine, step):
         error[:] = inf
     measured = Measured(
@@ -204,9 +207,10 @@ def _seen(sampled: Times, begin: float, bias: Array) -> dict[str, str | float | 
         "trajectories": paths,
         "not failed": paths - events,
         "followed until": float(np.max(np.minimum(sampled.fine, sampled.until))),
-        "failure rate from": begin,
     }
-    if 0 < events < paths:
+    if begin < inf:
+        seen["failure rate from"] = begin
+    if 0 < events < paths and begin < inf:
         seen["continued"] = "the moments, at the failure rate, where trajectories end first"
     if sampled.coarse is not None and events:
         seen |= {"step bias of the mean": float(bias[0]), "step bias of the rate": float(bias[2])}

@@ -178,3 +178,11 @@ def test_motions_without_modulation_are_what_they_were():
     for motion in (held, free):
         motion.advance(20)
     np.testing.assert_array_equal(in_rows(held.last), in_rows(free.last))
+
+
+def test_what_comes_after_the_simulation_ended_is_not_known_while_noise_changes():
+    rising = replace(ONE, modulation=Modulation([0.0, 40.0], [0.2, 2.0]))
+    asked = parse_limit("H=1", 1), parse_start("rest", rising), np.array([2.0, 60.0])
+    answer = MonteCarlo(paths=4096, threads=1, time=4.0).passage(rising, *asked, **SETTINGS)
+    assert answer.survival_error[0] < 0.1 and answer.survival_error[1] == np.inf
+    assert not answer.certificate.certified
