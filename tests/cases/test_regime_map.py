@@ -129,10 +129,8 @@ def test_the_equation_of_the_full_system_judges_where_it_is_asked_to(fpk, tmp_pa
 def test_a_map_is_printed_and_once_written_its_summary_only(fpk, tmp_path):
     line = ["regime", "fig3a", "--vary", "contact.clearance=0.5:2:2"]
     status, out, err = fpk(*line)
-    assert (
-        (status, err) == (0, "") and "energy averaging" in out
+    assert (status, err) == (0, "") and "energy averaging" in out
     assert "2 points (0 from disk)" in out
-    )
     status, out, err = fpk(*line, "--out", tmp_path)
     assert (status, err) == (0, "") and "|" not in out and out.startswith("p(q2), 2 points")
     for ending in ("md", "nc", "svg", "csv"):
