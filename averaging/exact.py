@@ -49,7 +49,7 @@ def compatibility(system: System) -> Array:
         best = ", ".join(f"{part:.4g}" for part in h) or "0"
         raise NotApplicable(
             "the compatibility condition (8), c_ij = h (f D fᵀ)_ij for all i, j, is not met: "
-            f"the best h = {best} leaves {worst:.2g} of the damping"
+            f"even with the best h = {best}, an entry is off by {worst:.2g} of the largest damping"
         )
     return h
 

@@ -49,8 +49,8 @@ class PassageQuestion:
 
     @property
     def name(self) -> str:
-        """What is asked for, as ``H=1.5 from rest``."""
-        return f"{self.limit} from {self.start}"
+        """What is asked for, as ``H=1.5 from rest`` or ``H1=0.4 or H2=0.6 from rest``."""
+        return f"{' or '.join(str(self.limit).split(','))} from {self.start}"
 
 
 Question = TransientQuestion | PassageQuestion

@@ -109,11 +109,11 @@ class Units:
         """Return the unit of a quantity by its name, such as ``rms`` or ``mean force, left stop``.
 
         ``observable`` is the name of what it is a quantity of, as ``q2``; a ``variance`` has the
-        square of its unit.
+        square of its unit, and the ``covariance`` of a pair the product of both.
         """
         own = [DIMENSIONS[c[0]] for c in observable.split(",") if c[:1] in DIMENSIONS]
         named = next(([powers] for words, powers in NAMED if re.search(words, name)), own)
-        return self.of(*named * (2 if "variance" in name else 1))
+        return self.of(*named * (2 if re.search(r"\bvariance", name) else 1))
 
     def record(self) -> dict[str, Any] | None:
         """Return the names and all derived units for JSON, None where there are none."""

@@ -70,7 +70,7 @@ def test_questions_are_read(tmp_path, scene_text):
         "nonintegrable",
     )
     assert tuple(energy.rate_error) == ("at_most", 0.1)
-    assert (either.name, either.times) == ("H1=0.4,H2=0.6 from q1=0.1,p2=0.2", ())
+    assert (either.name, either.times) == ("H1=0.4 or H2=0.6 from q1=0.1,p2=0.2", ())
     assert (observable_name(transient.of), str(transient.start)) == ("q2", "noise=0.5")
 
 

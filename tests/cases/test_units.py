@@ -310,3 +310,9 @@ def test_show_has_modes_and_rms_with_their_units(scene, fpk):
 def test_two_units_of_one_name_cannot_be_told_apart():
     with pytest.raises(InvalidInput, match="mass"):
         Units("m", "m", "s")
+
+
+def test_covariance_of_a_pair_has_the_product_of_both_units():
+    units = Units("mm", "kg", "s")
+    assert units.number("covariance", "q2,p2") == units.of(DIMENSIONS["q"], DIMENSIONS["p"])
+    assert units.number("variance", "q2") == units.of(DIMENSIONS["q"], DIMENSIONS["q"])
