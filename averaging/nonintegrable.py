@@ -28,6 +28,10 @@ from fpk.system import System
 ENERGY = Coordinate("H")
 Settings = dict[str, str | float | int]
 
+MODULATED_TOL = 1e-6
+"""Default tolerance of densities in time under modulated noise: noise that sets in or ends at 0 has
+no more within the steps that are taken."""
+
 
 @dataclass(frozen=True)
 class NonIntegrable(Theory):
@@ -99,15 +103,18 @@ class NonIntegrable(Theory):
         tol: float | None = None,
         progress: Progress = silent,
     ) -> Transient:
-        """Return the densities of the energy, or of one or two of (q, p), at ``times``."""
+        """Return the densities of the energy, or of one or two of (q, p), at ``times``.
+
+        ``tol`` None: that of the method, or ``MODULATED_TOL`` by elements under modulated noise.
+        """
+        modulated = system.modulation is not None and self.solver == "fem"
+        wanted = tol or (MODULATED_TOL if modulated else self.tol)
         one, begins = total_energy(system), total_energy_start(system, start)
         if observable == (ENERGY,):
-            return one.transient(self.solver, begins, times, at[0], tol=tol or self.tol)
+            return one.transient(self.solver, begins, times, at[0], tol=wanted)
         if reason := energy_only_refusal(system, observable):
             raise NotApplicable(reason)
-        return one.state_transient(
-            system, self.solver, begins, observable, times, at, tol=tol or self.tol
-        )
+        return one.state_transient(system, self.solver, begins, observable, times, at, tol=wanted)
 
     def passage(
         self,

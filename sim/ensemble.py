@@ -188,7 +188,14 @@ class Ensemble:
         return np.add.reduceat(self.live, self.edges[:-1])
 
     def batch_means(self) -> Array:
-        """Return (batches, products) means over the samples of each batch, in fixed order."""
+        """Return (batches, products) means over the samples of each batch, in fixed order.
+
+        Of trajectories that are about to be lost they may be infinite.
+        """
+        with np.errstate(over="ignore"):
+            return self._batch_means()
+
+    def _batch_means(self) -> Array:
         apart = np.where(self._alive()[: len(self.sums), None, :], self.sums, 0.0).sum(axis=2)
         blocks = np.concatenate([apart, self.folded.sum(axis=2)])
         sums = np.add.reduceat(blocks, self.edges[:-1], axis=0)

@@ -23,11 +23,11 @@ TOUCHING = replace(FREE, contacts=(Contact(2, "both", 10.0, 0.5),))
 SETTINGS = {"tol": None, "progress": silent}
 
 
-def transient(system, start, times, at, solver="fem", observable="H"):
+def transient(system, start, times, at, solver="fem", observable="H", **settings):
     method = NonIntegrable(solver=solver)
     assert isinstance(method, Transients)
     named = parse_observable(observable, system.n), parse_start(start, system)
-    return method.transient(system, *named, np.array(times), (np.array(at),), **SETTINGS)
+    return method.transient(system, *named, np.array(times), (np.array(at),), **SETTINGS | settings)
 
 
 def passage(system, limit, start="rest", times=(), solver="fem"):
@@ -112,7 +112,7 @@ def temperature(time):
 
 def test_modulated_noise_against_the_exact_gamma_density():
     system, times, at = replace(FREE, modulation=MODULATION), [1.0, 8.0, 40.0], [0.02, 0.3, 0.8]
-    solved = transient(system, "rest", times, at)
+    solved = transient(system, "rest", times, at, tol=1e-9)
     assert solved.certificate.certified
     theta = np.array([[temperature(t)] for t in times])
     exact = np.array(at) / theta**2 * np.exp(-np.array(at) / theta)
@@ -126,7 +126,7 @@ def test_modulated_noise_against_the_exact_gamma_density():
 def test_modulated_noise_after_much_less_or_more_noise(factor):
     # From the stationary state it stays a gamma density; no element saw a narrow one.
     at = np.array([1e-8, 1e-3, 0.02, 0.1, 0.3])
-    solved = transient(replace(FREE, modulation=MODULATION), f"noise={factor}", [0.3], at)
+    solved = transient(replace(FREE, modulation=MODULATION), f"noise={factor}", [0.3], at, tol=1e-9)
     assert solved.certificate.certified
     theta = temperature(0.3) + factor * 0.18 * np.exp(-0.125 * 0.3)
     exact = at / theta**2 * np.exp(-at / theta)
