@@ -116,6 +116,10 @@ class Browser:
             raise RuntimeError(str(result["exceptionDetails"]["exception"].get("description")))
         return result["result"].get("value")
 
+    def result(self, body: str) -> Any:
+        """Return what a function with this body returns in the page; see ``value``."""
+        return self.value(f"(() => {{ {body}\n}})()")
+
     def shot(self, *, top: int = 0, height: int | None = None) -> bytes:
         """Return the page, or ``height`` pixels of it from ``top`` on, as PNG."""
         size = self.call("Page.getLayoutMetrics")["cssContentSize"]

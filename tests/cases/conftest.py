@@ -4,6 +4,7 @@ import shutil
 import sys
 
 import pytest
+from browser import Browser
 
 from cases.commands.cli import main
 
@@ -49,9 +50,9 @@ def fpk(monkeypatch, capsys):
 
 
 @pytest.fixture(scope="session")
-def chromium():
-    """The path of Chromium, in which pages are tested."""
-    path = shutil.which("chromium")
-    if path is None:
+def browser():
+    """The browser of all tests of pages; each opens its page anew."""
+    if shutil.which("chromium") is None:
         pytest.skip("chromium is not installed (Debian package chromium)")
-    return path
+    with Browser() as own:
+        yield own

@@ -1,12 +1,9 @@
 """Maps, answers in time and pages of studies in a browser: numbers, hover, keyboard, toggles."""
 
 import json
-import re
-from html import escape
 
 import numpy as np
 import pytest
-from scripted_page import RESULTS, shown, source_of, with_script
 
 import fpk as face
 from cases.comparison.routes import method_for
@@ -36,7 +33,7 @@ times = [10.0, 40.0]
 """
 
 SCRIPT = """
-const out = {errors: [], plots: []};
+const plots = [];
 const key = (panel, ...keys) => keys.forEach(k => panel.canvas.dispatchEvent(
   new KeyboardEvent("keydown", {key: k, bubbles: true, cancelable: true})));
 const pointed = (panel, x, y) => {
@@ -51,30 +48,29 @@ const visible = plot => [...plot.host.querySelectorAll(drawn)].filter(
 const told = plot => ({
   values: plot.values(), place: {x: plot.view.cursor.x, y: plot.view.cursor.y},
   words: plot.host.querySelector(".readout").textContent});
-try {
-  for (const p of report.plots) {
-    const [panel] = p.panels, {plot} = p, own = {id: plot.id, hover: [], visible: [visible(p)]};
-    const s = (plot.fields || plot.series)[0];
-    if (plot.fields) pointed(panel, plot.x[plot.x.length >> 1], plot.y[plot.y.length >> 1]);
-    else pointed(panel, s.x[1], s.y[1]);
-    own.hover.push(told(p));
-    key(panel, "ArrowRight", "ArrowUp");
-    own.hover.push(told(p));
-    for (const node of Object.values(p.buttons)) {
-      node.click(); own.visible.push(visible(p)); node.click();
-    }
-    own.visible.push(visible(p));
-    own.log = [panel.log]; key(panel, "l"); own.log.push(panel.log); key(panel, "l");
-    const whole = {...panel.frame.X};
-    key(panel, "+");
-    own.ends = [whole.low, panel.frame.X.low, panel.frame.X.high, whole.high];
-    key(panel, "0"); own.whole = [panel.frame.X.low, panel.frame.X.high];
-    key(panel, "Escape"); own.cursor = p.view.cursor;
-    own.said = [...p.host.querySelectorAll("p")].map(e => e.textContent).join(" ");
-    own.image = p.host.querySelector("image")?.getAttribute("href").slice(0, 22);
-    out.plots.push(own);
+for (const p of report.plots) {
+  const [panel] = p.panels, {plot} = p, own = {id: plot.id, hover: [], visible: [visible(p)]};
+  const s = (plot.fields || plot.series)[0];
+  if (plot.fields) pointed(panel, plot.x[plot.x.length >> 1], plot.y[plot.y.length >> 1]);
+  else pointed(panel, s.x[1], s.y[1]);
+  own.hover.push(told(p));
+  key(panel, "ArrowRight", "ArrowUp");
+  own.hover.push(told(p));
+  for (const node of Object.values(p.buttons)) {
+    node.click(); own.visible.push(visible(p)); node.click();
   }
-} catch (error) { out.errors.push(String(error.stack)); }
+  own.visible.push(visible(p));
+  own.log = [panel.log]; key(panel, "l"); own.log.push(panel.log); key(panel, "l");
+  const whole = {...panel.frame.X};
+  key(panel, "+");
+  own.ends = [whole.low, panel.frame.X.low, panel.frame.X.high, whole.high];
+  key(panel, "0"); own.whole = [panel.frame.X.low, panel.frame.X.high];
+  key(panel, "Escape"); own.cursor = p.view.cursor;
+  own.said = [...p.host.querySelectorAll("p")].map(e => e.textContent).join(" ");
+  own.image = p.host.querySelector("image")?.getAttribute("href").slice(0, 22);
+  plots.push(own);
+}
+return plots;
 """
 
 
@@ -109,38 +105,27 @@ def study(outcome):
 
 @pytest.fixture(scope="module")
 def pages(outcome, sweeps, study, tmp_path_factory):
-    """The pages by name, as they are written."""
+    """Addresses of the pages as they are written, by name."""
     folder = tmp_path_factory.mktemp("pages")
     write_report(outcome, digest_of(outcome), folder)
-    found = {"report": (folder / "report.html").read_text(encoding="utf-8")}
+    found = {"report": (folder / "report.html").as_uri()}
     scene, (one, two) = sweeps
     regime = build_map(scene, ["contact.clearance=0.5,1", "contact.stiffness=1,10,100"])
     studies = {"line": sweep_page(one, scene), "heat": sweep_page(two, scene)}
     for name, page in {**studies, "regime": map_page(regime), "cost": cost_page(study)}.items():
         (folder / name).mkdir()
         page.write(folder / name)
-        found[name] = (folder / name / f"{page.name}.html").read_text(encoding="utf-8")
+        found[name] = (folder / name / f"{page.name}.html").as_uri()
     return found
 
 
 @pytest.fixture(scope="module")
-def touched(chromium, pages, tmp_path_factory):
+def touched(browser, pages):
     """What every plot of every page says when it is touched, by page and identifier."""
-    frames = "".join(
-        f'<iframe name="{name}" width="1100" height="900"'
-        f' srcdoc="{escape(with_script(page, SCRIPT + RESULTS))}"></iframe>'
-        for name, page in pages.items()
-    )
-    late = """addEventListener("load", () => {
-      const out = Object.fromEntries([...document.querySelectorAll("iframe")].map(frame => [
-        frame.name, JSON.parse(frame.contentDocument.querySelector("#results").textContent)]));
-    """
-    folder = tmp_path_factory.mktemp("browser")
-    page = f"<!doctype html><body>{frames}</body>"
     found = {}
-    for name, said in shown(chromium, page, late + RESULTS + "});", folder).items():
-        assert said["errors"] == [], name
-        found[name] = {plot["id"]: plot for plot in said["plots"]}
+    for name, url in pages.items():
+        browser.open(url, width=1100)
+        found[name] = {plot["id"]: plot for plot in browser.result(SCRIPT)}
     return found
 
 
@@ -241,49 +226,34 @@ def test_the_diagram_of_cost_says_method_setting_error_and_time(touched, study):
     assert (value["x"], value["p"]) == (point.seconds, point.error)
 
 
-def test_no_page_is_wider_than_a_telephone_and_paper_and_no_script_have_the_pictures(
-    chromium, pages, tmp_path
-):
-    def on_paper(page):
-        style = re.search("<style>(.*?)</style>", page, re.DOTALL)[1]
-        paper = style.replace("@media screen", "@media none").replace("@media print", "@media all")
-        assert source_of(style) in page and paper != style
-        return page.replace(source_of(style), source_of(paper)).replace(style, paper)
+SIZES = """
+const page = document.documentElement, box = e => e.getBoundingClientRect();
+for (const d of document.querySelectorAll("details")) d.open = true;
+const count = words => [...document.querySelectorAll(words)].filter(e => box(e).width).length;
+return {live: count(".live"), drawn: count("figure:not(.live)"),
+  still: document.querySelectorAll(".still").length, touch: count("#touch > *"),
+  beyond: [...document.querySelectorAll("body *")].filter(e => !e.closest("svg, .wide") &&
+    box(e).right > page.clientWidth + 1).map(e => e.outerHTML.slice(0, 90)),
+  small: [...document.querySelectorAll(".live svg text")].map(box)
+    .filter(r => r.height > 0 && Math.min(r.height, r.width) < 6).length};
+"""
 
-    kinds = {
-        "screen": (390, lambda page: page),
-        "wide": (1280, lambda page: page),
-        "paper": (700, on_paper),
-        "bare": (390, lambda page: re.sub("<script>.*?</script>", "", page, flags=re.DOTALL)),
-    }
-    frames = "".join(
-        f'<iframe name="{name} {kind}" width="{width}" srcdoc="{escape(own(page))}"></iframe>'
-        for name, page in pages.items()
-        for kind, (width, own) in kinds.items()
-    )
-    script = """
-    addEventListener("load", () => {
-    const out = {};
-    for (const frame of document.querySelectorAll("iframe")) {
-      const page = frame.contentDocument, box = e => e.getBoundingClientRect();
-      for (const d of page.querySelectorAll("details")) d.open = true;
-      const count = words => [...page.querySelectorAll(words)].filter(e => box(e).width).length;
-      out[frame.name] = {live: count(".live"), drawn: count("figure:not(.live)"),
-        still: page.querySelectorAll(".still").length, touch: count("#touch > *"),
-        beyond: [...page.querySelectorAll("body *")].filter(e => !e.closest("svg, .wide") &&
-          box(e).right > page.documentElement.clientWidth + 1).map(e => e.outerHTML.slice(0, 90)),
-        small: [...page.querySelectorAll(".live svg text")].map(box)
-          .filter(r => r.height > 0 && Math.min(r.height, r.width) < 6).length};
-    }
-    """
-    page = f"<!doctype html><body>{frames}</body>"
-    out = shown(chromium, page, script + RESULTS + "});", tmp_path)
-    for name in pages:
-        screen, wide, paper, bare = (out[f"{name} {kind}"] for kind in kinds)
+
+def test_no_page_is_wider_than_a_telephone_and_paper_and_no_script_have_the_pictures(
+    browser, pages
+):
+    def sizes(url, **how):
+        browser.open(url, **how)
+        return browser.result(SIZES)
+
+    for name, url in pages.items():
+        screen, wide = (sizes(url, width=width) for width in (390, 1280))
         for one in (screen, wide):
             assert one["beyond"] == [] and one["small"] == 0, name
             assert one["live"] > 0 and one["touch"] > 0
+        paper = sizes(url, width=700, paper=True)
         assert paper["live"] == paper["touch"] == 0 < paper["still"], name
+        bare = sizes(url, width=390, script=False)
         assert bare["live"] == bare["still"] == 0
         assert paper["drawn"] == bare["drawn"] == screen["drawn"] + screen["still"], name
 

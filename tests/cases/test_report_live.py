@@ -3,11 +3,9 @@
 import json
 import re
 from dataclasses import replace
-from html import escape
 
 import numpy as np
 import pytest
-from scripted_page import RESULTS, shown
 
 from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
@@ -32,10 +30,8 @@ AT = {
 }
 OBSERVABLES = tuple(AT)
 
-SCRIPT = (
-    """
-const out = {values: {}, errors: []};
-try {
+SCRIPT = """
+  const out = {values: {}};
   for (const [key, factors] of Object.entries(ASKED.factors)) {
     const forms = report.closedForms(factors);
     out.values[key] = {};
@@ -68,23 +64,11 @@ try {
   out.afterSlider = paths(); out.B = document.querySelector("#sliders span").textContent;
   out.slid = plot.values().filter(v => v.name.includes("sliders"));
   out.labels = [...document.querySelectorAll("#sliders span")].map(e => e.textContent);
-  const begin = performance.now();
-  for (let k = 0; k < 20; k++) {
-    slider.value = 0.01 * k;
-    slider.dispatchEvent(new Event("input"));
-  }
-  out.frame = (performance.now() - begin) / 20;
   document.querySelector("#sliders button").click(); out.reset = report.factors;
   out.wide = document.documentElement.scrollWidth - document.documentElement.clientWidth;
   out.still = getComputedStyle(document.querySelector(".still")).display;
-} catch (error) { out.errors.push(String(error.stack)); }
+  return out;
 """
-    + RESULTS
-)
-
-
-def asked(factors):
-    return f"const ASKED = {json.dumps({'factors': factors, 'at': AT})};" + SCRIPT
 
 
 @pytest.fixture(scope="module")
@@ -114,12 +98,11 @@ def by_python(system, method):
     return {d.name: d(np.array(AT[d.name])) for d in result.densities}
 
 
-def test_the_page_is_touched_and_its_numbers_are_those_of_python(chromium, outcome, tmp_path):
+def test_the_page_is_touched_and_its_numbers_are_those_of_python(browser, outcome, tmp_path):
     write_report(outcome, digest_of(outcome), tmp_path)
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
     cases = {"as run": {}, "varied": FACTORS}
-    out = shown(chromium, page, asked(cases), tmp_path, "--window-size=1280,900")
-    assert out["errors"] == []
+    browser.open((tmp_path / "report.html").as_uri(), width=1280)
+    out = browser.result(f"const ASKED = {json.dumps({'factors': cases, 'at': AT})};" + SCRIPT)
     for key, factors in cases.items():
         system = varied(outcome.scene.system, **factors)
         for theory, method in (("energy", "nonintegrable"), ("modal", "integrable")):
@@ -182,7 +165,7 @@ def drawn_answers(k, random):
 
 
 @pytest.mark.slow
-def test_closed_forms_of_drawn_systems_are_those_of_python(chromium, tmp_path):
+def test_closed_forms_of_drawn_systems_are_those_of_python(browser):
     random, jobs, expected = np.random.default_rng(20040809), [], []
     for k in range(8):
         model, factors, answers, observables = drawn_answers(k, random)
@@ -201,20 +184,16 @@ def test_closed_forms_of_drawn_systems_are_those_of_python(chromium, tmp_path):
             at = np.array([0.01, 0.3, 1.0, 2.5]) * np.sqrt(p.expectation(np.square).value)
             jobs.append(plain({"model": model, "factors": factors, "of": name, "at": at}))
             expected.append((solved, at, resonant(answers)))
-    page = "<!doctype html><body></body>"
     forms = (TEMPLATES / "closed_forms.js").read_text(encoding="utf-8")
-    script = (
-        forms
-        + """
-    const out = JOBS.map(({model, factors, of, at}) => {
+    script = """
+    return JOBS.map(({model, factors, of, at}) => {
       const forms = closedForms(model, factors);
       const values = ([theory, f]) => [theory, at.map(f)];
       return [forms.resonant, Object.fromEntries(Object.entries(forms(of)).map(values))];
     });
-    """.replace("JOBS", json.dumps(jobs))
-        + RESULTS
-    )
-    found = shown(chromium, page, script, tmp_path)
+    """
+    browser.open("about:blank", width=1280)
+    found = browser.result(f"{forms} const JOBS = {json.dumps(jobs)};" + script)
     assert {True, False} == {refused for *_, refused in expected}
     for job, (flag, got), (solved, at, refused) in zip(jobs, found, expected, strict=True):
         assert flag is refused or not job["model"]["frequency"]
@@ -228,35 +207,6 @@ def test_closed_forms_of_drawn_systems_are_those_of_python(chromium, tmp_path):
 def resonant(answers):
     """Whether modal averaging is refused for its internal resonance."""
     return any("internal resonance" in r.reason for r in answers.refused)
-
-
-def test_nothing_is_wider_than_a_telephone_and_paper_has_the_drawn_pictures(
-    chromium, outcome, tmp_path
-):
-    write_report(outcome, digest_of(outcome), tmp_path)
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    script = """
-    const frame = document.querySelector("iframe"), page = frame.contentDocument;
-    for (const d of page.querySelectorAll("details")) d.open = true;
-    const beyond = [...page.querySelectorAll("body *")].filter(e => !e.closest("svg") &&
-      e.getBoundingClientRect().right > page.documentElement.clientWidth + 1);
-    const small = [...page.querySelectorAll("svg text")].map(
-      e => e.getBoundingClientRect()).filter(r => r.height > 0 && Math.min(r.height, r.width) < 6);
-    const pre = document.createElement("pre");
-    pre.id = "results";
-    pre.textContent = JSON.stringify({beyond: beyond.map(e => e.outerHTML.slice(0, 90)),
-      live: page.querySelectorAll(".live").length, small: small.length,
-      bodies: page.querySelectorAll("td").length});
-    document.body.append(pre);
-    """
-    # A window is never narrower than 500 pixels, a frame is; its content has the frame's origin.
-    for width in (390, 1280):
-        frame = f'<iframe width="{width}" height="800" srcdoc="{escape(page)}"></iframe>'
-        late = f"addEventListener('load', () => {{ {script} }});"
-        out = shown(chromium, f"<!doctype html><body>{frame}</body>", late, tmp_path)
-        assert out["beyond"] == [] and out["live"] == 5 and out["bodies"] > 30
-        assert out["small"] == 0
-    assert "@media print { .live, #touch { display: none; }" in page
 
 
 def test_the_data_are_those_of_the_densities_and_end_no_element(outcome):

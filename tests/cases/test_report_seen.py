@@ -1,10 +1,8 @@
 """The page as it is seen: both schemes, a telephone, without script, on paper."""
 
-import shutil
 from itertools import product
 
 import pytest
-from browser import Browser
 
 from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
@@ -14,6 +12,9 @@ from cases.scene.scene import load_scene
 
 TEXT = 9.0
 """Least height in pixels of letters in pictures as drawn."""
+
+OPEN = "document.querySelectorAll('details').forEach(d => d.open = true);"
+"""Unfolds what is folded."""
 
 SEEN = """
 const parts = [...document.querySelectorAll("body *")];
@@ -49,14 +50,6 @@ const words = parts.filter(e => seen(e) && [...e.childNodes].some(n => n.nodeTyp
 
 
 @pytest.fixture(scope="module")
-def browser():
-    if shutil.which("chromium") is None:
-        pytest.skip("chromium is not installed (Debian package chromium)")
-    with Browser() as own:
-        yield own
-
-
-@pytest.fixture(scope="module")
 def page(scene_text, tmp_path_factory):
     folder = tmp_path_factory.mktemp("scene")
     (folder / "any.toml").write_text(scene_text)
@@ -71,18 +64,15 @@ def page(scene_text, tmp_path_factory):
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 def test_words_are_legible(browser, page, dark):
     browser.open(page, width=1280, dark=dark)
-    ratio, count = browser.value(
-        f"(() => {{ {CONTRAST} document.querySelectorAll('details').forEach(d => d.open = true);"
-        " return [Math.min(...words.map(contrast)), words.length]; })()"
+    ratio, count, paper = browser.result(
+        OPEN + CONTRAST + "return [Math.min(...words.map(contrast)), words.length,"
+        " luminance(ground(document.body))];"
     )
     assert count > 200 and ratio >= 4.5
-    (paper,) = browser.value(
-        f"(() => {{ {CONTRAST} return [luminance(ground(document.body))]; }})()"
-    )
     assert (paper < 0.02) is dark
     # Pale words are found: the measure can fail.
-    pale = "(() => { document.querySelector('h1').style.color = '#777'; %s return %s; })()"
-    assert browser.value(pale % (CONTRAST, "Math.min(...words.map(contrast))")) < 4.5
+    pale = "document.querySelector('h1').style.color = '#777';"
+    assert browser.result(pale + CONTRAST + "return Math.min(...words.map(contrast));") < 4.5
 
 
 def test_curves_have_other_colours_on_a_dark_page(browser, page):
@@ -94,14 +84,13 @@ def test_curves_have_other_colours_on_a_dark_page(browser, page):
     assert len(shown[0]) == len(shown[1]) == 2 and not shown[0] & shown[1]
 
 
-@pytest.mark.parametrize("script", [True, False])
-def test_telephone_cuts_nothing(browser, page, script):
-    browser.open(page, width=390, height=844, script=script)
-    cut, small = browser.value(
-        "(() => {"
+@pytest.mark.parametrize("width, script", [(390, True), (390, False), (1280, True)])
+def test_no_window_cuts_anything(browser, page, width, script):
+    browser.open(page, width=width, height=844, script=script)
+    cut, small = browser.result(
+        OPEN
         + SEEN
         + """
-        document.querySelectorAll("details").forEach(d => d.open = true);
         const page = document.documentElement;
         const own = e => e.closest("svg, .wide, pre");  // these clip or scroll by themselves
         const cut = parts.filter(e => !own(e) && (e.scrollWidth > e.clientWidth + 1 &&
@@ -110,24 +99,22 @@ def test_telephone_cuts_nothing(browser, page, script):
         const slant = e => Math.hypot(e.getScreenCTM().a, e.getScreenCTM().b);
         const texts = [...document.querySelectorAll("svg text")].filter(seen);
         return [cut.map(e => e.outerHTML.slice(0, 80)),
-          texts.map(e => parseFloat(getComputedStyle(e).fontSize) * slant(e))];
-        })()"""
+          texts.map(e => parseFloat(getComputedStyle(e).fontSize) * slant(e))];"""
     )
     assert cut == [] and len(small) > 20 and min(small) >= TEXT
 
 
 def test_without_script_the_drawn_pictures_are_there_and_nothing_is_empty(browser, page):
     browser.open(page, width=1280, script=False)
-    drawn, live, empty = browser.value(
-        "(() => {"
-        + SEEN
+    drawn, live, empty = browser.result(
+        SEEN
         + """
         const drawn = [...document.querySelectorAll("figure > svg")].filter(seen);
         const live = parts.filter(e => e.matches("input, button, .live, #sliders") && seen(e));
         const empty = [...document.querySelectorAll("h2")].filter(h => seen(h) &&
           !h.parentElement.querySelector(`#${h.id} ~ :not([hidden])`)?.textContent.trim());
         return [drawn.map(e => e.querySelectorAll("path").length), live.length,
-          empty.map(h => h.textContent)]; })()"""
+          empty.map(h => h.textContent)];"""
     )
     assert len(drawn) == 4 and min(drawn) >= 10 and live == 0 and empty == []
 
@@ -135,17 +122,15 @@ def test_without_script_the_drawn_pictures_are_there_and_nothing_is_empty(browse
 @pytest.mark.parametrize(("script", "dark"), [*product([True, False], [True, False])])
 def test_paper_has_the_drawn_pictures_in_dark_ink_and_no_controls(browser, page, script, dark):
     browser.open(page, width=718, script=script, dark=dark, paper=True)
-    drawn, controls, paper, ink, strokes = browser.value(
-        "(() => {"
-        + CONTRAST
+    drawn, controls, paper, ink, strokes = browser.result(
+        CONTRAST
         + """
         const drawn = [...document.querySelectorAll("figure > svg")].filter(seen);
         const controls = parts.filter(e => e.matches("input, button") && seen(e));
         const strokes = [...document.querySelectorAll('[stroke="#e07500"]')].filter(seen).map(
           e => getComputedStyle(e).stroke);
         return [drawn.length, controls.length, luminance(ground(document.body)),
-          luminance(channels(getComputedStyle(document.body).color)), [...new Set(strokes)]];
-        })()"""
+          luminance(channels(getComputedStyle(document.body).color)), [...new Set(strokes)]];"""
     )
     assert drawn >= 4 and controls == 0 and paper == 1.0 and ink == 0.0
     assert strokes == ["rgb(224, 117, 0)"]
