@@ -21,7 +21,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 
-def run_code(code: str) -> None:
+def assert_code_runs(code: str) -> None:
     done = run("-c", f"import sys; sys.path[:0] = {PATHS!r}\n{code}")
     assert done.returncode == 0, done.stderr
 
@@ -39,7 +39,7 @@ def test_a_missing_package_is_named(tmp_path: Path) -> None:
 
 def test_the_page_in_the_repository_has_the_structure_that_the_scripts_write() -> None:
     """Headings, headers and texts are the same, and every package's rows are its settings."""
-    run_code(
+    assert_code_runs(
         "from importlib import import_module\n"
         "from pathlib import Path\n"
         "import sde_page\n"
@@ -66,7 +66,7 @@ def test_the_page_in_the_repository_has_the_structure_that_the_scripts_write() -
 
 
 def test_an_allowed_step_follows_the_order_and_is_not_made_up() -> None:
-    run_code(
+    assert_code_runs(
         "from math import isclose\n"
         "from sde_page import ALLOWED_BIAS\n"
         "from trial import Setting, WANTED, allowed_step\n"

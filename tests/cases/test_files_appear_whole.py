@@ -136,15 +136,15 @@ def test_a_folder_that_cannot_be_made_is_one_line(tmp_path):
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root writes anywhere")
 def test_a_folder_without_permission_is_one_line(fpk, tmp_path):
     tmp_path.chmod(0o555)
-    _cannot_be_written(fpk, tmp_path)
+    assert_cannot_be_written(fpk, tmp_path)
 
 
 @pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="/proc takes no file, root's neither")
 def test_a_folder_that_takes_no_file_is_one_line(fpk):
-    _cannot_be_written(fpk, "/proc")
+    assert_cannot_be_written(fpk, "/proc")
 
 
-def _cannot_be_written(fpk, folder):
+def assert_cannot_be_written(fpk, folder):
     for arguments in (
         ["run", "fig3a", "--out", folder],
         ["run", "fig3a", "--out", f"{folder}/new"],

@@ -43,11 +43,11 @@ def loaded_or_refused(path, content):
     return None
 
 
-def any_bytes(path, content):
+def assert_refused(path, content):
     assert loaded_or_refused(path, content) is None  # a scene does not come about by chance
 
 
-def any_mutation(path, content):
+def assert_loads_or_is_refused(path, content):
     scene = loaded_or_refused(path, content)
     if scene is not None:
         assert scene.text.encode() == content.removeprefix("\ufeff".encode())
@@ -64,27 +64,27 @@ BYTES = st.one_of(
 @examples(150)
 @given(content=BYTES)
 def test_any_bytes_are_refused(content, tmp_path):
-    any_bytes(tmp_path / "any.toml", content)
+    assert_refused(tmp_path / "any.toml", content)
 
 
 @examples(350)
 @given(content=mutated_scenes())
 def test_any_mutation_of_a_shipped_scene_loads_or_is_refused(content, tmp_path):
-    any_mutation(tmp_path / "any.toml", content)
+    assert_loads_or_is_refused(tmp_path / "any.toml", content)
 
 
 @pytest.mark.slow
 @examples(3000)
 @given(content=BYTES)
 def test_three_thousand_more_bytes(content, tmp_path):
-    any_bytes(tmp_path / "any.toml", content)
+    assert_refused(tmp_path / "any.toml", content)
 
 
 @pytest.mark.slow
 @examples(7000)
 @given(content=mutated_scenes())
 def test_seven_thousand_more_mutations(content, tmp_path):
-    any_mutation(tmp_path / "any.toml", content)
+    assert_loads_or_is_refused(tmp_path / "any.toml", content)
 
 
 def shown(scene):

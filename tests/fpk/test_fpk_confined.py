@@ -74,6 +74,15 @@ def pair(coupling, *, scales=(1.0, 1.0)) -> Process:
     )
 
 
+def refusal(process: Process) -> str:
+    """Why two energies are refused before any mesh; nothing where they are not."""
+    try:
+        require_confined(process)
+    except NotCertified as error:
+        return str(error)
+    return ""
+
+
 @pytest.mark.parametrize(
     "coupling",
     [
@@ -84,8 +93,7 @@ def pair(coupling, *, scales=(1.0, 1.0)) -> Process:
     ],
 )
 def test_two_energies_that_leave_for_infinity_are_refused(coupling):
-    with pytest.raises(NotCertified, match="does not fall off"):
-        require_confined(pair(coupling))
+    assert "does not fall off" in refusal(pair(coupling))
     with pytest.raises(NotCertified, match="does not fall off"):
         solve_plane(pair(coupling))
 
@@ -102,4 +110,4 @@ def test_two_energies_that_leave_for_infinity_are_refused(coupling):
 )
 @pytest.mark.parametrize("scales", [(1.0, 1.0), (1.0, 0.05)])
 def test_two_energies_that_come_back_are_not_refused(coupling, scales):
-    require_confined(pair(coupling, scales=scales))
+    assert refusal(pair(coupling, scales=scales)) == ""

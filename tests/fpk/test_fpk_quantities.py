@@ -37,7 +37,7 @@ def deviation(system: System, name: str) -> float:
     return float(np.sqrt(solve_continuous_lyapunov(A, -b)[row, row]))
 
 
-def within(number: Number, true: float, most: float = 1.0) -> None:
+def assert_within(number: Number, true: float, most: float = 1.0) -> None:
     assert abs(number.value - true) <= most * number.error, (number, true)
 
 
@@ -61,7 +61,7 @@ def test_quantities_of_a_gaussian_are_those_of_scipy(name):
         (density.exceedance(4.0 * normal.std()), normal.sf(4.0 * normal.std())),
         *((density.quantile(p), normal.ppf(p)) for p in (1e-6, 0.1, 0.5, 0.9, 1.0 - 1e-6)),
     ):
-        within(number, true)
+        assert_within(number, true)
         assert number.error < 1e-7 * max(normal.std(), abs(true), 1.0)
 
 
@@ -74,16 +74,16 @@ def gamma_energies() -> tuple[Density, object]:
 def test_quantities_of_finite_elements_err_by_what_they_state():
     density, gamma = gamma_energies()
     mean, variance, skewness, excess = (float(x) for x in gamma.stats("mvsk"))
-    within(density.mean(), mean)
-    within(density.variance(), variance)
-    within(density.skewness(), skewness)
-    within(density.kurtosis(), 3.0 + excess)
+    assert_within(density.mean(), mean)
+    assert_within(density.variance(), variance)
+    assert_within(density.skewness(), skewness)
+    assert_within(density.kurtosis(), 3.0 + excess)
     for x in (0.01, 0.5, 2.0, 5.0):
-        within(density.exceedance(x), gamma.sf(x))
-        within(density.cdf(x), gamma.cdf(x))
-        within(density.probability(x, 2.0 * x), gamma.cdf(2.0 * x) - gamma.cdf(x))
+        assert_within(density.exceedance(x), gamma.sf(x))
+        assert_within(density.cdf(x), gamma.cdf(x))
+        assert_within(density.probability(x, 2.0 * x), gamma.cdf(2.0 * x) - gamma.cdf(x))
     for p in (1e-3, 0.5, 0.999):
-        within(density.quantile(p), gamma.ppf(p))
+        assert_within(density.quantile(p), gamma.ppf(p))
     assert density.exceedance(5.0).error < 1e-2 * density.exceedance(5.0).value
 
 
@@ -93,9 +93,9 @@ def test_quantiles_of_a_momentum_by_averaging():
     one = System([1.0], [1.0], [0.08], [0.08 * 0.3], contacts=(stop,))
     density = solved(NonIntegrable(solver="fem"), one, "p1")
     low, high = density.panels[0][[0, -1]]
-    within(density.cdf(low), 0.0)
-    within(density.exceedance(2.0 * high), 0.0)
-    within(density.quantile(0.01), stats.norm.ppf(0.01, scale=np.sqrt(0.3)))
+    assert_within(density.cdf(low), 0.0)
+    assert_within(density.exceedance(2.0 * high), 0.0)
+    assert_within(density.quantile(0.01), stats.norm.ppf(0.01, scale=np.sqrt(0.3)))
 
 
 def test_a_wrong_density_is_seen_by_its_moments():
@@ -115,7 +115,7 @@ def test_an_l1_error_that_is_at_no_point_is_in_the_moments(power):
         Certificate(mass_defect=0.0, minimum=0.0, residual=0.0, tail_mass=0.0),
     )  # fmt: skip
     number = density.moment(power)
-    within(number, normal.moment(power))
+    assert_within(number, normal.moment(power))
     assert number.error < 1e3 * abs(number.value - normal.moment(power))
 
 
@@ -143,10 +143,10 @@ def test_contact_in_an_exact_scene_against_quadrature():
     force = w @ (weight(q) * STOP.force(q - STOP.clearance)) / total
     touching = w @ weight(q) / total
     felt = contact_quantities(STOP, density)
-    within(felt["contact probability"], touching)
-    within(felt["mean overlap"], w @ (weight(q) * (q - STOP.clearance)) / total)
-    within(felt["mean force"], force)
-    within(felt["force in contact"], force / touching)
+    assert_within(felt["contact probability"], touching)
+    assert_within(felt["mean overlap"], w @ (weight(q) * (q - STOP.clearance)) / total)
+    assert_within(felt["mean force"], force)
+    assert_within(felt["force in contact"], force / touching)
     assert felt["mean force"].error < 1e-8 * force
 
 
@@ -154,7 +154,7 @@ def test_the_mean_force_of_stops_and_springs_balances():
     """In any stationary state K E q + E g = 0: with one stop on the right the mean q2 is −g/k."""
     density = solved(Exact(), EXACT, "q2")
     force = contact_quantities(STOP, density)["mean force"]
-    within(
+    assert_within(
         Number(2.0 * force.value, 2.0 * force.error + density.mean().error), -density.mean().value
     )
 
@@ -168,8 +168,8 @@ def test_a_stop_that_is_never_reached_has_no_force_in_contact():
 
 def test_joint_densities_have_expectations_but_no_quantiles():
     joint = solved(Exact(), EXACT, "q2,p2")
-    within(joint.expectation(lambda q, p: p**2), 0.3)
-    within(joint.moment(0, 2), 0.3)
+    assert_within(joint.expectation(lambda q, p: p**2), 0.3)
+    assert_within(joint.moment(0, 2), 0.3)
     for powers in ((2,), (2, -1), (1, 1, 1)):
         with pytest.raises(InvalidInput, match="each coordinate"):
             joint.moment(*powers)
@@ -234,7 +234,7 @@ def test_wide_bins_do_not_bias_moments():
     rng = np.random.default_rng(6)
     number = histogram(rng.standard_normal(400_000), 24, 6.0).variance()
     assert abs(number.value - 1.0) < 3.0 * np.sqrt(2.0 / 400_000)
-    within(number, 1.0)
+    assert_within(number, 1.0)
 
 
 def test_what_no_sample_saw_is_not_zero_for_certain():
@@ -258,7 +258,7 @@ def test_quantities_of_simulation_lie_within_its_errors():
         (density.kurtosis(), 3.0, np.sqrt(24.0)),
         (density.exceedance(sigma), tail, np.sqrt(tail * (1.0 - tail))),
     ):
-        within(number, true, most=4.5)
+        assert_within(number, true, most=4.5)
         assert number.error < deviation_of_one / np.sqrt(paths)
 
 

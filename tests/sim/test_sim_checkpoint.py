@@ -98,7 +98,7 @@ def wait_for_another(folder: Path, process: "subprocess.Popen[str]") -> None:
         time.sleep(0.005)
 
 
-def check_killed(method: MonteCarlo, kills: int, folder: Path) -> None:
+def assert_kills_change_nothing(method: MonteCarlo, kills: int, folder: Path) -> None:
     """Kill a simulation so many times, at random moments; the answer is that of one never killed.
 
     A second process on the same folder is refused while the first one lives, and leaves its
@@ -132,12 +132,12 @@ def check_killed(method: MonteCarlo, kills: int, folder: Path) -> None:
 
 
 def test_killed_three_times_the_answer_is_bitwise_the_same(tmp_path: Path) -> None:
-    check_killed(replace(METHOD, time=4000.0), 3, tmp_path)
+    assert_kills_change_nothing(replace(METHOD, time=4000.0), 3, tmp_path)
 
 
 @pytest.mark.slow
 def test_killed_twenty_times_the_answer_is_bitwise_the_same(tmp_path: Path) -> None:
-    check_killed(replace(METHOD, time=30000.0), 20, tmp_path)
+    assert_kills_change_nothing(replace(METHOD, time=30000.0), 20, tmp_path)
 
 
 def stopped_after(pieces: int) -> Callable[[], bool]:

@@ -63,7 +63,7 @@ def sampled(ensemble: Any, *, between: Callable[[], None] = lambda: None) -> dic
     return {**ensemble.saved(), **found, "live": ensemble.live}
 
 
-def same(a: dict[str, Any], b: dict[str, Any]) -> None:
+def assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:
     assert a.keys() == b.keys()
     for key in a:
         np.testing.assert_array_equal(a[key], b[key], err_msg=key)
@@ -100,7 +100,7 @@ def test_what_was_saved_goes_on_in_another_ensemble(
     other.restore(one.saved())
     for ensemble in (one, other):
         ensemble.advance(20, stride=3)
-    same({**one.saved()}, {**other.saved()})
+    assert_same({**one.saved()}, {**other.saved()})
     np.testing.assert_array_equal(one.batch_means(), other.batch_means())
 
 
@@ -122,7 +122,7 @@ def test_bitwise_the_same_on_two_workers_of_which_one_is_killed() -> None:
     with cluster(2) as (workers, client):
         ensemble = there(workers)
         assert ensemble.threads == 2
-        same(sampled(ensemble, between=kill_one(client)), expected)
+        assert_same(sampled(ensemble, between=kill_one(client)), expected)
         # What is saved here goes on there, and the other way round.
         stopped = here()
         stopped.advance(20)
@@ -134,7 +134,7 @@ def test_bitwise_the_same_on_two_workers_of_which_one_is_killed() -> None:
         ensemble.advance(12, stride=3)
         stopped.restore(ensemble.saved())
         stopped.advance(31, stride=3)
-        same({**stopped.saved()}, {name: expected[name] for name in stopped.saved()})
+        assert_same({**stopped.saved()}, {name: expected[name] for name in stopped.saved()})
 
 
 @pytest.mark.slow
@@ -142,7 +142,7 @@ def test_bitwise_the_same_on_two_workers_of_which_one_is_killed() -> None:
 def test_bitwise_the_same_on_four_workers(kill: bool) -> None:
     with cluster(4) as (workers, client):
         between = kill_one(client) if kill else lambda: None
-        same(sampled(there(workers, MANY), between=between), sampled(here(MANY)))
+        assert_same(sampled(there(workers, MANY), between=between), sampled(here(MANY)))
 
 
 def fail_with_the_system(share: int) -> int:
