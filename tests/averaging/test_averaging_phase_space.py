@@ -73,20 +73,31 @@ def true_error(frame, expansion, exact):
     return integral(np.abs(pdf(*mesh) - exact(*mesh)), grids)
 
 
-@pytest.mark.parametrize("name", GIBBS)
-def test_gibbs_is_found_within_the_stated_error_from_a_wrong_temperature(name):
+@pytest.mark.parametrize(
+    ("name", "factor", "tol"),
+    [
+        pytest.param(
+            name,
+            factor,
+            tol,
+            marks=[] if factor > 1.0 or name in ("two-sided", "one mass") else pytest.mark.slow,
+        )
+        for name in GIBBS
+        for factor, tol in ((0.75, 1e-3), (0.75, 1e-6), (1.3, 1e-6))
+    ],
+)
+def test_gibbs_is_found_within_the_stated_error_from_a_wrong_temperature(name, factor, tol):
     system = GIBBS[name]
     names = ["q1", "p1"] if system.n == 1 else ["q1", "q2", "p2"]
     observables = [parse_observable(o, system.n) for o in names]
     exact = Exact().solve(system, observables).densities
-    for factor, tol in [(0.75, 1e-3), (0.75, 1e-6), (1.3, 1e-6)][2 * (system.n == 3) :]:
-        method = PhaseSpace(tol=tol, reference=wrong(contact_frame(system), factor))
-        for density, right in zip(method.solve(system, observables).densities, exact, strict=True):
-            assert density.certificate.certified, density.certificate.failures
-            assert l1_distance(density, right) <= density.l1_error + right.l1_error <= 2.0 * tol
-            x = np.linspace(*density.panels[0][[0, -1]], 501)
-            p, stated = density.at(x)
-            assert np.all(np.abs(p - right(x)) <= stated + right.at(x)[1])
+    method = PhaseSpace(tol=tol, reference=wrong(contact_frame(system), factor))
+    for density, right in zip(method.solve(system, observables).densities, exact, strict=True):
+        assert density.certificate.certified, density.certificate.failures
+        assert l1_distance(density, right) <= density.l1_error + right.l1_error <= 2.0 * tol
+        x = np.linspace(*density.panels[0][[0, -1]], 501)
+        p, stated = density.at(x)
+        assert np.all(np.abs(p - right(x)) <= stated + right.at(x)[1])
 
 
 @pytest.mark.parametrize("factor", [0.77, 1.3])

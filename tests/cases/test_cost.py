@@ -323,5 +323,9 @@ def test_a_wrong_failure_rate_is_not_timed(monkeypatch):
         return replace(rate, value=(1.001 if method.solver == "fem" else 1.0) * rate.value)
 
     monkeypatch.setattr(passage, "_rate", wrong)
+    own = [route for route in passage.listed_routes() if route.method == "nonintegrable"]
+    monkeypatch.setattr(passage, "listed_routes", lambda: own)
     routes = passage_routes(scene.system, scene.passages[0], simulate=False, seed=1)
-    assert any(isinstance(route, NotTimed) and route.wrong for route in routes)
+    (caught,) = (route for route in routes if isinstance(route, NotTimed) and route.wrong)
+    # Which of both is wrong nobody knows: the one is caught that states the larger error.
+    assert caught.distance == pytest.approx(1e-3, rel=0.01)

@@ -121,7 +121,7 @@ def test_the_averaged_equation_fails_as_the_elements_say(modulation):
         np.array([20.0, 40.0, 90.0, 150.0]),
     )
     solved = NonIntegrable("fem").passage(system, *asked, tol=1e-4, progress=silent)
-    sampled = AveragedSimulation("nonintegrable", paths=8192, threads=1, step=0.05)
+    sampled = AveragedSimulation("nonintegrable", paths=4096, threads=1, step=0.05)
     sampled = sampled.passage(system, *asked, **SETTINGS)
     assert solved.certificate.certified and sampled.certificate.certified
     # A false alarm in 1e4, of eight numbers.
