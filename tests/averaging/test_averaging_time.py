@@ -1,4 +1,4 @@
-"""Averaged energies in time: the method nonintegrable, closed forms, modulated noise."""
+"""Averaged energies in time: the method nonintegrable and closed forms."""
 
 from dataclasses import replace
 
@@ -11,9 +11,7 @@ from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import Passages, Transients
 from fpk.limit import parse_limit
 from fpk.method import silent
-from fpk.modulation import Modulation
 from fpk.observable import parse_observable
-from fpk.quadrature import panel_rule
 from fpk.start import parse_start
 from fpk.system import System
 
@@ -98,74 +96,3 @@ REFUSED = [
 def test_what_is_not_given_is_refused(ask, error, word):
     with pytest.raises(error, match=word):
         ask()
-
-
-MODULATION = Modulation([0.0, 4.0, 20.0], [0.2, 1.4, 1.0])
-
-
-def temperature(time):
-    """θ(t) = ∫ d e² exp(−c (t − s)) ds, of which a gamma density from rest keeps its shape."""
-    nodes = np.unique([*np.linspace(0.0, time, 41), *(t for t in (4.0, 20.0) if t < time)])
-    s, w = panel_rule(nodes, 20)
-    return float((w * 0.0225 * MODULATION(s) ** 2 * np.exp(-0.125 * (time - s))).sum())
-
-
-def test_modulated_noise_against_the_exact_gamma_density():
-    system, times, at = replace(FREE, modulation=MODULATION), [1.0, 8.0, 40.0], [0.02, 0.3, 0.8]
-    solved = transient(system, "rest", times, at, tol=1e-9)
-    assert solved.certificate.certified
-    theta = np.array([[temperature(t)] for t in times])
-    exact = np.array(at) / theta**2 * np.exp(-np.array(at) / theta)
-    assert np.all(np.abs(solved.values - exact) <= solved.errors)
-    assert solved.errors.max() < 1e-8
-    # Radau IIA of five stages.
-    assert solved.settings["observed order"] == pytest.approx(9.0, abs=0.6)
-
-
-@pytest.mark.parametrize("factor", [1e-6, 1e-3, 3.0])
-def test_modulated_noise_after_much_less_or_more_noise(factor):
-    # From the stationary state it stays a gamma density; no element saw a narrow one.
-    at = np.array([1e-8, 1e-3, 0.02, 0.1, 0.3])
-    solved = transient(replace(FREE, modulation=MODULATION), f"noise={factor}", [0.3], at, tol=1e-9)
-    assert solved.certificate.certified
-    theta = temperature(0.3) + factor * 0.18 * np.exp(-0.125 * 0.3)
-    exact = at / theta**2 * np.exp(-at / theta)
-    assert np.all(np.abs(solved.values[0] - exact) <= solved.errors[0])
-    assert solved.errors.max() < 1e-8 * exact.max()
-
-
-def test_a_time_before_which_there_is_no_noise_is_refused():
-    system = replace(FREE, modulation=Modulation([0.0, 1.0, 2.0], [0.0, 0.0, 1.0]))
-    with pytest.raises(InvalidInput, match="without noise"):
-        transient(system, "H=0.5", [0.5], [0.1])
-
-
-def test_modulation_is_of_what_begins_only():
-    system = replace(FREE, modulation=MODULATION)
-    names = [parse_observable("H", 2)]
-    a, b = (NonIntegrable().solve(s, names).densities[0] for s in (FREE, system))
-    assert a(0.3) == b(0.3)
-    with pytest.raises(NotApplicable, match="modulated"):
-        passage(system, "H=1", solver="closed-form")
-
-
-@pytest.mark.parametrize(
-    ("times", "factor", "word"),
-    [
-        ([0, 1], [1.0], "one per time"),
-        ([1, 2], [0.5, 1.0], "begin with 0"),
-        ([0, 2, 2], [0.5, 0.6, 1.0], "ascend"),
-        ([0, 1], [-0.5, 1.0], "negative"),
-        ([], [], "list"),
-        ([0, np.inf], [1.0, 1.0], "finite"),
-        ("x", [1.0], "finite"),
-    ],
-)
-def test_modulations_that_make_no_sense_are_refused(times, factor, word):
-    with pytest.raises(InvalidInput, match=word):
-        Modulation(times, factor)
-
-
-def test_the_energy_of_the_modulation():
-    s, w = panel_rule(np.array([0.0, 4.0, 20.0, 30.0]), 4)
-    assert MODULATION.energy(30.0) == pytest.approx(float((w * MODULATION(s) ** 2).sum()))

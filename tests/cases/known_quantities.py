@@ -1,18 +1,17 @@
-"""Quantities of scenes whose density is known, by quadrature and linear algebra of their own.
+"""Quantities of scenes whose density is known by condition (8), by quadrature of their own.
 
 Where condition (8) holds p(q, v) ∝ exp(−Φ(H)), Φ = ∫ h dH, of a Gibbs state H/T. All but the
 displacements of some masses, those at stops among them, is quadratic in H: an expectation is an
 integral over these, in which the rest is Ψ_ν(W) = ∫ y^(ν−1) exp(−Φ(W + y)) dy/Γ(ν), 2ν its number
-of coordinates. Without contact a linear system is Gaussian; of its covariance S and H = xᵀAx the
-cumulants are 2^(k−1) (k−1)! tr (AS)^k, and the distribution function by Talbot's contour.
+of coordinates.
 """
 
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from math import factorial
 
-import mpmath as mp
 import numpy as np
+from known_gaussian import normal_truth, of_cumulants
 from numpy.polynomial import polynomial
 from scipy import stats
 from scipy.optimize import brentq
@@ -37,16 +36,6 @@ def layers(at, length):
     """Nodes that crowd about a point on both sides."""
     steps = length * 2.0 ** -np.arange(1.0, DEPTH)
     return at + np.concatenate([-steps, [0.0], steps])
-
-
-def of_cumulants(mean, second, third, fourth):
-    """Mean, rms, std, skewness, kurtosis."""
-    std = np.sqrt(second)
-    skewness, kurtosis = third / std**3, 3.0 + fourth / second**2
-    return {
-        "mean": (mean, std), "rms": (np.hypot(mean, std), std), "std": (std, std),
-        "skewness": (skewness, 1.0), "kurtosis": (kurtosis, 1.0 + kurtosis),
-    }  # fmt: skip
 
 
 def of_moments(weights, x):
@@ -93,7 +82,7 @@ class Exact:
         return W
 
     def psi(self, W, order, most=np.inf, of=np.ones_like):
-        """∫ f(W + y) y^(ν−1) exp(−Φ(W + y)) dy/Γ(ν) up to H = ``most``; f None: 1."""
+        """∫ f(W + y) y^(ν−1) exp(−Φ(W + y)) dy/Γ(ν) up to H = ``most``."""
         if self.gibbs and of is np.ones_like:
             T, room = 1.0 / self.rate[0], np.maximum(most - W, 0.0)
             share = 1.0 if most == np.inf else gammainc(order, room / T)
@@ -213,73 +202,3 @@ class Exact:
                 rate = self.grid_at(at, self.order + 0.5) / total / np.sqrt(2.0 * np.pi * m)
                 known[f"upcrossing rate, {where}"] = rate, rate
         return known, self.cdf_q
-
-
-def normal_truth(normal):
-    """The quantities of a centred normal coordinate."""
-    std = normal.std()
-    known = {
-        "mean": (0.0, std), "rms": (std, std), "std": (std, std), "skewness": (0.0, 1.0),
-        "kurtosis": (3.0, 3.0),
-    }  # fmt: skip
-    return known, lambda x: (normal.cdf(x), normal.sf(x), normal.pdf(x))
-
-
-class Linear:
-    """Gaussian with the covariance of the Lyapunov equation, in 60 digits."""
-
-    def __init__(self, system):
-        self.system, n = system, system.n
-        with mp.workdps(60):
-            M = mp.matrix([[0] * (2 * n) for _ in range(2 * n)])
-            K, c, m = system.stiffness_matrix, system.damping, system.mass
-            for i in range(n):
-                M[i, n + i] = 1 / mp.mpf(float(m[i]))
-                for j in range(n):
-                    M[n + i, j] = -mp.mpf(float(K[i, j]))
-                    M[n + i, n + j] = -mp.mpf(float(c[i, j])) / mp.mpf(float(m[j]))
-            size = 2 * n
-            L, b = mp.zeros(size * size), mp.zeros(size * size, 1)
-            for i in range(size):
-                for j in range(size):
-                    for k in range(size):
-                        L[i * size + j, k * size + j] += M[i, k]
-                        L[i * size + j, i * size + k] += M[j, k]
-                    if i >= n and j >= n:
-                        b[i * size + j] = -2 * mp.mpf(float(system.noise_matrix[i - n, j - n]))
-            s = mp.lu_solve(L, b)
-            self.exact = [[s[i * size + j] for j in range(size)] for i in range(size)]
-        self.covariance = np.array([[float(x) for x in row] for row in self.exact])
-
-    def truth(self, name):
-        """As of ``Exact``."""
-        n = self.system.n
-        first, parts = {"q": -1, "p": n - 1}, [part for part in name.split(",") if part != "H"]
-        rows = [first[part[0]] + int(part[1:]) for part in parts]
-        if len(rows) == 2:
-            a, b = rows
-            both = self.covariance[a, b]
-            size = np.sqrt(self.covariance[a, a] * self.covariance[b, b])
-            return {"covariance": (both, size), "correlation": (both / size, 1.0)}, None
-        if rows:
-            return normal_truth(stats.norm(scale=np.sqrt(self.covariance[rows[0], rows[0]])))
-        A = np.zeros((2 * n, 2 * n))
-        A[:n, :n] = 0.5 * self.system.stiffness_matrix
-        A[n:, n:] = np.diag(0.5 / self.system.mass)
-        powers = [np.linalg.matrix_power(A @ self.covariance, k) for k in (1, 2, 3, 4)]
-        kappa = [2.0**k * factorial(k) * np.trace(P) for k, P in enumerate(powers)]
-        scales = 2.0 * np.linalg.eigvals(A @ self.covariance).real
-        scales = scales[scales > 1e-14 * scales.max()]
-
-        def cdf(x):
-            with mp.workdps(30):
-                lam = [mp.mpf(float(a)) for a in scales]
-
-                def transform(s):
-                    return mp.fprod((1 + s * a) ** mp.mpf("-0.5") for a in lam)
-
-                high = mp.invertlaplace(lambda s: (1 - transform(s)) / s, x, method="talbot")
-                density = mp.invertlaplace(transform, x, method="talbot")
-            return float(1 - high), float(high), float(density)
-
-        return of_cumulants(*kappa), cdf

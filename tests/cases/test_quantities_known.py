@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from known_gaussian import Linear
+from known_quantities import ROUND_OFF, Exact
 from scipy import stats
 
 import fpk as face
@@ -12,7 +14,6 @@ from cases.scene.scene import load_scene, shipped_scenes
 from fpk.contact import Contact
 from fpk.errors import NotApplicable
 from fpk.system import System
-from tests.cases.known_quantities import ROUND_OFF, Exact, Linear
 
 FREE = System([1.0], [1.0], [0.08], [0.08 * 0.3])
 STOPPED = System([2.0], [1.0], [0.08], [0.024], contacts=(Contact(1, "right", 10.0, 0.3),))

@@ -1,0 +1,71 @@
+"""The factor of modulated noise: its energy, what damping leaves of it, what is refused."""
+
+import mpmath
+import numpy as np
+import pytest
+
+from fpk.errors import InvalidInput
+from fpk.modulation import ROUND_OFF, Modulation
+from fpk.quadrature import panel_rule
+
+
+def test_the_energy_of_the_modulation():
+    modulation = Modulation([0.0, 4.0, 20.0], [0.2, 1.4, 1.0])
+    s, w = panel_rule(np.array([0.0, 4.0, 20.0, 30.0]), 4)
+    assert modulation.energy(30.0) == pytest.approx(float((w * modulation(s) ** 2).sum()))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_is_left_of_the_noise_against_mpmath(seed):
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(2, 6))
+    times = np.append(0.0, np.cumsum(rng.uniform(0.5, 6.0, count - 1)))
+    modulation = Modulation(times, rng.uniform(0.2, 2.0, count) * (rng.random(count) < 0.8))
+    begin, rate = rng.uniform(0.0, 3.0), 10.0 ** rng.uniform(-6.0, 2.0)
+    end = begin + rng.uniform(0.1, 20.0)
+    inner = [t for t in modulation.times.tolist() if begin < t < end]
+    with mpmath.workdps(30):
+        exact = mpmath.mpf(0)
+        for a, b in zip([begin, *inner], [*inner, end], strict=True):
+            low, high = (mpmath.mpf(float(modulation(np.array(x)))) for x in (a, b))
+            # A square in s times an exponential, integrated by parts.
+            k, h, slope = mpmath.mpf(rate), mpmath.mpf(b) - a, (high - low) / (mpmath.mpf(b) - a)
+            at = [high**2 / k - 2 * slope * high / k**2 + 2 * slope**2 / k**3,
+                  low**2 / k - 2 * slope * low / k**2 + 2 * slope**2 / k**3]  # fmt: skip
+            part = at[0] - mpmath.exp(-k * h) * at[1]
+            exact += mpmath.exp(-k * (mpmath.mpf(end) - b)) * part
+        got = mpmath.mpf(float(modulation.faded(begin, end, np.array(rate))))
+        # 30 digits less those that 1/k³ cancels at the least rate, and those of e(t) in double.
+        assert abs(got - exact) <= (ROUND_OFF + 1e-12) * exact
+
+
+@pytest.mark.parametrize("rate", [-2.0, -1e-3, 0.0])
+def test_energy_fed_in_grows_where_damping_is_negative(rate):
+    modulation = Modulation([0.0, 1.0, 3.0], [0.5, 2.0, 0.0])
+    s, w = panel_rule(np.array([0.0, 1.0, 2.5]), 30)
+    wanted = float((w * modulation(s) ** 2 * np.exp(-rate * (2.5 - s))).sum())
+    # 1200 roundings of the sum by quadrature, at the most.
+    assert float(modulation.faded(0.0, 2.5, np.array(rate))) == pytest.approx(wanted, rel=3e-13)
+
+
+@pytest.mark.parametrize("factor", [1e160, 1e-170])
+def test_factors_whose_square_is_no_number_are_refused(factor):
+    with pytest.raises(InvalidInput, match="must be 0 or from"):
+        Modulation([0.0, 1.0], [1.0, factor])
+
+
+@pytest.mark.parametrize(
+    ("times", "factor", "word"),
+    [
+        ([0, 1], [1.0], "one per time"),
+        ([1, 2], [0.5, 1.0], "begin with 0"),
+        ([0, 2, 2], [0.5, 0.6, 1.0], "ascend"),
+        ([0, 1], [-0.5, 1.0], "negative"),
+        ([], [], "list"),
+        ([0, np.inf], [1.0, 1.0], "finite"),
+        ("x", [1.0], "finite"),
+    ],
+)
+def test_modulations_that_make_no_sense_are_refused(times, factor, word):
+    with pytest.raises(InvalidInput, match=word):
+        Modulation(times, factor)
