@@ -5,6 +5,7 @@ from itertools import combinations_with_replacement
 import mpmath
 import numpy as np
 import pytest
+from asked import TURNED, ask
 from scipy.linalg import eigvals, expm
 
 import fpk
@@ -17,17 +18,7 @@ from fpk.method import silent
 from fpk.observable import Coordinate, parse_observable
 
 UNEQUAL = fpk.System([1, 2], [1, 1.5], [0.08, 0.04], [0.01, 0.02])
-TURNED = fpk.System([1, 2], [1, 1.5], [[0.08, 0.06], [-0.04, 0.05]], [0.01, 0.02])
-"""Unequal temperatures; with an antisymmetric part of the damping, too."""
-
-
-def ask(method, question, system, *arguments, tol=None):
-    if question != "relaxation":
-        row, *arguments = arguments
-        arguments = [(Coordinate("q", row),), *arguments]
-    answer = getattr(method, question)(system, *arguments, tol=tol, progress=silent)
-    assert answer.certificate.certified, answer.certificate.failures
-    return answer
+"""Unequal temperatures."""
 
 
 @pytest.mark.parametrize("system", [UNEQUAL, TURNED])

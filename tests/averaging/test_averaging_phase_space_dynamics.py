@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from asked import TURNED, ask
 
 import fpk
 from averaging.exact import Exact
@@ -22,20 +23,9 @@ from fpk.errors import NotApplicable
 from fpk.method import silent
 from fpk.observable import Coordinate, parse_observable
 
-TURNED = fpk.System([1, 2], [1, 1.5], [[0.08, 0.06], [-0.04, 0.05]], [0.01, 0.02])
-"""Unequal temperatures and an antisymmetric part of the damping."""
 ONE_SIDED = fpk.Contact(mass=1, side="right", stiffness=10.0, clearance=0.3)
 GIBBS = fpk.System([2.0], [1.0], [0.4], [0.1], contacts=(ONE_SIDED,))
 """One mass, T = ¼; the mean of q is not 0."""
-
-
-def ask(method, question, system, *arguments, tol=None):
-    if question != "relaxation":
-        row, *arguments = arguments
-        arguments = [(Coordinate("q", row),), *arguments]
-    answer = getattr(method, question)(system, *arguments, tol=tol, progress=silent)
-    assert answer.certificate.certified, answer.certificate.failures
-    return answer
 
 
 def wrong(system, factor):
