@@ -131,8 +131,8 @@ def assert_kills_change_nothing(method: MonteCarlo, kills: int, folder: Path) ->
     same(arrays_of(replace(method, checkpoint=folder).solve(fig6(), OBSERVABLES)), expected)
 
 
-def test_killed_three_times_the_answer_is_bitwise_the_same(tmp_path: Path) -> None:
-    assert_kills_change_nothing(replace(METHOD, time=4000.0), 3, tmp_path)
+def test_killed_twice_the_answer_is_bitwise_the_same(tmp_path: Path) -> None:
+    assert_kills_change_nothing(replace(METHOD, time=4000.0), 2, tmp_path)
 
 
 @pytest.mark.slow
