@@ -14,13 +14,13 @@ from averaging.time.energy import total_energy
 from averaging.time.start import total_energy_start
 from averaging.weyl import Solution, StateDensity, tabulated
 from fpk.arrays import Array
-from fpk.dynamics import Curve, Rates
+from fpk.dynamics import CrossingsMethod, Curve, Question, Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.line.stationary import solve_stationary
 from fpk.method import Plan, Progress, Result, silent
-from fpk.observable import Coordinate, Observable, displacement_row
+from fpk.observable import Coordinate, Observable
 from fpk.process import Process
 from fpk.start import Start
 from fpk.system import System
@@ -34,7 +34,7 @@ no more within the steps that are taken."""
 
 
 @dataclass(frozen=True)
-class NonIntegrable(Theory):
+class NonIntegrable(CrossingsMethod, Theory):
     """Averaged energy, Eqs. (24)-(28), its stationary density and what follows from it, Eq. (30).
 
     ``solver``: "fem" solves the FPK equation of the process by finite elements; "quadrature"
@@ -75,22 +75,10 @@ class NonIntegrable(Theory):
 
         return Plan(partial(energy_only_refusal, system, exponential=exponential), solve)
 
-    def crossings(
-        self,
-        system: System,
-        observable: Observable,
-        at: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Curve:
-        """Return the upcrossings per unit time of q, by Rice's formula; refuses as densities."""
-        plan = self.prepare(system)
-        row = displacement_row(observable)
-        if reason := plan.refusal(observable):
-            raise NotApplicable(reason)
-        source, _ = self._state_density(system, energy_process(system))
-        return crossing_rates(source, row, at, tol=tol or self.tol)
+    def _crossings(self, asked: Question) -> Curve:
+        """Return the upcrossings per unit time of q, by Rice's formula."""
+        source, _ = self._state_density(asked.system, energy_process(asked.system))
+        return crossing_rates(source, asked.row, asked.at, tol=asked.tol or self.tol)
 
     def transient(
         self,
