@@ -29,8 +29,8 @@ ENERGY = Coordinate("H")
 Settings = dict[str, str | float | int]
 
 MODULATED_TOL = 1e-6
-"""Default tolerance of densities in time under modulated noise: noise that sets in or ends at 0 has
-no more within the steps that are taken."""
+"""Least tolerance by finite elements under modulated noise where none is given: it takes a second;
+1e-10 takes ten, of which noise that sets in or ends at 0 may need more than there are steps."""
 
 
 @dataclass(frozen=True)
@@ -93,10 +93,10 @@ class NonIntegrable(CrossingsMethod, Theory):
     ) -> Transient:
         """Return the densities of the energy, or of one or two of (q, p), at ``times``.
 
-        ``tol`` None: that of the method, or ``MODULATED_TOL`` by elements under modulated noise.
+        ``tol`` None: that of the method, but no less than ``MODULATED_TOL`` by finite elements
+        under modulated noise.
         """
-        modulated = system.modulation is not None and self.solver == "fem"
-        wanted = tol or (MODULATED_TOL if modulated else self.tol)
+        wanted = tol or self._tol_in_time(system)
         one, begins = total_energy(system), total_energy_start(system, start)
         if observable == (ENERGY,):
             return one.transient(self.solver, begins, times, at[0], tol=wanted)
@@ -114,7 +114,7 @@ class NonIntegrable(CrossingsMethod, Theory):
         tol: float | None = None,
         progress: Progress = silent,
     ) -> Passage:
-        """Return the first passage of the energy through ``limit``."""
+        """Return the first passage of the energy through ``limit``; ``tol`` as of ``transient``."""
         one = total_energy(system)
         if limit.kind != "H":
             raise NotApplicable(
@@ -122,13 +122,19 @@ class NonIntegrable(CrossingsMethod, Theory):
             )
         begins = total_energy_start(system, start)
         begins.require_below(limit)
-        return one.passage(self.solver, begins, limit.value, times, tol=tol or self.tol)
+        return one.passage(
+            self.solver, begins, limit.value, times, tol=tol or self._tol_in_time(system)
+        )
 
     def relaxation(
         self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
     ) -> Rates:
         """Return the slowest rates at which the energy forgets its past."""
         return total_energy(system).relaxation(self.solver, count, tol=tol or self.tol)
+
+    def _tol_in_time(self, system: System) -> float:
+        modulated = system.modulation is not None and self.solver == "fem"
+        return max(self.tol, MODULATED_TOL) if modulated else self.tol
 
     def _state_density(self, system: System, process: Process) -> tuple[StateDensity, Settings]:
         if self.solver == "closed-form":
