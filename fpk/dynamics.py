@@ -234,14 +234,14 @@ def certified_curve(
     What is ``positive``, the values themselves where it is None, fails if it is negative by more
     than the error.
     """
-    relative, own = float(np.max(errors)) / scale, of.certificate.failures
+    relative = float(np.max(errors)) / scale
     measured = Measured(
         l1_error=relative,
         mass_defect=of.certificate.mass_defect,
         minimum=float(np.min(values if positive is None else positive)) / scale,
         residual=worst((residual, of.certificate.residual)),
         tail_mass=of.certificate.tail_mass,
-        failures=failures if of.certificate.missed else (*own, *failures),
+        failures=(*of.certificate.besides, *failures),
         absolute_error=relative,
     )
     certificate = certify(measured, tol=tol)

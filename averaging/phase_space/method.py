@@ -192,7 +192,7 @@ class PhaseSpace(StationaryMotionMethod, Theory):
             values,
             answer.errors,
             scale=scale,
-            of=density_of(answer.ladder, (Coordinate("q", row),), tol),
+            of=density_of(answer.ladder, (Coordinate("q", row),), inf),
             tol=tol,
             residual=answer.last.residual,
             failures=(answer.limit,) if answer.limit else (),
