@@ -13,10 +13,10 @@ from averaging.energy_process import damping_by_energy, energy_process
 from averaging.theory import Theory, energy_only_refusal
 from averaging.weyl import StateDensity
 from fpk.arrays import Array
-from fpk.dynamics import Curve
+from fpk.dynamics import CrossingsMethod, Curve, Question
 from fpk.errors import NotApplicable
-from fpk.method import Plan, Progress, Result, silent
-from fpk.observable import Observable, displacement_row
+from fpk.method import Plan, Progress, Result
+from fpk.observable import Observable
 from fpk.system import System
 
 PROPORTION_SLACK = 1e-12
@@ -55,7 +55,7 @@ def compatibility(system: System) -> Array:
 
 
 @dataclass(frozen=True)
-class Exact(Theory):
+class Exact(CrossingsMethod, Theory):
     """Exact stationary density C exp(−∫h dH) of the full system, Eqs. (7), (22), (23).
 
     It exists where (8) holds; with constant damping h is a constant, and the normalisation the
@@ -88,22 +88,10 @@ class Exact(Theory):
 
         return Plan(partial(energy_only_refusal, system, exponential=h.size == 1), solve)
 
-    def crossings(
-        self,
-        system: System,
-        observable: Observable,
-        at: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Curve:
-        """Return the upcrossings per unit time of q, by Rice's formula; refuses as densities."""
-        plan = self.prepare(system)
-        row = displacement_row(observable)
-        if reason := plan.refusal(observable):
-            raise NotApplicable(reason)
-        source = _source(system, compatibility(system))
-        return crossing_rates(source, row, at, tol=tol or self.tol)
+    def _crossings(self, asked: Question) -> Curve:
+        """Return the upcrossings per unit time of q, by Rice's formula."""
+        source = _source(asked.system, compatibility(asked.system))
+        return crossing_rates(source, asked.row, asked.at, tol=asked.tol or self.tol)
 
 
 def _source(system: System, h: Array) -> StateDensity:

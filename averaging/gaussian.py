@@ -14,19 +14,18 @@ from averaging.linear_dynamics import (
     spectral_density,
 )
 from averaging.theory import Theory, energy_only_refusal
-from fpk.arrays import Array
 from fpk.certificate import Measured, certify
 from fpk.density import Density
-from fpk.dynamics import Curve, Rates, certified_curve, require_lags
+from fpk.dynamics import Curve, Question, Rates, StationaryMotionMethod, certified_curve
 from fpk.errors import NotApplicable
 from fpk.linear import linear_covariance, stationary_covariance
 from fpk.method import Plan, Progress, Result, silent
-from fpk.observable import Coordinate, Observable, displacement_row
+from fpk.observable import Coordinate, Observable
 from fpk.system import System
 
 
 @dataclass(frozen=True)
-class Linear(Theory):
+class Linear(StationaryMotionMethod, Theory):
     """Gaussian density with the covariance of the Lyapunov equation, for a scene without contact.
 
     It is the exact stationary density of the full linear system, Eq. (6); averaging does not
@@ -72,53 +71,28 @@ class Linear(Theory):
 
         return Plan(lambda observable: energy_only_refusal(system, observable), solve)
 
-    def crossings(
-        self,
-        system: System,
-        observable: Observable,
-        at: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Curve:
+    def _crossings(self, asked: Question) -> Curve:
         """Return the upcrossings per unit time of q, by Rice's formula for a Gaussian."""
-        density, q, v = self._state(system, displacement_row(observable))
-        values, errors = rice_rates(q, v, system.fact(linear_covariance).relative_error, at)
+        density, q, v = self._state(asked)
+        error = asked.system.fact(linear_covariance).relative_error
+        values, errors = rice_rates(q, v, error, asked.at)
+        scale = v / (2.0 * np.pi * q)
+        return certified_curve(values, errors, scale=scale, of=density, tol=asked.tol or self.tol)
+
+    def _spectrum(self, asked: Question) -> Curve:
+        """Return the power spectral density of q from the transfer functions."""
+        density, q, v = self._state(asked)
+        values, errors = spectral_density(asked.system, asked.row, asked.at)
         return certified_curve(
-            values, errors, scale=v / (2.0 * np.pi * q), of=density, tol=self.tol
+            values, errors, scale=q**3 / v, of=density, tol=asked.tol or self.tol
         )
 
-    def spectrum(
-        self,
-        system: System,
-        observable: Observable,
-        at: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Curve:
-        """Return the power spectral density of q from the transfer functions."""
-        row = displacement_row(observable)
-        density, q, v = self._state(system, row)
-        values, errors = spectral_density(system, row, at)
-        return certified_curve(values, errors, scale=q**3 / v, of=density, tol=tol or self.tol)
-
-    def correlation(
-        self,
-        system: System,
-        observable: Observable,
-        at: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Curve:
+    def _correlation(self, asked: Question) -> Curve:
         """Return the autocovariance of q by the exponential of the drift matrix."""
-        require_lags(at)
-        row = displacement_row(observable)
-        density, q, _ = self._state(system, row)
-        values, errors = autocovariance(system, row, at)
+        density, q, _ = self._state(asked)
+        values, errors = autocovariance(asked.system, asked.row, asked.at)
         return certified_curve(
-            values, errors, scale=q**2, of=density, tol=tol or self.tol,
+            values, errors, scale=q**2, of=density, tol=asked.tol or self.tol,
             positive=q**2 - np.abs(values),
         )  # fmt: skip
 
@@ -133,8 +107,9 @@ class Linear(Theory):
         certificate = certify(Measured(relative, None, None, residual, None), tol=tol or self.tol)
         return Rates(values, errors, certificate)
 
-    def _state(self, system: System, row: int) -> tuple[Density, float, float]:
+    def _state(self, asked: Question) -> tuple[Density, float, float]:
         """Density of q, and the standard deviations of q and of the velocity; both not 0."""
+        system, row = asked.system, asked.row
         (density,) = self.solve(system, [(Coordinate("q", row),)]).densities
         assert isinstance(density, Density)
         at = state_rows((Coordinate("q", row), Coordinate("p", row)), system.n)

@@ -15,20 +15,20 @@ from averaging.time.start import modal_start
 from fpk.arrays import Array
 from fpk.clearance import CLEARANCE_RULE
 from fpk.density import Density
-from fpk.dynamics import Curve, Rates, certified_curve
+from fpk.dynamics import CrossingsMethod, Curve, Question, Rates, certified_curve
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.method import Plan, Progress, Result, silent
 from fpk.modulation import require_constant_noise
-from fpk.observable import Coordinate, Observable, displacement_row, observable_name
+from fpk.observable import Coordinate, Observable, observable_name
 from fpk.start import Start
 from fpk.system import System
 from fpk.upcrossings import upcrossings
 
 
 @dataclass(frozen=True)
-class Integrable(Theory):
+class Integrable(CrossingsMethod, Theory):
     """Averaged modal energies, Eqs. (17), (33), their stationary density, Eqs. (34)-(36).
 
     Contacts are left out: ``neglected`` says so, with the rule clearance > 2 rms of section 6.3
@@ -86,25 +86,17 @@ class Integrable(Theory):
 
         return Plan(lambda observable: self._refusal(observable, modes), solve)
 
-    def crossings(
-        self,
-        system: System,
-        observable: Observable,
-        at: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Curve:
+    def _crossings(self, asked: Question) -> Curve:
         """Return the upcrossings per unit time of q from its joint density with p."""
-        row = displacement_row(observable)
-        joint = *observable, Coordinate("p", row)
-        of_both, of_q = self.solve(system, [joint, observable], progress=progress).densities
+        system, row = asked.system, asked.row
+        q, p = Coordinate("q", row), Coordinate("p", row)
+        of_both, of_q = self.solve(system, [(q, p), (q,)], progress=asked.progress).densities
         assert isinstance(of_both, Density) and isinstance(of_q, Density)
         mass = float(system.mass[row])
-        values, errors = upcrossings(of_both, mass, at)
+        values, errors = upcrossings(of_both, mass, asked.at)
         velocity = float(np.sqrt(of_both.moment(0, 2).value)) / mass
         scale = velocity / (2.0 * np.pi * of_q.rms().value)
-        return certified_curve(values, errors, scale=scale, of=of_q, tol=tol or self.tol)
+        return certified_curve(values, errors, scale=scale, of=of_q, tol=asked.tol or self.tol)
 
     def transient(
         self,

@@ -14,13 +14,13 @@ from averaging.time.energy import total_energy
 from averaging.time.start import total_energy_start
 from averaging.weyl import Solution, StateDensity, tabulated
 from fpk.arrays import Array
-from fpk.dynamics import Curve, Rates
+from fpk.dynamics import CrossingsMethod, Curve, Question, Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.line.stationary import solve_stationary
 from fpk.method import Plan, Progress, Result, silent
-from fpk.observable import Coordinate, Observable, displacement_row
+from fpk.observable import Coordinate, Observable
 from fpk.process import Process
 from fpk.start import Start
 from fpk.system import System
@@ -29,12 +29,12 @@ ENERGY = Coordinate("H")
 Settings = dict[str, str | float | int]
 
 MODULATED_TOL = 1e-6
-"""Default tolerance of densities in time under modulated noise: noise that sets in or ends at 0 has
-no more within the steps that are taken."""
+"""Least tolerance by finite elements under modulated noise where none is given: it takes a second;
+1e-10 takes ten, of which noise that sets in or ends at 0 may need more than there are steps."""
 
 
 @dataclass(frozen=True)
-class NonIntegrable(Theory):
+class NonIntegrable(CrossingsMethod, Theory):
     """Averaged energy, Eqs. (24)-(28), its stationary density and what follows from it, Eq. (30).
 
     ``solver``: "fem" solves the FPK equation of the process by finite elements; "quadrature"
@@ -75,22 +75,10 @@ class NonIntegrable(Theory):
 
         return Plan(partial(energy_only_refusal, system, exponential=exponential), solve)
 
-    def crossings(
-        self,
-        system: System,
-        observable: Observable,
-        at: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Curve:
-        """Return the upcrossings per unit time of q, by Rice's formula; refuses as densities."""
-        plan = self.prepare(system)
-        row = displacement_row(observable)
-        if reason := plan.refusal(observable):
-            raise NotApplicable(reason)
-        source, _ = self._state_density(system, energy_process(system))
-        return crossing_rates(source, row, at, tol=tol or self.tol)
+    def _crossings(self, asked: Question) -> Curve:
+        """Return the upcrossings per unit time of q, by Rice's formula."""
+        source, _ = self._state_density(asked.system, energy_process(asked.system))
+        return crossing_rates(source, asked.row, asked.at, tol=asked.tol or self.tol)
 
     def transient(
         self,
@@ -105,10 +93,10 @@ class NonIntegrable(Theory):
     ) -> Transient:
         """Return the densities of the energy, or of one or two of (q, p), at ``times``.
 
-        ``tol`` None: that of the method, or ``MODULATED_TOL`` by elements under modulated noise.
+        ``tol`` None: that of the method, but no less than ``MODULATED_TOL`` by finite elements
+        under modulated noise.
         """
-        modulated = system.modulation is not None and self.solver == "fem"
-        wanted = tol or (MODULATED_TOL if modulated else self.tol)
+        wanted = tol or self._tol_in_time(system)
         one, begins = total_energy(system), total_energy_start(system, start)
         if observable == (ENERGY,):
             return one.transient(self.solver, begins, times, at[0], tol=wanted)
@@ -126,7 +114,7 @@ class NonIntegrable(Theory):
         tol: float | None = None,
         progress: Progress = silent,
     ) -> Passage:
-        """Return the first passage of the energy through ``limit``."""
+        """Return the first passage of the energy through ``limit``; ``tol`` as of ``transient``."""
         one = total_energy(system)
         if limit.kind != "H":
             raise NotApplicable(
@@ -134,13 +122,19 @@ class NonIntegrable(Theory):
             )
         begins = total_energy_start(system, start)
         begins.require_below(limit)
-        return one.passage(self.solver, begins, limit.value, times, tol=tol or self.tol)
+        return one.passage(
+            self.solver, begins, limit.value, times, tol=tol or self._tol_in_time(system)
+        )
 
     def relaxation(
         self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
     ) -> Rates:
         """Return the slowest rates at which the energy forgets its past."""
         return total_energy(system).relaxation(self.solver, count, tol=tol or self.tol)
+
+    def _tol_in_time(self, system: System) -> float:
+        modulated = system.modulation is not None and self.solver == "fem"
+        return max(self.tol, MODULATED_TOL) if modulated else self.tol
 
     def _state_density(self, system: System, process: Process) -> tuple[StateDensity, Settings]:
         if self.solver == "closed-form":

@@ -1,4 +1,4 @@
-"""What a stop feels: how long it is touched, how deep, how hard; from the density of its mass."""
+"""Contact probability, overlap and force at a stop, from the density of its mass's displacement."""
 
 from collections.abc import Mapping, Sequence
 
@@ -13,8 +13,9 @@ from fpk.system import System
 
 
 def contact_quantities(stop: Contact, displacement: Quantities) -> Mapping[str, Number]:
-    """Return what a one-sided ``stop`` feels, by name, of the ``displacement`` of its mass.
+    """Return numbers of the contact at a one-sided ``stop``, by their names.
 
+    ``displacement`` is the density of the displacement of the stop's mass.
     "contact probability": P(overlap > 0), the share of time in contact; "mean overlap" and "mean
     force": expectations over all time, 0 while there is no contact (force in force units, Eq. (2));
     "overlap in contact" and "force in contact": the same over the time in contact alone, whose
@@ -41,9 +42,10 @@ def contact_quantities(stop: Contact, displacement: Quantities) -> Mapping[str, 
 
 
 def joint_at_stops(system: System, observables: Sequence[Observable]) -> list[Observable]:
-    """Return the pairs (q, p) that crossing rates of stops follow from, but those asked for.
+    """Return pairs (q, p) of masses at stops: the rates of touching these follow from them.
 
-    Of the masses at stops whose displacement is one of the ``observables``.
+    They are those of the masses whose q is one of the ``observables``, less the pairs that are
+    among the ``observables`` themselves.
     """
     touching = [Coordinate("q", i) for i in system.contact_masses]
     pairs = [(q, Coordinate("p", q.row)) for q in touching if (q,) in observables]
@@ -51,7 +53,7 @@ def joint_at_stops(system: System, observables: Sequence[Observable]) -> list[Ob
 
 
 def ratio(a: Number, b: Number) -> Number:
-    """Return a/b of two numbers whose errors may conspire; its error is infinite if b may be 0."""
+    """Return a/b and the most that it can be off by; b may be 0: NaN with an infinite error."""
     if not b.value > b.error:
         return Number(np.nan, np.inf)
     value = a.value / b.value

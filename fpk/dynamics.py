@@ -8,6 +8,7 @@ default of the method. ``observable`` is a displacement, as ``parse_observable("
 or else ``InvalidInput`` is raised. ``progress`` as of ``Method.solve``.
 """
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
@@ -19,9 +20,9 @@ from fpk.certificate import Certificate, Measured, certify, with_values, worst
 from fpk.density import Density
 from fpk.errors import InvalidInput
 from fpk.evolution import ErrorKind
-from fpk.method import Progress, silent
+from fpk.method import Method, Progress, silent
 from fpk.number import SMALLEST
-from fpk.observable import Observable
+from fpk.observable import Observable, displacement_row
 from fpk.system import System
 
 
@@ -116,10 +117,7 @@ class Correlation(Protocol):
         tol: float | None = None,
         progress: Progress = silent,
     ) -> Curve:
-        """Return C at the lags ``at``.
-
-        Raises ``InvalidInput`` as ``require_lags``.
-        """
+        """Return C at the lags ``at``; ``InvalidInput`` for any below 0 or not finite."""
 
 
 @runtime_checkable
@@ -132,11 +130,88 @@ class Relaxation(Protocol):
         """Return the ``count`` eigenvalues of −L with the least real parts but 0 itself."""
 
 
-def require_lags(at: Array) -> None:
-    """Raise ``InvalidInput`` for lags that are negative or not finite."""
-    wrong = at[~((at >= 0.0) & (at < np.inf))]
-    if wrong.size:
-        raise InvalidInput("at", float(wrong[0]), "a lag is a time, finite and 0 or later")
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What is asked of the stationary motion of the displacement of the mass ``row``, from 0.
+
+    All else as the protocols say; ``at`` are levels, angular frequencies or lags.
+    """
+
+    system: System
+    row: int
+    at: Array
+    tol: float | None
+    progress: Progress
+
+
+class CrossingsMethod(Method):
+    """Base class of methods that give crossing rates, by ``_crossings`` of a checked question.
+
+    Raised are ``InvalidInput`` for what is no displacement, and ``NotApplicable`` where the method
+    does not give its density.
+    """
+
+    def crossings(
+        self,
+        system: System,
+        observable: Observable,
+        at: Array,
+        *,
+        tol: float | None = None,
+        progress: Progress = silent,
+    ) -> Curve:
+        """Return the upcrossings per unit time of the levels ``at`` by a displacement."""
+        return self._crossings(self._asked(system, observable, at, tol, progress))
+
+    @abstractmethod
+    def _crossings(self, asked: Question) -> Curve:
+        """Return the upcrossings per unit time of the levels that are asked for."""
+
+    def _asked(
+        self, system: System, observable: Observable, at: Array, tol: float | None, p: Progress
+    ) -> Question:
+        row = displacement_row(observable)
+        self.planned(system, [observable])
+        return Question(system, row, at, tol, p)
+
+
+class StationaryMotionMethod(CrossingsMethod):
+    """Base class of methods that give power spectra and autocovariances, too."""
+
+    def spectrum(
+        self,
+        system: System,
+        observable: Observable,
+        at: Array,
+        *,
+        tol: float | None = None,
+        progress: Progress = silent,
+    ) -> Curve:
+        """Return the power spectral density of a displacement at angular frequencies ``at``."""
+        return self._spectrum(self._asked(system, observable, at, tol, progress))
+
+    def correlation(
+        self,
+        system: System,
+        observable: Observable,
+        at: Array,
+        *,
+        tol: float | None = None,
+        progress: Progress = silent,
+    ) -> Curve:
+        """Return the autocovariance of a displacement at the lags ``at``, finite and >= 0."""
+        wrong = at[~((at >= 0.0) & (at < np.inf))]
+        if wrong.size:
+            raise InvalidInput("at", float(wrong[0]), "a lag is a time, finite and 0 or later")
+        return self._correlation(self._asked(system, observable, at, tol, progress))
+
+    @abstractmethod
+    def _spectrum(self, asked: Question) -> Curve:
+        """Return S at the angular frequencies that are asked for."""
+
+    @abstractmethod
+    def _correlation(self, asked: Question) -> Curve:
+        """Return C at the lags that are asked for."""
 
 
 def certified_curve(
@@ -159,14 +234,14 @@ def certified_curve(
     What is ``positive``, the values themselves where it is None, fails if it is negative by more
     than the error.
     """
-    relative, own = float(np.max(errors)) / scale, of.certificate.failures
+    relative = float(np.max(errors)) / scale
     measured = Measured(
         l1_error=relative,
         mass_defect=of.certificate.mass_defect,
         minimum=float(np.min(values if positive is None else positive)) / scale,
         residual=worst((residual, of.certificate.residual)),
         tail_mass=of.certificate.tail_mass,
-        failures=failures if of.certificate.missed else (*own, *failures),
+        failures=(*of.certificate.besides, *failures),
         absolute_error=relative,
     )
     certificate = certify(measured, tol=tol)

@@ -53,9 +53,11 @@ class FunctionQuantities(Quantities):
         return Number(value, error + rounding + abs(value - coarse) + tail)
 
     def probability(self, low: float, high: float) -> Number:
-        """Return P(low < X <= high) and its error; as the mass is 1, no more than that beside it.
+        """Return P(low < X <= high) and its error.
 
-        What of the L1 error is not in the errors at points may lie anywhere.
+        The error is the integral of the error at points over the interval or, as the whole mass is
+        1, over all that is outside it, whichever is less. The part of the L1 error that the errors
+        at points do not add up to may lie anywhere and is added.
         """
         nodes = self._axis()
         first, last = (float(x) for x in np.clip([low, high], nodes[0], nodes[-1]))
@@ -71,17 +73,17 @@ class FunctionQuantities(Quantities):
 
     @property
     def _least_l1(self) -> float:
-        """The L1 error, which is no less than what of the mass is missing."""
+        """The L1 error of the density, but no less than |1 − its mass|."""
         return max(self.l1_error, missing(self.certificate))
 
     @property
     def _error_of_all(self) -> float:
-        """∫ of the error at points."""
+        """Integral of the error at points over the support."""
         return float(self._panel_shares[1].sum())
 
     @property
     def _unlocated(self) -> float:
-        """What of the L1 error is not in the errors at points, or else what mass is missing."""
+        """L1 error less the integral of the errors at points, but no less than |1 − mass|."""
         return max(self.l1_error - self._error_of_all, missing(self.certificate))
 
     def share(self, low: float, high: float) -> float:
@@ -92,9 +94,10 @@ class FunctionQuantities(Quantities):
     def _share(
         self, low: float, high: float, *functions: Callable[..., Array], rounding: bool = False
     ) -> Array:
-        """∫ of the density, and of its error if both are ``functions``, within the support.
+        """Integrals from ``low`` to ``high``, both within the support, of each of ``functions``.
 
-        ``rounding``: the round-off of these in their place.
+        These are the density, and after it, if given, its error at points. With ``rounding`` each
+        panel counts by the relative round-off of its nodes, so that the round-off is returned.
         """
         nodes = self.panels[0]
         each = EPS * condition_of(nodes) if rounding else np.ones(nodes.size - 1)
@@ -127,12 +130,16 @@ class FunctionQuantities(Quantities):
 
 
 def condition_of(nodes: Array) -> Array:
-    """Return 1 + |x|/width of every panel: its width, and what changes over it, round by that."""
+    """Return 1 + |x|/width of every panel between ``nodes``, |x| the larger of its ends.
+
+    By this factor times the rounding of a double the width is rounded, relative to itself, and so
+    is what changes over the panel by about as much as it is.
+    """
     largest = np.maximum(np.abs(nodes[1:]), np.abs(nodes[:-1]))
     return np.asarray(1.0 + largest / np.diff(nodes))
 
 
 def _condition(panels: Sequence[Array]) -> Array:
-    """The same at the Gauss points of all panels."""
+    """``condition_of`` at the Gauss points of all panels, summed over the axes."""
     each = [np.repeat(condition_of(nodes), GAUSS_POINTS[len(panels)]) for nodes in panels]
     return each[0] if len(each) == 1 else np.add.outer(*each)

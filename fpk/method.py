@@ -150,11 +150,19 @@ class Method(ABC):
         Raises ``InvalidInput`` for an observable that is a name instead of a parsed one.
         """
         require_observables(observables)
+        plan = self.planned(system, observables)
+        return solved(plan, system, observables, beside=beside, progress=progress)
+
+    def planned(self, system: System, observables: Sequence[Observable]) -> Plan:
+        """Return the plan for ``system``; raise ``NotApplicable`` where it refuses an observable.
+
+        Raises it, too, where the method is not for the system.
+        """
         plan = self.prepare(system)
         for observable in observables:
             if reason := plan.refusal(observable):
                 raise NotApplicable(reason)
-        return solved(plan, system, observables, beside=beside, progress=progress)
+        return plan
 
 
 @dataclass(frozen=True)

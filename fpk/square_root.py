@@ -78,7 +78,7 @@ class SquareRoot:
         for k, t in enumerate(times.tolist()):
             values[k], errors[k] = self.density(start, noise, t, at)
             judged.append(self.judged(start, noise, t))
-        error, mass, least = (max(column) for column in zip(*judged, strict=True))
+        error, mass, least = np.max(judged, axis=0).tolist()
         measured = Measured(error, mass, -least, None, None)
         return Transient(times, values, errors, "numerical", certify(measured, tol=tol))
 

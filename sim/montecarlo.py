@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.dynamics import Curve
+from fpk.dynamics import Curve, Question, StationaryMotionMethod
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
-from fpk.method import Method, Plan, Progress, Result, silent
-from fpk.observable import Observable, displacement_row
+from fpk.method import Plan, Progress, Result, silent
+from fpk.observable import Observable
 from fpk.route import ROUTES, Route, register
 from fpk.start import Start
 from fpk.system import System
@@ -55,7 +55,7 @@ def check_settings(own: Any, positive: Sequence[str], *ranges: tuple[str, int, i
 
 
 @dataclass(frozen=True)
-class MonteCarlo(Method):
+class MonteCarlo(StationaryMotionMethod):
     """Simulation of Eq. (6) with sampling errors from independent batches.
 
     Times are in the unit of time of the system, but for ``seconds`` and ``longest`` (wall time).
@@ -177,50 +177,21 @@ class MonteCarlo(Method):
         )
         return answer
 
-    def crossings(
-        self,
-        system: System,
-        observable: Observable,
-        at: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Curve:
+    def _crossings(self, asked: Question) -> Curve:
         """Return upcrossing rates, counted between steps too; see ``sim.motion``."""
-        return self._stationary(
-            "crossings", system, displacement_row(observable), at, tol, progress
-        )
+        return self._sampled("crossings", asked)
 
-    def spectrum(
-        self,
-        system: System,
-        observable: Observable,
-        at: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Curve:
+    def _spectrum(self, asked: Question) -> Curve:
         """Return power spectral densities by Welch's method; see ``sim.motion``."""
-        return self._stationary("spectrum", system, displacement_row(observable), at, tol, progress)
+        return self._sampled("spectrum", asked)
 
-    def correlation(
-        self,
-        system: System,
-        observable: Observable,
-        at: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Curve:
+    def _correlation(self, asked: Question) -> Curve:
         """Return autocovariances from products at a distance in time; see ``sim.motion``."""
-        return self._stationary(
-            "correlation", system, displacement_row(observable), at, tol, progress
-        )
+        return self._sampled("correlation", asked)
 
-    def _stationary(self, question: str, *asked: Any) -> Curve:
-        *asked_of, tol, progress = asked
-        answer: Curve = getattr(import_module(f"sim.motion.{question}"), question)(
-            self, *asked_of, tol=tol, progress=progress
+    def _sampled(self, what: str, asked: Question) -> Curve:
+        answer: Curve = getattr(import_module(f"sim.motion.{what}"), what)(
+            self, asked.system, asked.row, asked.at, tol=asked.tol, progress=asked.progress
         )
         return answer
 

@@ -27,12 +27,12 @@ from averaging.phase_space.refinement import (
 from averaging.theory import Theory
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
-from fpk.dynamics import Curve, Rates, certified_curve, require_lags
+from fpk.dynamics import Curve, Question, Rates, StationaryMotionMethod, certified_curve
 from fpk.errors import NotApplicable, NotCertified
 from fpk.evolution import Passage
 from fpk.limit import Limit
 from fpk.method import Plan, Progress, Result, silent
-from fpk.observable import Coordinate, Observable, displacement_row, observable_name
+from fpk.observable import Coordinate, Observable, observable_name
 from fpk.start import Start
 from fpk.system import System
 
@@ -52,7 +52,7 @@ densities, and take more eliminations, those of spectra in complex numbers."""
 
 
 @dataclass(frozen=True)
-class PhaseSpace(Theory):
+class PhaseSpace(StationaryMotionMethod, Theory):
     """Densities of displacements and momenta from the stationary FPK equation of Eq. (6) itself.
 
     An expansion in Hermite functions of all velocities and displacements but that of the mass that
@@ -137,49 +137,17 @@ class PhaseSpace(Theory):
 
         return Plan(_refusal, lambda observables, p: solve(observables, (), p), solve)
 
-    def crossings(
-        self,
-        system: System,
-        observable: Observable,
-        at: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Curve:
+    def _crossings(self, asked: Question) -> Curve:
         """Return the upcrossings per unit time of q from the joint density of (q, p)."""
-        return self._curve(
-            crossings, system, displacement_row(observable), at, tol or CROSSINGS_TOL, progress
-        )
+        return self._curve(crossings, asked, CROSSINGS_TOL)
 
-    def spectrum(
-        self,
-        system: System,
-        observable: Observable,
-        at: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Curve:
+    def _spectrum(self, asked: Question) -> Curve:
         """Return the power spectral density of q from the resolvent of the FPK operator."""
-        return self._curve(
-            spectrum, system, displacement_row(observable), at, tol or SPECTRUM_TOL, progress
-        )
+        return self._curve(spectrum, asked, SPECTRUM_TOL)
 
-    def correlation(
-        self,
-        system: System,
-        observable: Observable,
-        at: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Curve:
+    def _correlation(self, asked: Question) -> Curve:
         """Return the autocovariance of q from the exponential of the FPK operator."""
-        require_lags(at)
-        wanted = tol or CORRELATION_TOL
-        return self._curve(
-            correlation, system, displacement_row(observable), at, wanted, progress, signed=True
-        )  # fmt: skip
+        return self._curve(correlation, asked, CORRELATION_TOL, signed=True)
 
     def relaxation(
         self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
@@ -205,24 +173,26 @@ class PhaseSpace(Theory):
 
     def _curve(
         self,
-        question: Callable[[Frame, int, Array, Options], Answer],
-        system: System,
-        row: int,
-        at: Array,
-        tol: float,
-        progress: Progress,
+        route: Callable[[Frame, int, Array, Options], Answer],
+        asked: Question,
+        default: float,
         *,
         signed: bool = False,
     ) -> Curve:
-        """Return the answer to a question; one that is ``signed`` is within ± its scale."""
+        """Return the answer by ``route`` to the tolerance asked for, or else the ``default``.
+
+        One that is ``signed`` is within ± its scale.
+        """
+        tol, row = asked.tol or default, asked.row
         with _breakdowns():
-            answer = question(self._frame(system), row, at, self._options(tol, progress))
+            options = self._options(tol, asked.progress)
+            answer = route(self._frame(asked.system), row, asked.at, options)
         values, scale = np.asarray(answer.last.values, dtype=float), float(answer.last.scale)
         return certified_curve(
             values,
             answer.errors,
             scale=scale,
-            of=density_of(answer.ladder, (Coordinate("q", row),), tol),
+            of=density_of(answer.ladder, (Coordinate("q", row),), inf),
             tol=tol,
             residual=answer.last.residual,
             failures=(answer.limit,) if answer.limit else (),

@@ -81,7 +81,7 @@ class OneEnergy:
                 if not self.modulation.last and times[-1] > self.modulation.times[-1]:
                     raise NotApplicable(AFTER_THE_NOISE)
                 solved, settings = modulated_transition(*asked, tol=tol)
-            answer = state_transient(system, solved, observable, times, at, tol=solved.question.tol)
+            answer = state_transient(system, solved, observable, times, at, tol=tol)
             return replace(answer, settings={**answer.settings, **settings})
         closed, rows = self._closed(solver), state_rows(observable, system.n)
         # At temperature 1; K and M are not coupled.

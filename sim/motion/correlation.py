@@ -7,7 +7,7 @@ import numpy as np
 import scipy  # its parts are loaded at their first use
 
 from fpk.arrays import Array
-from fpk.dynamics import Curve, require_lags
+from fpk.dynamics import Curve
 from fpk.errors import InvalidInput
 from fpk.method import Progress
 from fpk.system import System
@@ -36,10 +36,8 @@ def correlation(
     or the ``time`` of each trajectory, less where memory ends it; between samples of t a cubic
     spline. Stated is, in quadrature, the error by blocks of trajectories, what changes at the step
     dt instead of dt/2, by the same random numbers, and the largest error of the spline, see
-    ``_spline_error``. Raises ``InvalidInput`` for lags that are negative or too long for memory.
+    ``_spline_error``. Raises ``InvalidInput`` for lags that are too long for memory.
     """
-    require_lags(at)
-    method.prepare(system)
     wanted = tol if tol is not None else method.tol
     dt = motion_step(method, system)
     step = max(1, int(longest_step(system) / dt)) if needs_steps(system) else 1

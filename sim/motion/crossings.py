@@ -47,7 +47,6 @@ def crossings(
     negative within its error. ``time`` of each trajectory (``RELAXATIONS`` relaxation times where
     none is given) is followed by more until ``tol`` is met or ``seconds`` have passed.
     """
-    method.prepare(system)  # refuses what has no stationary state
     wanted = tol if tol is not None else method.tol
     dt = motion_step(method, system, error=wanted)
     paths = -(-method.paths // LANES) * LANES

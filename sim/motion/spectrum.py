@@ -47,7 +47,6 @@ def spectrum(
     of trajectories, all of that third, and a bound of what sampling folds back. Steps are half
     those of a density, of whose bias a sixteenth is left.
     """
-    method.prepare(system)
     wanted = tol if tol is not None else method.tol
     spacing, step, length = _sampling(method, system, at)
     powers: list[Array] = []

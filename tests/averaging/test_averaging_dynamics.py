@@ -95,6 +95,13 @@ def test_lags_are_times(lag):
             )
 
 
+@pytest.mark.parametrize("question", ["crossings", "spectrum", "correlation"])
+def test_answers_are_judged_by_the_tolerance_that_is_asked_for(question):
+    # Less than a rounding: no answer has it.
+    answer = getattr(Linear(), question)(UNEQUAL, (Coordinate("q", 0),), np.ones(1), tol=1e-30)
+    assert not answer.certificate.certified and answer.certificate.missed > 1e-30
+
+
 def test_crossings_of_a_linear_system_are_those_of_its_joint_density():
     for system in (UNEQUAL, TURNED):
         a = np.linspace(-2.0, 2.0, 9)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.sparse import csc_array
 
 from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
@@ -11,6 +12,7 @@ from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.limit import parse_limit
+from fpk.line.time.stepping import Matrices, stepped
 from fpk.method import silent
 from fpk.modulation import Modulation
 from fpk.observable import parse_observable
@@ -161,6 +163,34 @@ def test_constant_modulation_is_constant_noise(start):
         np.abs(held.survival - steady.survival) <= held.survival_error + steady.survival_error
     )
     assert held.certificate.certified and held.survival_error.max() < 1e-5
+
+
+def test_what_has_failed_at_the_start_has_an_error_of_its_own():
+    # A gamma density of two masses beyond the limit: e^(−x)(1 + x), x = H/θ, θ = 0.3 d/c.
+    x = 0.9 / (0.3 * 0.0225 / 0.125)
+    answer = passage(FADING, [0.0, 5.0], "noise=0.3")
+    off = abs(answer.survival[0] - (1.0 - np.exp(-x) * (1.0 + x)))
+    # The digits of d and c as they are written here are those of 1 of the survival.
+    assert off <= answer.survival_error[0] + 1e-15
+    assert answer.survival_error[0] < 1e-12
+
+
+@pytest.mark.parametrize("name", ["H", "q1"])
+def test_the_tolerance_that_is_asked_for_is_the_one_that_judges(name, monkeypatch):
+    # Steps halved once: their error is above 1e-10, and nothing may loosen that.
+    monkeypatch.setattr("fpk.line.time.modulated.LEVELS", (0, 1))
+    answer = transient(FADING, [5.0], [0.1], name, tol=1e-10)
+    assert answer.settings["tol"] == 1e-10 and answer.certificate.missed > 1e-10
+
+
+def test_steps_of_nothing_have_no_residual_and_one_that_is_no_number_stays(recwarn):
+    one, place = csc_array(np.eye(2)), np.zeros((1, 2), dtype=int)
+    m = Matrices(one, one, one, place, np.zeros(2))
+    always, times = Modulation([0.0], [1.0]), np.array([1.0])
+    g, residual = stepped(m, np.zeros(2), always, 1.0, times, level=0)
+    assert residual == 0.0 and not g.any() and not recwarn.list
+    _, residual = stepped(m, np.array([np.nan, 1.0]), always, 1.0, times, level=0)
+    assert np.isnan(residual)
 
 
 def test_after_the_noise_none_fails():

@@ -68,7 +68,7 @@ def transient(
             "the sum of more than two modal energies that are not alike is not given"
         )
     values, errors = np.empty((2, times.size, at[0].size))
-    l1 = defect = 0.0
+    worst = np.zeros(2)  # of the L1 errors and of the departures of the mass from 1
     for k, t in enumerate(times.tolist()):
         each = [partial(mode.density, H, start.noise, t) for mode, H in parts]
         if len(parts) == len(at):
@@ -78,11 +78,10 @@ def transient(
         else:
             values[k], errors[k] = _convolved(each, at[0])
         judged = [mode.judged(H, start.noise, t) for mode, H in parts]
-        l1, defect = (max(old, sum(j[i] for j in judged)) for i, old in enumerate((l1, defect)))
+        worst = np.maximum(worst, np.sum(judged, axis=0)[:2])
     highest = np.max(errors / np.max(values, axis=1, initial=SMALLEST, keepdims=True), initial=0.0)
-    measured = Measured(
-        float(np.max([l1, highest])), defect, float(values.min(initial=0.0)), None, None
-    )
+    l1, defect = float(np.max([worst[0], highest])), float(worst[1])
+    measured = Measured(l1, defect, float(values.min(initial=0.0)), None, None)
     certificate = certify(measured, tol=tol or TOL)
     return Transient(times, values, errors + SMALLEST, "numerical", certificate)
 

@@ -160,7 +160,7 @@ def _compared(coarse: Level, fine: Level, times: Array, tol: float) -> Passage:
         lost,
         tol=tol,
         mass_defect=fine.defect,
-        residual=max(fine.residual, coarse.residual),
+        residual=float(np.max([fine.residual, coarse.residual])),
         settings={
             "equation": "(6)",
             "solver": "fem",

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -24,8 +24,6 @@ from fpk.process import Process
 
 LEVELS = (1, 4)
 """Halvings of all steps: those with which the mesh is adapted, and the most."""
-LEAST_TOL = 1e-9
-"""Tolerances below it would take minutes of steps for a digit; the default where none is given."""
 UNRESOLVED = 0.1
 """L1 error above which nothing is known of the density."""
 ODE_TOLS = (1e-12, 1e-10)
@@ -57,8 +55,8 @@ def modulated_transient(
     measured, process = solved.measured, under(1.0)
     for k in np.flatnonzero(later):
         values[k], errors[k], l1 = free_decay(process, solved, float(times[k] - end), at)
-        worst = max(measured.l1_error, solved.measured.l1_error + l1)
-        measured = replace(measured, l1_error=worst)
+        largest = np.max([measured.l1_error, solved.measured.l1_error + l1])
+        measured = replace(measured, l1_error=float(largest))
     if not measured.l1_error <= UNRESOLVED:
         errors[:] = np.inf
     certificate = certify(measured, tol=solved.question.tol)
@@ -124,11 +122,9 @@ def modulated_transition(
     By steps of Radau IIA of the order 9 on elements that adapt; the error is the distance to
     elements of a higher degree and to steps twice as long, and settings have the order that the
     last three levels of steps show. Without noise it is the equation of the decay alone, of first
-    order. Works to ``tol`` or ``LEAST_TOL``, whichever is larger. Raises
-    ``InvalidInput`` for times at which the density is still one energy, and as ``begins`` and
-    ``posed`` do.
+    order. Raises ``InvalidInput`` for times at which the density is still one energy, and as
+    ``begins`` and ``posed`` do.
     """
-    tol = max(tol, LEAST_TOL)
     quiet = begins(modulation, source)
     if times[0] <= quiet:
         raise InvalidInput("times", float(times[0]), NO_NOISE_YET)
@@ -137,6 +133,7 @@ def modulated_transition(
     process, first = under(unit), float(modulation.energy(times[0])) / unit
     question, pair = posed(process, source, first, tol)
 
+    @lru_cache(maxsize=len(pair))
     def carried(e: Modes, level: int) -> Solution:
         m = matrices(process, e)
         g, residual = stepped(m, start_of(m, e, source), modulation, unit, times, level=level)
@@ -145,35 +142,57 @@ def modulated_transition(
     def carried_pair(pair: Pair) -> Solutions:
         return carried(pair[0], LEVELS[0]), carried(pair[1], LEVELS[0])
 
-    solved, pair = adapted(question, pair, carried_pair)
-    own = solved.solution
-    space = solved.distance
-    x, w = points(process, own.elements)
-    distances: list[float] = []
-    for level in range(LEVELS[0] + 1, LEVELS[1] + 1):
-        coarse, own = own, carried(own.elements, level)
-        p, longer = (solution.density(x.ravel())[0] for solution in (own, coarse))
-        moved = np.abs(p - longer).reshape(space.shape)
-        distances.append(float((moved * w).sum(axis=(1, 2)).max()))
-        if SAFETY * distances[-1] <= 0.25 * tol:
-            break
+    solved = adapted(question, pair, carried_pair)
+    e, finer = solved.pair
+    x, w = points(process, e)
+
+    def values(level: int) -> Array:
+        return carried(e, level).density(x.ravel())[0].reshape(solved.distance.shape)
+
+    def l1(moved: Array, _: Array) -> float:
+        return float((moved * w).sum(axis=(1, 2)).max())
+
+    level, _, moved, distances = halved(values, l1, 0.25 * tol)
+    own = carried(e, level)
     # In steps twice as long, so that what is compared with it sees the error of both.
-    enriched = solved.enriched if level - 1 == LEVELS[0] else carried(pair[1], level - 1)
-    solved, _, _ = judged(question, own, enriched, distance=space + moved)
+    enriched = solved.enriched if level - 1 == LEVELS[0] else carried(finer, level - 1)
+    solved, _, _ = judged(question, own, enriched, distance=solved.distance + moved)
     # At the ends of elements, where no point is, distances are largest while there is no noise.
-    nodes = own.elements.right
-    at_ends = np.abs(own.density(nodes)[0] - enriched.density(nodes)[0])
+    at_ends = np.abs(own.density(e.right)[0] - enriched.density(e.right)[0])
     beside = np.maximum(at_ends, np.append(0.0 * at_ends[:, :1], at_ends[:, :-1], axis=1))
     solved = replace(solved, distance=np.maximum(solved.distance, beside[..., None]))
+    return solved, settings_of(e, level, distances, tol)
+
+
+def halved(
+    values: Callable[[int], Array], size: Callable[[Array, Array], float], wanted: float
+) -> tuple[int, Array, Array, list[float]]:
+    """Halve all steps until the ``values(level)`` change by no more than ``wanted``.
+
+    ``size(changes, values)`` is what counts of the absolute changes. Returned are the last level
+    and its values and changes, and the sizes of the changes at all levels.
+    """
+    finer, sizes = values(LEVELS[0]), []
+    for level in range(LEVELS[0] + 1, LEVELS[1] + 1):
+        coarse, finer = finer, values(level)
+        moved = np.abs(finer - coarse)
+        sizes.append(size(moved, finer))
+        if SAFETY * sizes[-1] <= wanted:
+            break
+    return level, finer, moved, sizes
+
+
+def settings_of(e: Modes, level: int, sizes: list[float], tol: float) -> Settings:
+    """Return the settings: elements, halvings of steps, and the order that their sizes show."""
     settings: Settings = {
         "equation": f"modulated noise, Radau IIA of order {2 * STAGES - 1}",
-        "elements": own.elements.count,
+        "elements": e.count,
         "halvings of the steps": level,
         "tol": tol,
     }
-    if len(distances) > 1 and distances[-1] > 0.0:
-        settings["observed order"] = math.log2(distances[-2] / distances[-1])
-    return solved, settings
+    if len(sizes) > 1 and sizes[-1] > 0.0:
+        settings["observed order"] = math.log2(sizes[-2] / sizes[-1])
+    return settings
 
 
 def begins(modulation: Modulation, source: Source) -> float:

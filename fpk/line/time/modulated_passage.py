@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from fpk.evolution import Passage, certified_passage
 from fpk.line.time.evolution import fem_passage
 from fpk.line.time.mesh import HIGHEST, time_nodes
 from fpk.line.time.modes import EPS, Modes
-from fpk.line.time.modulated import LEAST_TOL, LEVELS, begins, times_factor
+from fpk.line.time.modulated import LEVELS, Settings, begins, halved, settings_of, times_factor
 from fpk.line.time.pair import Pair, degree_for, meshed
 from fpk.line.time.passage import THINNEST, FirstPassage, first_passage
 from fpk.line.time.propagation import Solution, Source, points
@@ -41,7 +42,8 @@ Under = Callable[[float], Process]
 class Absorbed:
     """Motion until the limit from ``source``, on any mesh that ends there, to the ``stops``.
 
-    ``later`` is first passage under the noise of the end, from the ``end`` of the modulation on.
+    The first of these is 0. ``later`` is first passage under the noise of the end, from the ``end``
+    of the modulation on; None where there is none then.
     """
 
     process: Process
@@ -53,28 +55,31 @@ class Absorbed:
     later: FirstPassage | None
 
     def solved(self, e: Modes, level: int) -> tuple[Solution, Array, Array]:
-        """Return p at the stops, P(T > t) there, and E T and E T² with their errors by ``later``.
+        """Return p at the stops > 0; P(T > t) at all stops, E T and E T²; errors by ``later``.
 
-        These are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end, by the weights of the stages, and
-        the moments of the time that is left, E(t_e + τ)², over the density of then.
+        The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end, by the weights of the
+        stages, and those of the time that is left, E(t_e + τ)², over the density of then; the
+        errors are of the two moments.
         """
         m = matrices(self.process, e, absorbing=True)
         shares, (A, c) = shares_of(m, e), radau(STAGES)
         load = start_of(m, e, self.source)
-        ends, g, kept, residual = [], [], [], 0.0
+        ends, g, kept, residuals = [], [], [float(self.source.load(e)[0].sum())], []
         moments, now = np.zeros(2), 0.0
-        for s in steps_of(m, load, self.modulation, self.unit, self.stops, level=level):
+        for s in steps_of(m, load, self.modulation, self.unit, self.stops[1:], level=level):
             S = s.stages @ shares
             if s.end <= self.end:
                 moments += s.length * (
                     A[-1] * S @ np.stack([np.ones(STAGES), 2.0 * (now + c * s.length)], 1)
                 )
-            now, residual = s.end, max(residual, s.residual)
+            now = s.end
+            residuals.append(s.residual)
             if s.end in self.stops:
                 ends.append(s.end)
                 g.append(s.stages[-1])
                 kept.append(float(S[-1]))
-        solution = Solution(self.process, e, partial(times_factor, e, m, np.array(g)), residual)
+        factor = partial(times_factor, e, m, np.array(g))
+        solution = Solution(self.process, e, factor, float(np.max(residuals)))
         lost = np.zeros(2)
         if self.later is not None:
             x, w = (a.ravel() for a in points(self.process, e))
@@ -85,6 +90,17 @@ class Absorbed:
             first = np.abs(p) @ T_error
             lost += [first, 2.0 * self.end * first + square * (np.abs(p) @ U_error)]
         return solution, np.append(kept, moments), lost
+
+
+class Converged(NamedTuple):
+    """P(T <= t) at the stops, E T and E T² of a motion, with an error each."""
+
+    failure: Array
+    failure_error: Array
+    moments: Array
+    moments_error: Array
+    residual: float
+    settings: Settings
 
 
 def modulated_passage(
@@ -98,7 +114,6 @@ def modulated_passage(
     ``modulated_transition``, in probabilities and in the moments. Raises ``NotApplicable`` where
     damping feeds energy in at the limit while there is no noise, and as ``first_passage`` does.
     """
-    tol = max(tol, LEAST_TOL)
     unit, last, quiet = modulation.largest, modulation.last, begins(modulation, source)
     if unit == 0.0:
         raise NotApplicable("there is no noise at any time: nothing passes a limit")
@@ -114,61 +129,62 @@ def modulated_passage(
     end = float(modulation.times[-1])
     asked = np.maximum(times - quiet, 0.0)
     asked = asked if last else np.minimum(asked, end)
-    stops = np.unique(np.append(asked, end))
-    stops = stops[stops > 0.0]
+    stops = np.unique([0.0, *asked, end])
     later = first_passage(under(last), limit, times=np.zeros(0), tol=0.01 * tol) if last else None
     motion = Absorbed(process, source, modulation, unit, stops, end, later)
-    first = float(modulation.energy(stops[0])) / unit
-    question, pair = _posed(process, source, limit, first, SHARE * tol)
-
-    def carried_pair(pair: Pair) -> Solutions:
-        return motion.solved(pair[0], LEVELS[0])[0], motion.solved(pair[1], LEVELS[0])[0]
-
-    _, pair = adapted(question, pair, carried_pair)
-    (_, own, _), (_, enriched, _) = (motion.solved(e, LEVELS[0]) for e in pair)
-    finer = own
-    for level in range(LEVELS[0] + 1, LEVELS[1] + 1):
-        coarse = finer
-        solution, finer, lost = motion.solved(pair[0], level)
-        moved = np.abs(finer - coarse)
-        if SAFETY * np.max(moved / np.maximum(finer, 1.0)) <= SHARE * tol:
-            break
-    e = pair[0]
-    error = SAFETY * (np.abs(own - enriched) + moved)
-    failure = 1.0 - finer[: stops.size]
-    # At short times ln P ~ −(distance)²/(2 b t): so much more the coefficients count.
-    relative = 2.0 * e.coefficient_error(source.energy) + ROUND_OFF * EPS * (
-        e.count + float(np.ptp(e.log_scale))
-    )
-    steep = 2.0 - np.log(np.clip(np.abs(failure), SMALLEST, 1.0))
-    lost_failure = error[: stops.size] + relative * steep * np.abs(failure) + ROUND_OFF * EPS
-    mean, square = finer[stops.size :]
-    mean_error, square_error = error[stops.size :] + lost + 2.0 * relative * finer[stops.size :]
+    solved = _converged(motion, limit, tol)
     numbers: tuple[Number, Number, Number | None] = (NEVER, NEVER, None)
     if later is not None:
-        # From the start of the noise on.
-        variance = square - mean**2
+        (mean, square), (mean_error, square_error) = solved.moments, solved.moments_error
+        variance_error = float(square_error + 2.0 * mean * mean_error)
         numbers = (
             Number(float(mean) + quiet, float(mean_error)),
-            Number(float(variance), float(square_error + 2.0 * mean * mean_error)),
+            Number(float(square - mean**2), variance_error),
             Number(*later.rate()),
         )
-    begun = 1.0 - float(source.load(e)[0].sum()) if source.process is not None else 0.0
     at = np.searchsorted(stops, asked)
-    before = asked == 0.0
     return certified_passage(
         numbers,
         times,
-        np.where(before, begun, failure[np.minimum(at, stops.size - 1)]),
-        np.where(before, tol * (begun > 0.0), lost_failure[np.minimum(at, stops.size - 1)]),
+        solved.failure[at],
+        solved.failure_error[at],
         tol=tol,
-        residual=solution.residual,
-        settings={
-            "equation": f"modulated noise, Radau IIA of order {2 * STAGES - 1}",
-            "elements": e.count,
-            "halvings of the steps": level,
-            "tol": tol,
-        },
+        residual=solved.residual,
+        settings=solved.settings,
+    )
+
+
+def _converged(motion: Absorbed, limit: float, tol: float) -> Converged:
+    """The motion on elements that adapt, in steps that are halved until it changes no more."""
+    first = float(motion.modulation.energy(motion.stops[1])) / motion.unit
+    question, pair = _posed(motion.process, motion.source, limit, first, SHARE * tol)
+    solve = lru_cache(maxsize=len(pair))(motion.solved)
+
+    def solved_pair(pair: Pair) -> Solutions:
+        return solve(pair[0], LEVELS[0])[0], solve(pair[1], LEVELS[0])[0]
+
+    e, finer = adapted(question, pair, solved_pair).pair
+    off = np.abs(solve(e, LEVELS[0])[1] - solve(finer, LEVELS[0])[1])
+
+    def size(moved: Array, numbers: Array) -> float:
+        return float(np.max(moved / np.maximum(numbers, 1.0)))
+
+    level, numbers, moved, sizes = halved(lambda k: solve(e, k)[1], size, SHARE * tol)
+    solution, _, lost = solve(e, level)
+    error, stops = SAFETY * (off + moved), motion.stops.size
+    failure, moments = 1.0 - numbers[:stops], numbers[stops:]
+    # At short times ln P ~ −(distance)²/(2 b t): so much more the coefficients count.
+    relative = 2.0 * e.coefficient_error(motion.source.energy) + ROUND_OFF * EPS * (
+        e.count + float(np.ptp(e.log_scale))
+    )
+    steep = 2.0 - np.log(np.clip(np.abs(failure), SMALLEST, 1.0))
+    return Converged(
+        failure,
+        error[:stops] + relative * steep * np.abs(failure) + ROUND_OFF * EPS,
+        moments,
+        error[stops:] + lost + 2.0 * relative * moments,
+        solution.residual,
+        settings_of(e, level, sizes, tol),
     )
 
 

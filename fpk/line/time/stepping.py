@@ -127,7 +127,7 @@ def stepped(
     steps = steps_of(m, load, modulation, unit, times, level=level)
     rows = [(s.end, s.stages[-1], s.residual) for s in steps]
     ends, g, residuals = zip(*rows, strict=True)
-    return np.array([g[ends.index(t)] for t in times.tolist()]), max(residuals)
+    return np.array([g[ends.index(t)] for t in times.tolist()]), float(np.max(residuals))
 
 
 def steps_of(
@@ -148,8 +148,9 @@ def steps_of(
         )
         right = np.repeat(load if g is None else m.M @ g, STAGES)
         stages = splu(system).solve(right)
-        size = np.max(abs(system) @ np.abs(stages))
-        residual = float(np.max(np.abs(system @ stages - right)) / size)
+        size = float(np.max(abs(system) @ np.abs(stages)))
+        missed = float(np.max(np.abs(system @ stages - right)))
+        residual = missed / size if size > 0.0 else missed  # nothing is left where all is 0
         yield Step(end, step, stages.reshape(-1, STAGES).T, residual)
         g = stages[STAGES - 1 :: STAGES]
         before = end

@@ -79,6 +79,11 @@ class Transition:
         """The elements of the answer."""
         return self.solution.elements
 
+    @property
+    def pair(self) -> Pair:
+        """The elements of the answer and of the enriched solution."""
+        return self.solution.elements, self.enriched.elements
+
     def density(self, x: Array) -> tuple[Array, Array]:
         """Return p and its error at energies x (points,): two arrays (times, points).
 
@@ -106,7 +111,8 @@ def transition(process: Process, source: Source, times: Array, *, tol: float = 1
     few = np.unique(np.linspace(0, times.size - 1, CHECKED_TIMES).astype(int))
     for chosen in (times[few], times) if few.size < times.size else (times,):
         solve = partial(_propagated_pair, process, source, chosen)
-        solved, pair = adapted(question, pair, solve)
+        solved = adapted(question, pair, solve)
+        pair = solved.pair
     return solved
 
 
@@ -144,10 +150,8 @@ def posed(process: Process, source: Source, time: float, tol: float) -> tuple[Qu
     return Question(process, source, width, tol), pair
 
 
-def adapted(
-    question: Question, pair: Pair, solve: Callable[[Pair], Solutions]
-) -> tuple[Transition, Pair]:
-    """Return what ``solve`` gives on meshes cut where they have to be, judged, and the meshes."""
+def adapted(question: Question, pair: Pair, solve: Callable[[Pair], Solutions]) -> Transition:
+    """Return what ``solve`` gives on meshes cut where they have to be, judged."""
     before, tol, process = math.inf, question.tol, question.process
     for _ in range(MOST_ROUNDS):
         solved, own, rounding = judged(question, *solve(pair))
@@ -157,7 +161,7 @@ def adapted(
             break
         before = own.sum()
         pair = cut(process, pair, marked)
-    return solved, pair
+    return solved
 
 
 def width_of(process: Process, start: float, time: float) -> float:

@@ -237,6 +237,6 @@ def _compared(coarse: _Answer, fine: _Answer, model: float, times: Array, tol: f
         1.0 - fine.survival,
         lost,
         tol=tol,
-        residual=max(fine.residual, coarse.residual),
+        residual=float(np.max([fine.residual, coarse.residual])),
         settings={"unknowns": int(fine.op.free.size), "degree": fine.op.degree},
     )
