@@ -193,6 +193,16 @@ def settled_at(modulation: Modulation | None) -> float:
     return float(modulation.times[-1]) if modulation.last else inf
 
 
+def followed_for(most: float, last: float, modulation: Modulation | None) -> float:
+    """Return how long paths are followed: ``most``, but to the ``last`` time asked for at least.
+
+    No longer than that after the end of a noise that ends with 0: motion then only decays.
+    """
+    if modulation is not None and not modulation.last:
+        most = min(most, float(modulation.times[-1]))
+    return max(most, last)
+
+
 def _relative(best: Array, error: Array, settled: float) -> float:
     """Relative error of the mean; where some never fail, the absolute ones of probabilities."""
     if best[0] < inf:
