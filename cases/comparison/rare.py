@@ -19,8 +19,8 @@ from fpk.number import Number
 from fpk.route import Route
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
+from sim.motion.failure_times import LEAST_FAILURES
 from sim.motion.passage import horizon
-from sim.motion.survival import LEAST_FAILURES
 from sim.splitting.run import rare_failure
 from sim.splitting.score import ScoreFunction
 from sim.splitting.settings import Splitting

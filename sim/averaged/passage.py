@@ -16,7 +16,8 @@ from fpk.modulation import Modulation
 from fpk.number import SMALLEST
 from sim.averaged.paths import BATCHES, batch_stream, share_of
 from sim.averaged.square_root import SquareRootForm, square_root_step
-from sim.motion.survival import Times, followed_for, passage_of, settled_at
+from sim.motion.failure_times import Times
+from sim.motion.survival import followed_for, passage_of, settled_at
 
 EMPTY = 0.75
 """Share of a batch still running at which those that have failed make room."""

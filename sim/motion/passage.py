@@ -17,13 +17,14 @@ from fpk.system import System
 from sim.arrays import LANES
 from sim.ensemble import MAX_COORDINATE
 from sim.montecarlo import MonteCarlo
+from sim.motion.failure_times import Times
 from sim.motion.limits import beyond, energies_of, energy_reached
 from sim.motion.motion import Motion, gathered, in_blocks
 from sim.motion.passing import reader_of
 from sim.motion.starts import Origin
 from sim.motion.stationary import interruption, lost_words, not_met, working
 from sim.motion.steps import longest_step, loudest, motion_step, require_times
-from sim.motion.survival import Times, followed_for, passage_of, settled_at
+from sim.motion.survival import followed_for, passage_of, settled_at
 from sim.random import OTHER_SEED
 from sim.relaxation import relaxation_time
 from sim.workers import Workers
