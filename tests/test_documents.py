@@ -22,7 +22,7 @@ from cases.scene import schema
 from cases.studies.sweep import reference
 from fpk import clearance, damping
 from sim import checkpoint, step_size, substeps
-from sim.motion import correlation, spectrum, survival
+from sim.motion import correlation, failure_times, spectrum
 from sim.splitting import estimate
 
 ROOT = Path(__file__).parent.parent
@@ -157,8 +157,8 @@ CONSTANTS = {
         f"{first_passage.SAFETY:g} times the distance of the last two,"
         f" or {first_passage.SAFETY * first_passage.SHARE:g} times the largest relative one",
         f"A mean time beyond e^{first_passage.HIGHEST:g} units",
-        f"with fewer than {survival.LEAST_FAILURES} failures in the tail",
-        f"jackknife of {survival.GROUPS} groups",
+        f"with fewer than {failure_times.LEAST_FAILURES} failures in the tail",
+        f"jackknife of {failure_times.GROUPS} groups",
         f"one Hann window of {spectrum.WINDOW:g} decay times",
         f"over paths and {correlation.RELAXATIONS:g} relaxation times",
     ),

@@ -11,7 +11,7 @@ import numpy as np
 
 from cases.comparison.in_time import Given, Replies
 from cases.comparison.loosened import loosened, note_of
-from cases.comparison.rare import SPLITTING, split_passage
+from cases.comparison.rare import SPLITTING, split_passage, splitting_of
 from cases.comparison.refusal import Attempts
 from cases.comparison.time_distances import failure_of
 from cases.comparison.window import window_of
@@ -81,7 +81,11 @@ def replies_of(
         ask(method.route, partial_of(answered, method))
     if isinstance(question, PassageQuestion) and not attempts.interrupted:
         plain = _to_be_replaced(system, question, able, given)
-        if plain and ask(SPLITTING, lambda _: split_passage(system, question, plain, progress)):
+
+        def split(_: Any) -> Passage:
+            return split_passage(system, question, splitting_of(plain), progress=progress)
+
+        if plain and ask(SPLITTING, split):
             replaced = [g for g in given if g.route == plain.route]
             given = [g for g in given if g not in replaced]
             for words in (w for g in replaced for w in g.answer.certificate.failures):

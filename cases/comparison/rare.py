@@ -19,8 +19,8 @@ from fpk.number import Number
 from fpk.route import Route
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
+from sim.motion.failure_times import LEAST_FAILURES
 from sim.motion.passage import horizon
-from sim.motion.survival import LEAST_FAILURES
 from sim.splitting.run import rare_failure
 from sim.splitting.score import ScoreFunction
 from sim.splitting.settings import Splitting
@@ -61,56 +61,63 @@ def passage_answer(
     tol: float | None,
     progress: Progress,
 ) -> Passage:
-    """Return the answer of ``method``; by splitting where a simulation sees few failures.
+    """Return the first passage by ``method``, or by splitting where it would see few failures.
 
-    A plain simulation of the full system runs to the last time of ``question`` first. If its paths,
-    followed for as long as ``method`` may, would then pass the limit fewer than ``LEAST_FAILURES``
-    times, splitting answers. If at most ``ALIVE`` of them are left, no ``tol`` is given and it is
-    certified, it is the answer. Else it is run again from the start and followed beyond the last
-    time. There is no such first run without times > 0, under modulated noise, or where
-    ``method.seconds`` bounds the wall time: splitting cannot be bounded. ``tol``: as of
-    ``Passages``; of splitting the relative error wanted of P(T <= t).
+    A plain simulation of the full system first runs to the last time of ``question``. By the share
+    of its paths that have failed then,
+
+    - splitting answers where, in all the time for which ``method`` may follow them, fewer than
+      ``LEAST_FAILURES`` are expected to fail;
+    - this first run is the answer where fewer than ``ALIVE`` live on and it is certified, unless
+      ``tol`` is given;
+    - else ``method`` itself is run, from the start.
+
+    The last holds at once of other methods, without times > 0, under modulated noise, and with
+    ``method.seconds``, which splitting does not keep to. ``tol`` is the relative error wanted of
+    the mean, of splitting that of P(T <= t).
     """
     times = np.array(question.times)
     asked = system, question.limit, question.start, times
     last = float(np.max(times, initial=0.0))
-    given = not isinstance(method, MonteCarlo) or method.seconds is not None
-    if not given and last > 0.0 and system.modulation is None:
-        until = replace(method, time=last, tol=None)
-        plain: Passage = until.passage(*asked, tol=None, progress=progress)
-        failed = (1.0 - float(plain.survival[-1])) * method.paths
-        longest = horizon(method, float(plain.settings["coarse dt"]), last)
+    plain = isinstance(method, MonteCarlo) and method.seconds is None
+    if plain and last > 0.0 and system.modulation is None:
+        until = replace(method, time=min(last, method.time or last), tol=None)
+        first: Passage = until.passage(*asked, tol=None, progress=progress)
+        failed = (1.0 - float(first.survival[-1])) * method.paths
+        longest = horizon(method, float(first.settings["coarse dt"]), last)
         if failed * longest / last < LEAST_FAILURES:
-            answer = split_passage(system, question, method, progress, tol, tol or ERROR)
+            settings = splitting_of(method, replicas=MORE_REPLICAS, tol=tol or ERROR)
+            answer = split_passage(system, question, settings, tol=tol, progress=progress)
             words = f"splitting: of {method.paths} plain paths {failed:.0f} pass by t = {last:g}"
             return replace(answer, settings={"sampled_by": words, **answer.settings})
-        if plain.survival[-1] < ALIVE and tol is None and plain.certificate.certified:
-            return plain
+        if first.survival[-1] < ALIVE and tol is None and first.certificate.certified:
+            return first
     return method.passage(*asked, tol=tol, progress=progress)  # type: ignore[no-any-return]
+
+
+def splitting_of(method: MonteCarlo, **settings: Any) -> Splitting:
+    """Return ``settings`` of splitting with step, seed, threads and cluster of ``method``."""
+    own = {name: getattr(method, name) for name in ("dt", "seed", "threads", "cluster")}
+    return Splitting(**{"replicas": REPLICAS, "repetitions": REPETITIONS, **own, **settings})
 
 
 def split_passage(
     system: System,
     question: PassageQuestion,
-    method: Any,
-    progress: Progress,
+    settings: Splitting,
+    *,
     tol: float | None = None,
-    aim: float | None = None,
+    progress: Progress,
 ) -> Passage:
-    """Return P(T <= t) at the times > 0 of ``question`` by splitting, each on its own.
+    """Return P(T <= t) at each of the times > 0 of ``question``, by a splitting of its own.
 
-    ``method`` is the plain simulation, whose step, seed, threads and cluster are taken; ``aim`` is
-    ``tol`` of ``Splitting``, and ``tol`` the relative error that is certified at most. The score
-    is that of ``averaged_score``, or least action where there is none. The moments and the failure
-    rate, that for t → ∞, are not given.
+    No relative error of P(T <= t) above ``MOST_ERROR`` is certified, nor one above ``tol`` where it
+    is given; ``settings.tol`` is the one aimed at. The score is that of ``averaged_score``, or
+    least action where there is none. The moments and the failure rate, that for t → ∞, are not
+    given.
+
+    Raises ``NotApplicable`` where no time is > 0.
     """
-    names = ("dt", "seed", "threads", "cluster")
-    settings = Splitting(
-        REPLICAS if aim is None else MORE_REPLICAS,
-        repetitions=REPETITIONS,
-        tol=aim,
-        **{name: getattr(method, name) for name in names},
-    )
     times = np.array(question.times)
     failure, errors = np.zeros((2, times.size))
     if not np.any(times > 0.0):

@@ -45,16 +45,16 @@ def run_scene(
     answers of a curve have been made, before they are compared.
     """
     start, share = perf_counter(), 1.0 / len(scene.curves)
-    options: Any = {"progress": progress, "partial": partial, "relax": relax, "share": share}
+    options: Any = {"progress": progress, "partial": partial, "relax": relax}
     curves: list[Answers] = []
     for k, curve in enumerate(scene.curves, start=1):
         interrupted = any(c.interrupted for c in curves)
         wanted = [] if interrupted else methods
-        answers = answers_of(curve.system, scene.observables, wanted, rates=True, **options)
+        stationary: Any = {"share": share, "rates": True, **options}
+        answers = answers_of(curve.system, scene.observables, wanted, **stationary)
         answers = replace(answers, label=curve.label, value=curve.value)
         if not (interrupted or answers.interrupted):
-            own: Any = {"progress": progress, "partial": partial, "relax": relax, "tol": tol}
-            answers = _with_time(answers, scene, methods, **own)
+            answers = _with_time(answers, scene, methods, tol=tol, **options)
         curves.append(answers)
         save(Outcome(scene, tuple(curves), perf_counter() - start))
         progress(k - 1, len(scene.curves), "comparing")

@@ -10,25 +10,46 @@ def headline_of(curves: list[Record]) -> str:
     """Return how far each averaged theory is from the full system, in one sentence.
 
     Of each curve and theory it is the largest L1 distance of a density, each by the reference with
-    which its error is least. Empty where nothing of it is known.
+    which its error is least. Under modulated noise, which stationary densities know nothing of, the
+    densities are those at the times of the [[transient]] tables; where there are none, the sentence
+    says that it is about constant noise. Empty where nothing of it is known.
     """
     parts = []
     for curve in curves:
-        words = [_words(name, *row) for name, row in _worst(curve["averaging"]).items()]
+        asked, rows = _asked(curve)
+        words = [_words(name, *row) for name, row in _worst(rows).items()]
+        where = ", ".join(filter(None, [f"at {curve['label']}" * bool(curve["label"]), asked]))
         if words:
-            parts.append((f"at {curve['label']}: " if curve["label"] else "") + ", ".join(words))
+            parts.append((f"{where}: " if where else "") + ", ".join(words))
     if parts:
         text = "; ".join(parts)
         return text[0].upper() + text[1:] + "."
     if curves[0]["regime"]["incompatible"] is None:
-        return "The compatibility condition (8) holds: the exact density is known."
+        constant = curves[0]["system"]["modulation"] is None
+        known = "known" if constant else "known under constant noise"
+        return f"The compatibility condition (8) holds: the exact density is {known}."
     return ""
+
+
+def _asked(curve: Record) -> tuple[str, list[Record]]:
+    """What densities the sentence is about where they are not stationary, and their distances."""
+    if curve["system"]["modulation"] is None:
+        return "", curve["averaging"]
+    rows = [
+        {**c, "theory": c["a"], "observable": question["question"]}
+        for question in curve["transients"]
+        for c in question["comparisons"]
+        if c["measures"] == "averaging"
+    ]
+    if rows:
+        return "at the times asked for", rows
+    return "under constant noise", curve["averaging"]
 
 
 def _worst(rows: list[Record]) -> dict[str, tuple[float, float]]:
     """By theory the L1 distance of the density that is furthest off, and its error; best first.
 
-    ``rows`` are those of ``averaging_errors``; a theory's solution and its simulation count as one.
+    ``rows`` are those of ``_asked``; a theory's solution and its simulation count as one.
     """
     best: dict[tuple[str, str], tuple[float, float]] = {}
     for row in sorted(rows, key=lambda row: row["error"]):

@@ -11,7 +11,7 @@ from cases.output.digest import curves_of, refusals_of, verdict_of
 from cases.output.duration import duration
 from cases.output.records import Record
 from cases.output.tables import quantity_tables, text_table
-from cases.output.words import effects_in_words, named, theory_of_route
+from cases.output.words import effects_in_words, named, theory_of_route, with_key
 from cases.scene.units import bracketed
 from cases.written import NOTE, bound, number, up, with_error
 
@@ -42,6 +42,7 @@ def _templates() -> Environment:
         "claim": _claim,
         "named": named,
         "theory": theory_of_route,
+        "keyed": with_key,
         "effects": effects_in_words,
         "unit": bracketed,
         "table": _rows_table,

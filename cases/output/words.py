@@ -35,6 +35,12 @@ def theory_of_route(label: str) -> str:
     return route.name if route else label
 
 
+def with_key(method: str) -> str:
+    """Return the name of a method with the key to type behind it, where that is another word."""
+    name = theory_of_route(method)
+    return name if name == method else f"{name} ({method})"
+
+
 def effects_in_words(effects: Mapping[str, Any]) -> str:
     """Return the effects of a system, of ``facts_record``, in one line."""
     masses, stops, rank = (effects[key] for key in ("masses", "stops", "noise_rank"))

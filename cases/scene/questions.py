@@ -19,7 +19,10 @@ from fpk.system import System
 
 @dataclass(frozen=True)
 class TransientQuestion:
-    """What is the density of one coordinate, ``of``, at ``times`` > 0 after ``start``?"""
+    """The question for the densities of one coordinate, ``of``, at ``times`` after ``start``.
+
+    ``times`` are > 0 and ascend, in the scene's unit of time.
+    """
 
     of: Observable
     start: Start
@@ -33,11 +36,12 @@ class TransientQuestion:
 
 @dataclass(frozen=True)
 class PassageQuestion:
-    """When is ``limit`` passed first after ``start``: moments, failure rate, P(T > t) at ``times``?
+    """The question for the time T at which ``limit`` is first passed after ``start``.
 
-    ``rate_error`` claims in which range the averaging error of ``theory`` lies in the failure rate,
-    ``failure_error`` in P(T <= t) at that one of the times where it is largest: |averaged − full
-    system| over that of the full system. None: nothing is claimed.
+    Asked for are the moments of T, the failure rate and P(T > t) at ``times``, >= 0 and ascending.
+    The averaging error of ``theory`` in a number x is |x averaged − x full|/x full. ``rate_error``
+    is the range in which it is claimed to lie for the failure rate, ``failure_error`` for P(T <= t)
+    at that one of the times where it is largest; None where nothing is claimed.
     """
 
     limit: Limit
@@ -56,7 +60,7 @@ class PassageQuestion:
 Question = TransientQuestion | PassageQuestion
 
 CLAIMS = ("rate_error", "failure_error")
-"""Keys of [[passage]] whose values are ranges of a claimed averaging error."""
+"""Keys of [[passage]] that claim an averaging error, as ``{ at_most = 0.1 }``."""
 
 
 def passages_of(tables: Sequence[Mapping[str, Any]], system: System) -> tuple[PassageQuestion, ...]:

@@ -146,7 +146,9 @@ UNITS = _table(
 MODULATION = _table(
     {
         "times": _said(NUMBERS, "ascending from 0"),
-        "factor": _said(NUMBERS, "e at these times, linear between them, 1 at the end: e(t)^2 D"),
+        "factor": _said(
+            NUMBERS, "e at these times, linear between and constant after: noise e(t)^2 D"
+        ),
     },
     {},
 )

@@ -16,10 +16,10 @@ DATES = ("days", "hours", "minutes", "seconds", "milliseconds", "microseconds", 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 Powers = tuple[float, float, float]
-"""Powers of length, mass and time that a quantity is a product of."""
+"""Exponents (a, b, c) of a quantity whose unit is length^a mass^b time^c."""
 
 NUMBER: Powers = (0, 0, 0)
-"""Those of a plain number."""
+"""Exponents of a quantity without a unit, such as a probability."""
 
 DIMENSIONS: dict[str, Powers] = {"q": (1, 0, 0), "p": (1, 1, -1), "H": (2, 1, -2)}
 """Powers of length, mass and time of a displacement, a momentum and an energy."""

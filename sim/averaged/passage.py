@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from math import ceil, inf
 from typing import Any
 
@@ -15,7 +16,8 @@ from fpk.modulation import Modulation
 from fpk.number import SMALLEST
 from sim.averaged.paths import BATCHES, batch_stream, share_of
 from sim.averaged.square_root import SquareRootForm, square_root_step
-from sim.motion.survival import Times, passage_of, settled_at
+from sim.motion.failure_times import Times
+from sim.motion.survival import followed_for, passage_of, settled_at
 
 EMPTY = 0.75
 """Share of a batch still running at which those that have failed make room."""
@@ -94,33 +96,28 @@ def energy_passage(
     Where steps are exact (``form.damping`` None) both see the same paths, else paths of their own.
     Between steps each distance to a limit is a Brownian bridge. Streams belong to batches: the
     answer does not depend on ``threads``. Paths are followed until they fail, for the cost of
-    ``MOST_DRAWS``, or for ``seconds`` of wall time; ``memory`` as of ``passage_of``.
+    ``MOST_DRAWS``, or for ``seconds`` of wall time; as ``followed_for`` says where the noise ends.
+    ``memory`` as of ``passage_of``.
 
     Raises ``InvalidInput`` for starts that all lie beyond a limit.
     """
-    own = -(-paths // BATCHES)
-    draws = 2 if form.damping is None else 3
-    horizon = MOST_DRAWS / (draws * BATCHES * own * form.noise.size) * dt
-    last, settled = float(np.max(times, initial=0.0)), settled_at(modulation)
-    horizon = dt * ceil(max(horizon, last) / dt)
-    if modulation is not None and settled == inf:
-        horizon = dt * ceil(max(float(modulation.times[-1]), last) / dt)
-    elif seconds is not None:
-        horizon = dt * MOST_STEPS
+    own, exact = -(-paths // BATCHES), form.damping is None
+    most = MOST_DRAWS / ((2 if exact else 3) * BATCHES * own * form.noise.size)
+    most = (most if seconds is None else MOST_STEPS) * dt
+    horizon = followed_for(most, float(np.max(times, initial=0.0)), modulation)
+    horizon = dt * ceil(horizon / dt)
+    failed = partial(_failed, form, limits, modulation=modulation)
 
     def followed(batch: int) -> tuple[Array, Array, Array]:
         stream = batch_stream(seed, batch)
         X = from_energies(form, starts(own, stream))
-        if form.damping is None:
+        if exact:
             ends = share_of(seconds, threads)
-            until, fine, coarse = _failed(
-                form, limits, X, dt, horizon, stream, ends, strides=(1, 2), modulation=modulation
-            )
+            until, fine, coarse = failed(X, dt, horizon, stream, ends, strides=(1, 2))
         else:
             ends = share_of(seconds and seconds * 2.0 / 3.0, threads)
-            own_noise: Any = {"modulation": modulation}
-            until, fine = _failed(form, limits, X, dt, horizon, stream, ends, **own_noise)
-            _, coarse = _failed(form, limits, X, 2.0 * dt, until, stream, **own_noise)
+            until, fine = failed(X, dt, horizon, stream, ends)
+            _, coarse = failed(X, 2.0 * dt, until, stream)
         return fine, coarse, np.full(own, until)
 
     rows = []
@@ -135,12 +132,12 @@ def energy_passage(
         step=dt,
         memory=memory,
         tol=tol,
-        settled=settled,
+        settled=settled_at(modulation),
         failures=(),
         settings={
             "dt": 0.5 * dt,
             "coarse dt": dt,
-            "steps": "exact" if form.damping is None else "Strang splitting",
+            "steps": "exact" if exact else "Strang splitting",
             "seed": seed,
         },
     )
@@ -170,8 +167,7 @@ def _failed(
     found[:, np.any(before[0] <= 0.0, axis=1)] = 0.0
     lanes, now = np.arange(paths), found.copy()
     for step in range(1, round(horizon / h) + 1):
-        now_at = (step - 1) * h
-        X = square_root_step(form, X, h, stream, modulation, now_at)
+        X = square_root_step(form, X, h, stream, modulation, (step - 1) * h)
         after = limits.distances(form, X)
         for s, stride in enumerate(strides):
             if step % stride == 0:
@@ -202,8 +198,8 @@ def _see(
     """Note what has passed a limit in the step up to ``end``; arrays are (paths,), (paths, limits).
 
     The bridge over h from d0 to d1 vanishes with the probability exp(−2 d0 d1/``spread``), spread
-    being h times the mean e² of modulated noise, then at the share
-    d0/(d0 + |d1|) of the step, the mean of which is right.
+    being h times the mean e² of modulated noise; then at the share d0/(d0 + |d1|) of the step, the
+    mean of which is right.
     """
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         none = -np.expm1(-2.0 * np.maximum(before, 0.0) * np.maximum(after, 0.0) / spread)

@@ -11,18 +11,20 @@ from fpk.errors import InvalidInput
 from fpk.evolution import Passage
 from fpk.limit import Limit
 from fpk.method import Progress
+from fpk.modulation import Modulation
 from fpk.start import Start
 from fpk.system import System
 from sim.arrays import LANES
 from sim.ensemble import MAX_COORDINATE
 from sim.montecarlo import MonteCarlo
+from sim.motion.failure_times import Times
 from sim.motion.limits import beyond, energies_of, energy_reached
 from sim.motion.motion import Motion, gathered, in_blocks
 from sim.motion.passing import reader_of
 from sim.motion.starts import Origin
 from sim.motion.stationary import interruption, lost_words, not_met, working
 from sim.motion.steps import longest_step, loudest, motion_step, require_times
-from sim.motion.survival import Times, passage_of, settled_at
+from sim.motion.survival import followed_for, passage_of, settled_at
 from sim.random import OTHER_SEED
 from sim.relaxation import relaxation_time
 from sim.workers import Workers
@@ -68,10 +70,10 @@ def passage(
     energy = energy_reached(loud, limit, start)
     dt = motion_step(method, loud, energy=energy, error=wanted)
     last = float(np.max(times, initial=0.0))
-    longest = horizon(method, dt, last)
-    hopeless = method.time or max(longest / HOPELESS, last)
-    if modulation is not None and not modulation.last:
-        longest = hopeless = max(float(modulation.times[-1]), last)
+    longest = horizon(method, dt, last, modulation)
+    settled = settled_at(modulation)
+    # Under noise that varies none may fail for long, and many later.
+    hopeless = method.time or max(longest / HOPELESS, last, min(settled, longest))
     sampled, lost, number, done = Times(*np.zeros((3, 0))), 0, 0, False
     with working(method, system, wanted, start) as (workers, watch, origin):
         rounds = Rounds(method, system, limit, origin, dt, longest, hopeless, workers)
@@ -91,16 +93,18 @@ def passage(
         step=dt,
         memory=relaxation_time(system),
         tol=inf if wanted is None else wanted,
-        settled=settled_at(modulation),
+        settled=settled,
         failures=failures,
         settings={"dt": 0.5 * dt, "coarse dt": dt, "scheme": method.scheme, "seed": method.seed},
     )
 
 
-def horizon(method: MonteCarlo, dt: float, last: float) -> float:
-    """Return how long a trajectory is followed at most, at least to the ``last`` time asked for."""
+def horizon(
+    method: MonteCarlo, dt: float, last: float, modulation: Modulation | None = None
+) -> float:
+    """Return how long a trajectory is followed at most: ``time``, or as ``followed_for`` says."""
     # Two steps of the finer simulation to one, dt, of the coarser.
-    return method.time or max(method.most_steps / 3.0 * dt, last)
+    return method.time or followed_for(method.most_steps / 3.0 * dt, last, modulation)
 
 
 @dataclass(frozen=True, eq=False)

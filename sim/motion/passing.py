@@ -1,7 +1,6 @@
 """Readers of a trace that see when each trajectory first passes its limit, between steps too."""
 
-from functools import partial
-from math import ceil
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -83,9 +82,9 @@ def pass_energies(sources: int) -> Any:
     Energies pass by diffusion: dH = … + σ dB, σ² = p'Fp, and as the noise moves H by 1 it moves
     σ² by β = p'Gp/σ², of ``diffusion``; momenta p are rows from ``first`` on. Between samples, h
     apart, the distance d of ``distance_to`` is a Brownian bridge, and vanishes with
-    the probability exp(−2 d0 d1/h), h times the mean e² of modulated noise: ``spread``, the last of
-    which holds from then on; then at the share d0/(d0 + |d1|) of the step, the mean of which
-    is right.
+    the probability exp(−2 d0 d1/h), with h times the mean e² of modulated noise, ``spread``
+    (samples,), in place of h; then at the share d0/(d0 + |d1|) of the step, the mean of which is
+    right.
     ``chance`` (blocks, limits, LANES) holds an exponential number for each: that limit is passed
     when the sum of −ln(1 − probability) is more. One number for all steps: the same motion at
     another step passes at nearly the same time.
@@ -94,8 +93,7 @@ def pass_energies(sources: int) -> Any:
     @cached_njit()
     def read(
         trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, first: int,
-        rows: Integers, limits: Array, diffusion: Diffusion,
-        spread: Array,
+        rows: Integers, limits: Array, diffusion: Diffusion, spread: Array,
     ) -> int:  # fmt: skip
         variance, rise, before, after = np.empty(W), np.empty(W), np.empty(W), np.empty(W)
         for b in range(trace.shape[0]):
@@ -106,7 +104,7 @@ def pass_energies(sources: int) -> Any:
                     quadratic(variance, trace[b, k], first, diffusion.variance[m])
                     quadratic(rise, trace[b, k], first, diffusion.growth[m])
                     H = trace[b, k, rows[m]]
-                    near, h = 0, spread[min(max(done + k - 1, 0), spread.size - 1)]
+                    near, h = 0, spread[max(k - 1, 0)]
                     for w in range(W):
                         beta = rise[w] / variance[w] if rise[w] > 0.0 else diffusion.at_rest[m]
                         after[w] = distance_to(limit, H[w], variance[w], beta)
@@ -156,12 +154,22 @@ def diffusion_of(system: System, limit: Limit) -> Diffusion:
     return Diffusion(F, G, np.maximum(trace_g / np.maximum(trace_f, SMALLEST), SMALLEST))
 
 
-def spread_of(modulation: Modulation | None, dt: float) -> Array:
-    """Return ∫e² dt over steps ``dt``, up to the first one after the last time of e."""
+@lru_cache(maxsize=64)  # all blocks ask for those of the same steps
+def spread_of(modulation: Modulation | None, dt: float, done: int, samples: int) -> Array:
+    """Return ∫e² dt over so many steps ``dt`` after the first ``done``, (samples,)."""
     if modulation is None:
-        return np.array([dt])
-    steps = np.arange(ceil(float(modulation.times[-1]) / dt) + 1.0)
-    return np.maximum(dt * modulation.mean_square(steps * dt, dt), SMALLEST)
+        return np.full(samples, dt)
+    begins = dt * np.arange(done, done + samples, dtype=float)
+    return np.maximum(dt * modulation.mean_square(begins, dt), SMALLEST)
+
+
+def pass_under(
+    trace: Array, samples: int, done: int, *arrays: Array, modulation: Modulation | None,
+    dt: float, **known: Any,
+) -> None:  # fmt: skip
+    """Do ``pass_energies`` under the noise of the steps that are read."""
+    spread = spread_of(modulation, dt, done, samples)
+    pass_energies(trace, samples, done, *arrays, dt=dt, spread=spread, **known)
 
 
 def reader_of(system: System, limit: Limit, dt: float) -> Reader:
@@ -182,11 +190,11 @@ def reader_of(system: System, limit: Limit, dt: float) -> Reader:
         )
     limits = energies_at(system, limit)
     return partial(
-        pass_energies,
+        pass_under,
+        modulation=system.modulation,
         dt=dt,
         first=n,
         rows=2 * n + np.arange(limits.size),
         limits=limits,
         diffusion=diffusion_of(system, limit),
-        spread=spread_of(system.modulation, dt),
     )

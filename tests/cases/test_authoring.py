@@ -101,6 +101,9 @@ def test_check_says_what_applies_and_what_it_costs(fpk, scene_text, tmp_path):
     status, out, err = fpk("check", "fig6a")
     assert (status, err) == (0, "") and len(out.splitlines()) <= 8
     assert "valid, 2 masses, 2 stops, 3 systems" in out and "simulation about" in out
+    # Names for readers with the keys to type; no key where it is the name itself.
+    assert "energy averaging (nonintegrable), modal averaging (integrable)," in out
+    assert "Gaussian (linear): " in out and "exact: " in out
     record = json.loads(fpk("check", "fig6a", "--json")[1])
     assert "nonintegrable" in record["applies"] and record["valid"] is True
     assert [t["method"] for t in record["refused"]] == ["exact", "linear"]

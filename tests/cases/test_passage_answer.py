@@ -13,7 +13,7 @@ from fpk.method import silent
 from fpk.start import parse_start
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
-from sim.motion.survival import LEAST_FAILURES
+from sim.motion.failure_times import LEAST_FAILURES
 
 
 @pytest.mark.parametrize(("last", "simulations"), [(400.0, 1), (20.0, 2)])

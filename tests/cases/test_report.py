@@ -146,8 +146,14 @@ def row(theory, reference, L1, error, observable="q2"):
             "observable": observable}  # fmt: skip
 
 
-def curve(*rows, label="", incompatible="no h"):
-    return {"label": label, "averaging": rows, "regime": {"incompatible": incompatible}}
+def curve(*rows, label="", incompatible="no h", modulation=None, transients=()):
+    return {
+        "label": label,
+        "averaging": rows,
+        "regime": {"incompatible": incompatible},
+        "system": {"modulation": modulation},
+        "transients": transients,
+    }
 
 
 def test_the_answer_takes_the_best_reference_and_the_worst_density():
@@ -165,6 +171,21 @@ def test_the_answer_takes_the_best_reference_and_the_worst_density():
     assert "10 % off" in headline_of([curve(near)])  # with its error it may be beyond 10 %
     assert headline_of([curve()]) == ""
     assert "exact density" in headline_of([curve(incompatible=None)])
+
+
+def test_under_modulated_noise_the_answer_is_about_the_times_asked_for():
+    # A noise that ends with 0 leaves no stationary density: 0.69 % would be that of constant noise.
+    modulated = {"modulation": {"times": [0.0, 8.0], "factor": [1.0, 0.0]}}
+    stationary = row("nonintegrable", "montecarlo", 0.0061, 1e-4, "H")
+    later = {"a": "nonintegrable/fem", "b": "montecarlo", "measures": "averaging", "L1": 0.34,
+             "error": 0.01}  # fmt: skip
+    chance = later | {"measures": "sampling", "L1": 0.9}
+    asked = [{"question": "H from rest", "comparisons": [later, chance]}]
+    expected = "At the times asked for: energy averaging is 34 % off."
+    assert headline_of([curve(stationary, transients=asked, **modulated)]) == expected
+    alone = headline_of([curve(stationary, label="B = 10", **modulated)])
+    assert alone.startswith("At B = 10, under constant noise: energy averaging is within 0.62 %")
+    assert "under constant noise" in headline_of([curve(incompatible=None, **modulated)])
 
 
 def test_quantities_have_a_column_for_each_theory():

@@ -209,7 +209,8 @@ def replies(*methods, question=PASSAGE, partial=False):
 def test_rare_failure_is_left_to_splitting(monkeypatch):
     rare = survival_answer([1.0] * 9, 0.0, "numerical", failure=[1e-9] * 9)
     split = survival_answer([1.0] * 9, 1e-9, "sampling", rate=None, failure=[2e-9] * 9)
-    monkeypatch.setattr(answering, "split_passage", lambda *asked: split)
+    monkeypatch.setattr(answering, "split_passage", lambda *asked, **how: split)
+    monkeypatch.setattr(answering, "splitting_of", lambda plain: None)
     answers = replies(Stub(FEM, rare), Stub(FULL, InvalidInput("x", 0, "was simulated")))
     assert [g.route.label for g in answers.given] == ["nonintegrable/fem", "splitting"]
     assert "too rare for plain simulation" in answers.refused[0].reason and not answers.problems

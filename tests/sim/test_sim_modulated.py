@@ -22,6 +22,7 @@ from fpk.system import System
 from sim import MonteCarlo
 from sim.flow import flow_covariance
 from sim.motion.motion import Motion, in_rows
+from sim.motion.passing import spread_of
 from sim.motion.starts import Origin
 from sim.motion.transient import ensembles
 from sim.workers import Workers
@@ -187,3 +188,22 @@ def test_what_comes_after_the_simulation_ended_is_not_known_while_noise_changes(
     answer = MonteCarlo(paths=4096, threads=1, time=4.0).passage(rising, *asked, **SETTINGS)
     assert answer.survival_error[0] < 0.1 and answer.survival_error[1] == np.inf
     assert not answer.certificate.certified
+
+
+def test_a_noise_that_ends_does_not_override_the_time_or_the_cost_that_a_user_allows():
+    # 2e7 units of time are 4e8 steps: the array of all their strengths would be 3 GB.
+    long = replace(TWO, modulation=Modulation([0.0, 2e7, 3e7], [1.0, 1.0, 0.0]))
+    asked = parse_limit("H=5", 2), parse_start("rest", long), np.array([1.0])
+    for bound, most in ({"time": 2.0}, 2.0), ({"dt": 0.02, "most_steps": 3000}, 20.0):
+        answer = MonteCarlo(paths=4096, threads=1, **bound).passage(long, *asked, **SETTINGS)
+        # Trajectories go on to the end of the step in which the time ends.
+        assert 1.0 <= answer.settings["followed until"] <= most + answer.settings["coarse dt"]
+        assert answer.mean.value == np.inf
+
+
+def test_the_spread_of_a_chunk_is_that_of_its_own_steps():
+    e, dt = Modulation([0.0, 2.0, 5.0], [0.0, 1.5, 0.5]), 0.25
+    chunk = spread_of(e, dt, 7, 16)
+    ends = dt * np.arange(7, 24)
+    np.testing.assert_allclose(chunk, np.diff(e.energy(ends)), rtol=1e-12)
+    assert np.all(spread_of(None, dt, 7, 16) == dt)
