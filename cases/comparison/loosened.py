@@ -33,7 +33,7 @@ def loosened(
 
 def note_of(label: str, tol: float) -> str:
     """Return the words by which a run says that a route was certified to ``tol`` only."""
-    return f"{label}: certified to {tol:.0e}, which misses the default tolerance nobody asked for"
+    return f"{label}: certified to {tol:.0e}, as the default tolerance could not be met"
 
 
 def _missed(certificates: Iterable[Certificate]) -> float | None:

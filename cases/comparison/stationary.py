@@ -68,8 +68,8 @@ def answers_of(
         attempts.interrupted |= result.partial
         if taken is not method and _worst_error(result) > getattr(taken, "tol", inf):
             notes.append(
-                f"{method.route.label}: certified to {bound(_worst_error(result))}, as far as it"
-                f" may work unasked; fpk density --method {method.name} goes further"
+                f"{method.route.label}: certified to {bound(_worst_error(result))}; its work is"
+                f" bounded as no method was named; fpk density --method {method.name} goes further"
             )
         results.append(result)
     refused = tuple(attempts.refused)

@@ -31,6 +31,9 @@ MARKS = (
 )
 """Paths of the markers of points, by curve, as ``CURVE_MARKS`` of the drawn pictures."""
 
+PLOTS = "axes.js", "curves.js", "maps.js", "plots.js"
+"""Scripts of the plots that can be touched, in the order in which they need each other."""
+
 PALETTE = 64
 """Colours of a map in a page."""
 
@@ -47,7 +50,7 @@ def page_record(scripts: Sequence[str] = ()) -> Record:
 
 
 def script_record(plots: Sequence[Record], **more: Any) -> Record:
-    """Return the data of the script ``plots.js``: plots, the colours of maps, and ``more``."""
+    """Return the data of the scripts ``PLOTS``: plots, the colours of maps, and ``more``."""
     palette = [to_hex(c) for c in colormaps["viridis"](range(0, 256, 256 // PALETTE))]
     return plain({"plots": plots, "palette": palette, **more})
 

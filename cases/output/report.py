@@ -17,12 +17,13 @@ from cases.output.facts import theories
 from cases.output.files import write_text
 from cases.output.headline import headline_of
 from cases.output.live import live_record
-from cases.output.page import as_script_data, page_record
+from cases.output.page import PLOTS, as_script_data, page_record
 from cases.output.pictures.chain import chain_svg
 from cases.output.pictures.in_time import time_pictures
 from cases.output.pictures.joint import joint_pictures
 from cases.output.pictures.lines import line_pictures
-from cases.output.pictures.style import STYLE, in_units, inline_svg, svg_text
+from cases.output.pictures.style import STYLE, in_units
+from cases.output.pictures.svg import inline_svg, svg_text
 from cases.output.records import Record, program_version
 from cases.output.tables import theory_table
 from cases.output.text import rendered
@@ -32,7 +33,7 @@ from fpk.method import Progress, silent
 GROUPS = {"passage": "time", "transient": "time", "solver": "difference", "left": "difference"}
 """Part of the page in which a picture stands, by the first word of its file; others: "density"."""
 
-SCRIPTS = "plots.js", "closed_forms.js", "sliders.js"
+SCRIPTS = *PLOTS, "closed_forms.js", "sliders.js"
 
 LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "h5netcdf")
 

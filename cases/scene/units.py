@@ -74,16 +74,17 @@ class Units:
     def of(self, *dimensions: Powers, inverse: bool = False) -> str:
         """Return the unit of a product of quantities of these powers of length, mass and time.
 
-        As ``kg mm² s⁻²``, which UDUNITS reads, or ``mm^-0.5`` of a power that is no integer; empty
-        where there are no names, and 1 for a number.
+        As ``kg mm² s⁻²``, which UDUNITS reads, or ``kg m^-0.5 s^-2`` where a power is no integer;
+        empty where there are no names, and 1 for a number.
         """
         if not self:
             return ""
         sign = -1 if inverse else 1
         length, mass, time = (sign * sum(powers) for powers in zip(*dimensions, strict=True))
         named = (self.mass, mass), (self.length, length), (self.time, time)
+        caret = any(power != int(power) for _, power in named)
         factors = [
-            name + _power(power)
+            name + _power(power, caret=caret)
             for name, power in sorted(named, key=lambda factor: factor[1] < 0)
             if power
         ]
@@ -123,10 +124,10 @@ class Units:
 NO_UNITS = Units()
 
 
-def _power(power: float) -> str:
-    if power != int(power):
-        return f"^{power:g}"
-    return "" if power == 1 else str(int(power)).translate(SUPERSCRIPTS)
+def _power(power: float, *, caret: bool) -> str:
+    if power == 1:
+        return ""
+    return f"^{power:g}" if caret else str(int(power)).translate(SUPERSCRIPTS)
 
 
 def attribute(unit: str) -> str:

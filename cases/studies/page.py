@@ -16,8 +16,8 @@ import numpy as np
 from cases.output.duration import duration
 from cases.output.fields import attributes_of, write_variables
 from cases.output.files import write_text
-from cases.output.page import as_script_data, page_record, script_record
-from cases.output.pictures.style import inline_svg, svg_text
+from cases.output.page import PLOTS, as_script_data, page_record, script_record
+from cases.output.pictures.svg import inline_svg, svg_text
 from cases.output.tables import text_table
 from cases.output.text import rendered
 from cases.output.variables import Variables
@@ -70,24 +70,26 @@ class Table:
         rows = [[named(cell(v, column)) for column, v in row.items()] for row in self.rows]
         return [key + bracketed(self.units.get(key, "")) for key in self.rows[0]], rows
 
-    def lines(self, width: int) -> list[str]:
-        """Return title, table and remarks for a terminal, see ``text_table``."""
+    def unrepeated(self) -> tuple[list[str], list[list[str]]]:
+        """Return ``cells`` without the first ones of a row that are those of the row above."""
         head, rows = self.cells()
-        texts = [all(isinstance(row[key], str) for row in self.rows) for key in self.rows[0]]
-        words = (*texts, False).index(False)
         for above, row in reversed(list(pairwise(rows))):
             same = [a == b for a, b in zip(above, row, strict=True)]
             row[: same.index(False)] = [""] * same.index(False)
+        return head, rows
+
+    def lines(self, width: int) -> list[str]:
+        """Return title, table and remarks for a terminal, see ``text_table``."""
+        head, rows = self.unrepeated()
+        texts = [all(isinstance(row[key], str) for row in self.rows) for key in self.rows[0]]
+        words = (*texts, False).index(False)
         columns = list(zip(head, *rows, strict=True))
         wrapped = [line for remark in self.remarks for line in wrap(named(remark), width)]
         return [self.title, "", *text_table(columns, width, max(words, 1)), "", *wrapped, ""]
 
     def markdown(self) -> list[str]:
         """Return title, rows in aligned columns, and remarks; first cells are not repeated."""
-        head, rows = self.cells()
-        for above, row in reversed(list(pairwise(rows))):
-            same = [a == b for a, b in zip(above, row, strict=True)]
-            row[: same.index(False)] = [""] * same.index(False)
+        head, rows = self.unrepeated()
         widths = [max(3, *map(len, column)) for column in zip(head, *rows, strict=True)]
         rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
         lines = [f"## {self.title}", ""]
@@ -166,7 +168,7 @@ class Page:
             "page": self,
             "svg": inline_svg(texts["svg"], self.title),
             "data": as_script_data(data),
-            **page_record(["plots.js"]),
+            **page_record(PLOTS),
         }
         texts["html"] = rendered("study.html", record)
         attributes = {**attributes_of(self.scene), "title": self.title}

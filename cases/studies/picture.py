@@ -163,12 +163,14 @@ def _live_curves(panel: Panel) -> Record:
     levels: list[Record] = [{"y": level, "words": words} for level, words in panel.marks]
     if panel.floor is not None:
         levels.append({"y": panel.floor, "words": FLOOR_WORDS, "fill": True})
+    xs = [np.asarray(curve.x, dtype=float) for curve in panel.curves]
+    shared = panel.by_x and all(np.array_equal(x, xs[0]) for x in xs)
     series = []
     for curve, colour, mark in zip(panel.curves, cycle(COLOURS), cycle(MARKS), strict=False):
         y = np.asarray(curve.y, dtype=float)
         own: Record = {
             "curve": "", "name": curve.name, "shown": True, "colour": colour, "marks": mark,
-            "x": curve.x, "notes": curve.notes, "guide": curve.dashed,
+            "x": None if shared else curve.x, "notes": curve.notes, "guide": curve.dashed,
             "y": rounded(y=np.maximum(y, ROUND_OFF) if panel.y_logarithmic else y, error=())["y"],
         }  # fmt: skip
         if curve.bar is not None:
@@ -176,8 +178,6 @@ def _live_curves(panel: Panel) -> Record:
         if curve.style != "none":
             own["dash"] = "1 3" if curve.style == ":" else ""
         series.append(own)
-    xs = [np.asarray(curve.x, dtype=float) for curve in panel.curves]
-    shared = all(np.array_equal(x, xs[0]) for x in xs)
     return {
         "title": panel.title,
         "xlabel": panel.x,
@@ -186,7 +186,7 @@ def _live_curves(panel: Panel) -> Record:
         "scales": [panel.y_logarithmic],
         "yends": panel.limits,
         "levels": levels,
-        "x": xs[0] if shared and panel.by_x else None,
+        "x": xs[0] if shared and xs else None,
         "series": series,
     }
 

@@ -15,7 +15,7 @@ from cases.comparison.run import run_scene
 from cases.output.digest import digest_of
 from cases.output.fields import write_csv, write_netcdf
 from cases.output.files import make_folder, write_by, write_text
-from cases.output.pictures.style import svg_text
+from cases.output.pictures.svg import svg_text
 from cases.output.report import write_report
 from cases.output.vtk import write_pvd, write_vtu
 from cases.scene.errors import BadInput

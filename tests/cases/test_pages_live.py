@@ -188,6 +188,8 @@ def test_answers_in_time_have_the_numbers_of_every_route(touched, outcome):
 def test_sweeps_have_the_numbers_of_every_method(touched, sweeps):
     _, (one, two) = sweeps
     for k in range(2):
+        left, *_, right = touched["line"][f"picture_{k}"]["ends"]
+        assert left < one.axes[0].values[0] and right > one.axes[0].values[-1]  # markers are whole
         for hover, i in zip(touched["line"][f"picture_{k}"]["hover"], (1, 2), strict=True):
             assert hover["place"]["x"] == one.axes[0].values[i]
             assert [v["name"] for v in hover["values"]] == [named(m) for m in one.methods]

@@ -6,7 +6,7 @@ import pytest
 
 from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
-from cases.output.pictures.style import svg_text
+from cases.output.pictures.svg import svg_text
 from cases.output.report import figures
 from cases.scene.scene import load_scene
 from fpk.observable import parse_observable

@@ -3,10 +3,13 @@
 import re
 from base64 import b64encode
 from hashlib import sha256
+from io import StringIO
 from itertools import combinations
+from xml.etree.ElementTree import fromstring
 
 import numpy as np
 import pytest
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from cases.commands.parts import command_line
@@ -18,7 +21,8 @@ from cases.output.live import MARKS
 from cases.output.page import TEMPLATES
 from cases.output.pictures.chain import chain_svg
 from cases.output.pictures.lines import CURVE_MARKS, LINES
-from cases.output.pictures.style import COLOURS, DARK, inline_svg, svg_text
+from cases.output.pictures.style import COLOURS, DARK, STYLE
+from cases.output.pictures.svg import inline_svg, svg_text
 from cases.output.report import report_html
 from cases.output.tables import theory_table
 from cases.output.words import named
@@ -238,6 +242,34 @@ def test_pictures_in_the_page_have_words_as_text_and_no_styles():
     svg = inline_svg(svg_text(figure, salt="a"), "words")
     assert "displacement</text>" in svg and 'stroke="#123456"' in svg
     assert "style" not in svg and 'stroke-dasharray="' in svg and 'font-size="' in svg
+
+
+def test_paths_of_pictures_are_relative_and_keep_their_places():
+    figure = Figure()
+    y = np.sin(np.linspace(0.0, 60.0, 4000))
+    figure.subplots().plot(y, rasterized=False)
+    (path,) = re.findall(r' d="(M[^"]*)" clip-path', svg_text(figure, salt="a"))
+    steps = np.array(re.findall(r"-?(?:\d*\.)?\d+", path), dtype=float).reshape(-1, 2)
+    places = np.cumsum(steps, axis=0)
+    with rc_context({**STYLE, "svg.hashsalt": "a"}):
+        stream = StringIO()
+        figure.savefig(stream, format="svg")
+    (drawn,) = re.findall(r' d="(M[^"]*)" clip-path', stream.getvalue())
+    exact = np.array(re.findall(r"[-\d.]+", drawn), dtype=float).reshape(-1, 2)
+    assert path.count("l") == 1 and len(path) < 0.5 * len(drawn)
+    assert np.abs(places - exact).max() < 0.0101  # digits behind the second are cut off
+
+
+def test_a_group_has_what_all_in_it_share_and_names_that_nobody_refers_to_are_left_out():
+    figure = Figure()
+    figure.subplots().plot([0, 1, 2], [0, 1, 0], linestyle="none", marker="o", color="#123456")
+    svg = inline_svg(svg_text(figure, salt="a"), "words")
+    marks = [e for e in fromstring(svg).iter("g") if len(e.findall("use")) == 3]
+    assert [e.get("stroke") for e in marks] == ["#123456"]
+    assert all({*use.keys()} == {"href", "x", "y"} for use in marks[0].iter("use"))
+    names = re.findall(r' id="([^"]*)"', svg)
+    assert names and all(f"#{name}" in svg for name in names)
+    assert len(svg) < 0.6 * len(svg_text(figure, salt="a"))
 
 
 def test_the_policy_allows_the_style_of_the_page_alone(outcome):

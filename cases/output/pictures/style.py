@@ -1,15 +1,12 @@
-"""Style of all pictures: ink and colours, words for axes, fixed margins, and figures as SVG."""
+"""Style of all pictures: ink and colours, words for axes, fixed margins."""
 
-import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from markupsafe import Markup
-from matplotlib import rc_context, rc_params_from_file
+from matplotlib import rc_params_from_file
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
@@ -108,42 +105,3 @@ def words_of(coordinate: Coordinate) -> str:
     modal = "modal " if coordinate.kind == "H" and coordinate.index is not None else ""
     unit = bracketed(SHOWN_UNITS.get().coordinate(coordinate))
     return f"{modal}{words} {symbol_of(coordinate)}{unit}"
-
-
-PATHS, DIGITS = re.compile(r' (?:d|x|y)="[^"]*"'), re.compile(r"(\.\d\d)\d+")
-BLANKS = re.compile(r"\s*([A-Za-z])\s+(?=[-\d.])|\s*\n")
-
-
-def svg_text(figure: Figure, *, salt: str) -> str:
-    """Return the figure as SVG that is the same every time, with identifiers of its own."""
-    stream = StringIO()
-    with rc_context({**STYLE, "svg.hashsalt": salt}):
-        nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-        figure.savefig(stream, format="svg", metadata=nothing)
-    # A hundredth of a point is seen by nobody; sixteen digits make a file three times as long.
-    return PATHS.sub(lambda path: BLANKS.sub(r"\1", DIGITS.sub(r"\1", path[0])), stream.getvalue())
-
-
-STYLES = re.compile(r'style="([^"]*)"')
-
-
-def _attributes(style: re.Match[str]) -> str:
-    """The style of an element as attributes, which the policy of the page allows."""
-    pairs = [part.split(":", 1) for part in style[1].split(";") if ":" in part]
-    own = {key.strip(): value.strip() for key, value in pairs}
-    if font := re.search(r"([0-9.]+px)", own.pop("font", "")):
-        own["font-size"] = font[1]
-    return " ".join(f'{key}="{value}"' for key, value in own.items())
-
-
-def inline_svg(svg: str, words: str) -> Markup:
-    """Return SVG to stand inside a page: ink takes the page's colour, no background, no styles.
-
-    ``words`` describe it to those who do not see it.
-    """
-    body = svg[svg.index("<svg") :].replace(INK, "currentColor")
-    body = re.sub(r"<style.*?</style>", "", body, flags=re.DOTALL)
-    body = re.sub(r'(<g id="patch_1">\s*<path [^>]*?)fill: #ffffff', r"\1fill: none", body)
-    body = STYLES.sub(_attributes, body)
-    label = Markup('<svg role="img" aria-label="{}" ').format(words)
-    return label + Markup(body.removeprefix("<svg "))  # drawn by this program

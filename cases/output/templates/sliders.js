@@ -1,7 +1,7 @@
 // Sliders: the closed forms of both averaged theories for other parameters, drawn beside the answers of the run.
 Object.assign(report, (() => {
-  const {data, plots, html, show} = report, {model} = data, state = document.getElementById("touch");
-  if (data.missing) html(state, "p", data.missing, {class: "soft"});
+  const {model} = data;
+  if (data.missing) html(touch, "p", data.missing, {class: "soft"});
   if (!model) return {};
   const factors = asRun(model), slid = plots.filter(p => p.plot.series?.some(s => s.form)), inputs = [];
   let forms = null; // of the factors as they are
@@ -15,9 +15,9 @@ Object.assign(report, (() => {
       }
     };
   }
-  html(state, "p", "Sliders: closed forms of both averaged theories for other parameters, computed here; what was simulated or solved stays as it was run.", {class: "soft"});
-  const box = html(state, "div", "", {id: "sliders"});
-  const refused = html(state, "p", "", {class: "bad", "aria-live": "polite"});
+  html(touch, "p", "Sliders: closed forms of both averaged theories for other parameters, computed here; what was simulated or solved stays as it was run.", {class: "soft"});
+  const box = html(touch, "div", "", {id: "sliders"});
+  const refused = html(touch, "p", "", {class: "bad", "aria-live": "polite"});
   const slider = (key, k) => {
     const {name, value} = model[key][k], label = html(box, "label", ""), text = html(label, "span", "");
     const most = key === "B" ? 2 : 1;

@@ -43,13 +43,16 @@ def map_page(result: RegimeMap) -> Page:
         f" ({result.sweep.reused} from disk), nearer to the full system: "
         + ", ".join(f"{named(name)} {counts[name]}" for name in names)
     )
-    title = "L1 distance to the full system, rms_ratio the clearance over the rms without contact"
+    words = (
+        "L1 is the distance of a theory to the full system, rms_ratio the least clearance over the"
+        " rms displacement without contact."
+    )
     fields = map_variables(result)
     return Page(
         "regime",
         result.scene,
         f"Map of regimes: {result.scene.title}",
-        [Table("points", title, rows, (summary,))],
+        [Table("points", "Distances", rows, (summary, words))],
         regime_panels(result, fields),
         summary=summary,
         gridded=fields,

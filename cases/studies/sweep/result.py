@@ -14,11 +14,12 @@ from cases.studies.sweep.grid import Axis, place_words
 
 @dataclass(frozen=True)
 class Value:
-    """A quantity by one method with its error; no value where ``reason`` says why not.
+    """A quantity by one method: ``value`` ± ``error``, both None where the method gave none.
 
-    ``error_kind`` is "numerical" or "sampling"; ``failures`` say why it is not ``certified``;
-    ``failed`` where the method applies and did not succeed. ``reference`` is the route of the full
-    system that an averaging error is the distance to.
+    ``error_kind`` is "numerical" (``error`` is an estimate of it) or "sampling" (one standard
+    error). ``failures`` has the reasons why a value is not ``certified``, ``reason`` why there is
+    no value; ``failed`` is True where the method applies and did not succeed. ``reference`` is the
+    route that solved the full system, where the quantity is an averaging error: the distance to it.
     """
 
     quantity: str
@@ -40,7 +41,7 @@ class Value:
 
 @dataclass(frozen=True)
 class SweepPoint:
-    """The answers at one point of the grid: methods fastest, in the order asked for."""
+    """The answers at one point of the grid, for each quantity by every method in turn."""
 
     values: tuple[float, ...]
     answers: tuple[Value, ...]
@@ -71,9 +72,11 @@ class SweepPoint:
 
 @dataclass(frozen=True, repr=False)
 class Sweep:
-    """Quantities by methods over a grid, its last axis fastest; ``reused`` are from disk.
+    """Quantities by methods over a grid of one or two parameters.
 
-    ``units`` are those of the quantities, empty without ``[units]``.
+    ``points`` has the points of the grid, those of the last axis next to each other; ``reused``
+    counts those that were read from disk, and ``seconds`` is the time all took. ``units`` has one
+    for each of ``quantities``, an empty text where the scene has no ``[units]``.
 
     An example::
 

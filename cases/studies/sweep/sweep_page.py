@@ -38,12 +38,12 @@ def sweep_page(result: Sweep, scene: Scene) -> Page:
         f"{', '.join(result.quantities)} by {'; '.join(map(named, result.methods))}:"
         f" {len(result.points)} points ({result.reused} from disk)"
     )
-    title = "error: an estimate of the numerical error, or one standard error of sampling"
+    errors = "An error is an estimate of the numerical error, or one standard error of sampling."
     return Page(
         "result",
         scene,
         f"Sweep of {', '.join(a.key for a in result.axes)}: {scene.title}",
-        [Table("points", title, rows, (summary, *reasons))],
+        [Table("points", "Values", rows, (summary, errors, *reasons))],
         sweep_panels(result),
         summary=summary,
         gridded=result.variables(),
