@@ -88,7 +88,7 @@ def findings(expect: Expect | None, curves: Sequence[Answers]) -> Iterator[Findi
                     yield _gaussian(claim, curve, expect.of, wanted=wanted)
     if (direction := expect.nonintegrable_better_with) is not None:
         # Neighbours along the varied number, the better one last.
-        claim = f"nonintegrable theory better with {direction} {symbol}"
+        claim = f"nonintegrable better with {direction} {symbol}"
         ordered = sorted(curves, key=lambda c: c.value or 0.0, reverse=direction == "smaller")
         for worse, better in pairwise(ordered):
             pair = [_distance(c, expect.of, "nonintegrable") for c in (better, worse)]
@@ -129,12 +129,12 @@ def _theories(expect: Expect, curve: Answers) -> Iterator[Finding]:
     """The claims about the theories of one curve."""
     distance = partial(_distance, curve, expect.of)
     if expect.better is not None:
-        claim = "{} theory better than {}".format(*expect.better)
+        claim = "{} better than {}".format(*expect.better)
         yield _nearer(claim, curve.label, *map(distance, expect.better))
     if (rule := expect.clearance_rule) is not None:
         stops = curve.system.fact(stop_clearances)
         ratios = [stop.ratio for stop in stops if stop.ratio is not None]
-        claim = f"integrable theory acceptable for clearance > {rule:g} rms"
+        claim = f"integrable acceptable for clearance > {rule:g} rms"
         if len(ratios) < max(len(stops), 1):
             yield Finding(claim, curve.label, "the rms is not known", "not checked")
         else:
@@ -147,7 +147,7 @@ def _theories(expect: Expect, curve: Answers) -> Iterator[Finding]:
                 found = replace(found, claim=claim, verdict=opposite)
             yield found
     for name in expect.acceptable:
-        claim = f"{name} theory acceptable"
+        claim = f"{name} acceptable"
         yield _nearer(claim, curve.label, distance(name), (ACCEPTABLE_L1, 0.0))
 
 
