@@ -1,6 +1,7 @@
 """Style and scripts that stand inside a page, and the policy that allows no others."""
 
 import json
+import re
 from base64 import b64encode
 from collections.abc import Sequence
 from hashlib import sha256
@@ -38,15 +39,52 @@ PALETTE = 64
 """Colours of a map in a page."""
 
 
-def page_record(scripts: Sequence[str] = ()) -> Record:
-    """Return ``style``, ``script`` and ``policy`` of ``page.html``; ``scripts`` are file names.
+class PageStyle:
+    """The style of a page; the templates say which tables are in it before they ask for it."""
 
-    The policy is the content security policy of the page: of styles and scripts it has the sources.
+    def __init__(self) -> None:
+        """Start with no table."""
+        self._tables: list[tuple[str, ...]] = []
+
+    def table(self, names: Sequence[str], *, numbers: bool = False) -> str:
+        """Return the class of a table with columns of these names.
+
+        Before those of numbers stands "#", or all are with ``numbers``. Where a window is narrow
+        the names stand beside the cells, by rules: attributes of all cells are half of a table.
+        """
+        columns = tuple(f"#{name}" if numbers else name for name in names)
+        if columns not in self._tables:
+            self._tables.append(columns)
+        return f"t{self._tables.index(columns)}"
+
+    @property
+    def text(self) -> Markup:
+        """The style, with rules for the columns of all tables."""
+        tables = [
+            (f".t{t} tr > :nth-child({k})", name.removeprefix("#"), name.startswith("#"))
+            for t, columns in enumerate(self._tables)
+            for k, name in enumerate(columns, start=1)
+        ]
+        names = "".join(f"{c}::before{{content:{_css_string(name)}}}" for c, name, _ in tables)
+        numbers = ",".join(cells for cells, _, number in tables if number)
+        rules = f"""@media screen and (max-width: 44rem) {{ {names} }}
+:where({numbers}) {{ text-align: right; white-space: nowrap; }}"""
+        return Markup("\n").join((_source("report.css"), _dark_curves(), Markup(rules)))
+
+    @property
+    def hash(self) -> Markup:
+        """The source expression of the style, once it is complete."""
+        return _hash(self.text)
+
+
+def page_record(scripts: Sequence[str] = ()) -> Record:
+    """Return the style, the ``script`` and its hash for ``page.html``; ``scripts`` are file names.
+
+    The content security policy of the page has the hashes: it allows no others.
     """
-    style = Markup("\n").join((_source("report.css"), _dark_curves()))
     script = Markup("\n").join(map(_source, scripts))
-    policy = {"style": _hash(style), "script": _hash(script) if scripts else "'none'"}
-    return {"style": style, "script": script, "policy": policy}
+    allowed = _hash(script) if scripts else "'none'"
+    return {"style": PageStyle(), "script": script, "script_hash": allowed}
 
 
 def script_record(plots: Sequence[Record], **more: Any) -> Record:
@@ -88,6 +126,12 @@ def _dark_curves() -> Markup:
         for key in ("fill", "stroke")
     )
     return Markup(f"@media screen and (prefers-color-scheme: dark) {{ {rules} }}")
+
+
+def _css_string(text: str) -> str:
+    """The text as a string of CSS, with special characters by their hexadecimal numbers."""
+    inside = re.sub(r"[^\w ]", lambda special: rf"\{ord(special[0]):x} ", text)
+    return f'"{inside}"'
 
 
 def _hash(text: str) -> Markup:

@@ -109,7 +109,11 @@ def report_html(
         "digest": digest,
         "curves": curves,
         "answer": headline_of(curves),
-        "tables": [{"label": c["label"], **theory_table(c["quantities"])} for c in curves],
+        "tables": [
+            {**t, "label": c["label"], "columns": ["quantity", *(f"#{r}" for r in t["routes"])]}
+            for c in curves
+            for t in (theory_table(c["quantities"]),)
+        ],
         "sketch": chain_svg(scene.system),
         **page_record(SCRIPTS if live else ()),
         "live": live and as_script_data(live),

@@ -22,7 +22,7 @@ from cases.output.page import TEMPLATES
 from cases.output.pictures.chain import chain_svg
 from cases.output.pictures.lines import CURVE_MARKS, LINES
 from cases.output.pictures.style import COLOURS, DARK, STYLE
-from cases.output.pictures.svg import inline_svg, svg_text
+from cases.output.pictures.svg import TOLERANCE, inline_svg, svg_text
 from cases.output.report import report_html
 from cases.output.tables import theory_table
 from cases.output.words import named
@@ -244,32 +244,124 @@ def test_pictures_in_the_page_have_words_as_text_and_no_styles():
     assert "style" not in svg and 'stroke-dasharray="' in svg and 'font-size="' in svg
 
 
-def test_paths_of_pictures_are_relative_and_keep_their_places():
-    figure = Figure()
-    y = np.sin(np.linspace(0.0, 60.0, 4000))
-    figure.subplots().plot(y, rasterized=False)
-    (path,) = re.findall(r' d="(M[^"]*)" clip-path', svg_text(figure, salt="a"))
-    steps = np.array(re.findall(r"-?(?:\d*\.)?\d+", path), dtype=float).reshape(-1, 2)
-    places = np.cumsum(steps, axis=0)
+def places(path):
+    """The points of the runs of a path of relative moves and lines."""
+    runs, at, letter = [], np.zeros(2), ""
+    for own, *words in re.findall(r"([mlhvz]?) ?(-?(?:\d*\.)?\d+)(?: ?(-?(?:\d*\.)?\d+))?", path):
+        letter = own or {"m": "l"}.get(letter, letter)
+        numbers = [float(word) for word in words if word]
+        if letter in "hv":
+            for number in numbers:
+                at = at + np.array([number, 0.0] if letter == "h" else [0.0, number])
+                runs[-1].append(at)
+            continue
+        at = at + numbers
+        runs.append([at]) if letter == "m" else runs[-1].append(at)
+    return [np.array(run) for run in runs]
+
+
+def away(points, line):
+    """The largest distance of the points from a line through its own points."""
+    start, step = line[:-1], np.diff(line, axis=0)
+    from_start = points[:, None] - start
+    along = np.clip((from_start * step).sum(2) / (step**2).sum(1), 0.0, 1.0)
+    return np.linalg.norm(from_start - along[..., None] * step, axis=2).min(1).max()
+
+
+def drawn(figure):
+    """The numbers of the one line in the axes as matplotlib writes it, and its path in ours."""
     with rc_context({**STYLE, "svg.hashsalt": "a"}):
         stream = StringIO()
         figure.savefig(stream, format="svg")
-    (drawn,) = re.findall(r' d="(M[^"]*)" clip-path', stream.getvalue())
-    exact = np.array(re.findall(r"[-\d.]+", drawn), dtype=float).reshape(-1, 2)
-    assert path.count("l") == 1 and len(path) < 0.5 * len(drawn)
-    assert np.abs(places - exact).max() < 0.0101  # digits behind the second are cut off
+    (theirs,) = re.findall(r' d="(M[^"]*)" clip-path', stream.getvalue())
+    (ours,) = re.findall(r' d="(m[^"]*)" clip-path', svg_text(figure, salt="a"))
+    return theirs, ours
 
 
-def test_a_group_has_what_all_in_it_share_and_names_that_nobody_refers_to_are_left_out():
-    figure = Figure()
-    figure.subplots().plot([0, 1, 2], [0, 1, 0], linestyle="none", marker="o", color="#123456")
-    svg = inline_svg(svg_text(figure, salt="a"), "words")
-    marks = [e for e in fromstring(svg).iter("g") if len(e.findall("use")) == 3]
-    assert [e.get("stroke") for e in marks] == ["#123456"]
-    assert all({*use.keys()} == {"href", "x", "y"} for use in marks[0].iter("use"))
+@pytest.mark.parametrize(
+    ("y", "share"),
+    # Where all points show, as in the third line, only their digits are fewer.
+    [
+        (np.sin(np.linspace(0.0, 60.0, 4000)), 0.1),
+        (np.exp(-(np.linspace(-3.0, 3.0, 300) ** 2)), 0.15),
+        (np.tile([0.0, 1.0, 0.5, 0.7], 40), 0.6),
+        (np.zeros(300), 0.01),
+    ],
+)
+def test_lines_of_pictures_are_short_and_go_where_they_went(y, share):
+    with rc_context(STYLE):
+        figure = Figure()
+        figure.subplots().plot(y)
+        theirs, ours = drawn(figure)
+    exact = np.array(re.findall(r"[-\d.]+", theirs), dtype=float).reshape(-1, 2)
+    (line,) = places(ours)
+    assert len(exact) == len(y) and len(ours) < share * len(theirs)
+    # Half a hundredth in each direction is rounded away.
+    assert away(exact, line) < TOLERANCE + 0.0071
+    assert np.abs(line[[0, -1]] - exact[[0, -1]]).max() < 0.0051
+    assert away(exact, line + np.array([0.0, 0.2])) > TOLERANCE + 0.0071  # the measure can fail
+
+
+def test_gaps_of_lines_stay_gaps():
+    with rc_context(STYLE):
+        figure = Figure()
+        figure.subplots().plot(
+            [0, 0, np.nan, 1, 1, np.nan, 2, 3], [0, 1, np.nan, 0, 2, np.nan, 1, 3]
+        )
+        theirs, ours = drawn(figure)
+    exact = [
+        np.array(re.findall(r"[-\d.]+", run), dtype=float).reshape(-1, 2)
+        for run in theirs.split("M")[1:]
+    ]
+    assert len(exact) == 3
+    for run, line in zip(exact, places(ours), strict=True):
+        assert np.abs(run - line).max() < 0.0051
+
+
+def test_symbols_are_markers_of_a_line_and_names_that_nobody_refers_to_are_left_out():
+    with rc_context(STYLE):
+        figure = Figure()
+        axes = figure.subplots()
+        axes.plot([0, 1, 2, 2], [0, 1, 0, 0], linestyle="none", marker="o", color="#123456")
+        svg = inline_svg(svg_text(figure, salt="a"), "words")
+    root = fromstring(svg)
+    lines = [e for e in root.iter("path") if e.get("marker-mid")]
+    assert len(lines) == 3  # the points, and the ticks of two axes
+    symbols = {path.get("id"): path for path in root.iter("path")}
+    for line in lines:
+        name = re.fullmatch(r"url\(#(.*)\)", line.get("marker-mid"))[1]
+        (marker,) = [e for e in root.iter("marker") if e.get("id") == name]
+        assert line.get("marker-start") == line.get("marker-end") == line.get("marker-mid")
+        assert line.get("fill") == line.get("stroke") == "none"
+        symbol = symbols[marker.find("use").get("href").removeprefix("#")]
+        if symbol.get("stroke") == "#123456":
+            (points,) = places(line.get("d"))
+    assert points.shape == (3, 2)  # of two points in one place one is enough
+    assert points[0, 1] == points[2, 1] > points[1, 1] and np.ptp(np.diff(points[:, 0])) < 0.011
     names = re.findall(r' id="([^"]*)"', svg)
-    assert names and all(f"#{name}" in svg for name in names)
-    assert len(svg) < 0.6 * len(svg_text(figure, salt="a"))
+    assert len(names) == len(set(names)) > 3 and all(f"#{name}" in svg for name in names)
+    assert len(svg) < 0.5 * len(svg_text(figure, salt="a"))
+
+
+def test_texts_of_an_axis_share_their_size_and_anchor():
+    with rc_context(STYLE):
+        figure = Figure()
+        axes = figure.subplots()
+        axes.plot([0, 1], [0, 1])
+        axes.set_xlabel("displacement", fontsize=7)
+        root = fromstring(inline_svg(svg_text(figure, salt="a"), "words"))
+    parents = {child: parent for parent in root.iter() for child in parent}
+
+    def inherited(element, key):
+        while element is not None and element.get(key) is None:
+            element = parents.get(element)
+        return None if element is None else element.get(key)
+
+    sizes = {e.text: inherited(e, "font-size") for e in root.iter("text")}
+    assert sizes.pop("displacement") == "7px" and set(sizes.values()) == {"9.5px"}
+    anchors = [inherited(e, "text-anchor") for e in root.iter("text")]
+    assert anchors.count("end") == 6 and anchors.count("middle") == 7
+    assert sum(e.get("font-size") is not None for e in root.iter("text")) < 3
 
 
 def test_the_policy_allows_the_style_of_the_page_alone(outcome):

@@ -136,3 +136,34 @@ def test_paper_has_the_drawn_pictures_in_dark_ink_and_no_controls(browser, page,
     assert drawn >= 4 and controls == 0 and paper == 1.0 and ink == 0.0
     assert strokes == ["rgb(224, 117, 0)"]
     assert browser.pdf().startswith(b"%PDF")
+
+
+LABELS = (
+    SEEN
+    + """
+const rows = [...document.querySelectorAll("tr")].filter(r => r.querySelector("td") && seen(r));
+const label = cell => getComputedStyle(cell, "::before").content.replaceAll('"', "");
+return rows.flatMap(row => {
+  const heads = [...row.closest("table").querySelectorAll("th")].map(e => e.textContent);
+  return [...row.cells].map((cell, k) => ({label: label(cell), head: heads[k],
+    columns: heads.length - row.cells.length, text: cell.textContent,
+    left: getComputedStyle(cell).textAlign, key: cell.matches(".keyed td:first-child")}));
+});"""
+)
+"""What stands beside each cell of a table, and the head of its column."""
+
+
+def test_on_a_telephone_every_cell_has_the_head_of_its_column_beside_it(browser, page):
+    browser.open(page, width=390, height=844, script=False)
+    cells = browser.result(OPEN + LABELS)
+    assert len(cells) > 150 and all(c["columns"] == 0 for c in cells)
+    assert {c["head"] for c in cells} > {"--method", "L1 error", "energy averaging", "quantity"}
+    for cell in cells:
+        assert cell["label"] == cell["head"] or cell["key"] or not cell["text"]
+    browser.open(page, width=1280, script=False)
+    wide = browser.result(OPEN + LABELS)
+    assert {c["label"] for c in wide} == {"none"}
+    # Numbers stand at the right.
+    right = {c["head"] for c in wide if c["left"] == "right"}
+    assert {"energy averaging", "difference", "seconds"} < right
+    assert not right & {"quantity", "theory", "settings", "certified", "measures"}

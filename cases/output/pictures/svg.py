@@ -169,7 +169,8 @@ def _mark(group: Element, numbers: Iterator[int]) -> None:
             marker = Element("marker", id=name, overflow="visible", markerUnits="userSpaceOnUse")
             SubElement(marker, "use", dict(common))
             ends = {f"marker-{place}": f"url(#{name})" for place in ("start", "mid", "end")}
-            line = Element("path", d=_path([places]), fill="none", stroke="none", **ends)
+            ink = {"fill": "none", "stroke": "none"}
+            line = Element("path", {"d": _path([places]), **ink, **ends})
             first = [*group].index(same[0])
             group[first:] = [marker, line, *(e for e in group[first:] if e not in same)]
 
