@@ -46,13 +46,15 @@ class PageStyle:
         """Start with no table."""
         self._tables: list[tuple[str, ...]] = []
 
-    def table(self, names: Sequence[str], *, numbers: bool = False) -> str:
+    def table(self, names: Sequence[str], texts: Sequence[bool] = ()) -> str:
         """Return the class of a table with columns of these names.
 
-        Before those of numbers stands "#", or all are with ``numbers``. Where a window is narrow
-        the names stand beside the cells, by rules: attributes of all cells are half of a table.
+        Before those of numbers stands "#", or ``texts`` says which have none. Where a window is
+        narrow the names stand beside the cells, by rules: attributes of cells are half of a table.
         """
-        columns = tuple(f"#{name}" if numbers else name for name in names)
+        columns = tuple(names)
+        if texts:
+            columns = tuple(n if text else f"#{n}" for n, text in zip(names, texts, strict=True))
         if columns not in self._tables:
             self._tables.append(columns)
         return f"t{self._tables.index(columns)}"
@@ -119,9 +121,12 @@ def _source(name: str) -> Markup:
 
 
 def _dark_curves() -> Markup:
-    """Rules by which curves take their colours on a dark page; those of an attribute yield."""
+    """Rules by which curves take their colours on a dark page; those of an attribute yield.
+
+    Beside an image, which has the colours that it has, they stay.
+    """
     rules = "".join(
-        f'[{key}="{light}"]{{{key}:{dark}}}'
+        f'svg:not(.image) [{key}="{light}"]{{{key}:{dark}}}'
         for light, dark in zip(COLOURS, DARK, strict=True)
         for key in ("fill", "stroke")
     )

@@ -112,7 +112,9 @@ def study_cost(
             known = best if best and best.density.l1_error <= JUDGE else None
             reference = known or full_reference(system, seed=seed)
             study.full_reference, study.floors[FULL] = reference.words, reference.density.l1_error
-            results, study.laws = full_routes(system, reference, seed=seed, progress=progress)
+            results, study.laws = full_routes(
+                system, reference, seed=seed, unit=scene.units.time, progress=progress
+            )
             tried += results
             study.models += _models(system, reference)
     for question in scene.passages[:1]:

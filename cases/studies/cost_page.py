@@ -60,7 +60,14 @@ def cost_page(study: CostStudy) -> Page:
     lost = [{k: v for k, v in asdict(n).items() if k != "baseline"} for n in study.not_timed]
     prices = [_price(c) for c in price_list(study.routes)]
     promised = [_price(c) for c in price_list(study.routes, promised=True) if c.point]
-    laws = [asdict(law) for law in study.laws]
+    laws = [
+        {"seconds a step" if key == "step" else key: value for key, value in asdict(law).items()}
+        for law in study.laws
+    ]
+    time = study.scene.units.time
+    noise = study.scene.units.of((0, 0, 0.5))
+    of_laws = {"noise": noise, "largest": time, "relaxation": time}
+    law = f"{LAW} The bias is in {time}^(-order)." if time else LAW
     crossings, overtaking = crossovers(study.routes), _overtaking(study)
     tables = [
         Table("prices", "To get so many digits (L1)", prices),
@@ -68,7 +75,7 @@ def cost_page(study: CostStudy) -> Page:
         Table("crossings", "Where another route becomes the cheapest", crossings, overtaking),
         Table("models", "What the theories are worth for the full system", models, (full,)),
         Table("not_timed", "Routes that are not timed", lost),
-        Table("laws", f"{FULL}: law of sampling", laws, (LAW,)),
+        Table("laws", f"{FULL}: law of sampling", laws, (law,), of_laws),
         Table("measurements", "Measurements", measured, (*axes, MEANING)),
     ]
     title = f"What accuracy costs: {study.scene.title}"

@@ -69,23 +69,41 @@ class Law:
         """Return the time of a run on one thread, burn-in of the fewest paths included."""
         return self.step * (sampled + LEAST_PATHS * MonteCarlo.burn_in * self.relaxation) / dt
 
-    def point(self, error: float) -> Level:
-        """Return the cheapest settings for ``error`` with their price by the law, not run."""
+    def point(self, error: float, unit: str = "") -> Level:
+        """Return the cheapest settings for ``error`` with their price by the law, not run.
+
+        ``unit`` is that of the scene's time in words, empty where it has no name.
+        """
         dt, sampled = self.cheapest(error)
         paths = max(float(LEAST_PATHS), min(sampled / self.relaxation, MAX_PATHS))
-        settings = f"{paths:.2g} paths, time {max(sampled / paths, dt):.2g}, dt {dt:.2g}"
+        settings = _settings(f"{paths:.2g}", f"{max(sampled / paths, dt):.2g}", f"{dt:.2g}", unit)
         seconds, memory = self.seconds(sampled, dt), paths * BYTES_A_PATH
         return Level(settings, error, error, seconds, modelled=True, repeats=0, memory=memory)
 
 
+def _settings(paths: str, time: str, dt: str, unit: str) -> str:
+    """Settings of a simulation in words, its times with their unit."""
+    own = f" {unit}" if unit else ""
+    return f"{paths} paths, time {time}{own}, dt {dt}{own}"
+
+
 def full_routes(
-    system: System, reference: Reference, *, seed: int, progress: Progress = silent
+    system: System,
+    reference: Reference,
+    *,
+    seed: int,
+    unit: str = "",
+    progress: Progress = silent,
 ) -> tuple[list[Priced | NotTimed], list[Law]]:
-    """Measure the schemes: one run of each, and by the law the cheapest (dt, N) for ``ERRORS``."""
+    """Measure the schemes: one run of each, and by the law the cheapest (dt, N) for ``ERRORS``.
+
+    ``unit`` is that of time in words.
+    """
     results: list[Priced | NotTimed] = []
     laws: list[Law] = []
     for scheme in sorted(SCHEMES, key=lambda s: -SCHEMES[s].weak_order):
-        route, own = _route(system, MonteCarlo(scheme=scheme, seed=seed, threads=1), reference)
+        method = MonteCarlo(scheme=scheme, seed=seed, threads=1)
+        route, own = _route(system, method, reference, unit)
         results.append(route)
         laws += own
         progress(len(results), len(SCHEMES), f"cost of {FULL}")
@@ -93,7 +111,7 @@ def full_routes(
 
 
 def _route(
-    system: System, method: MonteCarlo, reference: Reference
+    system: System, method: MonteCarlo, reference: Reference, unit: str
 ) -> tuple[Priced | NotTimed, list[Law]]:
     """A scheme with its law, from the largest step at which it holds; a baseline may have none."""
     scheme, factor = method.scheme, largest_stable(system, method, patience=PATIENCE)
@@ -102,10 +120,11 @@ def _route(
         words = f"no usable step: none down to {SMALLEST:g} of the chosen one is stable and cheap"
         return NotTimed(scheme, FULL, reason=words, baseline=baseline), []
     for k in range(HALVINGS + 1):  # next to its limit of stability a scheme has no order yet
-        law, level = _law(system, method, factor * 0.5**k, reference.density)
+        law, level = _law(system, method, factor * 0.5**k, reference.density, unit)
         if level.honest:
             of = f"expected L1 of p({reference.density.name}) of the full system"
-            points, axis = (level, *map(law.point, ERRORS)), f"sampling and step error: {of}"
+            points = level, *(law.point(error, unit) for error in ERRORS)
+            axis = f"sampling and step error: {of}"
             return Priced(f"{scheme}, (dt, N)", FULL, axis, points), [law]
     words = f"differs from the {reference.words} by more than chance and its order explain"
     measured = level.settings, level.distance, level.estimate
@@ -113,7 +132,7 @@ def _route(
 
 
 def _law(
-    system: System, method: MonteCarlo, factor: float, reference: Density
+    system: System, method: MonteCarlo, factor: float, reference: Density, unit: str
 ) -> tuple[Law, Level]:
     """Bias from the largest stable step, noise and speed at 0.7 of it or at the chosen one.
 
@@ -144,7 +163,7 @@ def _law(
     )
     error = law.error(usual.sampled, usual.dt)
     level = Level(
-        f"{at.paths} paths, time {at.time:.3g}, dt {at.dt:.3g}",
+        _settings(f"{at.paths}", f"{at.time:.3g}", f"{at.dt:.3g}", unit),
         error,
         error,
         usual.seconds,

@@ -78,11 +78,15 @@ class Table:
             row[: same.index(False)] = [""] * same.index(False)
         return head, rows
 
+    @property
+    def texts(self) -> list[bool]:
+        """Which columns are text alone."""
+        return [all(isinstance(row[key], str) for row in self.rows) for key in self.rows[0]]
+
     def lines(self, width: int) -> list[str]:
         """Return title, table and remarks for a terminal, see ``text_table``."""
         head, rows = self.unrepeated()
-        texts = [all(isinstance(row[key], str) for row in self.rows) for key in self.rows[0]]
-        words = (*texts, False).index(False)
+        words = (*self.texts, False).index(False)
         columns = list(zip(head, *rows, strict=True))
         wrapped = [line for remark in self.remarks for line in wrap(named(remark), width)]
         return [self.title, "", *text_table(columns, width, max(words, 1)), "", *wrapped, ""]

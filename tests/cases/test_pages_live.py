@@ -16,7 +16,7 @@ from cases.scene.scene import load_scene
 from cases.studies.cost import CostStudy
 from cases.studies.cost_page import cost_page
 from cases.studies.levels import Level
-from cases.studies.picture import Curve, Field, Panel, live_plots, study_figure
+from cases.studies.picture import HALO, Curve, Field, Panel, live_plots, study_figure
 from cases.studies.prices import Priced
 from cases.studies.regime_map.map import build_map
 from cases.studies.regime_map.map_page import map_page
@@ -271,3 +271,53 @@ def test_what_there_is_not_is_null_in_the_data_and_empty_in_the_picture(sweeps):
     (plot,) = live_plots([Panel("t", "x", "y", [Curve("a", [1.0, 2.0], [np.nan, 0.0])])], "p")
     assert plot["series"][0]["y"] == [None, 1e-16]
     assert "NaN" not in json.dumps([plot["series"][0]["y"]])
+
+
+DRAWN = """
+const picture = document.querySelector("figure > svg");
+const filled = colour => [...picture.querySelectorAll(`[fill="${colour}"]`)].map(
+  e => getComputedStyle(e).fill);
+return {paper: getComputedStyle(document.body).backgroundColor, halo: filled("#f4f4f4"),
+  ink: [...picture.querySelectorAll("text")].map(e => getComputedStyle(e).fill),
+  first: filled("#00a688"), image: picture.querySelectorAll("image").length};
+"""
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_drawn_pictures_of_studies_are_legible_on_both_pages(browser, pages, dark):
+    found = {}
+    for name in ("cost", "regime"):
+        browser.open(pages[name], width=1280, script=False, dark=dark)
+        found[name] = browser.result(DRAWN)
+    # Words stand on a box of the page's colour, in the colour of its text.
+    (box,) = set(found["cost"]["halo"])
+    assert box == found["cost"]["paper"] and len(set(found["cost"]["ink"])) == 1
+    assert HALO["fc"] == "#f4f4f4" and box not in found["cost"]["ink"]
+    assert set(found["cost"]["first"]) == {"rgb(0, 253, 211)" if dark else "rgb(0, 166, 136)"}
+    # The colours of a legend are those of the image, which has one set of them.
+    assert found["regime"]["image"] > 0 and set(found["regime"]["first"]) == {"rgb(0, 166, 136)"}
+
+
+def test_a_telephone_has_fewer_numbers_on_an_axis_of_powers(browser, pages):
+    browser.open(pages["cost"], width=390, height=844)
+    boxes = browser.result(
+        """return [...document.querySelectorAll(".live .pair text")].map(
+          e => e.getBoundingClientRect()).map(r => [r.left, r.right, r.top, r.bottom]);"""
+    )
+    assert len(boxes) > 8
+    for k, (left, right, top, bottom) in enumerate(boxes):
+        for l, r, t, b in boxes[:k]:  # noqa: E741
+            assert right <= l or r <= left or bottom <= t or b <= top
+
+
+def test_columns_of_words_stand_at_the_left(browser, pages):
+    browser.open(pages["cost"], width=1280)
+    sides = browser.result(
+        """return [...document.querySelectorAll("table")].map(t => Object.fromEntries(
+          [...t.querySelectorAll("th")].map((h, k) => [h.textContent,
+            [h, t.querySelectorAll("td")[k]].map(e => getComputedStyle(e).textAlign)])));"""
+    )
+    for table in sides:
+        for head, side in table.items():
+            words = head in ("equation", "route", "settings", "priced by", "above", "below")
+            assert side == ["left", "left"] if words else ["right", "right"]

@@ -16,7 +16,11 @@ from cases.output.report import figures
 from cases.scene.numbers import place_of
 from cases.scene.scene import load_scene, shipped_scenes
 from cases.scene.units import DERIVED, DIMENSIONS, Units
+from cases.studies.cost import CostStudy
+from cases.studies.cost_page import cost_page
+from cases.studies.law import FULL, Law
 from cases.studies.picture import study_figure
+from cases.studies.prices import Priced
 from cases.studies.sweep.sweep import sweep
 from cases.studies.sweep.sweep_page import sweep_page
 from fpk.contact import Contact
@@ -241,6 +245,33 @@ def test_a_sweep_says_the_units_of_its_axes_and_values(scene):
     bare = sweep(load_scene(scene).system, ["contact.clearance=0.5,1"], ["rms(q2)"],
                  methods=["nonintegrable/closed-form"])  # fmt: skip
     assert bare.record()["units"] == [None] and "[" not in sweep_page(bare, page.scene).text()
+
+
+def test_the_cost_of_sampling_says_the_units_of_its_times(scene, tmp_path):
+    """L1 = A/√W + B dt^r is a number: A is in √s, B in s^-r, W and dt in s."""
+    law = Law("exact_flow", 3.2, 0.17, True, 4, 5e-9, 0.5, 39.0)
+    loaded = load_scene(scene)
+
+    def page(scene, unit):
+        point = law.point(1e-3, unit)
+        route = Priced("exact_flow", FULL, "L1", (point,))
+        return point.settings, cost_page(CostStudy(scene, [route], laws=[law]))
+
+    settings, own = page(loaded, loaded.units.time)
+    assert settings.count(" s") == 2 and settings.endswith(" s") and " paths, time " in settings
+    text = own.text()
+    assert settings in text and "s^(-order)" in text.replace("\\", "")
+    (table,) = [t for t in own.tables if t.name == "laws"]
+    head, _ = table.cells()
+    assert {"noise [s^0.5]", "largest [s]", "relaxation [s]", "seconds a step"} < set(head)
+    assert table.variables()["laws_largest"][2] == {"units": "s"}
+    # Processor times are seconds whatever the scene's time is in; errors are numbers.
+    axes = study_figure(own.panels).axes
+    assert axes[0].get_xlabel() == "processor time in seconds, one thread"
+    path = tmp_path / "bare.toml"
+    path.write_text(scene.read_text().removesuffix(MM))
+    settings, bare = page(load_scene(path), "")
+    assert " s" not in settings and "[" not in bare.text() and "^(" not in bare.text()
 
 
 def test_axes_say_units_while_a_scene_is_drawn():

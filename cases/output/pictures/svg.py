@@ -115,6 +115,8 @@ def inline_svg(svg: str, words: str) -> Markup:
     numbers = count()
     for group in (root, *root.iter("g")):
         _mark(group, numbers)
+    if root.find(".//image") is not None:
+        root.set("class", "image")
     root.attrib = {"role": "img", "aria-label": words, **root.attrib}
     return Markup(tostring(root, encoding="unicode"))
 

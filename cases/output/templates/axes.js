@@ -21,7 +21,7 @@ function ticks(low, high, log, count) {
   if (!(high > low && Number.isFinite(high - low) && (low > 0 || !log))) return list;
   if (log && high / low > 15) {
     const first = Math.ceil(Math.log10(low) - 1e-9), last = Math.floor(Math.log10(high) + 1e-9);
-    const stride = Math.ceil((last - first + 1) / count), each = stride > 1 || last - first > 3 ? [1] : [1, 2, 5];
+    const stride = Math.ceil((last - first + 1) / count), each = stride > 1 || last - first > 3 || 3 * (last - first + 1) > 2 * count ? [1] : [1, 2, 5];
     for (let k = first - 1; k <= last; k++) if ((k - first) % stride === 0) for (const m of each) list.push(+`${m}e${k}`);
     return list.filter(v => v >= low * (1 - 1e-9) && v <= high * (1 + 1e-9));
   }
