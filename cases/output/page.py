@@ -121,12 +121,9 @@ def _source(name: str) -> Markup:
 
 
 def _dark_curves() -> Markup:
-    """Rules by which curves take their colours on a dark page; those of an attribute yield.
-
-    Beside an image, which has the colours that it has, they stay.
-    """
+    """Rules by which curves take their colours on a dark page; those of an attribute yield."""
     rules = "".join(
-        f'svg:not(.image) [{key}="{light}"]{{{key}:{dark}}}'
+        f'[{key}="{light}"]{{{key}:{dark}}}'
         for light, dark in zip(COLOURS, DARK, strict=True)
         for key in ("fill", "stroke")
     )

@@ -1,15 +1,18 @@
 """Maps, answers in time and pages of studies in a browser: numbers, hover, keyboard, toggles."""
 
 import json
+from io import BytesIO
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import fpk as face
 from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
 from cases.output.digest import digest_of
 from cases.output.live import live_record
+from cases.output.pictures.style import COLOURS, DARK
 from cases.output.report import write_report
 from cases.output.words import named
 from cases.scene.scene import load_scene
@@ -275,12 +278,20 @@ def test_what_there_is_not_is_null_in_the_data_and_empty_in_the_picture(sweeps):
 
 DRAWN = """
 const picture = document.querySelector("figure > svg");
-const filled = colour => [...picture.querySelectorAll(`[fill="${colour}"]`)].map(
+const filled = colour => [...picture.querySelectorAll(`[fill="${colour}" i]`)].map(
   e => getComputedStyle(e).fill);
-return {paper: getComputedStyle(document.body).backgroundColor, halo: filled("#f4f4f4"),
+const box = picture.getBoundingClientRect();
+return {top: box.top, height: box.height,
+  paper: getComputedStyle(document.body).backgroundColor, halo: filled("#f4f4f4"),
   ink: [...picture.querySelectorAll("text")].map(e => getComputedStyle(e).fill),
   first: filled("#00a688"), image: picture.querySelectorAll("image").length};
 """
+
+
+def drawn_in(shot, colour):
+    """The number of pixels in about a colour."""
+    rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+    return int((np.abs(shot - rgb).max(axis=2) < 12).sum())
 
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
@@ -289,11 +300,17 @@ def test_drawn_pictures_of_studies_are_legible_on_both_pages(browser, pages, dar
     for name in ("cost", "regime"):
         browser.open(pages[name], width=1280, script=False, dark=dark)
         found[name] = browser.result(DRAWN)
+        part = {"top": int(found[name]["top"]), "height": int(found[name]["height"])}
+        shot = Image.open(BytesIO(browser.shot(**part))).convert("RGB")
+        found[name]["shot"] = np.asarray(shot, dtype=int)
     # Words stand on a box of the page's colour, in the colour of its text.
     (box,) = set(found["cost"]["halo"])
     assert box == found["cost"]["paper"] and len(set(found["cost"]["ink"])) == 1
     assert HALO["fc"] == "#f4f4f4" and box not in found["cost"]["ink"]
-    assert set(found["cost"]["first"]) == {"rgb(0, 253, 211)" if dark else "rgb(0, 166, 136)"}
+    # The second route is a symbol alone, drawn in the colour of its page and no other.
+    own, other = (DARK[1], COLOURS[1]) if dark else (COLOURS[1], DARK[1])
+    assert drawn_in(found["cost"]["shot"], own) > 10
+    assert drawn_in(found["cost"]["shot"], other) == 0
     # The colours of a legend are those of the image, which has one set of them.
     assert found["regime"]["image"] > 0 and set(found["regime"]["first"]) == {"rgb(0, 166, 136)"}
 

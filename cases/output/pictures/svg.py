@@ -108,7 +108,8 @@ def inline_svg(svg: str, words: str) -> Markup:
     """Return SVG to stand inside a page: ink takes the page's colour, no background, no styles.
 
     Nothing is in it that the page says already or nobody reads: fonts, names of groups, groups
-    without attributes. ``words`` describe it to those who do not see it.
+    without attributes. Beside an image, whose colours stay on a dark page, colours are in capitals,
+    which the rules of the page do not replace. ``words`` describe it to those who do not see it.
     """
     root = fromstring(svg.replace(INK, "currentColor"))
     _lean(root, {name: set() for name in re.findall(r"#(\w+)", svg)})
@@ -116,7 +117,9 @@ def inline_svg(svg: str, words: str) -> Markup:
     for group in (root, *root.iter("g")):
         _mark(group, numbers)
     if root.find(".//image") is not None:
-        root.set("class", "image")
+        for element in root.iter():
+            ink = {key: element.get(key, "").upper() for key in ("fill", "stroke")}
+            element.attrib |= {key: v for key, v in ink.items() if v.startswith("#")}
     root.attrib = {"role": "img", "aria-label": words, **root.attrib}
     return Markup(tostring(root, encoding="unicode"))
 
