@@ -11,6 +11,7 @@ from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
 from cases.output.digest import digest_of
 from cases.output.live import live_record
+from cases.output.page import PageStyle
 from cases.output.report import report_html, write_report
 from cases.scene.scene import load_scene
 from cases.studies.page import Page
@@ -122,3 +123,15 @@ def test_the_title_of_a_page_is_text_in_markdown(words, tmp_path, scene_text):
     title = first.removeprefix("# ")
     assert re.sub(r"\\(.)", r"\1", title) == page.title
     assert not re.search(r"[`*_\[\]<>&|$]", re.sub(r"\\.", "", title))
+
+
+def test_names_of_columns_are_strings_of_the_style():
+    style = PageStyle()
+    names = [*PAYLOADS, "time [s]", "|z|", "a\\", "", "p(q₂)\n}", "9 lives"]
+    assert style.table(names) == style.table(names) == "t0" != style.table(names[1:])
+    rules = style.text.partition("44rem) { .t0")[2]
+    # Nothing ends a string but its own mark, for which special characters stand as numbers.
+    strings = re.findall(r'content:"([^"]*)"', rules)
+    shown = [re.sub(r"\\([0-9a-f]+) ", lambda m: chr(int(m[1], 16)), s) for s in strings]
+    assert shown == [*names, *names[1:]]
+    assert "<" not in rules and not any(set(s) & set("{};'\n") for s in strings)
