@@ -201,11 +201,15 @@ def comparison_rows(comparisons: Iterable[Comparison]) -> list[Record]:
 
 
 def quantity_row(quantity: Quantity, units: Units = NO_UNITS) -> Record:
-    """Return the entry of a quantity by one route, with its ``unit`` where units have names."""
+    """Return the entry of a quantity by one route, with its ``unit`` where units have names.
+
+    Its ``name`` is the one that ``fpk sweep`` takes.
+    """
     unit = units.number(quantity.quantity, quantity.observable)
     return {
         "observable": quantity.observable,
         "quantity": quantity.quantity,
+        "name": quantity.name,
         "route": quantity.route.label,
         "value": quantity.number.value,
         "error": quantity.number.error,
