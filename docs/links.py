@@ -5,7 +5,6 @@ every name that it mentions as ``path::name``, a class with its members; "Eq. (n
 a link of its own. Examples are those in which sphinx-gallery saw the name.
 """
 
-import inspect
 import re
 from functools import cache
 from pathlib import Path
@@ -53,11 +52,8 @@ def defined(obj: object) -> str:
     An inherited member is that of the class which defines it.
     """
     obj = getattr(obj, "fget", None) or getattr(obj, "func", obj)
-    try:
-        path = Path(inspect.getsourcefile(obj)).resolve()
-        return f"{path.relative_to(DOCS.parent).as_posix()}::{obj.__qualname__}"
-    except (AttributeError, TypeError, ValueError):
-        return ""
+    module, name = (getattr(obj, key, None) for key in ("__module__", "__qualname__"))
+    return f"{module.replace('.', '/')}.py::{name}" if module and name else ""
 
 
 def theory_of(name: str, obj: object) -> dict[str, str]:
@@ -86,8 +82,8 @@ def links_of(what: str, name: str, obj: object, text: str, source: Path) -> tupl
     """
     entry = what in ("class", "function", "exception")
     theory = theory_of(name, obj)
-    pages = gallery_of(name, source) if entry else []
-    parts = ["Theory: " + ", ".join(f":ref:`{t} <{label}>`" for label, t in theory.items())]
+    pages = gallery_of(name, source)
+    parts = ["See: " + ", ".join(f":ref:`{t} <{label}>`" for label, t in theory.items())]
     parts += ["In the gallery: " + ", ".join(f":doc:`{p}`" for p in pages[:MOST_EXAMPLES])]
     line = ". ".join(part for part in parts if part[-2:] != ": ")
     room = getattr(obj, "__module__", "").partition(".")[0]

@@ -33,7 +33,7 @@ def test_members_are_linked_where_they_are_defined(tmp_path):
         ("sim.MonteCarlo.transient", "simulation-in-time"),
     ):
         line, lacking = links_of(name, tmp_path, "method")
-        assert line.startswith("Theory: ") and f"<{words}>`" in line and not lacking
+        assert line.startswith("See: ") and f"<{words}>`" in line and not lacking
     assert links_of("fpk.System.hamiltonian", tmp_path, "method") == ("", "")  # as its class
 
 
