@@ -7,9 +7,14 @@ from importlib.metadata import version as version_of
 from importlib.util import find_spec
 from pathlib import Path
 
+from sphinx.util import logging
+
 from cases.commands.examples import EXAMPLES
 
 sys.path.insert(0, str(Path(__file__).parent))
+from links import links_of, with_equations
+
+logger = logging.getLogger(__name__)
 os.environ.setdefault("MPLBACKEND", "Agg")
 for library in ("OPENBLAS", "MKL", "OMP"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
@@ -94,40 +99,29 @@ autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 add_module_names = False
 LITERAL = re.compile(r"(``.*?``)")
-EQUATION = re.compile(r"(Eqs?\. \((\d+)\))")
-SECTIONS = {
-    "system": range(1, 7),
-    "exact": range(7, 9),
-    "one-energy": (*range(9, 12), *range(24, 31)),
-    "modal-energies": (*range(12, 21), *range(31, 37)),
-}
-
-
-MOST_EXAMPLES = 5
-"""Links to the gallery at one name."""
 
 
 def as_written(text: str) -> str:
     """Return plain text as reStructuredText: |x| and * mean nothing, equations are links."""
-    text = re.sub(r"([|*_](?!\w))|([|*](?=\w))", r"\\\g<0>", text)
-    section = {n: name for name, numbers in SECTIONS.items() for n in numbers}
-    return EQUATION.sub(lambda m: f":ref:`{m[1]} <{section[int(m[2])]}>`", text)
+    return with_equations(re.sub(r"([|*_](?!\w))|([|*](?=\w))", r"\\\g<0>", text))
 
 
 def docstring(app, what, name, obj, options, lines):
-    """Docstrings are plain text with ``code``; examples of the gallery follow those of the face."""
+    """Docstrings are plain text with ``code``; links to theory and gallery follow.
+
+    A name of the reference that lacks them is a warning, which fails the build.
+    """
+    text = "\n".join(lines)
     for k, line in enumerate(lines):
         if not line.startswith("    "):
             parts = LITERAL.split(line)
             parts[::2] = [as_written(part) for part in parts[::2]]
             lines[k] = "".join(parts)
-    if what in ("class", "function") and name.partition(".")[0] in ROOMS:
-        used = Path(app.srcdir, "gallery", "backreferences", f"{name}.examples")
-        shown = used.read_text(encoding="utf-8") if used.exists() else ""
-        pages = dict.fromkeys(re.findall(r":doc:`(/gallery/\w+)`", shown))
-        if pages:
-            links = ", ".join(f":doc:`{page}`" for page in list(pages)[:MOST_EXAMPLES])
-            lines += ["", f"In the gallery: {links}", ""]
+    if name.partition(".")[0] in ROOMS:
+        links, missing = links_of(what, name, obj, text, Path(app.srcdir))
+        lines += ["", links, ""] if links else []
+        if missing:
+            logger.warning("%s has %s", name, missing)
 
 
 def examples(app, context, lines):

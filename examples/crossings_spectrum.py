@@ -55,3 +55,13 @@ total, beyond = 2.0 * np.trapezoid(spectrum.values, frequencies), 2.0 * 0.3 / (3
 variance = fpk.solve(between_stops, ["q1"], methods=["exact"])["q1"].variance().value
 print(f"integral of the spectrum {total:.5f} + {beyond:.5f}, variance {variance:.5f}")
 assert abs(total + beyond - variance) <= 0.5 * beyond
+
+# %%
+# How fast is the past forgotten? The eigenvalues of the FPK operator with the least real parts: one
+# mass without stops has :math:`c/2 \pm i\omega`, here :math:`0.3 \pm 0.954 i`.
+
+rates = Linear().relaxation(free, 1)
+stopped = PhaseSpace().relaxation(between_stops, 1)
+print(f"without stops {rates.values[0]:.6f}, with stops {stopped.values[0]:.4f}")
+assert abs(rates.values[0] - complex(0.3, np.sqrt(1.0 - 0.3**2))) <= rates.errors[0] + 1e-14
+assert stopped.certificate.certified

@@ -30,6 +30,11 @@ axes.plot(x, p(x))
 axes.set(xlabel="$q_2$", ylabel="$p(q_2)$")
 
 # %%
+# The same in one line, with its error; ``log`` shows the tails.
+
+fpk.plot(p, log=True)
+
+# %%
 # A density comes with an estimate of its error at every point, and with its certificate.
 q = np.linspace(-1.5, 1.5, 31)
 value, error = p.at(q)

@@ -2,12 +2,12 @@
 Files for other programs: VTK, netCDF, CSV
 ==========================================
 
-``fpk export`` writes the densities of a scene; the ending says the format. Here a field is written
-for ParaView, read back with PyVista, and held against the density itself.
+``fpk export`` writes the densities of a scene; the ending says the format. In Python the same is
+done by functions. Here a field is written for ParaView, read back with PyVista, and held against
+the density itself.
 """
 
-import subprocess
-import sys
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,16 +17,19 @@ import numpy as np
 import pyvista
 
 import fpk
+from averaging import Exact
+from cases.comparison.run import run_scene
+from cases.output.fields import write_netcdf
+from cases.output.vtk import write_vtu
+from cases.scene.scene import shipped_scenes
+from fpk.observable import parse_observable
 
-fpk_command = [sys.executable, "-c", "from cases.commands.cli import main; main()"]
+assert "fig3a" in shipped_scenes()
+scene = fpk.load("fig3a")
+outcome = run_scene(replace(scene, observables=(parse_observable("q2,p2", 2),)), [Exact()])
 with TemporaryDirectory() as folder:
-    for name in ("field.vtu", "field.nc"):
-        out = str(Path(folder) / name)
-        subprocess.run(
-            [*fpk_command, "export", "fig3a", "--of", "q2,p2", "--out", out],
-            check=True,
-            capture_output=True,
-        )
+    write_vtu(outcome, Path(folder) / "field.vtu")
+    write_netcdf(outcome, Path(folder) / "field.nc")
     mesh = pyvista.read(Path(folder) / "field.vtu")
     with h5netcdf.File(Path(folder) / "field.nc") as file:
         print("netCDF holds", ", ".join(file.variables))

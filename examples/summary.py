@@ -48,6 +48,8 @@ error = rms["nonintegrable/fem", "value"] / true - 1.0
 print(f"energy averaging is off by {100 * error:+.2f} %")
 assert 0.003 < -error < 0.01
 assert rms["integrable/closed-form", "value"] > 1.85 * true
+for row in answers.quantities:  # the same one by one, by names that a sweep takes
+    assert row.number.error >= 0.0 and row.name.endswith(")"), row
 assert not answers.problems
 assert not sweep.problems
 assert (rms_of.diff("contact.1.clearance") > 0.0).all()

@@ -11,6 +11,9 @@ from fpk.observable import Coordinate, Observable
 from fpk.quantities import Quantities
 from fpk.system import System
 
+OVER_ALL_TIME = ("contact probability", "mean overlap", "mean force")
+"""Expectations over all time: 0 while there is no contact."""
+
 
 def contact_quantities(stop: Contact, displacement: Quantities) -> Mapping[str, Number]:
     """Return numbers of the contact at a one-sided ``stop``, by their names.
@@ -25,20 +28,26 @@ def contact_quantities(stop: Contact, displacement: Quantities) -> Mapping[str, 
         contact_quantities(system.stops[0], q2)["mean force"]
     """
 
-    def overlap(q: Array) -> Array:
-        return np.maximum(stop.sign * q - stop.clearance, 0.0)
-
-    at = stop.sign * stop.clearance
-    touching = displacement.exceedance(at) if stop.sign > 0 else displacement.cdf(at)
-    depth = displacement.expectation(overlap, kinks=(at,))
-    force = displacement.expectation(lambda q: stop.force(overlap(q)), kinks=(at,))
+    touching, depth, force = (contact_quantity(name, stop, displacement) for name in OVER_ALL_TIME)
     return {
-        "contact probability": touching,
-        "mean overlap": depth,
-        "mean force": force,
+        **dict(zip(OVER_ALL_TIME, (touching, depth, force), strict=True)),
         "overlap in contact": ratio(depth, touching),
         "force in contact": ratio(force, touching),
     }
+
+
+def contact_quantity(name: str, stop: Contact, displacement: Quantities) -> Number:
+    """Return that of ``contact_quantities`` that ``name`` names, one of ``OVER_ALL_TIME``."""
+    at = stop.sign * stop.clearance
+    if name == "contact probability":
+        return displacement.exceedance(at) if stop.sign > 0 else displacement.cdf(at)
+
+    def overlap(q: Array) -> Array:
+        return np.maximum(stop.sign * q - stop.clearance, 0.0)
+
+    if name == "mean overlap":
+        return displacement.expectation(overlap, kinks=(at,))
+    return displacement.expectation(lambda q: stop.force(overlap(q)), kinks=(at,))
 
 
 def joint_at_stops(system: System, observables: Sequence[Observable]) -> list[Observable]:

@@ -39,6 +39,8 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "sweep": (
         'fpk sweep fig6a --vary contact.clearance=0.3:1:8 --quantity "rms(q2)" --out out/sweep',
+        'fpk sweep fig3a --vary system.noise_intensity=0.5,1,2 --quantity "upcrossing_rate(1)"'
+        ' --quantity "correlation(q1,q2)" --method exact',
     ),
     "verify": ("fpk verify", "fpk verify fig6a fig8b --coarse"),
     "regime": (

@@ -137,8 +137,8 @@ def regime(scene: "Scene", vary: tuple[str, ...], **settings: Any) -> tuple[Any,
 @over_grid
 @click.option(
     "--quantity", multiple=True, required=True, metavar="Q",
-    help="rms(q2), quantile(q2,0.99), exceedance(q2,1.2), mean_force(1), failure_rate(H=1.5),"
-    " averaging_error(q2), ...",
+    help="rms(q2), quantile(q2,0.99), correlation(q1,q2), mean_force(1), upcrossing_rate(1,left),"
+    " failure_rate(H=1.5), averaging_error(q2), ...",
 )  # fmt: skip
 @click.option(
     "--method", multiple=True, metavar="METHOD[/SOLVER]",

@@ -20,25 +20,26 @@ from cases.comparison.compare import (
     discrepancies,
     measured_between,
 )
-from fpk.contact import Contact
-from fpk.contact_quantities import contact_quantities
+from cases.comparison.quantity import (
+    CONTACT,
+    MOMENTS,
+    QUANTILES,
+    UPCROSSING,
+    Definition,
+    shown_of,
+)
 from fpk.density import AnyDensity, Density
 from fpk.dynamics import Crossings
 from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Result, silent
 from fpk.number import Number
-from fpk.observable import Coordinate
+from fpk.observable import Coordinate, observable_name
 from fpk.route import Route
 from fpk.sampled_density import ErrorKind, SampledDensity
 from fpk.system import System
 from fpk.upcrossings import upcrossings
 
-QUANTILES = {"quantile 1 %": 0.01, "median": 0.5, "quantile 99 %": 0.99}
-FELT = (
-    "contact probability", "mean overlap", "overlap in contact", "mean force", "force in contact",
-)  # fmt: skip
-RATE = "upcrossing rate"
-MOST = len(QUANTILES) + 5 + 2 * (len(FELT) + 1)
+MOST = len(QUANTILES) + len(MOMENTS) + 2 * (len(CONTACT) + 1)
 """Quantities of one observable between two stops, which share the rate of false alarms."""
 
 
@@ -46,48 +47,45 @@ MOST = len(QUANTILES) + 5 + 2 * (len(FELT) + 1)
 class Quantity:
     """A number that follows from the density of ``observable`` by ``route``, with its error.
 
-    ``reach`` is how far it may be from the truth: by numerics its error, by chance what is exceeded
-    in ``FALSE_ALARMS`` by any of the quantities of the observable. ::
+    ``quantity`` is its name in tables, as ``contact probability, left stop``, and ``name`` the one
+    that ``fpk.sweep`` takes, as ``contact_probability(1,left)``. ``reach`` is how far it may be
+    from the truth: by numerics its error, by chance what is exceeded in ``FALSE_ALARMS`` by any of
+    the quantities of the observable. ::
 
         for x in fpk.solve(system, ["q2"], methods=["integrable"]).quantities:
             print(x.observable, x.quantity, x.route.label, x.number.value, x.number.error)
     """
 
-    observable: str
+    definition: Definition
     quantity: str
     route: Route
     number: Number
     error_kind: ErrorKind
     reach: float
 
+    @property
+    def observable(self) -> str:
+        """The name of what it is a quantity of, such as ``q2``."""
+        return observable_name(self.definition.observable)
+
+    @property
+    def name(self) -> str:
+        """The name that a user writes, such as ``rms(q2)``."""
+        return str(self.definition)
+
 
 def quantities_of(system: System, results: Sequence[Result]) -> tuple[Quantity, ...]:
-    """Return the quantities of every density: by observable, quantity, route.
+    """Return the quantities of every density: those of ``shown_of``, by observable and route.
 
-    Routes are in the order of ``Answers.densities``. Of a coordinate: mean, rms, std, skewness,
-    kurtosis and ``QUANTILES``. Of a displacement besides, for every stop of its mass: ``FELT`` of
-    ``contact_quantities``, and the upcrossing rate of its position, which is that of impacts. Of a
-    pair: covariance and correlation.
+    Routes are in the order of ``Answers.densities``. The upcrossing rate of the position of a stop
+    is that of impacts.
     """
-    rows: list[Quantity] = []
-    for result in results:
-        rates = list(_rates(system, result))
-        for density in result.densities:
-            one = len(density.observable) == 1
-            rows += _quantities(system, result, density) if one else _of_pair(result, density)
-        rows += rates
-    observables = list(dict.fromkeys(q.observable for q in rows))
-    names = list(dict.fromkeys(q.quantity for q in rows))
-    # Beside the share of time in contact.
-    for rate in [name for name in names if name.startswith(RATE)]:
-        share = FELT[0] + rate.removeprefix(RATE)
-        if share in names:
-            names.remove(rate)
-            names.insert(names.index(share) + 1, rate)
+    rows = [row for result in results for row in _rows(system, result)]
+    observables = list(dict.fromkeys(q.definition.observable for q in rows))
+    order = [definition for o in observables for definition in shown_of(system, o)]
 
-    def place(q: Quantity) -> tuple[int, int, bool, bool]:
-        averaged = q.route.solves != "full"
-        return observables.index(q.observable), names.index(q.quantity), q.route.sampled, averaged
+    def place(q: Quantity) -> tuple[int, bool, bool]:
+        return order.index(q.definition), q.route.sampled, q.route.solves != "full"
 
     return tuple(sorted(rows, key=place))
 
@@ -103,7 +101,7 @@ def compared_quantities(
     by_route = {r.method.route: r for r in results}
     comparisons = []
     for a, b in combinations(quantities, 2):
-        if (a.observable, a.quantity) != (b.observable, b.quantity):
+        if a.definition != b.definition:
             continue
         difference = abs(a.number.value - b.number.value)
         if not isfinite(difference):
@@ -147,78 +145,60 @@ def _certified(result: Result, name: str) -> bool:
     return all(d.certificate.certified for d in result.densities if d.name == name)
 
 
-def _quantities(system: System, result: Result, density: AnyDensity) -> Iterator[Quantity]:
-    route, kind = result.method.route, density.error_kind
-
-    def row(name: str, number: Number, reach: float) -> Quantity:
-        return Quantity(density.name, name, route, number, kind, reach)
-
-    std = density.std()
-    for name, number, size in (
-        ("mean", density.mean(), std.value),
-        ("rms", density.rms(), 0.0),
-        ("std", std, 0.0),
-        ("skewness", density.skewness(), 1.0),
-        ("kurtosis", density.kurtosis(), 0.0),
-    ):
-        yield row(name, number, reach_of(density, number, size))
-    for name, p in QUANTILES.items():
-        number = density.quantile(p)
-        yield row(name, number, _reach_of_quantile(density, p, number))
-    for stop, where in _stops_at(system, density.observable[0]):
-        felt = contact_quantities(stop, density)
-        for name in FELT:
-            yield row(f"{name}, {where}", felt[name], reach_of(density, felt[name], 0.0))
-
-
-def _of_pair(result: Result, density: AnyDensity) -> Iterator[Quantity]:
-    route, kind = result.method.route, density.error_kind
-    covariance, correlation = density.covariance(), density.correlation()
-    # What both would be of coordinates in proportion to each other.
-    size = abs(covariance.value / correlation.value) if correlation.value else covariance.error
-    for name, number, most in (
-        ("covariance", covariance, size),
-        ("correlation", correlation, 1.0),
-    ):
-        yield Quantity(density.name, name, route, number, kind, reach_of(density, number, most))
-
-
-def _rates(system: System, result: Result) -> Iterator[Quantity]:
-    """The upcrossing rates of all stops of masses whose displacement is observed."""
-    method, known = result.method, {d.observable: d for d in (*result.densities, *result.beside)}
+def _rows(system: System, result: Result) -> Iterator[Quantity]:
+    """The quantities by one route: of each density, then the rates at stops."""
+    route = result.method.route
+    for density in result.densities:
+        for definition in shown_of(system, density.observable):
+            if definition.kind != UPCROSSING:
+                number, words = definition.of(density, system), definition.words(system)
+                reach = _reach(definition, density, number)
+                yield Quantity(definition, words, route, number, density.error_kind, reach)
+    observed = {d.observable for d in result.densities}
     for row in system.contact_masses:
         q, p = Coordinate("q", row), Coordinate("p", row)
-        if not {(q,), (q, p)} & {d.observable for d in result.densities}:
-            continue
-        stops = list(_stops_at(system, q))
-        at = np.array([stop.sign * stop.clearance for stop, _ in stops])
-        joint = known.get((q, p))
+        if {(q,), (q, p)} & observed:
+            yield from _rates(system, result, q, p)
+
+
+def _rates(system: System, result: Result, q: Coordinate, p: Coordinate) -> Iterator[Quantity]:
+    """The upcrossing rates of all stops of the mass with the displacement ``q``."""
+    method = result.method
+    definitions = [d for d in shown_of(system, (q,)) if d.kind == UPCROSSING]
+    at = np.array([level for d in definitions for level in d.levels(system)])
+    known = {d.observable: d for d in (*result.densities, *result.beside)}
+    joint = known.get((q, p))
+    if joint is not None:
+        values, errors = upcrossings(joint, float(system.mass[q.row]), at)
+    elif isinstance(method, Crossings) and method.route.quick and not method.route.sampled:
+        try:
+            curve = method.crossings(system, (q,), at, tol=None, progress=silent)
+        except (NotApplicable, NotCertified):
+            return
+        values, errors = curve.values, curve.errors
+    else:
+        return
+    kind = "numerical" if joint is None else joint.error_kind
+    for definition, value, error in zip(definitions, values, errors, strict=True):
+        rate = Number(float(value), float(error))
+        reach = rate.error + ROUND_OFF * abs(rate.value)
         if joint is not None:
-            values, errors = upcrossings(joint, float(system.mass[row]), at)
-        elif isinstance(method, Crossings) and method.route.quick and not method.route.sampled:
-            try:
-                curve = method.crossings(system, (q,), at, tol=None, progress=silent)
-            except (NotApplicable, NotCertified):
-                continue
-            values, errors = curve.values, curve.errors
-        else:
-            continue
-        kind = "numerical" if joint is None else joint.error_kind
-        for (_, where), value, error in zip(stops, values, errors, strict=True):
-            rate = Number(float(value), float(error))
-            reach = rate.error + ROUND_OFF * abs(rate.value)
-            if joint is not None:
-                reach = reach_of(joint, rate, 0.0)
-            yield Quantity(str(q), f"{RATE}, {where}", method.route, rate, kind, reach)
+            reach = reach_of(joint, rate, 0.0)
+        yield Quantity(definition, definition.words(system), method.route, rate, kind, reach)
 
 
-def _stops_at(system: System, coordinate: Coordinate) -> Iterator[tuple[Contact, str]]:
-    """The stops of a displacement and how they are called: by their side, or where they are."""
-    own = [s for s in system.stops if (coordinate.kind, coordinate.index) == ("q", s.mass - 1)]
-    for stop in own:
-        alone = [s.side for s in own].count(stop.side) == 1
-        where = "" if alone else f" at {stop.sign * stop.clearance:g}"
-        yield stop, f"{stop.side} stop{where}"
+def _reach(definition: Definition, density: AnyDensity, number: Number) -> float:
+    """How far a number of ``density`` may be from the truth, see ``reach_of``."""
+    kind = definition.kind
+    if definition.at is not None:
+        return _reach_of_quantile(density, definition.at, number)
+    size = {"skewness": 1.0, "correlation": 1.0}.get(kind, 0.0)
+    if kind == "mean":
+        size = density.std().value
+    if kind == "covariance":  # what it would be of coordinates in proportion to each other
+        correlation = density.correlation().value
+        size = abs(number.value / correlation) if correlation else number.error
+    return reach_of(density, number, size)
 
 
 def reach_of(density: AnyDensity, number: Number, size: float) -> float:

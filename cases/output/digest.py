@@ -12,7 +12,7 @@ from cases.comparison.run import Outcome
 from cases.comparison.time_claims import time_findings
 from cases.output.facts import facts_record
 from cases.output.records import Record, answer_tail, answer_units, passage_numbers, plain
-from cases.output.words import theory_of_route
+from cases.output.words import stationary_note, theory_of_route
 from cases.scene.questions import TransientQuestion
 from cases.scene.units import NO_UNITS, Units
 from cases.written import SCHEMA
@@ -100,6 +100,7 @@ def _curve(curve: Answers, key: str, units: Units) -> Record:
         **facts_record(curve.system),
         "methods": [*map(method_record, curve.results), *map(refusal_record, curve.refused)],
         "notes": curve.notes,
+        "stationary_note": stationary_note(curve.system),
         "quantities": [quantity_row(q, units) for q in curve.quantities],
         "comparisons": comparison_rows(curve.comparisons),
         "quantity_comparisons": comparison_rows(curve.quantity_comparisons),
@@ -201,11 +202,15 @@ def comparison_rows(comparisons: Iterable[Comparison]) -> list[Record]:
 
 
 def quantity_row(quantity: Quantity, units: Units = NO_UNITS) -> Record:
-    """Return the entry of a quantity by one route, with its ``unit`` where units have names."""
+    """Return the entry of a quantity by one route, with its ``unit`` where units have names.
+
+    Its ``name`` is the one that ``fpk sweep`` takes.
+    """
     unit = units.number(quantity.quantity, quantity.observable)
     return {
         "observable": quantity.observable,
         "quantity": quantity.quantity,
+        "name": quantity.name,
         "route": quantity.route.label,
         "value": quantity.number.value,
         "error": quantity.number.error,

@@ -5,14 +5,17 @@ from cases.output.records import Record
 from cases.output.words import named
 from cases.written import percent
 
+RELIABILITY = "in P(T > t) at the times asked for"
+
 
 def headline_of(curves: list[Record]) -> str:
     """Return how far each averaged theory is from the full system, in one sentence.
 
     Of each curve and theory it is the largest L1 distance of a density, each by the reference with
     which its error is least. Under modulated noise, which stationary densities know nothing of, the
-    densities are those at the times of the [[transient]] tables; where there are none, the sentence
-    says that it is about constant noise. Empty where nothing of it is known.
+    densities are those at the times of the [[transient]] tables, or else it is P(T > t) of the
+    [[passage]] tables; without any the sentence says that it is about constant noise. Empty where
+    nothing of it is known.
     """
     parts = []
     for curve in curves:
@@ -31,18 +34,29 @@ def headline_of(curves: list[Record]) -> str:
     return ""
 
 
+def measure_of(curves: list[Record]) -> str:
+    """Return in words what the distance in the sentence of ``headline_of`` is."""
+    if _asked(curves[0])[0] == RELIABILITY:
+        return "Largest difference of P(T > t), T the time of first passage"
+    return "L1 distance ∫|p − p_full| of the density that is furthest off"
+
+
 def _asked(curve: Record) -> tuple[str, list[Record]]:
-    """What densities the sentence is about where they are not stationary, and their distances."""
+    """What the sentence is about where it is no stationary density, and the distances."""
     if curve["system"]["modulation"] is None:
         return "", curve["averaging"]
-    rows = [
-        {**c, "theory": c["a"], "observable": question["question"]}
-        for question in curve["transients"]
-        for c in question["comparisons"]
-        if c["measures"] == "averaging"
-    ]
-    if rows:
-        return "at the times asked for", rows
+    for words, questions, norm in (
+        ("at the times asked for", curve["transients"], "L1"),
+        (RELIABILITY, curve["passages"], "absolute"),
+    ):
+        rows = [
+            {**c, "theory": c["a"], "observable": question["question"]}
+            for question in questions
+            for c in question["comparisons"]
+            if (c["measures"], c["norm"]) == ("averaging", norm)
+        ]
+        if rows:
+            return words, rows
     return "under constant noise", curve["averaging"]
 
 

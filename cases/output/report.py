@@ -15,7 +15,7 @@ from cases.comparison.run import Outcome
 from cases.output.digest import curves_of
 from cases.output.facts import theories
 from cases.output.files import write_text
-from cases.output.headline import headline_of
+from cases.output.headline import headline_of, measure_of
 from cases.output.live import live_record
 from cases.output.page import PLOTS, as_script_data, page_record
 from cases.output.pictures.chain import chain_svg
@@ -109,6 +109,7 @@ def report_html(
         "digest": digest,
         "curves": curves,
         "answer": headline_of(curves),
+        "answer_measure": measure_of(curves),
         "tables": [
             {**t, "label": c["label"], "columns": ["quantity", *(f"#{r}" for r in t["routes"])]}
             for c in curves

@@ -5,11 +5,23 @@ from collections.abc import Mapping
 from typing import Any
 
 from fpk.route import ROUTES, Route
+from fpk.system import System
 
 KEYS = re.compile(
     r"(?<![\w-])(?<!--method )(?<!--route )((?:non)?integrable|phase-space|montecarlo)(/[\w-]+)?\b"
 )
 """Methods that have another name on the command line than for readers, and routes of them."""
+
+CONSTANT_NOISE = (
+    "The noise is modulated: quantities, densities and averaging errors that are not in time are"
+    " those of the stationary state under constant noise, e = 1, which this motion need not reach."
+)
+"""Note on what is stationary, where the scene is not."""
+
+
+def stationary_note(system: System) -> str:
+    """Return what a reader of stationary numbers of ``system`` must know, empty where nothing."""
+    return CONSTANT_NOISE if system.modulation is not None else ""
 
 
 def named(text: str) -> str:

@@ -255,7 +255,8 @@ def test_the_record_of_a_run_has_the_quantities_as_rows():
     assert digest["schema"] == 2
     for curve in (digest, *digest["curves"]):
         for row in curve["quantities"]:
-            assert [*row] == ["observable", "quantity", "route", "value", "error", "error_kind"]
+            keys = ["observable", "quantity", "name", "route", "value", "error", "error_kind"]
+            assert [*row] == keys
             assert isinstance(row["value"], float) and isinstance(row["error"], float)
         assert len(curve["quantities"]) == 2 * 8 + 2 * 6  # of q2 and H, at two stops
     json.dumps(digest, allow_nan=False)

@@ -2,6 +2,7 @@
 
 import re
 from base64 import b64encode
+from dataclasses import replace
 from hashlib import sha256
 from io import StringIO
 from itertools import combinations
@@ -14,9 +15,10 @@ from matplotlib.figure import Figure
 
 from cases.commands.parts import command_line
 from cases.comparison.rare import SPLITTING
-from cases.comparison.routes import register_routes
+from cases.comparison.routes import method_for, register_routes
+from cases.comparison.run import run_scene
 from cases.output.digest import digest_of
-from cases.output.headline import headline_of
+from cases.output.headline import headline_of, measure_of
 from cases.output.live import MARKS
 from cases.output.page import TEMPLATES
 from cases.output.pictures.chain import chain_svg
@@ -25,7 +27,9 @@ from cases.output.pictures.style import COLOURS, DARK, STYLE
 from cases.output.pictures.svg import TOLERANCE, inline_svg, svg_text
 from cases.output.report import report_html
 from cases.output.tables import theory_table
-from cases.output.words import named
+from cases.output.text import rendered
+from cases.output.words import CONSTANT_NOISE, named
+from cases.scene.scene import load_scene
 from cases.written import bound, with_error
 from fpk import Contact, System
 from fpk.route import ROUTES
@@ -150,13 +154,14 @@ def row(theory, reference, L1, error, observable="q2"):
             "observable": observable}  # fmt: skip
 
 
-def curve(*rows, label="", incompatible="no h", modulation=None, transients=()):
+def curve(*rows, label="", incompatible="no h", modulation=None, transients=(), passages=()):
     return {
         "label": label,
         "averaging": rows,
         "regime": {"incompatible": incompatible},
         "system": {"modulation": modulation},
         "transients": transients,
+        "passages": passages,
     }
 
 
@@ -182,14 +187,38 @@ def test_under_modulated_noise_the_answer_is_about_the_times_asked_for():
     modulated = {"modulation": {"times": [0.0, 8.0], "factor": [1.0, 0.0]}}
     stationary = row("nonintegrable", "montecarlo", 0.0061, 1e-4, "H")
     later = {"a": "nonintegrable/fem", "b": "montecarlo", "measures": "averaging", "L1": 0.34,
-             "error": 0.01}  # fmt: skip
+             "norm": "L1", "error": 0.01}  # fmt: skip
     chance = later | {"measures": "sampling", "L1": 0.9}
     asked = [{"question": "H from rest", "comparisons": [later, chance]}]
     expected = "At the times asked for: energy averaging is 34 % off."
     assert headline_of([curve(stationary, transients=asked, **modulated)]) == expected
+    relative, chances = later | {"norm": "relative"}, later | {"norm": "absolute", "L1": 0.02}
+    first = [{"question": "H=1 from rest", "comparisons": [relative, chances]}]
+    both = curve(stationary, transients=asked, passages=first, **modulated)
+    assert headline_of([both]) == expected and measure_of([both]).startswith("L1 distance")
+    failing = [curve(stationary, passages=first, **modulated)]
+    # 2 % and an error of 1 %: within 3 %.
+    expected = (
+        "In P(T > t) at the times asked for: energy averaging is within 3 % of the full system."
+    )
+    assert headline_of(failing) == expected and "P(T > t)" in measure_of(failing)
     alone = headline_of([curve(stationary, label="B = 10", **modulated)])
     assert alone.startswith("At B = 10, under constant noise: energy averaging is within 0.62 %")
     assert "under constant noise" in headline_of([curve(incompatible=None, **modulated)])
+
+
+def test_stationary_numbers_of_a_modulated_scene_say_that_they_are_of_constant_noise():
+    methods = [method_for(name, "closed-form") for name in ("nonintegrable", "integrable")]
+    scenes = [replace(load_scene(n), passages=(), transients=()) for n in ("earthquake", "fig3a")]
+    for scene, modulated in zip(scenes, (True, False), strict=True):
+        digest = digest_of(run_scene(scene, methods))
+        assert bool(digest["stationary_note"]) == modulated
+        digest["averaging"] = [row("nonintegrable", "montecarlo", 0.01, 1e-3, "H")]
+        for details in (True, False):
+            text = " ".join(rendered("run.txt", {"digest": digest, "details": details}).split())
+            note = text.find(CONSTANT_NOISE)
+            assert modulated == (0 <= note < text.index("rms"))
+        assert ("averaging error of H under constant noise: " in text) == modulated
 
 
 def test_quantities_have_a_column_for_each_theory():

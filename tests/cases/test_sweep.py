@@ -17,13 +17,13 @@ from scipy.linalg import solve_continuous_lyapunov
 from scipy.special import erfc
 
 import fpk as face
+from cases.comparison.quantity import parse_definition
 from cases.scene.errors import BadInput
 from cases.scene.numbers import with_numbers
 from cases.scene.scene import load_scene
 from cases.studies.picture import study_figure
 from cases.studies.regime_map.map import build_map
 from cases.studies.sweep.grid import parse_axes
-from cases.studies.sweep.quantity import parse_quantity
 from cases.studies.sweep.sweep_page import sweep_panels
 from fpk.number import Number
 
@@ -32,15 +32,15 @@ ROUND_OFF = 1e-12
 """Relative error of the judges below, solved in double precision."""
 
 
-def covariance_q2(system):
-    """E q2² by the Lyapunov equation A P + P Aᵀ + 2 f D fᵀ = 0 of (q, v), written here anew."""
+def covariance(system):
+    """P of (q, v) by the Lyapunov equation A P + P Aᵀ + 2 f D fᵀ = 0, written here anew."""
     n, m = system.n, 1.0 / system.mass[:, None]
     drift = np.block(
         [[np.zeros((n, n)), np.eye(n)], [-m * system.stiffness_matrix, -m * system.damping]]
     )
     noise = np.zeros((2 * n, 2 * n))
     noise[n:, n:] = 2.0 * m * system.noise_matrix * m.T
-    return solve_continuous_lyapunov(drift, -noise)[1, 1]
+    return solve_continuous_lyapunov(drift, -noise)
 
 
 @pytest.mark.parametrize(
@@ -62,12 +62,63 @@ def test_rms_and_exceedance_of_a_linear_scene_are_those_of_lyapunov(path, own, v
     result = face.sweep(FREE, {path: values}, ["rms(q2)", "exceedance(q2,0.4)"], methods=["linear"])
     assert not result.problems
     for k, value in enumerate(values):
-        rms = sqrt(covariance_q2(face.System(**fields | own(value))))
+        rms = sqrt(covariance(face.System(**fields | own(value)))[1, 1])
         beyond = 0.5 * erfc(0.4 / (sqrt(2.0) * rms))
         # d ln P / d ln rms = (x/rms)² and a little more: 10 covers it for x < 2.5 rms.
         for i, (exact, worth) in enumerate([(rms, 1.0), (beyond, 10.0)]):
             found = result.field("value")[i, 0, k], result.field("error")[i, 0, k]
             assert abs(found[0] - exact) <= found[1] + worth * ROUND_OFF * exact
+
+
+def test_upcrossings_and_correlations_of_a_linear_scene_are_those_of_a_gaussian():
+    names = ["upcrossing_rate(q2,0.3)", "correlation(q1,q2)", "covariance(q1,p2)"]
+    result = face.sweep(FREE, {"system.mass[2]": [0.5, 3.0]}, names, methods=["linear"])
+    assert not result.problems
+    for k, mass in enumerate([0.5, 3.0]):
+        P = covariance(replace(FREE, mass=[1.0, mass]))
+        # Rice: ν(a) = σ_v/(2πσ_q) exp(−a²/2σ_q²).
+        rate = sqrt(P[3, 3] / P[1, 1]) / (2.0 * np.pi) * np.exp(-0.045 / P[1, 1])
+        judges = rate, P[0, 1] / sqrt(P[0, 0] * P[1, 1]), mass * P[0, 3]
+        for i, exact in enumerate(judges):
+            value, error = result.field("value")[i, 0, k], result.field("error")[i, 0, k]
+            # The exponent of the rate is 2.2 at most: 10 covers what it makes of P's error.
+            assert abs(value - exact) <= error + 10.0 * ROUND_OFF and error < 1e-9
+
+
+def test_relaxation_rates_are_those_of_the_drift_matrix_and_of_a_square_root_process():
+    # One mass without contact: λ = c/2m ± iω and sums of them; the averaged energy has k c/m.
+    system = face.System([2], [1], [0.1], [0.05])
+    names = [f"relaxation_rate({k})" for k in (2, 3, 1)]
+    result = face.sweep(system, {"system.damping[1]": [0.1, 0.2]}, names,
+                        methods=["linear", "nonintegrable"])  # fmt: skip
+    assert not result.problems
+    for k, c in enumerate([0.1, 0.2]):
+        # Of the pairs (λ, λ*), (2λ, 2λ*) and λ + λ*: c/2m once, then c/m twice.
+        for j, judges in enumerate([(c / 2, c / 2, c / 4), (c, 1.5 * c, c / 2)]):
+            for i, exact in enumerate(judges):
+                value, error = result.field("value")[i, j, k], result.field("error")[i, j, k]
+                assert abs(value - exact) <= error + ROUND_OFF * exact, (names[i], j)
+
+
+def test_a_run_and_a_sweep_give_the_same_numbers_by_the_same_names():
+    stops = face.Contact(2, "left", 5.0, 0.2), face.Contact(2, "both", 10.0, 0.5)
+    system = face.System([1, 2], [1, 1], [0.1, 0.2], [0.02, 0.02], contacts=stops)
+    run = face.solve(system, ["q2", "H", "q1,q2"], methods=["nonintegrable"]).quantities
+    names = [q.name for q in run]
+    assert {"upcrossing_rate(1,left)", "upcrossing_rate(2,right)", "correlation(q1,q2)"} < {*names}
+    kinds = ["contact_probability", "upcrossing_rate", "mean_force"]
+    wanted = [*names, *(f"{kind}(2)" for kind in kinds)]
+    swept = face.sweep(system, {"system.mass[2]": [2.0, 3.0]}, wanted, methods=["nonintegrable"])
+    assert not swept.problems
+    values, errors = (
+        dict(zip(wanted, swept.field(f)[:, 0, 0], strict=True)) for f in ("value", "error")
+    )
+    for q in run:
+        assert abs(values[q.name] - q.number.value) <= errors[q.name] + q.number.error, q.name
+    for kind in kinds:  # of both sides of a contact together the sum
+        parts = [f"{kind}(2,{side})" for side in ("left", "right")]
+        off = abs(values[f"{kind}(2)"] - sum(values[part] for part in parts))
+        assert off <= errors[f"{kind}(2)"] + sum(errors[part] for part in parts)
 
 
 def test_failure_rate_is_the_root_of_the_confluent_function():
@@ -150,13 +201,14 @@ def test_a_force_whose_error_is_beyond_it_is_not_certified():
 
 
 def test_a_rate_whose_error_is_beyond_it_is_not_certified():
-    rate = parse_quantity("failure_rate(H=1.5)", FREE)
+    rate = parse_definition("failure_rate(H=1.5)", FREE)
     assert rate.failures(Number(1e-9, 2e-9), None, FREE)
     assert not rate.failures(Number(1e-9, 5e-10), None, FREE)
 
 
 LINE = ["sweep", "fig3a", "--vary", "contact.clearance=0.2:2:3", "--vary", "system.mass[1]=1,2",
-        "--quantity", "rms(q2)", "--quantity", "quantile(q2,0.9)"]  # fmt: skip
+        "--quantity", "rms(q2)", "--quantity", "quantile(q2,0.9)",
+        "--quantity", "upcrossing_rate(1)", "--quantity", "correlation(q1,q2)"]  # fmt: skip
 
 
 KILLED = """
@@ -206,7 +258,7 @@ def test_two_axes_are_numeric_coordinates_and_a_heat_picture(fpk, tmp_path):
         assert one["value"] == face.solve(system, ["q2"], methods=["exact"])["q2"].rms().value
     page = (tmp_path / "result.html").read_text(encoding="utf-8")
     assert (
-        page.count("<tr>") == 1 + 6 * 2 * 3
+        page.count("<tr>") == 1 + 6 * 4 * 3
         and "<svg" in page
         and "http:" not in page.replace("http://www.w3.org", "")
     )
@@ -230,16 +282,19 @@ def test_a_quantity_without_any_value_is_drawn_as_nothing(values):
 
 def test_simulations_have_bands_of_sampling(fpk):
     line = ["sweep", "fig3a", "--vary", "contact[1].clearance=0.3,1", "--quantity", "rms(q2)",
+            "--quantity", "upcrossing_rate(1,right)", "--quantity", "correlation(q1,q2)",
             "--method", "montecarlo", "--method", "exact", "--paths", 4096,
             "--time", 30]  # fmt: skip
     status, out, _ = fpk(*line, "--json")
     record = json.loads(out)
     assert status == 0 and record["methods"] == ["montecarlo", "exact"]
     for point in record["points"]:
-        sampled, exact = point["answers"]
-        assert (sampled["error_kind"], exact["error_kind"]) == ("sampling", "numerical")
-        # Two comparisons at 5 standard errors: one false alarm in 10⁶.
-        assert abs(sampled["value"] - exact["value"]) < 5.0 * sampled["error"]
+        rows = point["answers"]
+        for sampled, exact in zip(rows[::2], rows[1::2], strict=True):
+            assert (sampled["error_kind"], exact["error_kind"]) == ("sampling", "numerical")
+            # Six comparisons at 5 standard errors: one false alarm in 300 000.
+            assert abs(sampled["value"] - exact["value"]) < 5.0 * sampled["error"]
+            assert sampled["error"] < 0.02 * abs(exact["value"])
 
 
 @pytest.mark.parametrize(
@@ -294,13 +349,22 @@ def test_axes_that_change_the_same_number_are_refused(second):
         ("exceedance(q2,inf)", "must be a finite number"),
         ("exceedance(q2,__import__('os'))", "must be a finite number"),
         ("mean_force(2)", "use 1 to 1"),
+        ("mean_force(1,up)", "use left or right"),
+        ("mean_force(1,left,right)", "use left or right"),
+        ("correlation(q1)", "name a pair"),
+        ("upcrossing_rate(q1)", "must be a finite number"),
+        ("upcrossing_rate(p1,1)", "is no contact"),
+        ("upcrossing_rate(q3,1)", "is not an observable"),
+        ("relaxation_rate(0)", "from 1 to 100"),
+        ("relaxation_rate(101)", "from 1 to 100"),
+        ("relaxation_rate(" + "9" * 5000 + ")", "from 1 to 100"),
         ("failure_rate(H)", "use H=1.5"),
         ("__class__(q2)", "is no quantity"),
     ],
 )
 def test_what_is_no_quantity_is_one_line(text, word):
     with pytest.raises(face.InvalidInput) as refusal:
-        parse_quantity(text, load_scene("fig6a").system)
+        parse_definition(text, load_scene("fig6a").system)
     assert word in str(refusal.value) and "\n" not in str(refusal.value)
 
 
@@ -317,8 +381,11 @@ def test_a_method_that_gives_nothing_anywhere_is_refused(fpk):
 
 def test_names_are_what_a_user_writes_and_read_again():
     system = load_scene("fig6a").system
-    for text in ("rms(q2)", "quantile(H,0.99)", "mean_force(1)", "failure_rate(H1=0.4,H2=0.6)"):
-        assert str(parse_quantity(f" {text} ", system)) == text
+    texts = ("rms(q2)", "quantile(H,0.99)", "mean_force(1)", "failure_rate(H1=0.4,H2=0.6)",
+             "mean_force(1,left)", "upcrossing_rate(1)", "upcrossing_rate(q2,0.5)",
+             "correlation(q1,q2)", "relaxation_rate(3)")  # fmt: skip
+    for text in texts:
+        assert str(parse_definition(f" {text} ", system)) == text
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cases.comparison.quantity import AVERAGING
 from cases.scene.numbers import with_numbers
 from cases.scene.scene import Scene
 from cases.studies.regime_map.points import THEORIES, MapPoint, map_point
-from cases.studies.sweep.quantity import AVERAGING
 from cases.studies.sweep.reference import SIMULATION
 from cases.studies.sweep.result import Sweep
 from cases.studies.sweep.sweep import every_answer

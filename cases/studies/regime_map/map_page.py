@@ -7,7 +7,7 @@ import numpy as np
 
 from cases.output.pictures.style import COLOURS, symbol_of
 from cases.output.variables import Variables
-from cases.output.words import named
+from cases.output.words import named, stationary_note
 from cases.scene.units import bracketed
 from cases.studies.page import Page, Table
 from cases.studies.picture import Field, Panel, curves_over, spans_decades
@@ -52,7 +52,14 @@ def map_page(result: RegimeMap) -> Page:
         "regime",
         result.scene,
         f"Map of regimes: {result.scene.title}",
-        [Table("points", "Distances", rows, (summary, words))],
+        [
+            Table(
+                "points",
+                "Distances",
+                rows,
+                (summary, words, *filter(None, [stationary_note(result.scene.system)])),
+            )
+        ],
         regime_panels(result, fields),
         summary=summary,
         gridded=fields,

@@ -1,22 +1,33 @@
 """One point of a sweep: all quantities of a system by several methods."""
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import cache
+from functools import cache, partial
 from math import isfinite
 from time import perf_counter
+from typing import Any, TypeVar
+
+import numpy as np
 
 from cases.comparison.compare import distance_between
+from cases.comparison.quantity import (
+    AVERAGING,
+    PASSAGE,
+    RELAXATION,
+    UPCROSSING,
+    Definition,
+    total,
+)
 from cases.comparison.rare import passage_answer
 from cases.comparison.refusal import REFUSALS
 from cases.comparison.stationary import answers_of
 from cases.scene.questions import PassageQuestion
-from cases.studies.sweep.quantity import AVERAGING, PASSAGE, Quantity
 from cases.studies.sweep.reference import reference_of
 from cases.studies.sweep.result import SweepPoint, Value
 from fpk.density import AnyDensity
+from fpk.dynamics import Crossings, Curve, Rates, Relaxation
 from fpk.errors import NotApplicable, NotCertified
 from fpk.evolution import Passage, Passages
-from fpk.limit import Limit
+from fpk.limit import parse_limit
 from fpk.method import Method, silent
 from fpk.number import Number
 from fpk.observable import Observable, observable_name
@@ -24,6 +35,7 @@ from fpk.start import REST
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
 
+Answer = TypeVar("Answer", Passage, Curve, Rates)
 Asked = tuple[str, tuple[Method, ...]]
 """The name of a method and its solvers in the order in which they are tried."""
 Found = tuple[Number | None, str, tuple[str, ...], str]
@@ -36,7 +48,7 @@ Reference = Callable[[Observable], tuple[str, AnyDensity, tuple[str, ...]]]
 def sweep_point(
     system: System,
     values: tuple[float, ...],
-    quantities: tuple[Quantity, ...],
+    quantities: tuple[Definition, ...],
     asked: Sequence[Asked],
     solver: Method | None,
     simulation: MonteCarlo,
@@ -65,24 +77,62 @@ def _values(
     name: str,
     methods: Sequence[Method],
     system: System,
-    quantities: Sequence[Quantity],
+    quantities: Sequence[Definition],
     reference: Reference,
 ) -> Iterator[Value]:
     """Yield the quantities by one method, whose densities are solved for together."""
     averaged = methods[0].route.solves == "averaged"
-    own = [q for q in quantities if q.limit is None and (averaged or q.kind != AVERAGING)]
+    own = [q for q in quantities if q.of_density or (averaged and q.kind == AVERAGING)]
     densities, refused = _densities(methods, system, list(dict.fromkeys(q.observable for q in own)))
-    passages: dict[str, Passage] = {}
+    crossed = [q for q in quantities if q.kind == UPCROSSING]
+    levels = {
+        o: sorted({x for q in crossed if q.observable == o for x in q.levels(system)})
+        for o in dict.fromkeys(q.observable for q in crossed)
+    }
 
-    def found(quantity: Quantity) -> Found:
+    @cache
+    def passage(limit: str) -> Passage | Exception:
+        """From rest; the limit by its name, as a limit itself has no hash."""
+        question = PassageQuestion(parse_limit(limit, system.n), REST)
+        ask = partial(passage_answer, system=system, question=question)
+        return _first(methods, Passages, "first passage", ask)
+
+    @cache
+    def crossings(observable: Observable) -> Curve | Exception:
+        """Upcrossings of all ``levels`` that are asked for, at once."""
+
+        def ask(method: Crossings, **how: Any) -> Curve:
+            return method.crossings(system, observable, np.array(levels[observable]), **how)
+
+        return _first(methods, Crossings, "upcrossing rate", ask)
+
+    @cache
+    def relaxation() -> Rates | Exception:
+        """The slowest rates, as many as are asked for."""
+        most = int(max(q.at or 0.0 for q in quantities if q.kind == RELAXATION))
+
+        def ask(method: Relaxation, **how: Any) -> Rates:
+            return method.relaxation(system, most, **how)
+
+        return _first(methods, Relaxation, "relaxation rate", ask)
+
+    def found(quantity: Definition) -> Found:
         if quantity.limit is not None:
-            limit = str(quantity.limit)
-            if limit not in passages:
-                passages[limit] = _passage(methods, system, quantity.limit)
-            passage = passages[limit]
-            number = getattr(passage, PASSAGE[quantity.kind])
+            first = _given(passage(str(quantity.limit)))
+            number = getattr(first, PASSAGE[quantity.kind])
             more = () if number is None else quantity.failures(number, None, system)
-            return number, passage.error_kind, (*passage.certificate.failures, *more), ""
+            return number, first.error_kind, (*first.certificate.failures, *more), ""
+        if quantity.kind == UPCROSSING:
+            curve, at = _given(crossings(quantity.observable)), levels[quantity.observable]
+            rows = [at.index(level) for level in quantity.levels(system)]
+            number = total([Number(float(curve.values[k]), float(curve.errors[k])) for k in rows])
+            return number, curve.error_kind, curve.certificate.failures, ""
+        if quantity.kind == RELAXATION:
+            rates, k = _given(relaxation()), int(quantity.at or 1.0) - 1
+            if k >= rates.values.size:
+                raise NotApplicable(f"gives {rates.values.size} rates")
+            number = Number(float(rates.values[k].real), float(rates.errors[k]))
+            return number, "numerical", rates.certificate.failures, ""
         if quantity not in own:
             raise NotApplicable("is no averaged theory")
         if quantity.observable not in densities:
@@ -134,18 +184,20 @@ def _densities(
     return densities, refused
 
 
-def _passage(methods: Sequence[Method], system: System, limit: Limit) -> Passage:
-    """The first passage from rest by the first of ``methods`` that certifies it, else any.
+def _first(
+    methods: Sequence[Method], gives: type, what: str, ask: Callable[..., Answer]
+) -> Answer | Exception:
+    """The answer of the first of ``methods`` that certifies it, else that of any.
 
-    Raises the reason of the first method where none gives it.
+    ``ask`` is a function of a method that ``gives`` such answers; ``what`` they are in words. Where
+    none answers the reason of the first, an exception.
     """
     refused: list[Exception] = []
-    answers: list[Passage] = []
-    question = PassageQuestion(limit, REST)
+    answers: list[Answer] = []
     for method in methods:
-        if isinstance(method, Passages):
+        if isinstance(method, gives):
             try:
-                answer = passage_answer(method, system, question, tol=None, progress=silent)
+                answer = ask(method, tol=None, progress=silent)
             except REFUSALS as error:
                 refused.append(error)
                 continue
@@ -154,4 +206,10 @@ def _passage(methods: Sequence[Method], system: System, limit: Limit) -> Passage
             answers.append(answer)
     if answers:
         return answers[0]
-    raise refused[0] if refused else NotApplicable("gives no first passage")
+    return refused[0] if refused else NotApplicable(f"gives no {what}")
+
+
+def _given(answer: Answer | Exception) -> Answer:
+    if isinstance(answer, Exception):
+        raise answer
+    return answer

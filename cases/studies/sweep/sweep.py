@@ -10,6 +10,7 @@ from time import perf_counter
 
 import numpy as np
 
+from cases.comparison.quantity import AVERAGING, parse_definition
 from cases.comparison.routes import methods_of
 from cases.output.claim import claimed
 from cases.scene.errors import BadInput
@@ -18,7 +19,6 @@ from cases.scene.scene import Scene
 from cases.scene.units import NO_UNITS
 from cases.studies.sweep.answering import sweep_point
 from cases.studies.sweep.grid import Axis, parse_axes, place_words
-from cases.studies.sweep.quantity import AVERAGING, parse_quantity
 from cases.studies.sweep.reference import SIMULATION, settings_of, solver_of
 from cases.studies.sweep.result import Sweep, SweepPoint
 from cases.studies.sweep.store import PointStore
@@ -101,7 +101,7 @@ def every_answer(
     name, units = (system.name, system.units) if isinstance(system, Scene) else ("", NO_UNITS)
     system = system.system if isinstance(system, Scene) else system
     axes = parse_axes(_texts(vary), system, units)
-    wanted = {str(q): q for q in (parse_quantity(text, system) for text in quantities)}
+    wanted = {str(q): q for q in (parse_definition(text, system) for text in quantities)}
     methods = tuple(dict.fromkeys(methods)) or METHODS
     asked = tuple((method, _candidates(method, tol, simulation)) for method in methods)
     solver = solver_of(reference)

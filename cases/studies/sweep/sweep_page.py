@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cases.output.words import named
+from cases.output.words import named, stationary_note
 from cases.scene.scene import Scene
 from cases.scene.units import bracketed
 from cases.studies.page import Page, Table
@@ -43,7 +43,14 @@ def sweep_page(result: Sweep, scene: Scene) -> Page:
         "result",
         scene,
         f"Sweep of {', '.join(a.key for a in result.axes)}: {scene.title}",
-        [Table("points", "Values", rows, (summary, errors, *reasons))],
+        [
+            Table(
+                "points",
+                "Values",
+                rows,
+                (summary, errors, *filter(None, [stationary_note(scene.system)]), *reasons),
+            )
+        ],
         sweep_panels(result),
         summary=summary,
         gridded=result.variables(),

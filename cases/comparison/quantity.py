@@ -1,0 +1,239 @@
+"""Quantities by name, such as ``rms(q2)`` and ``failure_rate(H=1.5)``: read, never evaluated.
+
+Here each is defined once: how it is written, what it follows from, and its number. A run shows
+those of ``shown_of`` for each density, a sweep gives any.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from math import isfinite
+from typing import Any
+
+from fpk.contact import Contact
+from fpk.contact_quantities import contact_quantity, ratio
+from fpk.density import AnyDensity
+from fpk.errors import InvalidInput
+from fpk.limit import Limit, parse_limit
+from fpk.number import Number
+from fpk.observable import (
+    Coordinate,
+    Observable,
+    displacement_row,
+    number_text,
+    observable_name,
+    parse_observable,
+)
+from fpk.system import System
+
+MOMENTS = ("mean", "rms", "std", "skewness", "kurtosis")
+PLAIN = (*MOMENTS, "variance")
+PAIR = ("covariance", "correlation")
+AT_NUMBER = ("quantile", "exceedance", "cdf")
+"""Methods of a density: of one coordinate, of a pair, and of one coordinate and a number."""
+QUANTILES = {"quantile 1 %": 0.01, "median": 0.5, "quantile 99 %": 0.99}
+"""Quantiles that a run shows, by their names there."""
+UPCROSSING = "upcrossing_rate"
+CONTACT = ("contact_probability", "mean_overlap", "overlap_in_contact", "mean_force",
+           "force_in_contact")  # fmt: skip
+"""Numbers of ``contact_quantities``."""
+AT_STOP = (CONTACT[0], UPCROSSING, *CONTACT[1:])
+"""What a run shows of each stop: the rate of impacts beside the share of time in contact."""
+PASSAGE = {"failure_rate": "rate", "mean_passage": "mean"}
+"""Numbers of a ``Passage`` from rest."""
+RELAXATION = "relaxation_rate"
+AVERAGING = "averaging_error"
+MOST_RATES = 100
+RESOLVED = 0.01
+"""Largest error of a force that is certified although the force itself is smaller, in units of the
+force of the springs at the rms displacement."""
+FORMS = (
+    *(f"{name}(q1)" for name in PLAIN), "quantile(q1,0.99)", "exceedance(q1,1.2)", "cdf(q1,1.2)",
+    *(f"{name}(q1,p1)" for name in PAIR), *(f"{name}(1)" for name in AT_STOP),
+    "mean_force(1,left)", f"{UPCROSSING}(q1,1.2)", *(f"{name}(H=1.5)" for name in PASSAGE),
+    f"{RELAXATION}(1)", f"{AVERAGING}(q1)",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Definition:
+    """What a quantity is: ``kind`` is its name before the parenthesis, the rest stands in it.
+
+    A number that follows from the stationary motion of ``observable`` (and of another number,
+    ``at``), from the first passage of ``limit``, or the relaxation rate number ``at``. ``contact``
+    counts the contacts from 0; ``side`` names one of its stops, both where it is empty.
+    """
+
+    kind: str
+    observable: Observable = ()
+    at: float | None = None
+    contact: int | None = None
+    side: str = ""
+    limit: Limit | None = None
+
+    def __str__(self) -> str:
+        """Return the name that a user writes."""
+        if self.contact is not None:
+            inside = [str(self.contact + 1), self.side]
+        else:
+            inside = [observable_name(self.observable), str(self.limit or "")]
+        inside += [] if self.at is None else [number_text(self.at)]
+        return f"{self.kind}({','.join(filter(None, inside))})"
+
+    @property
+    def of_density(self) -> bool:
+        """Whether the number follows from the density of ``observable``."""
+        return self.kind in (*PLAIN, *PAIR, *AT_NUMBER, *CONTACT)
+
+    def words(self, system: System) -> str:
+        """Return the name in tables of a run, such as ``contact probability, left stop``."""
+        for words, p in QUANTILES.items():
+            if (self.kind, self.at) == ("quantile", p):
+                return words
+        words = self.kind.replace("_", " ")
+        if self.contact is None:
+            return words
+        (stop,) = self.stops(system)
+        alone = [(s.mass, s.side) for s in system.stops].count((stop.mass, stop.side)) == 1
+        where = "" if alone else f" at {stop.sign * stop.clearance:g}"
+        return f"{words}, {stop.side} stop{where}"
+
+    def stops(self, system: System) -> tuple[Contact, ...]:
+        """Return the one-sided stops of the contact that it is about, none without."""
+        if self.contact is None:
+            return ()
+        sides = system.contacts[self.contact].one_sided()
+        return tuple(stop for stop in sides if self.side in ("", stop.side))
+
+    def levels(self, system: System) -> tuple[float, ...]:
+        """Return the displacements whose upcrossings are counted: ``at``, or those of the stops."""
+        if self.at is not None:
+            return (self.at,)
+        return tuple(stop.sign * stop.clearance for stop in self.stops(system))
+
+    def of(self, density: AnyDensity, system: System) -> Number:
+        """Return the number of a stationary density of ``observable``.
+
+        What both sides of a contact feel is added up, as are its errors.
+        """
+        if self.contact is None:
+            number: Number = getattr(density, self.kind)(*(() if self.at is None else (self.at,)))
+            return number
+
+        def over_all_time(name: str) -> Number:
+            return total([contact_quantity(name, stop, density) for stop in self.stops(system)])
+
+        what, _, share = self.kind.partition("_in_")
+        if not share:
+            return over_all_time(self.kind.replace("_", " "))
+        return ratio(over_all_time(f"mean {what}"), over_all_time("contact probability"))
+
+    def failures(
+        self, number: Number, density: AnyDensity | None, system: System
+    ) -> tuple[str, ...]:
+        """Return why ``number``, of a certified answer, is not certified itself: no reason, or one.
+
+        A failure rate, a time or a force has no bound but its own size: an error beyond it says
+        nothing. A force that is zero but for rounding is known beside those of the springs. Other
+        quantities are of the size of a probability, of the displacement or of its frequency, to
+        which the certificate of their answer bounds their errors. ``density`` is None where the
+        number follows from none.
+        """
+        force = 0.0
+        if self.kind not in PASSAGE:
+            if density is None or self.contact is None or "force" not in self.kind:
+                return ()
+            index = system.contacts[self.contact].index
+            force = system.stiffness_matrix[index, index] * density.rms().value
+        if abs(number.value) > number.error or number.error < RESOLVED * force:
+            return ()
+        return (f"the error {number.error:.2g} is not below the value {number.value:.2g}",)
+
+
+def total(numbers: Sequence[Number]) -> Number:
+    """Return the sum of ``numbers``; errors are added, as they may be of one sign."""
+    return Number(sum(x.value for x in numbers), sum(x.error for x in numbers))
+
+
+def shown_of(system: System, observable: Observable) -> tuple[Definition, ...]:
+    """Return what a run shows of ``observable``, in this order.
+
+    Of a coordinate: ``MOMENTS`` and ``QUANTILES``; of a displacement besides, for every stop of its
+    mass, ``AT_STOP``. Of a pair: ``PAIR``.
+    """
+    if len(observable) > 1:
+        return tuple(Definition(kind, observable) for kind in PAIR)
+    own = [Definition(kind, observable) for kind in MOMENTS]
+    own += [Definition("quantile", observable, p) for p in QUANTILES.values()]
+    for k, contact in enumerate(system.contacts):
+        if observable == (Coordinate("q", contact.index),):
+            for stop in contact.one_sided():
+                own += [Definition(x, observable, contact=k, side=stop.side) for x in AT_STOP]
+    return tuple(own)
+
+
+def parse_definition(text: str, system: System) -> Definition:
+    """Return the quantity that ``text`` names for ``system``; raise ``InvalidInput`` for none."""
+    match = re.fullmatch(r"\s*(\w+)\s*\((.*)\)\s*", text)
+    kind, inside = (match[1], match[2].strip()) if match else (text, "")
+    name, _, rest = (part.strip() for part in inside.partition(","))
+    try:
+        if match and kind in (*PLAIN, *PAIR, AVERAGING):
+            sizes = {AVERAGING: (1, 2)}.get(kind, (1 + (kind in PAIR),))
+            return Definition(kind, _observable(inside, system, sizes))
+        if match and (kind in AT_NUMBER or (kind == UPCROSSING and name.startswith("q"))):
+            observable = _observable(name, system)
+            if kind == UPCROSSING:
+                displacement_row(observable)
+            return Definition(kind, observable, _number(kind, rest))
+        if match and kind in PASSAGE:
+            return Definition(kind, limit=parse_limit(inside, system.n))
+        if match and kind == RELAXATION:
+            words = f"counts the rates from 1 to {MOST_RATES}, the slowest first"
+            return Definition(kind, at=float(_counted("rate", inside, MOST_RATES, words)))
+        if match and kind in AT_STOP:
+            count = len(system.contacts)
+            given = f"use 1 to {count}" if count else "the scene has no [[contact]]"
+            words = f"is no contact of the scene; {given}"
+            index = _counted("contact", name, count, words) - 1
+            contact = system.contacts[index]
+            sides = [stop.side for stop in contact.one_sided()]
+            if rest and rest not in sides:
+                remedy = f"is no side of contact {name}; use {' or '.join(sides)}"
+                raise InvalidInput("side", rest, remedy)
+            mass = (Coordinate("q", contact.index),)
+            return Definition(kind, mass, contact=index, side=rest)
+    except InvalidInput as error:
+        raise InvalidInput("quantity", text, f'"{error.value}" {error.remedy}') from None
+    close = get_close_matches(kind, [form.partition("(")[0] for form in FORMS], n=1)
+    hint = f"did you mean {close[0]}? " if close and close[0] != kind else ""
+    raise InvalidInput("quantity", text, f"is no quantity; {hint}use one of {', '.join(FORMS)}")
+
+
+def _observable(text: str, system: System, sizes: Sequence[int] = (1,)) -> Observable:
+    observable = parse_observable(text, system.n)
+    if len(observable) not in sizes:
+        words = "is a pair; name one coordinate"
+        if sizes == (2,):
+            words = "is one coordinate; name a pair, as q1,p1"
+        raise InvalidInput("observable", text, words)
+    return observable
+
+
+def _counted(key: str, text: str, most: int, remedy: str) -> int:
+    if not (re.fullmatch(r"[0-9]{1,4}", text) and 1 <= int(text) <= most):
+        raise InvalidInput(key, text, remedy)
+    return int(text)
+
+
+def _number(kind: str, text: str) -> float:
+    try:
+        value: Any = float(text)
+    except ValueError:
+        value = text
+    if not (isinstance(value, float) and isfinite(value)):
+        raise InvalidInput("number", text.strip(), "must be a finite number, as exceedance(q1,1.2)")
+    if kind == "quantile" and not 0.0 < value < 1.0:
+        raise InvalidInput("number", value, "must be a probability between 0 and 1")
+    return value
