@@ -57,6 +57,7 @@ class Table:
     """Rows of equal keys, which are the columns, under a title; remarks stand below them.
 
     ``name`` is the dimension of the rows in netCDF; ``units`` are those of columns that have one.
+    The first ``parameters`` columns have numbers that were given, which are shown with all digits.
     """
 
     name: str
@@ -64,11 +65,18 @@ class Table:
     rows: Sequence[Mapping[str, Any]]
     remarks: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
+    parameters: int = 0
 
     def cells(self) -> tuple[list[str], list[list[str]]]:
         """Return the columns with their units, and the rows in words."""
         rows = [[named(cell(v, column)) for column, v in row.items()] for row in self.rows]
+        for row, own in zip(self.rows, rows, strict=True):
+            own[: self.parameters] = [f"{v:.10g}" for v in list(row.values())[: self.parameters]]
         return [key + bracketed(self.units.get(key, "")) for key in self.rows[0]], rows
+
+    def texts(self) -> list[bool]:
+        """Return of each column whether it has text alone."""
+        return [all(isinstance(row[key], str) for row in self.rows) for key in self.rows[0]]
 
     def unrepeated(self) -> tuple[list[str], list[list[str]]]:
         """Return ``cells`` without the first ones of a row that are those of the row above."""
@@ -81,8 +89,7 @@ class Table:
     def lines(self, width: int) -> list[str]:
         """Return title, table and remarks for a terminal, see ``text_table``."""
         head, rows = self.unrepeated()
-        texts = [all(isinstance(row[key], str) for row in self.rows) for key in self.rows[0]]
-        words = (*texts, False).index(False)
+        words = (*self.texts(), False).index(False)
         columns = list(zip(head, *rows, strict=True))
         wrapped = [line for remark in self.remarks for line in wrap(named(remark), width)]
         return [self.title, "", *text_table(columns, width, max(words, 1)), "", *wrapped, ""]

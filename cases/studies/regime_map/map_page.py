@@ -52,7 +52,7 @@ def map_page(result: RegimeMap) -> Page:
         "regime",
         result.scene,
         f"Map of regimes: {result.scene.title}",
-        [Table("points", "Distances", rows, (summary, words))],
+        [Table("points", "Distances", rows, (summary, words), parameters=len(heads))],
         regime_panels(result, fields),
         summary=summary,
         gridded=fields,

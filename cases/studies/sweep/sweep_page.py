@@ -43,7 +43,7 @@ def sweep_page(result: Sweep, scene: Scene) -> Page:
         "result",
         scene,
         f"Sweep of {', '.join(a.key for a in result.axes)}: {scene.title}",
-        [Table("points", "Values", rows, (summary, errors, *reasons))],
+        [Table("points", "Values", rows, (summary, errors, *reasons), parameters=len(heads))],
         sweep_panels(result),
         summary=summary,
         gridded=result.variables(),
