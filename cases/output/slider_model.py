@@ -78,7 +78,7 @@ def slider_model(
         "D": _linear("noise D", system.noise_intensity, gain, system, shapes),
         "of": known,
     }
-    for key, quantity in _UNITS.items() if units else ():
+    for key, quantity in _UNITS.items() if units is not None else ():
         unit = (units or {})[quantity]
         for k, one in enumerate(model[key]):
             one["unit"] = unit[k] if isinstance(unit, list) else "" if "matrix" in one else unit

@@ -262,17 +262,8 @@ def test_pictures_of_a_scene_have_its_units(scene):
 
 
 def test_the_system_and_the_sliders_of_a_report_have_units(fpk, scene, tmp_path):
-    fpk(
-        "run",
-        scene,
-        "--no-simulation",
-        "--of",
-        "q2",
-        "--method",
-        "nonintegrable",
-        "--out",
-        tmp_path,
-    )
+    asked = ("--no-simulation", "--of", "q2", "--method", "nonintegrable", "--out", tmp_path)
+    fpk("run", scene, *asked)
     page = (tmp_path / "report.html").read_text()
     system = page[page.index('id="system"') : page.index("Scene file</summary>")]
     words = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", system))
@@ -283,8 +274,7 @@ def test_the_system_and_the_sliders_of_a_report_have_units(fpk, scene, tmp_path)
     assert [model[key][0]["unit"] for key in ("B", "delta", "c", "D")] == [
         "kg mm^-0.5 s^-2", "mm", "kg s⁻¹", "kg² mm² s⁻³"
     ]  # fmt: skip
-    bare = fpk("run", "fig6a", "--no-simulation", "--of", "q2", "--method", "nonintegrable", "--out",
-               tmp_path)  # fmt: skip
+    bare = fpk("run", "fig6a", *asked)
     page = (tmp_path / "report.html").read_text()
     assert bare[0] == 0 and "[rad/s]" not in page and '"unit"' not in page
 
