@@ -4,6 +4,7 @@ import csv
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from html import escape
 from io import StringIO
 from itertools import pairwise
 from math import nan
@@ -104,6 +105,13 @@ class Table:
             cells = [first.ljust(widths[0]), *map(str.rjust, others, widths[1:])]
             lines.append(f"| {' | '.join(cells)} |")
         return [*lines, "", *(line for remark in map(named, self.remarks) for line in (remark, ""))]
+
+    def html(self) -> str:
+        """Return the rows as an HTML table."""
+        head, rows = self.cells()
+        lines = [f"<th>{'</th><th>'.join(map(escape, head))}</th>"]
+        lines += [f"<td>{'</td><td>'.join(map(escape, row))}</td>" for row in rows]
+        return f"<table><tr>{'</tr><tr>'.join(lines)}</tr></table>"
 
     def variables(self) -> Variables:
         """Return the columns as netCDF variables ``name_column``: numbers, else text."""
