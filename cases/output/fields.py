@@ -98,13 +98,20 @@ def write_variables(variables: Variables, attributes: Mapping[str, str], path: P
 
 
 def write_csv(outcome: Outcome, path: Path) -> list[Path]:
-    """Write the densities as lines ``curve, observable, route, x, y, density, error``."""
+    """Write the densities as lines ``curve, observable, route, x, y, density, error``.
+
+    Behind them are ``unit_x, unit_y, unit_density`` where the scene names its units.
+    """
     stream = StringIO()
     lines = csv.writer(stream, lineterminator="\n")
-    lines.writerow(["curve", "observable", "route", "x", "y", "density", "error"])
+    units = outcome.scene.units
+    heads = ["unit_x", "unit_y", "unit_density"] if units else []
+    lines.writerow(["curve", "observable", "route", "x", "y", "density", "error", *heads])
     for observable in outcome.scene.observables:
-        if not (variables := density_variables(outcome.curves, observable, outcome.scene.units)):
+        if not (variables := density_variables(outcome.curves, observable, units)):
             continue
+        own = [*map(units.coordinate, observable), ""][:2] if units else []
+        own += [units.density(observable)] if units else []
         name, key = observable_name(observable), variable_name(observable)
         dimensions, values, _ = variables[f"p_{key}"]
         errors, kinds = variables[f"error_{key}"][1], variables[f"error_kind_{key}"][1]
@@ -115,7 +122,7 @@ def write_csv(outcome: Outcome, path: Path) -> list[Path]:
         for i, j in np.argwhere(kinds != ""):
             columns = x, y, values[i, j].ravel().tolist(), errors[i, j].ravel().tolist()
             names = curves[i], name, routes[j]
-            lines.writerows([*names, *row] for row in zip(*columns, strict=True))
+            lines.writerows([*names, *row, *own] for row in zip(*columns, strict=True))
     write_text(path, stream.getvalue())
     return [path]
 

@@ -9,6 +9,7 @@ from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
 from cases.comparison.in_time import Replies
 from cases.comparison.run import Outcome
+from cases.output.facts import units_record
 from cases.output.fields import common_grid
 from cases.output.page import MARKS, rounded, script_record
 from cases.output.pictures.choice import lines_of
@@ -48,7 +49,7 @@ def live_record(outcome: Outcome) -> Record | None:
     """
     curves = sorted(outcome.curves, key=lambda c: c.value or 0.0)
     observables = outcome.scene.observables
-    model, missing = slider_model(outcome.curves[0], observables)
+    model, missing = slider_model(outcome.curves[0], observables, units_record(outcome.scene))
     with in_units(outcome.scene.units):
         plots = [
             plot

@@ -168,12 +168,13 @@ def passage_text(record: Record) -> str:
         unit = (record.get("units") or {}).get(key, "")
         row = _row([record[key]], record[f"{key}_error"])
         lines.append(f"{key:8}  {row}{'  ' + unit if unit else ''}")
+    time = f"# time{bracketed((record.get('units') or {}).get('times', ''))}"
     if record["times"]:
-        lines.append(f"# time   survival   {_kind(record)}")
+        lines.append(f"{time}   survival   {_kind(record)}")
         rows = zip(record["times"], record["survival"], record["survival_error"], strict=True)
         lines += [_row([time, value], error) for time, value, error in rows]
     if "failure" in record and record["times"]:
-        lines.append(f"# time   P(T <= t)   {_kind(record)}")
+        lines.append(f"{time}   P(T <= t)   {_kind(record)}")
         rows = zip(record["times"], record["failure"], record["failure_error"], strict=True)
         lines += [_row([time, value], error) for time, value, error in rows]
     return "\n".join(lines)

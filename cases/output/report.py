@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from cases.comparison.claims import ACCEPTABLE_L1, ALMOST_KURTOSIS, ALMOST_L1
 from cases.comparison.run import Outcome
 from cases.output.digest import curves_of
-from cases.output.facts import theories
+from cases.output.facts import theories, units_record
 from cases.output.files import write_text
 from cases.output.headline import headline_of, measure_of
 from cases.output.live import live_record
@@ -116,6 +116,7 @@ def report_html(
             for t in (theory_table(c["quantities"]),)
         ],
         "sketch": chain_svg(scene.system),
+        "units": units_record(scene),
         **page_record(SCRIPTS if live else ()),
         "live": live and as_script_data(live),
         "command": command or f"fpk run {scene.name}",

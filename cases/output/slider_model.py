@@ -16,17 +16,24 @@ from fpk.contact import Contact
 from fpk.observable import Coordinate, Observable, observable_name
 from fpk.system import System
 
+_UNITS = {
+    "B": "contact_stiffness", "delta": "length", "c": "damping", "D": "noise_intensity"
+}  # fmt: skip
+
 MOST_MODES = 12
 """Modes up to which the page computes the density of the sum of their energies."""
 
 
-def slider_model(curve: Answers, observables: Sequence[Observable]) -> tuple[Record | None, str]:
+def slider_model(
+    curve: Answers, observables: Sequence[Observable], units: Record | None = None
+) -> tuple[Record | None, str]:
     """Return the parameters of (29), (30), (34), (36), None without, and what is not computed.
 
     They hold with constant damping, unmodulated noise, one contact mass and forces by power laws.
     ``B``, ``delta`` (contacts), ``c`` and ``D`` have names and values as run; of a full matrix the
     value is 1, a factor of it. All rates are linear in these: α = Σ c rate / Σ D rate, and so are
-    the modal damping and noise, whose neglected correlation is at most ``most``.
+    the modal damping and noise, whose neglected correlation is at most ``most``. ``units`` is
+    ``units_record``, of which each that is no factor has its ``unit``.
     """
     system = curve.system
     taken = {r.method.route.method for r in curve.results if r.method.route.solves == "averaged"}
@@ -59,7 +66,7 @@ def slider_model(curve: Answers, observables: Sequence[Observable]) -> tuple[Rec
     ]
     gain = np.eye(system.n) if system.noise_gain is None else system.noise_gain
     shapes = np.zeros((system.n, 0)) if modes is None else modes.mode_shapes
-    model = {
+    model: Record = {
         "n": system.n,
         "most": MAX_NEGLECTED,
         "frequency": [] if modes is None else modes.natural_frequency,
@@ -71,6 +78,10 @@ def slider_model(curve: Answers, observables: Sequence[Observable]) -> tuple[Rec
         "D": _linear("noise D", system.noise_intensity, gain, system, shapes),
         "of": known,
     }
+    for key, quantity in _UNITS.items() if units is not None else ():
+        unit = (units or {})[quantity]
+        for k, one in enumerate(model[key]):
+            one["unit"] = unit[k] if isinstance(unit, list) else "" if "matrix" in one else unit
     return model, words
 
 

@@ -4,6 +4,7 @@ import csv
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from html import escape
 from io import StringIO
 from itertools import pairwise
 from math import nan
@@ -57,6 +58,7 @@ class Table:
     """Rows of equal keys, which are the columns, under a title; remarks stand below them.
 
     ``name`` is the dimension of the rows in netCDF; ``units`` are those of columns that have one.
+    The first ``parameters`` columns have numbers that were given, which are shown with all digits.
     """
 
     name: str
@@ -64,10 +66,13 @@ class Table:
     rows: Sequence[Mapping[str, Any]]
     remarks: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
+    parameters: int = 0
 
     def cells(self) -> tuple[list[str], list[list[str]]]:
         """Return the columns with their units, and the rows in words."""
         rows = [[named(cell(v, column)) for column, v in row.items()] for row in self.rows]
+        for row, own in zip(self.rows, rows, strict=True):
+            own[: self.parameters] = [f"{v:.10g}" for v in list(row.values())[: self.parameters]]
         return [key + bracketed(self.units.get(key, "")) for key in self.rows[0]], rows
 
     def unrepeated(self) -> tuple[list[str], list[list[str]]]:
@@ -101,6 +106,13 @@ class Table:
             cells = [first.ljust(widths[0]), *map(str.rjust, others, widths[1:])]
             lines.append(f"| {' | '.join(cells)} |")
         return [*lines, "", *(line for remark in map(named, self.remarks) for line in (remark, ""))]
+
+    def html(self) -> str:
+        """Return the rows as an HTML table."""
+        head, rows = self.cells()
+        lines = [f"<th>{'</th><th>'.join(map(escape, head))}</th>"]
+        lines += [f"<td>{'</td><td>'.join(map(escape, row))}</td>" for row in rows]
+        return f"<table><tr>{'</tr><tr>'.join(lines)}</tr></table>"
 
     def variables(self) -> Variables:
         """Return the columns as netCDF variables ``name_column``: numbers, else text."""

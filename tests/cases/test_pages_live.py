@@ -106,6 +106,11 @@ def study(outcome):
     return CostStudy(outcome.scene, [coarse, priced("fine", (1e-12, 2.0))], floors=floors)
 
 
+def with_units(path, scene):
+    path.write_text(scene.text + '\n[units]\nlength = "mm"\nmass = "kg"\ntime = "ms"\n', "utf-8")
+    return path
+
+
 @pytest.fixture(scope="module")
 def pages(outcome, sweeps, study, tmp_path_factory):
     """Addresses of the pages as they are written, by name."""
@@ -114,7 +119,10 @@ def pages(outcome, sweeps, study, tmp_path_factory):
     found = {"report": (folder / "report.html").as_uri()}
     scene, (one, two) = sweeps
     regime = build_map(scene, ["contact.clearance=0.5,1", "contact.stiffness=1,10,100"])
-    studies = {"line": sweep_page(one, scene), "heat": sweep_page(two, scene)}
+    named = load_scene(str(with_units(folder / "named.toml", scene)))
+    grid = {"contact[1].clearance": [0.3, 0.5, 1.0], "system.noise_intensity": [0.123456, 0.5, 1.0]}
+    units = sweep_page(face.sweep(named, grid, ["rms(q2)", "force_in_contact(1)"]), named)
+    studies = {"line": sweep_page(one, scene), "heat": sweep_page(two, scene), "units": units}
     for name, page in {**studies, "regime": map_page(regime), "cost": cost_page(study)}.items():
         (folder / name).mkdir()
         page.write(folder / name)
@@ -134,7 +142,7 @@ def touched(browser, pages):
 
 def test_every_plot_answers_to_the_pointer_keys_and_buttons(touched):
     count = {name: len(plots) for name, plots in touched.items()}
-    assert count == {"report": 4, "line": 2, "heat": 1, "regime": 1, "cost": 1}
+    assert count == {"report": 4, "line": 2, "heat": 1, "regime": 1, "cost": 1, "units": 1}
     for plot in (plot for plots in touched.values() for plot in plots.values()):
         first, *off, last = plot["visible"]
         assert first == last and min(off) < first
@@ -240,7 +248,9 @@ return {live: count(".live"), drawn: count("figure:not(.live)"),
   beyond: [...document.querySelectorAll("body *")].filter(e => !e.closest("svg, .wide") &&
     box(e).right > page.clientWidth + 1).map(e => e.outerHTML.slice(0, 90)),
   small: [...document.querySelectorAll(".live svg text")].map(box)
-    .filter(r => r.height > 0 && Math.min(r.height, r.width) < 6).length};
+    .filter(r => r.height > 0 && Math.min(r.height, r.width) < 6).length,
+  cut: [...document.querySelectorAll("table")].map(e => e.parentElement)
+    .filter(e => e.scrollWidth > e.clientWidth + 1).map(e => e.textContent.slice(0, 90))};
 """
 
 
@@ -255,7 +265,7 @@ def test_no_page_is_wider_than_a_telephone_and_paper_and_no_script_have_the_pict
         screen, wide = (sizes(url, width=width) for width in (390, 1280))
         for one in (screen, wide):
             assert one["beyond"] == [] and one["small"] == 0, name
-            assert one["live"] > 0 and one["touch"] > 0
+            assert one["live"] > 0 and one["touch"] > 0 and one["cut"] == [], name
         paper = sizes(url, width=700, paper=True)
         assert paper["live"] == paper["touch"] == 0 < paper["still"], name
         bare = sizes(url, width=390, script=False)
@@ -338,3 +348,12 @@ def test_columns_of_words_stand_at_the_left(browser, pages):
         for head, side in table.items():
             words = head in ("equation", "route", "settings", "priced by", "above", "below")
             assert side == ["left", "left"] if words else ["right", "right"]
+
+
+def test_parameters_of_a_page_have_all_their_digits_and_text_stands_at_the_left(browser, pages):
+    browser.open(pages["units"], width=1280)
+    row = browser.result("""
+      return document.querySelector("tbody tr").querySelectorAll("td").values()
+        .map(e => [e.textContent, getComputedStyle(e).textAlign]).toArray();""")
+    assert row[:2] == [["0.3", "right"], ["0.123456", "right"]]
+    assert [align for _, align in row[2:4]] == ["left", "left"]

@@ -423,3 +423,17 @@ def test_a_sweep_in_python_is_labelled_and_takes_arrays():
 def test_a_list_over_decades_is_drawn_on_a_logarithmic_axis(grid, logarithmic):
     (axis,) = parse_axes([f"contact[1].clearance={grid}"], load_scene("fig6a").system)
     assert axis.logarithmic == logarithmic
+
+
+def test_a_sweep_in_python_has_a_picture_and_a_table_for_a_notebook():
+    system = load_scene("fig3a").system
+    grid = {"contact[1].clearance": [0.3, 0.5]}
+    one = face.sweep(system, grid, ["rms(q2)", "exceedance(q2,1)"], methods=["exact"])
+    axes = one.plot().axes
+    assert [a.get_title("left") for a in axes] == ["rms(q2)", "exceedance(q2,1)"]
+    assert list(axes[0].lines[0].get_ydata()) == one.field("value")[0, 0].tolist()
+    page = one._repr_html_()
+    assert page.count("<tr>") == 5 and "<td>0.3</td>" in page and "rms(q2)" in page
+    two = {**grid, "contact[1].stiffness": [1.0, 10.0]}
+    heat = face.sweep(system, two, ["rms(q2)"], methods=["exact"]).plot()
+    assert heat.axes[0].get_title("left") == "rms(q2) by exact"

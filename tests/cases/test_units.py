@@ -1,6 +1,8 @@
 """``[units]`` of a scene on axes, in tables, JSON and files; modes and rms of ``fpk show``."""
 
+import csv
 import json
+import re
 from dataclasses import replace
 from itertools import product
 
@@ -288,6 +290,39 @@ def test_pictures_of_a_scene_have_its_units(scene):
     outcome = run_scene(load_scene(scene), [method_for("nonintegrable", "closed-form")])
     labels = [axes.get_xlabel() for _, _, f in figures(outcome) for axes in f.axes]
     assert "displacement q₂ [mm]" in labels and "energy H [kg mm² s⁻²]" in labels
+
+
+def test_the_system_and_the_sliders_of_a_report_have_units(fpk, scene, tmp_path):
+    asked = ("--no-simulation", "--of", "q2", "--method", "nonintegrable", "--out", tmp_path)
+    fpk("run", scene, *asked)
+    page = (tmp_path / "report.html").read_text()
+    system = page[page.index('id="system"') : page.index("Scene file</summary>")]
+    words = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", system))
+    for one in ("[kg]", "[kg s⁻²]", "[kg s⁻¹]", "[kg² mm² s⁻³]", "clearance δ = 0.5 [mm]",
+                "stiffness B = 10 [kg mm^-0.5 s^-2]", "[rad/s]"):  # fmt: skip
+        assert one in words
+    model = json.loads(re.search(r'id="data">(.*?)</script>', page)[1])["model"]
+    assert [model[key][0]["unit"] for key in ("B", "delta", "c", "D")] == [
+        "kg mm^-0.5 s^-2", "mm", "kg s⁻¹", "kg² mm² s⁻³"
+    ]  # fmt: skip
+    bare = fpk("run", "fig6a", *asked)
+    page = (tmp_path / "report.html").read_text()
+    assert bare[0] == 0 and "[rad/s]" not in page and '"unit"' not in page
+
+
+def test_times_of_a_passage_and_columns_of_comma_separated_values_say_units(fpk, scene, tmp_path):
+    asked = ("--method", "nonintegrable", "--limit", "H=1", "--times", "10")
+    out = fpk("passage", scene, *asked)[1]
+    assert out.count("# time [s]   ") == 2
+    assert "[" not in fpk("passage", "fig6a", *asked)[1]
+    fpk("export", scene, "--of", "q2", "--out", tmp_path / "a.csv")
+    with (tmp_path / "a.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert {(row["unit_x"], row["unit_y"], row["unit_density"]) for row in rows} == {
+        ("mm", "", "mm⁻¹")
+    }
+    fpk("export", "fig6a", "--of", "q2", "--out", tmp_path / "b.csv")
+    assert "unit" not in (tmp_path / "b.csv").read_text()
 
 
 def test_modes_solve_their_equation():

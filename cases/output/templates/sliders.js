@@ -19,10 +19,10 @@ Object.assign(report, (() => {
   const box = html(touch, "div", "", {id: "sliders"});
   const refused = html(touch, "p", "", {class: "bad", "aria-live": "polite"});
   const slider = (key, k) => {
-    const {name, value} = model[key][k], label = html(box, "label", ""), text = html(label, "span", "");
+    const {name, value, unit} = model[key][k], label = html(box, "label", ""), text = html(label, "span", "");
     const most = key === "B" ? 2 : 1;
     const input = html(label, "input", "", {type: "range", min: -most, max: most, step: 0.01, value: 0, "data-key": key, "data-number": k});
-    const words = () => { text.textContent = `${name} = ${show(+(value * factors[key][k]).toPrecision(4))}`; };
+    const words = () => { text.textContent = `${name} = ${show(+(value * factors[key][k]).toPrecision(4))}${unit ? " " + unit : ""}`; };
     input.addEventListener("input", () => {
       factors[key][k] = 10 ** input.value;
       forms = null;

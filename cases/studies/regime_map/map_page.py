@@ -58,6 +58,7 @@ def map_page(result: RegimeMap) -> Page:
                 "Distances",
                 rows,
                 (summary, words, *filter(None, [stationary_note(result.scene.system)])),
+                parameters=len(heads),
             )
         ],
         regime_panels(result, fields),

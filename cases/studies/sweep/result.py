@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from cases.output.records import Record
 from cases.output.variables import Variables
 from cases.scene.units import attribute, bracketed
 from cases.studies.sweep.grid import Axis, place_words
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -82,6 +86,7 @@ class Sweep:
 
         result = fpk.sweep(system, {"contact[1].clearance": "0.4:0.6:3"}, ["rms(q2)"])
         result.field("value"), result.field("error"), result.problems, result.to_xarray()
+        result.plot()
     """
 
     name: str
@@ -147,6 +152,15 @@ class Sweep:
             "certified": (dimensions, self.field("certified").astype(np.int8), {}),
         }
 
+    def plot(self) -> "Figure":
+        """Return a figure of every quantity: lines over one axis, heat pictures over two."""
+        figure: Figure = _page().sweep_figure(self)
+        return figure
+
+    def _repr_html_(self) -> str:
+        """Return the values as a table, for a notebook."""
+        return str(_page().sweep_table(self).html())
+
     def to_xarray(self) -> Any:
         """Return ``variables`` as an ``xarray.Dataset``; needs the package xarray."""
         from xarray import Dataset  # noqa: PLC0415  (optional)
@@ -157,3 +171,8 @@ class Sweep:
         """Return what was computed where in one line."""
         where = ", ".join(f"{a.key} ({a.values.size})" for a in self.axes)
         return f"Sweep({', '.join(self.quantities)} by {', '.join(self.methods)} over {where})"
+
+
+def _page() -> Any:
+    """Return the module that shows a sweep, which is above this one and heavy: loaded late."""
+    return import_module("cases.studies.sweep.sweep_page")

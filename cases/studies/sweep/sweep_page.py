@@ -1,18 +1,19 @@
 """A sweep as a page: its table, and curves over one axis or heat pictures over two."""
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from cases.output.words import named, stationary_note
 from cases.scene.scene import Scene
 from cases.scene.units import bracketed
 from cases.studies.page import Page, Table
-from cases.studies.picture import Field, Panel, curves_over, spans_decades
+from cases.studies.picture import Field, Panel, curves_over, spans_decades, study_figure
 from cases.studies.sweep.result import Sweep
 from fpk.arrays import Array
 
 
-def sweep_page(result: Sweep, scene: Scene) -> Page:
-    """Return what ``fpk sweep`` shows and writes: every value, as a table and as a picture."""
+def sweep_table(result: Sweep, remarks: tuple[str, ...] = ()) -> Table:
+    """Return every value with its error, in the order of the grid."""
     heads = [a.key + bracketed(a.unit) for a in result.axes]
     labels = dict(zip(result.quantities, result.labels(), strict=True))
     rows = [
@@ -28,6 +29,16 @@ def sweep_page(result: Sweep, scene: Scene) -> Page:
         for p in result.points
         for a in p.answers
     ]
+    return Table("points", "Values", rows, remarks, parameters=len(heads))
+
+
+def sweep_figure(result: Sweep) -> Figure:
+    """Return the picture of a sweep alone."""
+    return study_figure(sweep_panels(result))
+
+
+def sweep_page(result: Sweep, scene: Scene) -> Page:
+    """Return what ``fpk sweep`` shows and writes: every value, as a table and as a picture."""
     reasons = dict.fromkeys(
         f"{a.quantity} by {a.method}: {a.reason}"
         for p in result.points
@@ -44,10 +55,8 @@ def sweep_page(result: Sweep, scene: Scene) -> Page:
         scene,
         f"Sweep of {', '.join(a.key for a in result.axes)}: {scene.title}",
         [
-            Table(
-                "points",
-                "Values",
-                rows,
+            sweep_table(
+                result,
                 (summary, errors, *filter(None, [stationary_note(scene.system)]), *reasons),
             )
         ],
