@@ -16,7 +16,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from fpk.arrays import Array, Complexes
-from fpk.certificate import Certificate, Measured, certify, with_values, worst
+from fpk.certificate import Certificate, Measured, certify, tolerance, with_values, worst
 from fpk.density import Density
 from fpk.errors import InvalidInput
 from fpk.evolution import ErrorKind
@@ -115,9 +115,9 @@ class CrossingsMethod(Method):
     def _asked(
         self, system: System, observable: Observable, at: Array, tol: float | None, p: Progress
     ) -> Question:
-        row = displacement_row(observable)
+        row, wanted = displacement_row(observable), tolerance(tol, None)
         self.planned(system, [observable])
-        return Question(system, row, at, tol, p)
+        return Question(system, row, at, wanted, p)
 
 
 class StationaryMotionMethod(CrossingsMethod):

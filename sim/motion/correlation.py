@@ -7,6 +7,7 @@ import numpy as np
 import scipy  # its parts are loaded at their first use
 
 from fpk.arrays import Array
+from fpk.certificate import tolerance
 from fpk.dynamics import Curve
 from fpk.errors import InvalidInput
 from fpk.method import Progress
@@ -38,7 +39,7 @@ def correlation(
     dt instead of dt/2, by the same random numbers, and the largest error of the spline, see
     ``_spline_error``. Raises ``InvalidInput`` for lags that are too long for memory.
     """
-    wanted = tol if tol is not None else method.tol
+    wanted = tolerance(tol, method.tol)
     dt = motion_step(method, system)
     step = max(1, int(longest_step(system) / dt)) if needs_steps(system) else 1
     spacing = step * dt

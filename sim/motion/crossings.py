@@ -7,6 +7,7 @@ from math import ceil, inf, pi
 import numpy as np
 
 from fpk.arrays import Array, Integers
+from fpk.certificate import tolerance
 from fpk.dynamics import Curve
 from fpk.method import Progress
 from fpk.system import System
@@ -47,7 +48,7 @@ def crossings(
     negative within its error. ``time`` of each trajectory (``RELAXATIONS`` relaxation times where
     none is given) is followed by more until ``tol`` is met or ``seconds`` have passed.
     """
-    wanted = tol if tol is not None else method.tol
+    wanted = tolerance(tol, method.tol)
     dt = motion_step(method, system, error=wanted)
     paths = -(-method.paths // LANES) * LANES
     order = np.argsort(at, kind="stable")

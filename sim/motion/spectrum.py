@@ -6,6 +6,7 @@ from math import ceil, pi
 import numpy as np
 
 from fpk.arrays import Array
+from fpk.certificate import tolerance
 from fpk.dynamics import Curve
 from fpk.errors import InvalidInput
 from fpk.method import Progress
@@ -47,7 +48,7 @@ def spectrum(
     of trajectories, all of that third, and a bound of what sampling folds back. Steps are half
     those of a density, of whose bias a sixteenth is left.
     """
-    wanted = tol if tol is not None else method.tol
+    wanted = tolerance(tol, method.tol)
     spacing, step, length = _sampling(method, system, at)
     powers: list[Array] = []
     means: list[Array] = []
