@@ -8,16 +8,10 @@ import numpy as np
 from averaging.shell.averages import shell_averages
 from averaging.shell.energy_shell import EnergyShell
 from fpk.arrays import Array
-from fpk.equivalent import dissipated_power, equivalent_temperature, largest_root
+from fpk.equivalent import equivalent_temperature
 from fpk.errors import NotApplicable
 from fpk.process import Coefficients, Process
 from fpk.system import System
-
-SEARCHED = 4.0 ** np.arange(25)
-"""Energies, in units of the one where |damping| would balance the noise, searched for balance."""
-MOST_SEARCHED = 2
-"""Contact masses up to which the balance is searched on the shells; of more, each energy takes
-seconds, for a line of the partition function of its own."""
 
 
 def damping_and_noise(system: System) -> tuple[float, float]:
@@ -106,25 +100,4 @@ def _energy_scale(system: System, damping: float, noise: float) -> float:
         if damping <= 0:
             raise NotApplicable("nothing is damped, so the energy grows for ever")
         return system.n * noise / damping
-    if not 0 < len(system.contact_masses) <= MOST_SEARCHED:
-        return system.n * equivalent_temperature(system)
-    return _last_balance(system, damping, noise)
-
-
-def _last_balance(system: System, damping: float, noise: float) -> float:
-    """About the highest energy at which damping and noise balance, with contacts."""
-    sizes = np.abs(dissipated_power(system))
-    sizes[1] = abs(damping)
-    if (root := largest_root(sizes, noise)) <= 0.0:
-        raise NotApplicable("nothing is damped on average, so the energy grows for ever")
-    energy = np.asarray(system.n * root * SEARCHED, dtype=float)
-    shell = shell_averages(system, energy)
-    excess = damping * energy / system.n * shell.volume / shell.states + shell.power - noise
-    if excess[-1] <= 0:
-        raise NotApplicable("the damping does not balance the noise, so the energy grows for ever")
-    below = np.flatnonzero(excess <= 0)
-    if not below.size:
-        return float(energy[0])
-    k = below[-1]
-    share = excess[k] / (excess[k] - excess[k + 1])
-    return float(energy[k] * (energy[k + 1] / energy[k]) ** share)
+    return system.n * equivalent_temperature(system)

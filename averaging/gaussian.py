@@ -14,7 +14,7 @@ from averaging.linear_dynamics import (
     spectral_density,
 )
 from averaging.theory import Theory, energy_only_refusal
-from fpk.certificate import Measured, certify
+from fpk.certificate import Measured, certify, tolerance
 from fpk.density import Density
 from fpk.dynamics import Curve, Question, Rates, StationaryMotionMethod, certified_curve
 from fpk.errors import NotApplicable
@@ -104,7 +104,9 @@ class Linear(StationaryMotionMethod, Theory):
         residual = system.fact(linear_covariance).residual
         values, errors = eigenvalue_sums(system, count)
         relative = float(np.max(errors / np.abs(values)))
-        certificate = certify(Measured(relative, None, None, residual, None), tol=tol or self.tol)
+        certificate = certify(
+            Measured(relative, None, None, residual, None), tol=tolerance(tol, self.tol)
+        )
         return Rates(values, errors, certificate)
 
     def _state(self, asked: Question) -> tuple[Density, float, float]:

@@ -10,9 +10,11 @@ from averaging.modal.groups import unsolved
 from averaging.modal.observables import gaussian_modes, modal_densities
 from averaging.modal.resonance import correlations, nearest_resonance, require_no_resonance
 from averaging.modal.time import closed_form, elements
+from averaging.modal.time.questions import TOL
 from averaging.theory import Theory
 from averaging.time.start import modal_start
 from fpk.arrays import Array
+from fpk.certificate import tolerance
 from fpk.clearance import CLEARANCE_RULE
 from fpk.density import Density
 from fpk.dynamics import CrossingsMethod, Curve, Question, Rates, certified_curve
@@ -112,12 +114,12 @@ class Integrable(CrossingsMethod, Theory):
         """Return the densities of modal energies at times, as ``fpk.evolution`` says."""
         modes = self._in_time(system)
         begins = modal_start(system, modes, start)
-        asked = modes, observable, begins, times, at
+        asked, wanted = (modes, observable, begins, times, at), tolerance(tol, TOL)
         if self.solver == "closed-form":
-            answer = closed_form.transient(*asked, tol=tol, modulation=system.modulation)
+            answer = closed_form.transient(*asked, tol=wanted, modulation=system.modulation)
         else:
             require_constant_noise(system.modulation)
-            answer = elements.transient(*asked, tol=tol)
+            answer = elements.transient(*asked, tol=wanted)
         return replace(answer, settings=_time_settings(answer.settings, system, modes))
 
     def passage(
@@ -135,7 +137,7 @@ class Integrable(CrossingsMethod, Theory):
         modes = self._in_time(system)
         begins = modal_start(system, modes, start)
         solved = closed_form.passage if self.solver == "closed-form" else elements.passage
-        answer = solved(modes, limit, begins, times, tol=tol)
+        answer = solved(modes, limit, begins, times, tol=tolerance(tol, TOL))
         return replace(answer, settings=_time_settings(answer.settings, system, modes))
 
     def relaxation(
@@ -145,7 +147,7 @@ class Integrable(CrossingsMethod, Theory):
         require_constant_noise(system.modulation)
         modes = self._in_time(system)
         solved = closed_form.relaxation if self.solver == "closed-form" else elements.relaxation
-        answer = solved(modes, count, tol=tol)
+        answer = solved(modes, count, tol=tolerance(tol, TOL))
         return replace(answer, settings=_time_settings(answer.settings, system, modes))
 
     def _in_time(self, system: System) -> ModalAnalysis:

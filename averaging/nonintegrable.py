@@ -14,6 +14,7 @@ from averaging.time.energy import total_energy
 from averaging.time.start import total_energy_start
 from averaging.weyl import Solution, StateDensity, tabulated
 from fpk.arrays import Array
+from fpk.certificate import tolerance
 from fpk.dynamics import CrossingsMethod, Curve, Question, Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient
@@ -96,7 +97,7 @@ class NonIntegrable(CrossingsMethod, Theory):
         ``tol`` None: that of the method, but no less than ``MODULATED_TOL`` by finite elements
         under modulated noise.
         """
-        wanted = tol or self._tol_in_time(system)
+        wanted = tolerance(tol, self._tol_in_time(system))
         one, begins = total_energy(system), total_energy_start(system, start)
         if observable == (ENERGY,):
             return one.transient(self.solver, begins, times, at[0], tol=wanted)
@@ -123,14 +124,14 @@ class NonIntegrable(CrossingsMethod, Theory):
         begins = total_energy_start(system, start)
         begins.require_below(limit)
         return one.passage(
-            self.solver, begins, limit.value, times, tol=tol or self._tol_in_time(system)
+            self.solver, begins, limit.value, times, tol=tolerance(tol, self._tol_in_time(system))
         )
 
     def relaxation(
         self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
     ) -> Rates:
         """Return the slowest rates at which the energy forgets its past."""
-        return total_energy(system).relaxation(self.solver, count, tol=tol or self.tol)
+        return total_energy(system).relaxation(self.solver, count, tol=tolerance(tol, self.tol))
 
     def _tol_in_time(self, system: System) -> float:
         modulated = system.modulation is not None and self.solver == "fem"

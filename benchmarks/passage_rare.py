@@ -8,12 +8,13 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+from averaged_splitting import rare_failure_of_process
 from scipy.optimize import brentq
 
 from averaging.energy_process import energy_process
 from averaging.time.energy import total_energy
 from fpk.system import System
-from sim.splitting import Splitting, rare_failure_of_process
+from sim.splitting import Splitting
 
 TIME, STEP, REPLICAS, RUNS = 100.0, 0.3125, 32, 4
 COLUMNS = ["by", "replicas", "runs", "P", "stated error", "spread", "steps", "seconds"]

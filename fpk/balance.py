@@ -1,8 +1,10 @@
 """Where damping terms balance the noise in a chain with stops, judged in its Gibbs states."""
 
+from collections import defaultdict
 from dataclasses import dataclass
 from itertools import product
 from math import comb, exp, prod, sqrt
+from typing import Any
 
 import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
@@ -59,9 +61,13 @@ def balance_with_stops(system: System) -> Balance:
     order = system.n + np.gradient(np.log([weights.sum() for _, weights in states]), log_theta)
     gibbs, shell = constant * theta, constant * theta
     size = np.abs(gibbs)
+    alike: dict[Any, list[DampingTerm]] = defaultdict(list)
     for term in system.damping_terms:
+        alike[term.q, term.velocities(system.n), term.energy].append(term)
+    for term, *others in alike.values():
         means = [
-            _mean_power(system, term, float(t), *s) for t, s in zip(theta, states, strict=True)
+            np.sum([_mean_power(system, each, float(t), *s) for each in (term, *others)], axis=0)
+            for t, s in zip(theta, states, strict=True)
         ]
         mean, absolute = np.array(means, dtype=float).T
         acts = np.abs(mean) > ROUND_OFF * absolute
@@ -69,7 +75,7 @@ def balance_with_stops(system: System) -> Balance:
         power = np.where(acts, np.maximum(np.gradient(logs, log_theta), 0.0), 0.0)
         factor = theta**term.energy * _gamma_ratio(order + power, float(term.energy))
         power = power + term.energy
-        gibbs, size = gibbs + factor * mean, size + factor * absolute
+        gibbs, size = gibbs + factor * mean, size + factor * np.where(acts, absolute, 0.0)
         shell = shell + factor * mean * order**power / _gamma_ratio(order, power)
     if not gibbs[-1] > max(noise, ROUND_OFF * size[-1]):
         raise NotApplicable("the damping does not balance the noise, so the energy grows for ever")

@@ -2,10 +2,14 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from fpk.errors import InvalidInput
+
+Default = TypeVar("Default")
 
 NEGATIVE = -1e-14
 """Smallest p / max p that counts as round-off of a density that is not negative."""
@@ -19,6 +23,15 @@ ROUNDING = 1e-14
 
 MISSED = "the estimated error"
 """How the failure begins that says so where it exceeds the tolerance."""
+
+
+def tolerance(tol: float | None, default: Default) -> float | Default:
+    """Return the tolerance asked for, or else the default; ``InvalidInput`` unless it is > 0."""
+    if tol is None:
+        return default
+    if not tol > 0.0:
+        raise InvalidInput("tol", tol, "must be > 0")
+    return tol
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,11 @@
 """The stationary motion in time: crossings, power spectra, autocovariances, relaxation rates.
 
-A ``Method`` gives crossing rates if it has a method ``crossings``, as the protocol ``Crossings``
-says, and likewise ``spectrum``, ``correlation`` and ``relaxation``. In all of them ``tol`` is the
-largest error wanted: of curves in units of a natural size of the quantity (σ_v/(2πσ_q) of
-crossings, σ_q³/σ_v of spectra, σ_q² of autocovariances), of rates relative to each; None for the
-default of the method. ``observable`` is a displacement, as ``parse_observable("q1", n)`` gives it,
-or else ``InvalidInput`` is raised. ``progress`` as of ``Method.solve``.
+A ``Method`` gives crossing rates if it is one of ``Crossings``, and likewise for ``Spectrum``,
+``Correlation`` and ``Relaxation``. In all of them ``tol`` is the largest error wanted: of curves in
+units of a natural size of the quantity (σ_v/(2πσ_q) of crossings, σ_q³/σ_v of spectra, σ_q² of
+autocovariances), of rates relative to each; None for the default of the method. ``observable`` is a
+displacement, as ``parse_observable("q1", n)`` gives it, or else ``InvalidInput`` is raised.
+``progress`` as of ``Method.solve``.
 """
 
 from abc import abstractmethod
@@ -16,7 +16,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from fpk.arrays import Array, Complexes
-from fpk.certificate import Certificate, Measured, certify, with_values, worst
+from fpk.certificate import Certificate, Measured, certify, tolerance, with_values, worst
 from fpk.density import Density
 from fpk.errors import InvalidInput
 from fpk.evolution import ErrorKind
@@ -66,61 +66,6 @@ class Rates:
 
 
 @runtime_checkable
-class Crossings(Protocol):
-    """A method that gives the rates at which a displacement crosses levels upwards."""
-
-    def crossings(
-        self,
-        system: System,
-        observable: Observable,
-        at: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Curve:
-        """Return the upcrossings per unit time of the levels ``at`` by a displacement."""
-
-
-@runtime_checkable
-class Spectrum(Protocol):
-    """A method that gives power spectral densities of displacements.
-
-    They are two-sided, in angular frequency: S(ω) = (1/2π) ∫ C(t) e^(−iωt) dt, C the covariance
-    of q(0) and q(t), so that ∫ S dω over all real ω is the variance.
-    """
-
-    def spectrum(
-        self,
-        system: System,
-        observable: Observable,
-        at: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Curve:
-        """Return S at the angular frequencies ``at``."""
-
-
-@runtime_checkable
-class Correlation(Protocol):
-    """A method that gives autocovariances of displacements in the stationary state.
-
-    C(t) = E q(0) q(t) − (E q)², t >= 0: the variance at t = 0, and 2 ∫_0^∞ C cos ωt dt = 2π S(ω).
-    """
-
-    def correlation(
-        self,
-        system: System,
-        observable: Observable,
-        at: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Curve:
-        """Return C at the lags ``at``; ``InvalidInput`` for any below 0 or not finite."""
-
-
-@runtime_checkable
 class Relaxation(Protocol):
     """A method that gives the slowest rates at which the system forgets its past."""
 
@@ -134,7 +79,7 @@ class Relaxation(Protocol):
 class Question:
     """What is asked of the stationary motion of the displacement of the mass ``row``, from 0.
 
-    All else as the protocols say; ``at`` are levels, angular frequencies or lags.
+    ``at`` are levels, angular frequencies or lags.
     """
 
     system: System
@@ -170,13 +115,18 @@ class CrossingsMethod(Method):
     def _asked(
         self, system: System, observable: Observable, at: Array, tol: float | None, p: Progress
     ) -> Question:
-        row = displacement_row(observable)
+        row, wanted = displacement_row(observable), tolerance(tol, None)
         self.planned(system, [observable])
-        return Question(system, row, at, tol, p)
+        return Question(system, row, at, wanted, p)
 
 
 class StationaryMotionMethod(CrossingsMethod):
-    """Base class of methods that give power spectra and autocovariances, too."""
+    """Base class of methods that give power spectra and autocovariances, too.
+
+    Spectra are two-sided, in angular frequency: S(ω) = (1/2π) ∫ C(t) e^(−iωt) dt, C the covariance
+    of q(0) and q(t), so that ∫ S dω over all real ω is the variance. C(t) = E q(0) q(t) − (E q)²,
+    t >= 0, is the variance at t = 0, and 2 ∫_0^∞ C cos ωt dt = 2π S(ω).
+    """
 
     def spectrum(
         self,
@@ -212,6 +162,10 @@ class StationaryMotionMethod(CrossingsMethod):
     @abstractmethod
     def _correlation(self, asked: Question) -> Curve:
         """Return C at the lags that are asked for."""
+
+
+Crossings, Spectrum, Correlation = CrossingsMethod, StationaryMotionMethod, StationaryMotionMethod
+"""What a method is that gives crossing rates, power spectra and autocovariances."""
 
 
 def certified_curve(

@@ -92,7 +92,12 @@ class Modulation:
 
     def mean_square(self, begin: Array, step: float) -> Array:
         """Return the mean of e² over steps that begin at the times ``begin``, of any shape."""
-        return np.maximum(self.energy(begin + step) - self.energy(begin), 0.0) / step
+        first, last = np.asarray(begin)[..., None], np.asarray(begin)[..., None] + step
+        inner = self.times[(self.times > np.min(first)) & (self.times < np.max(last))]
+        nodes = np.concatenate([first, np.clip(inner, first, last), last], axis=-1)
+        e = self(nodes)
+        squares = e[..., 1:] ** 2 + e[..., 1:] * e[..., :-1] + e[..., :-1] ** 2
+        return np.asarray(np.sum(np.diff(nodes) * squares, axis=-1) / (3.0 * step))
 
     def faded(self, begin: float, end: float, rate: Array) -> Array:
         """Return ∫e(s)² exp(−rate (end − s)) ds from ``begin`` to ``end``, of the shape of rate.

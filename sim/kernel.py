@@ -17,7 +17,7 @@ from sim.arrays import StepArrays, WatchArrays
 from sim.lanes import add, add_matrix, aligned_rows, row, scale_all
 from sim.parts.contact import add_contact, contact_forces, kick_by_contact
 from sim.parts.damping import damping_forces, spring_energy, term_flow, whole_energy
-from sim.parts.linear import ONE_LOOP, map_state
+from sim.parts.linear import map_state
 from sim.parts.observed import add_products, count_all, observe
 from sim.parts.substeps import AT_ONCE, NARROW, gather, near_lanes, places, scatter, small_steps
 from sim.parts.traced import trace_state
@@ -41,10 +41,10 @@ class KernelKey:
     """Effects, scheme and observations that a kernel is compiled for: the only such record.
 
     ``laws`` are the contact laws that act; ``damping`` and ``energy_damping`` say whether there are
-    damping terms, and some with H. A step draws ``pairs`` of normals, ``kicked`` are the masses
-    (from 0) whose kick is fused with the map, ``substeps`` whether there are small steps.
-    ``traced`` says whether observed states are handed out, ``halved`` whether a step has two maps,
-    ``modulated`` whether the noise of each step has a factor of its own.
+    damping terms, and some with H. A step draws ``pairs`` of normals, ``substeps``
+    says whether there are small steps, ``traced`` whether observed states are handed out,
+    ``halved`` whether a step has two maps, ``modulated`` whether the noise of each step has a
+    factor of its own.
     """
 
     laws: tuple[str, ...] = ()
@@ -56,9 +56,7 @@ class KernelKey:
     energy: bool = False
     modes: bool = False
     moments: bool = False
-    masses: int = 2
     pairs: int = 2
-    kicked: tuple[int, ...] = ()
     substeps: bool = False
     traced: bool = False
     halved: bool = False
@@ -78,12 +76,8 @@ def _compiled(key: KernelKey) -> Any:
     damping, energy_damping = key.damping, key.energy_damping
     momenta, energy, modes, moments = key.momenta, key.energy, key.modes, key.moments
     traced, halved, modulated = key.traced, key.halved, key.modulated
-    pairs, substeps, fused = key.pairs, key.substeps, bool(key.kicked)
-    loop = key.masses if (key.masses, pairs) in ONE_LOOP else 0
-    small_loop = loop if fused else 0
-    kick1, kick2 = 0 in key.kicked, 1 in key.kicked
-    now1, now2 = kick1 and not substeps, kick2 and not substeps  # fused with the map of all lanes
-    apart = contact and not (fused or substeps)  # kicks that are a stage of their own
+    pairs, substeps = key.pairs, key.substeps
+    apart = contact and not substeps  # kicks that are a stage of their own
     sources = kernel_checksum(key.laws)
     force: Any = compiled_laws(key.laws, "force") if contact else None
     slope: Any = compiled_laws(key.laws, "slope") if contact else None
@@ -171,20 +165,20 @@ def _compiled(key: KernelKey) -> Any:
                     fill_normals(to, words, trajectory, word + np.uint64(pair), offset)
                 if modulated:
                     scale_all(z, step.strength[t])
-                map_state(s, z, matrix, step, loop, (now1, now2), pairs, force, slope)
+                map_state(s, z, matrix, pairs)
                 if halved:  # the second half of the time between two kicks
                     for pair in range(pairs):
                         to = z[2 * pair * W : 2 * (pair + 1) * W]
                         fill_normals(to, words, trajectory, word + np.uint64(pairs + pair), offset)
                     if modulated:
                         scale_all(z, step.strength[t])
-                    map_state(s, z, matrix, step, loop, (False, False), pairs, force, slope)
+                    map_state(s, z, matrix, pairs)
                 if substeps:
                     word += np.uint64(pairs)
                     place = ((trajectory << np.uint64(40)) + word) * GOLDEN + offset
                     small_steps(
                         groups, group, places_of, near, drawn, halves, place, step,
-                        at.contact, small_loop, (kick1, kick2), pairs, force, slope,
+                        at.contact, pairs, force, slope,
                     )  # fmt: skip
                     scatter(s, groups, chosen, near, 2 * n, group)
 

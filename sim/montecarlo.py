@@ -190,9 +190,7 @@ class MonteCarlo(StationaryMotionMethod):
         return self._sampled("correlation", asked)
 
     def _sampled(self, what: str, asked: Question) -> Curve:
-        answer: Curve = getattr(import_module(f"sim.motion.{what}"), what)(
-            self, asked.system, asked.row, asked.at, tol=asked.tol, progress=asked.progress
-        )
+        answer: Curve = getattr(import_module(f"sim.motion.{what}"), what)(self, asked)
         return answer
 
     def refined(self) -> "MonteCarlo":

@@ -13,7 +13,6 @@ from fpk.system import System
 from sim.arrays import Rows, StepArrays, TermArrays, WatchArrays
 from sim.histogram import Histogram, starts
 from sim.kernel import KernelKey
-from sim.parts.linear import ONE_LOOP
 from sim.schemes import Scheme
 from sim.statistics import Product
 from sim.substeps import substep_arrays
@@ -133,8 +132,6 @@ def watched(
         ).reshape(-1, 2),
         traced=np.array([row_of(c) for c in traced], dtype=np.int64),
     )
-    one_loop = (n, step.pairs) in ONE_LOOP and not effects.state_damping
-    alone = step.stop_slot.size == slots.size and scheme.kick_first
     key = KernelKey(
         laws=effects.laws,
         kick_first=scheme.kick_first or not (effects.contact or effects.state_damping),
@@ -145,9 +142,7 @@ def watched(
         energy=Coordinate("H") in observed or bool(products and effects.energy_damping),
         modes=bool(modes),
         moments=bool(products),
-        masses=n,
         pairs=step.pairs,
-        kicked=tuple(slots.tolist()) if one_loop and alone else (),
         substeps=step.substeps is not None,
         traced=bool(traced),
         halved=halved,

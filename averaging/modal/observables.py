@@ -135,5 +135,5 @@ def gaussian_modes(modes: ModalAnalysis) -> Gaussian:
         scales=theta,
         shape=1.0,
         scale_errors=modes.relative_error * theta,
-        residual=max(map(flux, range(modes.n))),
+        residual=float(np.max([flux(m) for m in range(modes.n)])),
     )

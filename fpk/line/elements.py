@@ -244,7 +244,10 @@ def _residual(A: Array, u: Array) -> tuple[float, float, float]:
         for j in range(u.size):
             total += A[i, j] * u[j]
             size += abs(A[i, j] * u[j])
-        residual, largest = max(residual, abs(total)), max(largest, size)
+        residual, largest = (
+            np.maximum(residual, abs(total)),
+            np.maximum(largest, size),
+        )  # NaN is kept
         if i == 0:
             net, one_way = abs(total), size
     return residual / largest, net, one_way

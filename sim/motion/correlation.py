@@ -7,10 +7,8 @@ import numpy as np
 import scipy  # its parts are loaded at their first use
 
 from fpk.arrays import Array
-from fpk.dynamics import Curve
+from fpk.dynamics import Curve, Question
 from fpk.errors import InvalidInput
-from fpk.method import Progress
-from fpk.system import System
 from sim.arrays import LANES
 from sim.montecarlo import MonteCarlo
 from sim.motion.motion import needs_steps
@@ -26,10 +24,7 @@ BEYOND = 6
 """Samples beyond the longest lag: the spline is worst at its end."""
 
 
-def correlation(
-    method: MonteCarlo, system: System, row: int, at: Array, *, tol: float | None,
-    progress: Progress,
-) -> Curve:  # fmt: skip
+def correlation(method: MonteCarlo, asked: Question) -> Curve:
     """Return the autocovariance of q of mass ``row`` at the lags ``at``.
 
     Products q(s) q(s + t) about the mean of all, at samples s in ``RELAXATIONS`` relaxation times
@@ -38,7 +33,8 @@ def correlation(
     dt instead of dt/2, by the same random numbers, and the largest error of the spline, see
     ``_spline_error``. Raises ``InvalidInput`` for lags that are too long for memory.
     """
-    wanted = tol if tol is not None else method.tol
+    system, row, at, progress = asked.system, asked.row, asked.at, asked.progress
+    wanted = method.tol if asked.tol is None else asked.tol
     dt = motion_step(method, system)
     step = max(1, int(longest_step(system) / dt)) if needs_steps(system) else 1
     spacing = step * dt
@@ -50,8 +46,8 @@ def correlation(
         remedy = f"a lag takes {longest / spacing:.1e} samples at once; ask for shorter ones"
         raise InvalidInput("at", longest, remedy)
     lags = 2 * ceil(0.5 * longest / spacing) + BEYOND
-    asked = ceil((method.time or RELAXATIONS * relaxation_time(system)) / spacing)
-    origins = min(asked, most - lags)
+    wished = ceil((method.time or RELAXATIONS * relaxation_time(system)) / spacing)
+    origins = min(wished, most - lags)
     rounds: list[list[tuple[Array, Array, Array]]] = [[] for _ in motions]
 
     def estimate(series: list[Array], _: Array) -> float:

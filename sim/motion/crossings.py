@@ -7,9 +7,7 @@ from math import ceil, inf, pi
 import numpy as np
 
 from fpk.arrays import Array, Integers
-from fpk.dynamics import Curve
-from fpk.method import Progress
-from fpk.system import System
+from fpk.dynamics import Curve, Question
 from sim.arrays import LANES
 from sim.diagnostics import drift_limit, drifts
 from sim.montecarlo import MonteCarlo
@@ -34,10 +32,7 @@ CHUNKS, AT_ONCE = 20, 256
 """Parts of the time, compared to see a drift, and steps after which Ctrl-C is heard."""
 
 
-def crossings(
-    method: MonteCarlo, system: System, row: int, at: Array, *, tol: float | None,
-    progress: Progress,
-) -> Curve:  # fmt: skip
+def crossings(method: MonteCarlo, asked: Question) -> Curve:
     """Return the upcrossings per unit time of the levels ``at`` by q of mass ``row``, counted.
 
     Crossings that the noise makes within a step are not seen: a share of all that falls as the
@@ -47,7 +42,8 @@ def crossings(
     negative within its error. ``time`` of each trajectory (``RELAXATIONS`` relaxation times where
     none is given) is followed by more until ``tol`` is met or ``seconds`` have passed.
     """
-    wanted = tol if tol is not None else method.tol
+    system, row, at, progress = asked.system, asked.row, asked.at, asked.progress
+    wanted = method.tol if asked.tol is None else asked.tol
     dt = motion_step(method, system, error=wanted)
     paths = -(-method.paths // LANES) * LANES
     order = np.argsort(at, kind="stable")

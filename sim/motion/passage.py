@@ -7,6 +7,7 @@ from math import ceil, inf, sqrt
 import numpy as np
 
 from fpk.arrays import Array
+from fpk.certificate import tolerance
 from fpk.errors import InvalidInput
 from fpk.evolution import Passage
 from fpk.limit import Limit
@@ -65,7 +66,7 @@ def passage(
     many more as they take. ``longest`` bounds the first.
     """
     require_times(times)
-    wanted = tol if tol is not None else method.tol
+    wanted = tolerance(tol, method.tol)
     modulation, loud = system.modulation, loudest(system)
     energy = energy_reached(loud, limit, start)
     dt = motion_step(method, loud, energy=energy, error=wanted)

@@ -10,7 +10,7 @@ from sim.motion.motion import Reader
 
 SOURCES = (
     "sim/arrays.py",
-    *(f"sim/motion/{name}.py" for name in ("between", "counting", "passing", "sums")),
+    *(f"sim/motion/{name}.py" for name in ("between", "counting", "passing")),
 )
 """Files that the readers are compiled from."""
 

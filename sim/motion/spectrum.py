@@ -6,9 +6,8 @@ from math import ceil, pi
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.dynamics import Curve
+from fpk.dynamics import Curve, Question
 from fpk.errors import InvalidInput
-from fpk.method import Progress
 from fpk.system import System
 from sim.arrays import LANES
 from sim.montecarlo import MonteCarlo
@@ -16,7 +15,6 @@ from sim.motion.motion import needs_steps
 from sim.motion.rounds import Window, in_rounds
 from sim.motion.stationary import error_of, sampled_curve
 from sim.motion.steps import motion_step
-from sim.motion.sums import add_fourier
 from sim.relaxation import relaxation_time
 from sim.step_size import contact_frequency, highest_frequency
 
@@ -34,10 +32,7 @@ MOST_SAMPLES = 1 << 22
 """Samples of a window beyond which a frequency is refused: 8192 windows take minutes and more."""
 
 
-def spectrum(
-    method: MonteCarlo, system: System, row: int, at: Array, *, tol: float | None,
-    progress: Progress,
-) -> Curve:  # fmt: skip
+def spectrum(method: MonteCarlo, asked: Question) -> Curve:
     """Return the power spectral density of q of mass ``row`` at the angular frequencies ``at``.
 
     By Welch's method at just these frequencies: |Σ w q e^(−iωt)|² of one Hann window w on each
@@ -47,7 +42,8 @@ def spectrum(
     of trajectories, all of that third, and a bound of what sampling folds back. Steps are half
     those of a density, of whose bias a sixteenth is left.
     """
-    wanted = tol if tol is not None else method.tol
+    system, row, at, progress = asked.system, asked.row, asked.at, asked.progress
+    wanted = method.tol if asked.tol is None else asked.tol
     spacing, step, length = _sampling(method, system, at)
     powers: list[Array] = []
     means: list[Array] = []
@@ -64,7 +60,7 @@ def spectrum(
         scale = float(size[0] ** 3 / size[1] * system.mass[row]) if size[1] > 0 else 1.0
         return float(np.max(_welch(powers, means, length, spacing)[1])) / scale
 
-    read = partial(add_fourier, row=row, omega=at * spacing, length=length)
+    read = partial(_add_fourier, row=row, omega=at * spacing, length=length)
     window = Window(length, (6 * at.size, LANES), read)
     motions = [{"dt": spacing / step, "stride": step}]
     windows, failures = in_rounds(
@@ -83,6 +79,22 @@ def spectrum(
     }
     errors = np.sqrt(errors**2 + leakage**2 + folded**2)
     return sampled_curve(values, errors, scale, wanted, failures, settings)
+
+
+def _add_fourier(
+    trace: Array, samples: int, done: int, sums: Array, row: int, omega: Array, length: int
+) -> None:
+    """Add w q cos and w q sin to ``sums`` (blocks, 6 · frequencies, LANES); a ``Reader``.
+
+    ``omega`` (frequencies,) is in radians per sample. Of each frequency the rows are those of a
+    Hann window over ``length`` samples, of one over its first half, and of one over its second.
+    """
+    t = np.arange(done, min(done + samples, length))
+    whole, part = (0.5 - 0.5 * np.cos(2.0 * pi * k * t / length) for k in (1, 2))
+    windows = np.stack([whole, part * (2 * t < length), part * (2 * t >= length)])
+    waves = np.stack([np.cos(np.outer(omega, t)), np.sin(np.outer(omega, t))])
+    weights = np.einsum("wt,cft->fwct", windows, waves).reshape(-1, t.size)
+    sums += weights @ trace[:, 1 : t.size + 1, row]
 
 
 def _sampling(method: MonteCarlo, system: System, at: Array) -> tuple[float, int, int]:

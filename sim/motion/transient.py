@@ -6,6 +6,7 @@ from math import ceil, inf
 import numpy as np
 
 from fpk.arrays import Array
+from fpk.certificate import tolerance
 from fpk.effects import effects_of
 from fpk.evolution import Transient
 from fpk.method import Progress
@@ -49,7 +50,7 @@ def transient(
     numbers, and on bins twice as wide. ``tol`` is the expected L1 error wanted at every time.
     """
     require_times(times)
-    wanted = tol if tol is not None else method.tol
+    wanted = tolerance(tol, method.tol)
     loud = loudest(system)
     energy = largest_energy(system, start) + REACHED * temperature(loud)
     dt = motion_step(method, loud, energy=energy, error=wanted)

@@ -11,24 +11,15 @@ from sim.arrays import LANES as W
 from sim.arrays import StepArrays
 from sim.lanes import fill, kick, row
 
-Stop = tuple[float, float, float, float, Any, float]
-"""Sign, clearance, stiffness, exponent and law of a stop, and its share of the modified kick."""
+Stop = tuple[float, float, float, float, Any]
+"""Sign, clearance, stiffness, exponent and law of a stop."""
 
 
 @inlined
 def numbers_of(step: StepArrays, stop: int) -> Stop:
     """Return the numbers of one stop."""
     s = step.stops[stop]
-    return s[0], s[1], s[2], s[3], np.int64(s[4]), step.slot_shift[step.stop_slot[stop]]
-
-
-@inlined
-def only_stop(step: StepArrays, mass: int) -> Stop:
-    """Return the numbers of the only stop of a mass; of a mass without any, one never reached."""
-    for stop in range(step.stop_slot.size):
-        if step.slot_mass[step.stop_slot[stop]] == mass:
-            return numbers_of(step, stop)
-    return 0.0, np.inf, 0.0, 1.0, np.int64(0), 0.0
+    return s[0], s[1], s[2], s[3], np.int64(s[4])
 
 
 @inlined
@@ -36,16 +27,6 @@ def overlap_of(q: float, sign: float, clearance: float) -> tuple[float, float]:
     """Return the side on which the displacement ``q`` lies and its overlap with the stop there."""
     d = sign if sign != 0.0 else np.copysign(1.0, q)
     return d, max(d * q - clearance, 0.0)
-
-
-@inlined
-def modified_force(q: float, stop: Stop, force: Any, slope: Any) -> float:
-    """Return ``g (1 − a g')`` of one stop at the displacement ``q`` of one lane."""
-    sign, clearance, B, e, law, a = stop
-    d, o = overlap_of(q, sign, clearance)
-    g_slope = B * of_law(slope, law, o, e) if o > 0.0 else 0.0
-    g: float = d * (B * of_law(force, law, o, e))
-    return g * (1.0 - a * g_slope)
 
 
 @inlined
@@ -59,7 +40,7 @@ def contact_forces(
         slot = step.stop_slot[stop]
         q = row(s, step.slot_mass[slot], 1, width)
         g = row(s, g0 + 2 * slot, 2, width)
-        sign, clearance, B, e, law, _ = numbers_of(step, stop)
+        sign, clearance, B, e, law = numbers_of(step, stop)
         for k in range(width):
             d, o = overlap_of(q[k], sign, clearance)
             g[k] += d * B * of_law(force, law, o, e)
@@ -85,7 +66,7 @@ def add_contact(
     for stop in range(step.stop_slot.size):
         i = step.slot_mass[step.stop_slot[stop]]
         q, f = row(s, q0 + i, 1, width), row(s, to + i if forces else to, 1, width)
-        sign, clearance, B, e, law, _ = numbers_of(step, stop)
+        sign, clearance, B, e, law = numbers_of(step, stop)
         for k in range(width):
             d, o = overlap_of(q[k], sign, clearance)
             size = d * B if forces else B

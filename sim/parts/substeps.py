@@ -114,13 +114,9 @@ def narrow_normals(z: Singles, halves: Halves, start: Words, first: np.uint64, p
 @njit(inline="always")
 def small_steps(
     groups: Array, stride: int, start: Words, count: int, z: Singles, halves: Halves,
-    first: np.uint64, step: StepArrays, at_contact: int, loop: int, kicks: tuple[bool, bool],
-    pairs: int, force: Any, slope: Any,
+    first: np.uint64, step: StepArrays, at_contact: int, pairs: int, force: Any, slope: Any,
 ) -> None:  # fmt: skip
-    """Advance all groups by the small steps of one long one; ``first`` is their first word.
-
-    The kicks are fused with the map where it has a ``loop`` of its own.
-    """
+    """Advance all groups by the small steps of one long one; ``first`` is their first word."""
     n, small, many = step.matrix.shape[0] // 2, step.substeps.small, AT_ONCE * pairs * NARROW
     for begin in range(0, small, AT_ONCE):
         for c in range(-(-count // NARROW)):
@@ -130,9 +126,6 @@ def small_steps(
             for c in range(-(-count // NARROW)):
                 s = groups[c * stride : (c + 1) * stride]
                 u = z[2 * many * c + NARROW * pairs * t : 2 * many * (c + 1)]
-                if loop == 0:
-                    contact_forces(s, at_contact, step, force, slope, NARROW)
-                    kick_by_contact(s, at_contact, step, n, NARROW)
-                map_state(
-                    s, u, step.matrix, step, loop, kicks, pairs, force, slope, NARROW, many, NARROW
-                )
+                contact_forces(s, at_contact, step, force, slope, NARROW)
+                kick_by_contact(s, at_contact, step, n, NARROW)
+                map_state(s, u, step.matrix, pairs, NARROW, many, NARROW)

@@ -16,7 +16,7 @@ from sim.kernel import KERNEL, KernelKey
 from sim.lanes import kick, row
 from sim.parts.contact import add_contact, contact_forces, kick_by_contact
 from sim.parts.damping import spring_energy, term_flow
-from sim.parts.linear import ONE_LOOP, map_state
+from sim.parts.linear import map_state
 from sim.parts.observed import observe
 from sim.random import GOLDEN
 from sim.splitting.arrays import LEVELS, LimitArrays, Paths, Score
@@ -46,7 +46,6 @@ def compiled_paths(key: KernelKey, kind: str) -> Any:
 def _compiled(key: KernelKey, kind: str) -> Any:
     pairs, damping, energy_damping = key.pairs, key.damping, key.energy_damping
     energy, modes, contact = key.energy, key.modes, bool(key.laws)
-    loop = key.masses if (key.masses, pairs) in ONE_LOOP else 0
     sources = paths_checksum(key.laws)
     force: Any = compiled_laws(key.laws, "force") if contact else None
     slope: Any = compiled_laws(key.laws, "slope") if contact else None
@@ -117,9 +116,7 @@ def _compiled(key: KernelKey, kind: str) -> Any:
                         term_flow(s, at.work, step, k, energy_damping, 1)
                 words = place(first + number, (done - begun) * (pairs + c), offset)
                 draw_normals(z, word, words, pairs)
-                map_state(
-                    s, z, step.matrix, step, loop, (False, False), pairs, force, slope, 1, 1, 2
-                )
+                map_state(s, z, step.matrix, pairs, 1, 1, 2)
                 done += 1
             paths.best[i] = top
             paths.moved[i] += done - begun

@@ -1,6 +1,4 @@
-"""Parts of the compiled paths: records, levels of the score, random numbers, bridges."""
-
-from math import log, sqrt
+"""Parts of the compiled paths: records, levels of the score, random numbers."""
 
 import numpy as np
 
@@ -72,12 +70,3 @@ def draw_normals(z: Singles, word: Halves, at: np.uint64, pairs: int) -> None:
 def uniform(at: np.uint64) -> float:
     """Return the uniform number in (0, 1) at a place."""
     return (np.float64(mixed_word(at) >> _S11) + 0.5) * 2.0**-53
-
-
-@inlined
-def bridge_maximum(a: float, b: float, variance: float, at: np.uint64) -> float:
-    """Draw the maximum of a Brownian bridge from a to b whose motion has ``variance`` in all.
-
-    P(max > m) = exp(−2 (m − a)(m − b)/variance); the uniform number is that at the place ``at``.
-    """
-    return 0.5 * (a + b + sqrt((b - a) * (b - a) - 2.0 * variance * log(uniform(at))))

@@ -11,14 +11,11 @@ from fpk.errors import InvalidInput, NotCertified
 from fpk.limit import Limit
 from fpk.method import Progress, silent
 from fpk.modulation import require_constant_noise
-from fpk.process import Process
 from fpk.start import Start
 from fpk.system import System
-from sim.averaged.square_root import SquareRootForm, line_form
 from sim.checkpoint import Checkpoint, checkpoint_of, interruptible
 from sim.splitting.algorithm import Repetition, split
 from sim.splitting.arrays import LEVELS
-from sim.splitting.averaged import energy_problem
 from sim.splitting.estimate import Repetitions, estimated
 from sim.splitting.full import system_problem
 from sim.splitting.replicas import Problem
@@ -53,37 +50,11 @@ def rare_failure(
     few repetitions.
     """
     own = settings or Splitting()
-    _require_time(time)
+    if not (isfinite(time) and time > 0.0):
+        raise InvalidInput("time", time, "must be a finite number > 0")
     require_constant_noise(system.modulation)
     problem = system_problem(system, limit, start, time, dt=own.dt, score=score)
     return failure_of(problem, own, progress)
-
-
-def rare_failure_of_process(
-    process: Process | SquareRootForm,
-    limit: float,
-    time: float,
-    *,
-    start: float = 0.0,
-    score: ScoreFunction | None = None,
-    settings: Splitting | None = None,
-    progress: Progress = silent,
-) -> RareFailure:
-    """Return P(T <= ``time``) of an averaged equation of one energy, from the energy ``start``.
-
-    As ``rare_failure``; the ``score`` is of energies. A ``Process`` is brought to the form by
-    ``line_form``, whose tables are good to 1e-7.
-    """
-    own = settings or Splitting()
-    _require_time(time)
-    form = line_form(process) if isinstance(process, Process) else process
-    problem = energy_problem(form, limit, start, time, dt=own.dt, score=score)
-    return failure_of(problem, own, progress)
-
-
-def _require_time(time: float) -> None:
-    if not (isfinite(time) and time > 0.0):
-        raise InvalidInput("time", time, "must be a finite number > 0")
 
 
 def repetition(problem: Problem, settings: Splitting, fine: int, number: int) -> Repetition:

@@ -65,7 +65,7 @@ def reached_share(
         root += limit.reach[m] * sqrt(s[watch.traced[m]])
     for stop in range(step.stop_slot.size):
         if step.slot_mass[step.stop_slot[stop]] == limit.mass:
-            sign, clearance, B, e, kind, _ = numbers_of(step, stop)
+            sign, clearance, B, e, kind = numbers_of(step, stop)
             _, o = overlap_of(s[watch.at.q + limit.mass], sign, clearance)
             contact += B * of_law(law, kind, o, e)
     return min(sqrt(root * root + contact / limit.energy), BELOW)

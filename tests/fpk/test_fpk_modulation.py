@@ -69,3 +69,19 @@ def test_factors_whose_square_is_no_number_are_refused(factor):
 def test_modulations_that_make_no_sense_are_refused(times, factor, word):
     with pytest.raises(InvalidInput, match=word):
         Modulation(times, factor)
+
+
+@pytest.mark.parametrize("step", [1e-3, 0.3, 2.0])
+def test_the_mean_square_of_a_step_keeps_its_digits_after_loud_noise(step):
+    """24 decades below what came before, and with kinks inside; by two points a segment, exact."""
+    modulation = Modulation([0.0, 10.0, 10.5, 11.0, 20.0], [1e6, 1e6, 1e-6, 3e-6, 2e-6])
+    begins = np.linspace(10.6, 21.0, 27)
+    exact = []
+    for begin in begins.tolist():
+        inner = [t for t in modulation.times.tolist() if begin < t < begin + step]
+        s, w = panel_rule(np.array([begin, *inner, begin + step]), 2)
+        exact.append(float(np.sum(w * modulation(s) ** 2)) / step)
+    # A step of 1e-3 at the time 20 is known to 4e-12 of itself.
+    got = modulation.mean_square(begins, step)
+    np.testing.assert_allclose(got, exact, rtol=1e-11)
+    np.testing.assert_allclose(modulation.mean_square(begins.reshape(9, 3), step).ravel(), got)

@@ -20,7 +20,6 @@ from sim.kernel import KERNEL, KernelKey, kernel_checksum
 from sim.motion.reading import SOURCES
 from sim.plan import step_arrays, watched
 from sim.schemes import SCHEMES
-from sim.splitting.averaged import NAMES as AVERAGED
 from sim.splitting.kernel import NAMES
 from sim.statistics import moment_products
 
@@ -124,7 +123,7 @@ def test_an_edit_changes_the_checksums_of_what_depends_on_it(tmp_path: Path) -> 
 
 
 def test_whatever_is_compiled_is_in_the_checksum() -> None:
-    own = (f"sim/{name}.py" for name in (*NAMES, *AVERAGED))
+    own = (f"sim/{name}.py" for name in NAMES)
     files = {ROOT / name for name in (*KERNEL, *SOURCES, *own)}
     sources = {p: p.read_text("utf-8") for p in (ROOT / "sim").rglob("*.py")}
     decorated = re.compile(r"@(njit\(|inlined|cached_njit\()")

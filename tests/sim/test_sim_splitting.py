@@ -6,6 +6,7 @@ from functools import partial
 import mpmath as mp
 import numpy as np
 import pytest
+from averaged_splitting import bridge_maximum, rare_failure_of_process
 from numba import njit
 from scipy.stats import kstest
 from scipy.stats import t as student
@@ -22,12 +23,12 @@ from sim.flow import exact_flow
 from sim.motion.between import cubic_of, largest_of
 from sim.motion.starts import on_shell
 from sim.random import GOLDEN, mixed_seed
-from sim.splitting import RareFailure, Splitting, rare_failure, rare_failure_of_process
+from sim.splitting import RareFailure, Splitting, rare_failure
 from sim.splitting.algorithm import split
 from sim.splitting.arrays import LEVELS
 from sim.splitting.estimate import mean_and_error
 from sim.splitting.full import system_problem
-from sim.splitting.parts import bridge_maximum, draw_normals
+from sim.splitting.parts import draw_normals
 from sim.workers import workers_of
 
 QUICK = Splitting(replicas=64, killed=4, repetitions=8, threads=1)

@@ -12,7 +12,7 @@ import numpy as np
 
 from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
-from averaging.modal.time.questions import TOL, limited_modes, observed_modes
+from averaging.modal.time.questions import limited_modes, observed_modes
 from averaging.time.orbits import OrbitPart, orbit_transient
 from averaging.time.start import FROM_NOISE, EnergyStart
 from fpk.arrays import Array
@@ -45,7 +45,7 @@ def transient(
     times: Array,
     at: tuple[Array, ...],
     *,
-    tol: float | None,
+    tol: float,
     modulation: Modulation | None = None,
 ) -> Transient:
     """Return products of the densities of modal energies, or the convolution of two of them.
@@ -55,7 +55,7 @@ def transient(
     """
     if {c.kind for c in observable} <= {"q", "p"}:
         orbits = _orbits(modes, observable, start, modulation)
-        return orbit_transient(orbits, start.noise, times, at, tol=tol or TOL)
+        return orbit_transient(orbits, start.noise, times, at, tol=tol)
     checked_times(times, positive=start.noise is None)
     rows = observed_modes(observable)
     parts = [
@@ -82,16 +82,16 @@ def transient(
     highest = np.max(errors / np.max(values, axis=1, initial=SMALLEST, keepdims=True), initial=0.0)
     l1, defect = float(np.max([worst[0], highest])), float(worst[1])
     measured = Measured(l1, defect, float(values.min(initial=0.0)), None, None)
-    certificate = certify(measured, tol=tol or TOL)
+    certificate = certify(measured, tol=tol)
     return Transient(times, values, errors + SMALLEST, "numerical", certificate)
 
 
 def passage(
-    modes: ModalAnalysis, limit: Limit, start: EnergyStart, times: Array, *, tol: float | None
+    modes: ModalAnalysis, limit: Limit, start: EnergyStart, times: Array, *, tol: float
 ) -> Passage:
     """Return the first passage of one modal energy, of any of several, or of their sum."""
     checked_times(times)
-    limits, wanted = limited_modes(limit, start), tol or TOL
+    limits = limited_modes(limit, start)
     if start.noise is not None:
         raise NotApplicable(FROM_NOISE)
     if not limits:
@@ -99,27 +99,27 @@ def passage(
             raise NotApplicable(
                 "of modes of unequal decay or temperature H has no closed form in time; use fem"
             )
-        return alike.passage(limit.value, float(start.energies.sum()), times, tol=wanted)
+        return alike.passage(limit.value, float(start.energies.sum()), times, tol=tol)
     parts = [(_mode(modes, m), a, float(start.energies[m])) for m, a in limits.items()]
     if len(parts) == 1:
         ((mode, a, H),) = parts
-        return mode.passage(a, H, times, tol=wanted)
+        return mode.passage(a, H, times, tol=tol)
     rates = [mode.rate(a) for mode, a, _ in parts]
     rate = Number(sum(r.value for r in rates), sum(r.error for r in rates))
-    survival, lost = _product(parts, times, wanted)
+    survival, lost = _product(parts, times, tol)
     return certified_passage(
-        (*_first_of(parts, rate.value, wanted), rate), times, 1.0 - survival, lost, tol=wanted
+        (*_first_of(parts, rate.value, tol), rate), times, 1.0 - survival, lost, tol=tol
     )
 
 
-def relaxation(modes: ModalAnalysis, count: int, *, tol: float | None) -> Rates:
+def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
     """Return the ``count`` slowest rates but 0: sums of multiples of c*_ii."""
     rates = np.zeros(1)
     for m in range(modes.n):
         multiples = np.append(0.0, _mode(modes, m).rates(count, tol=1.0).values.real)
         rates = np.sort(np.add.outer(rates, multiples).ravel())[: count + 1]
     relative = modes.relative_error + 4.0 * EPS
-    certificate = certify(Measured(relative, None, None, None, None), tol=tol or TOL)
+    certificate = certify(Measured(relative, None, None, None, None), tol=tol)
     return Rates(rates[1:].astype(complex), relative * rates[1:], certificate)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.groups import unsolved
-from averaging.modal.time.questions import TOL, limited_modes, observed_modes
+from averaging.modal.time.questions import limited_modes, observed_modes
 from averaging.modal.time.states import state_transient
 from averaging.time.start import EnergyStart
 from fpk.arrays import Array
@@ -39,14 +39,13 @@ def transient(
     times: Array,
     at: tuple[Array, ...],
     *,
-    tol: float | None,
+    tol: float,
 ) -> Transient:
     """Return the densities of one or two modal energies, of the sum of two, or of (q, p)."""
     checked_times(times, positive=True)
-    wanted = tol or TOL
     if {c.kind for c in observable} <= {"q", "p"}:
-        posed = _posed(modes, _pair(modes, range(modes.n)), start, wanted)
-        return state_transient(modes, *posed, observable, times, at, tol=wanted)
+        posed = _posed(modes, _pair(modes, range(modes.n)), start, tol)
+        return state_transient(modes, *posed, observable, times, at, tol=tol)
     rows = observed_modes(observable)
     pair = _pair(modes, rows or range(modes.n))
     if rows == pair[::-1]:
@@ -63,34 +62,34 @@ def transient(
         begins = np.sum(start.energies[pair] / spread)
         return np.asarray(2.0 * modes.relative_error * (1.0 + reach + begins))
 
-    frame, first = _posed(modes, pair, start, wanted)
+    frame, first = _posed(modes, pair, start, tol)
     answer, _ = transient_densities(
-        frame, first, view, times, at, tol=wanted, coefficients_error=by_modes
+        frame, first, view, times, at, tol=tol, coefficients_error=by_modes
     )
     return answer
 
 
 def passage(
-    modes: ModalAnalysis, limit: Limit, start: EnergyStart, times: Array, *, tol: float | None
+    modes: ModalAnalysis, limit: Limit, start: EnergyStart, times: Array, *, tol: float
 ) -> Passage:
     """Return the first passage of one or two modal energies, or of the sum of two."""
     checked_times(times)
-    limits, wanted = limited_modes(limit, start), tol or TOL
+    limits = limited_modes(limit, start)
     pair = _pair(modes, list(limits) or range(modes.n))
     first, second = (limits.get(m) for m in pair)
     plane = PlaneLimit(first, second, None if limits else limit.value)
-    frame, begins = _posed(modes, pair, start, wanted)
+    frame, begins = _posed(modes, pair, start, tol)
     return first_passage(
-        frame, begins, plane, times, tol=wanted, coefficients_error=modes.relative_error
+        frame, begins, plane, times, tol=tol, coefficients_error=modes.relative_error
     )
 
 
-def relaxation(modes: ModalAnalysis, count: int, *, tol: float | None) -> Rates:
+def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
     """Return the ``count`` slowest rates but 0 of two modal energies."""
     if modes.n != 2:
         raise NotApplicable("relaxation rates by fem are those of two modal energies")
-    frame = _frame(modes.process(_pair(modes, range(2))), tol or TOL)
-    return relaxation_rates(frame, count, tol=tol or TOL, relative=modes.relative_error)
+    frame = _frame(modes.process(_pair(modes, range(2))), tol)
+    return relaxation_rates(frame, count, tol=tol, relative=modes.relative_error)
 
 
 def _pair(modes: ModalAnalysis, rows: Sequence[int]) -> list[int]:

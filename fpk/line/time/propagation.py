@@ -108,13 +108,13 @@ def transforms(
     """
     at_ends, inner = source.load(e)
     turned = np.einsum("ew,ewv->ev", inner, e.diagonal[1])
-    parts, residual = [], 0.0
+    parts, residuals = [], [0.0]
     for c in contours(times, more=more):
         y = chain.admittances(e, c.z)
         f = chain.resolvent(e, y, at_ends, turned, absorbing=absorbing)
-        residual = max(residual, chain.residual(e, y, f, at_ends, turned))
+        residuals.append(chain.residual(e, y, f, at_ends, turned))
         parts.append((c, f))
-    return parts, residual
+    return parts, float(np.max(residuals))
 
 
 def inverted(

@@ -84,7 +84,8 @@ def evolved(A: csc_array, M: csc_array, dual: Array, times: Array, *, tol: float
     residual = relative_residual(M, abs(M), start, dual)
     parts = [_of_group(A, M, start, times[group], tol) for group in _groups(times)]
     values, change, rounding = (np.concatenate([part[k] for part in parts]) for k in range(3))
-    return Evolved(values, change, rounding, max(residual, *(part.residual for part in parts)))
+    residual = float(np.max([residual, *(part.residual for part in parts)]))
+    return Evolved(values, change, rounding, residual)
 
 
 def _groups(times: Array) -> Iterator[Integers]:
@@ -100,12 +101,12 @@ def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float
     matrix = (M - gamma * A).tocsc()
     factors, sizes, symmetric = factorised(matrix), abs(matrix), _symmetric(A)
     V, MV = np.empty((MOST, start.size)), np.empty((MOST, start.size))
-    H, residual, norm = np.zeros((MOST, MOST)), 0.0, float(np.sqrt(start @ (M @ start)))
+    H, residuals, norm = np.zeros((MOST, MOST)), [0.0], float(np.sqrt(start @ (M @ start)))
     V[0], MV[0] = start / norm, (M @ start) / norm
     for k in range(1, MOST):
         v = factors.solve(MV[k - 1])
         if k % CHUNK == 1:
-            residual = max(residual, relative_residual(matrix, sizes, v, MV[k - 1]))
+            residuals.append(relative_residual(matrix, sizes, v, MV[k - 1]))
         before = float(np.sqrt(v @ (M @ v)))
         for _ in range(2):
             along = MV[:k] @ v
@@ -128,7 +129,10 @@ def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float
                 break
     relative = rounding / _norms(more)
     return Evolved(
-        norm * more @ V[: more.shape[1]], norm * change @ V[: more.shape[1]], relative, residual
+        norm * more @ V[: more.shape[1]],
+        norm * change @ V[: more.shape[1]],
+        relative,
+        float(np.max(residuals)),
     )
 
 

@@ -215,7 +215,7 @@ def _answer(op: PlaneOperator, start: Start, times: Array, tol: float) -> _Answe
         survival[late] = u.values @ dual
         height = np.max(np.abs(op.vertex_values(u.values)), axis=1)
         lost[late] = np.abs(u.change @ dual) + ROUNDING * u.rounding * height
-        residual = max(residual, u.residual)
+        residual = float(np.max([residual, u.residual]))
     return _Answer(op, numbers, rounding, survival, lost, residual)
 
 

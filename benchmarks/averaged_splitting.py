@@ -1,7 +1,11 @@
-"""One averaged energy towards a limit, Eqs. (9), (17): exact steps of its square-root form."""
+"""Splitting of one averaged energy towards a limit, Eqs. (9), (17), whose exact answer is known.
+
+Exact steps of its square-root form; tests judge the algorithm of ``sim.splitting`` by it.
+"""
 
 from dataclasses import dataclass
 from functools import lru_cache
+from math import log, sqrt
 from threading import Lock
 from typing import Any
 
@@ -10,15 +14,22 @@ import numpy as np
 from fpk.arrays import Array, Integers
 from fpk.compiling import ROOT, cached_njit, checksum, inlined
 from fpk.errors import InvalidInput, NotApplicable
+from fpk.method import silent
+from fpk.process import Process
 from sim.averaged.passage import from_energies
-from sim.averaged.square_root import SquareRootForm
+from sim.averaged.square_root import SquareRootForm, line_form
 from sim.random import GOLDEN, mixed_seed
 from sim.splitting.arrays import LEVELS, Paths, Score, new_paths
-from sim.splitting.parts import begin, bridge_maximum, draw_normals, level_of, place, record
+from sim.splitting.parts import begin, draw_normals, level_of, place, record, uniform
 from sim.splitting.replicas import CompiledReplicas
+from sim.splitting.run import failure_of
 from sim.splitting.score import SHARES, ScoreFunction, cost_score, score_table
+from sim.splitting.settings import RareFailure, Splitting
 
-NAMES = ("random", "splitting/arrays", "splitting/parts", "splitting/averaged")
+NAMES = (
+    "sim/random.py", "sim/splitting/arrays.py", "sim/splitting/parts.py",
+    "benchmarks/averaged_splitting.py",
+)  # fmt: skip
 
 CELLS = 4096
 """Cells of the table of the damping over R = √X up to the limit."""
@@ -72,6 +83,26 @@ class EnergyProblem:
         )
 
 
+def rare_failure_of_process(
+    process: Process | SquareRootForm,
+    limit: float,
+    time: float,
+    *,
+    start: float = 0.0,
+    score: ScoreFunction | None = None,
+    settings: Splitting | None = None,
+) -> RareFailure:
+    """Return P(T <= ``time``) of an averaged equation of one energy, from the energy ``start``.
+
+    As ``sim.splitting.rare_failure``; the ``score`` is of energies. A ``Process`` is brought to the
+    form by ``line_form``, whose tables are good to 1e-7.
+    """
+    own = settings or Splitting()
+    form = line_form(process) if isinstance(process, Process) else process
+    problem = energy_problem(form, limit, start, time, dt=own.dt, score=score)
+    return failure_of(problem, own, silent)
+
+
 def energy_problem(
     form: SquareRootForm,
     limit: float,
@@ -119,6 +150,15 @@ def energy_problem(
 
 
 @inlined
+def bridge_maximum(a: float, b: float, variance: float, at: np.uint64) -> float:
+    """Draw the maximum of a Brownian bridge from a to b whose motion has ``variance`` in all.
+
+    P(max > m) = exp(−2 (m − a)(m − b)/variance); the uniform number is that at the place ``at``.
+    """
+    return 0.5 * (a + b + sqrt((b - a) * (b - a) - 2.0 * variance * log(uniform(at))))
+
+
+@inlined
 def damped(X: float, table: Array, top: float, h: float) -> float:
     """Return X after the damping beyond the linear over h, by an exponential midpoint rule."""
     cells = table.size - 1
@@ -139,7 +179,7 @@ def compiled_energies() -> Any:
 
 @lru_cache
 def _compiled() -> Any:
-    sources = checksum([ROOT / f"sim/{name}.py" for name in NAMES])
+    sources = checksum([ROOT / name for name in NAMES])
 
     @cached_njit()
     def renew(

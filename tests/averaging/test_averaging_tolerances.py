@@ -1,0 +1,32 @@
+"""A tolerance of 0, below it or of no number is refused by every question, and not the default."""
+
+import numpy as np
+import pytest
+
+from averaging import Exact, Integrable, Linear, NonIntegrable
+from fpk import System
+from fpk.errors import InvalidInput
+from fpk.limit import parse_limit
+from fpk.observable import parse_observable
+from fpk.start import REST
+from sim import MonteCarlo
+
+FREE = System([1.0], [1.0], [0.1], [0.05])
+Q, TIMES, AT = parse_observable("q1", 1), np.array([1.0]), np.array([0.5])
+QUESTIONS = {
+    "crossings": (Q, AT),
+    "spectrum": (Q, AT),
+    "correlation": (Q, AT),
+    "relaxation": (2,),
+    "passage": (parse_limit("H=1", 1), REST, TIMES),
+    "transient": (Q, REST, TIMES, (AT,)),
+}
+METHODS = (Exact(), Linear(), Integrable(), Integrable("fem"), NonIntegrable(), MonteCarlo())
+ASKED = [(m, q) for m in METHODS for q in QUESTIONS if hasattr(m, q)]
+
+
+@pytest.mark.parametrize(("method", "question"), ASKED)
+@pytest.mark.parametrize("tol", [0.0, -1e-3, np.nan])
+def test_no_such_tolerance(method, question, tol):
+    with pytest.raises(InvalidInput, match="tol"):
+        getattr(method, question)(FREE, *QUESTIONS[question], tol=tol)

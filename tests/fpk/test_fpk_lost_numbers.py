@@ -1,0 +1,76 @@
+"""What is no number is not lost where the largest of several residuals is taken."""
+
+from itertools import count
+
+import numpy as np
+import pytest
+from fpk_processes import both, chain
+from numba import njit
+from test_fpk_plane import square_root_process
+from test_fpk_plane_time import frame
+
+from averaging.energy_process import energy_process
+from fpk.line.elements import _residual
+from fpk.line.time import propagation
+from fpk.line.time.pair import degree_for, meshed
+from fpk.plane.solution import graded
+from fpk.plane.time import exponential, passage
+from fpk.plane.time.domain import Rectangle
+from fpk.plane.time.operator import PlaneOperator
+from fpk.plane.time.start import PointStart
+
+TIMES = np.array([1.0, 100.0])
+"""Apart by more than one contour and one Krylov space serve."""
+
+
+def nan_at(k):
+    """A residual that is 0 but at its call number ``k``."""
+    calls = count()
+    return lambda *_: np.nan if next(calls) == k else 0.0
+
+
+@pytest.mark.parametrize("k", [0, 1])
+def test_of_contours(monkeypatch, k):
+    process = energy_process(chain(2, both(10.0)))
+    e, _ = meshed(process, np.linspace(0.0, 4.0 * process.energy_scale, 9), degree_for(1e-4))
+    monkeypatch.setattr(propagation.chain, "residual", nan_at(k))
+    assert np.isnan(propagation.transforms(e, propagation.Source(), TIMES)[1])
+
+
+@pytest.mark.parametrize("k", range(5))
+def test_of_krylov_spaces(monkeypatch, k):
+    nodes = graded((5.0, 5.0), 3)
+    op = PlaneOperator(square_root_process((0.1, 0.2), (0.1, 0.2)), Rectangle(), nodes, 5)
+    A, M, _ = op.matrices
+    dual = PointStart(np.zeros(2)).dual(op)
+    made = []
+    residual = nan_at(k)
+    monkeypatch.setattr(
+        exponential, "relative_residual", lambda *_: made.append(residual()) or made[-1]
+    )
+    answer = exponential.evolved(A, M, dual, TIMES, tol=1e-6)
+    assert len(made) > 4 and np.isnan(answer.residual)
+
+
+def test_of_a_reliability(monkeypatch):
+    def without(*asked, **how):
+        return exponential.evolved(*asked, **how)._replace(residual=np.nan)
+
+    monkeypatch.setattr(passage, "evolved", without)
+    answer = passage.first_passage(
+        frame(square_root_process((0.1, 0.1), (0.05, 0.05))), PointStart(np.zeros(2)),
+        passage.PlaneLimit(total=1.0), TIMES, tol=1e-2,
+    )  # fmt: skip
+    assert np.isnan(answer.certificate.residual) and not answer.certificate.certified
+
+
+@njit
+def called_residual(A, u):
+    return _residual(A, u)[0]
+
+
+@pytest.mark.parametrize(("i", "j"), [(0, 0), (1, 3), (2, 1)])
+def test_of_an_element(i, j):
+    A = np.ones((3, 4))
+    A[i, j] = np.nan
+    assert np.isnan(called_residual(A, np.ones(4)))

@@ -1,0 +1,38 @@
+"""Upcrossings of a function: what quadrature and the end of the mesh cost is stated."""
+
+import numpy as np
+import pytest
+from scipy.special import erfc
+
+from fpk.certificate import Measured
+from fpk.density import certified_density
+from fpk.observable import parse_observable
+from fpk.upcrossings import upcrossings
+
+AT = np.array([-2.0, 0.0, 0.7, 5.0])
+
+
+@pytest.mark.parametrize("panels", [1, 2, 3, 8, 40])
+@pytest.mark.parametrize("reach", [1.5, 3.0, 6.0, 9.0, 50.0])
+@pytest.mark.parametrize("correlation", [0.0, 0.6])
+def test_the_error_holds_on_any_mesh(panels, reach, correlation):
+    """Of a Gaussian known exactly: E max(p, 0) of a normal p | q, by its mean and deviation."""
+    own = np.sqrt(1.0 - correlation**2)
+
+    def pdf(q, p):
+        square = (p - correlation * q) ** 2 / own**2 + q**2
+        return np.exp(-0.5 * square) / (2.0 * np.pi * own)
+
+    nodes = np.linspace(-reach, reach, 2 * panels + 1)
+    joint = certified_density(
+        parse_observable("q1,p1", 1), (np.linspace(-9.0, 9.0, 19), nodes), pdf,
+        lambda q, p: 0.0 * (q + p), measured=Measured(1e-12, 0.0, 0.0, 0.0, 0.0), tol=1.0,
+    )  # fmt: skip
+    values, errors = upcrossings(joint, 2.0, AT)
+    z = correlation * AT / own
+    flow = own * (np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) + 0.5 * z * erfc(-z / np.sqrt(2.0)))
+    exact = np.exp(-0.5 * AT**2) / np.sqrt(2.0 * np.pi) * flow / 2.0
+    # 1e-14: the round-off of both formulas.
+    assert np.all(np.abs(values - exact) <= errors + 1e-14 * exact)
+    if reach == 9.0 and panels == 40:
+        assert np.all(errors <= 1e-12 * np.max(exact))
