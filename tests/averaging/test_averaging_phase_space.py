@@ -311,3 +311,26 @@ def test_errors_of_random_systems_are_within_the_stated_ones_of_a_finer_solution
                 if error > ladder.errors[o]:
                     above.append((number, ladder.solutions, o, error / ladder.errors[o]))
     assert not above
+
+
+@pytest.mark.slow
+def test_errors_of_figure_6_are_within_the_stated_ones_where_distances_no_longer_fall():
+    system = fpk.System(**FIG6, noise_intensity=[0.01, 0.02], contacts=(STOP,))
+    observables = [parse_observable(o, 2) for o in ("q1", "q2", "p1", "p2")]
+    *coarser, finest = ladders(
+        contact_frame(system),
+        observables,
+        wanted=np.inf,
+        work=1.2e13,
+        threads=None,
+        progress=silent,
+        reference=None,
+    )
+    assert finest.finest.degrees.total >= 64
+    for ladder in coarser:
+        for o in observables:
+            panels, pdf = marginal(ladder.frame, ladder.finest, o)
+            mesh, grids = gauss_grid(panels)
+            _, right = marginal(ladder.frame, finest.finest, o)
+            error = integral(np.abs(pdf(*mesh) - right(*mesh)), grids)
+            assert error <= ladder.errors[o], (ladder.finest.degrees, o, error / ladder.errors[o])

@@ -7,11 +7,11 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import spsolve
 from skfem import Basis, BilinearForm, ElementLineP1, ElementLineP2, ElementLinePp, MeshLine
 from skfem.helpers import dot, grad
-from weak_form import Operator
 
 from averaging.energy_process import energy_process
 from fpk.line.elements import element_rule
 from fpk.line.stationary import solve_on_mesh
+from fpk.operator import Operator
 from fpk.plane.elements import shape_functions
 
 FORMS = ["flux", "drift-diffusion"]

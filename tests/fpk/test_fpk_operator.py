@@ -7,11 +7,11 @@ import pytest
 from fpk_processes import both, chain, cox_ingersoll_ross
 from processes import process_of
 from scipy.linalg import eig
-from weak_form import Operator
 
 from averaging.energy_process import energy_process
 from fpk.errors import NotCertified
 from fpk.line.stationary import solve_on_mesh
+from fpk.operator import Operator
 from fpk.plane.on_mesh import solve_plane_on_mesh
 from fpk.process import Process
 

@@ -7,9 +7,9 @@ from scipy.linalg import expm
 from scipy.sparse.linalg import splu
 from scipy.special import ive
 from test_fpk_plane import COUPLED, FIG8, manufactured, square_root_process
-from weak_form import Operator
 
 from fpk.errors import InvalidInput
+from fpk.operator import Operator
 from fpk.plane.solution import graded
 from fpk.plane.stationary import solve_plane
 from fpk.plane.time.domain import Rectangle, Triangle

@@ -5,7 +5,6 @@ import pytest
 from fpk_processes import both, chain, cox_ingersoll_ross
 from scipy.sparse.linalg import splu
 from square_root_exact import density
-from weak_form import Operator
 
 from averaging.energy_process import energy_process
 from fpk.contact import Contact
@@ -16,6 +15,7 @@ from fpk.line.time.evolution import fem_passage
 from fpk.line.time.propagation import Source
 from fpk.line.time.spectrum import eigenvalues_below, spectrum
 from fpk.line.time.transition import transition
+from fpk.operator import Operator
 from fpk.square_root import SquareRoot
 
 DECADES = np.array([1e-3, 0.1, 1.0, 1e3])
