@@ -164,8 +164,10 @@ class StationaryMotionMethod(CrossingsMethod):
         """Return C at the lags that are asked for."""
 
 
-Crossings, Spectrum, Correlation = CrossingsMethod, StationaryMotionMethod, StationaryMotionMethod
-"""What a method is that gives crossing rates, power spectra and autocovariances."""
+Crossings = CrossingsMethod
+"""What a method is that gives crossing rates."""
+Spectrum = Correlation = StationaryMotionMethod
+"""What a method is that gives power spectra and autocovariances."""
 
 
 def certified_curve(
