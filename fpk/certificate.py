@@ -22,7 +22,7 @@ ROUNDING = 1e-14
 
 
 MISSED = "the estimated error"
-"""How the failure begins that says so where it exceeds the tolerance."""
+"""First words of the failure that an estimated error exceeds the tolerance."""
 
 
 def tolerance(tol: float | None, default: Default) -> float | Default:

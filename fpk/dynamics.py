@@ -1,11 +1,12 @@
 """The stationary motion in time: crossings, power spectra, autocovariances, relaxation rates.
 
-A ``Method`` gives crossing rates if it is one of ``Crossings``, and likewise for ``Spectrum``,
-``Correlation`` and ``Relaxation``. In all of them ``tol`` is the largest error wanted: of curves in
-units of a natural size of the quantity (σ_v/(2πσ_q) of crossings, σ_q³/σ_v of spectra, σ_q² of
-autocovariances), of rates relative to each; None for the default of the method. ``observable`` is a
-displacement, as ``parse_observable("q1", n)`` gives it, or else ``InvalidInput`` is raised.
-``progress`` as of ``Method.solve``.
+A ``Method`` gives crossing rates if it is a ``CrossingsMethod``, power spectra and autocovariances
+if it is a ``StationaryMotionMethod``, and relaxation rates if it is one of ``Relaxation``. In all
+of them ``tol`` is the largest error wanted: of curves in units of a natural size of the quantity
+(σ_v/(2πσ_q) of crossings, σ_q³/σ_v of spectra, σ_q² of autocovariances), of rates relative to each;
+None for the default of the method. ``observable`` is a displacement, as
+``parse_observable("q1", n)`` gives it, or else ``InvalidInput`` is raised. ``progress`` as of
+``Method.solve``.
 """
 
 from abc import abstractmethod
@@ -77,9 +78,10 @@ class Relaxation(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What is asked of the stationary motion of the displacement of the mass ``row``, from 0.
+    """A curve that is asked for, of the stationary motion of the displacement of one mass.
 
-    ``at`` are levels, angular frequencies or lags.
+    ``row`` counts the masses from 0; ``at`` are levels, angular frequencies or lags; ``tol`` is the
+    largest error wanted, in the units of the module, None for the default.
     """
 
     system: System
@@ -162,12 +164,6 @@ class StationaryMotionMethod(CrossingsMethod):
     @abstractmethod
     def _correlation(self, asked: Question) -> Curve:
         """Return C at the lags that are asked for."""
-
-
-Crossings = CrossingsMethod
-"""What a method is that gives crossing rates."""
-Spectrum = Correlation = StationaryMotionMethod
-"""What a method is that gives power spectra and autocovariances."""
 
 
 def certified_curve(

@@ -9,9 +9,11 @@ from fpk.density import AnyDensity, Density
 from fpk.quadrature import gauss_grid, panel_rule
 from fpk.sampled_density import BIN_POINTS, SampledDensity
 
-POINTS, SAFETY = (12, 16, 20), 3.0
-"""Gauss points of each panel of momenta: of two coarser rules, that are not both right by chance,
-and of the answer; factor of its distance to both."""
+POINTS = (12, 16, 20)
+"""Gauss points on each panel of momenta; the answer is that of the last rule. One of the others may
+agree with it by chance, both hardly."""
+SAFETY = 3.0
+"""Error of quadrature over the sum of the distances of the answer to the other rules."""
 
 
 def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array]:
@@ -38,7 +40,7 @@ def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array
 def _beyond(joint: Density, last: Array, at: Array) -> Array:
     """∫ p f(q, p) dp beyond the last node, f falling there at least as between the ``last`` two.
 
-    Infinite where it does not fall, unless its error says no more than that it is small.
+    Infinite where it does not fall, unless it is within its error of 0 there.
     """
     density, error = joint.at(at[:, None], last)
     (before, end), size = np.abs(density).T, np.abs(density[:, 1]) + error[:, 1]

@@ -26,7 +26,7 @@ from averaging.phase_space.refinement import (
 )
 from averaging.theory import Theory
 from fpk.arrays import Array
-from fpk.certificate import Measured, certify
+from fpk.certificate import Measured, certify, tolerance
 from fpk.dynamics import Curve, Question, Rates, StationaryMotionMethod, certified_curve
 from fpk.errors import NotApplicable, NotCertified
 from fpk.evolution import Passage
@@ -153,7 +153,8 @@ class PhaseSpace(StationaryMotionMethod, Theory):
         self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
     ) -> Rates:
         """Return the slowest eigenvalues of the expansion's FPK operator."""
-        options, frame = self._options(tol or RELAXATION_TOL, progress), self._frame(system)
+        frame = self._frame(system)
+        options = self._options(tolerance(tol, RELAXATION_TOL), progress)
         with _breakdowns():
             answer = relaxation(frame, count, options)
         values = np.asarray(answer.last.values, dtype=complex)

@@ -54,9 +54,9 @@ def crossings(asked: Asked, of: str, at: str) -> None:
 
     By linear, exact or phase-space, or counted in a simulation by montecarlo.
     """
-    from fpk.dynamics import Crossings
+    from fpk.dynamics import CrossingsMethod
 
-    _curve(asked, Crossings, "crossings", "rate", of, at)
+    _curve(asked, CrossingsMethod, "crossings", "rate", of, at)
 
 
 @asking(*DISPLACEMENT)
@@ -66,9 +66,9 @@ def spectrum(asked: Asked, of: str, at: str) -> None:
     It is two-sided: its integral over all frequencies, negative ones too, is the variance. By
     linear or phase-space, or estimated from a simulation by montecarlo.
     """
-    from fpk.dynamics import Spectrum
+    from fpk.dynamics import StationaryMotionMethod
 
-    _curve(asked, Spectrum, "spectrum", "spectrum", of, at)
+    _curve(asked, StationaryMotionMethod, "spectrum", "spectrum", of, at)
 
 
 @asking(*DISPLACEMENT)
@@ -78,9 +78,9 @@ def correlation(asked: Asked, of: str, at: str) -> None:
     It begins with the variance. By linear or phase-space, or estimated from a simulation by
     montecarlo.
     """
-    from fpk.dynamics import Correlation
+    from fpk.dynamics import StationaryMotionMethod
 
-    _curve(asked, Correlation, "correlation", "correlation", of, at)
+    _curve(asked, StationaryMotionMethod, "correlation", "correlation", of, at)
 
 
 @asking(click.option("--rates", type=click.IntRange(1, 100), default=5, help="Default 5."), TOL)

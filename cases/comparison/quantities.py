@@ -29,7 +29,7 @@ from cases.comparison.quantity import (
     shown_of,
 )
 from fpk.density import AnyDensity, Density
-from fpk.dynamics import Crossings
+from fpk.dynamics import CrossingsMethod
 from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Result, silent
 from fpk.number import Number
@@ -170,7 +170,7 @@ def _rates(system: System, result: Result, q: Coordinate, p: Coordinate) -> Iter
     joint = known.get((q, p))
     if joint is not None:
         values, errors = upcrossings(joint, float(system.mass[q.row]), at)
-    elif isinstance(method, Crossings) and method.route.quick and not method.route.sampled:
+    elif isinstance(method, CrossingsMethod) and method.route.quick and not method.route.sampled:
         try:
             curve = method.crossings(system, (q,), at, tol=None, progress=silent)
         except (NotApplicable, NotCertified):

@@ -8,8 +8,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from math import isfinite
-from typing import Any
+from math import isfinite, nan
 
 from fpk.contact import Contact
 from fpk.contact_quantities import contact_quantity, ratio
@@ -39,7 +38,8 @@ CONTACT = ("contact_probability", "mean_overlap", "overlap_in_contact", "mean_fo
            "force_in_contact")  # fmt: skip
 """Numbers of ``contact_quantities``."""
 AT_STOP = (CONTACT[0], UPCROSSING, *CONTACT[1:])
-"""What a run shows of each stop: the rate of impacts beside the share of time in contact."""
+"""Numbers of one stop, in the order of the tables of a run; the upcrossing rate of its position is
+that of impacts."""
 PASSAGE = {"failure_rate": "rate", "mean_passage": "mean"}
 """Numbers of a ``Passage`` from rest."""
 RELAXATION = "relaxation_rate"
@@ -58,11 +58,12 @@ FORMS = (
 
 @dataclass(frozen=True)
 class Definition:
-    """What a quantity is: ``kind`` is its name before the parenthesis, the rest stands in it.
+    """A quantity such as ``quantile(q2,0.99)``: ``kind`` stands before the parenthesis.
 
-    A number that follows from the stationary motion of ``observable`` (and of another number,
-    ``at``), from the first passage of ``limit``, or the relaxation rate number ``at``. ``contact``
-    counts the contacts from 0; ``side`` names one of its stops, both where it is empty.
+    ``observable`` is the coordinate or pair whose stationary motion it is a number of, and ``at`` a
+    probability, a level, or which of the relaxation rates, from 1. ``contact`` counts the contacts
+    from 0, ``side`` names one of its stops, and is empty for both. ``limit`` is that of a first
+    passage from rest. What a kind does not need is empty or None.
     """
 
     kind: str
@@ -229,10 +230,10 @@ def _counted(key: str, text: str, most: int, remedy: str) -> int:
 
 def _number(kind: str, text: str) -> float:
     try:
-        value: Any = float(text)
+        value = float(text)
     except ValueError:
-        value = text
-    if not (isinstance(value, float) and isfinite(value)):
+        value = nan
+    if not isfinite(value):
         raise InvalidInput("number", text.strip(), "must be a finite number, as exceedance(q1,1.2)")
     if kind == "quantile" and not 0.0 < value < 1.0:
         raise InvalidInput("number", value, "must be a probability between 0 and 1")

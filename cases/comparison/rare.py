@@ -10,7 +10,7 @@ from averaging.energy_process import energy_process
 from cases.scene.questions import PassageQuestion
 from cases.written import bound
 from fpk.arrays import Array
-from fpk.certificate import Measured, certify
+from fpk.certificate import Measured, certify, tolerance
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import Passage
 from fpk.line.time.passage import first_passage
@@ -86,7 +86,7 @@ def passage_answer(
         failed = (1.0 - float(first.survival[-1])) * method.paths
         longest = horizon(method, float(first.settings["coarse dt"]), last)
         if failed * longest / last < LEAST_FAILURES:
-            settings = splitting_of(method, replicas=MORE_REPLICAS, tol=tol or ERROR)
+            settings = splitting_of(method, replicas=MORE_REPLICAS, tol=tolerance(tol, ERROR))
             answer = split_passage(system, question, settings, tol=tol, progress=progress)
             words = f"splitting: of {method.paths} plain paths {failed:.0f} pass by t = {last:g}"
             return replace(answer, settings={"sampled_by": words, **answer.settings})

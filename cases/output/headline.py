@@ -42,7 +42,7 @@ def measure_of(curves: list[Record]) -> str:
 
 
 def _asked(curve: Record) -> tuple[str, list[Record]]:
-    """What the sentence is about where it is no stationary density, and the distances."""
+    """Words for what the distances are of, empty for stationary densities, and the distances."""
     if curve["system"]["modulation"] is None:
         return "", curve["averaging"]
     for words, questions, norm in (

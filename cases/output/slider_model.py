@@ -78,10 +78,12 @@ def slider_model(
         "D": _linear("noise D", system.noise_intensity, gain, system, shapes),
         "of": known,
     }
-    for key, quantity in _UNITS.items() if units is not None else ():
-        unit = (units or {})[quantity]
-        for k, one in enumerate(model[key]):
-            one["unit"] = unit[k] if isinstance(unit, list) else "" if "matrix" in one else unit
+    if units is not None:
+        for key, quantity in _UNITS.items():
+            for k, one in enumerate(model[key]):
+                own = units[quantity]
+                own = own[k] if isinstance(own, list) else own
+                one["unit"] = "" if "matrix" in one else own
     return model, words
 
 
@@ -150,7 +152,7 @@ def _linear(
 def _form(
     c: Coordinate, system: System, contact_mass: int, modes: ModalAnalysis | None
 ) -> Record | None:
-    """What the page needs to know of a coordinate, and its closed forms; None where it has none."""
+    """Parameters of a coordinate's closed forms, and their names; None where it has none."""
     modal = [] if modes is None else ["modal"]
     if c.kind == "H":
         if c.index is not None:

@@ -30,7 +30,7 @@ class TransientQuestion:
 
     @property
     def name(self) -> str:
-        """What is asked for, as ``H from rest``."""
+        """Observable and start in words, as ``H from rest``."""
         return f"{observable_name(self.of)} from {self.start}"
 
 
@@ -53,7 +53,7 @@ class PassageQuestion:
 
     @property
     def name(self) -> str:
-        """What is asked for, as ``H=1.5 from rest`` or ``H1=0.4 or H2=0.6 from rest``."""
+        """Limit and start in words, as ``H=1.5 from rest`` or ``H1=0.4 or H2=0.6 from rest``."""
         return f"{' or '.join(str(self.limit).split(','))} from {self.start}"
 
 

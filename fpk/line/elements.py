@@ -244,10 +244,9 @@ def _residual(A: Array, u: Array) -> tuple[float, float, float]:
         for j in range(u.size):
             total += A[i, j] * u[j]
             size += abs(A[i, j] * u[j])
-        residual, largest = (
-            np.maximum(residual, abs(total)),
-            np.maximum(largest, size),
-        )  # NaN is kept
+        # Of numbers and NaN np.maximum keeps the NaN, unlike max.
+        residual = np.maximum(residual, abs(total))
+        largest = np.maximum(largest, size)
         if i == 0:
             net, one_way = abs(total), size
     return residual / largest, net, one_way

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from averaging import Exact, Integrable, Linear, NonIntegrable
+from averaging import Exact, Integrable, Linear, NonIntegrable, PhaseSpace
 from fpk import System
 from fpk.errors import InvalidInput
 from fpk.limit import parse_limit
@@ -21,7 +21,9 @@ QUESTIONS = {
     "passage": (parse_limit("H=1", 1), REST, TIMES),
     "transient": (Q, REST, TIMES, (AT,)),
 }
-METHODS = (Exact(), Linear(), Integrable(), Integrable("fem"), NonIntegrable(), MonteCarlo())
+METHODS = (
+    Exact(), Linear(), Integrable(), Integrable("fem"), NonIntegrable(), PhaseSpace(), MonteCarlo(),
+)  # fmt: skip
 ASKED = [(m, q) for m in METHODS for q in QUESTIONS if hasattr(m, q)]
 
 

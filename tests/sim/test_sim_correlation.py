@@ -8,7 +8,7 @@ from sim_systems import exact, fig6, linear
 
 from cases.comparison.routes import method_for
 from fpk.contact import Contact
-from fpk.dynamics import Correlation, Curve
+from fpk.dynamics import Curve, StationaryMotionMethod
 from fpk.errors import InvalidInput
 from fpk.method import silent
 from fpk.observable import Coordinate
@@ -93,7 +93,7 @@ def test_the_same_for_any_threads_and_a_tolerance_is_met_or_not_certified() -> N
     one, two = (sampled(linear(1), 0, AT, threads=k) for k in (1, 2))
     np.testing.assert_array_equal(one.values, two.values)
     method = MonteCarlo(paths=4096, threads=1, time=100.0, longest=0.2)
-    assert isinstance(method, Correlation)
+    assert isinstance(method, StationaryMotionMethod)
     short = method.correlation(linear(1), (Coordinate("q", 0),), AT, tol=1e-6)
     assert any("exceeds the tolerance" in words for words in short.certificate.failures)
 

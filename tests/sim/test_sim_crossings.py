@@ -7,7 +7,7 @@ import pytest
 from sim_systems import exact, fig6, linear
 
 from cases.comparison.routes import method_for
-from fpk.dynamics import Crossings, Curve
+from fpk.dynamics import CrossingsMethod, Curve
 from fpk.errors import NotApplicable
 from fpk.method import silent
 from fpk.observable import Coordinate
@@ -137,6 +137,6 @@ def test_too_large_an_error_and_too_short_a_burn_in_are_not_certified() -> None:
         linear(1), (Coordinate("q", 0),), np.array([0.0]), tol=1e-5, progress=silent
     )
     assert any("exceeds the tolerance" in words for words in answer.certificate.failures)
-    assert isinstance(method, Crossings)
+    assert isinstance(method, CrossingsMethod)
     with pytest.raises(NotApplicable, match="not damped"):
         counted(System([1.0], [1.0], [0.0], [0.1]), 0, [0.0])

@@ -10,6 +10,7 @@ from averaging.phase_space.passage.oscillator import oscillator_of
 from averaging.phase_space.passage.solution import EPS, Solution
 from averaging.phase_space.passage.states import Region, Source, region_of, source_of
 from fpk.arrays import Array
+from fpk.certificate import tolerance
 from fpk.errors import NotCertified
 from fpk.evolution import Passage, certified_passage, checked_times
 from fpk.limit import Limit
@@ -78,7 +79,7 @@ def first_passage(
     oscillator = oscillator_of(system)
     region = region_of(system, oscillator, limit)
     source = source_of(system, region, start)
-    tol = tol or (TOL if region.of_energy else GLANCING_TOL)
+    tol = tolerance(tol, TOL if region.of_energy else GLANCING_TOL)
     if (fall := oscillator.inverse_temperature * region.height) > HIGHEST:
         words = f"up to it the density falls by exp(−{fall:.0f})"
         raise NotCertified(f"the limit is hardly ever passed: {words}; take a lower one")

@@ -34,7 +34,7 @@ INHERITED = {
 """Attributes that an element of SVG has from the group in which it is."""
 
 OF_TEXT = {"font-size", "text-anchor"}
-"""Those of them that only text needs."""
+"""Inherited attributes that only text needs."""
 
 
 def svg_text(figure: Figure, *, salt: str) -> str:

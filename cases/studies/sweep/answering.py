@@ -24,7 +24,7 @@ from cases.scene.questions import PassageQuestion
 from cases.studies.sweep.reference import reference_of
 from cases.studies.sweep.result import SweepPoint, Value
 from fpk.density import AnyDensity
-from fpk.dynamics import Crossings, Curve, Rates, Relaxation
+from fpk.dynamics import CrossingsMethod, Curve, Rates, Relaxation
 from fpk.errors import NotApplicable, NotCertified
 from fpk.evolution import Passage, Passages
 from fpk.limit import parse_limit
@@ -101,10 +101,10 @@ def _values(
     def crossings(observable: Observable) -> Curve | Exception:
         """Upcrossings of all ``levels`` that are asked for, at once."""
 
-        def ask(method: Crossings, **how: Any) -> Curve:
+        def ask(method: CrossingsMethod, **how: Any) -> Curve:
             return method.crossings(system, observable, np.array(levels[observable]), **how)
 
-        return _first(methods, Crossings, "upcrossing rate", ask)
+        return _first(methods, CrossingsMethod, "upcrossing rate", ask)
 
     @cache
     def relaxation() -> Rates | Exception:
@@ -149,19 +149,23 @@ def _values(
         return Number(L1, error), max(kinds), (*failures, *problems), route  # "sampling" is last
 
     for quantity in quantities:
-        try:
-            number, kind, failures, route = found(quantity)
-            if number is None or not (isfinite(number.value) and isfinite(number.error)):
-                raise NotApplicable("gives no such number with an error that has a bound")
-        except REFUSALS as error:
-            failed = not isinstance(error, NotApplicable)
-            yield Value(str(quantity), name, reason=str(error), failed=failed)
-            continue
-        checks = tuple(dict.fromkeys(failures))
-        yield Value(
-            str(quantity), name, number.value, number.error, kind, certified=not checks,
-            failures=checks, reference=route,
-        )  # fmt: skip
+        yield _value(name, quantity, found)
+
+
+def _value(name: str, quantity: Definition, found: Callable[[Definition], Found]) -> Value:
+    """The answer of the method ``name`` for one quantity, or why there is none."""
+    try:
+        number, kind, failures, route = found(quantity)
+        if number is None or not (isfinite(number.value) and isfinite(number.error)):
+            raise NotApplicable("gives no such number with an error that has a bound")
+    except REFUSALS as error:
+        failed = not isinstance(error, NotApplicable)
+        return Value(str(quantity), name, reason=str(error), failed=failed)
+    checks = tuple(dict.fromkeys(failures))
+    return Value(
+        str(quantity), name, number.value, number.error, kind, certified=not checks,
+        failures=checks, reference=route,
+    )  # fmt: skip
 
 
 def _densities(

@@ -53,7 +53,7 @@ class SweepPoint:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What failed or is not certified."""
+        """Each answer that failed or is not certified, in words."""
         return tuple(
             f"{a.quantity} by {a.method} {words}"
             for a in self.answers
@@ -100,7 +100,7 @@ class Sweep:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What failed or is not certified at a point, in words that begin with its place."""
+        """Each answer that failed or is not certified, in words that begin with its grid point."""
         return tuple(
             f"{place_words(self.axes, p.values)}: {words}"
             for p in self.points
