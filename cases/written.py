@@ -109,4 +109,4 @@ def concise(value: float | None, error: float | None) -> str:
         count, decimals = rounded_up(error, last), shift - last
         bracket = f"({count})" if decimals >= 0 else f"({count * 10**-decimals})"
     decimals = max(shift - last, 0)
-    return f"{value / 10.0**shift:.{decimals}f}{bracket}{suffix}"
+    return f"{value / 10.0**shift:z.{decimals}f}{bracket}{suffix}"

@@ -52,7 +52,7 @@ class FunctionQuantities(Quantities):
         tail = outside(self.certificate) * beyond(function, self.panels, kinks)
         return Number(value, error + rounding + abs(value - coarse) + tail)
 
-    def probability(self, low: float, high: float) -> Number:
+    def _probability(self, low: float, high: float) -> Number:
         """Return P(low < X <= high) and its error.
 
         The error is the integral of the error at points over the interval or, as the whole mass is

@@ -8,7 +8,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import reduce
 from importlib import import_module
-from math import inf, isfinite
+from math import inf, isfinite, isnan
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -46,13 +47,22 @@ class Quantities(ABC):
     def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
         """Return E f(X) of a ``function`` of arrays that is smooth but at its ``kinks``."""
 
-    @abstractmethod
     def probability(self, low: float, high: float) -> Number:
-        """Return P(low < X <= high); either end may be infinite."""
+        """Return P(low < X <= high) and its error; either end may be infinite.
+
+        Raises ``InvalidInput`` unless both ends are numbers. ::
+
+            q2.probability(-0.5, 0.5)
+        """
+        return self._probability(_number("low", low), _number("high", high))
+
+    @abstractmethod
+    def _probability(self, low: float, high: float) -> Number:
+        """Return P(low < X <= high) and its error."""
 
     def share(self, low: float, high: float) -> float:
         """Return P(low < X <= high) without its error."""
-        return self.probability(low, high).value
+        return self._probability(low, high).value
 
     def moment(self, *powers: int, about: float = 0.0) -> Number:
         """Return E (X − about)^power, of two coordinates E (X − about)^power (Y − about)^other.
@@ -111,19 +121,22 @@ class Quantities(ABC):
         return self._of_moments(correlation, *self._middle())
 
     def cdf(self, x: float) -> Number:
-        """Return P(X <= x)."""
-        return self.probability(-inf, x)
+        """Return P(X <= x). Raises ``InvalidInput`` unless x is a number."""
+        return self._probability(-inf, _number("x", x))
 
     def exceedance(self, x: float) -> Number:
-        """Return P(X > x): its relative digits are kept where it is small."""
-        return self.probability(x, inf)
+        """Return P(X > x): its relative digits are kept where it is small.
+
+        Raises ``InvalidInput`` unless x is a number.
+        """
+        return self._probability(_number("x", x), inf)
 
     def quantile(self, p: float) -> Number:
         """Return the x with P(X <= x) = p; its error is that of x at p plus and minus its error.
 
         Raises ``InvalidInput`` unless 0 < p < 1.
         """
-        if not 0.0 < p < 1.0:
+        if not 0.0 < _number("p", p) < 1.0:
             raise InvalidInput("p", p, "must be a probability between 0 and 1")
         low, high = (float(x) for x in self._axis()[[0, -1]])
         # From the side on which there is less, whose relative digits are kept.
@@ -189,6 +202,13 @@ class Quantities(ABC):
 
         own = self.expectation(change)
         return Number(float(np.real(function(moments.astype(complex)))), own.error)
+
+
+def _number(key: str, value: Any) -> float:
+    """Return ``value``, one real number; raise ``InvalidInput`` for anything else."""
+    if isinstance(value, bool) or not isinstance(value, Real) or isnan(value):
+        raise InvalidInput(key, value, "must be one number; of several, ask for each")
+    return float(value)
 
 
 def monomial(powers: Sequence[int], about: Sequence[float]) -> Function:

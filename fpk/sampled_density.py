@@ -110,7 +110,7 @@ class SampledDensity(Quantities):
         error = float(np.hypot(chance, visit) + np.abs(np.asarray(change).flat[0]) + tail)
         return Number(float(total[0]), error)
 
-    def probability(self, low: float, high: float) -> Number:
+    def _probability(self, low: float, high: float) -> Number:
         """Return P(low < X <= high) and one standard error, at least that of one visit.
 
         Of a bin that is cut its share counts; by the slope there that errs by h²|p′|/8 at the most.

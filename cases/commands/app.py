@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from cases.commands import parts
+from cases.commands import completed, parts
 from cases.commands.authoring import check, completion, new, schema, show
 from cases.commands.dynamics import correlation, crossings, density, relaxation, spectrum
 from cases.commands.evolution import passage, transient
@@ -57,12 +57,16 @@ def list_scenes() -> None:
 @parts.scene_name
 @click.option("--out", type=parts.FOLDER, help="Folder for report, netCDF, pictures.")
 @parts.simulation_options
-@click.option("--of", multiple=True, metavar="OBS", help="Only this; may be given several times.")
+@click.option(
+    "--of", multiple=True, metavar="OBS", help="Only this; may be given several times.",
+    shell_complete=completed.observables,
+)  # fmt: skip
 @click.option(
     "--method",
     "only",
     multiple=True,
     metavar="METHOD",
+    shell_complete=completed.methods,
     help="Only this method, or method/solver; may be given several times.",
 )
 @click.option("--simulation/--no-simulation", default=True, help="With the simulations, or not.")
@@ -102,7 +106,7 @@ def run(
     if only and not any(curve.results for curve in outcome.curves):
         raise BadInput(f"{loaded.name}: {'; '.join(outcome.curves[0].problems)}")
     written, digest = [], digest_of(outcome)
-    if asked is not None:
+    if asked is not None and any(method.route.sampled for method in methods):
         digest["notes"].append(f"--tol {asked:g} is for the solvers; simulations take --seconds")
     if out is not None:
         from cases.output.report import write_report

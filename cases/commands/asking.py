@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cases.commands import parts
+from cases.commands import completed, parts
 from cases.scene.errors import BadInput
 from fpk.errors import InvalidInput, NotApplicable
 
@@ -23,8 +23,22 @@ if TYPE_CHECKING:
 
 LIST = '"-1.5:1.5:0.1", "-1,0,0.3"'
 
-METHOD = click.option("--method", required=True, help="One that gives it; others are refused.")
-SOLVER = click.option("--solver", help="One of the solvers of the method.")
+METHOD = click.option(
+    "--method", required=True, help="One that gives it; others are refused.",
+    shell_complete=completed.methods,
+)  # fmt: skip
+SOLVER = click.option(
+    "--solver", help="One of the solvers of the method.", shell_complete=completed.solvers
+)
+
+
+def observed(words: str) -> Any:
+    """Return the option ``--of`` that says in ``words`` what it takes."""
+    return click.option(
+        "--of", metavar="OBS", required=True, help=words, shell_complete=completed.observables
+    )
+
+
 AT = click.option("--at", metavar="LIST", required=True, help=f'{LIST}, a pair "A x B".')
 TOL = click.option("--tol", type=float, help="Relative error wanted; a solver adapts to meet it.")
 SIMULATED = (parts.seed, parts.seconds, parts.threads)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 from click.shell_completion import get_completion_class
 
-from cases.commands import parts
+from cases.commands import completed, parts
 from cases.scene.errors import BadInput
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
@@ -16,7 +16,10 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 @click.command()
 @click.argument("name")
 @click.option("--masses", type=click.IntRange(1, 500), default=2, help="Default 2.")
-@click.option("--law", default="hertz", help="Contact law: hertz (the default), bilinear, power.")
+@click.option(
+    "--law", default="hertz", help="Contact law: hertz (the default), bilinear, power.",
+    shell_complete=completed.laws,
+)  # fmt: skip
 @click.option("--out", type=parts.FOLDER, help="File to write; NAME.toml if left out.")
 @parts.as_json
 def new(name: str, masses: int, law: str, out: Path | None) -> None:

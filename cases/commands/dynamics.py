@@ -5,11 +5,11 @@ from typing import Any
 import click
 
 from cases.commands import parts
-from cases.commands.asking import AT, LIST, SIMULATED, TOL, Asked, asking
+from cases.commands.asking import AT, LIST, SIMULATED, TOL, Asked, asking, observed
 from cases.scene.errors import BadInput
 
 DISPLACEMENT = (
-    click.option("--of", metavar="OBS", required=True, help="A displacement: q1, q2, ..."),
+    observed("A displacement: q1, q2, ..."),
     click.option("--at", metavar="LIST", required=True, help=f"{LIST}."),
     TOL,
     *SIMULATED,
@@ -17,7 +17,7 @@ DISPLACEMENT = (
 
 
 @asking(
-    click.option("--of", metavar="OBS", required=True, help="q1.., p1.., H, H1.. or a pair a,b."),
+    observed("q1.., p1.., H, H1.. or a pair a,b."),
     AT,
     parts.simulation_options,
 )
@@ -52,7 +52,8 @@ def density(asked: Asked, of: str, at: str) -> None:
 def crossings(asked: Asked, of: str, at: str) -> None:
     """Give the upcrossings of levels per unit time in the stationary state.
 
-    By linear, exact or phase-space, or counted in a simulation by montecarlo.
+    By linear, exact, phase-space or the averaged theories (nonintegrable, integrable), or counted
+    in a simulation by montecarlo.
     """
     from fpk.dynamics import CrossingsMethod
 

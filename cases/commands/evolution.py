@@ -4,7 +4,7 @@ from typing import Any
 
 import click
 
-from cases.commands.asking import AT, SIMULATED, TOL, Asked, asking, read
+from cases.commands.asking import AT, SIMULATED, TOL, Asked, asking, observed, read
 from cases.commands.parts import observable_of
 
 START = click.option(
@@ -14,7 +14,7 @@ START = click.option(
 
 
 @asking(
-    click.option("--of", metavar="OBS", required=True, help="H, q1.., p1.., H1.. or a pair a,b."),
+    observed("H, q1.., p1.., H1.. or a pair a,b."),
     START,
     click.option("--times", metavar="LIST", required=True, help="Times after the start."),
     *(AT, TOL, *SIMULATED),

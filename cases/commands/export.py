@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from cases.commands import parts
+from cases.commands import completed, parts
 from cases.scene.errors import BadInput
 
 ENDINGS = (".vtu", ".pvd", ".nc", ".csv")
@@ -17,7 +17,10 @@ ENDINGS = (".vtu", ".pvd", ".nc", ".csv")
 @click.option(
     "--out", type=parts.FOLDER, required=True, help="File to write: .vtu, .pvd, .nc or .csv."
 )
-@click.option("--of", metavar="OBS", help="This density instead of the scene's own.")
+@click.option(
+    "--of", metavar="OBS", help="This density instead of the scene's own.",
+    shell_complete=completed.observables,
+)  # fmt: skip
 @parts.tol
 @click.option("--simulate", is_flag=True, help="With the simulation of the full system.")
 @parts.seed
@@ -38,11 +41,9 @@ def export(
 
     if out.suffix not in ENDINGS:
         raise BadInput(f"--out {out}: the ending says the format; use {', '.join(ENDINGS)}")
-    if not out.parent.is_dir():
-        raise BadInput(f"--out {out}: the folder {out.parent} does not exist")
-    make_folder(out.parent)  # one that cannot be written is refused before the work
     if of is not None:
         loaded = replace(loaded, observables=(parts.observable_of(of, loaded),))
+    make_folder(out.parent)  # one that cannot be written is refused before the work
     if out.suffix == ".vtu":
         first = next((o for o in loaded.observables if len(o) == 2), loaded.observables[0])
         loaded = replace(loaded, observables=(first,), curves=loaded.curves[:1])

@@ -13,8 +13,8 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.shell_completion import CompletionItem
 
+from cases.commands import completed
 from cases.scene.errors import BadInput
 from cases.written import SCHEMA
 from fpk.errors import InvalidInput
@@ -50,15 +50,7 @@ STATE_SETTINGS = ("seed", "tol", "dt", "step_pair", "observable")
 """Settings of a command that a saved state of its simulation depends on."""
 
 
-def _scenes(context: click.Context, option: click.Parameter, begun: str) -> list[CompletionItem]:
-    """The shipped scenes that begin so, and files, for the completion of a shell."""
-    from cases.scene.scene import shipped_scenes
-
-    names = [CompletionItem(name) for name in shipped_scenes() if name.startswith(begun)]
-    return [*names, CompletionItem(begun, type="file")]
-
-
-scene_name = click.argument("scene", metavar="SCENE", shell_complete=_scenes)
+scene_name = click.argument("scene", metavar="SCENE", shell_complete=completed.scenes)
 as_json = click.option(
     "--json", "as_json", is_flag=True, expose_value=False, help="Print one JSON object alone.",
     callback=lambda context, option, value: context.meta.update(json=value),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cases.commands import parts
+from cases.commands import completed, parts
 
 if TYPE_CHECKING:
     from cases.scene.scene import Scene
@@ -50,7 +50,10 @@ def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
 
 @study
 @click.option("--route", help="nonintegrable, integrable or montecarlo; all if left out.")
-@click.option("--of", metavar="OBS", help="H or H1,H2: the equation of that density.")
+@click.option(
+    "--of", metavar="OBS", help="H or H1,H2: the equation of that density.",
+    shell_complete=completed.observables,
+)  # fmt: skip
 @click.option(
     "--seconds", type=click.FloatRange(0.1), help="Processor time for the steps of each scheme."
 )
@@ -141,7 +144,7 @@ def regime(scene: "Scene", vary: tuple[str, ...], **settings: Any) -> tuple[Any,
     " failure_rate(H=1.5), averaging_error(q2), ...",
 )  # fmt: skip
 @click.option(
-    "--method", multiple=True, metavar="METHOD[/SOLVER]",
+    "--method", multiple=True, metavar="METHOD[/SOLVER]", shell_complete=completed.methods,
     help="One of several; left out, all that take milliseconds.",
 )  # fmt: skip
 @parts.tol

@@ -123,8 +123,8 @@ class Answers(Mapping[Any, AnyDensity]):
     def summary(self) -> "DataFrame":
         """Return the quantities as a data frame: rows by observable and quantity.
 
-        Columns by route, each with ``value`` and ``error``. Needs pandas; raises ``Unavailable``
-        without. ::
+        Columns by route, each with ``value``, ``error`` and ``error_kind``: ``numerical``, or
+        ``sampling`` for one standard error. Needs pandas; raises ``Unavailable`` without. ::
 
             fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).summary()
         """

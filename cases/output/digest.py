@@ -54,8 +54,11 @@ def digest_of(outcome: Outcome) -> Record:
 
 
 def curves_of(digest: Record) -> list[Record]:
-    """Return the part of every curve, that of the scene's own system first."""
-    return [digest, *digest["curves"]]
+    """Return the part of every curve, by the number that they vary, ascending.
+
+    Where that is no number they stay as they are: the scene's own system, then the order written.
+    """
+    return sorted([digest, *digest["curves"]], key=lambda curve: curve["value"] or 0.0)
 
 
 def refusals_of(curve: Record) -> list[Record]:
@@ -131,9 +134,10 @@ def _replies(replies: Replies, units: Units) -> Record:
     Of a transient the densities themselves are in the files.
     """
     question = replies.question
-    asked: Record = {"limit": ""}
     if isinstance(question, TransientQuestion):
         asked = {"observable": observable_name(question.of)}
+    else:
+        asked = {"limit": str(question.limit)}
     answers = []
     for g in replies.given:
         own = passage_numbers(g.answer) if isinstance(g.answer, Passage) else {}

@@ -35,8 +35,9 @@ def summary_frame(answers: Answers) -> Any:
         return frame
     routes = list(dict.fromkeys(frame["route"]))
     rows = list(dict.fromkeys(zip(frame["observable"], frame["quantity"], strict=True)))
-    wide = frame.set_index(["observable", "quantity", "route"])[["value", "error"]].unstack("route")
-    columns = pandas.MultiIndex.from_product([routes, ["value", "error"]])
+    cells = ["value", "error", "error_kind"]
+    wide = frame.set_index(["observable", "quantity", "route"])[cells].unstack("route")
+    columns = pandas.MultiIndex.from_product([routes, cells])
     return wide.swaplevel(axis=1).reindex(index=rows, columns=columns)
 
 

@@ -89,7 +89,8 @@ def answer_units(units: Units, given: Record, key: str) -> dict[str, str | list[
     rate, times = units.quantity("rate"), {"times": units.time}
     if "limit" in given:
         variance = units.of((0, 0, 1), (0, 0, 1))
-        return {"mean": units.time, "variance": variance, "rate": rate, **times}
+        limit = units.of(DIMENSIONS[given["limit"][:1]]) if given["limit"] else ""
+        return {"limit": limit, "mean": units.time, "variance": variance, "rate": rate, **times}
     if not key:
         return {"rates": rate, "frequencies": rate}
     if key in CURVE_POWERS:
@@ -161,14 +162,17 @@ def _columns(
 
 def passage_text(record: Record) -> str:
     """Return the moments and the failure rate, and the reliability at the times in columns."""
-    lines = [f"# first passage of {record['limit']} from {record['start']}   {_kind(record)}"]
+    units = record.get("units") or {}
+    unit = f" {units['limit']}" if units.get("limit") else ""
+    limit = ", ".join(f"{part}{unit}" for part in record["limit"].split(","))
+    lines = [f"# first passage of {limit} from {record['start']}   {_kind(record)}"]
     if sampled := record["settings"].get("sampled_by"):
         lines.append(f"# {sampled}")
     for key in ("mean", "variance", "rate"):
-        unit = (record.get("units") or {}).get(key, "")
+        unit = units.get(key, "")
         row = _row([record[key]], record[f"{key}_error"])
         lines.append(f"{key:8}  {row}{'  ' + unit if unit else ''}")
-    time = f"# time{bracketed((record.get('units') or {}).get('times', ''))}"
+    time = f"# time{bracketed(units.get('times', ''))}"
     if record["times"]:
         lines.append(f"{time}   survival   {_kind(record)}")
         rows = zip(record["times"], record["survival"], record["survival_error"], strict=True)

@@ -99,11 +99,9 @@ def report_html(
 ) -> str:
     """Return the page; every text that comes from a scene is escaped by the template.
 
-    Curves are sorted by the number that they vary. ``live`` is ``live_record``, with which the
-    pictures can be touched.
+    ``live`` is ``live_record``, with which the pictures can be touched.
     """
-    values = {curve.label: curve.value or 0.0 for curve in scene.curves}
-    curves = sorted(curves_of(digest), key=lambda curve: values.get(curve["label"], 0.0))
+    curves = curves_of(digest)
     record = {
         "scene": scene,
         "digest": digest,
@@ -115,7 +113,7 @@ def report_html(
             for c in curves
             for t in (theory_table(c["quantities"]),)
         ],
-        "sketch": chain_svg(scene.system),
+        "sketch": chain_svg(scene.system, scene.units),
         "units": units_record(scene),
         **page_record(SCRIPTS if live else ()),
         "live": live and as_script_data(live),

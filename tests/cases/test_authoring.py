@@ -186,13 +186,31 @@ def test_the_completion_of_a_shell_is_printed(shell, fpk):
 
 
 @pytest.mark.parametrize(
-    ("typed", "word"), [("fpk sh", "show"), ("fpk show fig6", "fig6a"), ("fpk run --se", "--seed")]
+    ("typed", "word"),
+    [
+        ("fpk sh", "show"),
+        ("fpk show fig6", "fig6a"),
+        ("fpk run --se", "--seed"),
+        ("fpk run fig6a --method pha", "phase-space"),
+        ("fpk run fig6a --method nonintegrable/q", "nonintegrable/quadrature"),
+        ("fpk density fig6a --method non", "nonintegrable"),
+        ("fpk density fig6a --method nonintegrable --solver f", "fem"),
+        ("fpk density fig6a --of q", "q2"),
+        ("fpk new mine --law bil", "bilinear"),
+    ],
 )
 def test_commands_options_and_scenes_are_completed(typed, word, fpk, monkeypatch):
     monkeypatch.setenv("_FPK_COMPLETE", "bash_complete")
     monkeypatch.setenv("COMP_WORDS", typed)
     monkeypatch.setenv("COMP_CWORD", str(len(typed.split()) - 1))
     assert f"plain,{word}" in fpk()[1].splitlines()
+
+
+def test_observables_of_no_scene_are_not_completed(fpk, monkeypatch):
+    monkeypatch.setenv("_FPK_COMPLETE", "bash_complete")
+    monkeypatch.setenv("COMP_WORDS", "fpk density nothing --of q")
+    monkeypatch.setenv("COMP_CWORD", "4")
+    assert "q1" not in fpk()[1]
 
 
 def test_every_command_has_examples():

@@ -167,16 +167,17 @@ def test_a_scene_is_text_in_the_report(tmp_path, scene_text):
 
 
 @pytest.mark.parametrize("ending", ["csv", "nc", "vtu"])
-def test_export_by_ending(ending, fpk, tmp_path):
-    path = tmp_path / f"field.{ending}"
+def test_export_by_ending_makes_the_folder(ending, fpk, tmp_path):
+    path = tmp_path / "out" / f"field.{ending}"
     status, _, err = fpk("export", "fig6a", "--out", path)
     assert (status, err) == (0, "") and path.stat().st_size > 1000
     stops = ["field_stops.vtu"] if ending == "vtu" else []
-    assert sorted(p.name for p in tmp_path.iterdir()) == [path.name, *stops]
+    assert sorted(p.name for p in path.parent.iterdir()) == [path.name, *stops]
 
 
-@pytest.mark.parametrize("name", ["field.vtk", "field.txt", "nowhere/field.csv"])
+@pytest.mark.parametrize("name", ["field.vtk", "field.txt", "file/field.csv"])
 def test_export_says_what_it_cannot_write(name, fpk, tmp_path):
+    (tmp_path / "file").write_text("no folder")
     status, out, err = fpk("export", "fig6a", "--out", tmp_path / name)
     assert (status, out) == (2, "") and err.count("\n") == 1 and "--out" in err
 
@@ -243,7 +244,7 @@ def test_control_c_while_the_program_is_imported_is_one_line(module):
         ["regime", "fig6a", "--vary", "contact.stiffness=1:2:2", "--checkpoint", ""],
         ["export", "fig6a", "--out", ""],
         ["verify", "fig6a", "--out", "there"],
-        ["export", "fig6a", "--out", "missing/fields.csv"],
+        ["export", "fig6a", "--of", "q9", "--out", "missing/fields.csv"],
     ],
 )
 def test_a_path_that_cannot_be_used_is_refused_before_the_work(

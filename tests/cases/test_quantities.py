@@ -276,6 +276,7 @@ def test_the_record_of_a_run_has_the_quantities_as_rows():
         (123456.7, 2100.0, "123457(3000)"),
         (1.2345e-7, 3e-9, "1.23(3)e-07"),
         (3.25e9, 2e7, "3.25(2)e+09"),
+        (-1.9e-5, 0.0018, "0.0000(18)"),  # no minus before a number that is shown as zero
         (None, None, "–"),
         (0.5, None, "–"),
     ],
@@ -342,7 +343,7 @@ def test_a_frame_has_every_quantity_with_its_error_by_route(one):
     frame = one.summary()
     for q in one.quantities:
         row = frame.loc[(q.observable, q.quantity), q.route.label]
-        assert (row["value"], row["error"]) == (q.number.value, q.number.error)
+        assert tuple(row) == (q.number.value, q.number.error, q.error_kind)
     assert [*frame.index] == list(dict.fromkeys((q.observable, q.quantity) for q in one.quantities))
     assert Answers(ONE, ()).summary().empty
 

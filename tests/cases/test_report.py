@@ -30,6 +30,7 @@ from cases.output.tables import theory_table
 from cases.output.text import rendered
 from cases.output.words import CONSTANT_NOISE, named
 from cases.scene.scene import load_scene
+from cases.scene.units import Units
 from cases.written import bound, with_error
 from fpk import Contact, System
 from fpk.route import ROUTES
@@ -259,6 +260,7 @@ def test_the_chain_is_drawn_with_its_stops():
     svg = chain_svg(system)
     assert svg.count('class="mass"') == 3 and svg.count("δ = 0.5") == 2
     assert svg.count('class="wall"') == 4  # three stops, and the wall that the chain hangs on
+    assert chain_svg(system, Units("mm", "kg", "s")).count("δ = 0.5 mm") == 2
     long = System(np.ones(40), np.ones(40), np.full(40, 0.1), np.full(40, 0.1))
     assert chain_svg(long).count('class="mass"') == 8 and "first 8" in chain_svg(long)
 

@@ -88,6 +88,11 @@ def test_a_tolerance_that_simulations_do_not_take_is_said(fpk):
     assert status in (0, 1) and "--tol 1e-06 is for the solvers" in note
 
 
+def test_nothing_is_said_of_simulations_where_there_is_none(fpk):
+    status, out, _ = fpk("run", "fig3a", "--tol", "1e-6", "--no-simulation", "--json")
+    assert status == 0 and not json.loads(out)["notes"]
+
+
 @dataclass(frozen=True)
 class Interrupting(NonIntegrable):
     """Presses Ctrl-C while it solves."""

@@ -121,7 +121,7 @@ ASKED = [
     ),
     (
         ["passage", "--limit", "H=0.5"],
-        {"mean": "s", "variance": "s²", "rate": "s⁻¹", "times": "s"},
+        {"limit": "kg mm² s⁻²", "mean": "s", "variance": "s²", "rate": "s⁻¹", "times": "s"},
     ),
     (["relaxation", "--rates", "1"], {"rates": "s⁻¹", "frequencies": "s⁻¹"}),
 ]
@@ -179,7 +179,7 @@ def test_the_tables_of_a_run_say_units(tmp_path, fpk):
     units = {q["quantity"]: q["unit"] for q in record["quantities"]}
     assert units["rms"] == "kg mm² s⁻²" and units["skewness"] == "1"
     assert record["passages"][0]["units"] == {
-        "mean": "s", "variance": "s²", "rate": "s⁻¹", "times": "s"
+        "limit": "kg mm² s⁻²", "mean": "s", "variance": "s²", "rate": "s⁻¹", "times": "s"
     }  # fmt: skip
     path.write_text(resources("two-modes"))
     out = fpk(*asked)[1]

@@ -46,6 +46,9 @@ def solved(method, system, name):
     return density
 
 
+GAUSSIAN = solved(Linear(), LINEAR, "q1")
+
+
 @pytest.mark.parametrize("name", ["q1", "q2", "p1"])
 def test_quantities_of_a_gaussian_are_those_of_scipy(name):
     density = solved(Linear(), LINEAR, name)
@@ -179,10 +182,26 @@ def test_joint_densities_have_expectations_but_no_quantiles():
         joint.mean()
 
 
-@pytest.mark.parametrize("p", [0.0, 1.0, float("nan")])
+@pytest.mark.parametrize("p", [-0.1, 0.0, 1.0])
 def test_no_quantile_of_what_is_no_probability(p):
     with pytest.raises(InvalidInput, match="probability"):
         solved(Linear(), LINEAR, "q1").quantile(p)
+
+
+@pytest.mark.parametrize("value", [[0.1, 0.2], np.array([0.1]), "0.1", None, True, float("nan")])
+@pytest.mark.parametrize("name", ["cdf", "exceedance", "quantile"])
+@pytest.mark.parametrize("sampled", [False, True], ids=["function", "histogram"])
+def test_anything_but_one_number_is_refused_by_name(value, name, sampled):
+    density = histogram(np.random.default_rng(1).normal(size=800), 20, 4.0) if sampled else GAUSSIAN
+    with pytest.raises(InvalidInput, match=r"^[xp] = .*must be one number"):
+        getattr(density, name)(value)
+    with pytest.raises(InvalidInput, match=r"^high = .*must be one number"):
+        density.probability(-1.0, value)
+
+
+@pytest.mark.parametrize("x", [1, np.float32(1.0), np.int64(1)])
+def test_any_real_number_will_do(x):
+    assert GAUSSIAN.cdf(x) == GAUSSIAN.cdf(1.0)
 
 
 def histogram(samples: np.ndarray, bins: int, reach: float) -> SampledDensity:

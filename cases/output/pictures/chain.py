@@ -2,6 +2,7 @@
 
 from markupsafe import Markup, escape
 
+from cases.scene.units import NO_UNITS, Units
 from fpk.system import System
 
 SHOWN_MASSES = 8
@@ -14,11 +15,12 @@ of the top of a box, in pixels."""
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 
-def chain_svg(system: System) -> Markup:
+def chain_svg(system: System, units: Units = NO_UNITS) -> Markup:
     """Return the chain from its wall on the left; stops are shaded walls at their masses.
 
-    Lengths are not to scale.
+    Lengths are not to scale; clearances are in ``units``.
     """
+    unit = f" {units.quantity('displacement')}" if units else ""
     count = min(system.n, SHOWN_MASSES)
     width = 24 + CELL * count + 64
     parts = [_wall(4, 24, 30, FLOOR), _line((24, FLOOR), (width, FLOOR))]
@@ -40,9 +42,8 @@ def chain_svg(system: System) -> Markup:
             parts.append(_wall(x, x + 12, 4, 30))
             # From the edge of the mass to the stop.
             parts.append(_line((x + 6, 30), (x + 6, TOP)))
-            parts.append(
-                _text(x + 6, 13 if stop.sign > 0 else 28, f"δ = {stop.clearance:g}", side=stop.sign)
-            )
+            words = f"δ = {stop.clearance:g}{unit}"
+            parts.append(_text(x + 6, 13 if stop.sign > 0 else 28, words, side=stop.sign))
         if k + 1 < count or system.n > count:
             parts.append(_line((box + BOX, 54), (left + CELL, 54)))
             parts.append(_line((box + BOX, 80), (left + CELL, 80)))
