@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from functools import reduce
 from importlib import import_module
 from math import inf, isfinite, isnan
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -67,10 +67,11 @@ class Quantities(ABC):
     def moment(self, *powers: int, about: float = 0.0) -> Number:
         """Return E (X − about)^power, of two coordinates E (X − about)^power (Y − about)^other.
 
-        Raises ``InvalidInput`` for a power below 0, or unless each coordinate has one.
+        Raises ``InvalidInput`` for a power that is no integer >= 0, or unless each coordinate has
+        one.
         """
-        if len(powers) != len(self.axes()) or min(powers) < 0:
-            raise InvalidInput("power", powers, "takes one number >= 0 for each coordinate")
+        if len(powers) != len(self.axes()) or not all(map(_is_power, powers)):
+            raise InvalidInput("power", powers, "takes one integer >= 0 for each coordinate")
         return self.expectation(monomial(powers, [about] * len(powers)))
 
     def mean(self) -> Number:
@@ -209,6 +210,10 @@ def _number(key: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, Real) or isnan(value):
         raise InvalidInput(key, value, "must be one number; of several, ask for each")
     return float(value)
+
+
+def _is_power(value: Any) -> bool:
+    return isinstance(value, Integral) and int(value) >= 0
 
 
 def monomial(powers: Sequence[int], about: Sequence[float]) -> Function:

@@ -173,7 +173,7 @@ def test_joint_densities_have_expectations_but_no_quantiles():
     joint = solved(Exact(), EXACT, "q2,p2")
     assert_within(joint.expectation(lambda q, p: p**2), 0.3)
     assert_within(joint.moment(0, 2), 0.3)
-    for powers in ((2,), (2, -1), (1, 1, 1)):
+    for powers in ((2,), (2, -1), (1, 1, 1), (0.5, 1), ("2", 1)):
         with pytest.raises(InvalidInput, match="each coordinate"):
             joint.moment(*powers)
     with pytest.raises(InvalidInput, match="two coordinates"):
