@@ -140,6 +140,7 @@ CONSTANTS = {
     "cluster.md": (f"Every {checkpoint.INTERVAL:g} seconds of a simulation",),
     "scene.md": (
         f"up to {schema.MOST_QUESTIONS} of each",
+        f"up to {schema.MOST_LEVELS} levels a coordinate",
         f"their sum is at most {damping.MOST_POWERS} (an energy counts two)",
         f"fewer than {answering.LEAST_FAILURES:g} failures of the paths",
         f"within {claims.ALMOST_L1} in L1 of the Gaussian",
