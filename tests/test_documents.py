@@ -135,7 +135,7 @@ CONSTANTS = {
         f"of `fem` {short(NonIntegrable().tol)}, with two energies {short(questions.TOL)},",
         f"solved to {short(reference.REFERENCE_TOL)}",
         f"within {short(vtk.SUBDIVISION)} of the largest density",
-        f"exceeds {short(vtk.CUT)} of its maximum",
+        f"is at least {short(vtk.CUT)} of its maximum",
     ),
     "cluster.md": (f"Every {checkpoint.INTERVAL:g} seconds of a simulation",),
     "scene.md": (
