@@ -152,7 +152,7 @@ def _box(density: AnyDensity) -> list[Array]:
     """
     ends = [nodes[[0, -1]] for nodes in density.panels]
     for _ in range(2):
-        grid = [np.linspace(*e, POINTS[len(ends)]) for e in ends]
+        grid = [np.linspace(a, b, POINTS[len(ends)]) for a, b in ends]
         values = density.tabulated(*np.ix_(*grid))
         inside = np.nonzero(values >= CUT * values.max())
         ends = [
