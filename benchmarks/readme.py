@@ -33,7 +33,7 @@ CONCLUSIONS = r"  averaging error of q2|\d+ judged|wrote .*report"
 def timed(command: str, folder: Path) -> tuple[str, float]:
     """Return what a command prints in ``folder`` and its wall time. Raises where it fails."""
     path = f"{folder / '.venv' / 'bin'}{os.pathsep}{os.environ['PATH']}"
-    environment = os.environ | {"PATH": path, "COLUMNS": "110", "PYTHONPATH": ""}
+    environment = os.environ | {"PATH": path, "COLUMNS": "120", "PYTHONPATH": ""}
     start = perf_counter()
     done = subprocess.run(
         command, shell=True, cwd=folder, env=environment, check=True, text=True, stdout=-1

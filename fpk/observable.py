@@ -33,6 +33,9 @@ class Coordinate:
 Observable = tuple[Coordinate, ...]
 """One coordinate, or two for a joint density."""
 
+Level = tuple[Observable, float]
+"""A level of one coordinate."""
+
 
 def parse_observable(text: str, n: int) -> Observable:
     """Return the observable that ``text`` names in a system of ``n`` masses.

@@ -19,7 +19,7 @@ from cases.comparison.refusal import Refusal
 from fpk.density import AnyDensity
 from fpk.errors import NotApplicable
 from fpk.method import Result
-from fpk.observable import Observable, parse_observable
+from fpk.observable import Level, Observable, parse_observable
 from fpk.route import Route
 from fpk.system import System
 
@@ -37,7 +37,8 @@ class Answers(Mapping[Any, AnyDensity]):
     method. ``results`` has what each method returned, ``refused`` who gives not all that was asked
     for. Of a scene's curve ``label`` and ``value`` are as in ``Curve``; ``notes`` say in words what
     was done that nobody asked for, ``interrupted`` whether Ctrl-C ended the work. ``passages`` and
-    ``transients`` are what was said to the scene's questions about motion in time. ::
+    ``transients`` are what was said to the scene's questions about motion in time. ``exceedance``
+    has the levels a whose P(X > a) is among the quantities. ::
 
         answers = fpk.solve(fpk.load("fig3a").system, ["q2"])
         answers["q2", "exact"], answers.of("q2"), answers.refusals, answers.problems
@@ -53,6 +54,7 @@ class Answers(Mapping[Any, AnyDensity]):
     interrupted: bool = False
     passages: tuple[Replies, ...] = ()
     transients: tuple[Replies, ...] = ()
+    exceedance: tuple[Level, ...] = ()
 
     @property
     def in_time(self) -> tuple[Replies, ...]:
@@ -72,7 +74,7 @@ class Answers(Mapping[Any, AnyDensity]):
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
         """Moments, quantiles and what stops feel, each by every route that gives its density."""
-        return quantities_of(self.system, self.results)
+        return quantities_of(self.system, self.results, self.exceedance)
 
     @cached_property
     def quantity_comparisons(self) -> tuple[Comparison, ...]:

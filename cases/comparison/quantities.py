@@ -28,18 +28,19 @@ from cases.comparison.quantity import (
     Definition,
     shown_of,
 )
+from cases.scene.schema import MOST_LEVELS
 from fpk.density import AnyDensity, Density
 from fpk.dynamics import CrossingsMethod
 from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Result, silent
 from fpk.number import Number
-from fpk.observable import Coordinate, observable_name
+from fpk.observable import Coordinate, Level, observable_name
 from fpk.route import Route
 from fpk.sampled_density import ErrorKind, SampledDensity
 from fpk.system import System
 from fpk.upcrossings import upcrossings
 
-MOST = len(QUANTILES) + len(MOMENTS) + 2 * (len(CONTACT) + 1)
+MOST = len(QUANTILES) + len(MOMENTS) + MOST_LEVELS + 2 * (len(CONTACT) + 1)
 """Quantities of one observable between two stops, which share the rate of false alarms."""
 
 
@@ -74,15 +75,17 @@ class Quantity:
         return str(self.definition)
 
 
-def quantities_of(system: System, results: Sequence[Result]) -> tuple[Quantity, ...]:
+def quantities_of(
+    system: System, results: Sequence[Result], exceedance: Sequence[Level] = ()
+) -> tuple[Quantity, ...]:
     """Return the quantities of every density: those of ``shown_of``, by observable and route.
 
     Routes are in the order of ``Answers.densities``. The upcrossing rate of the position of a stop
     is that of impacts.
     """
-    rows = [row for result in results for row in _rows(system, result)]
+    rows = [row for result in results for row in _rows(system, result, exceedance)]
     observables = list(dict.fromkeys(q.definition.observable for q in rows))
-    order = [definition for o in observables for definition in shown_of(system, o)]
+    order = [definition for o in observables for definition in shown_of(system, o, exceedance)]
 
     def place(q: Quantity) -> tuple[int, bool, bool]:
         return order.index(q.definition), q.route.sampled, q.route.solves != "full"
@@ -145,11 +148,11 @@ def _certified(result: Result, name: str) -> bool:
     return all(d.certificate.certified for d in result.densities if d.name == name)
 
 
-def _rows(system: System, result: Result) -> Iterator[Quantity]:
+def _rows(system: System, result: Result, exceedance: Sequence[Level]) -> Iterator[Quantity]:
     """The quantities by one route: of each density, then the rates at stops."""
     route = result.method.route
     for density in result.densities:
-        for definition in shown_of(system, density.observable):
+        for definition in shown_of(system, density.observable, exceedance):
             if definition.kind != UPCROSSING:
                 number, words = definition.of(density, system), definition.words(system)
                 reach = _reach(definition, density, number)
@@ -190,7 +193,7 @@ def _rates(system: System, result: Result, q: Coordinate, p: Coordinate) -> Iter
 def _reach(definition: Definition, density: AnyDensity, number: Number) -> float:
     """How far a number of ``density`` may be from the truth, see ``reach_of``."""
     kind = definition.kind
-    if definition.at is not None:
+    if kind == "quantile" and definition.at is not None:
         return _reach_of_quantile(density, definition.at, number)
     size = {"skewness": 1.0, "correlation": 1.0}.get(kind, 0.0)
     if kind == "mean":

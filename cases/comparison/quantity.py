@@ -18,6 +18,7 @@ from fpk.limit import Limit, parse_limit
 from fpk.number import Number
 from fpk.observable import (
     Coordinate,
+    Level,
     Observable,
     displacement_row,
     number_text,
@@ -92,6 +93,8 @@ class Definition:
         for words, p in QUANTILES.items():
             if (self.kind, self.at) == ("quantile", p):
                 return words
+        if self.kind == "exceedance" and self.at is not None:
+            return f"probability above {number_text(self.at)}"
         words = self.kind.replace("_", " ")
         if self.contact is None:
             return words
@@ -157,16 +160,19 @@ def total(numbers: Sequence[Number]) -> Number:
     return Number(sum(x.value for x in numbers), sum(x.error for x in numbers))
 
 
-def shown_of(system: System, observable: Observable) -> tuple[Definition, ...]:
+def shown_of(
+    system: System, observable: Observable, exceedance: Sequence[Level] = ()
+) -> tuple[Definition, ...]:
     """Return what a run shows of ``observable``, in this order.
 
-    Of a coordinate: ``MOMENTS`` and ``QUANTILES``; of a displacement besides, for every stop of its
-    mass, ``AT_STOP``. Of a pair: ``PAIR``.
+    Of a coordinate: ``MOMENTS``, ``QUANTILES`` and the ``exceedance`` of its levels among these; of
+    a displacement besides, for every stop of its mass, ``AT_STOP``. Of a pair: ``PAIR``.
     """
     if len(observable) > 1:
         return tuple(Definition(kind, observable) for kind in PAIR)
     own = [Definition(kind, observable) for kind in MOMENTS]
     own += [Definition("quantile", observable, p) for p in QUANTILES.values()]
+    own += [Definition("exceedance", observable, a) for of, a in exceedance if of == observable]
     for k, contact in enumerate(system.contacts):
         if observable == (Coordinate("q", contact.index),):
             for stop in contact.one_sided():

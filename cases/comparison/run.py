@@ -52,7 +52,8 @@ def run_scene(
         wanted = [] if interrupted else methods
         stationary: Any = {"share": share, "rates": True, **options}
         answers = answers_of(curve.system, scene.observables, wanted, **stationary)
-        answers = replace(answers, label=curve.label, value=curve.value)
+        own: Any = {"label": curve.label, "value": curve.value, "exceedance": scene.exceedance}
+        answers = replace(answers, **own)
         if not (interrupted or answers.interrupted):
             answers = _with_time(answers, scene, methods, tol=tol, **options)
         curves.append(answers)

@@ -10,7 +10,7 @@ import numpy as np
 
 from cases.comparison.answers import Answers
 from cases.comparison.run import Outcome
-from cases.output.fields import attributes_of, common_grid, curve_numbers, variable_name
+from cases.output.fields import POINTS, attributes_of, curve_numbers, variable_name
 from cases.output.files import write_by
 from cases.scene.units import attribute, bracketed
 from fpk.arrays import Array, Flags
@@ -23,7 +23,7 @@ SUBDIVISION = 1e-5
 """Largest error of the quadratic cells between their nodes, relative to the largest density."""
 
 CUT = 1e-6
-"""Share of the largest value below which the first density no longer widens the field."""
+"""Share of its largest value down to which the first density lies in the box of the field."""
 
 MOST_CELLS = {1: 20_000, 2: 60_000}
 """Cells at which refinement ends; the error that is left is stated in any case."""
@@ -111,8 +111,9 @@ def _write_collection(path: Path, entries: Mapping[Path, Mapping[str, str]]) -> 
 def field_of(densities: Mapping[str, AnyDensity]) -> tuple[meshio.Mesh, float]:
     """Return the densities on cells that follow the first one's panels, refined where it bends.
 
-    The field is the box in which the first exceeds ``CUT`` of its largest value. In ``point_data``
-    the array ``density`` is the first, beside it ``log10 density``, not a number where it is not
+    The field is the smallest box that holds all points at which the first is at least ``CUT`` of
+    its largest value; in the corners of a box of two coordinates it is less. In ``point_data`` the
+    array ``density`` is the first, beside it ``log10 density``, not a number where it is not
     positive; every route, simulations too, has its own array, the error it states, and the
     difference of the first from it. The number is the largest difference of
     interpolant and density at the probes, in units of the density.
@@ -121,7 +122,7 @@ def field_of(densities: Mapping[str, AnyDensity]) -> tuple[meshio.Mesh, float]:
     (first, density), *_ = named.items()
     ends = [
         np.union1d(np.clip(panels, grid[0], grid[-1]), grid[[0, -1]])
-        for grid, panels in zip(common_grid([density], cut=CUT), density.panels, strict=True)
+        for grid, panels in zip(_box(density), density.panels, strict=True)
     ]
     cells, subdivision, allowed = 0, np.inf, 0.0
     while subdivision > allowed and cells <= MOST_CELLS[len(ends)]:
@@ -141,6 +142,24 @@ def field_of(densities: Mapping[str, AnyDensity]) -> tuple[meshio.Mesh, float]:
     decades = np.log10(p, out=np.full_like(p, np.nan), where=p > 0.0)
     own = {"density": p, "log10 density": decades}
     return _mesh(grid, {**own, **data, **differences}), subdivision
+
+
+def _box(density: AnyDensity) -> list[Array]:
+    """The two ends along every axis of the smallest box that holds what is not below ``CUT``.
+
+    By ``POINTS`` along an axis, in the support and again in the box that these give: too wide by
+    no more than one of their intervals.
+    """
+    ends = [nodes[[0, -1]] for nodes in density.panels]
+    for _ in range(2):
+        grid = [np.linspace(a, b, POINTS[len(ends)]) for a, b in ends]
+        values = density.tabulated(*np.ix_(*grid))
+        inside = np.nonzero(values >= CUT * values.max())
+        ends = [
+            x[np.clip([i.min() - 1, i.max() + 1], 0, x.size - 1)]
+            for x, i in zip(grid, inside, strict=True)
+        ]
+    return ends
 
 
 def _mesh(grid: Sequence[Array], data: Mapping[str, Array]) -> meshio.Mesh:

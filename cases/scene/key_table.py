@@ -54,7 +54,8 @@ def _words(schema: dict[str, Any]) -> str:
             items = _words(schema["items"])
             return {"numbers": "matrix", "number": "numbers"}.get(items, f"list of {items}")
         case "object":
-            return f"table, {_words(schema['additionalProperties'])} by mass"
+            by = schema["propertyNames"]["description"]
+            return f"table, {_words(schema['additionalProperties'])} by {by}"
         case other:
             return {"integer": "whole number", "string": "text"}.get(other, str(other))
 

@@ -14,7 +14,7 @@ from cases.scene.schema import validated
 from cases.scene.units import NO_UNITS, Units
 from cases.scene.vary import Curve, curves_of
 from fpk.errors import InvalidInput
-from fpk.observable import Observable, parse_observable
+from fpk.observable import Level, Observable, parse_observable
 from fpk.system import System
 
 SHIPPED = ("paper", "hard", "more", "time")
@@ -27,7 +27,8 @@ class Scene:
 
     ``name`` is the file's stem; ``text`` the file as it was read; ``curves`` holds the scene's own
     system first, then those that ``[vary]`` adds. Of each, ``passages`` and ``transients`` ask.
-    ``units`` are the names of ``[units]``. ::
+    ``exceedance`` has the levels a of the probabilities P(X > a) that are wanted of an observable
+    X. ``units`` are the names of ``[units]``. ::
 
         scene = fpk.load("fig6a")
         scene.title, scene.system, [(curve.label, curve.value) for curve in scene.curves]
@@ -44,6 +45,7 @@ class Scene:
     passages: tuple[PassageQuestion, ...] = ()
     transients: tuple[TransientQuestion, ...] = ()
     units: Units = NO_UNITS
+    exceedance: tuple[Level, ...] = ()
 
 
 def shipped_scenes() -> dict[str, Path]:
@@ -83,7 +85,9 @@ def _scene(path: Path, label: str) -> Scene:
     try:
         tables = validated(data)
         system = _system(tables)
-        observables = _observables(tables.get("observe"), system)
+        observe = tables.get("observe", {})
+        observables = _observables(observe.get("densities"), system)
+        exceedance = _exceedance(observe.get("exceedance", {}), observables, system)
         curves = curves_of(system, tables.get("vary"))
         expect = expect_of(tables.get("expect"), observables, curves=len(curves))
         passages = passages_of(tables.get("passage", ()), system)
@@ -93,9 +97,8 @@ def _scene(path: Path, label: str) -> Scene:
         raise BadInput(f"{label}: {error.key or 'scene'} {given}: {error.remedy}") from None
     title, source = tables.get("title") or path.stem, tables.get("source", "")
     asked = observables, curves, expect, passages, transients
-    return Scene(
-        path.stem, title, source, text, system, *asked, units=tables.get("units", NO_UNITS)
-    )
+    units = tables.get("units", NO_UNITS)
+    return Scene(path.stem, title, source, text, system, *asked, units=units, exceedance=exceedance)
 
 
 def _system(tables: dict[str, Any]) -> System:
@@ -112,13 +115,13 @@ def _system(tables: dict[str, Any]) -> System:
         raise InvalidInput(place + error.key, error.value, error.remedy) from None
 
 
-def _observables(table: dict[str, list[str]] | None, system: System) -> tuple[Observable, ...]:
-    if table is None:
+def _observables(densities: list[str] | None, system: System) -> tuple[Observable, ...]:
+    if densities is None:
         touching = system.contact_masses or (system.n - 1,)
         names = [*(f"q{i + 1}" for i in touching[:15]), "H"]
         return tuple(parse_observable(name, system.n) for name in names)
     observables: list[Observable] = []
-    for k, name in enumerate(table["densities"], start=1):
+    for k, name in enumerate(densities, start=1):
         try:
             observable = parse_observable(name, system.n)
         except InvalidInput as error:
@@ -127,3 +130,24 @@ def _observables(table: dict[str, list[str]] | None, system: System) -> tuple[Ob
             raise InvalidInput(f"observe.densities[{k}]", name, "is asked for twice; leave one out")
         observables.append(observable)
     return tuple(observables)
+
+
+def _exceedance(
+    table: dict[str, list[float]], observables: tuple[Observable, ...], system: System
+) -> tuple[Level, ...]:
+    key = "observe.exceedance"
+    levels: list[Level] = []
+    for name, values in table.items():
+        try:
+            observable = parse_observable(name, system.n)
+        except InvalidInput as error:
+            raise InvalidInput(key, name, error.remedy) from None
+        if len(observable) > 1:
+            raise InvalidInput(key, name, "is a pair; name one coordinate")
+        if observable not in observables:
+            raise InvalidInput(key, name, "is not observed; add it to observe.densities")
+        for k, value in enumerate(values, start=1):
+            if (observable, value) in levels:
+                raise InvalidInput(f"{key}.{name}[{k}]", value, "is asked for twice; leave one out")
+            levels.append((observable, value))
+    return tuple(levels)

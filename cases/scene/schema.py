@@ -26,8 +26,14 @@ MAX_MASSES = 500
 MAX_TERMS = 200
 """A van der Pol damping of four modes has a hundred monomials."""
 
+MOST_LEVELS = 12
+"""Levels of an observable whose exceedance is asked for."""
+
 MOST_QUESTIONS, MOST_TIMES = 4, 50
 """Tables of a kind about motion in time, and times in each: each is answered by every route."""
+
+MOST_OBSERVED = 16
+"""Densities of a scene."""
 
 LARGEST, SMALLEST = 1e100, 1e-100
 """Beyond these a product of three inputs leaves the range of double precision."""
@@ -94,7 +100,12 @@ NUMBERS_OR_MATRIX = core.tagged_union_schema(
 )
 POWERS = _then(
     lambda powers: tuple((int(mass), power) for mass, power in powers.items()),
-    core.dict_schema(core.str_schema(pattern=r"^[1-9][0-9]{0,8}$"), WHOLE, max_length=MAX_MASSES),
+    core.dict_schema(
+        _said(core.str_schema(pattern=r"^[1-9][0-9]{0,8}$"), "mass"), WHOLE, max_length=MAX_MASSES
+    ),
+)
+EXCEEDANCE = core.dict_schema(
+    _said(TEXT, "observable"), _list(NUMBER, most=MOST_LEVELS), max_length=MOST_OBSERVED
 )
 VALUES = _list(NUMBER, most=12)
 MATRICES = _list(NUMBERS_OR_MATRIX, most=12)
@@ -213,7 +224,16 @@ SCENE = _table(
         "transient": _list(TRANSIENT, least=0, most=MOST_QUESTIONS),
         "modulation": _then(lambda keys: Modulation(**keys), MODULATION),
         "observe": _table(
-            {"densities": _said(_list(TEXT, most=16), "q1.., p1.., H, H1.., or a pair a,b")}, {}
+            {
+                "densities": _said(
+                    _list(TEXT, most=MOST_OBSERVED), "q1.., p1.., H, H1.., or a pair a,b"
+                )
+            },
+            {
+                "exceedance": _said(
+                    EXCEEDANCE, "levels a of P(X > a), as { q2 = [0.6, 0.8] }; X is observed"
+                )
+            },
         ),
         "vary": _table({}, VARY),
         "expect": _table({}, EXPECT),

@@ -54,6 +54,7 @@ def scene_text(name: str, masses: int, law: str) -> str:
         ("", ""),
         ("[observe]", ""),
         (f'densities = ["q{masses}", "H"]', 'q1.., p1.., H, H1.., or a pair "q1,p1"'),
+        (f"exceedance = {{ q{masses} = [{2 * clearance:.2g}] }}", "levels a of P(X > a)"),
     ]
     lines = [f"{line:{COLUMN}} # {words}" if words else line for line, words in commented]
     head = [DIRECTIVE, f'title  = "{name}"', 'source = "where the values come from"', ""]

@@ -141,6 +141,63 @@ def test_a_pair_has_its_correlation_by_every_route():
     assert Answers(LINEAR, other + answers.results[2:]).problems
 
 
+LEVELS = """
+[system]
+mass            = [1.0, 2.0]
+stiffness       = [1.0, 0.5]
+damping         = [0.08, 0.04]
+noise_intensity = [0.024, 0.012]
+
+[observe]
+densities  = ["q2", "H", "p1"]
+exceedance = { q2 = [1.0, -0.5, 3.0, 60.0], H = [0.6] }
+"""
+"""``LINEAR`` with levels that are often, seldom and never exceeded."""
+
+
+def test_exceedance_that_a_scene_asks_for_is_given_by_every_route(tmp_path):
+    """q2 has the variance T (1/k1 + 1/k2), and P(H > h) = (1 + h/T) e^(-h/T) of two masses."""
+    (tmp_path / "levels.toml").write_text(LEVELS)
+    scene = load_scene(tmp_path / "levels.toml")
+    methods = [method_for(name) for name in ("linear", "exact", "nonintegrable", "integrable")]
+    methods += [method_for("montecarlo", paths=4096, relaxations=10.0, seed=11)]
+    outcome = run_scene(scene, methods)
+    (answers,) = outcome.curves
+    normal = stats.norm(scale=np.sqrt(3.0 * TEMPERATURE))
+    true = {("q2", str(a)): normal.sf(a) for a in (1, -0.5, 3, 60)}
+    true["H", "0.6"] = 3.0 * np.exp(-2.0)
+    rows = [q for q in answers.quantities if q.definition.kind == "exceedance"]
+    assert len({q.route for q in rows}) == len(methods) and len(rows) == 5 * len(methods)
+    for q in rows:
+        level = q.quantity.removeprefix("probability above ")
+        assert q.name == f"exceedance({q.observable},{level})"
+        off = abs(q.number.value - true[q.observable, level])
+        # By chance 4.5 standard errors: one in 1e5.
+        assert off <= (4.5 if q.route.sampled else 1.0) * q.number.error + 1e-14, q
+        assert 0.0 < q.number.error < 0.01
+    assert not outcome.problems
+    other = face.solve(replace(LINEAR, stiffness=[1.0, 0.55]), ["q2"], methods=["exact"]).results
+    wrong = replace(answers, results=(*other, *answers.results[-1:])).quantity_comparisons
+    assert not all(c.holds for c in wrong if "above" in c.observable)
+
+
+def test_exceedance_stands_in_the_first_table_of_text_json_and_report(fpk, tmp_path, monkeypatch):
+    path = tmp_path / "levels.toml"
+    path.write_text(LEVELS + '[units]\nlength = "mm"\nmass = "kg"\ntime = "s"\n')
+    out = tmp_path / "out"
+    monkeypatch.setenv("COLUMNS", "120")
+    status, text, _ = fpk("run", path, "--no-simulation", "--out", out)
+    assert status == 0
+    names = [f"probability above {level}" for level in ("1", "-0.5", "3", "60")]
+    heads = [line[2:].partition("  ")[0] for line in text.splitlines()]
+    k = heads.index(names[0])
+    assert heads[k - 1].startswith("quantile 99 %") and heads[k : k + 4] == names
+    record = json.loads(fpk("run", path, "--no-simulation", "--json")[1])
+    rows = [row for row in record["quantities"] if row["quantity"] == "probability above 3"]
+    assert rows and {(row["name"], row["unit"]) for row in rows} == {("exceedance(q2,3)", "1")}
+    assert "q2, probability above 3</td>" in (out / "report.html").read_text()
+
+
 def test_the_correlation_of_one_coordinate_is_refused(one):
     with pytest.raises(InvalidInput, match="ask for that of a pair"):
         one["q1", "exact"].correlation()

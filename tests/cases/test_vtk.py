@@ -10,7 +10,7 @@ from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
 from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
-from cases.output.vtk import SUBDIVISION, field_of, write_vtu
+from cases.output.vtk import CUT, SUBDIVISION, field_of, write_vtu
 from cases.scene.scene import load_scene
 from fpk.certificate import Certificate
 from fpk.density import Density
@@ -46,6 +46,27 @@ def test_cells_shrink_until_the_stated_error_is_met():
     assert subdivision <= SUBDIVISION * mesh.point_data["density"].max()
     nodes = [np.unique(x).size for x in mesh.points.T[:2]]
     assert len(mesh.points) == np.prod(nodes) and all(n % 2 == 1 for n in nodes)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.9, -0.9])
+def test_the_field_is_the_smallest_box_that_holds_the_density_down_to_the_cut(correlation):
+    """A Gaussian is at the cut on an ellipse of the half-widths σ √(2 ln 1e6), however tilted."""
+    deviations = 1.0, 0.5
+
+    def pdf(x, y):
+        u, v = x / deviations[0], y / deviations[1]
+        return np.exp(-(u * u + v * v - 2 * correlation * u * v) / (2 * (1 - correlation**2)))
+
+    panels = (np.linspace(-12, 8, 9), np.linspace(-4, 6, 5))
+    pair = parse_observable("q1,p1", 1)
+    mesh, _ = field_of({"a": Density(pair, panels, pdf, lambda x, y: 0 * x * y, 0.0, FINE)})
+    for x, deviation in zip(mesh.points.T, deviations, strict=False):
+        half_width = deviation * np.sqrt(-2.0 * np.log(CUT))
+        for end in (x.min(), x.max()):
+            # Beyond it by no more than one of 100 intervals along the axis.
+            assert 1.0 <= abs(end) / half_width < 1.03
+    p = mesh.point_data["density"]
+    assert p.min() < 1e-3 * CUT * p.max()  # in the corners of the box
 
 
 @pytest.mark.parametrize("of", ["q2", "q2,p2", "H"])
@@ -119,11 +140,11 @@ def test_the_field_is_cropped_has_decades_and_active_scalars(of, fpk, pyvista, t
     assert grid.active_scalars_name == "density"
     p, decades = grid["density"], grid["log10 density"]
     np.testing.assert_allclose(10.0 ** decades[p > 0], p[p > 0], rtol=1e-12)
-    # The extent is measured on cells: one more or less beyond 1e-6 is a decade and a half there.
+    # One of 100 intervals too wide at the most: ln p falls as x^2.5 there, by 8 % of itself.
     for axis in range(len(of.split(","))):
         x = grid.points[:, axis]
         for end in (x.min(), x.max()):
-            assert -7.5 < np.log10(p[x == end].max() / p.max()) < -4.5
+            assert -6.5 < np.log10(p[x == end].max() / p.max()) <= -6.0
 
 
 def test_stops_stand_where_the_mass_meets_them(fpk, pyvista, tmp_path, scene_text):
