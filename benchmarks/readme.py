@@ -25,9 +25,12 @@ from report import machine, markdown_table
 README = ROOT / "README.md"
 CONSOLE = re.compile(r"```console\n\$ (.*?)( +# [\d.]+ s)?\n.*?```", re.DOTALL)
 RUN = "fpk run fig6a"
+OWN = "B = 10\n"
+"""Head of the curve of the scene's own system, which is shown."""
 QUANTITIES = r"B = 10$|  q2  |  rms|  quantile 99|  contact probability, r|  mean force, r"
-CONCLUSIONS = r"  averaging error of q2|\d+ judged|wrote .*report"
-"""Lines of a run that are shown: of its first table, and of what follows that."""
+CONCLUSIONS = "  averaging error of q2"
+END = r"\d+ judged|wrote .*report"
+"""Lines of a run that are shown: of its table of q2, of what follows the tables, and of its end."""
 
 
 def timed(command: str, folder: Path) -> tuple[str, float]:
@@ -42,14 +45,14 @@ def timed(command: str, folder: Path) -> tuple[str, float]:
 
 
 def excerpt(command: str, printed: str) -> str:
-    """Return the lines of an output that the README shows: of a run those of its first curve."""
+    """Return the lines of an output that the README shows: of a run those of its own system."""
     if not command.startswith(RUN):
         return printed.strip()
-    table, _, rest = printed.partition("\n  H ")
-    first, _, others = rest.partition("\n\nB = ")
+    own = printed[printed.index(OWN) :].partition("\n\nB = ")[0]
+    table, _, conclusions = own.partition("\n  H ")
     lines = [x for x in table.splitlines() if re.match(QUANTITIES, x)]
-    end = f"{first}\n{others[others.rfind('judged') - 10 :]}".splitlines()
-    return "\n".join(lines + [x for x in end if re.match(CONCLUSIONS, x)])
+    lines += [x for x in conclusions.splitlines() if re.match(CONCLUSIONS, x)]
+    return "\n".join(lines + [x for x in printed.splitlines() if re.match(END, x)])
 
 
 def copied(folder: Path) -> None:
