@@ -1,6 +1,9 @@
-"""The answer of a run in one sentence."""
+"""The answer of a run in one or two sentences, and how many of the source's claims hold."""
 
-from cases.comparison.claims import ACCEPTABLE_L1
+from collections import Counter
+from typing import get_args
+
+from cases.comparison.claims import ACCEPTABLE_L1, Verdict
 from cases.output.records import Record
 from cases.output.words import named
 from cases.written import percent
@@ -11,7 +14,7 @@ RELIABILITY = "in P(T > t) at the times asked for"
 def headline_of(curves: list[Record]) -> str:
     """Return how far each averaged theory is from the full system, in one sentence.
 
-    Of each curve and theory it is the largest L1 distance of a density, each by the reference with
+    Where the exact density of all curves is known, a sentence before it says so. Of each curve and theory it is the largest L1 distance of a density, each by the reference with
     which its error is least. Under modulated noise, which stationary densities know nothing of, the
     densities are those at the times of the [[transient]] tables, or else it is P(T > t) of the
     [[passage]] tables; without any the sentence says that it is about constant noise. Empty where
@@ -24,14 +27,26 @@ def headline_of(curves: list[Record]) -> str:
         where = ", ".join(filter(None, [f"at {curve['label']}" * bool(curve["label"]), asked]))
         if words:
             parts.append((f"{where}: " if where else "") + ", ".join(words))
-    if parts:
-        text = "; ".join(parts)
-        return text[0].upper() + text[1:] + "."
-    if curves[0]["regime"]["incompatible"] is None:
+    sentences = []
+    if all(curve["regime"]["incompatible"] is None for curve in curves):
         constant = curves[0]["system"]["modulation"] is None
         known = "known" if constant else "known under constant noise"
-        return f"The compatibility condition (8) holds: the exact density is {known}."
-    return ""
+        sentences.append(f"The compatibility condition (8) holds: the exact density is {known}.")
+    if parts:
+        text = "; ".join(parts)
+        sentences.append(text[0].upper() + text[1:] + ".")
+    return " ".join(sentences)
+
+
+def claims_counted(claims: list[Record]) -> str:
+    """Return how many claims of the source have which verdict: ``2 hold, 1 undecided``."""
+    count = Counter(claim["verdict"] for claim in claims)
+    plural = {"holds": "hold", "does not hold": "do not hold"}
+    return ", ".join(
+        f"{count[verdict]} {verdict if count[verdict] == 1 else plural.get(verdict, verdict)}"
+        for verdict in get_args(Verdict)
+        if count[verdict]
+    )
 
 
 def measure_of(curves: list[Record]) -> str:

@@ -9,6 +9,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from cases.output.digest import curves_of, refusals_of, verdict_of
 from cases.output.duration import duration
+from cases.output.headline import claims_counted
 from cases.output.records import Record
 from cases.output.tables import quantity_tables, text_table
 from cases.output.words import effects_in_words, named, theory_of_route, with_key
@@ -52,6 +53,7 @@ def _templates() -> Environment:
         "reasons": refusals_of,
         "curves": curves_of,
         "verdict": verdict_of,
+        "counted": claims_counted,
     }
     return environment
 

@@ -18,7 +18,7 @@ from cases.comparison.rare import SPLITTING
 from cases.comparison.routes import method_for, register_routes
 from cases.comparison.run import run_scene
 from cases.output.digest import digest_of
-from cases.output.headline import headline_of, measure_of
+from cases.output.headline import claims_counted, headline_of, measure_of
 from cases.output.live import MARKS
 from cases.output.page import TEMPLATES
 from cases.output.pictures.chain import chain_svg
@@ -181,6 +181,16 @@ def test_the_answer_takes_the_best_reference_and_the_worst_density():
     assert "10 % off" in headline_of([curve(near)])  # with its error it may be beyond 10 %
     assert headline_of([curve()]) == ""
     assert "exact density" in headline_of([curve(incompatible=None)])
+    both = headline_of([curve(*rows, incompatible=None)])
+    assert "exact density is known" in both and both.endswith(expected)
+    assert headline_of([curve(*rows, incompatible=None), curve()]) == expected
+
+
+def test_claims_are_counted_by_verdict():
+    verdicts = ["undecided", "holds", "does not hold", "holds", "does not hold"]
+    claims = [{"verdict": verdict} for verdict in verdicts]
+    assert claims_counted(claims) == "2 hold, 2 do not hold, 1 undecided"
+    assert claims_counted(claims[:2]) == "1 holds, 1 undecided"
 
 
 def test_under_modulated_noise_the_answer_is_about_the_times_asked_for():
