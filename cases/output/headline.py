@@ -14,11 +14,12 @@ RELIABILITY = "in P(T > t) at the times asked for"
 def headline_of(curves: list[Record]) -> str:
     """Return how far each averaged theory is from the full system, in one sentence.
 
-    Where the exact density of all curves is known, a sentence before it says so. Of each curve and theory it is the largest L1 distance of a density, each by the reference with
-    which its error is least. Under modulated noise, which stationary densities know nothing of, the
-    densities are those at the times of the [[transient]] tables, or else it is P(T > t) of the
-    [[passage]] tables; without any the sentence says that it is about constant noise. Empty where
-    nothing of it is known.
+    Where the exact density of all curves is known, a sentence before it says so. Of each curve and
+    theory it is the largest L1 distance of a density, each by the reference with which its error is
+    least. Under modulated noise, which stationary densities know nothing of, the densities are
+    those at the times of the [[transient]] tables, or else it is P(T > t) of the [[passage]]
+    tables; without any the sentence says that it is about constant noise. Empty where nothing of it
+    is known.
     """
     parts = []
     for curve in curves:
