@@ -1,10 +1,12 @@
 """Style and scripts that stand inside a page, and the policy that allows no others."""
 
 import json
+import platform
 import re
 from base64 import b64encode
 from collections.abc import Sequence
 from hashlib import sha256
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,7 @@ from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
 from cases.output.pictures.style import COLOURS, DARK
-from cases.output.records import Record, plain
+from cases.output.records import Record, plain, program_version
 from cases.written import bound
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -34,6 +36,8 @@ MARKS = (
 
 PLOTS = "axes.js", "curves.js", "maps.js", "plots.js"
 """Scripts of the plots that can be touched, in the order in which they need each other."""
+
+LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "h5netcdf")
 
 PALETTE = 64
 """Colours of a map in a page."""
@@ -87,6 +91,23 @@ def page_record(scripts: Sequence[str] = ()) -> Record:
     script = Markup("\n").join(map(_source, scripts))
     allowed = _hash(script) if scripts else "'none'"
     return {"style": PageStyle(), "script": script, "script_hash": allowed}
+
+
+def origin_record(command: str, downloads: Sequence[str], *, seeds: Sequence[int] = ()) -> Record:
+    """Return what ``origin.html`` needs: what made a page, with which versions, files beside it.
+
+    ``seeds`` are those that the ``command`` does not name.
+    """
+    return {
+        "command": command,
+        "seeds": seeds,
+        "downloads": downloads,
+        "versions": [
+            ("vibro-fpk", program_version()),
+            ("Python", platform.python_version()),
+            *((name, version(name)) for name in LIBRARIES),
+        ],
+    }
 
 
 def script_record(plots: Sequence[Record], **more: Any) -> Record:

@@ -1,9 +1,7 @@
 """The report of a run: one self-contained page, the pictures beside it, the fields as netCDF."""
 
-import platform
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +15,14 @@ from cases.output.facts import theories, units_record
 from cases.output.files import write_text
 from cases.output.headline import headline_of, measure_of
 from cases.output.live import live_record
-from cases.output.page import PLOTS, as_script_data, page_record
+from cases.output.page import PLOTS, as_script_data, origin_record, page_record
 from cases.output.pictures.chain import chain_svg
 from cases.output.pictures.in_time import time_pictures
 from cases.output.pictures.joint import joint_pictures
 from cases.output.pictures.lines import line_pictures
 from cases.output.pictures.style import STYLE, in_units
 from cases.output.pictures.svg import inline_svg, svg_text
-from cases.output.records import Record, program_version
+from cases.output.records import Record
 from cases.output.tables import theory_table
 from cases.output.text import rendered
 from cases.scene.scene import Scene
@@ -34,8 +32,6 @@ GROUPS = {"passage": "time", "transient": "time", "solver": "difference", "left"
 """Part of the page in which a picture stands, by the first word of its file; others: "density"."""
 
 SCRIPTS = *PLOTS, "closed_forms.js", "sliders.js"
-
-LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "h5netcdf")
 
 
 def write_report(
@@ -102,6 +98,8 @@ def report_html(
     ``live`` is ``live_record``, with which the pictures can be touched.
     """
     curves = curves_of(digest)
+    settings = [m.get("settings", {}) for curve in curves for m in curve["methods"]]
+    seeds = sorted({own["seed"] for own in settings if "seed" in own})
     record = {
         "scene": scene,
         "digest": digest,
@@ -117,16 +115,7 @@ def report_html(
         "units": units_record(scene),
         **page_record(SCRIPTS if live else ()),
         "live": live and as_script_data(live),
-        "command": command or f"fpk run {scene.name}",
-        "seeds": sorted(
-            {
-                m["settings"]["seed"]
-                for c in curves
-                for m in c["methods"]
-                if "seed" in m.get("settings", {})
-            }
-        ),
-        "downloads": downloads,
+        **origin_record(command or f"fpk run {scene.name}", downloads, seeds=seeds),
         "theories": theories(scene),
         "pictures": pictures,
         "limits": {
@@ -135,10 +124,5 @@ def report_html(
             "acceptable": ACCEPTABLE_L1,
         },
         "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "versions": [
-            ("vibro-fpk", program_version()),
-            ("Python", platform.python_version()),
-            *((name, version(name)) for name in LIBRARIES),
-        ],
     }
     return rendered("report.html", record)

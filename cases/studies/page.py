@@ -17,7 +17,7 @@ import numpy as np
 from cases.output.duration import duration
 from cases.output.fields import attributes_of, write_variables
 from cases.output.files import write_text
-from cases.output.page import PLOTS, as_script_data, page_record, script_record
+from cases.output.page import PLOTS, as_script_data, origin_record, page_record, script_record
 from cases.output.pictures.svg import inline_svg, svg_text
 from cases.output.tables import text_table
 from cases.output.text import rendered
@@ -171,24 +171,29 @@ class Page:
         tables = [line for t in self.tables if t.rows for line in t.markdown()]
         return "\n".join([f"# {title}", "", *tables]).rstrip() + "\n"
 
-    def write(self, folder: Path) -> list[Path]:
-        """Write files of the study's name: md, svg, html, nc and, if it is over a grid, csv."""
+    def write(self, folder: Path, *, command: str = "") -> list[Path]:
+        """Write files of the study's name: md, svg, html, nc and, if it is over a grid, csv.
+
+        ``command`` is what made the page, which shows it; empty where Python did.
+        """
         texts = {"md": self.text(), "svg": svg_text(study_figure(self.panels), salt=self.name)}
         variables = self.gridded
         if variables is None:
             variables = {k: v for t in self.tables if t.rows for k, v in t.variables().items()}
         else:
             texts["csv"] = self.tables[0].csv()
+        paths = {ending: folder / f"{self.name}.{ending}" for ending in (*texts, "html", "nc")}
+        downloads = [path.name for ending, path in paths.items() if ending != "html"]
         data = script_record(live_plots(self.panels, "picture"))
         record = {
             "page": self,
             "svg": inline_svg(texts["svg"], self.title),
             "data": as_script_data(data),
             **page_record(PLOTS),
+            **origin_record(command, downloads),
         }
         texts["html"] = rendered("study.html", record)
         attributes = {**attributes_of(self.scene), "title": self.title}
-        paths = {ending: folder / f"{self.name}.{ending}" for ending in (*texts, "nc")}
         for ending, text in texts.items():
             write_text(paths[ending], text)
         write_variables(variables, attributes, paths["nc"])

@@ -2,10 +2,12 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 from dataclasses import replace
+from html import unescape
 from io import BytesIO
 from math import sqrt
 
@@ -263,6 +265,11 @@ def test_two_axes_are_numeric_coordinates_and_a_heat_picture(fpk, tmp_path):
         and "http:" not in page.replace("http://www.w3.org", "")
     )
     assert {"result.md", "result.svg", "result.csv"} <= set(os.listdir(tmp_path))
+    # What made it, with the seed that nobody gave, and the files beside it.
+    command = unescape(page.partition("<pre>fpk sweep")[2].partition("</pre>")[0])
+    assert "fig3a" in command and "rms(q2)" in command and command.endswith("--seed 1")
+    links = re.findall(r'href="([^":]*)" download', page)
+    assert {"result.md", "result.csv", "result.nc"} <= set(links) <= set(os.listdir(tmp_path))
 
 
 @pytest.mark.parametrize("values", [[0.5, 1.0], [0.5, 1e4]])
