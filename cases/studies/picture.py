@@ -18,6 +18,7 @@ from cases.output.page import MARKS, rounded
 from cases.output.pictures.lines import CURVE_MARKS
 from cases.output.pictures.style import COLOURS, INK, STYLE
 from cases.output.records import Record
+from cases.output.words import named
 from cases.studies.sweep.grid import Axis
 from fpk.arrays import Array
 
@@ -169,7 +170,7 @@ def _live_curves(panel: Panel) -> Record:
     for curve, colour, mark in zip(panel.curves, cycle(COLOURS), cycle(MARKS), strict=False):
         y = np.asarray(curve.y, dtype=float)
         own: Record = {
-            "curve": "", "name": curve.name, "shown": True, "colour": colour, "marks": mark,
+            "curve": "", "name": named(curve.name), "shown": True, "colour": colour, "marks": mark,
             "x": None if shared else curve.x, "notes": curve.notes, "guide": curve.dashed,
             "y": rounded(y=np.maximum(y, ROUND_OFF) if panel.y_logarithmic else y, error=())["y"],
         }  # fmt: skip
@@ -247,7 +248,7 @@ def _draw(axes: Axes, panel: Panel) -> None:
             bars = bars and [np.minimum(bars[0], 0.9 * y), bars[1]]
         axes.errorbar(
             curve.x, y, bars, color=colour, marker=marker, markersize=3.6, lw=1.2, elinewidth=0.8,
-            ls=curve.style, mfc="none" if curve.style == ":" else colour, label=curve.name,
+            ls=curve.style, mfc="none" if curve.style == ":" else colour, label=named(curve.name),
         )  # fmt: skip
         if curve.dashed is not None:
             axes.plot(*curve.dashed, color=colour, lw=0.9, ls=DASHES)

@@ -103,7 +103,8 @@ def sweeps():
 def study(outcome):
     coarse = priced("coarse", (0.2, 1e-3), (1e-5, 3e-3), (1e-9, 0.1))
     floors = {"averaged equation (24)": 1e-13}
-    return CostStudy(outcome.scene, [coarse, priced("fine", (1e-12, 2.0))], floors=floors)
+    named_by_key = priced("nonintegrable/fem", (1e-12, 2.0))
+    return CostStudy(outcome.scene, [coarse, named_by_key], floors=floors)
 
 
 def with_units(path, scene):
@@ -225,6 +226,11 @@ def test_a_map_of_regimes_says_which_theory_is_nearer(touched):
     assert "nearer to the full system: energy averaging" in hover["words"]
     assert values["clearance over rms"]["p"] > 0.0
     assert touched["regime"]["picture_0"]["said"] == "Dotted: clearance = 2 rms."
+
+
+def test_legends_of_studies_name_theories_in_words(study):
+    (plot,) = live_plots(cost_page(study).panels, "picture")
+    assert [s["name"] for s in plot["series"]] == ["coarse", "energy averaging, finite elements"]
 
 
 def test_the_diagram_of_cost_says_method_setting_error_and_time(touched, study):
