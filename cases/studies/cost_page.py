@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from cases.output.duration import duration
+from cases.output.words import theory_of_route
 from cases.studies.cost import CostStudy
 from cases.studies.law import FULL
 from cases.studies.levels import Level
@@ -127,7 +128,7 @@ def _panels(study: CostStudy) -> list[Panel]:
     error, which no solver lowers.
     """
     panels = []
-    models = [(m.distance, f"averaging error of the {m.theory} theory") for m in study.models]
+    models = [(m.distance, f"error of {theory_of_route(m.theory)}") for m in study.models]
     for equation, routes in by_equation(study.routes).items():
         curves = []
         for route in routes:

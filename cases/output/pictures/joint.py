@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from matplotlib.colors import LightSource, LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 
 from cases.comparison.answers import Answers
@@ -151,5 +152,7 @@ def contour_panels(
     figure.supxlabel(words_of(observable[0]), fontsize=9.5)
     figure.supylabel(words_of(observable[1]), fontsize=9.5)
     drawn_axes = list(grid_of_axes.ravel()[: len(panels)])
-    figure.colorbar(filled, ax=drawn_axes, format="%.2g", aspect=22).set_label(label)
+    ticks = LogLocator() if decades else MaxNLocator(7)  # round numbers, wherever the levels are
+    bar = figure.colorbar(filled, ax=drawn_axes, ticks=ticks, format="%.2g", aspect=22)
+    bar.set_label(label)
     return figure
