@@ -264,6 +264,14 @@ def test_one_name_for_a_theory():
     assert named("fpk density --method phase-space") == "fpk density --method phase-space"
 
 
+def test_a_long_chain_has_no_table_of_zeros():
+    scene = load_scene("chain-50")
+    outcome = run_scene(scene, [method_for("nonintegrable", "closed-form")])
+    page = report_html(scene, digest_of(outcome), [])
+    system = page[page.index("<dt>damping c") : page.index("<dt>contact 1")]
+    assert system.count(", ") == 2 * 49
+
+
 def test_the_chain_is_drawn_with_its_stops():
     stops = (Contact(2, "both", 10.0, 0.5), Contact(1, "right", 1.0, 0.25))
     system = System([1, 1, 1], [1, 1, 1], [0.1] * 3, [0.1] * 3, contacts=stops)
