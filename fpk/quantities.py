@@ -37,6 +37,7 @@ class Quantities(ABC):
         q2 = fpk.solve(fpk.load("fig6a").system, ["q2"])["q2"]
         q2.std().value, q2.std().error
         q2.exceedance(0.5)   # P(q2 > 0.5)
+        q2.probability(-0.5, 0.5)
     """
 
     @abstractmethod
@@ -50,9 +51,7 @@ class Quantities(ABC):
     def probability(self, low: float, high: float) -> Number:
         """Return P(low < X <= high) and its error; either end may be infinite.
 
-        Raises ``InvalidInput`` unless both ends are numbers. ::
-
-            q2.probability(-0.5, 0.5)
+        Raises ``InvalidInput`` unless both ends are numbers.
         """
         return self._probability(_number("low", low), _number("high", high))
 
