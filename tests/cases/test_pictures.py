@@ -35,6 +35,8 @@ def test_the_bar_of_colours_has_round_numbers():
     low, high = bar.get_ylim()
     ticks = [tick for tick in bar.get_yticks() if low <= tick <= high]
     assert 4 <= len(ticks) <= 9 and ticks == pytest.approx([round(tick, 1) for tick in ticks])
+    # A label is its number, with all digits: 0.125 is not 0.12.
+    assert [bar.yaxis.get_major_formatter()(x) for x in (0.125, 125.0)] == ["0.125", "125"]
 
 
 def test_energies_are_drawn_in_decades():

@@ -153,6 +153,6 @@ def contour_panels(
     figure.supylabel(words_of(observable[1]), fontsize=9.5)
     drawn_axes = list(grid_of_axes.ravel()[: len(panels)])
     ticks = LogLocator() if decades else MaxNLocator(7)  # round numbers, wherever the levels are
-    bar = figure.colorbar(filled, ax=drawn_axes, ticks=ticks, format="%.2g", aspect=22)
+    bar = figure.colorbar(filled, ax=drawn_axes, ticks=ticks, format="%.4g", aspect=22)
     bar.set_label(label)
     return figure
