@@ -29,7 +29,7 @@ of a moment: its square is nothing beside 1, in any unit."""
 
 
 class Quantities(ABC):
-    """What follows from the density of one coordinate X, or of two, X and Y.
+    """Moments, probabilities, quantiles: of a coordinate X, or of a pair (X, Y), from its density.
 
     All but ``expectation``, ``moment`` and ``plot`` raise ``InvalidInput`` for a joint density,
     ``covariance`` and ``correlation`` for any other. ::

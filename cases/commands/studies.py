@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from cases.scene.scene import Scene
     from cases.studies.page import Page
 
-SEED = 1
-"""Seed of the simulations of a study, the default of ``MonteCarlo``."""
-
 
 def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
     """Make the command of a study; ``work`` takes the scene, a progress callback and its options.
@@ -43,8 +40,9 @@ def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
 
         with progress_bar() as progress:
             result, page = work(loaded, progress=progress, **given)
-        # With the seed that all studies have where none is given.
-        seed = "" if "seed" in given else f" --seed {SEED}"
+        from sim.montecarlo import MonteCarlo
+
+        seed = "" if "seed" in given else f" --seed {MonteCarlo.seed}"
         written = [] if out is None else page.write(out, command=parts.command_line() + seed)
         short, width = page.summary if written else "", get_terminal_size((0, 0)).columns
         record = plain(result.record())

@@ -21,14 +21,10 @@ from cases.comparison.compare import (
     measured_between,
 )
 from cases.comparison.quantity import (
-    CONTACT,
-    MOMENTS,
-    QUANTILES,
     UPCROSSING,
     Definition,
     shown_of,
 )
-from cases.scene.schema import MOST_LEVELS
 from fpk.density import AnyDensity, Density
 from fpk.dynamics import CrossingsMethod
 from fpk.errors import NotApplicable, NotCertified
@@ -36,12 +32,9 @@ from fpk.method import Result, silent
 from fpk.number import Number
 from fpk.observable import Coordinate, Level, observable_name
 from fpk.route import Route
-from fpk.sampled_density import ErrorKind, SampledDensity
+from fpk.sampled_density import ErrorKind
 from fpk.system import System
 from fpk.upcrossings import upcrossings
-
-MOST = len(QUANTILES) + len(MOMENTS) + MOST_LEVELS + 2 * (len(CONTACT) + 1)
-"""Quantities of one observable between two stops, which share the rate of false alarms."""
 
 
 @dataclass(frozen=True)
@@ -152,20 +145,23 @@ def _rows(system: System, result: Result, exceedance: Sequence[Level]) -> Iterat
     """The quantities by one route: of each density, then the rates at stops."""
     route = result.method.route
     for density in result.densities:
-        for definition in shown_of(system, density.observable, exceedance):
+        definitions = shown_of(system, density.observable, exceedance)
+        for definition in definitions:
             if definition.kind != UPCROSSING:
                 number, words = definition.of(density, system), definition.words(system)
-                reach = _reach(definition, density, number)
+                reach = _reach(definition, density, number, len(definitions))
                 yield Quantity(definition, words, route, number, density.error_kind, reach)
     observed = {d.observable for d in result.densities}
     for row in system.contact_masses:
         q, p = Coordinate("q", row), Coordinate("p", row)
         if {(q,), (q, p)} & observed:
-            yield from _rates(system, result, q, p)
+            yield from _rates(system, result, q, p, len(shown_of(system, (q,), exceedance)))
 
 
-def _rates(system: System, result: Result, q: Coordinate, p: Coordinate) -> Iterator[Quantity]:
-    """The upcrossing rates of all stops of the mass with the displacement ``q``."""
+def _rates(
+    system: System, result: Result, q: Coordinate, p: Coordinate, count: int
+) -> Iterator[Quantity]:
+    """The upcrossing rates of all stops of the mass of ``q``, among ``count`` quantities of it."""
     method = result.method
     definitions = [d for d in shown_of(system, (q,)) if d.kind == UPCROSSING]
     at = np.array([level for d in definitions for level in d.levels(system)])
@@ -186,50 +182,45 @@ def _rates(system: System, result: Result, q: Coordinate, p: Coordinate) -> Iter
         rate = Number(float(value), float(error))
         reach = rate.error + ROUND_OFF * abs(rate.value)
         if joint is not None:
-            reach = reach_of(joint, rate, 0.0)
+            reach = reach_of(joint, rate, 0.0, count)
         yield Quantity(definition, definition.words(system), method.route, rate, kind, reach)
 
 
-def _reach(definition: Definition, density: AnyDensity, number: Number) -> float:
+def _reach(definition: Definition, density: AnyDensity, number: Number, count: int) -> float:
     """How far a number of ``density`` may be from the truth, see ``reach_of``."""
     kind = definition.kind
     if kind == "quantile" and definition.at is not None:
-        return _reach_of_quantile(density, definition.at, number)
+        return _reach_of_quantile(density, definition.at, number, count)
     size = {"skewness": 1.0, "correlation": 1.0}.get(kind, 0.0)
     if kind == "mean":
         size = density.std().value
     if kind == "covariance":  # what it would be of coordinates in proportion to each other
         correlation = density.correlation().value
         size = abs(number.value / correlation) if correlation else number.error
-    return reach_of(density, number, size)
+    return reach_of(density, number, size, count)
 
 
-def reach_of(density: AnyDensity, number: Number, size: float) -> float:
+def reach_of(density: AnyDensity, number: Number, size: float, count: int) -> float:
     """Return how far ``number``, which follows from ``density``, may be from the truth.
 
     By chance: Student's t of the batches, and Bernstein's term for a number of about ``size`` that
-    rests on few independent samples.
+    rests on few independent samples. ``count`` quantities share the rate ``FALSE_ALARMS``.
     """
     value, error = abs(number.value), number.error
     if isinstance(density, Density):
         return error + ROUND_OFF * value
     if error == 0.0:  # of a stop beyond all samples: nothing was seen, and nothing is known
         return np.inf
-    z = deviations(density)
+    z = -float(stdtrit(density.batch_values.shape[0] - 1, FALSE_ALARMS / (2 * count)))
     return z * error + 2.0 * (z * error) ** 2 / max(value, size, error)
 
 
-def deviations(density: SampledDensity) -> float:
-    """Return the standard errors that chance exceeds in ``FALSE_ALARMS`` of an observable."""
-    return -float(stdtrit(density.batch_values.shape[0] - 1, FALSE_ALARMS / (2 * MOST)))
-
-
-def _reach_of_quantile(density: AnyDensity, p: float, number: Number) -> float:
+def _reach_of_quantile(density: AnyDensity, p: float, number: Number, count: int) -> float:
     """How far a quantile may be off: by chance that of p plus and minus what its share may be."""
     if isinstance(density, Density) or not isfinite(number.value):
-        return reach_of(density, number, 0.0)
+        return reach_of(density, number, 0.0, count)
     share = density.cdf(number.value) if p <= 0.5 else density.exceedance(number.value)
-    reach = reach_of(density, share, 0.0)
+    reach = reach_of(density, share, 0.0, count)
     ends = [p - reach, p + reach]
     if not 0.0 < ends[0] < ends[1] < 1.0:
         return np.inf

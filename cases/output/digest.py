@@ -1,9 +1,11 @@
 """The record of a run, from which all that is shown is written."""
 
+from collections import Counter
 from collections.abc import Iterable
+from typing import get_args
 
 from cases.comparison.answers import Answers
-from cases.comparison.claims import findings
+from cases.comparison.claims import Verdict, findings
 from cases.comparison.compare import Comparison
 from cases.comparison.in_time import Replies
 from cases.comparison.quantities import Quantity
@@ -93,6 +95,17 @@ def verdict_of(digest: Record) -> str:
     if not digest["judged"]:
         return "nothing to compare, every certificate holds"
     return f"{digest['judged']} judged comparisons, every check holds"
+
+
+def claims_counted(claims: list[Record]) -> str:
+    """Return how many claims of the source have which verdict: ``2 hold, 1 undecided``."""
+    count = Counter(claim["verdict"] for claim in claims)
+    plural = {"holds": "hold", "does not hold": "do not hold"}
+    return ", ".join(
+        f"{count[verdict]} {verdict if count[verdict] == 1 else plural.get(verdict, verdict)}"
+        for verdict in get_args(Verdict)
+        if count[verdict]
+    )
 
 
 def _curve(curve: Answers, key: str, units: Units) -> Record:

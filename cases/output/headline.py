@@ -1,9 +1,6 @@
-"""The answer of a run in one or two sentences, and how many of the source's claims hold."""
+"""The answer of a run in one or two sentences."""
 
-from collections import Counter
-from typing import get_args
-
-from cases.comparison.claims import ACCEPTABLE_L1, Verdict
+from cases.comparison.claims import ACCEPTABLE_L1
 from cases.output.records import Record
 from cases.output.words import named
 from cases.written import percent
@@ -39,19 +36,10 @@ def headline_of(curves: list[Record]) -> str:
     return " ".join(sentences)
 
 
-def claims_counted(claims: list[Record]) -> str:
-    """Return how many claims of the source have which verdict: ``2 hold, 1 undecided``."""
-    count = Counter(claim["verdict"] for claim in claims)
-    plural = {"holds": "hold", "does not hold": "do not hold"}
-    return ", ".join(
-        f"{count[verdict]} {verdict if count[verdict] == 1 else plural.get(verdict, verdict)}"
-        for verdict in get_args(Verdict)
-        if count[verdict]
-    )
-
-
 def measure_of(curves: list[Record]) -> str:
-    """Return in words what the distance in the sentence of ``headline_of`` is."""
+    """Return in words what a distance in the answer of ``headline_of`` is; empty without one."""
+    if not any(_asked(curve)[1] for curve in curves):
+        return ""
     if _asked(curves[0])[0] == RELIABILITY:
         return "Largest difference of P(T > t), T the time of first passage"
     return "L1 distance ∫|p − p_full| of the density that is furthest off"

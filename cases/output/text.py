@@ -7,9 +7,8 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from cases.output.digest import curves_of, refusals_of, verdict_of
+from cases.output.digest import claims_counted, curves_of, refusals_of, verdict_of
 from cases.output.duration import duration
-from cases.output.headline import claims_counted
 from cases.output.records import Record
 from cases.output.tables import quantity_tables, text_table
 from cases.output.words import effects_in_words, named, theory_of_route, with_key

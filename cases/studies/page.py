@@ -85,7 +85,7 @@ class Table:
 
     @property
     def texts(self) -> list[bool]:
-        """Of each column whether all its cells are text."""
+        """Whether all cells of a column are text, for every column in order."""
         return [all(isinstance(row[key], str) for row in self.rows) for key in self.rows[0]]
 
     def lines(self, width: int) -> list[str]:

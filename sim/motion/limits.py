@@ -1,4 +1,4 @@
-"""What limits say of states and energies: which states lie beyond, and up to where motion gets."""
+"""Limits of first passage as tests of states: which lie beyond, and how far motion can get."""
 
 from math import isfinite
 

@@ -26,7 +26,10 @@ MOST_SUMS = 1 << 23
 
 @dataclass(frozen=True)
 class Window:
-    """What is done with ``samples`` of each trajectory: ``read`` of a block fills ``numbers``."""
+    """A number of ``samples`` of every trajectory, and ``read``, which turns a block into numbers.
+
+    ``numbers`` is the shape of what ``read`` fills from the samples of one block.
+    """
 
     samples: int
     numbers: tuple[int, ...]

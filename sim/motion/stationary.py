@@ -1,4 +1,4 @@
-"""What answers of motions share: workers, starts, the watch, errors, words, the curve."""
+"""Steps shared by sampled spectra, autocovariances and crossings, from starts to the curve."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

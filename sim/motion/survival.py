@@ -114,7 +114,7 @@ def _relative(best: Array, error: Array, settled: float) -> float:
 
 
 def _seen(sampled: Times, begin: float, bias: Array) -> dict[str, str | float | int]:
-    """What was simulated: how many failed, until when, and the ``bias`` of the step."""
+    """Numbers of trajectories and failures, the time that was followed, and the step's ``bias``."""
     paths, events = sampled.fine.size, sampled.failed
     seen: dict[str, str | float | int] = {
         "trajectories": paths,

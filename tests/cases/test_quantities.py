@@ -176,6 +176,13 @@ def test_exceedance_that_a_scene_asks_for_is_given_by_every_route(tmp_path):
         assert off <= (4.5 if q.route.sampled else 1.0) * q.number.error + 1e-14, q
         assert 0.0 < q.number.error < 0.01
     assert not outcome.problems
+    # What nobody asks for takes no share of the false alarms: the same samples may be off by less.
+    fewer = replace(answers, exceedance=answers.exceedance[:1])
+    many, own = (
+        next(q for q in each.quantities if q.route.sampled and q.name == "std(q2)")
+        for each in (answers, fewer)
+    )
+    assert many.number == own.number and many.reach > own.reach > own.number.error
     other = face.solve(replace(LINEAR, stiffness=[1.0, 0.55]), ["q2"], methods=["exact"]).results
     wrong = replace(answers, results=(*other, *answers.results[-1:])).quantity_comparisons
     assert not all(c.holds for c in wrong if "above" in c.observable)

@@ -8,7 +8,7 @@ from scipy import stats
 
 import fpk as face
 from averaging.exact import compatibility
-from cases.comparison.quantities import QUANTILES
+from cases.comparison.quantity import QUANTILES
 from cases.comparison.routes import method_for
 from cases.scene.scene import load_scene, shipped_scenes
 from fpk.contact import Contact

@@ -17,8 +17,8 @@ from cases.commands.parts import command_line
 from cases.comparison.rare import SPLITTING
 from cases.comparison.routes import method_for, register_routes
 from cases.comparison.run import run_scene
-from cases.output.digest import digest_of
-from cases.output.headline import claims_counted, headline_of, measure_of
+from cases.output.digest import claims_counted, digest_of
+from cases.output.headline import headline_of, measure_of
 from cases.output.live import MARKS
 from cases.output.page import TEMPLATES
 from cases.output.pictures.chain import chain_svg
@@ -181,6 +181,7 @@ def test_the_answer_takes_the_best_reference_and_the_worst_density():
     assert "10 % off" in headline_of([curve(near)])  # with its error it may be beyond 10 %
     assert headline_of([curve()]) == ""
     assert "exact density" in headline_of([curve(incompatible=None)])
+    assert measure_of([curve(incompatible=None)]) == ""
     both = headline_of([curve(*rows, incompatible=None)])
     assert "exact density is known" in both and both.endswith(expected)
     assert headline_of([curve(*rows, incompatible=None), curve()]) == expected

@@ -113,6 +113,11 @@ def test_a_micrometre_is_a_unit(fpk, tmp_path, scene_text):
     assert "µm" in fpk("show", path)[1]
 
 
+def test_the_limit_of_a_passage_has_its_unit(scene, fpk):
+    asked = ("passage", scene, "--method", "nonintegrable", "--limit", "H=0.5")
+    assert fpk(*asked)[1].startswith("# first passage of H=0.5 kg mm² s⁻² from rest")
+
+
 ASKED = [
     (["density", "--of", "q2", "--at", "0"], {"points": "mm", "density": "mm⁻¹", "times": "s"}),
     (

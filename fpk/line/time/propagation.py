@@ -21,7 +21,7 @@ Part = tuple[Contour, chain.Solution]
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """What a density begins with: an energy, or the stationary density of another process."""
+    """Initial density of a transient: at one energy, or the stationary one of another process."""
 
     energy: float = 0.0
     process: Process | None = None

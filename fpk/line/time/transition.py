@@ -34,7 +34,8 @@ LENGTHENED = 1.02
 FARTHEST = -600.0
 """ln of the least stationary probability beyond a start that double precision can relate to one."""
 FARTHEST_EXTENT = 4.0 * FARTHEST
-"""The same beyond the extent of a density at the start: at 5000 errors exceed the answer."""
+"""ln of the least stationary probability where the start is a density and not one energy; at −5000
+errors exceed the answer."""
 MOST_ELEMENTS = 1_000
 """Elements beyond which none is cut."""
 STALLED = 0.9

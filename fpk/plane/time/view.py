@@ -1,4 +1,4 @@
-"""What is seen of p(H1, H2): the pair, one of the two energies, or their sum."""
+"""Observables of the density p(H1, H2): the pair, one of the two energies, or their sum."""
 
 from dataclasses import dataclass
 from typing import Literal
