@@ -147,7 +147,9 @@ def damped(
         up = sum(c * A for c, A in zip(inverse[:, i], space.up, strict=True) if c)
         operator = added(operator, {powers: up @ X for powers, X in force.items()}, -1.0)
     level, others = space.k.sum(axis=1), space.k[:, 1:].sum(axis=1)
-    inside = others <= np.minimum(degrees.others, 2 * (degrees.total - level))
+    # Levels above the highest have no degree at all.
+    most = [degrees.others_at(n) for n in range(degrees.total + 1)] + [-1] * beyond
+    inside = others <= np.array(most)[level]
     # Degrees of one group stand together, in the order of its unknowns.
     name = level * (degrees.others + beyond + 1) + others
     row = np.arange(len(name)) - np.searchsorted(name, name)
