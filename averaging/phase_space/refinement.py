@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import Expansion, expanded, sizes
-from averaging.phase_space.equation.frame import Frame, Reference, gibbs_reference
+from averaging.phase_space.equation.frame import Frame, Reference, gibbs_reference, heated
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import moments, refitted
 from fpk.cores import usable_cores
@@ -20,6 +20,11 @@ from fpk.quadrature import gauss_grid, integral
 REFITS = 2
 """Solutions of the lowest degrees from which the reference takes its moments: the second changes
 the first by less than a thousandth of what the degrees leave."""
+STARTS = (1.0, 1.5, 2.25)
+"""Factors on the temperature of the start, in turn, where moments of no distribution are found:
+polynomials about a Gaussian diverge where a density falls as slowly as the Gaussian of twice its
+variance, as beside a bath much hotter than the mean of all. One system in sixty with baths 3 to 25
+times as hot as each other needed the second."""
 SETTLED = 1e-9
 """Change of the covariance by the first refit, relative to its largest entry, up to which the start
 is the solution: the Gibbs state, where damping and noise are in one proportion."""
@@ -161,15 +166,7 @@ def ladders(
         return refusal(*cost(frame, about, degrees), most=work)
 
     with threadpool_limits(limits=threads or usable_cores(), user_api="blas"):
-        first: Expansion | None = None
-        for refit in range(REFITS):
-            rough = expanded(frame, about, degrees_of(0, frame))
-            better = refitted(frame, rough)
-            change = np.abs(better.covariance - about.covariance).max()
-            if refit == 0 and change <= SETTLED * about.covariance.max():
-                first = rough  # the first level is solved already
-                break
-            about = better
+        about, first = _fitted_reference(frame, about)
         coarser: Expansion | None = None
         fall: dict[Observable, Falling] = {}
         for level in count():
@@ -189,6 +186,32 @@ def ladders(
                 if limit:
                     return
             coarser = finest
+
+
+def _fitted_reference(frame: Frame, start: Reference) -> tuple[Reference, Expansion | None]:
+    """Return the reference with the moments of the lowest solutions, from ``start`` or hotter.
+
+    Beside it the lowest solution where the start has its moments. Raises ``LinAlgError`` where no
+    start gives the moments of a distribution.
+    """
+    for factor in STARTS:
+        try:
+            return _refitted_from(frame, heated(frame, start, factor) if factor > 1.0 else start)
+        except np.linalg.LinAlgError:
+            if factor == STARTS[-1]:
+                raise
+    raise AssertionError("there is a start")
+
+
+def _refitted_from(frame: Frame, about: Reference) -> tuple[Reference, Expansion | None]:
+    for refit in range(REFITS):
+        rough = expanded(frame, about, degrees_of(0, frame))
+        better = refitted(frame, rough)
+        change = np.abs(better.covariance - about.covariance).max()
+        if refit == 0 and change <= SETTLED * about.covariance.max():
+            return about, rough
+        about = better
+    return about, None
 
 
 def solved_to(
@@ -256,6 +279,8 @@ def _common_distance(frame: Frame, a: Expansion, b: Expansion) -> float:
     contact displacement, if that is more.
     """
     first, second = moments(frame, a).covariance, moments(frame, b).covariance
+    if not min(np.diag(first).min(), np.diag(second).min()) > 0.0:
+        raise np.linalg.LinAlgError("a variance found is not positive")
     scale = np.sqrt(np.diag(first))
     change = 0.5 * float(np.max(np.abs(first - second) / np.outer(scale, scale)))
     contact = (Coordinate("q", frame.contact),)
