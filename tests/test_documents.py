@@ -150,9 +150,10 @@ CONSTANTS = {
         f"about ${step_size.BIAS}\\,X^e$ of itself",
         f"each pair of normals lies in a disc of radius {substeps.LARGEST_NORMAL:.2f}",
         f"Above {100 * estimate.RESOLVED:g} % no error is stated",
-        f"taken between {refinement.SLOWEST} and {refinement.FASTEST:g},"
-        f" or {refinement.FASTEST_STEADY:g} where",
-        f"the error is {refinement.SAFETY:g} d/(r − 1)",
+        f"the error is {refinement.SAFETY:g} d",
+        f"r at least {refinement.SLOWEST}",
+        f"less than {refinement.KEPT} of the one before",
+        f"{refinement.COMMON} of the largest",
         f"with |g| at least {short(resolvent.SEEN)} of the whole",
         f"Velocities are followed {mesh.BEYOND} kicks of noise",
         f"{first_passage.SAFETY:g} times the distance of the last two,"

@@ -104,7 +104,7 @@ def settings_of(ladder: Ladder) -> dict[str, str | float | int]:
     settings: dict[str, str | float | int] = {
         "equation": "(6)",
         "highest degree": d.total,
-        "degree without the contact velocity": d.others,
+        "degree in the other masses": d.others,
         "solutions": ladder.solutions,
     }
     if ladder.limit:

@@ -13,6 +13,7 @@ from averaging.phase_space.equation.damping import (
     reach,
     state,
 )
+from averaging.phase_space.equation.degrees import first_and_second
 from averaging.phase_space.equation.elimination import Expansion
 from averaging.phase_space.equation.frame import Frame
 from averaging.phase_space.moments import moments
@@ -45,11 +46,12 @@ def force_means(frame: Frame, e: Expansion) -> Means:
         return Means(np.zeros(n), np.zeros(n), np.zeros((n, b.points.size)))
     space = Space.to(top, top, 2 * n - 1)
     s = state(frame, b.reference, e.factor, space)
-    ends = np.cumsum(
-        [0, *(np.count_nonzero(space.k.sum(axis=1) == level) for level in range(top + 1))]
-    )
+    inside = [
+        np.flatnonzero((space.level == level) & (space.counted <= e.degrees.others))
+        for level in range(top + 1)
+    ]
     levels = [e.functions(level, b.points) for level in range(top + 1)]
-    first: Polynomial = {(0, 0): Matrix(([1.0], ([0], [0])), shape=(1, len(space.k)))}
+    first: Polynomial = {(0, 0): Matrix(([1.0], ([0], [0])), shape=(1, len(space.level)))}
 
     def given(*factors: Polynomial) -> Array:
         """Mean of a product given y, in the weights of the points."""
@@ -58,7 +60,7 @@ def force_means(frame: Frame, e: Expansion) -> Means:
             row = product(row, factor)
         for powers, X in row.items():
             x = X.toarray()[0]
-            by_z = sum(x[k : k + len(u)] @ u for k, u in zip(ends[:-1], levels, strict=True))
+            by_z = sum(x[at] @ u for at, u in zip(inside, levels, strict=True))
             total += by_y(frame, b, powers) * by_z
         return total
 
@@ -133,13 +135,9 @@ def _sides(frame: Frame, e: Expansion) -> dict[str, tuple[float, float]]:
 def _given(frame: Frame, e: Expansion) -> tuple[Array, Array]:
     """Means of (y, r, v) and of v₁² given y, times the density of y over w, at the points."""
     n, b, C, y = frame.n, e.basis, e.factor, e.basis.points
+    one, two = first_and_second(e.others, 2 * n - 1)
     u0, u1, u2 = e.functions(0, y)[0], e.functions(1, y), e.functions(2, y)
-    z = np.zeros((2 * n - 1, y.size))
-    for row, u in zip(e.degree(1), u1, strict=True):
-        z += C[:, int(row.argmax()), None] * u
+    z = C @ one @ u1
     r = z[n:] + (b.reference.slope[:, None] * y + b.reference.offset[:, None]) * u0
-    square = C[0, 0] ** 2 * u0
-    for row, u in zip(e.degree(2), u2, strict=True):
-        if row[0] == 2:
-            square = square + np.sqrt(2.0) * C[0, 0] ** 2 * u
+    square = C[0, 0] ** 2 * (u0 + two[0, 0] @ u2)
     return np.vstack([y * u0, r, z[:n]]), square

@@ -15,12 +15,12 @@ from averaging.phase_space.dynamics.answer import Answer, Options
 from averaging.phase_space.dynamics.correlations import correlation, relaxation, spectrum
 from averaging.phase_space.dynamics.crossings import crossings
 from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
+from averaging.phase_space.growth import finer, lowest
 from averaging.phase_space.identities import identities
 from averaging.phase_space.passage.first_passage import first_passage
 from averaging.phase_space.refinement import (
     WORK,
     cost,
-    degrees_of,
     refusal,
     solved_to,
 )
@@ -227,7 +227,7 @@ class PhaseSpace(StationaryMotionMethod, Theory):
         frame = contact_frame(system)
         about = gibbs_reference(frame)
         if system.damping_terms:
-            needed = cost(frame, about, degrees_of(1, frame))
+            needed = cost(frame, about, finer(frame, lowest(frame), 0))
             if words := refusal(*needed, most=self.work):
                 raise NotApplicable(f"the damping terms are of too high a degree: {words}")
         return frame

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from averaging.phase_space.equation.degrees import first_and_second
 from averaging.phase_space.equation.elimination import Expansion
 from averaging.phase_space.equation.frame import Frame, Reference, reference_of
 from fpk.arrays import Array
@@ -28,19 +29,11 @@ def moments(frame: Frame, expansion: Expansion) -> Moments:
     n, b, C = frame.n, expansion.basis, expansion.factor
     y, w, a = b.points, b.weights, b.reference.slope
     u0, u1, u2 = (expansion.functions(level, y) for level in range(3))
-    first, second = expansion.degree(1), expansion.degree(2)
-    d = 2 * n - 1
-    z, zy, zz = np.zeros(d), np.zeros(d), np.eye(d)
-    flow = np.zeros(y.size)
-    for row, u in zip(first, u1, strict=True):
-        i = int(row.argmax())
-        z[i], zy[i] = w @ u, w @ (u * y)
-        flow += C[0, i] * w * u
-    for row, u in zip(second, u2, strict=True):
-        i, j = np.repeat(np.arange(d), row).tolist()
-        zz[i, j] += (w @ u) * (np.sqrt(2.0) if i == j else 1.0)
-        zz[j, i] = zz[i, j]
-    z, zy, zz = C @ z, C @ zy, C @ zz @ C.T
+    one, two = first_and_second(expansion.others, 2 * n - 1)
+    linear = one @ u1
+    z, zy = C @ (linear @ w), C @ (linear @ (w * y))
+    zz = C @ (np.eye(2 * n - 1) + two @ (u2 @ w)) @ C.T
+    flow = C[0] @ linear * w
     mean_y, square_y = float(w @ (u0[0] * y)), float(w @ (u0[0] * y**2))
     mean = np.concatenate([[mean_y], z])
     second_moments = np.zeros((2 * n, 2 * n))

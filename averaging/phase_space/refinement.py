@@ -2,14 +2,14 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import count
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import Expansion, expanded, sizes
-from averaging.phase_space.equation.frame import Frame, Reference, gibbs_reference, heated
+from averaging.phase_space.equation.frame import Frame, Reference, gibbs_reference
+from averaging.phase_space.growth import finer, lowest, rise_of
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import moments, refitted
 from fpk.cores import usable_cores
@@ -20,27 +20,22 @@ from fpk.quadrature import gauss_grid, integral
 REFITS = 2
 """Solutions of the lowest degrees from which the reference takes its moments: the second changes
 the first by less than a thousandth of what the degrees leave."""
-STARTS = (1.0, 1.5, 2.25)
-"""Factors on the temperature of the start, in turn, where moments of no distribution are found:
-polynomials about a Gaussian diverge where a density falls as slowly as the Gaussian of twice its
-variance, as beside a bath much hotter than the mean of all. One system in sixty with baths 3 to 25
-times as hot as each other needed the second."""
 SETTLED = 1e-9
 """Change of the covariance by the first refit, relative to its largest entry, up to which the start
 is the solution: the Gibbs state, where damping and noise are in one proportion."""
-SLOWEST, FASTEST = 1.5, 2.0
-"""Factors by which the error is believed to fall from one solution to the next, at the least and
-at the most, whatever the last two distances say."""
-FASTEST_STEADY = 3.0
-"""The most where the distance has fallen by no less the step before."""
-SAFETY = 4.5
-"""Factor on the error that follows from the last two distances between solutions. With 3, of 752
-errors of 83 systems against finer solutions 0.99 of the stated one was the most; of p(p1) of Fig. 6
-with B = 10, at degree 46 against degree 64, it was 1.33, as distances do not fall there from degree
-46 on."""
+SAFETY = 2.5
+"""Factor on the error that follows from distances between solutions. Without it, of 364 errors of
+69 systems against finer solutions the largest was 1.6 times the stated one."""
 FIRST = 2.0
-"""Factor beside it on the error that follows from one distance alone, which may be small by chance:
-without it one of these errors was 1.7 times the stated one."""
+"""Factor beside it on the error that follows from one distance alone, small by chance at times:
+without either, of 276 errors the largest was 2.2 times the distance."""
+KEPT = 0.25
+"""Least share of one distance that the next one is believed to be."""
+COMMON = 0.25
+"""Least share of the largest distance of all densities of one coordinate that any density's is
+believed to be: with light damping that of one may be small by chance."""
+SLOWEST = 1.25
+"""Factor by which distances are believed to fall at the least."""
 ROUND_OFF = 1e-11
 """L1 error of the arithmetic in double precision: on exact densities it was up to 2.3e-12."""
 MOST_OUTER = 90
@@ -73,33 +68,12 @@ class Ladder:
         """Return the ladder with the error of one more density, from these two solutions alone."""
         solutions = self.frame, self.finest, self.coarser
         own = _distance(*solutions, observable)
-        error = falling(max(own, _common_distance(*solutions)), None).error
+        error = falling(max(own, least_distance(*solutions)), None).error
         return replace(
             self,
             errors={**self.errors, observable: error + ROUND_OFF},
             factors={**self.factors, observable: error / own if own > 0.0 else 0.0},
         )
-
-
-def degrees_of(level: int, frame: Frame) -> Degrees:
-    """Return the degrees of a level of refinement, from 0, so that all have like errors.
-
-    Damping terms make all coordinates as unlike a Gaussian as a stop makes its mass: degrees in the
-    others and in y rise with that in the velocity of the contact mass. Errors then oscillate with
-    the degree, and more slowly the higher it is: steps that grow with it see that.
-    """
-    n, terms = frame.n, bool(frame.system.damping_terms)
-    if n == 1 and terms:
-        half = round(8 * 1.4**level)
-        return Degrees(2 * half, 0, 2 * half + 2)
-    if n == 2 and terms:
-        half = round(8 * 1.25**level)
-        return Degrees(2 * half, half, half + 10)
-    if n == 1:
-        return Degrees(16 + 8 * level, 0, 18 + 4 * level)
-    if n == 2:
-        return Degrees(16 + 6 * level, 6 + 2 * level, 18 + 2 * level)
-    return Degrees(10 + 4 * level, 4 + level, 12 + 2 * level)
 
 
 def cost(
@@ -116,30 +90,25 @@ def cost(
 
 @dataclass(frozen=True)
 class Falling:
-    """How the distance between solutions falls with their degrees, and the error that is left.
-
-    ``distance`` is the last one that is believed, ``fell`` the factor by which the last one had
-    fallen, ``error`` the error of the finer solution in the units of the distance.
-    """
+    """The ``distance`` between solutions that is believed, and the ``error`` of the finer one."""
 
     distance: float
-    fell: float
     error: float
 
 
 def falling(last: float, earlier: Falling | None) -> Falling:
     """Return what the distance ``last`` of two solutions says, after ``earlier`` ones.
 
-    With the factor r by which distances d fall the error is ``SAFETY`` d/(r − 1). A distance may be
-    small by chance, so that r is bounded.
+    Distances d that fall by a factor r leave an error of d/(r − 1), which counts where it is more
+    than d: errors oscillate, so that one fast fall promises no other.
     """
-    before = earlier.distance if earlier else SLOWEST * last
-    fell = before / last if last > 0.0 else FASTEST
-    steady = min(earlier.fell, fell) if earlier else FASTEST
-    distance = max(last, before / min(max(FASTEST, steady), FASTEST_STEADY))
-    rate = max(before / distance, SLOWEST) if distance > 0.0 else SLOWEST
-    factor = SAFETY if earlier else FIRST * SAFETY
-    return Falling(distance, fell, factor * distance / (rate - 1.0))
+    if earlier is None:
+        return Falling(last, FIRST * SAFETY * last)
+    distance = max(last, KEPT * earlier.distance)
+    if distance == 0.0:
+        return Falling(0.0, 0.0)
+    rate = max(earlier.distance / distance, SLOWEST)
+    return Falling(distance, SAFETY * distance * max(1.0, 1.0 / (rate - 1.0)))
 
 
 def ladders(
@@ -159,8 +128,7 @@ def ladders(
     """
     about = reference or gibbs_reference(frame)
 
-    def why_not(level: int) -> str:
-        degrees = degrees_of(level, frame)
+    def why_not(degrees: Degrees) -> str:
         if degrees.outer > MOST_OUTER:
             return f"a finer solution needs more than {MOST_OUTER} functions of a displacement"
         return refusal(*cost(frame, about, degrees), most=work)
@@ -169,43 +137,34 @@ def ladders(
         about, first = _fitted_reference(frame, about)
         coarser: Expansion | None = None
         fall: dict[Observable, Falling] = {}
-        for level in count():
-            degrees = degrees_of(level, frame)
+        degrees, solutions = lowest(frame), 0
+        while True:
             step = steps(progress, "phase space", degrees)
             again = cost(frame, about, degrees, number=8)[0] <= MEMORY
             finest = first or expanded(frame, about, degrees, again=again, step=step)
-            first = None
+            first, solutions = None, solutions + 1
+            degrees = finer(frame, degrees, rise_of(finest))
             if coarser is not None:
-                least = _common_distance(frame, finest, coarser)
+                least = least_distance(frame, finest, coarser)
                 own = {o: _distance(frame, finest, coarser, o) for o in observables}
                 fall = {o: falling(max(d, least), fall.get(o)) for o, d in own.items()}
-                limit = why_not(level + 1) or _out_of_reach(fall, wanted, level, why_not)
+                limit = why_not(degrees) or _out_of_reach(frame, fall, wanted, degrees, why_not)
                 errors = {o: f.error + ROUND_OFF for o, f in fall.items()}
                 factors = {o: f.error / own[o] if own[o] > 0.0 else 0.0 for o, f in fall.items()}
-                yield Ladder(frame, finest, coarser, errors, factors, limit, level + 1)
+                yield Ladder(frame, finest, coarser, errors, factors, limit, solutions)
                 if limit:
                     return
             coarser = finest
 
 
-def _fitted_reference(frame: Frame, start: Reference) -> tuple[Reference, Expansion | None]:
-    """Return the reference with the moments of the lowest solutions, from ``start`` or hotter.
+def _fitted_reference(frame: Frame, about: Reference) -> tuple[Reference, Expansion | None]:
+    """Return the reference with the moments of the lowest solutions, from ``about`` on.
 
-    Beside it the lowest solution where the start has its moments. Raises ``LinAlgError`` where no
-    start gives the moments of a distribution.
+    Beside it the lowest solution where ``about`` has its moments. Raises ``LinAlgError`` where
+    these are of no distribution.
     """
-    for factor in STARTS:
-        try:
-            return _refitted_from(frame, heated(frame, start, factor) if factor > 1.0 else start)
-        except np.linalg.LinAlgError:
-            if factor == STARTS[-1]:
-                raise
-    raise AssertionError("there is a start")
-
-
-def _refitted_from(frame: Frame, about: Reference) -> tuple[Reference, Expansion | None]:
     for refit in range(REFITS):
-        rough = expanded(frame, about, degrees_of(0, frame))
+        rough = expanded(frame, about, lowest(frame))
         better = refitted(frame, rough)
         change = np.abs(better.covariance - about.covariance).max()
         if refit == 0 and change <= SETTLED * about.covariance.max():
@@ -244,15 +203,22 @@ def solved_to(
 
 
 def _out_of_reach(
-    fall: dict[Observable, Falling], wanted: float, level: int, why_not: Callable[[int], str]
+    frame: Frame,
+    fall: dict[Observable, Falling],
+    wanted: float,
+    degrees: Degrees,
+    why_not: Callable[[Degrees], str],
 ) -> str:
-    """Say that even the most that is believed of what is allowed does not meet ``wanted``."""
-    best = SAFETY * max(f.distance for f in fall.values()) / (FASTEST_STEADY - 1.0)
+    """Say that even the most that is believed of what is allowed does not meet ``wanted``.
+
+    ``degrees`` are the next ones; the degree in the others may stay as it is.
+    """
+    best = SAFETY * max(f.distance for f in fall.values())
     while best > wanted:
-        level += 1
-        if why := why_not(level):
+        if why := why_not(degrees):
             return f"the tolerance {wanted:.2g} is out of reach: {why}"
-        best /= FASTEST_STEADY
+        degrees = finer(frame, degrees, 0)
+        best *= KEPT
     return ""
 
 
@@ -270,21 +236,12 @@ def steps(progress: Progress, what: str, degrees: Degrees) -> Callable[[float], 
     return lambda share: progress(int(100 * share), 100, f"{what}, degree {degrees.total}")
 
 
-def _common_distance(frame: Frame, a: Expansion, b: Expansion) -> float:
-    """Return the least L1 distance that is believed of any density of two solutions.
-
-    With light damping the distance of one density may be small by chance where those of others are
-    not. The least is half of the largest change of a covariance, in standard deviations, which is
-    about what it changes a Gaussian by in L1, or a quarter of the distance of the densities of the
-    contact displacement, if that is more.
-    """
-    first, second = moments(frame, a).covariance, moments(frame, b).covariance
-    if not min(np.diag(first).min(), np.diag(second).min()) > 0.0:
+def least_distance(frame: Frame, a: Expansion, b: Expansion) -> float:
+    """Return the least L1 distance that is believed of any density of two solutions."""
+    if not min(np.diag(moments(frame, e).covariance).min() for e in (a, b)) > 0.0:
         raise np.linalg.LinAlgError("a variance found is not positive")
-    scale = np.sqrt(np.diag(first))
-    change = 0.5 * float(np.max(np.abs(first - second) / np.outer(scale, scale)))
-    contact = (Coordinate("q", frame.contact),)
-    return max(change, 0.25 * _distance(frame, a, b, contact))
+    all_ = [(Coordinate(kind, row),) for kind in ("q", "p") for row in range(frame.n)]
+    return COMMON * max(_distance(frame, a, b, o) for o in all_)
 
 
 def _distance(frame: Frame, a: Expansion, b: Expansion, observable: Observable) -> float:

@@ -97,7 +97,7 @@ def test_raising_is_the_adjoint_of_lowering():
     rng, others = np.random.default_rng(20261123), others_to(4, 5)
     e = rng.normal(size=5)
     for level in range(7):
-        counts = [sum(o.k.shape[0] for o in others[: n + 1]) for n in (level, level + 1)]
+        counts = [sum(o.count for o in others[: n + 1]) for n in (level, level + 1)]
         below, above = rng.normal(size=counts[0]), rng.normal(size=counts[1])
         up, down = raised(others, level, below, e), lowered(others, level, above, e)
         assert up @ above == pytest.approx(below @ down, rel=1e-12)

@@ -98,7 +98,7 @@ class Chain:
         """Return the levels of stage n as (count, functions), 0 where a degree has no function."""
         levels = []
         for level in self.stages[n]:
-            count = sum(o.k.shape[0] for o in self.others[: level + 1])
+            count = sum(o.count for o in self.others[: level + 1])
             most = max(g.functions for g in self.groups[level])
             out, row = np.zeros((count, most), u.dtype), 0
             for g in self.groups[level]:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 
 from averaging.phase_space.equation.basis import Basis
-from averaging.phase_space.equation.degrees import Degrees, Indices, degrees_of_level, others_to
+from averaging.phase_space.equation.degrees import Degrees, Indices, others_to
 from averaging.phase_space.equation.frame import Frame, Reference
 from averaging.phase_space.equation.terms import Group, Term
 from fpk.arrays import Array
@@ -50,26 +50,37 @@ def stages_to(frame: Frame, top: int) -> tuple[range, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """Degrees k (count, d) up to a level and to a sum in the others, level by level.
+    """Degrees up to a level and to a count in the others, level by level.
 
-    ``up[j]`` (count, count) is a_j⁺, less what leads out of them.
+    Of each: its ``level``, the sum ``others`` of the degrees in the others, and what it is
+    ``counted`` there. ``up[j]`` (count, count) is a_j⁺, less what leads out of them.
     """
 
-    k: Indices
+    level: Indices
+    others: Indices
+    counted: Indices
     up: tuple[Matrix, ...]
 
     @classmethod
     def to(cls, total: int, others: int, d: int) -> "Space":
-        """Return the degrees up to level ``total``, in the others up to ``others``."""
+        """Return the degrees up to level ``total``, in the others up to the count ``others``."""
         sets = others_to(others, d)
-        k = np.concatenate([degrees_of_level(sets, n) for n in range(total + 1)])
-        at, up = {tuple(row): i for i, row in enumerate(k.tolist())}, []
-        for unit in np.eye(d, dtype=np.intp):
-            rows = np.array([at.get(tuple(row), -1) for row in (k + unit).tolist()])
-            of = np.flatnonzero(rows >= 0)
-            entries = np.sqrt(k[of] @ unit + 1.0)
-            up.append(Matrix((entries, (rows[of], of)), shape=(len(k), len(k))))
-        return cls(k, tuple(up))
+        groups = [(n, m) for n in range(total + 1) for m in range(min(n + 1, len(sets)))]
+        place = {group: k for k, group in enumerate(groups)}
+        counts = [sets[m].count for _, m in groups]
+        up = []
+        for j in range(d):
+            blocks: list[list[Matrix | None]] = [[None] * len(groups) for _ in groups]
+            for k, (n, m) in enumerate(groups):
+                blocks[k][k] = Matrix((counts[k], counts[k]))
+                if j == 0 and n < total:
+                    root = np.full(counts[k], np.sqrt(n - m + 1.0))
+                    blocks[place[n + 1, m]][k] = Matrix(sparse.diags_array(root))
+                elif j and n < total and m + 1 < len(sets):
+                    blocks[place[n + 1, m + 1]][k] = Matrix(sets[m].raising[j - 1])
+            up.append(Matrix(sparse.block_array(blocks)))
+        level, sums = np.repeat(np.array(groups, dtype=np.intp), counts, axis=0).T
+        return cls(level, sums, np.concatenate([sets[m].counted for _, m in groups]), tuple(up))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +95,7 @@ class State:
 def state(frame: Frame, reference: Reference, C: Array, space: Space) -> State:
     """Return the state as matrices on the degrees of ``space``, exact but at its end."""
     n, place = frame.n, frame.order.index
-    one: Matrix = sparse.eye_array(len(space.k), format="csr")
+    one: Matrix = sparse.eye_array(len(space.level), format="csr")
     z = [sum(c * (up + up.T) for c, up in zip(row, space.up, strict=True) if c) for row in C]
     v = tuple({(0, 0): x} for x in z[:n])
     r = (
@@ -146,12 +157,12 @@ def damped(
     for i, force in enumerate(state(frame, functions.reference, C, space).forces):
         up = sum(c * A for c, A in zip(inverse[:, i], space.up, strict=True) if c)
         operator = added(operator, {powers: up @ X for powers, X in force.items()}, -1.0)
-    level, others = space.k.sum(axis=1), space.k[:, 1:].sum(axis=1)
+    level, others = space.level, space.others
     # Levels above the highest have no degree at all.
     most = [degrees.others_at(n) for n in range(degrees.total + 1)] + [-1] * beyond
-    inside = others <= np.array(most)[level]
+    inside = (others <= np.array(most)[level]) & (space.counted <= degrees.others)
     # Degrees of one group stand together, in the order of its unknowns.
-    name = level * (degrees.others + beyond + 1) + others
+    name = level * (others.max() + 1) + others
     row = np.arange(len(name)) - np.searchsorted(name, name)
     values, _ = functions.functions(functions.points)
     sets = [values @ functions.of_level(n) for n in range(2)]

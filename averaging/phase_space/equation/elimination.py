@@ -13,9 +13,7 @@ from averaging.phase_space.equation.chain import Chain
 from averaging.phase_space.equation.damping import stages_to
 from averaging.phase_space.equation.degrees import (
     Degrees,
-    Indices,
     Others,
-    degrees_of_level,
     others_to,
 )
 from averaging.phase_space.equation.equations import chain_of
@@ -42,9 +40,9 @@ LEAF = 200
 class Expansion:
     """Coefficients of a solution: ``levels[n]`` is (count, functions) of level n.
 
-    ``basis`` has the functions of y, ``factor`` C; ``others`` the degrees in the variables other
-    than the contact velocity. ``residual`` is that of the equations, relative to the terms that
-    cancel in them.
+    ``basis`` has the functions of y, ``factor`` C; ``others`` the products of degrees in the
+    variables other than the contact velocity. ``residual`` is that of the equations, relative to
+    the terms that cancel in them.
     """
 
     basis: Basis
@@ -53,10 +51,6 @@ class Expansion:
     levels: tuple[Array, ...]
     others: tuple[Others, ...]
     residual: float
-
-    def degree(self, n: int) -> Indices:
-        """The degrees k of level n, (count, d)."""
-        return degrees_of_level(self.others, n)
 
     def functions(self, n: int, y: Array) -> Array:
         """u_k(y) of all k of level n, (count, points)."""
@@ -79,7 +73,7 @@ def sizes(frame: Frame, reference: Reference, degrees: Degrees) -> Array:
     out = np.zeros(degrees.total + 1)
     for level in range(degrees.total + 1):
         for o in others_to(degrees.others, 2 * frame.n - 1)[: degrees.others_at(level) + 1]:
-            out[level] += o.k.shape[0] * functions[degrees.beyond(level, o.total)]
+            out[level] += o.count * functions[degrees.beyond(level, o.total)]
     stages = np.add.reduceat(out, [levels[0] for levels in stages_to(frame, degrees.total)])
     return np.asarray(stages / (2.0 if frame.symmetric else 1.0))
 

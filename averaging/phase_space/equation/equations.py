@@ -7,9 +7,10 @@ into
     Σ_ij F'_ij a_i⁺ a_j u + Σ_ij (½ (F' + F'ᵀ) + G')_ij a_i⁺ a_j⁺ u
         + Σ_i h'_i(y) a_i⁺ u + Σ_i l_i (a_i + a_i⁺) ∂* u = 0,
 
-F' = C⁻¹ F C, G' = C⁻¹ G C⁻ᵀ, h' = C⁻¹ h, z₁ = l·C⁻¹ z, ∂* the adjoint of ∂/∂y in L²(w). C is lower
-triangular, so that z₁ has one term. A level is all k of one sum: it meets itself, the two below and
-the one above. Where S is not that of the linear part alone the second term is not zero.
+F' = C⁻¹ F C, G' = C⁻¹ G C⁻ᵀ, h' = C⁻¹ h, z₁ = l·C⁻¹ z, ∂* the adjoint of ∂/∂y in L²(w). The first
+row of C has one entry, so that z₁ has one term. A level is all k of one sum: it meets itself, the
+two below and the one above. Where S is not that of the linear part alone the second term is not
+zero. The Hermite polynomials of the others come in other combinations (``degrees``).
 
 Levels of even degree have continuous functions of y, those of odd degree broken ones (``Basis``).
 ∂* connects the two only; for a broken f and a continuous u, (f, ∂* u) is −(f, u' + (ln w)' u).
@@ -35,7 +36,7 @@ from fpk.arrays import Array
 def chain_of(frame: Frame, reference: Reference, functions: Basis, degrees: Degrees) -> Chain:
     """Return the equations about a reference in the functions of a basis."""
     F, G, h = linear_part(frame, reference)
-    C = np.asarray(np.linalg.cholesky(reference.covariance), dtype=float)
+    C = _factor(F, reference)
     inverse = np.linalg.inv(C)
     drift, noise = inverse @ F @ C, inverse @ G @ inverse.T
     pair = 0.5 * (drift + drift.T) + noise
@@ -81,6 +82,21 @@ def chain_of(frame: Frame, reference: Reference, functions: Basis, degrees: Degr
         tuple(blocks[2]),
         tuple(blocks[3]),
     )
+
+
+def _factor(F: Array, reference: Reference) -> Array:
+    """Return C of S = C Cᵀ, the other variables of ζ in pairs of one oscillator each.
+
+    These are the planes that the antisymmetric part of F', which turns ζ, has for the others.
+    """
+    C = np.asarray(np.linalg.cholesky(reference.covariance), dtype=float)
+    drift = np.linalg.solve(C, F @ C)[1:, 1:]
+    _, vectors = np.linalg.eigh(0.5j * (drift - drift.T))
+    turning = vectors[:, len(drift) // 2 :].T
+    planes = np.stack([turning.real, turning.imag], axis=1).reshape(drift.shape)
+    # Orthogonal but for frequencies of 0, whose planes are any.
+    C[:, 1:] = C[:, 1:] @ np.linalg.qr(planes.T)[0]
+    return C
 
 
 def _by_stages(
@@ -129,7 +145,7 @@ def _placed(
             groups = []
             for m, o in enumerate(others[: degrees.others_at(n) + 1]):
                 count = _functions(functions, degrees, n, m)
-                groups.append(Group(start, o.k.shape[0], count))
+                groups.append(Group(start, o.count, count))
                 start = groups[-1].span.stop
             placed.append(tuple(groups))
         levels += placed[::-1]
@@ -218,7 +234,7 @@ def _paired(
             up = sum(c * A for c, A in zip(pair[0, 1:], others[m].raising, strict=True))
             terms.append(Term(groups[n][m + 1], of, np.asarray(2.0 * np.sqrt(alone) * up)))
         if m + 2 < len(groups[n]):
-            twice = np.zeros((others[m + 2].k.shape[0], others[m].k.shape[0]))
+            twice = np.zeros((others[m + 2].count, others[m].count))
             for i, first in enumerate(others[m].raising):
                 for j, second in enumerate(others[m + 1].raising):
                     twice += pair[i + 1, j + 1] * second @ first

@@ -112,12 +112,6 @@ def reference_of(frame: Frame, slope: Array, offset: Array, covariance: Array) -
     return replace(given, weight=weight)
 
 
-def heated(frame: Frame, reference: Reference, factor: float) -> Reference:
-    """Return the reference with ``factor`` times the covariance, that of so much more energy."""
-    covariance = factor * reference.covariance
-    return reference_of(frame, reference.slope, reference.offset, covariance)
-
-
 def gibbs_reference(frame: Frame) -> Reference:
     """Return the Gibbs state of the temperature tr D/tr c, of mass-normalised D and c.
 
