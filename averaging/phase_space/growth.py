@@ -50,5 +50,4 @@ def rise_of(e: Expansion) -> int:
     top = sum(float(np.sum(u**2)) for u in levels[-TOP_LEVELS:])
     edge = counted == e.degrees.others
     others = sum(float(np.sum(u[edge[: len(u)]] ** 2)) for u in levels)
-    share = np.sqrt(others / top)
-    return int(share > LARGE) + int(share > NEGLIGIBLE)
+    return sum(others > share**2 * top for share in (LARGE, NEGLIGIBLE))

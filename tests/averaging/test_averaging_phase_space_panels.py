@@ -1,6 +1,6 @@
 """Functions of the contact displacement: derivatives, nesting, and what is left of their number."""
 
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import Degrees, lowered, others_to, raised
 from averaging.phase_space.equation.elimination import expanded, inverted
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
+from averaging.phase_space.growth import rise_of
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import refitted
 from fpk.observable import parse_observable
@@ -101,6 +102,38 @@ def test_raising_is_the_adjoint_of_lowering():
         below, above = rng.normal(size=counts[0]), rng.normal(size=counts[1])
         up, down = raised(others, level, below, e), lowered(others, level, above, e)
         assert up @ above == pytest.approx(below @ down, rel=1e-12)
+
+
+@pytest.mark.parametrize(("d", "most"), [(3, 4), (5, 2)])
+def test_the_others_count_by_the_larger_degree_in_an_amplitude_or_its_conjugate(d, most):
+    others = others_to(most, d)
+    degrees = list(product(range(most + 1), repeat=d - 1))
+    counted = [sum(map(max, zip(k[::2], k[1::2], strict=True))) for k in degrees]
+    assert sum(o.count for o in others) == sum(c <= most for c in counted)
+    assert len(others) == 2 * most + 1
+    for below, at in pairwise(others[:-1]):
+        inside = at.counted < most
+        for i, j in product(range(d - 1), repeat=2):
+            # a_i a_j⁺ − a_j⁺ a_i = δ_ij wherever raising does not lead out of the set.
+            commutator = at.raising[i].T @ at.raising[j] - below.raising[j] @ below.raising[i].T
+            expected = np.eye(at.count)[inside] * (i == j)
+            assert commutator[inside] == pytest.approx(expected, abs=1e-12)
+        for mode in range(0, d - 1, 2):
+            # What turns an oscillator leaves what a product counts.
+            v, x = below.raising[mode], below.raising[mode + 1]
+            turned = v @ x.T - x @ v.T
+            assert np.all(turned[at.counted[:, None] != at.counted] == 0.0)
+
+
+def test_the_degree_in_the_others_rises_where_something_is_left():
+    rises = []
+    for stiffness, clearance in ((10.0, 0.5), (100.0, 0.1)):
+        stop = fpk.Contact(mass=2, side="both", stiffness=stiffness, clearance=clearance)
+        system = fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02], contacts=(stop,))
+        frame = contact_frame(system)
+        about = refitted(frame, expanded(frame, gibbs_reference(frame), Degrees(14, 5, 16)))
+        rises.append(rise_of(expanded(frame, about, Degrees(20, 8, 20))))
+    assert rises == [2, 0]
 
 
 def test_a_block_that_is_singular_in_front_is_inverted_between_its_cuts():
