@@ -43,8 +43,8 @@ MOST_OUTER = 90
 100 to 2e-4, as they are none of a polynomial beyond a stop."""
 MEMORY = 4.0e9
 """Bytes that a solution may need; one that needs more is not begun."""
-WORK = 1.0e13
-"""Multiplications that a solution may need, some two minutes on two cores; likewise."""
+WORK = 1.2e13
+"""Multiplications that a solution may need, about a minute on two cores; likewise."""
 
 
 @dataclass(frozen=True, eq=False)
