@@ -152,6 +152,7 @@ CONSTANTS = {
         f"Above {100 * estimate.RESOLVED:g} % no error is stated",
         f"the error is {refinement.SAFETY:g} d",
         f"r at least {refinement.SLOWEST}",
+        f"and {refinement.FIRST * refinement.SAFETY:g} d after two solutions",
         f"less than {refinement.KEPT} of the one before",
         f"{refinement.COMMON} of the largest",
         f"with |g| at least {short(resolvent.SEEN)} of the whole",

@@ -8,11 +8,11 @@ from averaging.phase_space.equation.frame import Frame
 
 TOP_LEVELS = 4
 """Highest levels whose size is that of what the levels above them would have."""
-LARGE, NEGLIGIBLE = 0.5, 0.05
+LARGE, NEGLIGIBLE = 0.5, 0.02
 """Size of the highest degrees in the others, relative to that of the highest levels, from which the
 degree in the others rises by a whole step, and below which it does not rise. On Fig. 6 with other
-stops the densities changed with the degree in the others by 0.02 to 1 of what they changed by with
-the level at sizes beyond 0.5, and by 1e-4 or less at 0.004, where a near stiff stop turns the
+stops the densities changed with the degree in the others by 0.04 to 2.6 of what they changed by
+with the level at sizes beyond 0.5, and by 0.003 or less at 0.004, where a near stiff stop turns the
 contact mass round much faster than the others move."""
 
 
@@ -35,8 +35,11 @@ def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
     """
     n, d = frame.n, degrees
     if frame.system.damping_terms:
-        half = round((0.7 if n == 1 else 0.625) * d.total)
-        return Degrees(2 * half, round(0.75 * half) * (n > 1), half + (half + 2 if n == 1 else 10))
+        if n == 1:
+            half = round(0.7 * d.total)
+            return Degrees(2 * half, 0, 2 * half + 2)
+        half = round(0.625 * d.total)
+        return Degrees(2 * half, round(0.75 * half), half + 10)
     if n == 1:
         return Degrees(d.total + 8, 0, d.outer + 4)
     if n == 2:

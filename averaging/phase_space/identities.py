@@ -13,9 +13,9 @@ from averaging.phase_space.equation.damping import (
     reach,
     state,
 )
-from averaging.phase_space.equation.degrees import first_and_second
 from averaging.phase_space.equation.elimination import Expansion
 from averaging.phase_space.equation.frame import Frame
+from averaging.phase_space.equation.others import first_and_second
 from averaging.phase_space.moments import moments
 from averaging.phase_space.refinement import SAFETY, Ladder
 from fpk.arrays import Array

@@ -6,9 +6,9 @@ from math import ceil
 
 import numpy as np
 
-from averaging.phase_space.equation.degrees import raised
 from averaging.phase_space.equation.elimination import Expansion
 from averaging.phase_space.equation.frame import Frame
+from averaging.phase_space.equation.others import raised
 from averaging.phase_space.moments import moments
 from fpk.arrays import Array
 from fpk.observable import Coordinate, Observable

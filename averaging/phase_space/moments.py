@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from averaging.phase_space.equation.degrees import first_and_second
 from averaging.phase_space.equation.elimination import Expansion
 from averaging.phase_space.equation.frame import Frame, Reference, reference_of
+from averaging.phase_space.equation.others import first_and_second
 from fpk.arrays import Array
 
 

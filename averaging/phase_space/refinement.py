@@ -240,8 +240,8 @@ def least_distance(frame: Frame, a: Expansion, b: Expansion) -> float:
     """Return the least L1 distance that is believed of any density of two solutions."""
     if not min(np.diag(moments(frame, e).covariance).min() for e in (a, b)) > 0.0:
         raise np.linalg.LinAlgError("a variance found is not positive")
-    all_ = [(Coordinate(kind, row),) for kind in ("q", "p") for row in range(frame.n)]
-    return COMMON * max(_distance(frame, a, b, o) for o in all_)
+    single = [(Coordinate(kind, row),) for kind in ("q", "p") for row in range(frame.n)]
+    return COMMON * max(_distance(frame, a, b, o) for o in single)
 
 
 def _distance(frame: Frame, a: Expansion, b: Expansion, observable: Observable) -> float:

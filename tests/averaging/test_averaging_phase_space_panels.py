@@ -9,9 +9,10 @@ import fpk
 from averaging.phase_space.equation import degrees as degrees_module
 from averaging.phase_space.equation import elimination
 from averaging.phase_space.equation.basis import basis
-from averaging.phase_space.equation.degrees import Degrees, lowered, others_to, raised
+from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import expanded, inverted
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
+from averaging.phase_space.equation.others import lowered, others_to, raised
 from averaging.phase_space.growth import rise_of
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import refitted

@@ -14,10 +14,10 @@ import numpy as np
 
 from averaging.phase_space.equation.basis import Basis, basis
 from averaging.phase_space.equation.chain import Chain
-from averaging.phase_space.equation.degrees import lowered, raised
 from averaging.phase_space.equation.elimination import Expansion, factored
 from averaging.phase_space.equation.equations import chain_of
 from averaging.phase_space.equation.frame import Frame
+from averaging.phase_space.equation.others import lowered, raised
 from averaging.phase_space.marginals import Form
 from fpk.arrays import Array, Complexes
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from averaging.phase_space.equation.degrees import Others
+from averaging.phase_space.equation.others import Others
 from averaging.phase_space.equation.terms import Group, Terms, applied
 from fpk.arrays import Array
 

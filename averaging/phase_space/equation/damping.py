@@ -15,8 +15,9 @@ import numpy as np
 from scipy import sparse
 
 from averaging.phase_space.equation.basis import Basis
-from averaging.phase_space.equation.degrees import Degrees, Indices, others_to
+from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.frame import Frame, Reference
+from averaging.phase_space.equation.others import Indices, others_to
 from averaging.phase_space.equation.terms import Group, Term
 from fpk.arrays import Array
 

@@ -11,13 +11,10 @@ import numpy as np
 from averaging.phase_space.equation.basis import Basis, basis
 from averaging.phase_space.equation.chain import Chain
 from averaging.phase_space.equation.damping import stages_to
-from averaging.phase_space.equation.degrees import (
-    Degrees,
-    Others,
-    others_to,
-)
+from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.equations import chain_of
 from averaging.phase_space.equation.frame import Frame, Reference
+from averaging.phase_space.equation.others import Others, others_to
 from averaging.phase_space.equation.panels import polynomials
 from averaging.phase_space.equation.terms import applied, applied_from_right
 from fpk.arrays import Array

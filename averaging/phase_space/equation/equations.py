@@ -10,7 +10,7 @@ into
 F' = C⁻¹ F C, G' = C⁻¹ G C⁻ᵀ, h' = C⁻¹ h, z₁ = l·C⁻¹ z, ∂* the adjoint of ∂/∂y in L²(w). The first
 row of C has one entry, so that z₁ has one term. A level is all k of one sum: it meets itself, the
 two below and the one above. Where S is not that of the linear part alone the second term is not
-zero. The Hermite polynomials of the others come in other combinations (``degrees``).
+zero. The Hermite polynomials of the others come in other combinations (``others``).
 
 Levels of even degree have continuous functions of y, those of odd degree broken ones (``Basis``).
 ∂* connects the two only; for a broken f and a continuous u, (f, ∂* u) is −(f, u' + (ln w)' u).
@@ -27,8 +27,9 @@ import numpy as np
 from averaging.phase_space.equation.basis import Basis
 from averaging.phase_space.equation.chain import Chain, size_of
 from averaging.phase_space.equation.damping import damped, stages_to
-from averaging.phase_space.equation.degrees import Degrees, Others, others_to
+from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.frame import Frame, Reference, linear_part
+from averaging.phase_space.equation.others import Others, others_to
 from averaging.phase_space.equation.terms import Group, Sum, Term, Terms
 from fpk.arrays import Array
 
