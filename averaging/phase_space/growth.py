@@ -22,8 +22,8 @@ def lowest(frame: Frame) -> Degrees:
     if n == 1:
         return Degrees(16, 0, 18)
     if n == 2:
-        return Degrees(16, 6, 18) if terms else Degrees(14, 5, 18)
-    return Degrees(10, 3, 12)
+        return Degrees(16, 6, 18) if terms else Degrees(17, 6, 18)
+    return Degrees(11, 3, 12)
 
 
 def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
@@ -43,7 +43,7 @@ def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
     if n == 1:
         return Degrees(d.total + 8, 0, d.outer + 4)
     if n == 2:
-        return Degrees(d.total + 6, d.others + rise, d.outer + 3)
+        return Degrees(d.total + 6, d.others + rise, d.outer + 4)
     return Degrees(d.total + 4, d.others + min(rise, 1), d.outer + 2)
 
 

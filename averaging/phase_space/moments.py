@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from averaging.phase_space.equation.elimination import Expansion
-from averaging.phase_space.equation.frame import Frame, Reference, reference_of
+from averaging.phase_space.equation.frame import Frame, Reference, with_moments
 from averaging.phase_space.equation.others import first_and_second
 from fpk.arrays import Array
 
@@ -51,13 +51,7 @@ def moments(frame: Frame, expansion: Expansion) -> Moments:
 
 def refitted(frame: Frame, expansion: Expansion) -> Reference:
     """Return the reference with the first and second moments of a solution."""
-    n, m = frame.n, moments(frame, expansion)
-    slope = m.covariance[1:n, 0] / m.covariance[0, 0]
-    offset = m.mean[1:n] - slope * m.mean[0]
-    if expansion.basis.mirrored:
-        offset = np.zeros(n - 1)
-    # (y, r, v) to z = (v, x): x = r − a y.
-    to = np.zeros((2 * n - 1, 2 * n))
-    to[:n, n:] = np.eye(n)
-    to[n:, 0], to[n:, 1:n] = -slope, np.eye(n - 1)
-    return reference_of(frame, slope, offset, to @ m.covariance @ to.T)
+    m = moments(frame, expansion)
+    # Of mirror images round-off is all that the means are.
+    mean = np.zeros_like(m.mean) if expansion.basis.mirrored else m.mean
+    return with_moments(frame, mean, m.covariance)

@@ -8,10 +8,11 @@ from threadpoolctl import threadpool_limits
 
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import Expansion, expanded, sizes
-from averaging.phase_space.equation.frame import Frame, Reference, gibbs_reference
+from averaging.phase_space.equation.frame import Frame, Reference
 from averaging.phase_space.growth import finer, lowest, rise_of
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import moments, refitted
+from averaging.phase_space.start import start
 from fpk.cores import usable_cores
 from fpk.method import Progress
 from fpk.observable import Coordinate, Observable
@@ -126,7 +127,7 @@ def ladders(
     The last one says what ends them: memory, more than ``work``, or that not even the L1 error
     ``wanted`` can be met by then. ``threads`` and ``reference`` as of ``PhaseSpace``.
     """
-    about = reference or gibbs_reference(frame)
+    about = reference or start(frame)
 
     def why_not(degrees: Degrees) -> str:
         if degrees.outer > MOST_OUTER:

@@ -134,8 +134,8 @@ def test_one_elimination_serves_the_frequencies_about_its_shift(monkeypatch):
     frame = contact_frame(GIBBS)
     e = expanded(frame, gibbs_reference(frame), Degrees(14, 0, 14))
     A = Generator.of(frame, e, odd=False)
-    b = np.random.default_rng(20261123).normal(size=A.ends[-1])
-    b[: A.ends[0]] -= A.one * (A.one @ b[: A.ends[0]])
+    b = np.random.default_rng(20261123).normal(size=A.chain.ends[-1])
+    b[: A.one.size] -= A.one * (A.one @ b[: A.one.size])
     w = np.array([0.0, 0.2, 0.9, 1.0, 3.0])
     shifts = []
     solve = Generator.resolvent

@@ -123,7 +123,7 @@ def relaxation(frame: Frame, count: int, options: Options) -> Answer:
                 times(odd.functions, odd.shaped(x), form, even)
                 for x in _displaced(frame, e, row, odd)
             )
-            mean = float(even.one @ even.split(b)[0])
+            mean = float(even.one @ b[: even.one.size])
             answers.append(rates_in(solve, c, b - mean * stationary))
         return np.concatenate([x for x, _ in answers]), min(end for _, end in answers)
 

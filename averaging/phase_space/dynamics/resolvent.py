@@ -46,14 +46,12 @@ Step = Callable[[float], None]
 class Generator:
     """A on the functions of one parity (``odd`` or not; all of them where there is no mirror).
 
-    ``ends`` is where each stage ends in a vector, lowest first. ``one`` are the coefficients
-    of the function 1 in level 0: its product with A vanishes, as mass is conserved, and it is 0
-    itself where all functions of level 0 are odd.
+    ``one`` are the coefficients of the function 1 in level 0: its product with A vanishes, as mass
+    is conserved, and it is 0 itself where all functions of level 0 are odd.
     """
 
     functions: Basis
     chain: Chain
-    ends: Array
     one: Array
 
     @classmethod
@@ -61,16 +59,11 @@ class Generator:
         """Return A of the degrees and the reference of an expansion with all levels."""
         functions = basis(frame, e.basis.reference, e.degrees, odd=odd)
         chain = chain_of(frame, e.basis.reference, functions, e.degrees)
-        sizes = [chain.size(n) for n in range(chain.top + 1)]
-        return cls(functions, chain, np.cumsum(sizes), functions.of_one())
-
-    def split(self, u: Array) -> list[Array]:
-        """Return the parts of a vector, one a stage."""
-        return np.split(u, self.ends[:-1])
+        return cls(functions, chain, functions.of_one())
 
     def shaped(self, u: Array) -> list[Array]:
         """Return the parts of a vector as ``levels`` of an ``Expansion``."""
-        return [x for n, part in enumerate(self.split(u)) for x in self.chain.shaped(n, part)]
+        return [x for n, part in enumerate(self.chain.split(u)) for x in self.chain.shaped(n, part)]
 
     def packed(self, levels: Sequence[Array]) -> Array:
         """Return ``levels`` of an ``Expansion`` as a vector."""
@@ -84,9 +77,9 @@ class Generator:
         factors, _ = factored(self.chain, one=self.one, shift=shift, step=step)
 
         def solve(b: Array) -> Array:
-            right = self.split(b)
-            right[0] = right[0] - self.one * (self.one @ right[0])
-            return -np.concatenate(factors.solve(right))
+            right = b.copy()
+            right[: self.one.size] -= self.one * (self.one @ b[: self.one.size])
+            return -factors.solve(right)
 
         return solve
 

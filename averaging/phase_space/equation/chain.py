@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy import sparse
 
 from averaging.phase_space.equation.others import Others
-from averaging.phase_space.equation.terms import Group, Terms, applied
+from averaging.phase_space.equation.terms import Group, Terms, add_matrix
 from fpk.arrays import Array
 
 
@@ -50,39 +52,46 @@ class Chain:
         from them complex.
         """
         A = np.zeros((self.size(n), self.size(n)), np.result_type(kind, shift))
-        for term in self.own[n]:
-            term.add_matrix_to(A)
+        add_matrix(A, self.own[n])
         if shift:
             A[np.diag_indices_from(A)] -= shift
         return A
 
-    def times(self, u: Sequence[Array]) -> tuple[list[Array], float]:
-        """Return the equations times u, and the size of the terms that cancel in them."""
-        out, size = [], 0.0
+    @cached_property
+    def ends(self) -> Array:
+        """Where each stage ends in a vector of all unknowns, lowest first."""
+        return np.cumsum([self.size(n) for n in range(self.top + 1)])
+
+    def span(self, n: int) -> slice:
+        """Where stage n stands in a vector of all unknowns."""
+        return slice(self.ends[n] - self.size(n), self.ends[n])
+
+    def split(self, u: Array) -> list[Array]:
+        """Return the parts of a vector of all unknowns, one a stage."""
+        return np.split(u, self.ends[:-1])
+
+    @cached_property
+    def matrix(self) -> sparse.csr_array:
+        """The matrix of all equations and all unknowns, for products with vectors."""
+        stages = ((0, self.own), (1, self.above), (-1, self.forced), (-2, self.paired))
+        rows = []
         for n in range(self.top + 1):
-            parts = [applied(self.own[n], u[n][:, None], self.size(n))]
-            if n < self.top:
-                parts.append(applied(self.above[n], u[n + 1][:, None], self.size(n)))
-            for below, terms in ((1, self.forced[n]), (2, self.paired[n])):
-                if terms:
-                    parts.append(applied(terms, u[n - below][:, None], self.size(n)))
-            size = max(size, sum(float(np.max(np.abs(part))) for part in parts))
-            out.append(np.sum(parts, axis=0)[:, 0])
-        return out, size
+            entries = [
+                (row, self.span(n + away).start + column, values)
+                for away, of_stages in stages
+                for term in (of_stages[n] if 0 <= n + away <= self.top else ())
+                for row, column, values in term.entries()
+            ]
+            row, column, values = (np.concatenate(x) for x in zip(*entries, strict=True))
+            shape = (self.size(n), self.ends[-1])
+            rows.append(sparse.csr_array((values, (row, column)), shape=shape))
+        return sparse.csr_array(sparse.vstack(rows, format="csr"))
 
-    def from_below(self, n: int, u: Sequence[Array], inverses: Sequence[Array]) -> Array:
-        """Return what u of the stages below n adds to stage n, directly and through stage n + 1.
-
-        ``inverses`` as of ``Factors``.
-        """
-        given = applied(self.forced[n], u[n - 1][:, None], self.size(n))
-        if n > 1:
-            given += applied(self.paired[n], u[n - 2][:, None], self.size(n))
-        if n < self.top:
-            # What u_(n−1) makes of stage n + 1 without u_n comes back to stage n.
-            beyond = applied(self.paired[n + 1], u[n - 1][:, None], self.size(n + 1))
-            given -= applied(self.above[n], inverses[n + 1] @ beyond, self.size(n))
-        return np.asarray(given[:, 0])
+    def blocks(self, away: int, kind: type) -> list[sparse.csr_array]:
+        """Return what each stage meets in the one ``away`` from it, lowest first, of a matrix."""
+        last = self.top - max(away, 0)
+        matrix = self.matrix.astype(kind, copy=False)
+        return [matrix[self.span(n), self.span(n + away)] for n in range(max(-away, 0), last + 1)]
 
     def packed(self, n: int, levels: Sequence[Array]) -> Array:
         """Return the unknowns of stage n of ``levels`` (count, functions) of the whole chain."""

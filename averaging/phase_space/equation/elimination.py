@@ -7,10 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse.linalg import LinearOperator, gmres
 
 from averaging.phase_space.equation.basis import Basis, basis
 from averaging.phase_space.equation.chain import Chain
-from averaging.phase_space.equation.damping import stages_to
+from averaging.phase_space.equation.damping import Matrix, stages_to
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.equations import chain_of
 from averaging.phase_space.equation.frame import Frame, Reference
@@ -27,8 +28,11 @@ CONVERGED = 1e-12
 """Residual, relative to the terms that cancel, of a solution in double precision: it has 1e-15."""
 MOST_REFINEMENTS = 20
 """Corrections by the residual; each takes the error down by the error of the elimination."""
-REFINED = 1e-15
+REFINED = 1e-11
 """Relative change that the next correction would make, at which there is none."""
+CORRECTED, VECTORS = 1e-4, 30
+"""Residual, relative to the one before, that a correction by a Krylov space leaves, in which single
+precision has not yet its say, and the vectors of the space at the most."""
 LEAF = 200
 """Order of a matrix up to which LAPACK inverts it; above, by quarters: products are faster."""
 
@@ -95,7 +99,8 @@ def expanded(
     small = sum(chain.size(n) ** 3 for n in range(chain.top + 1)) < SMALL
     kinds = (np.float64,) if small else (ELIMINATED_IN, np.float64) if again else (ELIMINATED_IN,)
     for kind in kinds:
-        factors, scale = factored(chain, kind=kind, one=one, step=step)
+        paired = kind is np.float64 or bool(frame.system.damping_terms)
+        factors, scale = factored(chain, kind=kind, one=one, paired=paired, step=step)
         u, residual = _refined(factors, scale * one, one)
         if residual < CONVERGED:
             break
@@ -107,52 +112,70 @@ def expanded(
 class Factors:
     """Equations of a chain, eliminated: solves them for any right side.
 
-    ``inverses[n]`` is that of what level n meets in itself after the levels above it.
+    ``inverses[n]`` is that of what stage n meets in itself after the stages above it. By
+    ``above[n]`` it meets the one above, by ``forced[n - 1]`` the one below, and by
+    ``paired[n - 2]`` that two below; without these the solution is that of other equations.
     """
 
     chain: Chain
     inverses: Sequence[Array]
+    above: Sequence[Matrix]
+    forced: Sequence[Matrix]
+    paired: Sequence[Matrix]
 
-    def solve(self, right: Sequence[Array]) -> list[Array]:
-        """Return u of A u = right, both by levels."""
-        chain, inverses, top = self.chain, self.inverses, self.chain.top
-        # From the top down what each level makes without those below it, and back up.
-        alone = [inverses[top] @ right[top].astype(inverses[top].dtype, copy=False)]
+    def solve(self, right: Array) -> Array:
+        """Return u of A u = right, vectors of all unknowns."""
+        inverses, above, top = self.inverses, self.above, self.chain.top
+        parts = self.chain.split(right.astype(inverses[0].dtype, copy=False))
+        # From the top down what each stage makes without those below it, and back up.
+        alone = [inverses[top] @ parts[top]]
         for n in range(top - 1, -1, -1):
-            beyond = applied(chain.above[n], alone[0][:, None], chain.size(n))[:, 0]
-            alone.insert(0, inverses[n] @ (right[n] - beyond).astype(inverses[n].dtype, copy=False))
+            alone.insert(0, inverses[n] @ (parts[n] - above[n] @ alone[0]))
         u = [alone[0]]
         for n in range(1, top + 1):
-            below = chain.from_below(n, u, inverses).astype(inverses[n].dtype, copy=False)
+            below = self.forced[n - 1] @ u[n - 1]
+            if self.paired and n > 1:
+                below += self.paired[n - 2] @ u[n - 2]
+            if self.paired and n < top:
+                # What u_(n−1) makes of stage n + 1 without u_n comes back to stage n.
+                below -= above[n] @ (inverses[n + 1] @ (self.paired[n - 1] @ u[n - 1]))
             u.append(alone[n] - inverses[n] @ below)
-        return u
+        return np.concatenate(u)
 
 
 def _refined(factors: Factors, given: Array, one: Array) -> tuple[list[Array], float]:
-    """Return the stationary solution and its residual, relative to the terms that cancel in it.
+    """Return the stationary solution by stages and its residual, relative to what cancels in it.
 
     ``given`` is the right side of level 0, the others have none. The equation of the mass, which
     ``factors`` have, is added to those of the chain.
     """
-    chain = factors.chain
-    right = [given, *(np.zeros(chain.size(n)) for n in range(1, chain.top + 1))]
-    u, rest = [np.zeros(x.size) for x in right], right
-    before, size = 2.0, 1.0
+    chain, matrix = factors.chain, factors.chain.matrix
+
+    def times(u: Array) -> Array:
+        product = matrix @ u
+        product[: one.size] += given * (one @ u[: one.size])
+        return product
+
+    right = np.zeros(chain.ends[-1])
+    right[: one.size] = given
+    A, M = (LinearOperator(2 * right.shape, f, dtype=float) for f in (times, factors.solve))
+    u, rest, before = np.zeros(right.size), right, 2.0
     for _ in range(MOST_REFINEMENTS):
         # Where single precision is too coarse the corrections grow out of its range.
         with np.errstate(over="ignore", invalid="ignore"):
-            change = factors.solve(rest)
-            u = [x + dx for x, dx in zip(u, change, strict=True)]
-            product, size = chain.times(u)
-            product[0] = product[0] + given * (one @ u[0])
-            rest = [b - Au for b, Au in zip(right, product, strict=True)]
-            changed = float(np.sqrt(sum(x @ x for x in change) / sum(x @ x for x in u)))
+            if factors.paired:
+                change = factors.solve(rest)
+            else:
+                change, _ = gmres(A, rest, M=M, rtol=CORRECTED, restart=VECTORS, maxiter=1)
+            u = u + change
+            rest = right - times(u)
+            changed = float(np.linalg.norm(change) / np.linalg.norm(u))
         if not changed < before or changed**2 < REFINED * before:
             break
         before = changed
     # The terms of the function 1 are those in the equation of the mass.
-    size = max(size, float(np.max(np.abs(given))))
-    return u, float(np.max(np.abs(np.concatenate(rest)))) / size
+    size = max(np.max(abs(matrix) @ np.abs(u)), float(np.max(np.abs(given))))
+    return chain.split(u), float(np.max(np.abs(rest))) / size
 
 
 def with_mass(A: Array, one: Array) -> tuple[Array, float]:
@@ -172,6 +195,7 @@ def factored(
     one: Array,
     shift: complex = 0.0,
     kind: type = np.float64,
+    paired: bool = True,
     step: Callable[[float], None] = lambda share: None,
 ) -> tuple[Factors, float]:
     """Eliminate the stages of the equations less ``shift`` times the unknowns, from the top down.
@@ -183,26 +207,28 @@ def factored(
     top = chain.top
     work = np.cumsum([float(chain.size(n)) ** 3 for n in range(top, -1, -1)])
     inverses: list[Array] = []
-    R = Q = np.zeros((0, 0))
+    two_below = np.zeros((0, 0))
+    A = chain.within(top, shift=shift, kind=kind)
     for n in range(top, 0, -1):
-        A, size = chain.within(n, shift=shift, kind=kind), chain.size(n)
-        if n < top:
-            A += applied(chain.above[n], R, size)
-        inverse = inverted(A, chain.starts(n))
-        # u_n = R u_(n−1) + Q u_(n−2).
-        R_next = applied_from_right(inverse, chain.forced[n], chain.size(n - 1))
-        if n < top:
-            R_next += inverse @ applied(chain.above[n], Q, size)
-        R = np.negative(R_next, out=R_next)
-        if n > 1:
-            Q = -applied_from_right(inverse, chain.paired[n], chain.size(n - 2))
+        inverse, below = inverted(A, chain.starts(n)), chain.size(n - 1)
+        A = chain.within(n - 1, shift=shift, kind=kind)
+        # What the two stages below n make of stage n comes back to the one below it.
+        back = applied(chain.above[n - 1], inverse, below)
+        A -= applied_from_right(back, chain.forced[n], below)
+        if paired and n < top:
+            A += back @ two_below
+        if paired and n > 1:
+            two_below = applied_from_right(back, chain.paired[n], chain.size(n - 2))
         inverses.insert(0, inverse)
         step(work[top - n] / work[-1])
-    A = chain.within(0, shift=shift) + applied(chain.above[0], R, chain.size(0))
     scale = 0.0
     if not shift:
-        A, scale = with_mass(A, one)
-    return Factors(chain, [np.asarray(np.linalg.inv(A), dtype=A.dtype), *inverses]), scale
+        A, scale = with_mass(A, one.astype(kind, copy=False))
+    inverses.insert(0, np.linalg.inv(A))
+    numbers = A.dtype.type
+    above, forced = (chain.blocks(away, numbers) for away in (1, -1))
+    both = chain.blocks(-2, numbers) if paired else []
+    return Factors(chain, inverses, above, forced, both), scale
 
 
 def inverted(A: Array, cuts: Sequence[int]) -> Array:

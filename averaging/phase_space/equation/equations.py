@@ -120,10 +120,10 @@ def _by_stages(
     )
     for to, of, term in chain(between, damping):
         blocks.setdefault((stage_of[to], stage_of[of]), []).append(term)
-    sizes = [size_of(stage, groups) for stage in stages]
+    whole = [Group(0, 1, size_of(stage, groups)) for stage in stages]
     return [
         [
-            [Sum(sizes[n], sizes[n + away], blocks[n, n + away])] if (n, n + away) in blocks else []
+            [Sum(whole[n], whole[n + away], blocks[n, n + away])] if (n, n + away) in blocks else []
             for n in range(len(stages))
         ]
         for away in (0, 1, -1, -2)

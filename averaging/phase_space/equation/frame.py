@@ -112,6 +112,20 @@ def reference_of(frame: Frame, slope: Array, offset: Array, covariance: Array) -
     return replace(given, weight=weight)
 
 
+def with_moments(frame: Frame, mean: Array, covariance: Array) -> Reference:
+    """Return the reference with first and second moments of (y, r, v), as ``Moments`` has them.
+
+    Raises ``LinAlgError`` where they are of no distribution.
+    """
+    n = frame.n
+    slope = covariance[1:n, 0] / covariance[0, 0]
+    # (y, r, v) to z = (v, x): x = r − a y.
+    to = np.zeros((2 * n - 1, 2 * n))
+    to[:n, n:] = np.eye(n)
+    to[n:, 0], to[n:, 1:n] = -slope, np.eye(n - 1)
+    return reference_of(frame, slope, mean[1:n] - slope * mean[0], to @ covariance @ to.T)
+
+
 def gibbs_reference(frame: Frame) -> Reference:
     """Return the Gibbs state of the temperature tr D/tr c, of mass-normalised D and c.
 

@@ -1,11 +1,16 @@
 """Blocks of the matrix of the equations: sums of Kronecker products between groups of unknowns."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fpk.arrays import Array
+
+Entries = tuple[NDArray[np.int32], NDArray[np.int32], Array]
+"""Rows, columns and values of entries of a matrix."""
 
 
 @dataclass(frozen=True)
@@ -20,9 +25,14 @@ class Group:
     functions: int
 
     @property
+    def size(self) -> int:
+        """How many they are."""
+        return self.count * self.functions
+
+    @property
     def span(self) -> slice:
         """Where they stand among the unknowns of the stage."""
-        return slice(self.start, self.start + self.count * self.functions)
+        return slice(self.start, self.start + self.size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +49,6 @@ class Term:
     degrees: Array | float
     functions: Array | None = None
 
-    def transposed(self) -> "Term":
-        """The term of the transposed matrix."""
-        degrees = self.degrees if isinstance(self.degrees, float) else self.degrees.T
-        functions = None if self.functions is None else self.functions.T
-        return Term(self.of, self.to, degrees, functions)
-
     def add_to(self, out: Array, X: Array) -> None:
         """Add the term times X (unknowns, columns) to ``out`` (equations, columns)."""
         part = X[self.of.span].reshape(self.of.count, self.of.functions, -1)
@@ -59,12 +63,31 @@ class Term:
         whole = out[self.to.span].reshape(self.to.count, self.to.functions, -1)
         whole[:, :common] += part
 
-    def add_matrix_to(self, A: Array) -> None:
-        """Add the term itself to a matrix (equations, unknowns)."""
+    def entries(self) -> Iterator[Entries]:
+        """Yield rows, columns and values of entries of the term that are not 0."""
         to, of, degrees = self.to, self.of, self.degrees
         if isinstance(degrees, float):
             degrees = degrees * np.eye(to.count)
-        whole = A[to.span, of.span].reshape(to.count, to.functions, of.count, of.functions)
+        if self.functions is None:
+            first = second = np.arange(min(to.functions, of.functions))[:, None]
+            block = np.ones((len(first), 1))
+        else:
+            first, second = np.ix_(*map(np.arange, self.functions.shape))
+            block = self.functions
+        i, j = np.nonzero(degrees)
+        shape = (i.size, *block.shape)
+        row, column = (np.empty(shape, dtype=np.int32) for _ in range(2))
+        row[:] = (to.start + to.functions * i)[:, None, None] + first
+        column[:] = (of.start + of.functions * j)[:, None, None] + second
+        values = degrees[i, j][:, None, None] * block
+        yield row.ravel(), column.ravel(), values.ravel()
+
+    def add_block_to(self, D: Array) -> None:
+        """Add the block itself to a matrix (equations, unknowns) of the two groups."""
+        to, of, degrees = self.to, self.of, self.degrees
+        if isinstance(degrees, float):
+            degrees = degrees * np.eye(to.count)
+        whole = D.reshape(to.count, to.functions, of.count, of.functions)
         if self.functions is None:
             each = np.arange(min(to.functions, of.functions))
             whole[:, each, :, each] += degrees
@@ -74,34 +97,30 @@ class Term:
 
 @dataclass(frozen=True, eq=False)
 class Sum:
-    """A block of many terms, from ``of`` unknowns to ``to`` equations, whose sum is made to use it.
+    """A block of many terms between all unknowns of two stages, whose sum is made to use it.
 
-    A product with many columns takes the whole matrix, as dense linear algebra is faster than the
-    many small products; it is not kept, as all blocks together would fill the memory.
+    Dense linear algebra is faster than the many small products; the matrix is not kept, as those of
+    all blocks together would fill the memory.
     """
 
-    to: int
-    of: int
+    to: Group
+    of: Group
     terms: Sequence[Term]
-
-    def transposed(self) -> "Sum":
-        """The sum of the transposed matrix."""
-        return Sum(self.of, self.to, [t.transposed() for t in self.terms])
 
     def add_to(self, out: Array, X: Array) -> None:
         """Add the sum times X (unknowns, columns) to ``out`` (equations, columns)."""
-        if X.shape[1] > 1:
-            A = np.zeros((self.to, self.of), X.real.dtype)
-            self.add_matrix_to(A)
-            out += A @ X
-        else:
-            for term in self.terms:
-                term.add_to(out, X)
+        A = np.zeros((self.to.size, self.of.size), X.real.dtype)
+        self.add_block_to(A)
+        out += A @ X
 
-    def add_matrix_to(self, A: Array) -> None:
-        """Add the sum itself to a matrix (equations, unknowns)."""
+    def entries(self) -> Iterator[Entries]:
+        """Yield rows, columns and values of entries of the terms."""
         for term in self.terms:
-            term.add_matrix_to(A)
+            yield from term.entries()
+
+    def add_block_to(self, D: Array) -> None:
+        """Add the sum itself to a matrix (equations, unknowns)."""
+        add_matrix(D, self.terms)
 
 
 Terms = Sequence[Term | Sum]
@@ -116,6 +135,20 @@ def applied(terms: Terms, X: Array, size: int) -> Array:
 
 
 def applied_from_right(X: Array, terms: Terms, size: int) -> Array:
-    """Return X (rows, equations) times the matrix (equations, ``size``) of terms."""
-    transposed = applied([t.transposed() for t in terms], np.ascontiguousarray(X.T), size)
-    return np.ascontiguousarray(transposed.T)
+    """Return X (rows, equations) times the matrix (equations, ``size``) of terms.
+
+    Terms of the same groups are to follow each other: they make one product of dense matrices.
+    """
+    out = np.zeros((X.shape[0], size), X.dtype)
+    for (to, of), same in groupby(terms, lambda term: (term.to, term.of)):
+        D = np.zeros((to.size, of.size), X.dtype)
+        for term in same:
+            term.add_block_to(D)
+        out[:, of.span] += X[:, to.span] @ D
+    return out
+
+
+def add_matrix(A: Array, terms: Terms) -> None:
+    """Add terms to a matrix (equations, unknowns)."""
+    for term in terms:
+        term.add_block_to(A[term.to.span, term.of.span])
