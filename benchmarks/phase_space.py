@@ -136,9 +136,9 @@ def main() -> None:
     text += f"of {REPEATED}.\n\n"
     text += markdown_table(["tol", "degree", "stated L1", "true L1", "time"], [one_mass()])
     text += "\n## Three masses\n\nStops on both sides of the second, B = 10, δ = 0.5, "
-    text += "c = (0.08, 0.06, 0.04), D = (0.01, 0.015, 0.02); p(q2), by the multiplications that a "
+    text += "c = (0.08, 0.06, 0.04), D = (0.01, 0.015, 0.02); p(q2), by the operations that a "
     text += "solution may need.\n\n"
-    text += markdown_table(["multiplications", "degree", "stated L1", "time"], three_masses())
+    text += markdown_table(["operations", "degree", "stated L1", "time"], three_masses())
     out.write_text(text)
 
 

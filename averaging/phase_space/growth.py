@@ -29,6 +29,9 @@ def lowest(frame: Frame) -> Degrees:
 def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
     """Return the degrees of the next solution; ``rise`` is that of the degree in the others.
 
+    The less that rises, the more N does, which then is what errors come from. N stays odd: the
+    density of the contact displacement is nearer than with an even one beside it.
+
     Damping terms make all coordinates as unlike a Gaussian as a stop makes its mass: degrees in the
     others and in y rise with that in the velocity of the contact mass. Errors then oscillate with
     the degree, and more slowly the higher it is: steps that grow with it see that.
@@ -43,7 +46,7 @@ def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
     if n == 1:
         return Degrees(d.total + 8, 0, d.outer + 4)
     if n == 2:
-        return Degrees(d.total + 6, d.others + rise, d.outer + 4)
+        return Degrees(d.total + 10 - 2 * rise, d.others + rise, d.outer + 4)
     return Degrees(d.total + 4, d.others + min(rise, 1), d.outer + 2)
 
 

@@ -61,7 +61,7 @@ class PhaseSpace(StationaryMotionMethod, Theory):
     noise and damping, damping terms as far as memory and work allow. ``tol`` is the L1 error
     wanted of each density; degrees rise until the estimate meets it; where memory or the highest
     degree ends them first, the certificate says so. ``accepted`` is the largest error that is
-    certified where it ends them, None: ``tol``. ``work`` bounds the multiplications of one
+    certified where it ends them, None: ``tol``. ``work`` bounds the operations of one
     solution. ``threads`` of linear algebra, None: all cores; where others use them, too, threads
     wait for each other and take ten times as long.
     ``reference`` is where the expansion starts, for tests of its independence; None: Gibbs. ::

@@ -45,7 +45,7 @@ MOST_OUTER = 90
 MEMORY = 4.0e9
 """Bytes that a solution may need; one that needs more is not begun."""
 WORK = 1.2e13
-"""Multiplications that a solution may need, about a minute on two cores; likewise."""
+"""Operations that a solution may need, about a minute on two cores; likewise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,13 +80,15 @@ class Ladder:
 def cost(
     frame: Frame, reference: Reference, degrees: Degrees, *, number: int = 4
 ) -> tuple[float, float]:
-    """Return the bytes and the multiplications that a solution takes.
+    """Return the bytes and the operations, on real numbers, that a solution takes.
 
-    ``number`` is how many bytes a number of the elimination has.
+    ``number`` is how many bytes a number of the elimination has. In more than single precision and
+    with damping terms pairs of levels are eliminated, too, which takes as much again.
     """
     size = sizes(frame, reference, degrees)
     bytes_ = number * float(8.0 * np.max(size) ** 2 + np.sum(size**2))
-    return bytes_, float(4.0 * np.sum(size**3))
+    paired = number > 4 or bool(frame.system.damping_terms)
+    return bytes_, float((4.0 if paired else 2.0) * np.sum(size**3))
 
 
 @dataclass(frozen=True)
@@ -224,11 +226,11 @@ def _out_of_reach(
 
 
 def refusal(size: float, work: float, *, most: float) -> str:
-    """Say why a solution of these bytes and multiplications is not begun; empty where it may."""
+    """Say why a solution of these bytes and operations is not begun; empty where it may."""
     if size > MEMORY:
         return f"a finer solution needs {size / 1e9:.2g} GB of memory, at most {MEMORY / 1e9:.2g}"
     if work > most:
-        return f"a finer solution needs {work:.1g} multiplications, at most {most:.1g}"
+        return f"a finer solution needs {work:.1g} operations, at most {most:.1g}"
     return ""
 
 

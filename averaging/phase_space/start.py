@@ -1,5 +1,7 @@
 """The state that the first solution is expanded about."""
 
+import warnings
+
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 from scipy.linalg import solve_continuous_lyapunov
@@ -42,7 +44,10 @@ def start(frame: Frame) -> Reference:
         stiffness = frame.stiffness.copy()
         stiffness[0, 0] += (k := float(weight @ (force * (y - centre))) / variance)
         drift = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -frame.damping]])
-        covariance = solve_continuous_lyapunov(drift, -noise)
+        with warnings.catch_warnings():
+            # Where a motion is not damped at all; the answer is then of no distribution.
+            warnings.simplefilter("ignore", RuntimeWarning)
+            covariance = solve_continuous_lyapunov(drift, -noise)
         means = np.linalg.solve(stiffness, (k * centre - float(weight @ force)) * np.eye(n)[0])
         if not covariance[0, 0] > 0.0:
             raise np.linalg.LinAlgError("the linear system has no stationary state")

@@ -17,6 +17,7 @@ from averaging.phase_space.marginals import marginal
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.moments import moments
 from averaging.phase_space.refinement import ladders, least_distance
+from averaging.phase_space.start import start
 from cases.comparison.compare import compared
 from fpk.density import l1_distance
 from fpk.errors import NotApplicable
@@ -232,6 +233,37 @@ def test_a_contact_mass_colder_than_its_neighbour_by_far_is_solved_from_any_star
     for a, b in zip(result.densities, hotter.densities, strict=True):
         assert a.certificate.certified, a.certificate.failures
         assert l1_distance(a, b) <= a.l1_error + b.l1_error
+
+
+@pytest.mark.parametrize("name", GIBBS)
+def test_the_start_is_gibbs_where_damping_and_noise_are_in_one_proportion(name):
+    frame = contact_frame(GIBBS[name])
+    found, right = start(frame), gibbs_reference(frame)
+    for a, b in zip(vars(found).values(), vars(right).values(), strict=True):
+        assert a == pytest.approx(b, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("side", ["both", "right"])
+def test_the_start_has_about_the_variances_of_unlike_baths(side):
+    stops = stop(side=side, stiffness=7.5, clearance=0.2)
+    damping, noise = [0.119, 0.034], [0.010, 0.046]
+    system = fpk.System([0.5, 1.7], [1.7, 1.2], damping, noise, contacts=stops)
+    frame = contact_frame(system)
+    (density,) = PhaseSpace(tol=2e-2).solve(system, [parse_observable("p2", 2)]).densities
+    mesh, grids = gauss_grid(density.panels)
+    right = integral(mesh[0] ** 2 * density.pdf(*mesh), grids) / system.mass[1]
+    # A linear force for that of the stop: within a third, where Gibbs is off by a factor.
+    assert start(frame).covariance[0, 0] == pytest.approx(right, rel=0.33)
+    assert gibbs_reference(frame).covariance[0, 0] < 0.5 * right
+
+
+def test_a_motion_that_noise_drives_and_nothing_damps_has_no_start():
+    # The damping is of one mode of the springs alone.
+    _, modes = np.linalg.eigh([[2.0, -1.0], [-1.0, 1.0]])
+    damping = 0.1 * np.outer(modes[:, 1], modes[:, 1])
+    frame = contact_frame(fpk.System([1, 1], [1, 1], damping, [0.1, 0.1]))
+    with pytest.raises(np.linalg.LinAlgError, match="no stationary state"):
+        start(frame)
 
 
 def test_a_variance_that_is_not_positive_is_no_answer():

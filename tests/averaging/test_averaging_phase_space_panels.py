@@ -7,7 +7,6 @@ import pytest
 
 import fpk
 from averaging.phase_space.equation import degrees as degrees_module
-from averaging.phase_space.equation import elimination
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import expanded, inverted
@@ -157,37 +156,3 @@ def test_a_reference_that_is_no_distribution_is_refused():
     good = gibbs_reference(frame)
     with pytest.raises(np.linalg.LinAlgError):
         reference_of(frame, good.slope, good.offset, -good.covariance)
-
-
-def light(B):
-    c = fpk.Contact(mass=2, side="both", stiffness=B, clearance=0.1)
-    return contact_frame(fpk.System([1, 1], [1, 1], [0.008, 0.004], [0.001, 0.002], contacts=(c,)))
-
-
-@pytest.mark.parametrize("frame", [frame_of(), light(10.0), light(100.0)])
-def test_an_elimination_in_single_precision_is_refined_to_double(frame, monkeypatch):
-    about = gibbs_reference(frame)
-    refined = expanded(frame, about, DEGREES, again=False)
-    monkeypatch.setattr(elimination, "ELIMINATED_IN", np.float64)
-    double = expanded(frame, about, DEGREES, again=False)
-    for a, b in zip(refined.levels, double.levels, strict=True):
-        # A residual of 1e-14 is an error of as much times the condition of the equations: with
-        # damping ratios of 0.004 some 1e4.
-        assert a == pytest.approx(b, abs=1e-10)
-    assert max(refined.residual, double.residual) < 1e-13
-
-
-def test_where_refinement_fails_the_elimination_is_repeated_in_double(monkeypatch):
-    kinds, refined = [], elimination._refined
-
-    def failing(factors, *rest):
-        kinds.append(factors.inverses[1].dtype)
-        u, residual = refined(factors, *rest)
-        return u, residual if kinds[-1] == np.float64 else np.nan
-
-    monkeypatch.setattr(elimination, "_refined", failing)
-    assert expanded(frame_of(), gibbs_reference(frame_of()), DEGREES).residual < 1e-13
-    assert kinds == [np.float32, np.float64]
-    assert np.isnan(
-        expanded(frame_of(), gibbs_reference(frame_of()), DEGREES, again=False).residual
-    )

@@ -96,7 +96,7 @@ def adapted(
             continue
         e = ladder.finest
         size, work = cost(frame, e.basis.reference, e.degrees, number=number)
-        # A product of complex numbers takes four multiplications.
+        # A product of complex numbers takes four of real ones.
         limit = refusal(size, (number / REAL) ** 2 * work, most=options.work)
         if answer is not None and limit:
             return replace(answer, limit=limit)

@@ -1,6 +1,8 @@
 """Elimination of the chain of stages from the highest down, and the stationary expansion.
 
-``equations`` has the chain. Each stage costs the inverse of one dense block.
+``equations`` has the chain. Each stage costs the inverse of one dense block, and as much again
+where what stages meet two below them is eliminated, too. That is of the size of the damping:
+without it the elimination is a preconditioner, with which a few dozen vectors solve all equations.
 """
 
 from collections.abc import Callable, Sequence
@@ -90,8 +92,9 @@ def expanded(
     """Return the stationary expansion about ``reference``.
 
     ``step`` is called with the share of the work that is done. The elimination is in single
-    precision, half the time and memory of double, and its solution is refined by the residual in
-    double precision. Where that does not converge it is done ``again`` in double precision.
+    precision, half the time and memory of double, and without pairs unless damping terms make them
+    large; its solution is refined by the residual of all equations in double precision. Where that
+    does not converge it is done ``again`` in double precision, with pairs.
     """
     functions = basis(frame, reference, degrees)
     chain = chain_of(frame, reference, functions, degrees)
@@ -201,8 +204,8 @@ def factored(
     """Eliminate the stages of the equations less ``shift`` times the unknowns, from the top down.
 
     Without a shift the equation of the mass, ``one`` times the unknowns of level 0, is added as
-    ``with_mass`` does; returned is what stands before the mass in it, too. ``step`` is called with
-    the share of the work done.
+    ``with_mass`` does; returned is what stands before the mass in it, too. ``paired`` says whether
+    what a stage meets two below it counts. ``step`` is called with the share of the work done.
     """
     top = chain.top
     work = np.cumsum([float(chain.size(n)) ** 3 for n in range(top, -1, -1)])

@@ -1,0 +1,94 @@
+"""The elimination of the chain of levels: without pairs, in single precision, and repeated."""
+
+import numpy as np
+import pytest
+
+import fpk
+from averaging.phase_space.equation import elimination
+from averaging.phase_space.equation.basis import basis
+from averaging.phase_space.equation.degrees import Degrees
+from averaging.phase_space.equation.elimination import expanded
+from averaging.phase_space.equation.equations import chain_of
+from averaging.phase_space.equation.frame import contact_frame, gibbs_reference
+from averaging.phase_space.equation.terms import applied, applied_from_right
+from averaging.phase_space.start import start
+
+DEGREES = Degrees(total=16, others=6, outer=18)
+
+
+def frame_of():
+    both = fpk.Contact(mass=2, side="both", stiffness=10.0, clearance=0.5)
+    return contact_frame(fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02], contacts=(both,)))
+
+
+def light(B):
+    c = fpk.Contact(mass=2, side="both", stiffness=B, clearance=0.1)
+    return contact_frame(fpk.System([1, 1], [1, 1], [0.008, 0.004], [0.001, 0.002], contacts=(c,)))
+
+
+@pytest.mark.parametrize("frame", [frame_of(), light(10.0), light(100.0)])
+def test_an_elimination_in_single_precision_is_refined_to_double(frame, monkeypatch):
+    about = gibbs_reference(frame)
+    refined = expanded(frame, about, DEGREES, again=False)
+    monkeypatch.setattr(elimination, "ELIMINATED_IN", np.float64)
+    double = expanded(frame, about, DEGREES, again=False)
+    for a, b in zip(refined.levels, double.levels, strict=True):
+        # A residual of 1e-14 is an error of as much times the condition of the equations: with
+        # damping ratios of 0.004 some 1e4.
+        assert a == pytest.approx(b, abs=1e-10)
+    assert max(refined.residual, double.residual) < 1e-13
+
+
+@pytest.mark.parametrize("frame", [frame_of(), light(10.0)])
+def test_pairs_left_out_of_the_elimination_are_in_the_solution(frame):
+    about = start(frame)
+    functions = basis(frame, about, DEGREES)
+    chain = chain_of(frame, about, functions, DEGREES)
+    one = functions.of_one()[: chain.size(0)]
+    answers = []
+    for paired in (True, False):
+        factors, scale = elimination.factored(chain, one=one, paired=paired)
+        answers.append(elimination._refined(factors, scale * one, one))
+    for u, residual in answers:
+        assert residual < 1e-13
+        assert np.concatenate(u) == pytest.approx(np.concatenate(answers[0][0]), abs=1e-9)
+    # Without the Krylov space it would be that of other equations.
+    right = np.concatenate([scale * one, np.zeros(chain.ends[-1] - one.size)])
+    assert np.abs(factors.solve(right) - np.concatenate(answers[0][0])).max() > 1e-3
+
+
+def test_a_chain_is_one_matrix():
+    frame = frame_of()
+    about = gibbs_reference(frame)
+    chain = chain_of(frame, about, basis(frame, about, DEGREES), DEGREES)
+    rng = np.random.default_rng(20261125)
+    u = rng.normal(size=chain.ends[-1])
+    parts = chain.split(u)
+    product = chain.split(chain.matrix @ u)
+    for n in (1, 2, chain.top):
+        size = chain.size(n)
+        expected = chain.within(n) @ parts[n]
+        for terms, away in ((chain.above, 1), (chain.forced, -1), (chain.paired, -2)):
+            if 0 <= n + away <= chain.top and terms[n]:
+                expected += applied(terms[n], parts[n + away][:, None], size)[:, 0]
+        assert product[n] == pytest.approx(expected, abs=1e-9)
+        X = rng.normal(size=(3, size))
+        from_right = applied_from_right(X, chain.forced[n], chain.size(n - 1))
+        same = X @ chain.blocks(-1, np.float64)[n - 1].toarray()
+        assert from_right == pytest.approx(same, abs=1e-9)
+
+
+def test_where_refinement_fails_the_elimination_is_repeated_in_double(monkeypatch):
+    kinds, refined = [], elimination._refined
+
+    def failing(factors, *rest):
+        kinds.append(factors.inverses[1].dtype)
+        u, residual = refined(factors, *rest)
+        return u, residual if kinds[-1] == np.float64 else np.nan
+
+    monkeypatch.setattr(elimination, "_refined", failing)
+    assert expanded(frame_of(), gibbs_reference(frame_of()), DEGREES).residual < 1e-13
+    assert kinds == [np.float32, np.float64]
+    assert np.isnan(
+        expanded(frame_of(), gibbs_reference(frame_of()), DEGREES, again=False).residual
+    )
