@@ -227,7 +227,7 @@ def factored(
     scale = 0.0
     if not shift:
         A, scale = with_mass(A, one.astype(kind, copy=False))
-    inverses.insert(0, np.linalg.inv(A))
+    inverses.insert(0, np.asarray(np.linalg.inv(A), dtype=A.dtype))
     numbers = A.dtype.type
     above, forced = (chain.blocks(away, numbers) for away in (1, -1))
     both = chain.blocks(-2, numbers) if paired else []
