@@ -142,9 +142,11 @@ def answer_of(
 
 
 def _at_rest(counted: Counted, density: SampledDensity, at: tuple[Array, ...]) -> Array:
-    """What the density of H of two masses or more has at H = 0, in the first bin: there it is 0.
+    """Return the error of the first bin of a density of H of n >= 2 masses, at the energies ``at``.
 
-    It falls as H^(n−1), at times so early in less than a bin, that no sample shows it.
+    The exact density falls as H^(n−1) towards H = 0, where it is 0. At early times it does so
+    within the first bin, so that no sample shows it: the error is what the sampled density has at
+    H = 0. It is 0 in other bins, and for any other observable.
     """
     of_all = counted.system is not None and counted.system.n > 1 and len(at) == 1
     if not (of_all and str(counted.observable[0]) == "H"):

@@ -36,9 +36,10 @@ class Score(NamedTuple):
 
 
 class LimitArrays(NamedTuple):
-    """What the limit is on; c counts the energies that have one, 1 for a displacement.
+    """The limit of a first passage: of c modal energies or, with c = 1, of one displacement q_i.
 
-    Of a displacement the score is on E_i/E_f, see ``full.limit_arrays``, from all modal energies.
+    E_f is the energy of failure. The score of a displacement depends on E_i/E_f, E_i the energy
+    that its motion has; ``reach`` gives it from the modal energies H_m (``full.limit_arrays``).
     """
 
     values: Array  # (c,)

@@ -1,4 +1,7 @@
-"""What the compiled paths see of a limit: how far it is, between two steps too, and the score."""
+"""The distance of simulated paths to a limit, at steps and between them, and their score.
+
+The score is a share of the limit by which splitting ranks paths. All functions are compiled.
+"""
 
 from math import exp, sqrt
 from typing import Any
