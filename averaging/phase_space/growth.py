@@ -52,8 +52,11 @@ def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
 
 def rise_of(e: Expansion) -> int:
     """Return by how much the degree in the others is to rise: 2, 1 or 0 where nothing is there."""
-    levels, counted = e.levels, np.concatenate([o.counted for o in e.others])
-    top = sum(float(np.sum(u**2)) for u in levels[-TOP_LEVELS:])
-    edge = counted == e.degrees.others
-    others = sum(float(np.sum(u[edge[: len(u)]] ** 2)) for u in levels)
-    return sum(others > share**2 * top for share in (LARGE, NEGLIGIBLE))
+    edge = np.concatenate([o.counted for o in e.others]) == e.degrees.others
+    others = float(np.sqrt(sum(np.sum(u[edge[: len(u)]] ** 2) for u in e.levels)))
+    return sum(others > share * size_of_top(e) for share in (LARGE, NEGLIGIBLE))
+
+
+def size_of_top(e: Expansion) -> float:
+    """Return the size of the highest levels of a solution, of mass 1."""
+    return float(np.sqrt(sum(float(np.sum(u**2)) for u in e.levels[-TOP_LEVELS:])))

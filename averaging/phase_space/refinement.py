@@ -9,21 +9,16 @@ from threadpoolctl import threadpool_limits
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import Expansion, expanded, sizes
 from averaging.phase_space.equation.frame import Frame, Reference
+from averaging.phase_space.fit import fitted
 from averaging.phase_space.growth import finer, lowest, rise_of
 from averaging.phase_space.marginals import marginal
-from averaging.phase_space.moments import moments, refitted
+from averaging.phase_space.moments import moments
 from averaging.phase_space.start import start
 from fpk.cores import usable_cores
 from fpk.method import Progress
 from fpk.observable import Coordinate, Observable
 from fpk.quadrature import gauss_grid, integral
 
-REFITS = 2
-"""Solutions of the lowest degrees from which the reference takes its moments: the second changes
-the first by less than a thousandth of what the degrees leave."""
-SETTLED = 1e-9
-"""Change of the covariance by the first refit, relative to its largest entry, up to which the start
-is the solution: the Gibbs state, where damping and noise are in one proportion."""
 SAFETY = 2.5
 """Factor on the error that follows from distances between solutions. Without it, of 364 errors of
 69 systems against finer solutions the largest was 1.6 times the stated one."""
@@ -137,7 +132,7 @@ def ladders(
         return refusal(*cost(frame, about, degrees), most=work)
 
     with threadpool_limits(limits=threads or usable_cores(), user_api="blas"):
-        about, first = _fitted_reference(frame, about)
+        about, first = fitted(frame, about)
         coarser: Expansion | None = None
         fall: dict[Observable, Falling] = {}
         degrees, solutions = lowest(frame), 0
@@ -158,22 +153,6 @@ def ladders(
                 if limit:
                     return
             coarser = finest
-
-
-def _fitted_reference(frame: Frame, about: Reference) -> tuple[Reference, Expansion | None]:
-    """Return the reference with the moments of the lowest solutions, from ``about`` on.
-
-    Beside it the lowest solution where ``about`` has its moments. Raises ``LinAlgError`` where
-    these are of no distribution.
-    """
-    for refit in range(REFITS):
-        rough = expanded(frame, about, lowest(frame))
-        better = refitted(frame, rough)
-        change = np.abs(better.covariance - about.covariance).max()
-        if refit == 0 and change <= SETTLED * about.covariance.max():
-            return about, rough
-        about = better
-    return about, None
 
 
 def solved_to(

@@ -12,9 +12,11 @@ from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import expanded, inverted
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
 from averaging.phase_space.equation.others import lowered, others_to, raised
-from averaging.phase_space.growth import rise_of
+from averaging.phase_space.fit import fitted
+from averaging.phase_space.growth import lowest, rise_of, size_of_top
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import refitted
+from averaging.phase_space.start import start
 from fpk.observable import parse_observable
 from fpk.quadrature import gauss_grid, integral
 
@@ -156,3 +158,14 @@ def test_a_reference_that_is_no_distribution_is_refused():
     good = gibbs_reference(frame)
     with pytest.raises(np.linalg.LinAlgError):
         reference_of(frame, good.slope, good.offset, -good.covariance)
+
+
+@pytest.mark.parametrize(("clearance", "narrowed"), [(0.1, True), (0.5, False)])
+def test_a_near_stop_makes_the_reference_narrower(clearance, narrowed):
+    frame = frame_of(clearance=clearance)
+    found, _ = fitted(frame, start(frame))
+    plain = refitted(frame, expanded(frame, start(frame), lowest(frame)))
+    ratio = found.covariance[0, 0] / plain.covariance[0, 0]
+    assert ratio < 0.9 if narrowed else ratio == pytest.approx(1.0)
+    tops = [size_of_top(expanded(frame, r, lowest(frame))) for r in (found, plain)]
+    assert tops[0] < 0.9 * tops[1] if narrowed else tops[0] == pytest.approx(tops[1])
