@@ -1,10 +1,10 @@
-"""The reference of a system's solutions, fitted to what solutions of the lowest degrees find."""
+"""The reference of a system's solutions, fitted to what solutions of low degrees find."""
 
 import numpy as np
 
-from averaging.phase_space.equation.elimination import Expansion, expanded
+from averaging.phase_space.equation.elimination import expanded
 from averaging.phase_space.equation.frame import Frame, Reference, reference_of
-from averaging.phase_space.growth import lowest, size_of_top
+from averaging.phase_space.growth import fitting, size_of_top
 from averaging.phase_space.moments import refitted
 
 SETTLED = 1e-9
@@ -16,28 +16,26 @@ BETTER = 0.95
 """Factor that a narrower one is to bring the highest levels down by."""
 
 
-def fitted(frame: Frame, about: Reference) -> tuple[Reference, Expansion | None]:
+def fitted(frame: Frame, about: Reference) -> Reference:
     """Return a reference with about the moments of the solution, and the best width for it.
 
-    The moments are those of the lowest solution about ``about``. The variance of the contact
-    velocity is then made smaller while that makes the highest levels of the lowest solution
-    smaller: near a stiff stop p(v) has features that are narrower than its variance, by up to 0.6
-    on Fig. 6. Beside the reference stands the lowest solution where ``about`` has its moments.
-    Raises ``LinAlgError`` where these are of no distribution.
+    The moments are those of a solution about ``about``, which is returned where it has them. The
+    variance of the contact velocity is then made smaller while that makes the highest levels of a
+    solution smaller: near a stiff stop p(v) has features that are narrower than its variance, by up
+    to 0.6 on Fig. 6. Raises ``LinAlgError`` where the moments are of no distribution.
     """
-    rough = expanded(frame, about, lowest(frame))
-    best = refitted(frame, rough)
+    best = refitted(frame, expanded(frame, about, fitting(frame)))
     change = np.abs(best.covariance - about.covariance).max()
     if change <= SETTLED * about.covariance.max():
-        return about, rough
-    least = size_of_top(expanded(frame, best, lowest(frame)))
+        return about
+    least = size_of_top(expanded(frame, best, fitting(frame)))
     for _ in range(MOST):
         other = narrower(frame, best)
-        size = size_of_top(expanded(frame, other, lowest(frame)))
+        size = size_of_top(expanded(frame, other, fitting(frame)))
         if not size < BETTER * least:
             break
         best, least = other, size
-    return best, None
+    return best
 
 
 def narrower(frame: Frame, reference: Reference) -> Reference:

@@ -16,8 +16,16 @@ with the level at sizes beyond 0.5, and by 0.003 or less at 0.004, where a near 
 contact mass round much faster than the others move."""
 
 
+def fitting(frame: Frame) -> Degrees:
+    """Return the degrees of the solutions that a reference is fitted to."""
+    n = frame.n
+    if frame.system.damping_terms:
+        return lowest(frame)
+    return (Degrees(9, 0, 10), Degrees(13, 5, 14), Degrees(9, 3, 10))[n - 1]
+
+
 def lowest(frame: Frame) -> Degrees:
-    """Return the degrees of the first solution, from which the reference takes its moments."""
+    """Return the degrees of the first solution."""
     n, terms = frame.n, bool(frame.system.damping_terms)
     if n == 1:
         return Degrees(16, 0, 18)

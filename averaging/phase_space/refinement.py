@@ -132,15 +132,15 @@ def ladders(
         return refusal(*cost(frame, about, degrees), most=work)
 
     with threadpool_limits(limits=threads or usable_cores(), user_api="blas"):
-        about, first = fitted(frame, about)
+        about = fitted(frame, about)
         coarser: Expansion | None = None
         fall: dict[Observable, Falling] = {}
         degrees, solutions = lowest(frame), 0
         while True:
             step = steps(progress, "phase space", degrees)
             again = cost(frame, about, degrees, number=8)[0] <= MEMORY
-            finest = first or expanded(frame, about, degrees, again=again, step=step)
-            first, solutions = None, solutions + 1
+            finest = expanded(frame, about, degrees, again=again, step=step)
+            solutions += 1
             degrees = finer(frame, degrees, rise_of(finest))
             if coarser is not None:
                 least = least_distance(frame, finest, coarser)

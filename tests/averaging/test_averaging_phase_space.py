@@ -235,6 +235,20 @@ def test_a_contact_mass_colder_than_its_neighbour_by_far_is_solved_from_any_star
         assert l1_distance(a, b) <= a.l1_error + b.l1_error
 
 
+def test_errors_between_two_stops_on_a_side_fall_with_the_degrees():
+    # The panel between them is narrow, but the density there is no polynomial of a fixed degree.
+    system = GIBBS["two stops on a side"]
+    frame, observable = contact_frame(system), parse_observable("q2", 2)
+    (exact,) = Exact().solve(system, [observable]).densities
+    errors = []
+    for degrees in (Degrees(17, 6, 18), Degrees(25, 7, 22), Degrees(25, 7, 34)):
+        e = expanded(frame, wrong(frame, 1.3), degrees)
+        panels, pdf = marginal(frame, e, observable)
+        mesh, grids = gauss_grid(list(map(np.union1d, panels, exact.panels)))
+        errors.append(integral(np.abs(pdf(*mesh) - exact.pdf(*mesh)), grids))
+    assert errors[1] < 0.2 * errors[0] and errors[2] < 0.5 * errors[1]
+
+
 @pytest.mark.parametrize("name", GIBBS)
 def test_the_start_is_gibbs_where_damping_and_noise_are_in_one_proportion(name):
     frame = contact_frame(GIBBS[name])

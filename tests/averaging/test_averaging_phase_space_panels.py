@@ -13,7 +13,7 @@ from averaging.phase_space.equation.elimination import expanded, inverted
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
 from averaging.phase_space.equation.others import lowered, others_to, raised
 from averaging.phase_space.fit import fitted
-from averaging.phase_space.growth import lowest, rise_of, size_of_top
+from averaging.phase_space.growth import fitting, rise_of, size_of_top
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import refitted
 from averaging.phase_space.start import start
@@ -85,7 +85,9 @@ def test_more_polynomials_between_stops_change_nothing(monkeypatch):
     densities = []
     for more in (0, 2, 4, 8):
         monkeypatch.setattr(
-            Degrees, "between", lambda self, width, more=more: 2 * (self.outer // 2) + 1 + more
+            Degrees,
+            "between",
+            lambda self, width, beyond, more=more: 2 * (self.outer // 2) + 1 + more,
         )
         e = expanded(frame, about, Degrees(40, 6, 20))
         densities.append(marginal(frame, e, parse_observable("q2", 2)))
@@ -163,9 +165,9 @@ def test_a_reference_that_is_no_distribution_is_refused():
 @pytest.mark.parametrize(("clearance", "narrowed"), [(0.1, True), (0.5, False)])
 def test_a_near_stop_makes_the_reference_narrower(clearance, narrowed):
     frame = frame_of(clearance=clearance)
-    found, _ = fitted(frame, start(frame))
-    plain = refitted(frame, expanded(frame, start(frame), lowest(frame)))
+    found = fitted(frame, start(frame))
+    plain = refitted(frame, expanded(frame, start(frame), fitting(frame)))
     ratio = found.covariance[0, 0] / plain.covariance[0, 0]
     assert ratio < 0.9 if narrowed else ratio == pytest.approx(1.0)
-    tops = [size_of_top(expanded(frame, r, lowest(frame))) for r in (found, plain)]
+    tops = [size_of_top(expanded(frame, r, fitting(frame))) for r in (found, plain)]
     assert tops[0] < 0.9 * tops[1] if narrowed else tops[0] == pytest.approx(tops[1])

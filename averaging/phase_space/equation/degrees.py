@@ -47,12 +47,15 @@ class Degrees:
         alone = max(self.outer - level // 2 * 2, int(LEAST * self.outer))
         return max(alone - int(FEWER * others), self.least)
 
-    def between(self, width: float) -> int:
+    def between(self, width: float, *, beyond: bool) -> int:
         """Number of polynomials of a panel between stops, odd; one without end has ``outer`` + 1.
 
-        ``width`` is in standard deviations of the weight without stops.
+        ``width`` is in standard deviations of the weight without stops. ``beyond`` says that a stop
+        is touched there, whose energy a narrow panel has, too: the number rises with ``outer``, so
+        that what it leaves is seen in the distance of two solutions.
         """
-        return 2 * ceil(0.5 * min(6.0 + 0.12 * width * self.outer, self.outer)) + 1
+        count = 6.0 + (0.12 * width + 0.25 * beyond) * self.outer
+        return 2 * ceil(0.5 * min(count, self.outer)) + 1
 
     def fewer(self, most: int, beyond: int) -> int:
         """Number of polynomials of a panel between stops that goes with ``beyond``; odd.

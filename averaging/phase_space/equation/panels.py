@@ -120,7 +120,8 @@ def bare_panels(frame: Frame, reference: Reference, degrees: Degrees) -> list[Pa
     panels = []
     for panel in _panels(frame, reference):
         width = float((panel.high - panel.low) * np.sqrt(reference.weight[1]))
-        degree = degrees.outer if panel.last else degrees.between(width)
+        touched = panel.direction != 0
+        degree = degrees.outer if panel.last else degrees.between(width, beyond=touched)
         panels.append(replace(panel, recurrence=np.zeros((degree + 1, degree))))
     return panels
 
