@@ -7,9 +7,12 @@ from averaging.phase_space.equation.frame import Frame, Reference, reference_of
 from averaging.phase_space.growth import fitting, size_of_top
 from averaging.phase_space.moments import refitted
 
+REFITS = 2
+"""Solutions that the moments are taken from. The first changed variances of 119 systems by 0.3 % at
+the median and 20 % at the most, the second by 7e-8 and 7 %."""
 SETTLED = 1e-9
-"""Change of the covariance by the fit, relative to its largest entry, up to which the start is the
-solution: the Gibbs state, where damping and noise are in one proportion."""
+"""Change of the covariance, relative to its largest entry, up to which a reference has the moments
+of the solution about it: the Gibbs state, where damping and noise are in one proportion."""
 NARROWER, MOST = 0.87, 4
 """Factor between the variances of the contact velocity that are tried, and how many are."""
 BETTER = 0.95
@@ -19,15 +22,17 @@ BETTER = 0.95
 def fitted(frame: Frame, about: Reference) -> Reference:
     """Return a reference with about the moments of the solution, and the best width for it.
 
-    The moments are those of a solution about ``about``, which is returned where it has them. The
+    The moments are those of solutions about ``about``, which is returned where it has them. The
     variance of the contact velocity is then made smaller while that makes the highest levels of a
     solution smaller: near a stiff stop p(v) has features that are narrower than its variance, by up
     to 0.6 on Fig. 6. Raises ``LinAlgError`` where the moments are of no distribution.
     """
-    best = refitted(frame, expanded(frame, about, fitting(frame)))
-    change = np.abs(best.covariance - about.covariance).max()
-    if change <= SETTLED * about.covariance.max():
-        return about
+    best = about
+    for _ in range(REFITS):
+        before, best = best, refitted(frame, expanded(frame, best, fitting(frame)))
+        change = np.abs(best.covariance - before.covariance).max()
+        if change <= SETTLED * before.covariance.max():
+            return before
     least = size_of_top(expanded(frame, best, fitting(frame)))
     for _ in range(MOST):
         other = narrower(frame, best)

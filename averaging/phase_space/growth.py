@@ -28,10 +28,11 @@ def lowest(frame: Frame) -> Degrees:
     """Return the degrees of the first solution."""
     n, terms = frame.n, bool(frame.system.damping_terms)
     if n == 1:
-        return Degrees(16, 0, 18)
+        # Without terms damping and noise of one mass are in proportion: the start is the solution.
+        return Degrees(16, 0, 18) if terms else Degrees(9, 0, 10)
     if n == 2:
         return Degrees(16, 6, 18) if terms else Degrees(17, 6, 18)
-    return Degrees(11, 3, 12)
+    return Degrees(11, 4, 12)
 
 
 def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
@@ -55,7 +56,9 @@ def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
         return Degrees(d.total + 8, 0, d.outer + 4)
     if n == 2:
         return Degrees(d.total + 10 - 2 * rise, d.others + rise, d.outer + 4)
-    return Degrees(d.total + 4, d.others + min(rise, 1), d.outer + 2)
+    # The degree in the others is what errors of three masses come from.
+    step = 1 if rise else 2
+    return Degrees(d.total + 2 * step, d.others + min(rise, 1), d.outer + step)
 
 
 def rise_of(e: Expansion) -> int:

@@ -168,6 +168,6 @@ def test_a_near_stop_makes_the_reference_narrower(clearance, narrowed):
     found = fitted(frame, start(frame))
     plain = refitted(frame, expanded(frame, start(frame), fitting(frame)))
     ratio = found.covariance[0, 0] / plain.covariance[0, 0]
-    assert ratio < 0.9 if narrowed else ratio == pytest.approx(1.0)
+    assert ratio < 0.9 if narrowed else ratio == pytest.approx(1.0, rel=1e-2)
     tops = [size_of_top(expanded(frame, r, fitting(frame))) for r in (found, plain)]
-    assert tops[0] < 0.9 * tops[1] if narrowed else tops[0] == pytest.approx(tops[1])
+    assert tops[0] < 0.9 * tops[1] if narrowed else tops[0] == pytest.approx(tops[1], rel=0.05)
