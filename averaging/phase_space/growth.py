@@ -18,10 +18,9 @@ contact mass round much faster than the others move."""
 
 def fitting(frame: Frame) -> Degrees:
     """Return the degrees of the solutions that a reference is fitted to."""
-    n = frame.n
-    if frame.system.damping_terms:
+    if frame.system.damping_terms or frame.n == 1:
         return lowest(frame)
-    return (Degrees(9, 0, 10), Degrees(13, 5, 14), Degrees(9, 3, 10))[n - 1]
+    return Degrees(13, 5, 14) if frame.n == 2 else Degrees(9, 3, 10)
 
 
 def lowest(frame: Frame) -> Degrees:

@@ -64,7 +64,7 @@ class PhaseSpace(StationaryMotionMethod, Theory):
     certified where it ends them, None: ``tol``. ``work`` bounds the operations of one
     solution. ``threads`` of linear algebra, None: all cores; where others use them, too, threads
     wait for each other and take ten times as long.
-    ``reference`` is where the expansion starts, for tests of its independence; None: Gibbs. ::
+    ``reference`` is where the expansion starts, for tests of its independence; None: ``start``. ::
 
         fpk.solve(system, ["q2", "q2,p2"], methods=[PhaseSpace(tol=1e-3)])
 

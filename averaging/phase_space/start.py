@@ -6,12 +6,7 @@ import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 from scipy.linalg import solve_continuous_lyapunov
 
-from averaging.phase_space.equation.frame import (
-    Frame,
-    Reference,
-    gibbs_reference,
-    with_moments,
-)
+from averaging.phase_space.equation.frame import Frame, Reference, gibbs_reference, with_moments
 
 ROUNDS, CLOSE = 40, 1e-3
 """Most linear systems, each with the contact force of the Gaussian state before, and the relative
@@ -42,8 +37,9 @@ def start(frame: Frame) -> Reference:
     for _ in range(ROUNDS):
         y = centre + np.sqrt(variance) * x
         force = frame.contact_force(y)
+        k = float(weight @ (force * (y - centre))) / variance
         stiffness = frame.stiffness.copy()
-        stiffness[0, 0] += (k := float(weight @ (force * (y - centre))) / variance)
+        stiffness[0, 0] += k
         drift = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -frame.damping]])
         with warnings.catch_warnings():
             # Where a motion is not damped at all; the answer is then of no distribution.

@@ -74,7 +74,7 @@ def test_a_chain_is_one_matrix():
         assert product[n] == pytest.approx(expected, abs=1e-9)
         X = rng.normal(size=(3, size))
         from_right = applied_from_right(X, chain.forced[n], chain.size(n - 1))
-        same = X @ chain.blocks(-1, np.float64)[n - 1].toarray()
+        same = X @ chain.blocks(chain.matrix, -1)[n - 1].toarray()
         assert from_right == pytest.approx(same, abs=1e-9)
 
 

@@ -87,11 +87,13 @@ class Chain:
             rows.append(sparse.csr_array((values, (row, column)), shape=shape))
         return sparse.csr_array(sparse.vstack(rows, format="csr"))
 
-    def blocks(self, away: int, kind: type) -> list[sparse.csr_array]:
-        """Return what each stage meets in the one ``away`` from it, lowest first, of a matrix."""
-        last = self.top - max(away, 0)
-        matrix = self.matrix.astype(kind, copy=False)
-        return [matrix[self.span(n), self.span(n + away)] for n in range(max(-away, 0), last + 1)]
+    def blocks(self, matrix: sparse.csr_array, away: int) -> list[sparse.csr_array]:
+        """Return the blocks of a matrix of all unknowns by which stages meet those ``away`` above.
+
+        They are lowest first, of the stages that have such a one.
+        """
+        stages = range(max(-away, 0), self.top + 1 - max(away, 0))
+        return [matrix[self.span(n), self.span(n + away)] for n in stages]
 
     def packed(self, n: int, levels: Sequence[Array]) -> Array:
         """Return the unknowns of stage n of ``levels`` (count, functions) of the whole chain."""

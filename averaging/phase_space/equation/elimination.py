@@ -228,10 +228,10 @@ def factored(
     if not shift:
         A, scale = with_mass(A, one.astype(kind, copy=False))
     inverses.insert(0, np.asarray(np.linalg.inv(A), dtype=A.dtype))
-    numbers = A.dtype.type
-    above, forced = (chain.blocks(away, numbers) for away in (1, -1))
-    both = chain.blocks(-2, numbers) if paired else []
-    return Factors(chain, inverses, above, forced, both), scale
+    matrix = chain.matrix.astype(A.dtype, copy=False)
+    above, forced = (chain.blocks(matrix, away) for away in (1, -1))
+    pairs = chain.blocks(matrix, -2) if paired else []
+    return Factors(chain, inverses, above, forced, pairs), scale
 
 
 def inverted(A: Array, cuts: Sequence[int]) -> Array:

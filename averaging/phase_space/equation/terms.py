@@ -49,25 +49,14 @@ class Term:
     degrees: Array | float
     functions: Array | None = None
 
-    def add_to(self, out: Array, X: Array) -> None:
-        """Add the term times X (unknowns, columns) to ``out`` (equations, columns)."""
-        part = X[self.of.span].reshape(self.of.count, self.of.functions, -1)
-        if self.functions is not None:
-            part = np.matmul(self.functions.astype(X.real.dtype, copy=False), part)
-        common = min(part.shape[1], self.to.functions)
-        part = part[:, :common]
-        if isinstance(self.degrees, float):
-            part = self.degrees * part
-        else:
-            part = np.tensordot(self.degrees.astype(X.real.dtype, copy=False), part, axes=1)
-        whole = out[self.to.span].reshape(self.to.count, self.to.functions, -1)
-        whole[:, :common] += part
+    def on_degrees(self) -> Array:
+        """The matrix (count, count) that acts on k."""
+        degrees = self.degrees
+        return degrees * np.eye(self.to.count) if isinstance(degrees, float) else degrees
 
     def entries(self) -> Iterator[Entries]:
         """Yield rows, columns and values of entries of the term that are not 0."""
-        to, of, degrees = self.to, self.of, self.degrees
-        if isinstance(degrees, float):
-            degrees = degrees * np.eye(to.count)
+        to, of, degrees = self.to, self.of, self.on_degrees()
         if self.functions is None:
             first = second = np.arange(min(to.functions, of.functions))[:, None]
             block = np.ones((len(first), 1))
@@ -84,9 +73,7 @@ class Term:
 
     def add_block_to(self, D: Array) -> None:
         """Add the block itself to a matrix (equations, unknowns) of the two groups."""
-        to, of, degrees = self.to, self.of, self.degrees
-        if isinstance(degrees, float):
-            degrees = degrees * np.eye(to.count)
+        to, of, degrees = self.to, self.of, self.on_degrees()
         whole = D.reshape(to.count, to.functions, of.count, of.functions)
         if self.functions is None:
             each = np.arange(min(to.functions, of.functions))
@@ -97,21 +84,14 @@ class Term:
 
 @dataclass(frozen=True, eq=False)
 class Sum:
-    """A block of many terms between all unknowns of two stages, whose sum is made to use it.
+    """A block of many terms between all unknowns of two stages.
 
-    Dense linear algebra is faster than the many small products; the matrix is not kept, as those of
-    all blocks together would fill the memory.
+    Its matrix is made to use it and not kept, as those of all blocks would fill the memory.
     """
 
     to: Group
     of: Group
     terms: Sequence[Term]
-
-    def add_to(self, out: Array, X: Array) -> None:
-        """Add the sum times X (unknowns, columns) to ``out`` (equations, columns)."""
-        A = np.zeros((self.to.size, self.of.size), X.real.dtype)
-        self.add_block_to(A)
-        out += A @ X
 
     def entries(self) -> Iterator[Entries]:
         """Yield rows, columns and values of entries of the terms."""
@@ -129,23 +109,29 @@ Terms = Sequence[Term | Sum]
 def applied(terms: Terms, X: Array, size: int) -> Array:
     """Return the matrix (``size``, unknowns) of terms times X (unknowns, columns)."""
     out = np.zeros((size, X.shape[1]), X.dtype)
-    for term in terms:
-        term.add_to(out, X)
+    for to, of, D in _dense(terms, X.dtype):
+        out[to.span] += D @ X[of.span]
     return out
 
 
 def applied_from_right(X: Array, terms: Terms, size: int) -> Array:
-    """Return X (rows, equations) times the matrix (equations, ``size``) of terms.
-
-    Terms of the same groups are to follow each other: they make one product of dense matrices.
-    """
+    """Return X (rows, equations) times the matrix (equations, ``size``) of terms."""
     out = np.zeros((X.shape[0], size), X.dtype)
-    for (to, of), same in groupby(terms, lambda term: (term.to, term.of)):
-        D = np.zeros((to.size, of.size), X.dtype)
-        for term in same:
-            term.add_block_to(D)
+    for to, of, D in _dense(terms, X.dtype):
         out[:, of.span] += X[:, to.span] @ D
     return out
+
+
+def _dense(terms: Terms, kind: np.dtype) -> Iterator[tuple[Group, Group, Array]]:
+    """Yield groups and the sum of all terms between them that follow each other, as a matrix.
+
+    Dense linear algebra is faster than small products, and the matrix of one pair of groups small.
+    """
+    for (to, of), same in groupby(terms, lambda term: (term.to, term.of)):
+        D = np.zeros((to.size, of.size), kind)
+        for term in same:
+            term.add_block_to(D)
+        yield to, of, D
 
 
 def add_matrix(A: Array, terms: Terms) -> None:
