@@ -30,8 +30,8 @@ CONVERGED = 1e-12
 """Residual, relative to the terms that cancel, of a solution in double precision: it has 1e-15."""
 MOST_REFINEMENTS = 20
 """Corrections by the residual; each takes the error down by the error of the elimination."""
-REFINED = 1e-11
-"""Relative change that the next correction would make, at which there is none."""
+REFINED = 1e-13
+"""Residual, in the same units, at which there is no other correction."""
 CORRECTED, VECTORS = 1e-4, 30
 """Residual, relative to the one before, that a correction by a Krylov space leaves, in which single
 precision has not yet its say, and the vectors of the space at the most."""
@@ -162,7 +162,7 @@ def _refined(factors: Factors, given: Array, one: Array) -> tuple[list[Array], f
     right = np.zeros(chain.ends[-1])
     right[: one.size] = given
     A, M = (LinearOperator(2 * right.shape, f, dtype=float) for f in (times, factors.solve))
-    u, rest, before = np.zeros(right.size), right, 2.0
+    u, rest, before, magnitude = np.zeros(right.size), right, 2.0, abs(matrix)
     for _ in range(MOST_REFINEMENTS):
         # Where single precision is too coarse the corrections grow out of its range.
         with np.errstate(over="ignore", invalid="ignore"):
@@ -173,12 +173,13 @@ def _refined(factors: Factors, given: Array, one: Array) -> tuple[list[Array], f
             u = u + change
             rest = right - times(u)
             changed = float(np.linalg.norm(change) / np.linalg.norm(u))
-        if not changed < before or changed**2 < REFINED * before:
+        # The terms of the function 1 are those in the equation of the mass.
+        size = max(np.max(magnitude @ np.abs(u)), np.max(np.abs(given)))
+        residual = float(np.max(np.abs(rest)) / size)
+        if not changed < before or residual <= REFINED:
             break
         before = changed
-    # The terms of the function 1 are those in the equation of the mass.
-    size = max(np.max(abs(matrix) @ np.abs(u)), float(np.max(np.abs(given))))
-    return chain.split(u), float(np.max(np.abs(rest))) / size
+    return chain.split(u), residual
 
 
 def with_mass(A: Array, one: Array) -> tuple[Array, float]:
