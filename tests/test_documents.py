@@ -15,13 +15,13 @@ from averaging.phase_space import refinement
 from averaging.phase_space.dynamics import resolvent
 from averaging.phase_space.passage import first_passage, mesh
 from cases.commands.app import app
-from cases.comparison import answering, claims, compare
+from cases.comparison import answering, claims
 from cases.comparison.routes import listed_routes
 from cases.output import vtk
 from cases.scene import schema
 from cases.studies.sweep import reference
 from fpk import clearance, damping
-from sim import checkpoint, step_size, substeps
+from sim import checkpoint, diagnostics, step_size, substeps
 from sim.motion import correlation, failure_times, spectrum
 from sim.splitting import estimate
 
@@ -127,7 +127,7 @@ CONSTANTS = {
         f"clearance > {clearance.CLEARANCE_RULE:g} rms",
     ),
     "command-line.md": (
-        f"at a false-alarm rate of {short(compare.FALSE_ALARMS)} an observable",
+        f"at a false-alarm rate of {short(diagnostics.FALSE_ALARMS)} an observable",
         f"to {short(PhaseSpace().tol)} by default",
         f"for `phase-space` {DYNAMICS} and {short(phase_space.RELAXATION_TOL)} if left out",
         f"to {short(first_passage.TOL)} (H) or"

@@ -25,14 +25,12 @@ from fpk.density import AnyDensity, Density, l1_distance
 from fpk.method import Result
 from fpk.route import Route
 from fpk.sampled_density import SampledDensity
+from sim.diagnostics import FALSE_ALARMS
 
 Measures = Literal["numerical", "sampling", "averaging"]
 
 Norm = Literal["L1", "relative", "absolute"]
 """How a difference is measured: of densities in L1, of numbers relative to the second or not."""
-
-FALSE_ALARMS = 1e-4
-"""How often a right simulation may be called wrong, chosen before anything was compared."""
 
 SIGN_DRAWS, SIGN_SEED = 2000, 20040808
 """Draws of the wild bootstrap and their seed: the same histogram always gets the same band."""
@@ -42,7 +40,7 @@ BINS_1D, BINS_2D = 128, 32
 
 WithError = tuple[AnyDensity, float, float]
 """A density as it is compared, a histogram in joined bins; its expected and its largest L1 error by
-chance or by numerics, the latter exceeded in 1e-4."""
+chance or by numerics, the latter exceeded in ``FALSE_ALARMS``."""
 
 ROUND_OFF = -float(np.log(np.finfo(float).eps) * np.finfo(float).eps)
 """Least L1 error of a function: it is an exponential, whose exponent reaches −log(eps) before it
@@ -170,7 +168,7 @@ def what_is_measured(a: Route, b: Route, *, averaging_is_exact: bool) -> Measure
 
 
 def distance_between(a: AnyDensity, b: AnyDensity) -> tuple[float, float, float]:
-    """Return ∫|p_a − p_b|, its expectation were both right, and what it then exceeds in 1e-4."""
+    """Return ∫|p_a − p_b|, its expectation were both right, and what it exceeds by chance."""
     return _distance(_with_error(a), _with_error(b))
 
 
@@ -187,7 +185,7 @@ def _distance(a: WithError, b: WithError) -> tuple[float, float, float]:
 
 
 def chance_l1(sampled: SampledDensity) -> tuple[float, float]:
-    """Return the mean of ∫|p_sampled − p_true| by chance alone, and what it exceeds in 1e-4.
+    """Return the mean of ∫|p_sampled − p_true| by chance, and what it exceeds in ``FALSE_ALARMS``.
 
     Wild bootstrap: random signs on the deviations of the independent batches keep the correlation
     of neighbouring bins. The quantile is that of Student's t for the number of batches, corrected

@@ -13,13 +13,7 @@ from math import isfinite
 import numpy as np
 from scipy.special import stdtrit
 
-from cases.comparison.compare import (
-    FALSE_ALARMS,
-    ROUND_OFF,
-    Comparison,
-    discrepancies,
-    measured_between,
-)
+from cases.comparison.compare import ROUND_OFF, Comparison, discrepancies, measured_between
 from cases.comparison.quantity import (
     UPCROSSING,
     Definition,
@@ -35,6 +29,7 @@ from fpk.route import Route
 from fpk.sampled_density import ErrorKind
 from fpk.system import System
 from fpk.upcrossings import upcrossings
+from sim.diagnostics import FALSE_ALARMS
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
-from cases.comparison.compare import FALSE_ALARMS, ROUND_OFF, Norm
+from cases.comparison.compare import ROUND_OFF, Norm
 from fpk.arrays import Array
 from fpk.evolution import Passage, Transient
+from sim.diagnostics import FALSE_ALARMS
 
 BATCHES = 32
 """Least number of independent batches from which a sample's standard error is estimated."""

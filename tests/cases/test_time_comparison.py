@@ -11,7 +11,6 @@ import pytest
 
 from cases.comparison import answering, time_distances
 from cases.comparison.answering import replies_of
-from cases.comparison.compare import FALSE_ALARMS
 from cases.comparison.in_time import Given, Replies
 from cases.comparison.routes import method_for, register_routes
 from cases.comparison.run import run_scene
@@ -31,6 +30,7 @@ from fpk.method import Method, silent
 from fpk.number import Number
 from fpk.route import ROUTES
 from fpk.start import REST
+from sim.diagnostics import FALSE_ALARMS
 
 register_routes()
 CIR = load_scene("cir")
@@ -110,8 +110,8 @@ def test_a_right_simulation_is_rarely_called_wrong(expected):
             "{}", exact.times, time_distances._survivals(*pair), (False, True), "absolute", True
         )
         wrong += row[2] > row[4]
-    # Of 4000 draws at FALSE_ALARMS 0.4 are expected; 4 or more have a chance below 1e-3.
-    assert wrong < 4 and draws * FALSE_ALARMS < 0.5
+    # Of 4000 draws at FALSE_ALARMS 0.004 are expected; 2 or more have a chance below 1e-5.
+    assert wrong < 2 and draws * FALSE_ALARMS < 0.005
 
 
 def test_a_start_that_all_survive_leaves_the_bands_of_later_times_as_they_are():
