@@ -8,12 +8,12 @@ from averaging.phase_space.equation.frame import Frame
 
 TOP_LEVELS = 4
 """Highest levels whose size is that of what the levels above them would have."""
-LARGE, NEGLIGIBLE = 0.5, 0.02
+LARGE, NEGLIGIBLE = 0.5, 0.2
 """Size of the highest degrees in the others, relative to that of the highest levels, from which the
-degree in the others rises by a whole step, and below which it does not rise. On Fig. 6 with other
-stops the densities changed with the degree in the others by 0.04 to 2.6 of what they changed by
-with the level at sizes beyond 0.5, and by 0.003 or less at 0.004, where a near stiff stop turns the
-contact mass round much faster than the others move."""
+degree in the others rises by a whole step, and below which it does not rise. On Fig. 6 with eight
+other stops two degrees more in the others changed densities by 0.03 or less of what ten levels more
+changed them by at sizes below 0.2, by 0.25 or less below 0.5, and by 0.07 to 4.6 beyond. It is
+small where a near stiff stop turns the contact mass round much faster than the others move."""
 
 
 def fitting(frame: Frame) -> Degrees:

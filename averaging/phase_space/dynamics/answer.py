@@ -9,7 +9,15 @@ import numpy as np
 from averaging.phase_space.equation.elimination import Expansion
 from averaging.phase_space.equation.frame import Frame, Reference
 from averaging.phase_space.moments import moments
-from averaging.phase_space.refinement import ROUND_OFF, Ladder, cost, falling, ladders, refusal
+from averaging.phase_space.refinement import (
+    ROUND_OFF,
+    Ladder,
+    cost,
+    falling,
+    kept,
+    ladders,
+    refusal,
+)
 from fpk.arrays import Array, Complexes
 from fpk.method import Progress
 from fpk.observable import Observable
@@ -102,7 +110,7 @@ def adapted(
             return replace(answer, limit=limit)
         last = compare(ladder, options.progress)
         own = float(np.max(last.distance / last.scale))
-        fall = falling(own, fall)
+        fall = falling(own, fall, kept(frame))
         factor = fall.error / own if own > 0.0 else 0.0
         errors = factor * last.distance + last.added + ROUND_OFF * last.scale
         answer = Answer(last, ladder, np.broadcast_to(errors, last.distance.shape), "")
