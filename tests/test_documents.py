@@ -154,6 +154,8 @@ CONSTANTS = {
         f"r at least {refinement.SLOWEST}",
         f"and {refinement.FIRST * refinement.SAFETY:g} d after two solutions",
         f"less than {refinement.KEPT} of the one before",
+        f"a damping ratio below {refinement.LIGHT} it is not",
+        f"less than {refinement.KEPT_WHERE_LIGHT} of the one before",
         f"{refinement.COMMON} of the largest",
         f"with |g| at least {short(resolvent.SEEN)} of the whole",
         f"Velocities are followed {mesh.BEYOND} kicks of noise",

@@ -18,7 +18,7 @@ one displacement is about 0.001."""
 REFERENCE_TOL = 2e-4
 """L1 error wanted of a reference that is not sampled: a fifth of what the simulation leaves."""
 SHARE = 3.5
-"""Work that such a reference may take, over what it takes unasked elsewhere: a minute at the most."""
+"""Work that such a reference may take, over what it takes unasked elsewhere: a minute."""
 
 
 def settings_of(simulation: MonteCarlo) -> Record:
