@@ -268,7 +268,7 @@ def test_simulations_of_random_systems_agree_and_of_other_terms_do_not(seed):
     first, *others = system.damping_terms
     stronger = (replace(first, coefficient=4.0 * first.coefficient), *others)
     for other, agrees in ((system, True), (replace(system, damping_terms=stronger), False)):
-        sampled = MonteCarlo(seconds=4.0, seed=seed, tol=1e-6).solve(other, observables)
+        sampled = MonteCarlo(seconds=10.0, seed=seed, tol=1e-6).solve(other, observables)
         comparisons = compared([answer, sampled], averaging_is_exact=False)
         assert len(comparisons) == 2
         assert all(c.holds for c in comparisons) == agrees
