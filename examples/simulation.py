@@ -3,7 +3,7 @@ Simulation of the full system
 =============================
 
 Trajectories of Eq. (6), sampled: a density by simulation beside the exact one. What separates them
-is chance, and is judged at a false-alarm rate of one in a million.
+is chance, and is judged at a false-alarm rate of 1e-6.
 """
 
 from dataclasses import replace

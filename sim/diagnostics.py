@@ -23,7 +23,7 @@ LEAST_BURN_IN = 5.0
 """Autocorrelation times τ that a burn-in must have: e^−5 of a start is 0.7 % of its distance."""
 
 FALSE_ALARMS = 1e-6
-"""How often a right simulation may be called wrong: in one observable, or of all that may drift.
+"""Probability that a right simulation is called wrong, in one observable or of all that may drift.
 
 A verification judges thousands of comparisons, and one false alarm ends it with an error."""
 

@@ -125,6 +125,7 @@ CONSTANTS = {
         f"| degree of a damping term | {damping.MOST_POWERS}, an energy counting 2 |",
         f"by plain simulation | {answering.LEAST_FAILURES:g} failures of the paths expected |",
         f"clearance > {clearance.CLEARANCE_RULE:g} rms",
+        f"at a false-alarm rate of {short(diagnostics.FALSE_ALARMS)}.",
     ),
     "command-line.md": (
         f"at a false-alarm rate of {short(diagnostics.FALSE_ALARMS)} an observable",
@@ -139,6 +140,7 @@ CONSTANTS = {
     ),
     "cluster.md": (f"Every {checkpoint.INTERVAL:g} seconds of a simulation",),
     "scene.md": (
+        f"(a false-alarm rate of {short(diagnostics.FALSE_ALARMS)}, over all times)",
         f"up to {schema.MOST_QUESTIONS} of each",
         f"up to {schema.MOST_LEVELS} levels a coordinate",
         f"their sum is at most {damping.MOST_POWERS} (an energy counts two)",

@@ -12,8 +12,8 @@ LARGE, NEGLIGIBLE = 0.5, 0.2
 """Size of the highest degrees in the others, relative to that of the highest levels, from which the
 degree in the others rises by a whole step, and below which it does not rise. On Fig. 6 with eight
 other stops two degrees more in the others changed densities by 0.03 or less of what ten levels more
-changed them by at sizes below 0.2, by 0.25 or less below 0.5, and by 0.07 to 4.6 beyond. It is
-small where a near stiff stop turns the contact mass round much faster than the others move."""
+changed them by at sizes below 0.2, by 0.25 or less below 0.5, and by 0.07 to 4.6 beyond. The
+size is small where a near stiff stop turns the contact mass round faster than the others move."""
 
 
 def fitting(frame: Frame) -> Degrees:
@@ -61,7 +61,7 @@ def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
 
 
 def rise_of(e: Expansion) -> int:
-    """Return by how much the degree in the others is to rise: 2, 1 or 0 where nothing is there."""
+    """Return by how much the degree in the others is to rise: 2, 1 or 0 where little is there."""
     edge = np.concatenate([o.counted for o in e.others]) == e.degrees.others
     others = float(np.sqrt(sum(np.sum(u[edge[: len(u)]] ** 2) for u in e.levels)))
     return sum(others > share * size_of_top(e) for share in (LARGE, NEGLIGIBLE))

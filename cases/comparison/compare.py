@@ -168,7 +168,7 @@ def what_is_measured(a: Route, b: Route, *, averaging_is_exact: bool) -> Measure
 
 
 def distance_between(a: AnyDensity, b: AnyDensity) -> tuple[float, float, float]:
-    """Return ∫|p_a − p_b|, its expectation were both right, and what it exceeds by chance."""
+    """Return ∫|p_a − p_b|, its mean were both right, and what it exceeds in ``FALSE_ALARMS``."""
     return _distance(_with_error(a), _with_error(b))
 
 

@@ -1,7 +1,7 @@
 """The unreduced equation against exact densities, exact moments and identities."""
 
 from dataclasses import replace
-from itertools import islice, pairwise
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,20 +10,18 @@ import fpk
 from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.integrable import Integrable
-from averaging.phase_space import refinement
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import LEAF, expanded, inverted
 from averaging.phase_space.equation.frame import Reference, contact_frame, gibbs_reference
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.moments import moments
-from averaging.phase_space.refinement import ladders, least_distance
+from averaging.phase_space.refinement import least_distance
 from averaging.phase_space.start import start
 from cases.comparison.compare import compared
 from fpk.density import l1_distance
-from fpk.errors import NotApplicable, NotCertified
+from fpk.errors import NotApplicable
 from fpk.linear import stationary_covariance
-from fpk.method import silent
 from fpk.observable import Coordinate, parse_observable
 from fpk.quadrature import gauss_grid, integral
 from sim.montecarlo import MonteCarlo
@@ -358,120 +356,3 @@ def replaced(system, contact):
         system.noise_intensity,
         contacts=(contact,),
     )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("seed", "count", "coldest"), [(20261124, 24, 0.3), (20261125, 16, 0.05)])
-def test_errors_of_random_systems_are_within_the_stated_ones_of_a_finer_solution(
-    seed, count, coldest
-):
-    """Other systems than those by which the factor on the error was chosen."""
-    rng = np.random.default_rng(seed)
-    observables = [parse_observable(o, 2) for o in ("q1", "q2", "p1", "p2")]
-    above = []
-    for number in range(count):
-        system, _ = drawn(rng, coldest=coldest)
-        frame = contact_frame(system)
-        *coarser, finer = islice(
-            ladders(
-                frame,
-                observables,
-                wanted=np.inf,
-                work=2e11,
-                threads=1,
-                progress=silent,
-                reference=None,
-            ),
-            4,
-        )
-        for ladder in coarser:
-            for o in observables:
-                panels, pdf = marginal(frame, ladder.finest, o)
-                mesh, grids = gauss_grid(panels)
-                _, right = marginal(frame, finer.finest, o)
-                error = integral(np.abs(pdf(*mesh) - right(*mesh)), grids)
-                if error > ladder.errors[o]:
-                    above.append((number, ladder.solutions, o, error / ladder.errors[o]))
-    assert not above
-
-
-@pytest.mark.slow
-def test_errors_of_figure_6_are_within_the_stated_ones_where_distances_no_longer_fall():
-    system = fpk.System(**FIG6, noise_intensity=[0.01, 0.02], contacts=(STOP,))
-    observables = [parse_observable(o, 2) for o in ("q1", "q2", "p1", "p2")]
-    *coarser, finest = ladders(
-        contact_frame(system),
-        observables,
-        wanted=np.inf,
-        work=1.2e13,
-        threads=None,
-        progress=silent,
-        reference=None,
-    )
-    assert finest.finest.degrees.total >= 47
-    for ladder in coarser:
-        for o in observables:
-            panels, pdf = marginal(ladder.frame, ladder.finest, o)
-            mesh, grids = gauss_grid(panels)
-            _, right = marginal(ladder.frame, finest.finest, o)
-            error = integral(np.abs(pdf(*mesh) - right(*mesh)), grids)
-            assert error <= ladder.errors[o], (ladder.finest.degrees, o, error / ladder.errors[o])
-
-
-def lighter(B, clearance, factor):
-    """Fig. 6 with other stops, damping and noise divided by ``factor``."""
-    stop = fpk.Contact(mass=2, side="both", stiffness=B, clearance=clearance)
-    damping, noise = np.array([0.08, 0.04]) / factor, np.array([0.01, 0.02]) / factor
-    return contact_frame(fpk.System([1, 1], [1, 1], damping, noise, contacts=(stop,)))
-
-
-def test_where_damping_is_light_one_small_distance_says_less():
-    one = contact_frame(fpk.System([1], [1], [0.6], [0.3]))
-    assert refinement.kept(one) == refinement.kept(lighter(10.0, 0.5, 1.0)) == 0.25
-    light = refinement.kept(lighter(10.0, 0.5, 10.0))
-    assert light == 0.6
-    first = refinement.falling(1e-3, None, light)
-    # Distances that are believed to fall by 1/0.6 leave 1/(1/0.6 − 1) = 1.5 of the last one.
-    second = refinement.falling(1e-5, first, light)
-    assert second.distance == pytest.approx(6e-4)
-    assert second.error == pytest.approx(1.5 * refinement.SAFETY * 6e-4)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("B", "clearance"), [(1.0, 0.1), (10.0, 0.3), (1.0, 1.5)])
-def test_errors_with_light_damping_are_within_the_stated_ones_of_a_finer_solution(B, clearance):
-    observables = [parse_observable(o, 2) for o in ("q1", "q2", "p1", "p2")]
-    *coarser, finest = ladders(
-        lighter(B, clearance, 10.0),
-        observables,
-        wanted=np.inf,
-        work=2.2e12,
-        threads=None,
-        progress=silent,
-        reference=None,
-    )
-    assert len(coarser) >= 3
-    for ladder in coarser:
-        for o in observables:
-            error = refinement._distance(ladder.frame, ladder.finest, finest.finest, o)
-            assert error <= ladder.errors[o], (ladder.finest.degrees, o, error / ladder.errors[o])
-
-
-@pytest.mark.parametrize("unsolved", [1, 3])
-def test_a_solution_whose_equations_are_not_solved_is_not_used(unsolved, monkeypatch):
-    made, solved = [], refinement.expanded
-
-    def failing(*given, **options):
-        made.append(solved(*given, **options))
-        return replace(made[-1], residual=np.nan) if len(made) == unsolved else made[-1]
-
-    monkeypatch.setattr(refinement, "expanded", failing)
-    system = fpk.System(**FIG6, noise_intensity=[0.01, 0.02], contacts=(STOP,))
-    if unsolved == 1:
-        with pytest.raises(NotCertified, match="equations of degree 17 are not solved"):
-            PhaseSpace(tol=1e-6).solve(system, [parse_observable("q2", 2)])
-        return
-    result = PhaseSpace(tol=1e-6).solve(system, [parse_observable("q2", 2)])
-    assert result.settings["highest degree"] == made[1].degrees.total
-    (why,) = [f for f in result.densities[0].certificate.failures if "not solved" in f]
-    assert "the equations of degree 29 are not solved" in why

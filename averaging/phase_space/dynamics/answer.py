@@ -102,6 +102,9 @@ def adapted(
     ):
         if max(ladder.errors.values()) > options.tol and not ladder.limit:
             continue
+        if answer is not None and ladder.finest is answer.ladder.finest:
+            # No finer one could be solved.
+            return replace(answer, limit=ladder.limit)
         e = ladder.finest
         size, work = cost(frame, e.basis.reference, e.degrees, number=number)
         # A product of complex numbers takes four of real ones.

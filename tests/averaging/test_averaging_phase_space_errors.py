@@ -1,0 +1,142 @@
+"""Stated errors of the unreduced equation against finer solutions, and what ends the solutions."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+from test_averaging_phase_space import FIG6, STOP, drawn
+
+import fpk
+from averaging.phase_space import refinement
+from averaging.phase_space.dynamics import answer
+from averaging.phase_space.equation.frame import contact_frame
+from averaging.phase_space.method import PhaseSpace
+from averaging.phase_space.refinement import Ladder, ladders
+from fpk.errors import NotCertified
+from fpk.method import silent
+from fpk.observable import parse_observable
+
+SINGLE = [parse_observable(o, 2) for o in ("q1", "q2", "p1", "p2")]
+SYSTEM = fpk.System(**FIG6, noise_intensity=[0.01, 0.02], contacts=(STOP,))
+
+
+def lighter(B, clearance, factor):
+    """Fig. 6 with other stops, damping and noise divided by ``factor``."""
+    stop = fpk.Contact(mass=2, side="both", stiffness=B, clearance=clearance)
+    damping, noise = np.array([0.08, 0.04]) / factor, np.array([0.01, 0.02]) / factor
+    return fpk.System([1, 1], [1, 1], damping, noise, contacts=(stop,))
+
+
+def solutions(system, work, *, threads=None) -> Iterator[Ladder]:
+    """Solutions of rising degrees, whatever their errors."""
+    return ladders(
+        contact_frame(system),
+        SINGLE,
+        wanted=np.inf,
+        work=work,
+        threads=threads,
+        progress=silent,
+        reference=None,
+    )
+
+
+def understated(coarser, finest):
+    """Where the distance to the finest solution is more than the stated error, and how much."""
+    return [
+        (ladder.finest.degrees, o, error / ladder.errors[o])
+        for ladder in coarser
+        for o in SINGLE
+        if (error := refinement._distance(ladder.frame, ladder.finest, finest.finest, o))
+        > ladder.errors[o]
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "count", "coldest"), [(20261124, 24, 0.3), (20261125, 16, 0.05)])
+def test_errors_of_random_systems_are_within_the_stated_ones(seed, count, coldest):
+    """Other systems than those by which the factor on the error was chosen."""
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        *coarser, finest = islice(solutions(drawn(rng, coldest=coldest)[0], 2e11, threads=1), 4)
+        assert len(coarser) >= 2 and not understated(coarser, finest)
+
+
+@pytest.mark.slow
+def test_errors_of_figure_6_are_within_the_stated_ones_where_distances_no_longer_fall():
+    *coarser, finest = solutions(SYSTEM, 1.2e13)
+    assert finest.finest.degrees.total >= 47
+    assert not understated(coarser, finest)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("B", "clearance", "factor"), [(1.0, 0.1, 10), (10.0, 0.3, 10), (1.0, 1.5, 10), (10.0, 1.0, 2)]
+)
+def test_errors_with_light_damping_are_within_the_stated_ones(B, clearance, factor):
+    """With a tenth of the damping, and with half of it, which is not yet light."""
+    *coarser, finest = solutions(lighter(B, clearance, factor), 2.2e12)
+    assert len(coarser) >= 3
+    assert not understated(coarser, finest)
+
+
+def test_where_damping_is_light_one_small_distance_says_less():
+    one = contact_frame(fpk.System([1], [1], [0.6], [0.3]))
+    half, light = (refinement.kept(contact_frame(lighter(10.0, 0.5, x))) for x in (2, 10))
+    assert refinement.kept(one) == half == 0.25 and light == 0.6
+    first = refinement.falling(1e-3, None, light)
+    # Distances that are believed to fall by 1/0.6 leave 1/(1/0.6 − 1) = 1.5 of the last one.
+    second = refinement.falling(1e-5, first, light)
+    assert second.distance == pytest.approx(6e-4)
+    assert second.error == pytest.approx(1.5 * refinement.SAFETY * 6e-4)
+
+
+@pytest.fixture
+def failing(monkeypatch):
+    """Makes the equations of one solution, counted from 1, unsolved; returns all that are made."""
+
+    def at(number):
+        made, solved = [], refinement.expanded
+
+        def expanded(*given, **options):
+            made.append(solved(*given, **options))
+            return replace(made[-1], residual=np.nan) if len(made) == number else made[-1]
+
+        monkeypatch.setattr(refinement, "expanded", expanded)
+        return made
+
+    return at
+
+
+@pytest.mark.parametrize(("number", "degree"), [(1, 17), (2, 23)])
+def test_without_two_solutions_whose_equations_are_solved_there_is_no_answer(
+    number, degree, failing
+):
+    failing(number)
+    with pytest.raises(NotCertified, match=f"equations of degree {degree} are not solved"):
+        PhaseSpace(tol=1e-6).solve(SYSTEM, SINGLE)
+
+
+def test_a_solution_whose_equations_are_not_solved_is_not_used(failing):
+    made = failing(3)
+    result = PhaseSpace(tol=1e-6).solve(SYSTEM, SINGLE)
+    assert result.settings["highest degree"] == made[1].degrees.total
+    (why,) = [f for f in result.densities[0].certificate.failures if "not solved" in f]
+    assert why == f"the equations of degree {made[2].degrees.total} are not solved"
+
+
+def test_crossings_end_with_the_last_solution_whose_equations_are_solved(failing, monkeypatch):
+    compared, falling = [], answer.falling
+    monkeypatch.setattr(answer, "falling", lambda *given: compared.append(given) or falling(*given))
+    one = fpk.System([1], [1], [0.6], [0.3], contacts=(replace(STOP, mass=1),))
+    q1, at = parse_observable("q1", 1), np.array([0.0, 0.5])
+    whole = PhaseSpace().crossings(one, q1, at, tol=1e-15)
+    solved = int(whole.settings["solutions"])
+    every = len(compared)
+    failing(solved)
+    before = PhaseSpace().crossings(one, q1, at, tol=1e-15)
+    assert before.settings["highest degree"] < whole.settings["highest degree"]
+    assert any("are not solved" in f for f in before.certificate.failures)
+    # No two solutions are compared twice, which would look as if distances no longer fell.
+    assert len(compared) - every == every - 1
