@@ -126,17 +126,17 @@ def test_a_solution_whose_equations_are_not_solved_is_not_used(failing):
     assert why == f"the equations of degree {made[2].degrees.total} are not solved"
 
 
-def test_crossings_end_with_the_last_solution_whose_equations_are_solved(failing, monkeypatch):
-    compared, falling = [], answer.falling
-    monkeypatch.setattr(answer, "falling", lambda *given: compared.append(given) or falling(*given))
-    one = fpk.System([1], [1], [0.6], [0.3], contacts=(replace(STOP, mass=1),))
-    q1, at = parse_observable("q1", 1), np.array([0.0, 0.5])
-    whole = PhaseSpace().crossings(one, q1, at, tol=1e-15)
-    solved = int(whole.settings["solutions"])
-    every = len(compared)
-    failing(solved)
-    before = PhaseSpace().crossings(one, q1, at, tol=1e-15)
-    assert before.settings["highest degree"] < whole.settings["highest degree"]
-    assert any("are not solved" in f for f in before.certificate.failures)
+def test_an_answer_ends_with_the_last_solution_whose_equations_are_solved(failing):
+    made, compared = failing(4), []
+
+    def compare(ladder, progress):
+        compared.append(ladder.finest)
+        return answer.Compared(np.ones(1), np.array([0.1 ** len(compared)]), np.ones(1))
+
+    options = answer.Options(1e-2, silent, refinement.WORK, None, None)
+    found = answer.adapted(contact_frame(SYSTEM), SINGLE, compare, options)
     # No two solutions are compared twice, which would look as if distances no longer fell.
-    assert len(compared) - every == every - 1
+    assert compared == made[1:3] and found.ladder.finest is made[2]
+    assert found.limit == f"the equations of degree {made[3].degrees.total} are not solved"
+    # A fall by ten is believed to be one by four.
+    assert found.errors == pytest.approx(refinement.SAFETY * refinement.KEPT * 0.1, rel=1e-6)
