@@ -59,8 +59,8 @@ def test_errors_of_random_systems_are_within_the_stated_ones(seed, count, coldes
     """Other systems than those by which the factor on the error was chosen."""
     rng = np.random.default_rng(seed)
     for _ in range(count):
-        *coarser, finest = islice(solutions(drawn(rng, coldest=coldest)[0], 2e11, threads=1), 4)
-        assert len(coarser) >= 2 and not understated(coarser, finest)
+        *coarser, finest = islice(solutions(drawn(rng, coldest=coldest)[0], 8e11, threads=1), 4)
+        assert coarser and not understated(coarser, finest)
 
 
 @pytest.mark.slow
