@@ -18,17 +18,12 @@ from averaging.phase_space.equation.frame import Frame, Reference, contact_frame
 from averaging.phase_space.growth import finer, lowest
 from averaging.phase_space.identities import identities
 from averaging.phase_space.passage.first_passage import first_passage
-from averaging.phase_space.refinement import (
-    WORK,
-    cost,
-    refusal,
-    solved_to,
-)
+from averaging.phase_space.refinement import MEMORY, Bounds, cost, solved_to
 from averaging.theory import Theory
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify, tolerance
 from fpk.dynamics import Curve, Question, Rates, StationaryMotionMethod, certified_curve
-from fpk.errors import NotApplicable, NotCertified
+from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.evolution import Passage
 from fpk.limit import Limit
 from fpk.method import Plan, Progress, Result, silent
@@ -61,9 +56,10 @@ class PhaseSpace(StationaryMotionMethod, Theory):
     noise and damping, damping terms as far as memory and work allow. ``tol`` is the L1 error
     wanted of each density; degrees rise until the estimate meets it; where memory or the highest
     degree ends them first, the certificate says so. ``accepted`` is the largest error that is
-    certified where it ends them, None: ``tol``. ``work`` bounds the operations of one
-    solution. ``threads`` of linear algebra, None: all cores; where others use them, too, threads
-    wait for each other and take ten times as long.
+    certified where it ends them, None: ``tol``. ``memory`` bounds one solution, in GB, and
+    ``work`` its operations, None: what goes with the memory, a minute on two cores for 4 GB.
+    ``threads`` of linear algebra, None: all cores; where others use them, too, threads wait for
+    each other and take ten times as long.
     ``reference`` is where the expansion starts, for tests of its independence; None: ``start``. ::
 
         fpk.solve(system, ["q2", "q2,p2"], methods=[PhaseSpace(tol=1e-3)])
@@ -82,12 +78,19 @@ class PhaseSpace(StationaryMotionMethod, Theory):
     solver: str = "hermite"
     tol: float = 1e-4
     accepted: float | None = None
-    work: float = WORK
+    memory: float = MEMORY
+    work: float | None = None
     threads: int | None = None
     reference: Reference | None = None
     method = "phase-space"
     solvers = (("hermite", "full FPK equation, Hermite expansion", "(6)"),)
     colour = "#5e02e0"
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown solver, a tolerance that cannot be met, and no memory."""
+        super().__post_init__()
+        if not 0.0 < self.memory < inf:
+            raise InvalidInput("memory", self.memory, "use a positive number of GB")
 
     def unasked(self, system: System, *, share: float = 1.0) -> Self:
         """Return the method with work for seconds; refuse where the full density is known."""
@@ -103,7 +106,7 @@ class PhaseSpace(StationaryMotionMethod, Theory):
             self,
             tol=max(self.tol, UNASKED_TOL),
             accepted=max(self.tol, UNASKED_ACCEPTED),
-            work=min(self.work, share * UNASKED_WORK),
+            work=min(self._bounds.work, share * UNASKED_WORK),
             threads=self.threads or 1,
         )
 
@@ -120,7 +123,7 @@ class PhaseSpace(StationaryMotionMethod, Theory):
                     observables,
                     tol=self.tol,
                     accepted=self.accepted,
-                    work=self.work,
+                    bounds=self._bounds,
                     threads=self.threads,
                     progress=progress,
                     reference=self.reference,
@@ -214,8 +217,12 @@ class PhaseSpace(StationaryMotionMethod, Theory):
         """Return the first passage of one mass, by finite elements of the backward equation."""
         return first_passage(system, limit, start, times, tol=tol, progress=progress)
 
+    @property
+    def _bounds(self) -> Bounds:
+        return Bounds.of(self.memory, self.work)
+
     def _options(self, tol: float, progress: Progress) -> Options:
-        return Options(tol, progress, self.work, self.threads, self.reference)
+        return Options(tol, progress, self._bounds, self.threads, self.reference)
 
     def _frame(self, system: System) -> Frame:
         """Return the frame; raise ``NotApplicable`` where the expansion is not for the system."""
@@ -228,7 +235,7 @@ class PhaseSpace(StationaryMotionMethod, Theory):
         about = gibbs_reference(frame)
         if system.damping_terms:
             needed = cost(frame, about, finer(frame, lowest(frame), 0))
-            if words := refusal(*needed, most=self.work):
+            if words := self._bounds.refusal(*needed):
                 raise NotApplicable(f"the damping terms are of too high a degree: {words}")
         return frame
 

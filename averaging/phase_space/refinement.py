@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -44,10 +45,10 @@ ROUND_OFF = 1e-11
 MOST_OUTER = 90
 """Polynomials on a panel up to which its Gauss points keep them orthonormal: with 88 to 6e-11, with
 100 to 2e-4, as they are none of a polynomial beyond a stop."""
-MEMORY = 4.0e9
-"""Bytes that a solution may need; one that needs more is not begun."""
+MEMORY = 4.0
+"""GB (1e9 bytes) that a solution may need where nobody allows more."""
 WORK = 1.2e13
-"""Operations that a solution may need, about a minute on two cores; likewise."""
+"""Operations that a solution of ``MEMORY`` may need, about a minute on two cores."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +78,33 @@ class Ladder:
             errors={**self.errors, observable: error + ROUND_OFF},
             factors={**self.factors, observable: error / own if own > 0.0 else 0.0},
         )
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What a solution may need, or it is not begun: ``memory`` in GB (1e9 bytes), ``work``.
+
+    The work is in operations on real numbers. That of dense blocks goes with the power 3/2 of their
+    memory, and so does what is allowed with a ``memory`` alone.
+    """
+
+    memory: float
+    work: float
+
+    @classmethod
+    def of(cls, memory: float, work: float | None = None) -> Self:
+        """Return the bounds of a memory, with its own work unless it is given."""
+        return cls(memory, WORK * (memory / MEMORY) ** 1.5 if work is None else work)
+
+    def refusal(self, size: float, work: float) -> str:
+        """Say why a solution of these bytes and operations is not begun; empty where it may."""
+        if size > 1e9 * self.memory:
+            return (
+                f"a finer solution needs {size / 1e9:.2g} GB of memory, at most {self.memory:.2g}"
+            )
+        if work > self.work:
+            return f"a finer solution needs {work:.1g} operations, at most {self.work:.1g}"
+        return ""
 
 
 def cost(
@@ -130,22 +158,22 @@ def ladders(
     observables: Sequence[Observable],
     *,
     wanted: float,
-    work: float,
+    bounds: Bounds,
     threads: int | None,
     progress: Progress,
     reference: Reference | None,
 ) -> Iterator[Ladder]:
     """Yield solutions of rising degrees, each with the one before it.
 
-    The last one says what ends them: memory, more than ``work``, or that not even the L1 error
-    ``wanted`` can be met by then. ``threads`` and ``reference`` as of ``PhaseSpace``.
+    The last one says what ends them: ``bounds``, or that not even the L1 error ``wanted`` can be
+    met within them. ``threads`` and ``reference`` as of ``PhaseSpace``.
     """
     about = reference or start(frame)
 
     def why_not(degrees: Degrees) -> str:
         if degrees.outer > MOST_OUTER:
             return f"a finer solution needs more than {MOST_OUTER} functions of a displacement"
-        return refusal(*cost(frame, about, degrees), most=work)
+        return bounds.refusal(*cost(frame, about, degrees))
 
     with threadpool_limits(limits=threads or usable_cores(), user_api="blas"):
         about = fitted(frame, about)
@@ -155,7 +183,7 @@ def ladders(
         degrees, solutions, share = lowest(frame), 0, kept(frame)
         while True:
             step = steps(progress, "phase space", degrees)
-            again = cost(frame, about, degrees, number=8)[0] <= MEMORY
+            again = cost(frame, about, degrees, number=8)[0] <= 1e9 * bounds.memory
             finest = expanded(frame, about, degrees, again=again, step=step)
             if not finest.residual < CONVERGED:
                 unsolved = f"the equations of degree {degrees.total} are not solved"
@@ -186,7 +214,7 @@ def solved_to(
     *,
     tol: float,
     accepted: float | None = None,
-    work: float = WORK,
+    bounds: Bounds,
     threads: int | None = None,
     progress: Progress,
     reference: Reference | None = None,
@@ -199,7 +227,7 @@ def solved_to(
         frame,
         observables,
         wanted=accepted or tol,
-        work=work,
+        bounds=bounds,
         threads=threads,
         progress=progress,
         reference=reference,
@@ -226,15 +254,6 @@ def _out_of_reach(
             return f"the tolerance {wanted:.2g} is out of reach: {why}"
         degrees = finer(frame, degrees, 0)
         best *= share
-    return ""
-
-
-def refusal(size: float, work: float, *, most: float) -> str:
-    """Say why a solution of these bytes and operations is not begun; empty where it may."""
-    if size > MEMORY:
-        return f"a finer solution needs {size / 1e9:.2g} GB of memory, at most {MEMORY / 1e9:.2g}"
-    if work > most:
-        return f"a finer solution needs {work:.1g} operations, at most {most:.1g}"
     return ""
 
 

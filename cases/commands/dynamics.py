@@ -5,7 +5,7 @@ from typing import Any
 import click
 
 from cases.commands import parts
-from cases.commands.asking import AT, LIST, SIMULATED, TOL, Asked, asking, observed
+from cases.commands.asking import AT, LIST, MEMORY, SIMULATED, TOL, Asked, asking, observed
 from cases.scene.errors import BadInput
 
 DISPLACEMENT = (
@@ -13,6 +13,7 @@ DISPLACEMENT = (
     click.option("--at", metavar="LIST", required=True, help=f"{LIST}."),
     TOL,
     *SIMULATED,
+    MEMORY,
 )
 
 
@@ -20,6 +21,7 @@ DISPLACEMENT = (
     observed("q1.., p1.., H, H1.. or a pair a,b."),
     AT,
     parts.simulation_options,
+    MEMORY,
 )
 def density(asked: Asked, of: str, at: str) -> None:
     """Give one density at the points asked for."""
@@ -84,7 +86,11 @@ def correlation(asked: Asked, of: str, at: str) -> None:
     _curve(asked, StationaryMotionMethod, "correlation", "correlation", of, at)
 
 
-@asking(click.option("--rates", type=click.IntRange(1, 100), default=5, help="Default 5."), TOL)
+@asking(
+    click.option("--rates", type=click.IntRange(1, 100), default=5, help="Default 5."),
+    TOL,
+    MEMORY,
+)
 def relaxation(asked: Asked, rates: int) -> None:
     """Give the slowest rates at which the system forgets its past.
 

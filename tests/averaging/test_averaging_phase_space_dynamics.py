@@ -7,7 +7,6 @@ from asked import TURNED, ask
 import fpk
 from averaging.exact import Exact
 from averaging.gaussian import Linear
-from averaging.phase_space.dynamics import answer as answers
 from averaging.phase_space.dynamics import correlations, resolvent
 from averaging.phase_space.dynamics.resolvent import Generator, transforms
 from averaging.phase_space.equation.degrees import Degrees
@@ -19,6 +18,7 @@ from averaging.phase_space.equation.frame import (
     linear_part,
 )
 from averaging.phase_space.method import PhaseSpace
+from averaging.phase_space.refinement import Bounds
 from fpk.errors import NotApplicable
 from fpk.method import silent
 from fpk.observable import Coordinate, parse_observable
@@ -151,7 +151,7 @@ def test_one_elimination_serves_the_frequencies_about_its_shift(monkeypatch):
 
 def test_the_memory_that_a_spectrum_is_judged_by_holds_its_inverses(monkeypatch):
     judged, used = [], []
-    refuse, eliminate = answers.refusal, resolvent.factored
+    refuse, eliminate = Bounds.refusal, resolvent.factored
 
     def factored(*chain, **options):
         factors, scale = eliminate(*chain, **options)
@@ -160,9 +160,7 @@ def test_the_memory_that_a_spectrum_is_judged_by_holds_its_inverses(monkeypatch)
 
     monkeypatch.setattr(resolvent, "factored", factored)
     monkeypatch.setattr(
-        answers,
-        "refusal",
-        lambda size, *rest, **most: judged.append(size) or refuse(size, *rest, **most),
+        Bounds, "refusal", lambda b, size, work: judged.append(size) or refuse(b, size, work)
     )
     PhaseSpace().spectrum(
         GIBBS, (Coordinate("q", 0),), np.array([0.5, 3.0]), tol=1e-6, progress=silent

@@ -13,8 +13,8 @@ from averaging.phase_space import refinement
 from averaging.phase_space.dynamics import answer
 from averaging.phase_space.equation.frame import contact_frame
 from averaging.phase_space.method import PhaseSpace
-from averaging.phase_space.refinement import Ladder, ladders
-from fpk.errors import NotCertified
+from averaging.phase_space.refinement import WORK, Bounds, Ladder, ladders
+from fpk.errors import InvalidInput, NotCertified
 from fpk.method import silent
 from fpk.observable import parse_observable
 
@@ -35,7 +35,7 @@ def solutions(system, work, *, threads=None) -> Iterator[Ladder]:
         contact_frame(system),
         SINGLE,
         wanted=np.inf,
-        work=work,
+        bounds=Bounds.of(4.0, work),
         threads=threads,
         progress=silent,
         reference=None,
@@ -79,6 +79,19 @@ def test_errors_with_light_damping_are_within_the_stated_ones(B, clearance, fact
     *coarser, finest = solutions(lighter(B, clearance, factor), 2.2e12)
     assert len(coarser) >= 3
     assert not understated(coarser, finest)
+
+
+def test_more_memory_is_more_work_too():
+    # Dense blocks of order N take N² numbers and N³ operations.
+    assert Bounds.of(4.0) == Bounds(4.0, WORK) and Bounds.of(16.0) == Bounds(16.0, 8.0 * WORK)
+    assert Bounds.of(16.0, 1e9).refusal(1.7e10, 1.0) == (
+        "a finer solution needs 17 GB of memory, at most 16"
+    )
+    assert "2e+09 operations, at most 1e+09" in Bounds.of(16.0, 1e9).refusal(1.6e10, 2e9)
+    assert not Bounds.of(16.0, 1e9).refusal(1.6e10, 1e9)
+    for memory in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(InvalidInput, match="positive number of GB"):
+            PhaseSpace(memory=memory)
 
 
 def test_where_damping_is_light_one_small_distance_says_less():
@@ -133,7 +146,7 @@ def test_an_answer_ends_with_the_last_solution_whose_equations_are_solved(failin
         compared.append(ladder.finest)
         return answer.Compared(np.ones(1), np.array([0.1 ** len(compared)]), np.ones(1))
 
-    options = answer.Options(1e-2, silent, refinement.WORK, None, None)
+    options = answer.Options(1e-2, silent, Bounds.of(4.0), None, None)
     found = answer.adapted(contact_frame(SYSTEM), SINGLE, compare, options)
     # No two solutions are compared twice, which would look as if distances no longer fell.
     assert compared == made[1:3] and found.ladder.finest is made[2]

@@ -16,7 +16,7 @@ from averaging.phase_space.equation.frame import contact_frame, gibbs_reference,
 from averaging.phase_space.identities import force_means
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.method import PhaseSpace
-from averaging.phase_space.refinement import ladders
+from averaging.phase_space.refinement import Bounds, ladders
 from cases.comparison.compare import compared
 from fpk.density import l1_distance
 from fpk.errors import NotApplicable
@@ -287,7 +287,7 @@ def test_errors_of_random_systems_are_within_the_stated_ones_of_a_finer_solution
                     frame,
                     observables,
                     wanted=np.inf,
-                    work=work,
+                    bounds=Bounds.of(4.0, work),
                     threads=1,
                     progress=silent,
                     reference=None,

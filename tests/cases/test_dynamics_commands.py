@@ -158,14 +158,19 @@ def test_the_full_equation_answers_as_the_exact_one(command, key, at, linear_sce
     assert answers[1]["settings"]["highest_degree"] > 0
 
 
-def test_what_is_not_certified_is_said(linear_scene, fpk, monkeypatch):
-    monkeypatch.setattr("averaging.phase_space.refinement.MEMORY", 1e6)
+def test_what_is_not_certified_is_said(linear_scene, fpk):
     scene = linear_scene.parent / "contact.toml"
     stop = '[[contact]]\nmass = 2\nside = "both"\nstiffness = 10.0\nclearance = 0.5\n'
     scene.write_text(linear_scene.read_text().replace("[observe]", stop + "[observe]"))
-    status, out, err = fpk("crossings", scene, *asked("phase-space"), "--tol", "1e-9", "--json")
-    assert status == 1 and not json.loads(out)["certificate"]["certified"]
-    assert "GB of memory" in err and "exceeds the tolerance" in err
+    question = "crossings", scene, *asked("phase-space"), "--tol", "1e-4", "--json"
+    status, out, err = fpk(*question, "--memory", "0.001")
+    answer = json.loads(out)
+    assert status == 1 and not answer["certificate"]["certified"]
+    assert "GB of memory, at most 0.001" in err and "exceeds the tolerance" in err
+    finer = record(fpk, *question[:-1], "--memory", "0.5")
+    assert finer["settings"]["highest_degree"] > answer["settings"]["highest_degree"]
+    status, out, err = fpk(*question, "--memory", "0")
+    assert (status, out) == (2, "") and "--memory" in err
 
 
 def test_a_simulation_takes_its_seed_time_and_threads(linear_scene, fpk):

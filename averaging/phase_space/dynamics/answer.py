@@ -11,12 +11,12 @@ from averaging.phase_space.equation.frame import Frame, Reference
 from averaging.phase_space.moments import moments
 from averaging.phase_space.refinement import (
     ROUND_OFF,
+    Bounds,
     Ladder,
     cost,
     falling,
     kept,
     ladders,
-    refusal,
 )
 from fpk.arrays import Array, Complexes
 from fpk.method import Progress
@@ -70,7 +70,7 @@ class Options(NamedTuple):
 
     tol: float
     progress: Progress
-    work: float
+    bounds: Bounds
     threads: int | None
     reference: Reference | None
 
@@ -95,7 +95,7 @@ def adapted(
         frame,
         observables,
         wanted=options.tol,
-        work=options.work,
+        bounds=options.bounds,
         threads=options.threads,
         progress=options.progress,
         reference=options.reference,
@@ -108,7 +108,7 @@ def adapted(
         e = ladder.finest
         size, work = cost(frame, e.basis.reference, e.degrees, number=number)
         # A product of complex numbers takes four of real ones.
-        limit = refusal(size, (number / REAL) ** 2 * work, most=options.work)
+        limit = options.bounds.refusal(size, (number / REAL) ** 2 * work)
         if answer is not None and limit:
             return replace(answer, limit=limit)
         last = compare(ladder, options.progress)
