@@ -104,6 +104,7 @@ def test_a_missing_peer_is_named(module: str) -> None:
     assert f"missing: {module}" in done.stderr
 
 
+@pytest.mark.slow
 def test_the_page_names_who_is_missing(tmp_path: Path) -> None:
     page = tmp_path / "peers.md"
     done = run(

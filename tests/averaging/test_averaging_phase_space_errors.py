@@ -1,5 +1,6 @@
 """Stated errors of the unreduced equation against finer solutions, and what ends the solutions."""
 
+import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
@@ -11,7 +12,10 @@ from test_averaging_phase_space import FIG6, STOP, drawn
 import fpk
 from averaging.phase_space import refinement
 from averaging.phase_space.dynamics import answer
-from averaging.phase_space.equation.frame import contact_frame
+from averaging.phase_space.equation import elimination
+from averaging.phase_space.equation.degrees import Degrees
+from averaging.phase_space.equation.elimination import expanded
+from averaging.phase_space.equation.frame import contact_frame, gibbs_reference
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import WORK, Bounds, Ladder, ladders
 from fpk.errors import InvalidInput, NotCertified
@@ -31,7 +35,7 @@ def lighter(B, clearance, factor):
 
 def solutions(system, work, *, threads=None) -> Iterator[Ladder]:
     """Solutions of rising degrees, whatever their errors."""
-    return ladders(
+    found = ladders(
         contact_frame(system),
         SINGLE,
         wanted=np.inf,
@@ -40,6 +44,8 @@ def solutions(system, work, *, threads=None) -> Iterator[Ladder]:
         progress=silent,
         reference=None,
     )
+    # The last one comes again with what ends them.
+    return (ladder for ladder in found if not ladder.limit)
 
 
 def understated(coarser, finest):
@@ -79,6 +85,28 @@ def test_errors_with_light_damping_are_within_the_stated_ones(B, clearance, fact
     *coarser, finest = solutions(lighter(B, clearance, factor), 2.2e12)
     assert len(coarser) >= 3
     assert not understated(coarser, finest)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize(
+    ("n", "side", "degrees"),
+    [(2, "both", (23, 8, 22)), (2, "right", (21, 7, 20)), (3, "both", (13, 5, 13))],
+)
+def test_a_solution_takes_no_more_memory_than_stated(n, side, degrees, kind, monkeypatch):
+    stop = fpk.Contact(mass=2, side=side, stiffness=10.0, clearance=0.5)
+    damping, noise = np.linspace(0.08, 0.04, n), np.linspace(0.01, 0.02, n)
+    system = fpk.System(np.ones(n), np.ones(n), damping, noise, contacts=(stop,))
+    frame, degrees = contact_frame(system), Degrees(*degrees)
+    about = gibbs_reference(frame)
+    stated, _ = refinement.cost(frame, about, degrees, number=np.dtype(kind).itemsize)
+    monkeypatch.setattr(elimination, "ELIMINATED_IN", kind)
+    tracemalloc.start()
+    try:
+        expanded(frame, about, degrees, again=False)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert stated / 3.0 < most < stated
 
 
 def test_more_memory_is_more_work_too():
@@ -140,7 +168,7 @@ def test_a_solution_whose_equations_are_not_solved_is_not_used(failing):
 
 
 def test_an_answer_ends_with_the_last_solution_whose_equations_are_solved(failing):
-    made, compared = failing(4), []
+    made, compared = failing(3), []
 
     def compare(ladder, progress):
         compared.append(ladder.finest)
@@ -149,7 +177,7 @@ def test_an_answer_ends_with_the_last_solution_whose_equations_are_solved(failin
     options = answer.Options(1e-2, silent, Bounds.of(4.0), None, None)
     found = answer.adapted(contact_frame(SYSTEM), SINGLE, compare, options)
     # No two solutions are compared twice, which would look as if distances no longer fell.
-    assert compared == made[1:3] and found.ladder.finest is made[2]
-    assert found.limit == f"the equations of degree {made[3].degrees.total} are not solved"
-    # A fall by ten is believed to be one by four.
-    assert found.errors == pytest.approx(refinement.SAFETY * refinement.KEPT * 0.1, rel=1e-6)
+    assert compared == made[1:2] and found.ladder.finest is made[1]
+    assert found.limit == f"the equations of degree {made[2].degrees.total} are not solved"
+    first = refinement.FIRST * refinement.SAFETY * 0.1
+    assert found.errors == pytest.approx(first, rel=1e-6)

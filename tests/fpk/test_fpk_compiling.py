@@ -105,6 +105,7 @@ def test_control_c_that_llvm_dropped_is_raised_again(made, monkeypatch):
         made(2.0)(3.0)
 
 
+@pytest.mark.slow
 def test_the_command_line_answers_with_damaged_caches(tmp_path):
     """The answer is the same, and each damaged file is a line of warning."""
     command = ["density", "vanderpol", "--method", "nonintegrable", "--solver", "fem",

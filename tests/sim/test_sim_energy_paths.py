@@ -154,7 +154,7 @@ def test_step_bias_of_the_mean_is_of_second_order() -> None:
     [
         ("fig8b", "integrable", "closed-form", [(H1,), (TOTAL,), (H1, H2)]),
         pytest.param("vanderpol", "integrable", "fem", [(H1, H2)], marks=pytest.mark.slow),
-        ("vanderpol", "nonintegrable", "fem", [(TOTAL,)]),
+        pytest.param("vanderpol", "nonintegrable", "fem", [(TOTAL,)], marks=pytest.mark.slow),
         pytest.param("fig6a", "nonintegrable", "fem", [(TOTAL,)], marks=pytest.mark.slow),
     ],
 )

@@ -13,12 +13,11 @@ from scipy.sparse.linalg import LinearOperator, gmres
 
 from averaging.phase_space.equation.basis import Basis, basis
 from averaging.phase_space.equation.chain import Chain
-from averaging.phase_space.equation.damping import Matrix, stages_to
+from averaging.phase_space.equation.damping import Matrix
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.equations import chain_of
 from averaging.phase_space.equation.frame import Frame, Reference
-from averaging.phase_space.equation.others import Others, others_to
-from averaging.phase_space.equation.panels import polynomials
+from averaging.phase_space.equation.others import Others
 from averaging.phase_space.equation.terms import applied, applied_from_right
 from fpk.arrays import Array
 
@@ -64,21 +63,6 @@ class Expansion:
     def of_panels(self, n: int) -> Array:
         """Coefficients of level n in the functions of all panels."""
         return np.asarray(self.levels[n] @ self.basis.of_level(n)[:, : self.levels[n].shape[1]].T)
-
-
-def sizes(frame: Frame, reference: Reference, degrees: Degrees) -> Array:
-    """Return about how many unknowns each stage has."""
-    panels = polynomials(frame, reference, degrees)
-    functions = [
-        sum(count if p == degrees.outer else degrees.fewer(p, count) for p in panels)
-        for count in range(degrees.outer + 1)
-    ]
-    out = np.zeros(degrees.total + 1)
-    for level in range(degrees.total + 1):
-        for o in others_to(degrees.others, 2 * frame.n - 1)[: degrees.others_at(level) + 1]:
-            out[level] += o.count * functions[degrees.beyond(level, o.total)]
-    stages = np.add.reduceat(out, [levels[0] for levels in stages_to(frame, degrees.total)])
-    return np.asarray(stages / (2.0 if frame.symmetric else 1.0))
 
 
 def expanded(

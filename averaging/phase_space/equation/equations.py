@@ -24,7 +24,7 @@ from itertools import chain
 
 import numpy as np
 
-from averaging.phase_space.equation.basis import Basis
+from averaging.phase_space.equation.basis import Basis, basis
 from averaging.phase_space.equation.chain import Chain, size_of
 from averaging.phase_space.equation.damping import damped, stages_to
 from averaging.phase_space.equation.degrees import Degrees
@@ -83,6 +83,14 @@ def chain_of(frame: Frame, reference: Reference, functions: Basis, degrees: Degr
         tuple(blocks[2]),
         tuple(blocks[3]),
     )
+
+
+def sizes(frame: Frame, reference: Reference, degrees: Degrees) -> Array:
+    """Return how many unknowns each stage of the equations has."""
+    stages = stages_to(frame, degrees.total)
+    others = others_to(degrees.others, 2 * frame.n - 1)
+    groups = _placed(basis(frame, reference, degrees), degrees, others, stages)
+    return np.array([float(size_of(stage, groups)) for stage in stages])
 
 
 def _factor(F: Array, reference: Reference) -> Array:

@@ -110,11 +110,6 @@ def support(frame: Frame, reference: Reference) -> tuple[float, float]:
     return float(ends[0] * reach), float(ends[1] * reach)
 
 
-def polynomials(frame: Frame, reference: Reference, degrees: Degrees) -> tuple[int, ...]:
-    """Return the number of polynomials of each panel."""
-    return tuple(p.degree for p in bare_panels(frame, reference, degrees))
-
-
 def bare_panels(frame: Frame, reference: Reference, degrees: Degrees) -> list[Panel]:
     """Panels between the stops and beyond them, with how many polynomials, but not yet which."""
     panels = []
