@@ -91,7 +91,7 @@ def three_masses() -> list[list[str]]:
     stop = Contact(2, "both", 10.0, 0.5)
     system = System([1, 1, 1], [1, 1, 1], damping, noise, contacts=(stop,))
     rows = []
-    for memory in (0.6, 2.0, MEMORY, 16.0):
+    for memory in (0.4, 1.0, MEMORY, 16.0):
         start = perf_counter()
         result = PhaseSpace(tol=1e-8, accepted=1.0, memory=memory).solve(
             system, (parse_observable("q2", 3),)
