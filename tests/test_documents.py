@@ -125,11 +125,13 @@ CONSTANTS = {
         f"| degree of a damping term | {damping.MOST_POWERS}, an energy counting 2 |",
         f"by plain simulation | {answering.LEAST_FAILURES:g} failures of the paths expected |",
         f"clearance > {clearance.CLEARANCE_RULE:g} rms",
+        f"({refinement.MEMORY:g} GB, `--memory`)",
         f"at a false-alarm rate of {short(diagnostics.FALSE_ALARMS)}.",
     ),
     "command-line.md": (
         f"at a false-alarm rate of {short(diagnostics.FALSE_ALARMS)} an observable",
         f"to {short(PhaseSpace().tol)} by default",
+        f"as long as a solution needs at most {refinement.MEMORY:g} GB",
         f"for `phase-space` {DYNAMICS} and {short(phase_space.RELAXATION_TOL)} if left out",
         f"to {short(first_passage.TOL)} (H) or"
         f" {short(first_passage.GLANCING_TOL)} (a displacement)",

@@ -14,11 +14,13 @@ from averaging.phase_space.densities import density_of, settings_of
 from averaging.phase_space.dynamics.answer import Answer, Options
 from averaging.phase_space.dynamics.correlations import correlation, relaxation, spectrum
 from averaging.phase_space.dynamics.crossings import crossings
+from averaging.phase_space.equation.basis import basis
+from averaging.phase_space.equation.elimination import cost
 from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
 from averaging.phase_space.growth import finer, lowest
 from averaging.phase_space.identities import identities
 from averaging.phase_space.passage.first_passage import first_passage
-from averaging.phase_space.refinement import MEMORY, Bounds, cost, solved_to
+from averaging.phase_space.refinement import MEMORY, Bounds, solved_to
 from averaging.theory import Theory
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify, tolerance
@@ -234,8 +236,8 @@ class PhaseSpace(StationaryMotionMethod, Theory):
         frame = contact_frame(system)
         about = gibbs_reference(frame)
         if system.damping_terms:
-            needed = cost(frame, about, finer(frame, lowest(frame), 0))
-            if words := self._bounds.refusal(*needed):
+            second = finer(frame, lowest(frame), 0)
+            if words := self._bounds.refusal(*cost(basis(frame, about, second), second)):
                 raise NotApplicable(f"the damping terms are of too high a degree: {words}")
         return frame
 

@@ -7,9 +7,9 @@ from typing import Self
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import Degrees
-from averaging.phase_space.equation.elimination import CONVERGED, Expansion, expanded
-from averaging.phase_space.equation.equations import sizes
+from averaging.phase_space.equation.elimination import CONVERGED, Expansion, cost, expanded
 from averaging.phase_space.equation.frame import Frame, Reference
 from averaging.phase_space.fit import fitted
 from averaging.phase_space.growth import finer, lowest, rise_of
@@ -41,19 +41,15 @@ COMMON = 0.25
 believed to be: with light damping that of one may be small by chance."""
 SLOWEST = 1.25
 """Factor by which distances are believed to fall at the least."""
-WHILE_INVERTED, OF_EQUATIONS = 4.0, 5e3
-"""Matrices of the largest level's size beside the inverses that are kept, and bytes that equations
-and Krylov vectors take for each unknown: what seven solutions of two and three masses took
-was 12 to 36 % less than what is stated with both."""
 ROUND_OFF = 1e-11
 """L1 error of the arithmetic in double precision: on exact densities it was up to 2.3e-12."""
 MOST_OUTER = 90
 """Polynomials on a panel up to which its Gauss points keep them orthonormal: with 88 to 6e-11, with
 100 to 2e-4, as they are none of a polynomial beyond a stop."""
 MEMORY = 4.0
-"""GB (1e9 bytes) that a solution may need where nobody allows more."""
+"""GB (1e9 bytes) that a solution may need where no other bound is given."""
 WORK = 1.2e13
-"""Operations that a solution of ``MEMORY`` may need, about a minute on two cores."""
+"""Operations that it may need where ``MEMORY`` is the bound: about a minute on two cores."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,10 +83,10 @@ class Ladder:
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a solution may need, or it is not begun: ``memory`` in GB (1e9 bytes), ``work``.
+    """The most memory and work that one solution may need; one that needs more is not begun.
 
-    The work is in operations on real numbers. That of dense blocks goes with the power 3/2 of their
-    memory, and so does what is allowed with a ``memory`` alone.
+    ``memory`` is in GB (1e9 bytes), ``work`` in operations on real numbers. The first two
+    solutions, without which there is no answer, are made whatever they need.
     """
 
     memory: float
@@ -98,7 +94,10 @@ class Bounds:
 
     @classmethod
     def of(cls, memory: float, work: float | None = None) -> Self:
-        """Return the bounds of a memory, with its own work unless it is given."""
+        """Return the bounds of a memory and a work, None: the work that goes with the memory.
+
+        Dense blocks of order N take N² numbers and N³ operations.
+        """
         return cls(memory, WORK * (memory / MEMORY) ** 1.5 if work is None else work)
 
     def refusal(self, size: float, work: float) -> str:
@@ -110,22 +109,6 @@ class Bounds:
         if work > self.work:
             return f"a finer solution needs {work:.1g} operations, at most {self.work:.1g}"
         return ""
-
-
-def cost(
-    frame: Frame, reference: Reference, degrees: Degrees, *, number: int = 4
-) -> tuple[float, float]:
-    """Return the bytes and the operations, on real numbers, that a solution takes.
-
-    ``number`` is how many bytes a number of the elimination has. It keeps the inverse of one block
-    a level, and makes one among a few of the largest. In more than single precision and with
-    damping terms pairs of levels are eliminated, too, which takes as much again.
-    """
-    size = sizes(frame, reference, degrees)
-    blocks = float(np.sum(size**2) + WHILE_INVERTED * np.max(size) ** 2)
-    paired = number > 4 or bool(frame.system.damping_terms)
-    operations = (6.0 if paired else 3.0) * float(np.sum(size**3))
-    return number * blocks + OF_EQUATIONS * float(np.sum(size)), operations
 
 
 @dataclass(frozen=True)
@@ -175,12 +158,12 @@ def ladders(
     The last one is yielded again with what ends them: ``bounds``, or that not even the L1 error
     ``wanted`` can be met within them. ``threads`` and ``reference`` as of ``PhaseSpace``.
     """
-    about = reference or start(frame)
+    about, memory = reference or start(frame), 1e9 * bounds.memory
 
     def why_not(degrees: Degrees) -> str:
         if degrees.outer > MOST_OUTER:
             return f"a finer solution needs more than {MOST_OUTER} functions of a displacement"
-        return bounds.refusal(*cost(frame, about, degrees))
+        return bounds.refusal(*cost(basis(frame, about, degrees), degrees))
 
     with threadpool_limits(limits=threads or usable_cores(), user_api="blas"):
         about = fitted(frame, about)
@@ -190,14 +173,14 @@ def ladders(
         degrees, solutions, share = lowest(frame), 0, kept(frame)
         while True:
             step = steps(progress, "phase space", degrees)
-            again = cost(frame, about, degrees, number=8)[0] <= 1e9 * bounds.memory
-            finest = expanded(frame, about, degrees, again=again, step=step)
+            finest = expanded(frame, about, degrees, memory=memory, step=step)
             if not finest.residual < CONVERGED:
                 unsolved = f"the equations of degree {degrees.total} are not solved"
                 if ladder is None:
                     raise np.linalg.LinAlgError(unsolved)
-                more = "" if again else ": double precision needs more memory"
-                yield replace(ladder, limit=unsolved + more)
+                if cost(finest.basis, degrees, number=8)[0] > memory:
+                    unsolved += ": double precision needs more memory"
+                yield replace(ladder, limit=unsolved)
                 return
             solutions += 1
             degrees = finer(frame, degrees, rise_of(finest))

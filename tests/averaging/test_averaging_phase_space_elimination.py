@@ -29,9 +29,9 @@ def light(B):
 @pytest.mark.parametrize("frame", [frame_of(), light(10.0), light(100.0)])
 def test_an_elimination_in_single_precision_is_refined_to_double(frame, monkeypatch):
     about = gibbs_reference(frame)
-    refined = expanded(frame, about, DEGREES, again=False)
+    refined = expanded(frame, about, DEGREES, memory=0.0)
     monkeypatch.setattr(elimination, "ELIMINATED_IN", np.float64)
-    double = expanded(frame, about, DEGREES, again=False)
+    double = expanded(frame, about, DEGREES, memory=0.0)
     for a, b in zip(refined.levels, double.levels, strict=True):
         # A residual of 1e-14 is an error of as much times the condition of the equations: with
         # damping ratios of 0.004 some 1e4.
@@ -89,6 +89,4 @@ def test_where_refinement_fails_the_elimination_is_repeated_in_double(monkeypatc
     monkeypatch.setattr(elimination, "_refined", failing)
     assert expanded(frame_of(), gibbs_reference(frame_of()), DEGREES).residual < 1e-13
     assert kinds == [np.float32, np.float64]
-    assert np.isnan(
-        expanded(frame_of(), gibbs_reference(frame_of()), DEGREES, again=False).residual
-    )
+    assert np.isnan(expanded(frame_of(), gibbs_reference(frame_of()), DEGREES, memory=0.0).residual)

@@ -1,10 +1,11 @@
 """The unreduced equation with damping terms, against exact densities, identities and simulation."""
 
 from dataclasses import replace
-from itertools import islice, product
+from itertools import islice
 
 import numpy as np
 import pytest
+from test_averaging_phase_space_errors import solutions, understated
 
 import fpk
 from averaging.exact import Exact
@@ -14,16 +15,13 @@ from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import expanded
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
 from averaging.phase_space.identities import force_means
-from averaging.phase_space.marginals import marginal
 from averaging.phase_space.method import PhaseSpace
-from averaging.phase_space.refinement import Bounds, ladders
 from cases.comparison.compare import compared
 from fpk.density import l1_distance
 from fpk.errors import NotApplicable
 from fpk.method import silent
 from fpk.moments import gaussian_moment
 from fpk.observable import Coordinate, parse_observable
-from fpk.quadrature import gauss_grid, integral
 from sim.montecarlo import MonteCarlo
 
 Term = fpk.DampingTerm
@@ -280,30 +278,13 @@ def test_simulations_of_random_systems_agree_and_of_other_terms_do_not(seed):
 
 @pytest.mark.slow
 def test_errors_of_random_systems_are_within_the_stated_ones_of_a_finer_solution():
-    above, seen = [], 0
-    for n, systems, solutions, work in ((1, 16, 6, 1e11), (2, 4, 3, 2e11)):
+    seen = 0
+    for n, systems, most, work in ((1, 16, 6, 1e11), (2, 4, 3, 2e11)):
+        observables = [parse_observable(f"{c}{i + 1}", n) for c in "qp" for i in range(n)]
         for seed in range(systems):
             system = drawn(np.random.default_rng([20261126, n, seed]), n)
-            frame = contact_frame(system)
-            observables = [parse_observable(f"{c}{i + 1}", n) for c in "qp" for i in range(n)]
-            *coarser, finer = islice(
-                ladders(
-                    frame,
-                    observables,
-                    wanted=np.inf,
-                    bounds=Bounds.of(4.0, work),
-                    threads=1,
-                    progress=silent,
-                    reference=None,
-                ),
-                solutions,
-            )
-            for ladder, o in product(coarser, observables):
-                panels, pdf = marginal(frame, ladder.finest, o)
-                mesh, grids = gauss_grid(panels)
-                _, right = marginal(frame, finer.finest, o)
-                error = integral(np.abs(pdf(*mesh) - right(*mesh)), grids)
-                seen += 1
-                if error > ladder.errors[o]:
-                    above.append((n, seed, ladder.solutions, o, error / ladder.errors[o]))
-    assert seen > 100 and not above
+            found = solutions(system, work, observables=observables, threads=1)
+            *coarser, finest = islice(found, most)
+            seen += len(coarser) * len(observables)
+            assert not understated(coarser, finest), (n, seed)
+    assert seen > 100

@@ -6,14 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from averaging.phase_space.equation.elimination import Expansion
+from averaging.phase_space.equation.elimination import Expansion, cost
 from averaging.phase_space.equation.frame import Frame, Reference
 from averaging.phase_space.moments import moments
 from averaging.phase_space.refinement import (
     ROUND_OFF,
     Bounds,
     Ladder,
-    cost,
     falling,
     kept,
     ladders,
@@ -103,10 +102,10 @@ def adapted(
         if max(ladder.errors.values()) > options.tol and not ladder.limit:
             continue
         if answer is not None and ladder.finest is answer.ladder.finest:
-            # No finer one could be solved.
+            # Yielded again, as there is no finer one.
             return replace(answer, limit=ladder.limit)
         e = ladder.finest
-        size, work = cost(frame, e.basis.reference, e.degrees, number=number)
+        size, work = cost(e.basis, e.degrees, number=number)
         # A product of complex numbers takes four of real ones.
         limit = options.bounds.refusal(size, (number / REAL) ** 2 * work)
         if answer is not None and limit:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -102,7 +102,6 @@ class Basis:
         return values, slopes
 
 
-@lru_cache(maxsize=4)
 def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = False) -> Basis:
     """Return the functions of y of an expansion. Panels end at the stops.
 

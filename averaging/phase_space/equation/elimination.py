@@ -15,7 +15,7 @@ from averaging.phase_space.equation.basis import Basis, basis
 from averaging.phase_space.equation.chain import Chain
 from averaging.phase_space.equation.damping import Matrix
 from averaging.phase_space.equation.degrees import Degrees
-from averaging.phase_space.equation.equations import chain_of
+from averaging.phase_space.equation.equations import chain_of, sizes
 from averaging.phase_space.equation.frame import Frame, Reference
 from averaging.phase_space.equation.others import Others
 from averaging.phase_space.equation.terms import applied, applied_from_right
@@ -34,6 +34,10 @@ REFINED = 1e-13
 CORRECTED, VECTORS = 1e-4, 30
 """Residual, relative to the one before, that a correction by a Krylov space leaves, in which single
 precision has not yet its say, and the vectors of the space at the most."""
+WHILE_INVERTED, OF_EQUATIONS = 4.0, 5e3
+"""Matrices of the largest level's size beside the inverses that are kept, and bytes that equations
+and Krylov vectors take for each unknown. Seven solutions of two and three masses took 12 to 36 %
+less memory than follows from both."""
 LEAF = 200
 """Order of a matrix up to which LAPACK inverts it; above, by quarters: products are faster."""
 
@@ -65,12 +69,26 @@ class Expansion:
         return np.asarray(self.levels[n] @ self.basis.of_level(n)[:, : self.levels[n].shape[1]].T)
 
 
+def cost(functions: Basis, degrees: Degrees, *, number: int = 4) -> tuple[float, float]:
+    """Return the bytes and the operations, on real numbers, that a solution in a basis takes.
+
+    ``number`` is how many bytes a number of the elimination has. The inverse of one block a level
+    is kept, and while one is made there are some more matrices of its size. In more than single
+    precision and with damping terms pairs of levels are eliminated, too, which takes as much again.
+    """
+    size = sizes(functions, degrees)
+    blocks = float(np.sum(size**2) + WHILE_INVERTED * np.max(size) ** 2)
+    paired = number > 4 or bool(functions.frame.system.damping_terms)
+    operations = (6.0 if paired else 3.0) * float(np.sum(size**3))
+    return number * blocks + OF_EQUATIONS * float(np.sum(size)), operations
+
+
 def expanded(
     frame: Frame,
     reference: Reference,
     degrees: Degrees,
     *,
-    again: bool = True,
+    memory: float = np.inf,
     step: Callable[[float], None] = lambda share: None,
 ) -> Expansion:
     """Return the stationary expansion about ``reference``.
@@ -78,18 +96,18 @@ def expanded(
     ``step`` is called with the share of the work that is done. The elimination is in single
     precision, half the time and memory of double, and without pairs unless damping terms make them
     large; its solution is refined by the residual of all equations in double precision. Where that
-    does not converge it is done ``again`` in double precision, with pairs.
+    does not converge it is done again in double precision, with pairs, unless that takes more than
+    ``memory`` bytes.
     """
     functions = basis(frame, reference, degrees)
     chain = chain_of(frame, reference, functions, degrees)
     one = functions.of_one()[: chain.size(0)]
     small = sum(chain.size(n) ** 3 for n in range(chain.top + 1)) < SMALL
-    kinds = (np.float64,) if small else (ELIMINATED_IN, np.float64) if again else (ELIMINATED_IN,)
-    for kind in kinds:
+    for kind in (np.float64,) if small else (ELIMINATED_IN, np.float64):
         paired = kind is np.float64 or bool(frame.system.damping_terms)
         factors, scale = factored(chain, kind=kind, one=one, paired=paired, step=step)
         u, residual = _refined(factors, scale * one, one)
-        if residual < CONVERGED:
+        if residual < CONVERGED or cost(functions, degrees, number=8)[0] > memory:
             break
     shaped = tuple(level for n, x in enumerate(u) for level in chain.shaped(n, x))
     return Expansion(functions, chain.factor, degrees, shaped, chain.others, residual)

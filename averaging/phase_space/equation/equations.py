@@ -24,7 +24,7 @@ from itertools import chain
 
 import numpy as np
 
-from averaging.phase_space.equation.basis import Basis, basis
+from averaging.phase_space.equation.basis import Basis
 from averaging.phase_space.equation.chain import Chain, size_of
 from averaging.phase_space.equation.damping import damped, stages_to
 from averaging.phase_space.equation.degrees import Degrees
@@ -85,11 +85,11 @@ def chain_of(frame: Frame, reference: Reference, functions: Basis, degrees: Degr
     )
 
 
-def sizes(frame: Frame, reference: Reference, degrees: Degrees) -> Array:
-    """Return how many unknowns each stage of the equations has."""
-    stages = stages_to(frame, degrees.total)
-    others = others_to(degrees.others, 2 * frame.n - 1)
-    groups = _placed(basis(frame, reference, degrees), degrees, others, stages)
+def sizes(functions: Basis, degrees: Degrees) -> Array:
+    """Return how many unknowns each stage of the equations in a basis has."""
+    stages = stages_to(functions.frame, degrees.total)
+    others = others_to(degrees.others, 2 * functions.frame.n - 1)
+    groups = _placed(functions, degrees, others, stages)
     return np.array([float(size_of(stage, groups)) for stage in stages])
 
 
