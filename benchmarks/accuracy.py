@@ -7,6 +7,7 @@ from time import perf_counter
 import numpy as np
 from scipy.integrate import quad
 
+from fpk.bins import BinAxis
 from fpk.contact import Contact
 from fpk.observable import parse_observable
 from fpk.system import System
@@ -51,7 +52,7 @@ def error_against_time(*, levels: int = 6, seeds: int = 4) -> tuple[list[Row], f
         ensemble = Ensemble(system, SCHEMES["exact_flow"], dt, 8192, 100 + seed, 1)
         ensemble.advance(round(60.0 / dt))
         for level in range(levels):
-            ensemble.watch((Histogram(parse_observable("q2", 2), (edges,)),))
+            ensemble.watch((Histogram(parse_observable("q2", 2), (BinAxis(edges),)),))
             ensemble.advance(stride, stride=stride)  # compiled, when the clock starts
             start = perf_counter()
             ensemble.advance(stride * 10 * 4**level, stride=stride)

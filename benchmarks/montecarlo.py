@@ -13,6 +13,7 @@ import os
 import statistics
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from shutil import which
 from tempfile import TemporaryDirectory
@@ -26,7 +27,7 @@ from fpk.contact import Contact
 from fpk.observable import parse_observable
 from fpk.system import System
 from sim.ensemble import Ensemble
-from sim.histogram import covering
+from sim.histogram import axis_of, covering
 from sim.plan import step_arrays
 from sim.schemes import SCHEMES
 from sim.statistics import moment_products
@@ -52,7 +53,7 @@ def measured(
     observables = [parse_observable(name, 2) for name in names]
     # Far beyond what is reached: kT is 1/4.
     reached = [(-3.0, 9.0 if c.kind == "H" else 3.0) for o in observables for c in o]
-    histograms = covering(observables, np.array(reached), mirror=True)
+    histograms = covering(observables, np.array(reached), partial(axis_of, system))
     ensemble.watch(histograms, moment_products(2) if moments else ())
     ensemble.advance(20)
     times = []

@@ -88,9 +88,9 @@ class WatchArrays(NamedTuple):
     mode_p: Any  # (modes, n), T_rm
     at: Rows
     rows: Integers  # (histograms, 2), rows of the coordinates, second −1 for one coordinate
-    low: Array  # (histograms, 2)
-    scale: Array  # (histograms, 2), bins per unit
     bins: Integers  # (histograms, 2)
+    pieces: Array  # (pieces, 5), low, high, bins, bins a unit, and 1 where bins widen, else 0
+    piece: Integers  # (histograms, 2, 2), first piece of each axis, and one behind its last
     start: Integers  # (histograms,), first bin of each in the counts
     products: Integers  # (moments, 2), rows whose products are summed
     traced: Integers  # rows that are handed out

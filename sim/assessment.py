@@ -71,7 +71,6 @@ def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) ->
             residual=max((abs(identity.z) for identity in judged), default=nan),
             tol=setup.tol if m == 0 else inf,
             failures=failures,
-            system=setup.system,
         )
         for m, (histogram, counts) in enumerate(ensemble.counted())
     )

@@ -1,17 +1,22 @@
 """Histograms: their ranges and bins, and the densities that follow from counts."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from math import inf, nan, pi, sqrt
+from functools import partial, reduce
+from itertools import pairwise
+from math import inf, isfinite, nan, pi, sqrt
 
 import numpy as np
 
 from fpk.arrays import Array, Integers
+from fpk.bins import BinAxis, LogReference, no_reference
 from fpk.certificate import Measured, certify
+from fpk.effects import effects_of
+from fpk.fits import NEAR
+from fpk.kinks import kinks_of
 from fpk.linear import natural_modes
+from fpk.number import SMALLEST
 from fpk.observable import Coordinate, Observable
-from fpk.reconstruction import radius_of
 from fpk.sampled_density import SampledDensity
 from fpk.system import System
 from sim.step_size import temperature
@@ -19,8 +24,19 @@ from sim.step_size import temperature
 BINS = (1024, 128)
 """Bins of each axis of a histogram of one and of two coordinates."""
 
+LEAST_BINS, MULTIPLE = 32, 8
+"""Least number of bins between two kinks, and a divisor of it: by that many bins may be joined."""
+
 MARGIN = 0.3
 """Share of the pilot's range that is added beyond its extremes."""
+
+DEEPEST = 30.0
+"""Contact energy, in units of kT, up to which bins reach beyond a stop: e^−30 of p is left."""
+
+LOWEST, SHARE = 400, 0.35
+"""Of so many of the lowest energies, and of 4, 16 … times as many, the share in the lowest quarter
+of their range above which p rises to H = 0: 0.25 of a smooth density, within 0.022; 0.5 of
+H^(−1/2)."""
 
 LARGEST_TAIL = 1e-3
 """Share of samples outside a histogram above which its density is not certified."""
@@ -28,10 +44,15 @@ LARGEST_TAIL = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """Bins of one observable: equidistant edges of each axis."""
+    """Bins of one observable, an axis for each coordinate."""
 
     observable: Observable
-    edges: tuple[Array, ...]
+    bins: tuple[BinAxis, ...]
+
+    @property
+    def edges(self) -> tuple[Array, ...]:
+        """Ascending edges of the bins of each axis."""
+        return tuple(axis.edges for axis in self.bins)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -42,6 +63,83 @@ class Histogram:
     def size(self) -> int:
         """Number of bins, without that for outside."""
         return int(np.prod(self.shape))
+
+    def bins_of(self, columns: Sequence[Array]) -> Integers:
+        """Return the bin of each sample, from its coordinates (samples,); ``size`` for outside."""
+        bins, inside = np.zeros(columns[0].shape, dtype=np.int64), np.array(True)
+        for x, e in zip(columns, self.edges, strict=True):
+            inside = inside & (x >= e[0]) & (x < e[-1])
+            bins = bins * (e.size - 1) + np.searchsorted(e, x, side="right") - 1
+        return np.where(inside, bins, self.size)
+
+
+def binned(
+    low: float, high: float, kinks: Sequence[float], bins: int, *, widening: bool,
+    reference: LogReference = no_reference,
+) -> BinAxis:  # fmt: skip
+    """Return about ``bins`` bins from ``low`` to ``high``, as many between each two ``kinks``.
+
+    ``widening``: above a kink they widen with the distance, as p may change there as a root of it:
+    as (H − H_c)^(1/2) where contact begins, as H^(−1/4) where it does without clearance, and as
+    H^(−1/2) after a start at rest. It costs accuracy next to the kink.
+    """
+    inside = list[float]()
+    for kink in sorted(k for k in kinks if low <= k < high):
+        if not inside or kink - inside[-1] > NEAR * (high - low):
+            inside.append(kink)
+    nodes = [low, *(k for k in inside if k > low), high]
+    each = max(LEAST_BINS, bins // (len(nodes) - 1) // MULTIPLE * MULTIPLE)
+    edges, share = [np.array([low])], np.linspace(0.0, 1.0, each + 1)[1:]
+    for a, b in pairwise(nodes):
+        edges.append(a + (b - a) * (share**4 if widening and a in inside else share))
+        edges[-1][-1] = b
+    above = tuple(inside) if widening else ()
+    return BinAxis(np.concatenate(edges), tuple(inside), above, reference)
+
+
+def axis_of(
+    system: System, coordinate: Coordinate, low: float, high: float, bins: int,
+    *, rises: bool = False,
+) -> BinAxis:  # fmt: skip
+    """Return bins of a coordinate that was seen between ``low`` and ``high``, with a margin.
+
+    Energies start at 0, and beyond a stop bins end where contact energies do. ``rises`` as of the
+    function ``rises``.
+    """
+    energy, reach = coordinate.kind == "H", MARGIN * (high - low)
+    kinks = [*([0.0] if energy and rises else []), *kinks_of(system, coordinate)]
+    if energy:
+        low, high = 0.0, (1.0 + 2.0 * MARGIN) * high
+    elif effects_of(system).mirror:
+        high = (1.0 + 2.0 * MARGIN) * max(-low, high)
+        low = -high
+    else:
+        low, high = low - reach, high + reach
+    if coordinate.kind == "q":
+        ends = (low, -1.0, -low - reach), (high, 1.0, high - reach)
+        low, high = (
+            side * _end(system, coordinate.row, side, side * x, seen) for x, side, seen in ends
+        )
+    reference = partial(reference_of, system, coordinate)
+    axis = binned(low, high, kinks, bins, widening=energy, reference=reference)
+    if effects_of(system).mirror and not energy:  # to the last digit
+        axis = replace(axis, edges=0.5 * (axis.edges - axis.edges[::-1]))
+    return axis
+
+
+def _end(system: System, mass: int, side: float, x: float, seen: float) -> float:
+    """Where bins of ``side``·q end instead of at ``x``: deep enough in the outermost stop before.
+
+    That is where its contact energy is ``DEEPEST`` kT, and beyond what was ``seen``.
+    """
+    stops = [s for s in system.stops if (s.index, s.sign) == (mass, side) and s.clearance < x]
+    if not stops:
+        return x
+    stop, kT = max(stops, key=lambda s: s.clearance), temperature(system)
+    depth = max((1.0 + 2.0 * MARGIN) * (seen - stop.clearance), 0.0)
+    if isfinite(kT) and kT > 0.0:
+        depth = max(depth, stop.overlap_at(DEEPEST * kT))
+    return min(x, stop.clearance + depth) if depth > 0.0 else x
 
 
 def extremes(system: System, observables: Sequence[Observable], q: Array, p: Array) -> Array:
@@ -72,31 +170,35 @@ def values_of(system: System, coordinate: Coordinate, q: Array, p: Array) -> Arr
     return (q if coordinate.kind == "q" else p)[:, coordinate.index]
 
 
+def rises(energies: Array) -> bool:
+    """Return whether the density of sampled ``energies`` rises towards 0 at some scale."""
+    x, count = np.sort(energies), LOWEST
+    while 4 * count <= x.size:
+        if np.count_nonzero(x < 0.25 * x[count]) > SHARE * count:
+            return True
+        count *= 4
+    return False
+
+
 def covering(
     observables: Sequence[Observable],
     reached: Array,
+    axis: Callable[[Coordinate, float, float, int], BinAxis],
     *,
-    mirror: bool,
     bins: tuple[int, int] = BINS,
 ) -> tuple[Histogram, ...]:
-    """Return histograms that cover the ``extremes`` with a margin; energies start at 0."""
+    """Return histograms over the extremes ``reached`` (coordinates, 2) of all coordinates.
+
+    ``axis(coordinate, low, high, bins)`` makes the bins of each.
+    """
     histograms, pairs = [], iter(reached.tolist())
     for observable in observables:
-        edges = []
+        axes = []
         for coordinate in observable:
             low, high = next(pairs)
-            if low > high:
-                low, high = -1.0, 1.0
-            if coordinate.kind == "H":
-                low, high = 0.0, (1.0 + 2.0 * MARGIN) * high
-            elif mirror:
-                high = (1.0 + 2.0 * MARGIN) * max(-low, high)
-                low = -high
-            else:
-                reach = MARGIN * (high - low)
-                low, high = low - reach, high + reach
-            edges.append(np.linspace(low, high, bins[len(observable) - 1] + 1))
-        histograms.append(Histogram(observable, tuple(edges)))
+            low, high = (low, high) if low <= high else (-1.0, 1.0)
+            axes.append(axis(coordinate, low, high, bins[len(observable) - 1]))
+        histograms.append(Histogram(observable, tuple(axes)))
     return tuple(histograms)
 
 
@@ -116,14 +218,21 @@ def mirrored(histogram: Histogram, counts: Integers) -> Integers:
     return np.hstack([counts[:, :-1] + reflected.reshape(len(counts), -1), 2 * counts[:, -1:]])
 
 
-def contact_factor(system: System | None, coordinate: Coordinate, x: Array) -> Array:
-    """Return −U_i(q)/kT, ln of the factor by which the stops shape p(q_i); 0 where there is none.
+def reference_of(system: System, coordinate: Coordinate, x: Array, bins: Integers) -> Array:
+    """Return ln of a function about as steep as the density at ``x``, up to a constant.
 
-    Exact where Eq. (7) holds; otherwise of about the steepness, and with its kinks.
+    Of q_i −U_i/kT, which is exact in the contact energy where Eq. (7) holds; of H (n − 1) ln H.
     """
-    if system is None or coordinate.kind != "q" or coordinate.row not in system.contact_masses:
-        return np.zeros_like(x)
-    return -system.contact_energy(coordinate.row, x) / temperature(system)
+    if coordinate.kind == "H" and coordinate.index is None:
+        return log_states(system.n, x, bins)
+    if coordinate.kind == "q" and coordinate.row in system.contact_masses:
+        return -system.contact_energy(coordinate.row, x) / temperature(system)
+    return np.zeros_like(x)
+
+
+def log_states(n: int, energy: Array, bins: Integers) -> Array:
+    """Return ln H^(n−1), the density of states of n masses at small energies."""
+    return np.asarray((n - 1.0) * np.log(np.maximum(energy, SMALLEST)))
 
 
 def sampled_density(
@@ -135,13 +244,14 @@ def sampled_density(
     residual: float = 0.0,
     tol: float = inf,
     failures: Sequence[str] = (),
-    system: System | None = None,
+    everywhere: bool = True,
 ) -> SampledDensity:
     """Return the density of ``counts`` (batches, bins + 1) of ``taken`` samples, certified.
 
     With ``mirror`` each sample counts as its mirror image, too. ``residual`` is the largest |z| of
     the moment identities, ``tol`` the tolerance of the expected L1 sampling error, and ``failures``
-    say what is wrong with the sample itself. ``system``: what has stops; None of averaged energies.
+    say what is wrong with the sample itself. ``everywhere``: what the bins do not resolve anywhere
+    counts among them.
     """
     total = counts.sum(axis=0)
     tail, words = float(total[-1]) / max(1, taken), list(failures)
@@ -152,29 +262,38 @@ def sampled_density(
     if mirror:
         counts = mirrored(histogram, counts)
     whole, samples = max(1, counts.sum()), np.maximum(1, counts.sum(axis=1, keepdims=True))
-    area = float(np.prod([e[1] - e[0] for e in histogram.edges]))
+    areas = reduce(np.multiply.outer, map(np.diff, histogram.edges))
     density = SampledDensity(
         histogram.observable,
-        histogram.edges,
-        (counts.sum(axis=0)[:-1] / (whole * area)).reshape(histogram.shape),
-        (counts[:, :-1] / (samples * area)).reshape(-1, *histogram.shape),
+        histogram.bins,
+        (counts.sum(axis=0)[:-1] / whole).reshape(histogram.shape) / areas,
+        (counts[:, :-1] / samples).reshape(-1, *histogram.shape) / areas,
         certify(Measured(nan, nan, nan, nan, nan), tol=0.0),  # until its error is known
-        one_sample=1.0 / (whole * area),
-        log_references=tuple(partial(contact_factor, system, c) for c in histogram.observable),
+        samples=whole,
     )
-    # On an axis of many bins, twice in the radius over which ``at`` averages.
-    every = max(1, radius_of(histogram.size) // 2) if len(histogram.edges) == 1 else 1
-    middles = (0.5 * (e[1:] + e[:-1])[every // 2 :: every] for e in histogram.edges)
+    middles = (0.5 * (e[1:] + e[:-1]) for e in histogram.edges)
     errors = density.at(*np.meshgrid(*middles, indexing="ij", sparse=True))[1]
     # √(2/π) standard errors: the expectation of |x| of a normal x.
-    error = sqrt(2.0 / pi) * area * histogram.size * float(np.mean(errors))
+    errors = np.where(np.isfinite(errors), errors, density.values)  # next to a kink at an end
+    error = sqrt(2.0 / pi) * float(np.sum(areas * errors))
+    if everywhere:
+        words += unresolved_words(density)
     measured = Measured(
         l1_error=error,
         mass_defect=abs(float(total.sum()) / max(1, taken) - 1.0),
-        minimum=float(total[:-1].min()) / max(1, int(total[:-1].max())),
+        minimum=float(density.values.min() / max(density.values.max(), SMALLEST)),
         residual=residual,
         tail_mass=tail,
         failures=tuple(words),
     )
     certificate = certify(measured, tol=tol, sampled=True)
-    return replace(density, l1_error=error, certificate=certificate)
+    return replace(density, l1_error=error, certificate=certificate, made=density.fits)
+
+
+def unresolved_words(density: SampledDensity) -> list[str]:
+    """Return in words where the contents of the bins do not show the density, if anywhere."""
+    for box in density.fits.unresolved:
+        ends = zip(density.observable, density.edges, box.first, box.last, strict=True)
+        where = ", ".join(f"{c} = {e[a]:.4g} to {e[b]:.4g}" for c, e, a, b in ends)
+        return [f"the density changes within a bin for {where}, and is not known there"]
+    return []

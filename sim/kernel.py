@@ -104,7 +104,7 @@ def _compiled(key: KernelKey) -> Any:
         s = aligned_rows(at.total)
         V, H = row(s, at.work + 1), row(s, at.work + 2)  # of the state, where damping depends on H
         z, words = aligned_rows(pairs).view(np.float32), aligned_rows(1).view(np.uint64)
-        index, second = np.zeros(W, np.int64), np.zeros(W, np.int64)
+        index, second, number = np.zeros(W, np.int64), np.zeros(W, np.int64), aligned_rows(1)
         if substeps:
             group = at.total * NARROW
             groups, chosen = aligned_rows(at.total), np.zeros(W, np.int64)
@@ -138,7 +138,8 @@ def _compiled(key: KernelKey) -> Any:
                     )  # fmt: skip
                     if moments:
                         add_products(s, b, sums, folded, live, watch)
-                    count_all(s, index, second, live[b], watch, counts[batch[b] - batch[0]])
+                    own = counts[batch[b] - batch[0]]
+                    count_all(s, number, index, second, live[b], watch, own)
                     if traced:
                         trace_state(s, trace[b], watch, 1 + t // stride)
 

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from fpk.arrays import Array, Integers
+from fpk.arrays import Array
 from fpk.effects import effects_of
 from fpk.linear import natural_modes
 from fpk.observable import Coordinate
@@ -112,7 +113,7 @@ def watched(
 
     shapes, frequency = natural_modes(system) if modes else (np.zeros((n, 0)), np.zeros(0))
     T = shapes.T[modes]
-    rows, low, scale, bins = _binned(histograms, row_of)
+    binned = _binned(histograms, row_of)
     half, shift = 0.5 * step.dt if scheme.kick_first else 0.0, scheme.modified * step.dt**2
     watch = WatchArrays(
         half_kick=half,
@@ -122,15 +123,12 @@ def watched(
         mode_q=frequency[modes, None] * T * system.mass if modes else None,
         mode_p=np.ascontiguousarray(T) if modes else None,
         at=at,
-        rows=rows,
-        low=low,
-        scale=scale,
-        bins=bins,
         start=starts(histograms)[:-1],
         products=np.array(
             [(first[a] + i, first[b] + j) for a, i, b, j in products], dtype=np.int64
         ).reshape(-1, 2),
         traced=np.array([row_of(c) for c in traced], dtype=np.int64),
+        **binned,
     )
     key = KernelKey(
         laws=effects.laws,
@@ -150,14 +148,17 @@ def watched(
     return key, watch
 
 
-def _binned(
-    histograms: Sequence[Histogram], row_of: Callable[[Coordinate], int]
-) -> tuple[Integers, Array, Array, Integers]:
-    """Rows, low ends, bins per unit and numbers of bins, (histograms, 2) each; no axis: row −1."""
+def _binned(histograms: Sequence[Histogram], row_of: Callable[[Coordinate], int]) -> dict[str, Any]:
+    """Return the fields of ``WatchArrays`` by which bins are found; no axis: row −1."""
     rows = np.full((len(histograms), 2), -1, dtype=np.int64)
-    low, scale, bins = np.zeros(rows.shape), np.ones(rows.shape), np.ones_like(rows)
+    bins, piece = np.ones_like(rows), np.zeros((len(histograms), 2, 2), dtype=np.int64)
+    pieces: list[tuple[float, ...]] = []
     for m, histogram in enumerate(histograms):
-        for axis, (c, e) in enumerate(zip(histogram.observable, histogram.edges, strict=True)):
-            rows[m, axis], low[m, axis], bins[m, axis] = row_of(c), e[0], e.size - 1
-            scale[m, axis] = (e.size - 1) / (e[-1] - e[0])
-    return rows, low, scale, bins
+        for k, (c, axis) in enumerate(zip(histogram.observable, histogram.bins, strict=True)):
+            rows[m, k], bins[m, k], begin = row_of(c), axis.edges.size - 1, len(pieces)
+            for low, high, count, widens in axis.pieces:
+                unit = 1.0 if widens else float(count)
+                pieces.append((low, high, count, unit / (high - low), widens))
+            piece[m, k] = begin, len(pieces)
+    table = np.array(pieces, dtype=float).reshape(-1, 5)
+    return {"rows": rows, "bins": bins, "pieces": table, "piece": piece}

@@ -38,6 +38,7 @@ def run(
         assert isinstance(report, Report)
         if method.step_pair and report.diagnosis is not None:
             seed = (method.seed + OTHER_SEED) % 2**64
+            densities: Any = result.densities  # of histograms
             half = replace(
                 setup,
                 method=replace(method, seed=seed),
@@ -45,7 +46,7 @@ def run(
                 time=report.steps.time,
                 tol=inf,
                 seconds=2.0 / 3.0 * method.seconds if method.seconds else inf,
-                histograms=tuple(Histogram(d.observable, d.panels) for d in result.densities),
+                histograms=tuple(Histogram(d.observable, d.bins) for d in densities),
             )
             report = with_step_bias(result, simulate(half, workers=workers, progress=progress))
     asked = len(observables)

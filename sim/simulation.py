@@ -13,7 +13,7 @@ from fpk.method import Progress, Result, silent
 from sim.assessment import assessed
 from sim.checkpoint import Checkpoint, checkpoint_of, interruptible
 from sim.ensemble import Ensemble
-from sim.histogram import covering, extremes, sampled_density
+from sim.histogram import axis_of, covering, extremes, sampled_density
 from sim.record import SNAPSHOTS, Record
 from sim.setup import Setup
 from sim.statistics import moment_products
@@ -51,7 +51,7 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
     method, cut = setup.method, ""
     checkpoint = checkpoint_of(method.checkpoint, setup.identity)
     products = moment_products(setup.system.n, terms=bool(setup.system.damping_terms))
-    covered = partial(covering, setup.observables, mirror=effects_of(setup.system).mirror)
+    covered = partial(covering, setup.observables, axis=partial(axis_of, setup.system))
     with checkpoint.alone(), interruptible(method.partial) as checkpoint.stopped:
         ensemble = Ensemble(
             setup.system, setup.scheme, setup.dt, method.paths, method.seed, workers=workers
@@ -153,7 +153,7 @@ def _sample(setup: Setup, record: Record, *, checkpoint: Checkpoint, progress: P
                 *next(ensemble.counted()),
                 taken=taken,
                 mirror=effects_of(setup.system).mirror,
-                system=setup.system,
+                everywhere=False,
             ).l1_error
             record.target = CHECK_AT * ensemble.samples * (error / tol) ** 2
             ends |= error <= tol

@@ -27,6 +27,7 @@ from trial import (  # first: it knows the way to ``installed``
 
 from installed import version_of
 
+from fpk.bins import BinAxis
 from fpk.observable import parse_observable
 from sim.ensemble import Ensemble
 from sim.histogram import Histogram
@@ -66,7 +67,7 @@ def tried(setting: Setting, sampling: float) -> dict:
     ensemble, every = walk.ensemble, stride(setting)
     ensemble.advance(round(BURN_IN / setting.step), stride=0)
     ns = nanoseconds(walk, setting)
-    ensemble.watch((Histogram(parse_observable("q2", 2), (EDGES,)),), (("q", 1, "q", 1),))
+    ensemble.watch((Histogram(parse_observable("q2", 2), (BinAxis(EDGES),)),), (("q", 1, "q", 1),))
     ensemble.advance(round(TIME * setting.seconds / setting.step), stride=every)
     means = ensemble.sums[:, 0].ravel() / ensemble.samples
     counts = np.array([ensemble.counts[::2].sum(axis=0), ensemble.counts[1::2].sum(axis=0)])

@@ -10,12 +10,13 @@ from time import perf_counter
 import numpy as np
 
 from fpk.arrays import Array
+from fpk.bins import BinAxis
 from fpk.errors import InvalidInput
 from fpk.method import Progress, silent
 from fpk.observable import Coordinate, Observable
 from fpk.sampled_density import SampledDensity
 from sim.averaged.square_root import SquareRootForm, advanced
-from sim.histogram import covering, sampled_density
+from sim.histogram import MARGIN, binned, covering, log_states, sampled_density
 
 BATCHES = 64
 """Independent batches of paths, each with its own stream of random numbers."""
@@ -60,7 +61,7 @@ def simulate_energies(
     begun = partial(burnt_in, form, interval=interval, steps=steps, time=burn_in)
     pilot = form.energies(begun(PILOT_PATHS, batch_stream(seed, BATCHES)))
     reached = np.array([(0.0, column(pilot, c).max()) for o in observables for c in o])
-    histograms = covering(observables, reached, mirror=False, bins=BINS)
+    histograms = covering(observables, reached, partial(energy_axis, form), bins=BINS)
     counts = [np.zeros((BATCHES, h.size + 1), dtype=np.int64) for h in histograms]
     lost, taken = np.zeros(BATCHES, dtype=bool), np.zeros(BATCHES, dtype=np.int64)
 
@@ -74,9 +75,8 @@ def simulate_energies(
             X = advanced(form, X, interval / steps, steps, stream)
             H = form.energies(X)
             for total, histogram in zip(counts, histograms, strict=True):
-                columns = [column(H, c) for c in histogram.observable]
-                inside = np.histogramdd(columns, bins=histogram.edges)[0]
-                total[batch, :-1] += inside.ravel().astype(np.int64)
+                bins = histogram.bins_of([column(H, c) for c in histogram.observable])
+                total[batch] += np.bincount(bins, minlength=histogram.size + 1)
         lost[batch] = not np.isfinite(X).all()
 
     with ThreadPoolExecutor(threads) as pool:
@@ -84,7 +84,6 @@ def simulate_energies(
             progress(done, BATCHES, "averaged simulation")
     densities = []
     for histogram, total in zip(histograms, counts, strict=True):
-        total[:, -1] = taken - total.sum(axis=1)
         density = sampled_density(
             histogram,
             total,
@@ -122,6 +121,18 @@ def share_of(seconds: float | None, threads: int) -> Callable[[], bool]:
 def batch_stream(seed: int, batch: int) -> np.random.Generator:
     """Return the random numbers of one batch."""
     return np.random.Generator(np.random.Philox(key=np.array([seed, batch], dtype=np.uint64)))
+
+
+def energy_axis(
+    form: SquareRootForm, coordinate: Coordinate, low: float, high: float, bins: int,
+    *, rises: bool = False,
+) -> BinAxis:  # fmt: skip
+    """Return bins of an energy that was seen up to ``high``, as ``sim.histogram.axis_of`` does."""
+    total = coordinate.index is None
+    kinks = [*([0.0] if rises else []), *(form.kinks if total else ())]
+    reference = partial(log_states, form.degrees_of_freedom if total else 1)
+    high = (1.0 + 2.0 * MARGIN) * high
+    return binned(0.0, high, kinks, bins, widening=True, reference=reference)
 
 
 def column(H: Array, coordinate: Coordinate) -> Array:

@@ -39,7 +39,8 @@ class SquareRootForm:
     ``noise`` d, ``slope`` β and ``linear`` γ₀ are constants (d,). ``damping`` returns γ − γ₀ at X
     (paths, d), None where γ is constant: a step of any length is then exact. ``energies`` gives H
     (paths, d) of X; ``scales`` (d,) are X of the order of the mean. ``quiet`` are γ₀ and γ − γ₀ of
-    the damping alone, without noise, where these are others.
+    the damping alone, without noise, where these are others. p(Σ H_i) is in proportion to H^(n−1)
+    next to 0, n the ``degrees_of_freedom``, and may not be smooth at ``kinks``.
     """
 
     noise: Array
@@ -49,6 +50,8 @@ class SquareRootForm:
     energies: Function
     scales: Array
     quiet: tuple[Array, Function] | None = None
+    degrees_of_freedom: int = 1
+    kinks: tuple[float, ...] = ()
 
     def under(self, factor: float) -> "SquareRootForm":
         """Return the form under so many times the noise."""
@@ -99,6 +102,7 @@ def square_root_form(process: Process) -> SquareRootForm:
         linear=linear,
         energies=lambda H: H,
         scales=scales,
+        degrees_of_freedom=scales.size,
     )
 
 
@@ -138,6 +142,8 @@ def line_form(process: Process) -> SquareRootForm:
         energies=lambda X: np.asarray(X * np.interp(np.sqrt(X), R, ratio)),
         scales=np.array([scale]),
         quiet=(alone[:1], lambda X: np.interp(np.sqrt(X), R, rest)),
+        degrees_of_freedom=process.degrees_of_freedom,
+        kinks=process.nonsmooth,
     )
 
 

@@ -14,7 +14,7 @@ from fpk.modulation import Modulation
 from fpk.observable import Observable
 from sim.arrays import MAX_TRAJECTORIES
 from sim.averaged.passage import Starts, from_energies
-from sim.averaged.paths import batch_stream, column
+from sim.averaged.paths import batch_stream, column, energy_axis
 from sim.averaged.square_root import SquareRootForm, advanced
 from sim.motion.densities import Counted, answer_of
 
@@ -49,7 +49,8 @@ def energy_transient(
     below it at all times, or ``seconds`` of wall time have passed. The answer does not depend on
     ``threads``.
     """
-    counted = Counted(observable, len(times), lambda H: [column(H, c) for c in observable])
+    axis = partial(energy_axis, form)
+    counted = Counted(observable, len(times), lambda H: [column(H, c) for c in observable], axis)
     simulated = partial(_simulated, form, starts, times, dt, paths, seed, modulation)
     begin, number, most = perf_counter(), 0, max(ROUNDS, MAX_TRAJECTORIES // paths)
     with ThreadPoolExecutor(threads) as pool:

@@ -1,6 +1,7 @@
 """Transient densities of the full system (6): an ensemble from the start, at given times."""
 
 from collections.abc import Iterator
+from functools import partial
 from math import ceil, inf
 
 import numpy as np
@@ -14,7 +15,7 @@ from fpk.observable import Observable
 from fpk.start import Start
 from fpk.system import System
 from sim.arrays import LANES, MAX_TRAJECTORIES
-from sim.histogram import values_of
+from sim.histogram import axis_of, values_of
 from sim.montecarlo import MonteCarlo
 from sim.motion.densities import Counted, answer_of
 from sim.motion.limits import largest_energy
@@ -61,7 +62,8 @@ def transient(
         q, p = np.split(states, 2, axis=1)
         return [values_of(system, c, q, p) for c in observable]
 
-    counted = Counted(observable, len(times), read, mirror=mirror, system=system)
+    axis = partial(axis_of, system)
+    counted = Counted(observable, len(times), read, axis, mirror=mirror)
     with working(method, system, wanted, start) as (workers, watch, origin):
         for number in range(MAX_TRAJECTORIES // paths):
             rows = ensembles(origin, times, paths, number, dt, workers)

@@ -142,23 +142,42 @@ def add_products(
 
 
 @inlined
-def find_bins(x: Array, watch: WatchArrays, m: int, axis: int, index: Integers) -> None:
-    """Write the bin of every lane along one axis; the number of bins for outside and for NaN."""
-    low, scale, bins = watch.low[m, axis], watch.scale[m, axis], watch.bins[m, axis]
+def find_bins(
+    x: Array, number: Array, watch: WatchArrays, m: int, axis: int, index: Integers
+) -> None:
+    """Write the bin of every lane along one axis; the number of bins for outside and for NaN.
+
+    ``number`` is scratch: the bins of a piece count in full above it.
+    """
+    first, last = watch.piece[m, axis, 0], watch.piece[m, axis, 1]
+    fill(number, 0.0)
+    for piece in range(first, last):
+        p = watch.pieces[piece]
+        low, bins, scale = p[0], p[2], p[3]
+        if p[4] == 0.0:
+            for k in range(W):
+                number[k] += np.floor(min(max((x[k] - low) * scale, 0.0), bins))
+        else:
+            for k in range(W):
+                share = np.sqrt(np.sqrt(max((x[k] - low) * scale, 0.0)))
+                number[k] += np.floor(min(share * bins, bins))
+    low, high, bins = watch.pieces[first, 0], watch.pieces[last - 1, 1], watch.bins[m, axis]
     for k in range(W):
-        t = (x[k] - low) * scale
-        index[k] = np.int64(t) if (t >= 0.0) & (t < bins) else np.int64(bins)
+        inside = (x[k] >= low) & (x[k] < high)
+        # Rounding may take a value just below an end beyond it.
+        index[k] = np.int64(min(number[k], bins - 1.0)) if inside else np.int64(bins)
 
 
 @inlined
 def count_all(
-    s: Array, index: Integers, second: Integers, live: int, watch: WatchArrays, counts: Integers
-) -> None:
+    s: Array, number: Array, index: Integers, second: Integers, live: int, watch: WatchArrays,
+    counts: Integers,
+) -> None:  # fmt: skip
     """Add one to a bin of every histogram for each of the first ``live`` lanes."""
     for m in range(watch.rows.shape[0]):
-        find_bins(row(s, watch.rows[m, 0]), watch, m, 0, index)
+        find_bins(row(s, watch.rows[m, 0]), number, watch, m, 0, index)
         if watch.rows[m, 1] >= 0:
-            find_bins(row(s, watch.rows[m, 1]), watch, m, 1, second)
+            find_bins(row(s, watch.rows[m, 1]), number, watch, m, 1, second)
             bins, columns = watch.bins[m, 0], watch.bins[m, 1]
             for k in range(W):
                 inside = (index[k] < bins) & (second[k] < columns)

@@ -12,6 +12,7 @@ from cases.comparison.claims import ACCEPTABLE_L1, findings, shape_of
 from cases.comparison.routes import listed_routes
 from cases.scene.expect import Expect, Range
 from cases.scene.scene import load_scene, shipped_scenes
+from fpk.bins import BinAxis
 from fpk.certificate import Certificate
 from fpk.clearance import StopClearance
 from fpk.density import Density
@@ -42,7 +43,7 @@ def histogram(draw, seed=5, batches=32, size=20_000):
     edges = np.linspace(-6, 6, 241)
     counts = np.array([np.histogram(draw(rng, size), edges)[0] for _ in range(batches)])
     values = counts / size / (edges[1] - edges[0])
-    return SampledDensity(Q1, (edges,), values.mean(0), values, FINE)
+    return SampledDensity(Q1, (BinAxis(edges),), values.mean(0), values, FINE)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import pytest
 import fpk
 from cases.comparison.compare import chance_l1, compared, what_is_measured
 from cases.comparison.routes import register_routes
+from fpk.bins import BinAxis
 from fpk.certificate import Certificate
 from fpk.density import Density, l1_distance
 from fpk.method import Result
@@ -46,7 +47,7 @@ def sample(seed, batches=32, size=4000):
     edges = np.linspace(-6, 6, 257)
     counts = np.array([np.histogram(rng.normal(size=size), edges)[0] for _ in range(batches)])
     values = counts / size / (edges[1] - edges[0])
-    return SampledDensity(Q1, (edges,), values.mean(0), values, FINE)
+    return SampledDensity(Q1, (BinAxis(edges),), values.mean(0), values, FINE)
 
 
 def compare(a, b, *, names=("montecarlo", "exact"), exact=True, neglected=""):

@@ -1,12 +1,13 @@
 """Systems that the tests of the simulation share."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from fpk.contact import Contact
 from fpk.system import System
 from sim.ensemble import Ensemble
-from sim.histogram import Histogram, covering, extremes
+from sim.histogram import Histogram, axis_of, covering, extremes
 from sim.montecarlo import MonteCarlo
 from sim.report import Report
 
@@ -68,8 +69,7 @@ def place(ensemble: Ensemble, states: Any) -> None:
     ensemble.restore({**ensemble.saved(), "states": states})
 
 
-def ranged(
-    system: System, observables: Sequence[Any], q: Any, p: Any, *, mirror: bool
-) -> tuple[Histogram, ...]:
+def ranged(system: System, observables: Sequence[Any], q: Any, p: Any) -> tuple[Histogram, ...]:
     """Histograms that cover the states ``q``, ``p`` (samples, n) with a margin."""
-    return covering(observables, extremes(system, observables, q, p), mirror=mirror)
+    reached = extremes(system, observables, q, p)
+    return covering(observables, reached, partial(axis_of, system))

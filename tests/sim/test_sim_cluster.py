@@ -48,7 +48,7 @@ def cluster(workers: int) -> Iterator[tuple[Workers, Any]]:
 def histograms() -> tuple[Histogram, ...]:
     q = np.array([[-1.0] * 2, [1.0] * 2])
     observables = [parse_observable(name, 2) for name in ("q1", "q2,p2")]
-    return ranged(fig6(), observables, q, q, mirror=False)
+    return ranged(fig6(), observables, q, q)
 
 
 def sampled(ensemble: Any, *, between: Callable[[], None] = lambda: None) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from scipy.integrate import quad
 from sim_systems import fig6, place
 from state_damping import damping_at
 
+from fpk.bins import BinAxis
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.errors import NotApplicable
@@ -177,7 +178,9 @@ def test_identities_reject_a_wrong_coefficient() -> None:
     # Sampled with one coefficient, judged with another: the D of the identities is 1.1 times it.
     system = van_der_pol()
     ensemble = Ensemble(system, SCHEMES["exact_flow"], 0.05, 4096, 3, 1)
-    energy = (Histogram(parse_observable("H", 1), (np.array([0.0, 9.0]),)),)  # the others' kernel
+    energy = (
+        Histogram(parse_observable("H", 1), (BinAxis(np.array([0.0, 9.0])),)),
+    )  # the others' kernel
     ensemble.watch(energy, moment_products(1, terms=True))
     ensemble.advance(3000, stride=0)
     ensemble.advance(4000, stride=10)

@@ -180,7 +180,7 @@ def test_a_burn_in_too_short_is_seen_and_said() -> None:
 def test_mirrored_counts() -> None:
     q = np.array([[-1.0, -1.0], [1.0, 1.0]])
     asked = [parse_observable(name, 2) for name in ("q1", "q2,p1", "H", "q1,H")]
-    for histogram in ranged(exact(), asked, q, q, mirror=True):
+    for histogram in ranged(exact(), asked, q, q):
         shape = [e.size - 1 for e in histogram.edges]
         counts = np.random.default_rng(1).integers(0, 9, (3, histogram.size + 1))
         found = mirrored(histogram, counts)
@@ -213,7 +213,7 @@ def test_the_stated_error_is_the_real_one_and_the_mirror_gains() -> None:
     for seed in range(1000, 1016):
         ensemble = Ensemble(exact(), SCHEMES["exact_flow"], 0.11, 4096, seed, 2)
         reach = np.array([[-2.5, -2.5], [2.5, 2.5]])
-        (histogram,) = ranged(exact(), [parse_observable("q2", 2)], reach, reach, mirror=True)
+        (histogram,) = ranged(exact(), [parse_observable("q2", 2)], reach, reach)
         ensemble.watch([histogram], moment_products(2))  # the kernel of the other tests
         ensemble.advance(900, stride=0)
         ensemble.advance(1200, stride=4)
@@ -222,12 +222,12 @@ def test_the_stated_error_is_the_real_one_and_the_mirror_gains() -> None:
         both = sampled_density(histogram, ensemble.counts, taken=taken, mirror=True)
         # The error is that of the density as it is returned at points.
         edges = both.edges[0]
-        distance = np.abs(both(0.5 * (edges[1:] + edges[:-1])) - exact_bins(edges)).sum()
-        ratios.append((edges[1] - edges[0]) * distance / both.l1_error)
+        distance = np.abs(both(0.5 * (edges[1:] + edges[:-1])) - exact_bins(edges))
+        ratios.append(distance @ np.diff(edges) / both.l1_error)
         gains.append((plain.l1_error / both.l1_error) ** 2)
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.24)
     # Twice the samples, but for the correlation of x and −x on one trajectory.
-    assert 1.4 < np.mean(gains) < 2.2
+    assert 1.4 < np.median(gains) < 2.4
 
 
 def test_the_relative_error_of_a_variance_is_free_of_units() -> None:

@@ -31,7 +31,7 @@ def run(threads: int, chunks: tuple[int, ...], paths: int = 5 * LANES - 17) -> E
     ensemble = Ensemble(system, EXACT_FLOW, 0.1, paths, 31, threads)
     observables = [parse_observable(name, 3) for name in ("q1", "p3", "H", "q3,p3")]
     q = np.array([[-1.0] * 3, [1.0] * 3])
-    ensemble.watch(ranged(system, observables, q, q, mirror=False), moment_products(3))
+    ensemble.watch(ranged(system, observables, q, q), moment_products(3))
     for steps in chunks:
         ensemble.advance(steps, stride=3)
     return ensemble
@@ -65,7 +65,7 @@ def test_what_is_not_in_the_scene_is_not_compiled(monkeypatch: pytest.MonkeyPatc
     assert ensemble.step.stop_slot.size == ensemble.step.slot_mass.size == 0
     q = np.array([[-1.0] * 2, [1.0] * 2])
     for name, momenta, energy in (("q2", False, False), ("p1", True, False), ("H", True, True)):
-        h = ranged(system, [parse_observable(name, 2)], q, q, mirror=True)
+        h = ranged(system, [parse_observable(name, 2)], q, q)
         key = watched(system, EXACT_FLOW, ensemble.step, h, ())[0]
         assert (key.observed, key.momenta, key.energy) == (True, momenta, energy)
         assert key.laws == () and not key.moments

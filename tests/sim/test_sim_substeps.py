@@ -10,6 +10,7 @@ from sim_systems import fig6, linear, mixed, place
 from test_sim_random import word
 from test_sim_schemes import contact
 
+from fpk.bins import BinAxis
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.linear import diffusion_matrix, drift_matrix
@@ -121,7 +122,7 @@ def test_kernel_equals_its_twin(make) -> None:
 def observed(threads: int, chunks: tuple[int, ...], paths: int = 5 * LANES - 17) -> Ensemble:
     system = stiff(1e3)
     ensemble = Ensemble(system, longer(8), 0.16, paths, 31, threads)
-    edges = (np.linspace(-1.0, 1.0, 65),)
+    edges = (BinAxis(np.linspace(-1.0, 1.0, 65)),)
     histograms = tuple(
         Histogram(parse_observable(name, 2), edges * (1 + name.count(",")))
         for name in ("q2", "p2", "q2,p2")
@@ -232,7 +233,7 @@ def figures(
     """Return the batches of the time in contact and of E q2², and the moment identities."""
     h = chosen_step(system)
     ensemble = Ensemble(system, longer(small), small * h, paths, seed, 2)
-    edges = (np.array([-0.5, 0.5]),)
+    edges = (BinAxis(np.array([-0.5, 0.5])),)
     stride = max(1, round(0.1 / (small * h)))
     ensemble.watch((Histogram(parse_observable("q2", 2), edges),), moment_products(2))
     ensemble.advance(round(burn_in / (small * h)), stride=0)

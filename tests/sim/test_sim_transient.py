@@ -109,7 +109,7 @@ def test_the_same_for_any_threads_and_a_tolerance_takes_more() -> None:
     at = np.array([0.0, 0.2])
     one, two = (sampled(fig6(), "q2", "rest", [5.0], at, threads=k) for k in (1, 2))
     np.testing.assert_array_equal(one.values, two.values)
-    finer = sampled(linear(1), "q1", "rest", [5.0], at, tol=0.02)
+    finer = sampled(linear(1), "q1", "rest", [5.0], at, tol=0.008)
     assert finer.certificate.certified
     assert int(finer.settings["trajectories"]) > int(one.settings["trajectories"])
     never = sampled(linear(1), "q1", "rest", [5.0], at, tol=1e-4, longest=0.3)
