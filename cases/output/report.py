@@ -8,7 +8,6 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from cases.comparison.claims import ACCEPTABLE_L1, ALMOST_KURTOSIS, ALMOST_L1
 from cases.comparison.run import Outcome
 from cases.output.digest import curves_of
 from cases.output.facts import theories, units_record
@@ -118,11 +117,6 @@ def report_html(
         **origin_record(command or f"fpk run {scene.name}", downloads, seeds=seeds),
         "theories": theories(scene),
         "pictures": pictures,
-        "limits": {
-            "gaussian": ALMOST_L1,
-            "kurtosis": ALMOST_KURTOSIS,
-            "acceptable": ACCEPTABLE_L1,
-        },
         "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
     }
     return rendered("report.html", record)

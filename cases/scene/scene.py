@@ -1,12 +1,11 @@
 """Scenes: one system, what is observed of it, and the further curves of its figure."""
 
 from dataclasses import dataclass
-from difflib import get_close_matches
 from os.path import lexists
 from pathlib import Path
 from typing import Any
 
-from cases.scene.errors import BadInput, toml_value
+from cases.scene.errors import BadInput, misspelt, toml_value
 from cases.scene.expect import Expect, expect_of
 from cases.scene.questions import PassageQuestion, TransientQuestion, passages_of, transients_of
 from cases.scene.reading import read_toml
@@ -74,8 +73,8 @@ def load_scene(scene: str | Path) -> Scene:
     path = Path(name)
     looks_like_path = path.suffix or len(path.parts) > 1
     if not looks_like_path and not lexists(name):
-        close = get_close_matches(name, shipped, n=1)
-        hint = f'did you mean "{close[0]}"?' if close else "fpk list names the shipped scenes"
+        near = misspelt(name, shipped)
+        hint = f'did you mean "{near}"?' if near else "fpk list names the shipped scenes"
         raise BadInput(f"scene {toml_value(name)}: neither a shipped scene nor a file; {hint}")
     return _scene(path, name)
 

@@ -5,14 +5,14 @@ its key as the user would look for it, ``contact[1].clearance`` say, counted fro
 """
 
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from typing import Any, get_args
 from unicodedata import category
 
 from pydantic_core import ErrorDetails, PydanticCustomError, SchemaValidator, ValidationError
 from pydantic_core import core_schema as core
 
-from cases.scene.expect import RELATIONS
+from cases.scene.errors import misspelt
+from cases.scene.expect import ACCEPTABLE_L1, RELATIONS
 from cases.scene.units import Units
 from fpk.contact import Contact, Side
 from fpk.contact_law import LAWS
@@ -37,6 +37,9 @@ MOST_OBSERVED = 16
 
 LARGEST, SMALLEST = 1e100, 1e-100
 """Beyond these a product of three inputs leaves the range of double precision."""
+
+MOST_LETTERS = 16
+"""Letters of the name of a unit."""
 
 
 def _list(items: core.CoreSchema, *, least: int = 1, most: int = MAX_MASSES) -> core.ListSchema:
@@ -150,7 +153,7 @@ DAMPING_TERM = _table(
         "energy": _said(WHOLE, "power of the total energy H"),
     },
 )
-UNIT = core.str_schema(strict=True, pattern=r"^[A-Za-zµμΩÅ]{1,16}$")
+UNIT = core.str_schema(strict=True, pattern=rf"^[A-Za-zµμΩÅ]{{1,{MOST_LETTERS}}}$")
 UNITS = _table(
     {key: _said(UNIT, f"name of the unit of {key}") for key in ("length", "mass", "time")}, {}
 )
@@ -190,7 +193,7 @@ EXPECT = {
         _then(_distinct, _list(THEORY, least=2, most=2)), "the first is nearer to the full system"
     ),
     "acceptable": _said(
-        _then(_distinct, _list(THEORY, most=2)), "within 0.1 in L1 of the full system"
+        _then(_distinct, _list(THEORY, most=2)), f"within {ACCEPTABLE_L1} in L1 of the full system"
     ),
     "clearance_rule": _said(
         _then(_in_range, core.float_schema(strict=True, allow_inf_nan=False, gt=0)),
@@ -241,6 +244,9 @@ SCENE = _table(
 )
 """The whole file."""
 
+PAGE = "docs/scene.md"
+"""The page of the documentation about the scene file."""
+
 _VALIDATOR = SchemaValidator(SCENE)  # it checks the schema itself
 
 REMEDIES = {
@@ -254,7 +260,7 @@ REMEDIES = {
     "greater_than": "must be > 0",
     "greater_than_equal": "must be 1 or more; masses are counted from 1",
     "string_pattern_mismatch": "is not the number of a mass; masses are counted from 1",
-    "string_too_long": "is too long; at most 1000 characters",
+    "string_too_long": "is too long; at most {max_length} characters",
     "too_short": "must have at least {min_length} entries",
     "too_long": "must have at most {max_length} entries",
     "literal_error": "use {expected}",
@@ -285,7 +291,7 @@ def _refusal(error: ErrorDetails) -> InvalidInput:
     if kind == "extra_forbidden":
         remedy = _known_keys(place)
     if place[0] == "units" and kind == "string_pattern_mismatch":
-        remedy = 'must be 1 to 16 letters, such as "mm"'
+        remedy = f'must be 1 to {MOST_LETTERS} letters, such as "mm"'
     if key in ("contact", "damping_term", "passage", "transient") and kind == "list_type":
         remedy = f"must be written as [[{key}]]"
     return InvalidInput(key, error["input"], remedy)
@@ -302,6 +308,7 @@ def _known_keys(place: Sequence[int | str]) -> str:
         table = table["items_schema"] if isinstance(part, int) else table["fields"][part]
         while "schema" in table:
             table = table["schema"]
-    if close := get_close_matches(str(place[-1]), table["fields"], n=1):
-        return f'is not a key of a scene; did you mean "{close[0]}"?'
-    return f"is not a key of a scene; here are known: {', '.join(table['fields'])}"
+    if near := misspelt(str(place[-1]), table["fields"]):
+        return f'is not a key of a scene; did you mean "{near}"?'
+    known = ", ".join(table["fields"])
+    return f"is not a key of a scene; here are known: {known}; {PAGE} says what each means"

@@ -30,6 +30,7 @@ from cases.output.pictures.style import (
     symbol_of,
     words_of,
 )
+from cases.written import number
 from fpk.arrays import Array
 from fpk.density import bin_differences
 from fpk.observable import Observable, observable_name
@@ -84,7 +85,7 @@ def line_pictures(
     figure = density_figure(curves, observable, tails, lowest=TAIL)
     yield (
         f"density_{name}_log",
-        "The same with a logarithmic scale, to a millionth of the top.",
+        f"The same with a logarithmic scale, to {number(TAIL, 1)} of the top.",
         figure,
     )
     for stem, words, band, differences in DIFFERENCES:
