@@ -103,7 +103,7 @@ def run(
     outcome = parts.outcome_of(
         loaded, methods, partial=True, relax=asked is None, tol=asked, save=save
     )
-    if only and not any(curve.results for curve in outcome.curves):
+    if only and not any(curve.answered for curve in outcome.curves):
         raise BadInput(f"{loaded.name}: {'; '.join(outcome.curves[0].problems)}")
     written, digest = [], digest_of(outcome)
     if asked is not None and any(method.route.sampled for method in methods):

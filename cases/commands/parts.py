@@ -132,13 +132,15 @@ def observable_of(name: str, scene: "Scene") -> "Observable":
 def narrowed(scene: "Scene", names: Sequence[str], *, whole: bool) -> "Scene":
     """Return the scene with the observables of ``names`` alone and then no questions about time.
 
-    No name: its own. Its claims are about all routes and observables: they stay where these are
-    ``whole``.
+    No name: its own. ``whole`` says that all routes are taken: only then its claims stay, which are
+    about all routes and observables, and its own densities must be given.
     """
     if names:
         observables = tuple(dict.fromkeys(observable_of(name, scene) for name in names))
         scene = replace(scene, observables=observables, passages=(), transients=())
-    return scene if whole and not names else replace(scene, expect=None)
+    asked = bool(names) or (whole and scene.densities_asked)
+    expect = scene.expect if whole and not names else None
+    return replace(scene, expect=expect, densities_asked=asked)
 
 
 def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:

@@ -1,6 +1,6 @@
 """The answers for one system by several methods, and what is wrong with them."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
@@ -19,9 +19,10 @@ from cases.comparison.refusal import Refusal
 from fpk.density import AnyDensity
 from fpk.errors import NotApplicable
 from fpk.method import Result
-from fpk.observable import Level, Observable, parse_observable
+from fpk.observable import Level, Observable, observable_name, parse_observable
 from fpk.route import Route
 from fpk.system import System
+from sim.montecarlo import MonteCarlo
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,7 +39,8 @@ class Answers(Mapping[Any, AnyDensity]):
     for. Of a scene's curve ``label`` and ``value`` are as in ``Curve``; ``notes`` say in words what
     was done that nobody asked for, ``interrupted`` whether Ctrl-C ended the work. ``passages`` and
     ``transients`` are what was said to the scene's questions about motion in time. ``exceedance``
-    has the levels a whose P(X > a) is among the quantities. ::
+    has the levels a whose P(X > a) is among the quantities. The stationary densities of ``asked``,
+    where the system has any, must be given by some route. ::
 
         answers = fpk.solve(fpk.load("fig3a").system, ["q2"])
         answers["q2", "exact"], answers.of("q2"), answers.refusals, answers.problems
@@ -55,6 +57,7 @@ class Answers(Mapping[Any, AnyDensity]):
     passages: tuple[Replies, ...] = ()
     transients: tuple[Replies, ...] = ()
     exceedance: tuple[Level, ...] = ()
+    asked: tuple[Observable, ...] = ()
 
     @property
     def in_time(self) -> tuple[Replies, ...]:
@@ -170,6 +173,16 @@ class Answers(Mapping[Any, AnyDensity]):
         return exact or route.solves == "full"
 
     @property
+    def answered(self) -> bool:
+        """Whether any route gave a density, or the answer to a question about motion in time."""
+        return bool(self.results) or any(replies.given for replies in self.in_time)
+
+    @property
+    def absence(self) -> str | None:
+        """Why the system has no stationary density, None where it has or a route gave one."""
+        return None if self.results else MonteCarlo().refusal(self.system, ())
+
+    @property
     def problems(self) -> tuple[str, ...]:
         """Every check that does not hold, in words; empty when all do."""
         problems = list(discrepancies(self.comparisons))
@@ -182,12 +195,27 @@ class Answers(Mapping[Any, AnyDensity]):
         ]
         problems += [f"{r.route.label} failed: {r.reason}" for r in self.refused if r.failed]
         problems += [problem for replies in self.in_time for problem in replies.problems]
+        absence = self.absence
         if not self.refused and not self.results:
             problems.append("not run: the program was interrupted")
-        elif not self.results and not problems:
-            reasons = dict.fromkeys(r.reason for r in self.refused)
-            problems.append(f"no route applies: {'; '.join(reasons)}")
+        elif not self.answered and not problems:
+            problems.append(f"no route applies: {absence or _reasons(self.refused)}")
+        elif self.answered and not (self.interrupted or absence):
+            problems += self._not_given()
         return tuple(f"{self.label}: {p}" if self.label else p for p in problems)
+
+    def _not_given(self) -> Iterator[str]:
+        """What is asked for and no route gives, but for what a route has failed to give."""
+        for observable in (o for o in self.asked if not self.densities(o)):
+            name = observable_name(observable)
+            refused = [r for r in self.refused if name in r.observables]
+            if not any(r.failed for r in refused):
+                reasons = _reasons(refused).replace(f"{name}: ", "")
+                yield f"{name}: no route gives its stationary density: {reasons}"
+
+
+def _reasons(refused: Iterable[Refusal]) -> str:
+    return "; ".join(dict.fromkeys(refusal.reason for refusal in refused))
 
 
 def presented() -> Any:

@@ -9,12 +9,14 @@ from cases.comparison.routes import listed_routes
 from cases.output.motion import modes_record, rms_record
 from cases.output.records import Record, plain
 from cases.scene.numbers import Place
+from cases.scene.questions import PassageQuestion, Question
 from cases.scene.scene import Scene
 from cases.scene.units import NUMBER
 from fpk.clearance import stop_clearances
 from fpk.effects import effects_of
 from fpk.ends import BoundaryClass, classify
 from fpk.errors import InvalidInput, NotApplicable
+from fpk.evolution import Passages, Transients
 from fpk.linear import natural_modes
 from fpk.observable import observable_name
 from fpk.route import ROUTES, solvers_of
@@ -59,8 +61,17 @@ def units_record(scene: Scene) -> Record | None:
 
 
 def check_record(scene: Scene) -> Record:
-    """Return the record of ``fpk check``: sizes, theories, and about what a run costs."""
-    listed = theories(scene)
+    """Return the record of ``fpk check``: sizes, theories, questions, about what a run costs.
+
+    ``refused`` and ``applies`` are about stationary densities; ``stationary_refusal`` says why the
+    system has none, None where it has. ``questions`` has the methods that each is asked of.
+    """
+    listed, asked = theories(scene), list[Record]()
+    questions: tuple[Question, ...] = (*scene.passages, *scene.transients)
+    for question in questions:
+        kind = Passages if isinstance(question, PassageQuestion) else Transients
+        able = dict.fromkeys(r.method for r in listed_routes() if isinstance(r.make(), kind))
+        asked.append({"question": question.name, "methods": list(able)})
     taken = [t["method"] for t in listed if t["applies"] and not t["left_out"]]
     seconds: float | None = 0.0
     refusal = None
@@ -79,6 +90,8 @@ def check_record(scene: Scene) -> Record:
             "applies": [t["method"] for t in listed if t["applies"]],
             "refused": [t for t in listed if not t["applies"]],
             "left_out": [t for t in listed if t["left_out"]],
+            "stationary_refusal": MonteCarlo().refusal(scene.system, ()),
+            "questions": asked,
             "simulation_seconds": seconds,
             "simulation_refusal": refusal,
             "phase_space": "phase-space" in taken,

@@ -27,7 +27,8 @@ class Scene:
     ``name`` is the file's stem; ``text`` the file as it was read; ``curves`` holds the scene's own
     system first, then those that ``[vary]`` adds. Of each, ``passages`` and ``transients`` ask.
     ``exceedance`` has the levels a of the probabilities P(X > a) that are wanted of an observable
-    X. ``units`` are the names of ``[units]``. ::
+    X. ``units`` are the names of ``[units]``. ``densities_asked``: ``observables`` are those of
+    ``[observe]``, not the default ones. ::
 
         scene = fpk.load("fig6a")
         scene.title, scene.system, [(curve.label, curve.value) for curve in scene.curves]
@@ -45,6 +46,7 @@ class Scene:
     transients: tuple[TransientQuestion, ...] = ()
     units: Units = NO_UNITS
     exceedance: tuple[Level, ...] = ()
+    densities_asked: bool = False
 
 
 def shipped_scenes() -> dict[str, Path]:
@@ -96,8 +98,10 @@ def _scene(path: Path, label: str) -> Scene:
         raise BadInput(f"{label}: {error.key or 'scene'} {given}: {error.remedy}") from None
     title, source = tables.get("title") or path.stem, tables.get("source", "")
     asked = observables, curves, expect, passages, transients
-    units = tables.get("units", NO_UNITS)
-    return Scene(path.stem, title, source, text, system, *asked, units=units, exceedance=exceedance)
+    return Scene(
+        path.stem, title, source, text, system, *asked, units=tables.get("units", NO_UNITS),
+        exceedance=exceedance, densities_asked="densities" in observe,
+    )  # fmt: skip
 
 
 def _system(tables: dict[str, Any]) -> System:
