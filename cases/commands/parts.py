@@ -103,7 +103,10 @@ def command_line() -> str:
 
 
 def checked(scene: str, *, tol: float | None = None, out: Path | None = None) -> "Scene":
-    """Load the scene, check the tolerance, make the folder: a refusal comes before any work."""
+    """Load the scene, check the tolerance, make the folder: a refusal comes before any work.
+
+    The folder ``out`` is this command's alone until it ends.
+    """
     from cases.scene.scene import load_scene
 
     loaded = load_scene(scene)
@@ -113,9 +116,9 @@ def checked(scene: str, *, tol: float | None = None, out: Path | None = None) ->
         if not SMALLEST <= tol <= LARGEST:
             raise BadInput(f"--tol {tol:g}: must be between {SMALLEST:g} and {LARGEST:g}")
     if out is not None:
-        from cases.output.files import make_folder
+        from cases.output.files import output_folder
 
-        make_folder(out)
+        click.get_current_context().with_resource(output_folder(out))
     return loaded
 
 
