@@ -134,6 +134,7 @@ CONSTANTS = {
     ),
     "command-line.md": (
         f"at a false-alarm rate of {short(diagnostics.FALSE_ALARMS)} an observable",
+        f"Where that is off by more than {expect.ACCEPTABLE_L1}, a stop",
         "quantiles of {0:.0%} and {2:.0%}".format(*quantity.QUANTILES.values()).replace("%", " %"),
         f"{short(phase_space.UNASKED_TOL)} or better where that is met",
         f"Where less than {short(phase_space.UNASKED_ACCEPTED)} is out of reach",

@@ -94,6 +94,8 @@ def run(
 
     def save(outcome: Any) -> None:
         if outcome.curves[-1].interrupted:
+            if not any(curve.answered for curve in outcome.curves):
+                raise KeyboardInterrupt
             click.echo("fpk: stopped; what there is follows, Ctrl-C again ends at once", err=True)
         if out is not None:
             write_netcdf(outcome, out / parts.FIELDS)

@@ -6,8 +6,8 @@ from functools import cached_property
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from averaging.exact import compatibility
 from cases.comparison.compare import Comparison, compared, discrepancies
+from cases.comparison.doubt import averaging_notes, incompatibility
 from cases.comparison.in_time import Replies
 from cases.comparison.quantities import (
     Quantity,
@@ -17,7 +17,6 @@ from cases.comparison.quantities import (
 )
 from cases.comparison.refusal import Refusal
 from fpk.density import AnyDensity
-from fpk.errors import NotApplicable
 from fpk.method import Result
 from fpk.observable import Level, Observable, observable_name, parse_observable
 from fpk.route import Route
@@ -172,6 +171,14 @@ class Answers(Mapping[Any, AnyDensity]):
         exact = incompatibility(self.system) is None and not self.neglects(route)
         return exact or route.solves == "full"
 
+    @cached_property
+    def averaging_notes(self) -> tuple[str, ...]:
+        """What is to be known of averaged answers with none of the full system beside them."""
+        of = dict.fromkeys(d.observable for d in self.values())
+        densities = [(observable_name(o), self.densities(o), False) for o in of]
+        in_time = [(r.question.name, [g.route for g in r.given], True) for r in self.in_time]
+        return averaging_notes(self.system, [*densities, *in_time])
+
     @property
     def answered(self) -> bool:
         """Whether any route gave a density, or the answer to a question about motion in time."""
@@ -221,12 +228,3 @@ def _reasons(refused: Iterable[Refusal]) -> str:
 def presented() -> Any:
     """Return the module that shows answers, which is above this one and heavy: loaded late."""
     return import_module("cases.output.presented")
-
-
-def incompatibility(system: System) -> str | None:
-    """Return why the exact theory (7), (8) does not apply, None where it does."""
-    try:
-        compatibility(system)
-    except NotApplicable as reason:
-        return str(reason)
-    return None

@@ -4,7 +4,7 @@ from contextlib import suppress
 
 from averaging.energy_process import energy_process
 from averaging.modal.analysis import modal_analysis
-from cases.comparison.answers import incompatibility
+from cases.comparison.doubt import incompatibility
 from cases.comparison.routes import listed_routes
 from cases.output.motion import modes_record, rms_record
 from cases.output.records import Record, plain

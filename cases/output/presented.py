@@ -17,6 +17,7 @@ from cases.output.pictures.style import COLOURS, SHOWN, STYLE, density_words, wo
 from cases.output.records import UNITS, plain, program_version
 from cases.output.tables import quantity_columns
 from cases.output.variables import Variables
+from cases.output.words import named
 from cases.scene.units import Units
 from cases.written import NOTE
 from fpk.density import AnyDensity
@@ -38,7 +39,9 @@ def summary_frame(answers: Answers) -> Any:
     cells = ["value", "error", "error_kind"]
     wide = frame.set_index(["observable", "quantity", "route"])[cells].unstack("route")
     columns = pandas.MultiIndex.from_product([routes, cells])
-    return wide.swaplevel(axis=1).reindex(index=rows, columns=columns)
+    table = wide.swaplevel(axis=1).reindex(index=rows, columns=columns)
+    table.attrs["averaging_notes"] = answers.averaging_notes
+    return table
 
 
 def dataset(answers: Answers) -> Any:
@@ -47,8 +50,12 @@ def dataset(answers: Answers) -> Any:
     variables: Variables = {}
     for observable in dict.fromkeys(d.observable for d in answers.values()):
         variables |= density_variables([answers], observable, Units())
+    notes = (
+        {"averaging_notes": "\n".join(answers.averaging_notes)} if answers.averaging_notes else {}
+    )
     data = xarray.Dataset(
-        dict(variables), attrs={"units": UNITS, "program": f"vibro-fpk {program_version()}"}
+        dict(variables),
+        attrs={"units": UNITS, "program": f"vibro-fpk {program_version()}", **notes},
     )
     return data.isel(curve=0, drop=True) if "curve" in data.dims else data
 
@@ -102,7 +109,8 @@ def html_tables(answers: Answers) -> str:
         body = "".join(f"<tr>{_cells('td', row)}</tr>" for row in others)
         head = f"<thead><tr>{_cells('th', first)}</tr></thead>"
         parts.append(f"<table>{head}<tbody>{body}</tbody></table>")
-    return "".join([*parts, f"<p>{escape(NOTE)}</p>" if rows else ""])
+    notes = [*([NOTE] if rows else []), *map(named, answers.averaging_notes)]
+    return "".join([*parts, *(f"<p>{escape(note)}</p>" for note in notes)])
 
 
 def _cells(tag: str, texts: Iterable[str]) -> str:
