@@ -17,8 +17,10 @@ from averaging.phase_space.passage import first_passage, mesh
 from cases.commands import verify
 from cases.commands.app import app
 from cases.comparison import answering, claims, quantity
+from cases.comparison.answers import Answers
 from cases.comparison.routes import listed_routes
-from cases.output import motion, text, vtk
+from cases.output import motion, presented, text, vtk
+from cases.output.pictures import joint
 from cases.scene import expect, schema
 from cases.studies.sweep import reference
 from fpk import clearance, contour, damping
@@ -232,6 +234,16 @@ def test_messages_and_help_state_the_limits_of_the_code():
     words = schema.REMEDIES["finite_number"]
     ends = [float(number) for number in re.findall(r"1e-?[0-9]+", words)]
     assert ends == [schema.SMALLEST, schema.LARGEST]
+    limits = short(presented.TAIL), short(joint.LOWEST)
+    assert (
+        "down to {} of the largest, contours".format(*limits)
+        in " ".join(Answers.plot.__doc__.split())
+        and f"to {limits[1]}." in Answers.plot.__doc__
+    )
+    for command in app.commands.values():
+        for option in command.params:
+            if given := re.match(r"Default ([^.]+)\.", getattr(option, "help", None) or ""):
+                assert given[1] == str(option.default)
     (memory,) = (o for o in app.commands["density"].params if o.name == "memory")
     assert f"{refinement.MEMORY:g} if left out" in memory.help
 
