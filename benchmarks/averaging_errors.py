@@ -18,12 +18,11 @@ from pathlib import Path
 import numpy as np
 from report import machine, markdown_table
 
-from averaging.gaussian import Linear
 from averaging.integrable import Integrable
-from averaging.linear_part import linear_part
 from averaging.nonintegrable import NonIntegrable
 from averaging.phase_space.method import PhaseSpace
 from cases.comparison.compare import distance_between
+from cases.comparison.doubt import rms_ratios
 from cases.scene.scene import load_scene
 from fpk.contact import Contact
 from fpk.errors import NotApplicable
@@ -128,16 +127,16 @@ def doubted() -> list[list[str]]:
     }
     rows = []
     for label, system in systems.items():
-        free, last = replace(system, contacts=()), (Coordinate("q", system.n - 1),)
-        (averaged,), (exact,) = (m.solve(free, [last]).densities for m in (THEORIES[0], Linear()))
+        last = (Coordinate("q", system.n - 1),)
+        ratios, spread, _ = rms_ratios(system)
         (theory,) = THEORIES[0].solve(system, [last]).densities
         (full,) = MonteCarlo(relaxations=40.0).solve(system, [last]).densities
         rms = full.rms()
         ratio = theory.rms().value / rms.value
         rows.append([
             label,
-            f"1 to {linear_part(system).temperatures:.3g}",
-            f"{averaged.rms().value / exact.rms().value:.3f}",
+            f"1 to {spread:.3g}",
+            f"{ratios[system.n - 1]:.3f}",
             f"{ratio:.4f} ± {ratio * rms.error / rms.value:.0e}",
         ])  # fmt: skip
         print(*rows[-1], flush=True)

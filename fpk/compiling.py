@@ -6,8 +6,9 @@ The cache holds checksums of its files and of the sources that they were made fr
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, InvalidStateError
 from contextlib import contextmanager, suppress
+from functools import partial
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
@@ -28,10 +29,6 @@ NO_FOLDER = "no locator available"
 
 COMPILER = "fpk compiler"
 """Name of the threads that compile."""
-
-LOOK = 0.1
-"""Seconds after which one who waits for a compiled function looks for Ctrl-C where the operating
-system does not interrupt the wait."""
 
 DIGEST_BYTES = sha256().digest_size
 """Bytes at the end of a cache file: the SHA-256 of those before, which no reader unpickles."""
@@ -103,11 +100,11 @@ class CheckedCache(FunctionCache):
         self._cache_file = CheckedFiles(self._cache_path, name, files._source_stamp)
 
 
-_waiting: set[threading.Event] = set()
+_awaited: set[Future[Any]] = set()
 
 
 def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return ``compile_for`` (a function of a signature) that works in a thread of its own.
+    """Return ``compile_for``, a function of a signature, that works in a thread of its own.
 
     LLVM works for many seconds without a look at signals; one who waits for a thread receives them.
     What is compiled on the way, for a function that calls it, is so in the same thread. Raises
@@ -117,25 +114,22 @@ def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], 
     def compiled(signature: Any) -> Any:
         if threading.current_thread().name == COMPILER:
             return compile_for(signature)
-        result, ready = Future[Any](), threading.Event()
+        result = Future[Any]()
 
         def work() -> None:
             try:
-                result.set_result(compile_for(signature))
+                done = partial(result.set_result, compile_for(signature))
             except BaseException as error:
-                result.set_exception(error)
-            ready.set()
+                done = partial(result.set_exception, error)
+            with suppress(InvalidStateError):  # abandoned
+                done()
 
-        _waiting.add(ready)
+        _awaited.add(result)
         try:
             threading.Thread(target=work, name=COMPILER).start()
-            while not ready.wait(LOOK):
-                pass
+            return result.result()
         finally:
-            _waiting.discard(ready)
-        if not result.done():
-            raise KeyboardInterrupt
-        return result.result()
+            _awaited.discard(result)
 
     return compiled
 
@@ -145,8 +139,9 @@ def abandon() -> None:
 
     The compiling cannot be ended and goes on: a process ends after it, or by ``os._exit``.
     """
-    for ready in tuple(_waiting):
-        ready.set()
+    for result in tuple(_awaited):
+        with suppress(InvalidStateError):  # it is there
+            result.set_exception(KeyboardInterrupt())
 
 
 def is_compiling() -> bool:

@@ -16,14 +16,17 @@ from averaging.phase_space.dynamics import resolvent
 from averaging.phase_space.passage import first_passage, mesh
 from cases.commands import verify
 from cases.commands.app import app
-from cases.comparison import answering, claims, quantity
+from cases.comparison import answering, claims, compare, quantity
 from cases.comparison.answers import Answers
 from cases.comparison.routes import listed_routes
 from cases.output import motion, presented, text, vtk
-from cases.output.pictures import joint
-from cases.scene import expect, schema
+from cases.output.pictures import joint, lines
+from cases.scene import schema
+from cases.studies import converge_page, cost_page, levels, orders
+from cases.studies.orders import grid_convergence
 from cases.studies.sweep import reference
 from fpk import clearance, contour, damping
+from fpk.errors import InvalidInput
 from sim import checkpoint, diagnostics, montecarlo, step_size, substeps
 from sim.motion import correlation, failure_times, spectrum
 from sim.splitting import estimate
@@ -120,7 +123,7 @@ DYNAMICS = ", ".join(
     map(short, (phase_space.CROSSINGS_TOL, phase_space.SPECTRUM_TOL, phase_space.CORRELATION_TOL))
 )
 
-WORDS, PARTS = {2: "two", 3: "three"}, {4: "a quarter", 5: "a fifth"}
+WORDS, PARTS = {2: "two", 3: "three", 10: "ten"}, {4: "a quarter", 5: "a fifth"}
 
 CONSTANTS = {
     "choose.md": (
@@ -136,7 +139,7 @@ CONSTANTS = {
     ),
     "command-line.md": (
         f"at a false-alarm rate of {short(diagnostics.FALSE_ALARMS)} an observable",
-        f"Where that is off by more than {expect.ACCEPTABLE_L1}, a stop",
+        f"Where that is off by more than {compare.ACCEPTABLE_L1}, a stop",
         "quantiles of {0:.0%} and {2:.0%}".format(*quantity.QUANTILES.values()).replace("%", " %"),
         f"{short(phase_space.UNASKED_TOL)} or better where that is met",
         f"Where less than {short(phase_space.UNASKED_ACCEPTED)} is out of reach",
@@ -158,8 +161,7 @@ CONSTANTS = {
     "cluster.md": (f"Every {checkpoint.INTERVAL:g} seconds of a simulation",),
     "faq.md": (f"gives it to {short(phase_space.UNASKED_TOL)} or better",),
     "scene.md": (
-        f"each in 1 to {schema.MOST_LETTERS} letters",
-        f"within {expect.ACCEPTABLE_L1} in L1 of the full system",
+        f"within {compare.ACCEPTABLE_L1} in L1 of the full system",
         f"(a false-alarm rate of {short(diagnostics.FALSE_ALARMS)}, over all times)",
         f"up to {schema.MOST_QUESTIONS} of each",
         f"up to {schema.MOST_LEVELS} levels a coordinate",
@@ -207,7 +209,8 @@ def test_constants_in_documents_are_those_of_the_code(page):
 FOLDER = ROOT / "cases" / "output" / "templates"
 TEMPLATES = [*FOLDER.glob("*.html"), *FOLDER.glob("*.txt")]
 NAMES = r"Eq\. \(1\)|condition \(8\)|section 6\.3|\bL1\b|dt/2|\|∫p − 1\||\(2 ω_m\)"
-"""Digits of templates that are names, or of mathematics."""
+NAMES += f"|negligible beyond {clearance.CLEARANCE_RULE:g} rms"
+"""Digits of templates that are names, or of mathematics, or held to the code here."""
 
 
 @pytest.mark.parametrize("path", TEMPLATES, ids=lambda path: path.name)
@@ -225,9 +228,10 @@ def test_a_template_repeats_no_constant(path):
 def test_the_report_states_the_rates_of_the_code():
     page = (FOLDER / "report.html").read_text(encoding="utf-8")
     (sentence,) = re.findall(r"[^.>]*false-alarm rate[^<]*", page)
-    shown = text._templates().from_string(sentence).render()
+    limits = {"false_alarms": diagnostics.FALSE_ALARMS}
+    shown = text._templates().from_string(sentence).render(limits=limits)
     assert shown.strip().endswith("at a false-alarm rate of 1 × 10⁻⁶.")
-    assert text.LIMITS["false_alarms"] == diagnostics.FALSE_ALARMS == 1e-6
+    assert diagnostics.FALSE_ALARMS == 1e-6
 
 
 def test_messages_and_help_state_the_limits_of_the_code():
@@ -244,6 +248,21 @@ def test_messages_and_help_state_the_limits_of_the_code():
         for option in command.params:
             if given := re.match(r"Default ([^.]+)\.", getattr(option, "help", None) or ""):
                 assert given[1] == str(option.default)
+    factors = [grid_convergence(x, theory=2.0, floor=0.0).safety
+               for x in ((21.0, 6.0, 2.25, 1.3125), (2.0, 1.0, 0.5, 0.25))]  # fmt: skip
+    trusted = f"within {100 * orders.TRUSTED:.0f} % of theory, else {factors[1]:g}"
+    words = f"Safety factor {factors[0]:g} where the observed order is {trusted}"
+    assert words in converge_page.GCI_WORDS
+    assert f"within {WORDS[orders.ABOVE_FLOOR]} times the floor" in converge_page.ORDER_WORDS
+    assert "the median of {} to {} runs".format(*levels.REPEATS) in cost_page.MEANING
+    assert lines.TAIL == 1e-6  # "to a millionth of the top"
+    assert f"within {compare.ACCEPTABLE_L1} in L1" in str(schema.EXPECT["acceptable"]["metadata"])
+    system = {key: [1.0] for key in schema.SYSTEM["fields"]} | {"noise_gain": [[1.0]]}
+    keys = schema.UNITS["fields"]
+    with pytest.raises(InvalidInput) as refusal:
+        schema.validated({"system": system, "units": dict.fromkeys(keys, "1")})
+    least, most = re.search(r"\{(\d+),(\d+)\}", schema.UNIT["pattern"]).groups()
+    assert f"must be {least} to {most} letters" in refusal.value.remedy
     (memory,) = (o for o in app.commands["density"].params if o.name == "memory")
     assert f"{refinement.MEMORY:g} if left out" in memory.help
 

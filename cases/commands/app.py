@@ -160,20 +160,15 @@ def run_app() -> None:
     except click.ClickException as error:
         context = error.ctx if isinstance(error, click.UsageError) else None
         command = context.command_path if context else "fpk"
-        _fail(f"{_message_of(error)} ({command} --help says more)", 2)
+        if similar := getattr(error, "possibilities", None):  # by click: of many common letters
+            word = getattr(error, "option_name", None) or getattr(error, "command_name", None)
+            near = [name for name in similar if misspelt(str(word), [name])]
+            vars(error)["possibilities"] = near
+        _fail(f"{error.format_message()} ({command} --help says more)", 2)
     except NotCertified as error:
         _fail(str(error), 1)
     except (BadInput, InvalidInput, NotApplicable, Unavailable) as error:
         _fail(str(error), 2)
-
-
-def _message_of(error: click.ClickException) -> str:
-    """The message of click; of the names that it finds similar only one that was misspelt."""
-    if not (similar := getattr(error, "possibilities", None)):
-        return error.format_message()
-    word = getattr(error, "option_name", None) or getattr(error, "command_name", None)
-    near = misspelt(str(word), similar)
-    return error.message + (f" Did you mean {near}?" if near else "")
 
 
 def _fail(message: str, status: int) -> None:

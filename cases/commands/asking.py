@@ -94,12 +94,8 @@ class Asked:
         record = answer_record(self.scene, method, given, answer, seconds, key=key)
         failures = record["certificate"]["failures"]
         problems = [f"{about} is not certified: {failure}" for failure in failures]
-        note = record["averaging_note"]
-
-        def shown() -> str:
-            return "\n".join([text(record), *([f"# {named(note)}"] if note else [])])
-
-        parts.end(record, shown, problems=problems)
+        notes = [f"# {named(note)}" for note in record["averaging_notes"]]
+        parts.end(record, lambda: "\n".join([text(record), *notes]), problems=problems)
 
     def _answer(
         self, kind: type, words: str, work: Callable[..., Any], settings: dict[str, Any]

@@ -30,20 +30,14 @@ def main() -> None:
 
 def interrupted(number: int, frame: FrameType | None) -> None:
     """Answer Ctrl-C: nobody waits for what is being compiled, the main thread is interrupted."""
-    if abandon := _compiler("abandon"):
-        abandon()
+    getattr(sys.modules.get("fpk.compiling"), "abandon", bool)()
     signal.default_int_handler(number, frame)
 
 
-def end(status: str | int | None) -> None:
+def end(status: Any) -> None:
     """Exit with ``status``, at once where a function is still being compiled for nobody."""
-    if (is_compiling := _compiler("is_compiling")) and is_compiling():
-        for stream in (sys.stdout, sys.stderr):
-            stream.flush()
-        os._exit(status if isinstance(status, int) else 0 if status is None else 1)
+    if getattr(sys.modules.get("fpk.compiling"), "is_compiling", bool)():
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status or 0)
     sys.exit(status)
-
-
-def _compiler(name: str) -> Any:
-    """A function of ``fpk.compiling``, None until it is there: most commands never import it."""
-    return getattr(sys.modules.get("fpk.compiling"), name, None)

@@ -50,7 +50,6 @@ def export(
     from cases.comparison.routes import all_methods
     from cases.output.fields import write_csv, write_netcdf
     from cases.output.vtk import write_pvd, write_vtu
-    from cases.output.words import named
 
     # Without all routes nothing can be claimed, and a density may be left out.
     loaded = replace(loaded, expect=None, densities_asked=False)
@@ -67,8 +66,6 @@ def export(
         raise BadInput(f"{loaded.name}: {[*outcome.problems, reason][0]}")
     write = dict(zip(ENDINGS, (write_vtu, write_pvd, write_netcdf, write_csv), strict=True))
     files = [str(path) for path in write[out.suffix](outcome, out)]
-    notes = dict.fromkeys(note for curve in outcome.curves for note in curve.averaging_notes)
     record = {"scene": loaded.name, "file": str(out), "files": files, "seconds": outcome.seconds}
-    record["averaging_notes"] = list(notes)
-    words = "\n".join([*(f"wrote {file}" for file in files), *map(named, notes)])
+    words = "\n".join(f"wrote {file}" for file in files)
     parts.end(record, lambda: words, problems=outcome.problems)

@@ -1,6 +1,6 @@
 """The answers for one system by several methods, and what is wrong with them."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
@@ -206,23 +206,14 @@ class Answers(Mapping[Any, AnyDensity]):
         if not self.refused and not self.results:
             problems.append("not run: the program was interrupted")
         elif not self.answered and not problems:
-            problems.append(f"no route applies: {absence or _reasons(self.refused)}")
+            reasons = dict.fromkeys([absence] if absence else [r.reason for r in self.refused])
+            problems.append(f"no route applies: {'; '.join(reasons)}")
         elif self.answered and not (self.interrupted or absence):
-            problems += self._not_given()
+            failed = {name for r in self.refused if r.failed for name in r.observables}
+            names = {observable_name(o) for o in self.asked if not self.densities(o)} - failed
+            words = "no route gives its stationary density; --details says why"
+            problems += [f"{name}: {words}" for name in sorted(names)]
         return tuple(f"{self.label}: {p}" if self.label else p for p in problems)
-
-    def _not_given(self) -> Iterator[str]:
-        """What is asked for and no route gives, but for what a route has failed to give."""
-        for observable in (o for o in self.asked if not self.densities(o)):
-            name = observable_name(observable)
-            refused = [r for r in self.refused if name in r.observables]
-            if not any(r.failed for r in refused):
-                reasons = _reasons(refused).replace(f"{name}: ", "")
-                yield f"{name}: no route gives its stationary density: {reasons}"
-
-
-def _reasons(refused: Iterable[Refusal]) -> str:
-    return "; ".join(dict.fromkeys(refusal.reason for refusal in refused))
 
 
 def presented() -> Any:

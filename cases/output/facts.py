@@ -4,19 +4,17 @@ from contextlib import suppress
 
 from averaging.energy_process import energy_process
 from averaging.modal.analysis import modal_analysis
-from cases.comparison.doubt import incompatibility
+from cases.comparison.doubt import averaging_notes, incompatibility
 from cases.comparison.routes import listed_routes
 from cases.output.motion import modes_record, rms_record
 from cases.output.records import Record, plain
 from cases.scene.numbers import Place
-from cases.scene.questions import PassageQuestion, Question
 from cases.scene.scene import Scene
 from cases.scene.units import NUMBER
 from fpk.clearance import stop_clearances
 from fpk.effects import effects_of
 from fpk.ends import BoundaryClass, classify
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import Passages, Transients
 from fpk.linear import natural_modes
 from fpk.observable import observable_name
 from fpk.route import ROUTES, solvers_of
@@ -30,8 +28,9 @@ MODES_SHOWN = 50
 
 def show_record(scene: Scene) -> Record:
     """Return the record of ``fpk show``."""
-    facts = facts_record(scene.system)
-    regime = facts["regime"]
+    facts, rms = facts_record(scene.system), rms_record(scene.system)
+    regime, routes = facts["regime"], {route.label: route for route in listed_routes()}
+    averaged = [("rms", [routes[row["route"]]], False) for row in rms[:1]]
     return plain(
         {
             "scene": scene.name,
@@ -43,7 +42,8 @@ def show_record(scene: Scene) -> Record:
             "units": units_record(scene),
             "natural_frequencies": regime["natural_frequencies"],
             "modes": modes_record(scene.system),
-            "rms": rms_record(scene.system),
+            "rms": rms,
+            "averaging_notes": averaging_notes(scene.system, averaged),
             "theories": theories(scene),
             "boundaries": regime["boundaries"],
         }
@@ -64,14 +64,9 @@ def check_record(scene: Scene) -> Record:
     """Return the record of ``fpk check``: sizes, theories, questions, about what a run costs.
 
     ``refused`` and ``applies`` are about stationary densities; ``stationary_refusal`` says why the
-    system has none, None where it has. ``questions`` has the methods that each is asked of.
+    system has none, None where it has.
     """
-    listed, asked = theories(scene), list[Record]()
-    questions: tuple[Question, ...] = (*scene.passages, *scene.transients)
-    for question in questions:
-        kind = Passages if isinstance(question, PassageQuestion) else Transients
-        able = dict.fromkeys(r.method for r in listed_routes() if isinstance(r.make(), kind))
-        asked.append({"question": question.name, "methods": list(able)})
+    listed = theories(scene)
     taken = [t["method"] for t in listed if t["applies"] and not t["left_out"]]
     seconds: float | None = 0.0
     refusal = None
@@ -91,7 +86,7 @@ def check_record(scene: Scene) -> Record:
             "refused": [t for t in listed if not t["applies"]],
             "left_out": [t for t in listed if t["left_out"]],
             "stationary_refusal": MonteCarlo().refusal(scene.system, ()),
-            "questions": asked,
+            "questions": [q.name for q in scene.passages] + [q.name for q in scene.transients],
             "simulation_seconds": seconds,
             "simulation_refusal": refusal,
             "phase_space": "phase-space" in taken,

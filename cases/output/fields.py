@@ -64,16 +64,14 @@ def write_netcdf(outcome: Outcome, path: Path) -> list[Path]:
         for result in curve.results
     ]
     provenance = json.dumps(answers, ensure_ascii=False)
-    attributes = {**attributes_of(outcome.scene, outcome.curves), "provenance": provenance}
+    attributes = {**attributes_of(outcome.scene), "provenance": provenance}
     write_variables(variables, attributes, path)
     return [path]
 
 
-def attributes_of(scene: Scene, curves: Sequence[Answers] = ()) -> dict[str, str]:
-    """Return what every file of results says of its origin, and of answers that averaging made."""
-    notes = [": ".join(filter(None, [c.label, note])) for c in curves for note in c.averaging_notes]
+def attributes_of(scene: Scene) -> dict[str, str]:
+    """Return what every file of results says of its origin."""
     return {
-        **({"averaging_notes": "\n".join(notes)} if notes else {}),
         "title": scene.title,
         "scene": scene.name,
         "source": scene.source,

@@ -1,13 +1,11 @@
 """Files appear under their names whole or not at all."""
 
 import os
-import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from shutil import rmtree
 from tempfile import TemporaryDirectory
-from time import time
 
 from cases.scene.errors import readable_errors
 from fpk.lock import locked
@@ -15,13 +13,7 @@ from fpk.lock import locked
 NOT_WRITTEN = "cannot be written", "what was there is kept; make room or give another --out"
 
 LOCK, PREFIX = ".fpk.lock", ".fpk-"
-"""Lock of a folder that a command writes to, and how the names of temporary folders begin."""
-
-LEFT = re.compile(re.escape(PREFIX) + r"[a-z0-9_]{8}")
-"""Name that ``TemporaryDirectory`` gives to a temporary folder."""
-
-STARTED = time()
-"""When this process began, in seconds since the epoch: what is older has no writer in it."""
+"""Lock of a folder that a command writes to; how temporary folders begin, of eight more letters."""
 
 
 def write_text(path: Path, text: str) -> None:
@@ -53,14 +45,12 @@ def make_folder(path: Path) -> Path:
 
 @contextmanager
 def output_folder(path: Path) -> Iterator[None]:
-    """Make the folder at ``path`` where it is missing; hold it for one command alone in a context.
+    """Make the folder at ``path``, if it is missing, that of one command alone in a context.
 
     What killed processes have left half-written there is removed. Raises ``Unavailable`` where
-    another command writes to it, ``BadInput`` where it cannot be written. Where the file system has
-    no locks, two commands may write to it.
+    another command has it, ``BadInput`` where it cannot be written.
     """
     with locked(make_folder(path) / LOCK, needed=False):
-        for left in path.iterdir():
-            if LEFT.fullmatch(left.name) and left.is_dir() and left.stat().st_mtime < STARTED:
-                rmtree(left, ignore_errors=True)
+        for left in path.glob(f"{PREFIX}{'?' * 8}"):
+            rmtree(left, ignore_errors=True)
         yield

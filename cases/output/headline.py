@@ -1,8 +1,8 @@
 """The answer of a run in one or two sentences."""
 
+from cases.comparison.compare import ACCEPTABLE_L1
 from cases.output.records import Record
 from cases.output.words import named
-from cases.scene.expect import ACCEPTABLE_L1
 from cases.written import percent
 
 RELIABILITY = "in P(T > t) at the times asked for"

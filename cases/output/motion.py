@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from cases.comparison.doubt import averaging_note
 from cases.comparison.routes import method_for
 from fpk.errors import NotApplicable, NotCertified
 from fpk.linear import natural_modes
@@ -50,8 +49,6 @@ def modes_record(system: System) -> list[dict[str, Any]]:
 def rms_record(system: System) -> list[dict[str, Any]]:
     """Return √E q_i² with its numerical error and its route; one of an averaged theory averages.
 
-    ``averaging_note`` says then what is known of its averaging error.
-
     Empty where no route of ``ROUTES`` applies, and where more than one mass has stops: integrals
     that take seconds. A number that is known badly is given with its large error.
     """
@@ -66,14 +63,12 @@ def rms_record(system: System) -> list[dict[str, Any]]:
             method = method_for(name)
             method.prepare(system)
             result = method.solve(system, wanted)
-            note = averaging_note(system, [method.route])
             return [
                 {
                     "of": density.name,
                     **vars(density.rms()),
                     "route": method.route.label,
                     "solves": method.route.solves,
-                    "averaging_note": note or None,
                 }
                 for density in result.densities
             ]

@@ -39,9 +39,7 @@ def summary_frame(answers: Answers) -> Any:
     cells = ["value", "error", "error_kind"]
     wide = frame.set_index(["observable", "quantity", "route"])[cells].unstack("route")
     columns = pandas.MultiIndex.from_product([routes, cells])
-    table = wide.swaplevel(axis=1).reindex(index=rows, columns=columns)
-    table.attrs["averaging_notes"] = answers.averaging_notes
-    return table
+    return wide.swaplevel(axis=1).reindex(index=rows, columns=columns)
 
 
 def dataset(answers: Answers) -> Any:
@@ -50,12 +48,8 @@ def dataset(answers: Answers) -> Any:
     variables: Variables = {}
     for observable in dict.fromkeys(d.observable for d in answers.values()):
         variables |= density_variables([answers], observable, Units())
-    notes = (
-        {"averaging_notes": "\n".join(answers.averaging_notes)} if answers.averaging_notes else {}
-    )
     data = xarray.Dataset(
-        dict(variables),
-        attrs={"units": UNITS, "program": f"vibro-fpk {program_version()}", **notes},
+        dict(variables), attrs={"units": UNITS, "program": f"vibro-fpk {program_version()}"}
     )
     return data.isel(curve=0, drop=True) if "curve" in data.dims else data
 

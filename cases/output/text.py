@@ -7,26 +7,13 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from cases.comparison.claims import ALMOST_KURTOSIS, ALMOST_L1
 from cases.output.digest import claims_counted, curves_of, refusals_of, verdict_of
 from cases.output.duration import duration
 from cases.output.records import Record
 from cases.output.tables import quantity_tables, text_table
 from cases.output.words import effects_in_words, named, theory_of_route, with_key
-from cases.scene.expect import ACCEPTABLE_L1
 from cases.scene.units import bracketed
 from cases.written import NOTE, bound, number, up, with_error
-from fpk.clearance import CLEARANCE_RULE
-from sim.diagnostics import FALSE_ALARMS
-
-LIMITS = {
-    "false_alarms": FALSE_ALARMS,
-    "clearance": CLEARANCE_RULE,
-    "gaussian": ALMOST_L1,
-    "kurtosis": ALMOST_KURTOSIS,
-    "acceptable": ACCEPTABLE_L1,
-}
-"""Constants of the program that texts and pages state, by their names in the templates."""
 
 
 def rendered(template: str, record: Mapping[str, Any]) -> str:
@@ -43,7 +30,7 @@ def _templates() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.globals |= {"quantity_note": NOTE, "limits": LIMITS}
+    environment.globals["quantity_note"] = NOTE
     environment.filters |= {
         "quantities": quantity_tables,
         "num": number,

@@ -234,10 +234,7 @@ def stops_of(
 
 
 def _origin(outcome: Outcome) -> dict[str, str]:
-    return {
-        key.replace("_", " "): text
-        for key, text in attributes_of(outcome.scene, outcome.curves).items()
-    }
+    return {key.replace("_", " "): text for key, text in attributes_of(outcome.scene).items()}
 
 
 def _write_mesh(mesh: meshio.Mesh, data: Mapping[str, str | float], path: Path) -> None:

@@ -10,10 +10,6 @@ from fpk.observable import Observable, observable_name
 
 Theory = Literal["nonintegrable", "integrable"]
 
-ACCEPTABLE_L1 = 0.1
-"""L1 distance to the full system up to which a theory is called acceptable: no probability is
-wrong by more than 5 %."""
-
 RELATIONS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
     "above": (">", gt),
     "below": ("<", lt),

@@ -12,7 +12,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError, SchemaValidator, Va
 from pydantic_core import core_schema as core
 
 from cases.scene.errors import misspelt
-from cases.scene.expect import ACCEPTABLE_L1, RELATIONS
+from cases.scene.expect import RELATIONS
 from cases.scene.units import Units
 from fpk.contact import Contact, Side
 from fpk.contact_law import LAWS
@@ -37,9 +37,6 @@ MOST_OBSERVED = 16
 
 LARGEST, SMALLEST = 1e100, 1e-100
 """Beyond these a product of three inputs leaves the range of double precision."""
-
-MOST_LETTERS = 16
-"""Letters of the name of a unit."""
 
 
 def _list(items: core.CoreSchema, *, least: int = 1, most: int = MAX_MASSES) -> core.ListSchema:
@@ -153,7 +150,7 @@ DAMPING_TERM = _table(
         "energy": _said(WHOLE, "power of the total energy H"),
     },
 )
-UNIT = core.str_schema(strict=True, pattern=rf"^[A-Za-zµμΩÅ]{{1,{MOST_LETTERS}}}$")
+UNIT = core.str_schema(strict=True, pattern=r"^[A-Za-zµμΩÅ]{1,16}$")
 UNITS = _table(
     {key: _said(UNIT, f"name of the unit of {key}") for key in ("length", "mass", "time")}, {}
 )
@@ -193,7 +190,7 @@ EXPECT = {
         _then(_distinct, _list(THEORY, least=2, most=2)), "the first is nearer to the full system"
     ),
     "acceptable": _said(
-        _then(_distinct, _list(THEORY, most=2)), f"within {ACCEPTABLE_L1} in L1 of the full system"
+        _then(_distinct, _list(THEORY, most=2)), "within 0.1 in L1 of the full system"
     ),
     "clearance_rule": _said(
         _then(_in_range, core.float_schema(strict=True, allow_inf_nan=False, gt=0)),
@@ -291,7 +288,7 @@ def _refusal(error: ErrorDetails) -> InvalidInput:
     if kind == "extra_forbidden":
         remedy = _known_keys(place)
     if place[0] == "units" and kind == "string_pattern_mismatch":
-        remedy = f'must be 1 to {MOST_LETTERS} letters, such as "mm"'
+        remedy = 'must be 1 to 16 letters, such as "mm"'
     if key in ("contact", "damping_term", "passage", "transient") and kind == "list_type":
         remedy = f"must be written as [[{key}]]"
     return InvalidInput(key, error["input"], remedy)

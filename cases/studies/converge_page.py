@@ -8,22 +8,19 @@ import numpy as np
 
 from cases.scene.units import DIMENSIONS, Units, bracketed
 from cases.studies.converge import ROUND_OFF, ConvergenceStudy, Ladder
-from cases.studies.orders import ABOVE_FLOOR, LIMITS, SAFETY, TRUSTED
+from cases.studies.orders import LIMITS
 from cases.studies.page import Page, Table
 from cases.studies.picture import Curve, Panel
 from cases.studies.weak import ORDERS, WeakOrder
-from cases.written import percent
 
 GCI_WORDS = (
-    f"Safety factor {SAFETY[0]:g} where the observed order is within {percent(TRUSTED)} of theory,"
-    f" else {SAFETY[1]:g}. {LIMITS}"
+    f"Safety factor 1.25 where the observed order is within 10 % of theory, else 3. {LIMITS}"
 )
 ORDER_WORDS = (
     "Orders: in h powers of h; in p nats a degree; by tol nats a unit of √unknowns. Levels within"
-    f" {ABOVE_FLOOR:g} times the floor (reference, end of the mesh) give none. Where the nats do"
-    " not fall with the degree the error falls exponentially; above contact energies the"
-    " coefficients have half-integer powers of H - H_c, and at high degree the rate on a fixed mesh"
-    " can drop."
+    " ten times the floor (reference, end of the mesh) give none. Where the nats do not fall"
+    " with the degree the error falls exponentially; above contact energies the coefficients have"
+    " half-integer powers of H - H_c, and at high degree the rate on a fixed mesh can drop."
 )
 STEP_WORDS = (
     f"Order: of the best fit to all steps; order error: from and to one standard error,"

@@ -9,19 +9,18 @@ from cases.output.duration import duration
 from cases.output.words import theory_of_route
 from cases.studies.cost import CostStudy
 from cases.studies.law import FULL
-from cases.studies.levels import REPEATS, Level
+from cases.studies.levels import Level
 from cases.studies.page import Page, Table
 from cases.studies.picture import Curve, Panel
 from cases.studies.prices import Cheapest, by_equation, crossovers, price_list
 from cases.written import bound
 
 MEANING = (
-    f"Processor times on one thread after a warm-up, the median of {REPEATS[0]} to {REPEATS[1]}"
-    " runs where one takes less than a second; simulations are run once. What a process remembers"
-    " (integrals of two or more contact masses, of damping that depends on the state) is in the"
-    " first call only. Every error is that of the route's own equation: numerical for the averaged"
-    " equations and for the full system where it is solved, sampling and step where it is"
-    " simulated."
+    "Processor times on one thread after a warm-up, the median of 3 to 21 runs where one takes"
+    " less than a second; simulations are run once. What a process remembers (integrals of two or"
+    " more contact masses, of damping that depends on the state) is in the first call only. Every"
+    " error is that of the route's own equation: numerical for the averaged equations and for the"
+    " full system where it is solved, sampling and step where it is simulated."
 )
 PROMISE = (
     "Numbers of elements above are right for this scene. A tolerance is met on every scene, or the"

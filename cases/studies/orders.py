@@ -22,13 +22,11 @@ STEADY = 0.25
 ABOVE_FLOOR = 10.0
 """Times the floor above which an error gives an order: the floor moves it by 0.14 at most."""
 TRUSTED = 0.1
-"""Relative distance of the observed order from theory up to which it counts as confirmed."""
-SAFETY = 1.25, 3.0
-"""Safety factors of the index where the observed order is confirmed, and where it is not."""
+"""Relative distance of the observed order from theory up to which the safety factor is 1.25."""
 LIMITS = (
     "The index is an error bar, not a bound: it rests on three levels, on a constant ratio of their"
     " sizes and on one leading power of h. Where the solution is not smooth, or the levels have not"
-    " reached that power, the true error may lie outside it, whatever the factor."
+    " reached that power, the true error may lie outside it, factor 3 or not."
 )
 
 
@@ -108,23 +106,19 @@ def grid_convergence(values: Sequence[float], *, theory: float, floor: float) ->
 
     ``values`` are those of a functional on at least three meshes, each the bisection of the last.
 
-    F is the first of ``SAFETY`` and p that of theory where the observed order is within ``TRUSTED``
-    of it ("asymptotic"); else F is the second and p the observed order, between 0.5 and theory
-    (Oberkampf and Roy, Table 8.1). Differences that grow are "diverging"; those that change sign,
-    "oscillating", have no order, and p = 0.5. Where they are within ``floor`` the index is the
-    second of ``SAFETY`` times the floor.
+    F = 1.25 and p that of theory where the observed order is within ``TRUSTED`` of it
+    ("asymptotic"); else F = 3 and p the observed order, between 0.5 and theory (Oberkampf and Roy,
+    Table 8.1). Differences that grow are "diverging"; those that change sign, "oscillating", have
+    no order, and p = 0.5. Where they are within ``floor`` the index is 3 times the floor.
     """
-    confirmed, unconfirmed = SAFETY
     coarse, fine = values[-3] - values[-2], values[-2] - values[-1]
     if abs(fine) <= floor:
-        index = unconfirmed * floor
-        return GridConvergence(values[-1], nan, theory, unconfirmed, index, "at the floor")
+        return GridConvergence(values[-1], nan, theory, 3.0, 3.0 * floor, "at the floor")
     kind: Kind = "asymptotic"
     observed = log2(coarse / fine) if coarse / fine > 0 else nan
-    used, safety = theory, confirmed
+    used, safety = theory, 1.25
     if not abs(observed - theory) <= TRUSTED * theory:
-        used = 0.5 if isnan(observed) else float(np.clip(observed, 0.5, theory))
-        safety = unconfirmed
+        used, safety = (0.5 if isnan(observed) else float(np.clip(observed, 0.5, theory))), 3.0
         kind = "diverging" if observed < 0.0 else "pre-asymptotic"
     if isnan(observed):
         kind = "oscillating"

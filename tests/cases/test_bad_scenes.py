@@ -138,7 +138,7 @@ def test_no_hint_is_given_for_a_word_of_another_meaning(tmp_path, scene_text, fp
         assert f"system.{key} = 1.0" in err and remedy in err
         assert ("did you mean" in err) == (key == "noise_gian")
     for given, hint in ((["run", "fig6a", "--secods", "1"], "--seconds"), (["densty"], "density")):
-        assert f"Did you mean {hint}?" in fpk(*given)[2]
+        assert f"Did you mean '{hint}'?" in fpk(*given)[2]
     for given in (["density", "fig6a", "--dz", "1"], ["run", "fig6a", "--paths", "1"]):
         assert "Did you mean" not in fpk(*given)[2]
 

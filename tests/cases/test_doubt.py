@@ -2,11 +2,10 @@
 
 import json
 
-import h5py
 import pytest
 
 import fpk as face
-from cases.comparison.doubt import averaging_note
+from cases.comparison.doubt import averaging_notes
 from cases.comparison.routes import method_for
 from cases.scene.scene import load_scene
 
@@ -37,7 +36,8 @@ def frame(tmp_path):
 
 def note(scene, *methods, in_time=False):
     routes = [method_for(*name.split("/")).route for name in methods]
-    return averaging_note(load_scene(scene).system, routes, in_time=in_time)
+    notes = averaging_notes(load_scene(scene).system, [("x", routes, in_time)])
+    return "".join(notes).removeprefix("x: ")
 
 
 def test_there_is_a_note_where_averaging_errs_and_nothing_full_is_beside(frame):
@@ -71,10 +71,8 @@ def test_every_command_says_it_in_text_and_json(call, frame, fpk, monkeypatch):
     status, out, _ = fpk(command, frame, *options)
     assert status == 0 and out.count(NOT_KNOWN) == 1 and "energy averaging gives" in out
     record = json.loads(fpk(command, frame, *options, "--json")[1])
-    rows = record["rms"] if command == "show" else [record]
-    for row in rows:
-        (words,) = row.get("averaging_notes") or [row["averaging_note"]]
-        assert NOT_KNOWN in words and words.endswith("doubt it")
+    (words,) = record["averaging_notes"]
+    assert f": {NOT_KNOWN}; without contacts" in words and words.endswith("doubt it")
 
 
 def test_what_is_exact_or_full_says_nothing(fpk):
@@ -82,18 +80,12 @@ def test_what_is_exact_or_full_says_nothing(fpk):
         call = ("density", "fig3a", "--method", method, "--of", "q2", "--at", "0")
         status, out, _ = fpk(*call)
         assert status == 0 and NOT_KNOWN not in out
-        assert json.loads(fpk(*call, "--json")[1])["averaging_note"] is None
+        assert json.loads(fpk(*call, "--json")[1])["averaging_notes"] == []
 
 
-def test_files_reports_and_python_say_it_too(frame, fpk, tmp_path):
-    status, out, _ = fpk("export", frame, "--out", tmp_path / "p.nc")
-    assert status == 0 and out.replace("\n    ", " ").count(NOT_KNOWN) == 1
-    with h5py.File(tmp_path / "p.nc") as file:
-        assert NOT_KNOWN in file.attrs["averaging_notes"]
+def test_reports_and_python_say_it_too(frame, fpk, tmp_path):
     assert fpk("run", frame, *ONE, "--out", tmp_path)[0] == 0
     assert (tmp_path / "report.html").read_text().count(NOT_KNOWN) >= 1
-    system = load_scene(frame).system
-    answers = face.solve(system, ["q2"], methods=["nonintegrable"])
-    assert NOT_KNOWN in answers.averaging_notes[0] and NOT_KNOWN in answers._repr_html_()
-    assert answers.to_xarray().attrs["averaging_notes"] == answers.averaging_notes[0]
-    assert answers.summary().attrs["averaging_notes"] == answers.averaging_notes
+    answers = face.solve(load_scene(frame).system, ["q2"], methods=["nonintegrable"])
+    (words,) = answers.averaging_notes
+    assert words.startswith(f"q2: {NOT_KNOWN}") and NOT_KNOWN in answers._repr_html_()

@@ -30,7 +30,6 @@ from cases.output.pictures.style import (
     symbol_of,
     words_of,
 )
-from cases.written import number
 from fpk.arrays import Array
 from fpk.density import bin_differences
 from fpk.observable import Observable, observable_name
@@ -85,7 +84,7 @@ def line_pictures(
     figure = density_figure(curves, observable, tails, lowest=TAIL)
     yield (
         f"density_{name}_log",
-        f"The same with a logarithmic scale, to {number(TAIL, 1)} of the top.",
+        "The same with a logarithmic scale, to a millionth of the top.",
         figure,
     )
     for stem, words, band, differences in DIFFERENCES:

@@ -133,13 +133,11 @@ def every_answer(
     own = tuple(units.number(q.kind, observable_name(q.observable)) for q in wanted.values())
     seconds = perf_counter() - start
     given = {(a.quantity, a.method) for p in points for a in p.answers if a.value is not None}
-    answered = [
+    notes = averaging_notes(system, [
         (text, [m[0].route for method, m in asked if (text, method) in given],
          q.limit is not None or q.kind == RELAXATION)
-        for text, q in wanted.items()
-        if q.kind != AVERAGING
-    ]  # fmt: skip
-    notes = averaging_notes(system, answered)
+        for text, q in wanted.items() if q.kind != AVERAGING
+    ])  # fmt: skip
     return Sweep(name, axes, tuple(wanted), methods, points, reused, seconds, own, notes)
 
 

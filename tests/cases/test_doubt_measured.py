@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from averaging import Linear, NonIntegrable
-from averaging.linear_part import linear_part
+from cases.comparison.doubt import rms_ratios
 from fpk.contact import Contact
 from fpk.errors import NotApplicable
 from fpk.linear import natural_modes, stationary_covariance
@@ -27,16 +27,16 @@ def rms(method, system, name):
     return density.rms()
 
 
-def test_two_masses_by_hand():
-    """Modes 1 and 2 of equal masses and springs to walls and between have temperatures d/c."""
+def test_one_temperature_is_exact():
+    """c/D is 4 for both masses: one temperature, by (8)."""
     system = System([1.0, 1.0], [1.0, 1.0], [0.08, 0.04], [0.02, 0.01])
-    part = linear_part(system)  # c/D is 4 for both: one temperature, by (8)
-    for low, high in part.rms_ratio.values():
-        assert low == pytest.approx(1.0, abs=1e-12) and high == pytest.approx(1.0, abs=1e-12)
-    assert part.temperatures == pytest.approx(1.0, abs=1e-12)
-    c = natural_modes(system)[0].T @ system.damping @ natural_modes(system)[0]
-    ratios = np.diag(c) / (2.0 * natural_modes(system)[1])
-    assert part.damping_ratio == pytest.approx(ratios.max(), rel=1e-12)
+    ratios, spread, damping = rms_ratios(system)
+    assert [*ratios, spread] == pytest.approx([1.0] * 5, abs=1e-12)
+    # Modes (1, φ) and (φ, -1) over √(1 + φ²) with φ = (1 + √5)/2 and ω = 1/φ, φ; c = 0.12, 0.04, 0.
+    phi = (1.0 + 5.0**0.5) / 2.0
+    first = (0.12 - 2.0 * 0.04 * phi + 0.04 * phi**2) / (1.0 + phi**2) / (2.0 / phi)
+    second = (0.12 * phi**2 + 2.0 * 0.04 * phi + 0.04) / (1.0 + phi**2) / (2.0 * phi)
+    assert damping == pytest.approx(max(first, second), rel=1e-12)
 
 
 @pytest.mark.parametrize("n", [2, 5])
@@ -46,21 +46,17 @@ def test_the_ratio_is_that_of_the_two_methods(n):
     Of light damping the ratio follows from the temperatures of the modes, which the load Σ_i φ_im
     of the base sets: θ_m = (Σ_i φ_im)² D/c_m.
     """
-    system = frame(n)
-    part, name = linear_part(system), f"q{n}"
-    low, high = part.rms_ratio["nonintegrable"]
+    system, name = frame(n), f"q{n}"
+    ratios, spread, _ = rms_ratios(system)
     ratio = rms(NonIntegrable(), system, name).value / rms(Linear(), system, name).value
-    assert low - 1e-9 <= ratio <= high + 1e-9
+    assert ratios[n - 1] == pytest.approx(ratio, rel=1e-9) and ratio < 0.6
     shapes, omega = natural_modes(system)
     c = np.diag(shapes.T @ system.damping @ shapes)
     theta = shapes.sum(axis=0) ** 2 * 0.01 / c
-    common = 0.01 * n / c.sum()
-    expected = np.sqrt(common * np.sum(shapes[-1] ** 2 / omega**2)
-                       / np.sum(theta * shapes[-1] ** 2 / omega**2))  # fmt: skip
-    assert ratio == pytest.approx(expected, rel=0.01) and ratio < 0.6
-    # A mode of little energy also moves by the damping that couples it to others: none here.
-    assert part.temperatures == pytest.approx(theta.max() / theta.min(), rel=0.2)
-    assert part.rms_ratio["integrable"] == pytest.approx((1.0, 1.0), abs=0.02)
+    own = shapes[-1] ** 2 / omega**2
+    expected = np.sqrt(0.01 * n / c.sum() * np.sum(own) / np.sum(theta * own))
+    assert ratio == pytest.approx(expected, rel=0.01)
+    assert spread == pytest.approx(theta.max() / theta.min(), rel=0.2)  # couplings are left out
 
 
 def test_no_measure_where_it_would_mean_nothing():
@@ -69,7 +65,7 @@ def test_no_measure_where_it_would_mean_nothing():
         System([1.0, 1.0], [1.0, 1.0], [0.1, 0.1], [0.0, 0.0]),
     ):
         with pytest.raises(NotApplicable):
-            linear_part(system)
+            rms_ratios(system)
 
 
 @pytest.mark.slow
@@ -90,5 +86,5 @@ def test_contacts_bring_averaging_nearer_but_not_near(n, stiffness, clearance):
     sampled = rms(MonteCarlo(relaxations=20.0, seed=11), system, name)
     ratio = rms(NonIntegrable(), system, name).value / sampled.value
     error = 5.0 * sampled.error / sampled.value * ratio
-    low, _ = linear_part(system).rms_ratio["nonintegrable"]
-    assert low - error < ratio < 0.8
+    without = rms_ratios(system)[0][n - 1]
+    assert without - error < ratio < 0.8
