@@ -32,10 +32,6 @@ Measures = Literal["numerical", "sampling", "averaging"]
 Norm = Literal["L1", "relative", "absolute"]
 """How a difference is measured: of densities in L1, of numbers relative to the second or not."""
 
-ACCEPTABLE_L1 = 0.1
-"""L1 distance to the full system up to which a theory is called acceptable: no probability is
-wrong by more than 5 %."""
-
 SIGN_DRAWS, SIGN_SEED = 2000, 20040808
 """Draws of the wild bootstrap and their seed: the same histogram always gets the same band."""
 

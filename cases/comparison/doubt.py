@@ -6,13 +6,16 @@ from contextlib import suppress
 import numpy as np
 
 from averaging.exact import compatibility
-from cases.comparison.compare import ACCEPTABLE_L1
 from fpk.arrays import Array
 from fpk.clearance import stop_clearances
 from fpk.errors import NotApplicable
 from fpk.linear import linear_covariance
 from fpk.route import Route
 from fpk.system import System
+
+ACCEPTABLE_L1 = 0.1
+"""L1 distance to the full system up to which a theory is called acceptable: no probability is
+wrong by more than 5 %."""
 
 
 def incompatibility(system: System) -> str | None:
