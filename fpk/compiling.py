@@ -101,6 +101,7 @@ class CheckedCache(FunctionCache):
 
 
 _awaited: set[Future[Any]] = set()
+_abandoned: set[Future[Any]] = set()
 
 
 def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -108,12 +109,15 @@ def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], 
 
     LLVM works for many seconds without a look at signals; one who waits for a thread receives them.
     What is compiled on the way, for a function that calls it, is so in the same thread. Raises
-    ``KeyboardInterrupt`` where ``abandon`` is called meanwhile.
+    ``KeyboardInterrupt`` where ``abandon`` is called meanwhile, and until what was abandoned is
+    compiled: numba compiles one function at a time.
     """
 
     def compiled(signature: Any) -> Any:
         if threading.current_thread().name == COMPILER:
             return compile_for(signature)
+        if _abandoned:
+            raise KeyboardInterrupt
         result = Future[Any]()
 
         def work() -> None:
@@ -123,6 +127,7 @@ def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], 
                 done = partial(result.set_exception, error)
             with suppress(InvalidStateError):  # abandoned
                 done()
+            _abandoned.discard(result)
 
         _awaited.add(result)
         try:
@@ -140,13 +145,16 @@ def abandon() -> None:
     The compiling cannot be ended and goes on: a process ends after it, or by ``os._exit``.
     """
     for result in tuple(_awaited):
-        with suppress(InvalidStateError):  # it is there
+        _abandoned.add(result)
+        try:
             result.set_exception(KeyboardInterrupt())
+        except InvalidStateError:  # it is there
+            _abandoned.discard(result)
 
 
 def is_compiling() -> bool:
-    """Return whether a function is being compiled, though nobody may wait for it any more."""
-    return any(thread.name == COMPILER for thread in threading.enumerate())
+    """Return whether a function is being compiled for which nobody waits any more."""
+    return bool(_abandoned)
 
 
 def cached_where_possible(compiled: Any) -> Any:
