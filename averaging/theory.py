@@ -21,7 +21,8 @@ class Theory(Method):
     A subclass gives its name and colour on the command line and in pictures, and its ``solvers``,
     the default first: (name, words for legends, equation). Each is a route.
 
-    Raises ``InvalidInput`` for an unknown solver or a tolerance outside 1e-12 to 0.1.
+    Raises ``InvalidInput`` for an unknown solver or a tolerance below ``SMALLEST`` or above
+    ``LARGEST``.
     """
 
     solver: str = "closed-form"

@@ -1,12 +1,18 @@
 """Run the commands of the README as a newcomer does, and write output and durations into it.
 
-    python benchmarks/readme.py [--pages]
+    python benchmarks/readme.py [--pages | --check]
 
 A fresh copy of the sources gets a fresh environment by the first command of Set-up; then the
 commands of the ``console`` blocks are run there in order. Each block gets what its command prints,
 of a run the lines that matter, and the seconds that it took. What stands between
 ``<!-- NAME -->`` and ``<!-- end -->`` is written anew: the line of the machine and the table of
 trust, whose figures are those of the pages in docs/. ``--pages`` writes that table alone.
+``--check`` writes nothing: it runs the commands in the folder that it is called from, where the
+first command of Set-up has been run, and fails where a line differs by more than durations.
+
+All run with the linear algebra of one kind of processor, which any x86-64 one with AVX2 has: the
+last bits of the matrices of a step are those of its kernels, and another sample of the same law
+follows from others.
 """
 
 import argparse
@@ -15,6 +21,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from difflib import unified_diff
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
@@ -23,7 +30,10 @@ from measured_tables import ROOT, page_blocks
 from report import machine, markdown_table
 
 README = ROOT / "README.md"
-CONSOLE = re.compile(r"```console\n\$ (.*?)( +# [\d.]+ s)?\n.*?```", re.DOTALL)
+CONSOLE = re.compile(r"```console\n\$ (.*?)(?: +# [\d.]+ s)?\n(.*?)\n```", re.DOTALL)
+KERNELS = {"OPENBLAS_CORETYPE": "Haswell"}
+"""Kind of processor that the linear algebra of NumPy and SciPy takes the present one for."""
+DURATION = re.compile(r"\b[\d.]+ (s|ms|min)\b")
 RUN = "fpk run fig6a"
 OWN = "B = 10\n"
 """Head of the curve of the scene's own system, which is shown."""
@@ -36,7 +46,7 @@ END = r"\d+ judged|wrote .*report"
 def timed(command: str, folder: Path) -> tuple[str, float]:
     """Return what a command prints in ``folder`` and its wall time. Raises where it fails."""
     path = f"{folder / '.venv' / 'bin'}{os.pathsep}{os.environ['PATH']}"
-    environment = os.environ | {"PATH": path, "COLUMNS": "120", "PYTHONPATH": ""}
+    environment = os.environ | {"PATH": path, "COLUMNS": "120", "PYTHONPATH": ""} | KERNELS
     start = perf_counter()
     done = subprocess.run(
         command, shell=True, cwd=folder, env=environment, check=True, text=True, stdout=-1
@@ -138,11 +148,26 @@ def walked(text: str, say: Callable[[str], None]) -> str:
     return between(text, "machine", line)
 
 
+def changed(text: str, folder: Path) -> list[str]:
+    """Return what the commands of the README print now and it does not say, and the other way."""
+    lines = []
+    for command, said in CONSOLE.findall(text):
+        now = excerpt(command, timed(command, folder)[0])
+        old, new = (DURATION.sub("… s", words).splitlines() for words in (said, now))
+        lines += unified_diff(old, new, "README.md", command, lineterm="", n=0)
+    return lines
+
+
 def main() -> None:
-    """Write the README."""
+    """Write the README, or check what it prints."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--pages", action="store_true", help="the table of trust alone")
+    parser.add_argument("--check", action="store_true", help="say where they print else")
     arguments = parser.parse_args()
+    if arguments.check:
+        if lines := changed(README.read_text(encoding="utf-8"), Path.cwd()):
+            sys.exit("\n".join([*lines, "README.md: write it anew by benchmarks/readme.py"]))
+        return
     text = between(README.read_text(encoding="utf-8"), "trust", trust_table())
     README.write_text(text if arguments.pages else walked(text, print), encoding="utf-8")
 

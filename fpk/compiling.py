@@ -1,8 +1,14 @@
-"""Options and disk cache of compiled code: liberties of arithmetic, checksums of its sources."""
+"""Options and disk cache of compiled code; compiling that Ctrl-C does not wait for.
 
+The cache holds checksums of its files and of the sources that they were made from.
+"""
+
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, InvalidStateError
 from contextlib import contextmanager, suppress
+from functools import partial
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
@@ -21,9 +27,8 @@ which would undo exact differences."""
 NO_FOLDER = "no locator available"
 """Message of numba where neither the source's cache folder nor the user's can be written."""
 
-LOST = "no compiled object yet"
-"""Message of numba where an exception was raised in a callback of LLVM, which drops it: Ctrl-C, as
-numba's own callback raises none."""
+COMPILER = "fpk compiler"
+"""Name of the threads that compile."""
 
 DIGEST_BYTES = sha256().digest_size
 """Bytes at the end of a cache file: the SHA-256 of those before, which no reader unpickles."""
@@ -94,21 +99,71 @@ class CheckedCache(FunctionCache):
         name = files._index_name.removesuffix(".nbi") + ".sha256"
         self._cache_file = CheckedFiles(self._cache_path, name, files._source_stamp)
 
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Store a compiled function; ``KeyboardInterrupt`` where Ctrl-C came while LLVM worked."""
+
+_awaited: set[Future[Any]] = set()
+_abandoned: set[Future[Any]] = set()
+
+
+def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Return ``compile_for``, a function of a signature, that works in a thread of its own.
+
+    LLVM works for many seconds without a look at signals; one who waits for a thread receives them.
+    What is compiled on the way, for a function that calls it, is so in the same thread. Raises
+    ``KeyboardInterrupt`` where ``abandon`` is called meanwhile, and until what was abandoned is
+    compiled: numba compiles one function at a time.
+    """
+
+    def compiled(signature: Any) -> Any:
+        if threading.current_thread().name == COMPILER:
+            return compile_for(signature)
+        if _abandoned:
+            raise KeyboardInterrupt
+        result = Future[Any]()
+
+        def work() -> None:
+            try:
+                done = partial(result.set_result, compile_for(signature))
+            except BaseException as error:
+                done = partial(result.set_exception, error)
+            with suppress(InvalidStateError):  # abandoned
+                done()
+            _abandoned.discard(result)
+
+        _awaited.add(result)
         try:
-            super().save_overload(sig, data)
-        except RuntimeError as error:
-            if LOST not in str(error):
-                raise
-            raise KeyboardInterrupt from None
+            threading.Thread(target=work, name=COMPILER).start()
+            return result.result()
+        finally:
+            _awaited.discard(result)
+
+    return compiled
+
+
+def abandon() -> None:
+    """Raise ``KeyboardInterrupt`` in all threads that wait for a function to be compiled.
+
+    The compiling cannot be ended and goes on: a process ends after it, or by ``os._exit``.
+    """
+    for result in tuple(_awaited):
+        _abandoned.add(result)
+        try:
+            result.set_exception(KeyboardInterrupt())
+        except InvalidStateError:  # it is there
+            _abandoned.discard(result)
+
+
+def is_compiling() -> bool:
+    """Return whether a function is being compiled for which nobody waits any more."""
+    return bool(_abandoned)
 
 
 def cached_where_possible(compiled: Any) -> Any:
     """Return the compiled function with a disk cache, or without where no folder can be written.
 
-    It is then compiled again in every process. Any other error of numba is raised.
+    It is then compiled again in every process. Any other error of numba is raised. Ctrl-C does not
+    wait until it is compiled.
     """
+    compiled.compile = interruptible_compile(compiled.compile)
     try:
         compiled._cache = CheckedCache(compiled.py_func)
     except RuntimeError as error:

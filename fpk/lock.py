@@ -21,12 +21,13 @@ else:
 
 
 @contextmanager
-def locked(path: Path) -> Iterator[None]:
+def locked(path: Path, *, needed: bool = True) -> Iterator[None]:
     """Hold the lock on the file ``path``, made where it is missing, in a context.
 
     The operating system lifts it when the process ends, killed or not; the empty file stays, as
     another process could otherwise lock a file that is being removed. Raises ``Unavailable``, one
-    line, where another process or thread holds the lock, or where the file system has no locks.
+    line, where another process or thread holds the lock, or, unless it is not ``needed``, where the
+    file system has no locks.
     """
     words = f"{path}: cannot be locked"
     try:
@@ -42,5 +43,6 @@ def locked(path: Path) -> Iterator[None]:
                     f"{path.parent}: another process is using this folder; wait until it has"
                     " ended, or give another folder"
                 ) from None
-            raise Unavailable(f"{words}: {reason_of(error)}; give another folder") from None
+            if needed:
+                raise Unavailable(f"{words}: {reason_of(error)}; give another folder") from None
         yield

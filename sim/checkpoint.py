@@ -19,7 +19,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.compiling import ROOT, checksum
+from fpk.compiling import ROOT, abandon, checksum
 from fpk.errors import Unavailable, reason_of
 from fpk.lock import locked
 
@@ -169,8 +169,8 @@ def _listed(value: Any) -> Any:
 def interruptible(partial: bool) -> Iterator[Callable[[], bool]]:
     """Yield a function that says whether Ctrl-C was pressed; a second one interrupts as usual.
 
-    The first one interrupts, too, unless an answer may be ``partial``. Only the main thread of a
-    program receives signals: elsewhere the answer is no.
+    The first one interrupts, too, unless an answer may be ``partial``, and while the simulation is
+    compiled. Only the main thread of a program receives signals: elsewhere the answer is no.
     """
     pressed = threading.Event()
     if not partial or threading.current_thread() is not threading.main_thread():
@@ -179,7 +179,8 @@ def interruptible(partial: bool) -> Iterator[Callable[[], bool]]:
 
     def note(number: int, frame: Any) -> None:
         pressed.set()
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        abandon()
+        signal.signal(signal.SIGINT, before)
 
     before = signal.signal(signal.SIGINT, note)
     try:

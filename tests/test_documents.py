@@ -14,14 +14,20 @@ from averaging.phase_space import method as phase_space
 from averaging.phase_space import refinement
 from averaging.phase_space.dynamics import resolvent
 from averaging.phase_space.passage import first_passage, mesh
+from cases.commands import verify
 from cases.commands.app import app
-from cases.comparison import answering, claims
+from cases.comparison import answering, claims, doubt, quantity
+from cases.comparison.answers import Answers
 from cases.comparison.routes import listed_routes
-from cases.output import vtk
+from cases.output import motion, presented, text, vtk
+from cases.output.pictures import joint, lines
 from cases.scene import schema
+from cases.studies import converge_page, cost_page, levels, orders
+from cases.studies.orders import grid_convergence
 from cases.studies.sweep import reference
-from fpk import clearance, damping
-from sim import checkpoint, diagnostics, step_size, substeps
+from fpk import clearance, contour, damping
+from fpk.errors import InvalidInput
+from sim import checkpoint, diagnostics, montecarlo, step_size, substeps
 from sim.motion import correlation, failure_times, spectrum
 from sim.splitting import estimate
 
@@ -117,6 +123,8 @@ DYNAMICS = ", ".join(
     map(short, (phase_space.CROSSINGS_TOL, phase_space.SPECTRUM_TOL, phase_space.CORRELATION_TOL))
 )
 
+WORDS, PARTS = {2: "two", 3: "three", 10: "ten"}, {4: "a quarter", 5: "a fifth"}
+
 CONSTANTS = {
     "choose.md": (
         f"| tolerance of deterministic densities | {short(theory.SMALLEST)} to {theory.LARGEST} |",
@@ -126,10 +134,20 @@ CONSTANTS = {
         f"by plain simulation | {answering.LEAST_FAILURES:g} failures of the paths expected |",
         f"clearance > {clearance.CLEARANCE_RULE:g} rms",
         f"({refinement.MEMORY:g} GB, `--memory`)",
+        f"up to {phase_space.MOST_MASSES} masses, stops on one",
         f"at a false-alarm rate of {short(diagnostics.FALSE_ALARMS)}.",
     ),
     "command-line.md": (
         f"at a false-alarm rate of {short(diagnostics.FALSE_ALARMS)} an observable",
+        f"Where that is off by more than {doubt.ACCEPTABLE_L1}, a stop",
+        "quantiles of {0:.0%} and {2:.0%}".format(*quantity.QUANTILES.values()).replace("%", " %"),
+        f"{short(phase_space.UNASKED_TOL)} or better where that is met",
+        f"Where less than {short(phase_space.UNASKED_ACCEPTED)} is out of reach",
+        f"`--tol` below {short(phase_space.UNASKED_TOL)} does not reach it",
+        f"applies to at most {WORDS[phase_space.UNASKED_MASSES]} masses",
+        f"up to {WORDS[phase_space.MOST_MASSES]} masses, stops on one of them",
+        f"With more than {WORDS[motion.MASSES]} masses",
+        f"simulation {PARTS[round(montecarlo.RELAXATIONS / verify.USUAL)]} as long",
         f"to {short(PhaseSpace().tol)} by default",
         f"as long as a solution needs at most {refinement.MEMORY:g} GB",
         f"for `phase-space` {DYNAMICS} and {short(phase_space.RELAXATION_TOL)} if left out",
@@ -141,7 +159,9 @@ CONSTANTS = {
         f"is at least {short(vtk.CUT)} of its maximum",
     ),
     "cluster.md": (f"Every {checkpoint.INTERVAL:g} seconds of a simulation",),
+    "faq.md": (f"gives it to {short(phase_space.UNASKED_TOL)} or better",),
     "scene.md": (
+        f"within {doubt.ACCEPTABLE_L1} in L1 of the full system",
         f"(a false-alarm rate of {short(diagnostics.FALSE_ALARMS)}, over all times)",
         f"up to {schema.MOST_QUESTIONS} of each",
         f"up to {schema.MOST_LEVELS} levels a coordinate",
@@ -153,6 +173,10 @@ CONSTANTS = {
     "theory.md": (
         f"about ${step_size.BIAS}\\,X^e$ of itself",
         f"each pair of normals lies in a disc of radius {substeps.LARGEST_NORMAL:.2f}",
+        f"disc of radius {substeps.LARGEST_NORMAL:.2f}: `sim/substeps.py",
+        f"$a \\ge {substeps.LARGEST_NORMAL:.2f}\\,\\sigma(H)$",
+        f"clearance > {clearance.CLEARANCE_RULE:g} rms",
+        f"one serves all times within a factor {contour.SPREAD:g}",
         f"Above {100 * estimate.RESOLVED:g} % no error is stated",
         f"the error is {refinement.SAFETY:g} d",
         f"r at least {refinement.SLOWEST}",
@@ -180,6 +204,67 @@ def test_constants_in_documents_are_those_of_the_code(page):
     text = " ".join((ROOT / "docs" / page).read_text(encoding="utf-8").split())
     for phrase in CONSTANTS[page]:
         assert phrase in text
+
+
+FOLDER = ROOT / "cases" / "output" / "templates"
+TEMPLATES = [*FOLDER.glob("*.html"), *FOLDER.glob("*.txt")]
+NAMES = r"Eq\. \(1\)|condition \(8\)|section 6\.3|\bL1\b|dt/2|\|∫p − 1\||\(2 ω_m\)"
+NAMES += f"|negligible beyond {clearance.CLEARANCE_RULE:g} rms"
+"""Digits of templates that are names, or of mathematics, or held to the code here."""
+
+
+@pytest.mark.parametrize("path", TEMPLATES, ids=lambda path: path.name)
+def test_a_template_repeats_no_constant(path):
+    """What a text or page says of a constant of the program is filled in from the program."""
+    assert len(TEMPLATES) > 6
+    text = path.read_text(encoding="utf-8")
+    text = re.sub(r"\{%.*?%\}|\{\{.*?\}\}|\{#.*?#\}", "", text, flags=re.DOTALL)
+    text = re.sub(r"<(style|pre).*?</\1>|<[^>]*>", "", text, flags=re.DOTALL)
+    if path.name != "origin.html":  # citations
+        assert not re.findall(r".{,40}\d.{,20}", re.sub(NAMES, "", text))
+    assert not re.search(r"\b(one in|in a) (ten|hundred|thousand|million)|times the\b", text)
+
+
+def test_the_report_states_the_rates_of_the_code():
+    page = (FOLDER / "report.html").read_text(encoding="utf-8")
+    (sentence,) = re.findall(r"[^.>]*false-alarm rate[^<]*", page)
+    limits = {"false_alarms": diagnostics.FALSE_ALARMS}
+    shown = text._templates().from_string(sentence).render(limits=limits)
+    assert shown.strip().endswith("at a false-alarm rate of 1 × 10⁻⁶.")
+    assert diagnostics.FALSE_ALARMS == 1e-6
+
+
+def test_messages_and_help_state_the_limits_of_the_code():
+    words = schema.REMEDIES["finite_number"]
+    ends = [float(number) for number in re.findall(r"1e-?[0-9]+", words)]
+    assert ends == [schema.SMALLEST, schema.LARGEST]
+    limits = short(presented.TAIL), short(joint.LOWEST)
+    assert (
+        "down to {} of the largest, contours".format(*limits)
+        in " ".join(Answers.plot.__doc__.split())
+        and f"to {limits[1]}." in Answers.plot.__doc__
+    )
+    for command in app.commands.values():
+        for option in command.params:
+            if given := re.match(r"Default ([^.]+)\.", getattr(option, "help", None) or ""):
+                assert given[1] == str(option.default)
+    factors = [grid_convergence(x, theory=2.0, floor=0.0).safety
+               for x in ((21.0, 6.0, 2.25, 1.3125), (2.0, 1.0, 0.5, 0.25))]  # fmt: skip
+    trusted = f"within {100 * orders.TRUSTED:.0f} % of theory, else {factors[1]:g}"
+    words = f"Safety factor {factors[0]:g} where the observed order is {trusted}"
+    assert words in converge_page.GCI_WORDS
+    assert f"within {WORDS[orders.ABOVE_FLOOR]} times the floor" in converge_page.ORDER_WORDS
+    assert "the median of {} to {} runs".format(*levels.REPEATS) in cost_page.MEANING
+    assert lines.TAIL == 1e-6  # "to a millionth of the top"
+    assert f"within {doubt.ACCEPTABLE_L1} in L1" in str(schema.EXPECT["acceptable"]["metadata"])
+    system = {key: [1.0] for key in schema.SYSTEM["fields"]} | {"noise_gain": [[1.0]]}
+    keys = schema.UNITS["fields"]
+    with pytest.raises(InvalidInput) as refusal:
+        schema.validated({"system": system, "units": dict.fromkeys(keys, "1")})
+    least, most = re.search(r"\{(\d+),(\d+)\}", schema.UNIT["pattern"]).groups()
+    assert f"must be {least} to {most} letters" in refusal.value.remedy
+    (memory,) = (o for o in app.commands["density"].params if o.name == "memory")
+    assert f"{refinement.MEMORY:g} if left out" in memory.help
 
 
 def test_tolerances_of_the_methods_are_their_defaults():

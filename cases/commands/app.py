@@ -20,7 +20,7 @@ from cases.commands.examples import EXAMPLES
 from cases.commands.export import export
 from cases.commands.studies import converge, cost, regime, sweep
 from cases.commands.verify import verify
-from cases.scene.errors import BadInput, one_line
+from cases.scene.errors import BadInput, misspelt, one_line
 from fpk.errors import InvalidInput, NotApplicable, NotCertified, Unavailable
 
 WIDEST = 10_000
@@ -94,6 +94,8 @@ def run(
 
     def save(outcome: Any) -> None:
         if outcome.curves[-1].interrupted:
+            if not any(curve.answered for curve in outcome.curves):
+                raise KeyboardInterrupt
             click.echo("fpk: stopped; what there is follows, Ctrl-C again ends at once", err=True)
         if out is not None:
             write_netcdf(outcome, out / parts.FIELDS)
@@ -103,7 +105,7 @@ def run(
     outcome = parts.outcome_of(
         loaded, methods, partial=True, relax=asked is None, tol=asked, save=save
     )
-    if only and not any(curve.results for curve in outcome.curves):
+    if only and not any(curve.answered for curve in outcome.curves):
         raise BadInput(f"{loaded.name}: {'; '.join(outcome.curves[0].problems)}")
     written, digest = [], digest_of(outcome)
     if asked is not None and any(method.route.sampled for method in methods):
@@ -158,6 +160,10 @@ def run_app() -> None:
     except click.ClickException as error:
         context = error.ctx if isinstance(error, click.UsageError) else None
         command = context.command_path if context else "fpk"
+        if similar := getattr(error, "possibilities", None):  # by click: of many common letters
+            word = getattr(error, "option_name", None) or getattr(error, "command_name", None)
+            near = [name for name in similar if misspelt(str(word), [name])]
+            vars(error)["possibilities"] = near
         _fail(f"{error.format_message()} ({command} --help says more)", 2)
     except NotCertified as error:
         _fail(str(error), 1)

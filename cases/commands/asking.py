@@ -88,12 +88,14 @@ class Asked:
         with the first reason why it does not apply.
         """
         from cases.output.records import answer_record
+        from cases.output.words import named
 
         method, answer, seconds = self._answer(kind, words, work, {**self.settings, **settings})
         record = answer_record(self.scene, method, given, answer, seconds, key=key)
         failures = record["certificate"]["failures"]
         problems = [f"{about} is not certified: {failure}" for failure in failures]
-        parts.end(record, lambda: text(record), problems=problems)
+        notes = [f"# {named(note)}" for note in record["averaging_notes"]]
+        parts.end(record, lambda: "\n".join([text(record), *notes]), problems=problems)
 
     def _answer(
         self, kind: type, words: str, work: Callable[..., Any], settings: dict[str, Any]

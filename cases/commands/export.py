@@ -51,7 +51,8 @@ def export(
     from cases.output.fields import write_csv, write_netcdf
     from cases.output.vtk import write_pvd, write_vtu
 
-    loaded = replace(loaded, expect=None)  # without the simulation nothing can be claimed
+    # Without all routes nothing can be claimed, and a density may be left out.
+    loaded = replace(loaded, expect=None, densities_asked=False)
     methods = [
         m
         for m in all_methods(tol=tol, **settings)
@@ -61,7 +62,8 @@ def export(
     ]
     outcome = parts.outcome_of(loaded, methods)
     if not any(map(len, outcome.curves)):
-        raise BadInput(f"{loaded.name}: {outcome.problems[0]}")
+        reason = f"no stationary density: {outcome.curves[0].absence}"
+        raise BadInput(f"{loaded.name}: {[*outcome.problems, reason][0]}")
     write = dict(zip(ENDINGS, (write_vtu, write_pvd, write_netcdf, write_csv), strict=True))
     files = [str(path) for path in write[out.suffix](outcome, out)]
     record = {"scene": loaded.name, "file": str(out), "files": files, "seconds": outcome.seconds}

@@ -103,7 +103,10 @@ def command_line() -> str:
 
 
 def checked(scene: str, *, tol: float | None = None, out: Path | None = None) -> "Scene":
-    """Load the scene, check the tolerance, make the folder: a refusal comes before any work."""
+    """Load the scene, check the tolerance, make the folder: a refusal comes before any work.
+
+    The folder ``out`` is this command's alone until it ends.
+    """
     from cases.scene.scene import load_scene
 
     loaded = load_scene(scene)
@@ -113,9 +116,9 @@ def checked(scene: str, *, tol: float | None = None, out: Path | None = None) ->
         if not SMALLEST <= tol <= LARGEST:
             raise BadInput(f"--tol {tol:g}: must be between {SMALLEST:g} and {LARGEST:g}")
     if out is not None:
-        from cases.output.files import make_folder
+        from cases.output.files import output_folder
 
-        make_folder(out)
+        click.get_current_context().with_resource(output_folder(out))
     return loaded
 
 
@@ -132,13 +135,15 @@ def observable_of(name: str, scene: "Scene") -> "Observable":
 def narrowed(scene: "Scene", names: Sequence[str], *, whole: bool) -> "Scene":
     """Return the scene with the observables of ``names`` alone and then no questions about time.
 
-    No name: its own. Its claims are about all routes and observables: they stay where these are
-    ``whole``.
+    No name: its own. ``whole`` says that all routes are taken: only then its claims stay, which are
+    about all routes and observables, and its own densities must be given.
     """
     if names:
         observables = tuple(dict.fromkeys(observable_of(name, scene) for name in names))
         scene = replace(scene, observables=observables, passages=(), transients=())
-    return scene if whole and not names else replace(scene, expect=None)
+    asked = bool(names) or (whole and scene.densities_asked)
+    expect = scene.expect if whole and not names else None
+    return replace(scene, expect=expect, densities_asked=asked)
 
 
 def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:

@@ -6,8 +6,8 @@ from functools import cached_property
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from averaging.exact import compatibility
 from cases.comparison.compare import Comparison, compared, discrepancies
+from cases.comparison.doubt import averaging_notes, incompatibility
 from cases.comparison.in_time import Replies
 from cases.comparison.quantities import (
     Quantity,
@@ -17,11 +17,11 @@ from cases.comparison.quantities import (
 )
 from cases.comparison.refusal import Refusal
 from fpk.density import AnyDensity
-from fpk.errors import NotApplicable
 from fpk.method import Result
-from fpk.observable import Level, Observable, parse_observable
+from fpk.observable import Level, Observable, observable_name, parse_observable
 from fpk.route import Route
 from fpk.system import System
+from sim.montecarlo import MonteCarlo
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,7 +38,8 @@ class Answers(Mapping[Any, AnyDensity]):
     for. Of a scene's curve ``label`` and ``value`` are as in ``Curve``; ``notes`` say in words what
     was done that nobody asked for, ``interrupted`` whether Ctrl-C ended the work. ``passages`` and
     ``transients`` are what was said to the scene's questions about motion in time. ``exceedance``
-    has the levels a whose P(X > a) is among the quantities. ::
+    has the levels a whose P(X > a) is among the quantities. The stationary densities of ``asked``,
+    where the system has any, must be given by some route. ::
 
         answers = fpk.solve(fpk.load("fig3a").system, ["q2"])
         answers["q2", "exact"], answers.of("q2"), answers.refusals, answers.problems
@@ -55,6 +56,7 @@ class Answers(Mapping[Any, AnyDensity]):
     passages: tuple[Replies, ...] = ()
     transients: tuple[Replies, ...] = ()
     exceedance: tuple[Level, ...] = ()
+    asked: tuple[Observable, ...] = ()
 
     @property
     def in_time(self) -> tuple[Replies, ...]:
@@ -169,6 +171,24 @@ class Answers(Mapping[Any, AnyDensity]):
         exact = incompatibility(self.system) is None and not self.neglects(route)
         return exact or route.solves == "full"
 
+    @cached_property
+    def averaging_notes(self) -> tuple[str, ...]:
+        """What is to be known of averaged answers with none of the full system beside them."""
+        of = dict.fromkeys(d.observable for d in self.values())
+        densities = [(observable_name(o), self.densities(o), False) for o in of]
+        in_time = [(r.question.name, [g.route for g in r.given], True) for r in self.in_time]
+        return averaging_notes(self.system, [*densities, *in_time])
+
+    @property
+    def answered(self) -> bool:
+        """Whether any route gave a density, or the answer to a question about motion in time."""
+        return bool(self.results) or any(replies.given for replies in self.in_time)
+
+    @property
+    def absence(self) -> str | None:
+        """Why the system has no stationary density, None where it has or a route gave one."""
+        return None if self.results else MonteCarlo().refusal(self.system, ())
+
     @property
     def problems(self) -> tuple[str, ...]:
         """Every check that does not hold, in words; empty when all do."""
@@ -182,23 +202,20 @@ class Answers(Mapping[Any, AnyDensity]):
         ]
         problems += [f"{r.route.label} failed: {r.reason}" for r in self.refused if r.failed]
         problems += [problem for replies in self.in_time for problem in replies.problems]
+        absence = self.absence
         if not self.refused and not self.results:
             problems.append("not run: the program was interrupted")
-        elif not self.results and not problems:
-            reasons = dict.fromkeys(r.reason for r in self.refused)
+        elif not self.answered and not problems:
+            reasons = dict.fromkeys([absence] if absence else [r.reason for r in self.refused])
             problems.append(f"no route applies: {'; '.join(reasons)}")
+        elif self.answered and not (self.interrupted or absence):
+            failed = {name for r in self.refused if r.failed for name in r.observables}
+            names = {observable_name(o) for o in self.asked if not self.densities(o)} - failed
+            words = "no route gives its stationary density; --details says why"
+            problems += [f"{name}: {words}" for name in sorted(names)]
         return tuple(f"{self.label}: {p}" if self.label else p for p in problems)
 
 
 def presented() -> Any:
     """Return the module that shows answers, which is above this one and heavy: loaded late."""
     return import_module("cases.output.presented")
-
-
-def incompatibility(system: System) -> str | None:
-    """Return why the exact theory (7), (8) does not apply, None where it does."""
-    try:
-        compatibility(system)
-    except NotApplicable as reason:
-        return str(reason)
-    return None

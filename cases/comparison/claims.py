@@ -11,6 +11,7 @@ from scipy.special import ndtr
 
 from cases.comparison.answers import Answers
 from cases.comparison.compare import distance_between
+from cases.comparison.doubt import ACCEPTABLE_L1
 from cases.scene.expect import RELATIONS, Expect, Range
 from cases.written import with_error
 from fpk.clearance import stop_clearances
@@ -31,11 +32,6 @@ probability is wrong by more than 2.5 %, about what the width of a printed line 
 ALMOST_KURTOSIS = 0.3
 """Excess kurtosis up to which a density is called almost Gaussian: its fourth moment is a tenth off
 the Gaussian's 3. It must meet ``ALMOST_L1``, too; beyond one of them it is non-Gaussian."""
-
-ACCEPTABLE_L1 = 0.1
-"""L1 distance to the full system up to which a theory is called acceptable: no probability is
-wrong by more than 5 %."""
-
 
 GAUSSIAN_PARTS = (8, 32)
 """Parts of each panel of a density over which its distance to a Gaussian is integrated, by both

@@ -189,7 +189,7 @@ def chance_l1(sampled: SampledDensity) -> tuple[float, float]:
 
     Wild bootstrap: random signs on the deviations of the independent batches keep the correlation
     of neighbouring bins. The quantile is that of Student's t for the number of batches, corrected
-    for the skewness of the draws (Cornish-Fisher): it lies beyond what 2000 draws can show.
+    for the skewness of the draws (Cornish-Fisher): it lies beyond what so few draws can show.
     """
     batches = sampled.batch_values.reshape(sampled.batch_values.shape[0], -1)
     count = batches.shape[0]

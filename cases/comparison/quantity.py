@@ -7,9 +7,9 @@ those of ``shown_of`` for each density, a sweep gives any.
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from math import isfinite, nan
 
+from cases.scene.errors import misspelt
 from fpk.contact import Contact
 from fpk.contact_quantities import contact_quantity, ratio
 from fpk.density import AnyDensity
@@ -213,8 +213,8 @@ def parse_definition(text: str, system: System) -> Definition:
             return Definition(kind, mass, contact=index, side=rest)
     except InvalidInput as error:
         raise InvalidInput("quantity", text, f'"{error.value}" {error.remedy}') from None
-    close = get_close_matches(kind, [form.partition("(")[0] for form in FORMS], n=1)
-    hint = f"did you mean {close[0]}? " if close and close[0] != kind else ""
+    near = misspelt(kind, [form.partition("(")[0] for form in FORMS])
+    hint = f"did you mean {near}? " if near and near != kind else ""
     raise InvalidInput("quantity", text, f"is no quantity; {hint}use one of {', '.join(FORMS)}")
 
 

@@ -53,6 +53,7 @@ def run_scene(
         stationary: Any = {"share": share, "rates": True, **options}
         answers = answers_of(curve.system, scene.observables, wanted, **stationary)
         own: Any = {"label": curve.label, "value": curve.value, "exceedance": scene.exceedance}
+        own["asked"] = scene.observables if scene.densities_asked else ()
         answers = replace(answers, **own)
         if not (interrupted or answers.interrupted):
             answers = _with_time(answers, scene, methods, tol=tol, **options)
@@ -81,10 +82,12 @@ def _with_time(
             else replies_of(answers.system, question, methods, **options)
         )
     count = len(scene.passages)
+    absence = answers.absence if replies and answers.asked else None
+    none = [f"no stationary density: {absence}"] if absence else []
     return replace(
         answers,
         passages=tuple(replies[:count]),
         transients=tuple(replies[count:]),
-        notes=(*answers.notes, *(note for r in replies for note in r.notes)),
+        notes=(*answers.notes, *none, *(note for r in replies for note in r.notes)),
         interrupted=any(r.interrupted for r in replies),
     )

@@ -117,6 +117,7 @@ def _curve(curve: Answers, key: str, units: Units) -> Record:
         "methods": [*map(method_record, curve.results), *map(refusal_record, curve.refused)],
         "notes": curve.notes,
         "stationary_note": stationary_note(curve.system),
+        "averaging_notes": curve.averaging_notes,
         "quantities": [quantity_row(q, units) for q in curve.quantities],
         "comparisons": comparison_rows(curve.comparisons),
         "quantity_comparisons": comparison_rows(curve.quantity_comparisons),

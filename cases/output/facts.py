@@ -4,7 +4,7 @@ from contextlib import suppress
 
 from averaging.energy_process import energy_process
 from averaging.modal.analysis import modal_analysis
-from cases.comparison.answers import incompatibility
+from cases.comparison.doubt import averaging_notes, incompatibility
 from cases.comparison.routes import listed_routes
 from cases.output.motion import modes_record, rms_record
 from cases.output.records import Record, plain
@@ -28,8 +28,9 @@ MODES_SHOWN = 50
 
 def show_record(scene: Scene) -> Record:
     """Return the record of ``fpk show``."""
-    facts = facts_record(scene.system)
-    regime = facts["regime"]
+    facts, rms = facts_record(scene.system), rms_record(scene.system)
+    regime, routes = facts["regime"], {route.label: route for route in listed_routes()}
+    averaged = [("rms", [routes[row["route"]]], False) for row in rms[:1]]
     return plain(
         {
             "scene": scene.name,
@@ -41,7 +42,8 @@ def show_record(scene: Scene) -> Record:
             "units": units_record(scene),
             "natural_frequencies": regime["natural_frequencies"],
             "modes": modes_record(scene.system),
-            "rms": rms_record(scene.system),
+            "rms": rms,
+            "averaging_notes": averaging_notes(scene.system, averaged),
             "theories": theories(scene),
             "boundaries": regime["boundaries"],
         }
@@ -59,7 +61,11 @@ def units_record(scene: Scene) -> Record | None:
 
 
 def check_record(scene: Scene) -> Record:
-    """Return the record of ``fpk check``: sizes, theories, and about what a run costs."""
+    """Return the record of ``fpk check``: sizes, theories, questions, about what a run costs.
+
+    ``refused`` and ``applies`` are about stationary densities; ``stationary_refusal`` says why the
+    system has none, None where it has.
+    """
     listed = theories(scene)
     taken = [t["method"] for t in listed if t["applies"] and not t["left_out"]]
     seconds: float | None = 0.0
@@ -79,6 +85,8 @@ def check_record(scene: Scene) -> Record:
             "applies": [t["method"] for t in listed if t["applies"]],
             "refused": [t for t in listed if not t["applies"]],
             "left_out": [t for t in listed if t["left_out"]],
+            "stationary_refusal": MonteCarlo().refusal(scene.system, ()),
+            "questions": [q.name for q in scene.passages] + [q.name for q in scene.transients],
             "simulation_seconds": seconds,
             "simulation_refusal": refusal,
             "phase_space": "phase-space" in taken,

@@ -15,7 +15,8 @@ def verify_row(digest: Record) -> Record:
     unjudged = [
         f"{curve['label'] or digest['scene']}: no comparison was judged"
         for curve in curves
-        if all(comparison["band"] is None for comparison in curve["comparisons"])
+        for part in [(curve, *curve["passages"], *curve["transients"])]
+        if all(c["band"] is None for answers in part for c in answers["comparisons"])
     ]
     problems = [*digest["problems"], *unjudged]
     taken = [method for curve in curves for method in curve["methods"] if method["applies"]]

@@ -1,6 +1,6 @@
 """The answer of a run in one or two sentences."""
 
-from cases.comparison.claims import ACCEPTABLE_L1
+from cases.comparison.doubt import ACCEPTABLE_L1
 from cases.output.records import Record
 from cases.output.words import named
 from cases.written import percent

@@ -17,6 +17,7 @@ from cases.output.pictures.style import COLOURS, SHOWN, STYLE, density_words, wo
 from cases.output.records import UNITS, plain, program_version
 from cases.output.tables import quantity_columns
 from cases.output.variables import Variables
+from cases.output.words import named
 from cases.scene.units import Units
 from cases.written import NOTE
 from fpk.density import AnyDensity
@@ -102,7 +103,8 @@ def html_tables(answers: Answers) -> str:
         body = "".join(f"<tr>{_cells('td', row)}</tr>" for row in others)
         head = f"<thead><tr>{_cells('th', first)}</tr></thead>"
         parts.append(f"<table>{head}<tbody>{body}</tbody></table>")
-    return "".join([*parts, f"<p>{escape(NOTE)}</p>" if rows else ""])
+    notes = [*([NOTE] if rows else []), *map(named, answers.averaging_notes)]
+    return "".join([*parts, *(f"<p>{escape(note)}</p>" for note in notes)])
 
 
 def _cells(tag: str, texts: Iterable[str]) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic_core import to_jsonable_python
 
+from cases.comparison.doubt import averaging_notes
 from cases.comparison.time_distances import failure_of
 from cases.scene.scene import Scene
 from cases.scene.units import CONSISTENT, DIMENSIONS, Units, bracketed
@@ -54,6 +55,7 @@ def answer_record(
 
     ``given`` are the words of the question, such as the observable and the points; values of a
     curve or density are under ``key``. Numbers that there are not, or beyond range, are null.
+    ``averaging_notes`` has what is to be known of the averaging error.
     """
     own: Record
     match answer:
@@ -72,8 +74,11 @@ def answer_record(
     units = answer_units(scene.units, given, key) if scene.units else None
     solver = answer.settings.get("solver", method.solver)  # of several inside of one method
     head = {"scene": scene.name, "method": method.name, "solver": solver, "units": units}
+    of = str(given.get("observable", given.get("limit", "rates")))
+    asked = [(of, [method.route], not isinstance(answer, Curve))]
     tail = answer_tail(answer.certificate, answer.settings, seconds)
-    return plain({**head, **given, **own, **tail})
+    notes = averaging_notes(scene.system, asked)
+    return plain({**head, **given, **own, **tail, "averaging_notes": notes})
 
 
 CURVE_POWERS = {

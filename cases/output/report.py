@@ -8,7 +8,8 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from cases.comparison.claims import ACCEPTABLE_L1, ALMOST_KURTOSIS, ALMOST_L1
+from cases.comparison.claims import ALMOST_KURTOSIS, ALMOST_L1
+from cases.comparison.doubt import ACCEPTABLE_L1
 from cases.comparison.run import Outcome
 from cases.output.digest import curves_of
 from cases.output.facts import theories, units_record
@@ -26,7 +27,9 @@ from cases.output.records import Record
 from cases.output.tables import theory_table
 from cases.output.text import rendered
 from cases.scene.scene import Scene
+from fpk.clearance import CLEARANCE_RULE
 from fpk.method import Progress, silent
+from sim.diagnostics import FALSE_ALARMS
 
 GROUPS = {"passage": "time", "transient": "time", "solver": "difference", "left": "difference"}
 """Part of the page in which a picture stands, by the first word of its file; others: "density"."""
@@ -122,6 +125,8 @@ def report_html(
             "gaussian": ALMOST_L1,
             "kurtosis": ALMOST_KURTOSIS,
             "acceptable": ACCEPTABLE_L1,
+            "clearance": CLEARANCE_RULE,
+            "false_alarms": FALSE_ALARMS,
         },
         "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
     }

@@ -1,10 +1,10 @@
 """Input that is refused: the one exception that the command line turns into exit status 2."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import date, time
-from itertools import islice
+from itertools import islice, zip_longest
 from typing import Any
 
 from fpk.errors import shown
@@ -34,6 +34,23 @@ def readable_errors(label: object, words: str, remedy: str) -> Iterator[None]:
             raise
         reason = getattr(error, "strerror", None) or error
         raise BadInput(f"{label}: {words}: {reason}; {remedy}") from None
+
+
+def misspelt(word: str, known: Iterable[str]) -> str | None:
+    """Return the first of ``known`` that ``word`` is a misspelling of, None where there is none.
+
+    One letter is left out, added, replaced or swapped with the next, which are four of five
+    misspellings (Damerau 1964), of at least three letters; capitals and dashes in front count for
+    nothing. Words that begin alike are no misspellings of each other.
+    """
+    for name in known:
+        a, b = (text.casefold().lstrip("-") for text in (word, name))
+        same = next((k for k, (x, y) in enumerate(zip_longest(a, b)) if x != y), len(a))
+        long, a, b = max(len(a), len(b)) >= 3, a[same:], b[same:]
+        one = a[1:] in (b, b[1:]) or a == b[1:]
+        if long and (one or (a[:2] == b[1::-1] and a[2:] == b[2:])):
+            return name
+    return None
 
 
 def toml_value(value: Any) -> str:

@@ -1,12 +1,11 @@
 """Scenes: one system, what is observed of it, and the further curves of its figure."""
 
 from dataclasses import dataclass
-from difflib import get_close_matches
 from os.path import lexists
 from pathlib import Path
 from typing import Any
 
-from cases.scene.errors import BadInput, toml_value
+from cases.scene.errors import BadInput, misspelt, toml_value
 from cases.scene.expect import Expect, expect_of
 from cases.scene.questions import PassageQuestion, TransientQuestion, passages_of, transients_of
 from cases.scene.reading import read_toml
@@ -28,7 +27,8 @@ class Scene:
     ``name`` is the file's stem; ``text`` the file as it was read; ``curves`` holds the scene's own
     system first, then those that ``[vary]`` adds. Of each, ``passages`` and ``transients`` ask.
     ``exceedance`` has the levels a of the probabilities P(X > a) that are wanted of an observable
-    X. ``units`` are the names of ``[units]``. ::
+    X. ``units`` are the names of ``[units]``. ``densities_asked``: ``observables`` are those of
+    ``[observe]``, not the default ones. ::
 
         scene = fpk.load("fig6a")
         scene.title, scene.system, [(curve.label, curve.value) for curve in scene.curves]
@@ -46,6 +46,7 @@ class Scene:
     transients: tuple[TransientQuestion, ...] = ()
     units: Units = NO_UNITS
     exceedance: tuple[Level, ...] = ()
+    densities_asked: bool = False
 
 
 def shipped_scenes() -> dict[str, Path]:
@@ -74,8 +75,8 @@ def load_scene(scene: str | Path) -> Scene:
     path = Path(name)
     looks_like_path = path.suffix or len(path.parts) > 1
     if not looks_like_path and not lexists(name):
-        close = get_close_matches(name, shipped, n=1)
-        hint = f'did you mean "{close[0]}"?' if close else "fpk list names the shipped scenes"
+        near = misspelt(name, shipped)
+        hint = f'did you mean "{near}"?' if near else "fpk list names the shipped scenes"
         raise BadInput(f"scene {toml_value(name)}: neither a shipped scene nor a file; {hint}")
     return _scene(path, name)
 
@@ -97,8 +98,10 @@ def _scene(path: Path, label: str) -> Scene:
         raise BadInput(f"{label}: {error.key or 'scene'} {given}: {error.remedy}") from None
     title, source = tables.get("title") or path.stem, tables.get("source", "")
     asked = observables, curves, expect, passages, transients
-    units = tables.get("units", NO_UNITS)
-    return Scene(path.stem, title, source, text, system, *asked, units=units, exceedance=exceedance)
+    return Scene(
+        path.stem, title, source, text, system, *asked, units=tables.get("units", NO_UNITS),
+        exceedance=exceedance, densities_asked="densities" in observe,
+    )  # fmt: skip
 
 
 def _system(tables: dict[str, Any]) -> System:

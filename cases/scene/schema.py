@@ -5,13 +5,13 @@ its key as the user would look for it, ``contact[1].clearance`` say, counted fro
 """
 
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from typing import Any, get_args
 from unicodedata import category
 
 from pydantic_core import ErrorDetails, PydanticCustomError, SchemaValidator, ValidationError
 from pydantic_core import core_schema as core
 
+from cases.scene.errors import misspelt
 from cases.scene.expect import RELATIONS
 from cases.scene.units import Units
 from fpk.contact import Contact, Side
@@ -241,6 +241,9 @@ SCENE = _table(
 )
 """The whole file."""
 
+PAGE = "docs/scene.md"
+"""The page of the documentation about the scene file."""
+
 _VALIDATOR = SchemaValidator(SCENE)  # it checks the schema itself
 
 REMEDIES = {
@@ -254,7 +257,7 @@ REMEDIES = {
     "greater_than": "must be > 0",
     "greater_than_equal": "must be 1 or more; masses are counted from 1",
     "string_pattern_mismatch": "is not the number of a mass; masses are counted from 1",
-    "string_too_long": "is too long; at most 1000 characters",
+    "string_too_long": "is too long; at most {max_length} characters",
     "too_short": "must have at least {min_length} entries",
     "too_long": "must have at most {max_length} entries",
     "literal_error": "use {expected}",
@@ -302,6 +305,7 @@ def _known_keys(place: Sequence[int | str]) -> str:
         table = table["items_schema"] if isinstance(part, int) else table["fields"][part]
         while "schema" in table:
             table = table["schema"]
-    if close := get_close_matches(str(place[-1]), table["fields"], n=1):
-        return f'is not a key of a scene; did you mean "{close[0]}"?'
-    return f"is not a key of a scene; here are known: {', '.join(table['fields'])}"
+    if near := misspelt(str(place[-1]), table["fields"]):
+        return f'is not a key of a scene; did you mean "{near}"?'
+    known = ", ".join(table["fields"])
+    return f"is not a key of a scene; here are known: {known}; {PAGE} says what each means"

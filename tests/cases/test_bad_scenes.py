@@ -6,13 +6,14 @@ import sys
 
 import pytest
 
-from cases.scene.errors import LONGEST, BadInput
+from cases.scene.errors import LONGEST, BadInput, misspelt
 from cases.scene.scene import load_scene
 
 TERM = "[[damping_term]]\nj = 1\ncoefficient = 0.1\n"
 BAD = [  # what is replaced, by what, and what the line must say
     ('title = "A scene"', 'titel = "A scene"', ["titel", '"A scene"', 'did you mean "title"']),
     ("stiffness       = [1", "stifness = [1", ["system.stifness", 'did you mean "stiffness"']),
+    ("stiffness       = [1", "stiffness_cubic = [1]\nstiffness = [1", ["known: mass", "scene.md"]),
     ("mass            = [1.0, 1.0]", "mass = [1.0]", ["system.stiffness", "1 entries"]),
     ("mass            = [1.0, 1.0]", "mass = [1.0, -1.0]", ["system.mass", "-1.0", "positive"]),
     ("mass            = [1.0, 1.0]", "mass = [1.0, true]", ["system.mass[2] = true", "number"]),
@@ -106,6 +107,40 @@ def test_a_bad_scene_is_refused_in_one_line(old, new, words, tmp_path, scene_tex
     assert len(err) < 500
     for word in ["bad.toml", *words]:
         assert word in err
+
+
+MEANT = [  # a word, the names there are, and the one that it is a misspelling of
+    *((word, ["mass", "stiffness"], "stiffness") for word in ("stifness", "stiffnes", "siffness")),
+    *((word, ["mass", "stiffness"], "stiffness") for word in ("stiffnses", "Stiffness")),
+    *(
+        (word, ["stiffness", "noise_gain"], None)
+        for word in ("stiffness_cubic", "noise_correlation")
+    ),
+    ("damper", ["damping"], None),
+    ("median", ["mean", "rms"], None),
+    ("rm", ["rms"], "rms"),
+    ("--dt", ["--at", "--tol"], None),
+    ("--tme", ["--time"], "--time"),
+    ("p", ["q", "v"], None),
+]
+
+
+@pytest.mark.parametrize(("word", "known", "meant"), MEANT, ids=[w for w, _, _ in MEANT])
+def test_a_hint_is_for_a_misspelt_word_only(word, known, meant):
+    assert misspelt(word, known) == meant
+
+
+def test_no_hint_is_given_for_a_word_of_another_meaning(tmp_path, scene_text, fpk):
+    path = tmp_path / "bad.toml"
+    for key, remedy in (("noise_correlation", "here are known"), ("noise_gian", "did you mean")):
+        path.write_text(scene_text.replace("[system]", f"[system]\n{key} = 1.0"))
+        _, _, err = fpk("check", path)
+        assert f"system.{key} = 1.0" in err and remedy in err
+        assert ("did you mean" in err) == (key == "noise_gian")
+    for given, hint in ((["run", "fig6a", "--secods", "1"], "--seconds"), (["densty"], "density")):
+        assert f"Did you mean '{hint}'?" in fpk(*given)[2]
+    for given in (["density", "fig6a", "--dz", "1"], ["run", "fig6a", "--paths", "1"]):
+        assert "Did you mean" not in fpk(*given)[2]
 
 
 def _loop(path):

@@ -14,7 +14,7 @@ from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
 from cases.output.digest import digest_of
 from cases.output.fields import write_csv, write_netcdf
-from cases.output.files import make_folder, write_by, write_text
+from cases.output.files import LOCK, make_folder, output_folder, write_by, write_text
 from cases.output.pictures.svg import svg_text
 from cases.output.report import write_report
 from cases.output.vtk import write_pvd, write_vtu
@@ -161,3 +161,49 @@ def test_a_folder_in_the_place_of_a_file_is_kept(tmp_path):
     with pytest.raises(BadInput, match="cannot be written"):
         write_text(tmp_path / "a.csv", "text")
     assert [p.name for p in tmp_path.rglob("*")] == ["a.csv", "inner"]
+
+
+GRID = ("--vary", "contact.stiffness=1:2:2")
+WRITING = [
+    ("run", "fig3a"),
+    ("sweep", "fig3a", *GRID, "--quantity", "rms(q2)"),
+    ("regime", "fig3a", *GRID),
+    ("converge", "fig3a"),
+    ("cost", "fig3a"),
+]
+
+
+@pytest.mark.parametrize("command", WRITING, ids=lambda command: command[0])
+def test_a_folder_is_written_by_one_command_at_a_time(command, fpk, tmp_path, monkeypatch):
+    """The second one is refused before any work, and leaves what is there."""
+
+    def worked(*_, **__):
+        raise AssertionError("worked")
+
+    monkeypatch.setattr("cases.comparison.run.run_scene", worked)
+    monkeypatch.setattr("cases.studies.sweep.sweep.every_answer", worked)
+    with output_folder(tmp_path):
+        status, out, err = fpk(*command, "--out", tmp_path)
+    assert (status, out) == (2, "") and err.count("\n") == 1
+    assert "another process is using this folder; wait until it has ended" in err
+    assert [path.name for path in tmp_path.iterdir()] == [LOCK]
+
+
+def test_two_runs_at_once_leave_the_report_of_one(tmp_path):
+    """Both in processes of their own: one is done, the other is refused."""
+    call = ("run", "fig3a", "--method", "exact", "--of", "q2", "--out", str(tmp_path))
+    command = [sys.executable, "-c", "from cases.commands.cli import main; main()", *call]
+    both = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(2)]
+    ends = [(process.communicate()[1], process.returncode) for process in both]
+    assert sorted(status for _, status in ends) in ([0, 2], [0, 0])  # 0, 0: one after the other
+    assert all("using this folder" in err for err, status in ends if status == 2)
+    assert (tmp_path / "report.html").is_file()
+
+
+def test_what_a_killed_process_left_is_removed_by_the_next_command(fpk, tmp_path):
+    for name in (".fpk-ab12_x9z", ".fpk-notes"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "report.html").write_text("half")
+    call = ("run", "fig3a", "--method", "exact", "--of", "q2", "--out", tmp_path)
+    assert fpk(*call)[0] == 0
+    assert [path.name for path in tmp_path.glob(".fpk-*")] == [".fpk-notes"]  # no name of ours

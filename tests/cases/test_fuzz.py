@@ -3,6 +3,7 @@
 import json
 import re
 import tomllib
+from dataclasses import replace
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -118,7 +119,9 @@ def test_a_valid_scene_in_any_units_is_shown(text, tmp_path):
 @examples(15)
 @given(text=valid_scenes(most_masses=2, most_touching=1, one_law=True))
 def test_a_valid_scene_runs(text, tmp_path):
-    assert not problems_of_run(tmp_path / "any.toml", text)
+    # Only modal averaging has modal energies, and it is refused at resonance.
+    for problem in problems_of_run(tmp_path / "any.toml", text):
+        assert problem.startswith("no route applies: ") and "; internal resonance: " in problem
 
 
 @pytest.mark.slow
@@ -134,6 +137,8 @@ def test_a_valid_scene_in_any_units_runs(text, tmp_path):
 def problems_of_run(path, text):
     """Problems of a run by the routes in closed form; each route answers or says why not.
 
+    Not every density has to be given, as these are few of the routes.
+
     The tolerance is a hundred times that of the methods: no scene of ordinary numbers misses it.
     """
     scene = loaded_or_refused(path, text.encode())
@@ -141,7 +146,7 @@ def problems_of_run(path, text):
         method_for(*route, tol=1e-8)
         for route in [("exact",), ("linear",), ("nonintegrable", "closed-form"), ("integrable",)]
     ]
-    outcome = run_scene(scene, methods)
+    outcome = run_scene(replace(scene, densities_asked=False), methods)
     for curve in outcome.curves:
         assert curve.results or curve.refused
         for result in curve.results:

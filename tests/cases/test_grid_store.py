@@ -59,23 +59,44 @@ def test_a_point_that_cannot_be_written_leaves_all_points_before(written, monkey
 
 def test_a_byte_that_changed_or_is_missing_is_never_read_as_a_number(written):
     whole = written.read_bytes()
-    for place in range(1, len(whole), 3):
+    last = whole.rindex(b"\n", 0, -1)
+    for place in range(1, len(whole) - 1, 3):
         changed = bytes([whole[place] ^ 0x01])
-        for damaged in (whole[:place] + changed + whole[place + 1 :], whole[:place]):
-            written.write_bytes(damaged)
-            with pytest.raises(BadInput) as refusal:
-                reopened(written)
-            assert "\n" not in str(refusal.value) and str(written) in str(refusal.value)
-            assert written.read_bytes() == damaged
-    written.write_bytes(b"")  # as a power cut may leave it
-    assert not reopened(written).points
+        damaged = whole[:place] + changed + whole[place + 1 :]
+        written.write_bytes(damaged)
+        if place >= last:  # it may have been torn, and with its beginning the line before
+            with pytest.warns(UserWarning, match="is torn and left out"):
+                points = list(reopened(written).points.values())
+            assert points == POINTS[: -1 if place > last else -2]
+            continue
+        with pytest.raises(BadInput) as refusal:
+            reopened(written)
+        assert "\n" not in str(refusal.value) and str(written) in str(refusal.value)
+        assert written.read_bytes() == damaged
+
+
+def test_a_torn_last_line_is_left_out_and_said(written):
+    """As a power cut may leave the file, or a disk that is full: all points before it are there."""
+    whole = written.read_bytes()
+    ends = [k + 1 for k, byte in enumerate(whole) if byte == 10]
+    for place in range(len(whole)):
+        written.write_bytes(whole[:place])
+        points = POINTS[: max(sum(end <= place + 1 for end in ends) - 1, 0)]
+        if place in (0, *ends, *(end - 1 for end in ends)):  # but for its end, a line may be whole
+            assert list(reopened(written).points.values()) == points
+            continue
+        with pytest.warns(UserWarning, match=r"points\.jsonl: its last line is torn and left out"):
+            store = reopened(written)
+        assert list(store.points.values()) == points
+    store.add(POINTS[2])
+    assert list(reopened(written).points.values()) == POINTS and written.read_bytes() == whole
 
 
 def test_lines_that_were_changed_or_removed_or_doubled_are_refused(written):
     head, *lines = written.read_text(encoding="utf-8").split("\n")[:-1]
     foreign = json.dumps({**json.loads(lines[1]), "seconds": 0.5})
     for kept in (
-        [head, *lines[:2]],
+        [head, *lines[1:]],
         [head, lines[0], *lines],
         [head, lines[0], foreign, lines[2]],
         [*lines],
@@ -136,3 +157,18 @@ def test_points_of_another_map_are_refused_where_nothing_else_names_theirs(writt
     with pytest.raises(BadInput, match="another run's"):
         PointStore(written.parent, {**IDENTITY, "scene": "another"})
     assert written.read_bytes() == before
+
+
+def test_a_sweep_goes_on_from_a_torn_file(fpk, tmp_path):
+    call = ("sweep", "fig3a", "--vary", "contact.stiffness=1,2", "--quantity", "rms(q2)",
+            "--method", "nonintegrable/closed-form", "--json", "--out", tmp_path)  # fmt: skip
+    first = json.loads(fpk(*call)[1])
+    stored = tmp_path / NAME
+    stored.write_bytes(stored.read_bytes()[:-40])
+    with pytest.warns(UserWarning, match="its last line is torn and left out"):
+        status, out, _ = fpk(*call)
+    again = json.loads(out)
+    assert status == 0 and (first["reused"], again["reused"]) == (0, 1)
+    values = [[a["value"] for p in record["points"] for a in p["answers"]]
+              for record in (first, again)]  # fmt: skip
+    assert values[0] == values[1]

@@ -9,6 +9,8 @@ from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
 from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
+from cases.output.digest import digest_of, verdict_of
+from cases.output.text import rendered
 from cases.scene.scene import load_scene
 from fpk.certificate import Measured
 from fpk.density import certified_density
@@ -91,3 +93,78 @@ def test_a_run_in_which_nothing_applies_is_no_success(fpk, scene_text, tmp_path)
     assert status == 1 and "no route applies" in err and "every check holds" not in out
     status, out, err = fpk("run", path, "--json")
     assert status == 1 and any("no route applies" in p for p in json.loads(out)["problems"])
+
+
+UNDAMPED = """[system]
+mass = [1.0]
+stiffness = [1.0]
+damping = [0.0]
+noise_intensity = [0.05]
+[[passage]]
+limit = "H=0.3"
+times = [10.0]
+"""
+"""Under noise alone E H = D t: H first passes 0.3 after 0.3/D = 6 in the mean (Dynkin)."""
+ASKED = '[observe]\ndensities = ["{}"]\n'
+UNANSWERED = "no stationary density: some motion is not damped"
+
+
+def outcome_of(path, text, *methods):
+    path.write_text(text)
+    outcome = run_scene(load_scene(path), [method_for(name) for name in methods])
+    return outcome, digest_of(outcome)
+
+
+def test_a_question_in_time_is_answered_where_nothing_is_stationary(tmp_path):
+    """That no stationary density exists is said once where one is asked for, and fails no check."""
+    path = tmp_path / "undamped.toml"
+    for text, notes in ((UNDAMPED + ASKED.format("q1"), [UNANSWERED]), (UNDAMPED, [])):
+        outcome, digest = outcome_of(path, text, "exact", "linear", "phase-space")
+        assert not outcome.problems and verdict_of(digest).endswith("every certificate holds")
+        assert [note.split(":")[:2] for note in digest["notes"]] == [n.split(":") for n in notes]
+        shown = rendered("run.txt", {"digest": digest, "details": False})
+        assert shown.count("not damped") == len(notes)
+        (answer,) = digest["passages"][0]["answers"]
+        assert answer["mean"] == pytest.approx(6.0, abs=answer["mean_error"])
+
+
+def test_a_density_that_exists_and_no_route_gives_is_a_problem_where_it_is_asked_for(tmp_path):
+    path, damped = tmp_path / "damped.toml", UNDAMPED.replace("[0.0]", "[0.1]")
+    outcome, _ = outcome_of(path, damped + ASKED.format("H"), "phase-space")
+    (problem,) = outcome.problems
+    assert problem.startswith("H: no route gives its stationary density; ")
+    # Not asked for: the default densities of a scene of questions in time.
+    outcome, _ = outcome_of(path, damped, "phase-space")
+    assert not outcome.problems and outcome.curves[0].answered
+
+
+def test_commands_on_a_system_without_a_stationary_state(fpk, tmp_path):
+    path = tmp_path / "undamped.toml"
+    path.write_text(UNDAMPED + ASKED.format("q1"))
+    status, out, err = fpk("run", path, "--method", "phase-space")
+    assert (status, err) == (0, "") and "every certificate holds" in out
+    status, _, err = fpk("run", path, "--of", "q1", "--no-simulation")
+    assert status == 1 and err.count("\n") == 1 and err.count("not damped") == 1
+    status, _, err = fpk("export", path, "--out", tmp_path / "p.nc")
+    assert status == 2 and err.count("\n") == 1
+    status, out, _ = fpk("check", path)
+    assert status == 0 and out.count("not damped") == 1
+    assert "in time  H=0.3 from rest: fpk run says which methods answer" in out
+    record = json.loads(fpk("check", path, "--json")[1])
+    assert record["applies"] == [] and "not damped" in record["stationary_refusal"]
+    assert record["questions"] == ["H=0.3 from rest"]
+
+
+@pytest.mark.slow  # the simulation of ten thousand paths, and the equation for a displacement
+def test_first_passage_of_an_undamped_displacement(fpk, tmp_path):
+    """Mean 10.805 and P(T <= 10) = .577353, by the backward equation solved outside."""
+    path = tmp_path / "undamped.toml"
+    path.write_text(UNDAMPED.replace("H=0.3", "q1=0.8") + ASKED.format("q1"))
+    status, out, err = fpk("run", path, "--json")
+    record = json.loads(out)
+    assert (status, record["problems"], len(record["notes"])) == (0, [], 1), err
+    answers = {a["route"]: a for a in record["passages"][0]["answers"]}
+    assert set(answers) == {"phase-space", "montecarlo"}
+    solved = answers["phase-space"]
+    assert solved["mean"] == pytest.approx(10.805, abs=5e-4 + solved["mean_error"])
+    assert solved["failure"][0] == pytest.approx(0.577353, abs=5e-7 + solved["failure_error"][0])

@@ -1,12 +1,16 @@
 """Damaged files of the disk cache: compiled again, with a warning that names the file."""
 
 import os
+import signal
 import subprocess
 import sys
+import threading
 from itertools import product
 from pathlib import Path
 
 import pytest
+
+from fpk.compiling import COMPILER, abandon, interruptible_compile, is_compiling
 
 SOURCE = '''
 """A module whose folder is the test's own, and so is its cache."""
@@ -94,15 +98,92 @@ def test_a_full_disk_costs_the_cache_only(made, monkeypatch):
         assert made(2.0)(3.0) == 6.0
 
 
-def test_control_c_that_llvm_dropped_is_raised_again(made, monkeypatch):
-    """As numba leaves a function whose object code never reached it."""
+def test_who_waits_for_a_function_that_is_compiled_can_be_interrupted():
+    """Ctrl-C on the main thread, and all that wait on others; what is compiled on the way, none."""
+    begun, may_end = threading.Event(), threading.Event()
 
-    def lost(self):
-        raise RuntimeError(f"no compiled object yet for {self}")
+    def endless(signature):
+        begun.set()
+        may_end.wait()
+        return signature
 
-    monkeypatch.setattr("numba.core.codegen.CPUCodeLibrary._get_compiled_object", lost)
+    compiled = interruptible_compile(endless)
+
+    def other():
+        with pytest.raises(KeyboardInterrupt):
+            compiled("another thread's")
+        ended.append(True)
+
+    ended, thread = [], threading.Thread(target=other)
+    thread.start()
+    begun.wait()
+    begun.clear()
+    pressed = threading.Thread(target=lambda: (begun.wait(), abandon()))
+    pressed.start()
     with pytest.raises(KeyboardInterrupt):
-        made(2.0)(3.0)
+        compiled("this thread's")
+    thread.join()
+    pressed.join()
+    assert ended and is_compiling()
+    with pytest.raises(KeyboardInterrupt):  # numba compiles one function at a time
+        compiled("a later one's")
+    may_end.set()
+    for own in threading.enumerate():
+        if own.name == COMPILER:
+            own.join()
+    assert not is_compiling() and compiled(3) == 3
+
+    def failing(signature):
+        raise ValueError(signature)
+
+    nested = interruptible_compile(lambda signature: (compiled(signature), threading.get_ident()))
+    assert nested(5)[0] == 5 and nested(5)[1] != threading.get_ident() and not is_compiling()
+    with pytest.raises(ValueError, match="reason"):
+        interruptible_compile(failing)("reason")
+
+
+INTERRUPTED = """
+import signal, sys
+from numba.core import event
+
+class Begun(event.Listener):
+    def on_start(self, found):
+        if found.data["dispatcher"].py_func.__name__ == "advance":
+            print("begun", flush=True)
+
+    def on_end(self, found):
+        if found.data["dispatcher"].py_func.__name__ == "advance":
+            print("done", flush=True)
+
+event.register("numba:compile", Begun())
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from cases.commands.cli import main
+main()
+"""
+
+
+@pytest.mark.slow  # the kernel is compiled for many seconds where Ctrl-C does not end that
+@pytest.mark.parametrize("command", [
+    ["density", "fig6a", "--method", "montecarlo", "--of", "q2", "--at", "0"],
+    ["run", "fig6a", "--method", "montecarlo", "--out", "out"],
+])  # fmt: skip
+def test_control_c_does_not_wait_for_what_is_compiled(command, tmp_path):
+    """With an empty cache: one line, status 130, before the kernel is compiled; nothing is left."""
+    cache, folder = tmp_path / "cache", tmp_path / "folder"
+    cache.mkdir()
+    folder.mkdir()
+    process = subprocess.Popen(
+        [sys.executable, "-c", INTERRUPTED, *command], cwd=folder, text=True,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    assert process.stdout.readline() == "begun\n"
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate()
+    assert (process.returncode, out) == (130, "")
+    assert err.strip() == "fpk: stopped; nothing half-written was left"
+    assert not list(cache.rglob("*advance*.nbc"))
+    assert [path.name for path in folder.rglob("*")] in ([], ["out", ".fpk.lock"])
 
 
 @pytest.mark.slow

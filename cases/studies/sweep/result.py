@@ -81,6 +81,8 @@ class Sweep:
     ``points`` has the points of the grid, those of the last axis next to each other; ``reused``
     counts those that were read from disk, and ``seconds`` is the time all took. ``units`` has one
     for each of ``quantities``, an empty text where the scene has no ``[units]``.
+    ``averaging_notes`` say of the system before anything is varied when to doubt quantities that
+    no method gives of the full system.
 
     An example::
 
@@ -97,6 +99,7 @@ class Sweep:
     reused: int
     seconds: float
     units: tuple[str, ...]
+    averaging_notes: tuple[str, ...] = ()
 
     @property
     def problems(self) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """The finished points of a grid on disk, one JSON line each."""
 
 import json
+import warnings
 from hashlib import sha256
 from os.path import lexists
 from pathlib import Path
@@ -13,6 +14,8 @@ from cases.studies.sweep.result import SweepPoint
 
 NAME = "points.jsonl"
 """Name of the file in a grid's folder."""
+CHECK = ', "check": "'
+"""What stands before the hash at the end of a line."""
 MAX_BYTES = 64 << 20
 """Largest file that is read: some hundred times the points that a grid may have."""
 
@@ -21,36 +24,54 @@ class PointStore:
     """The points of one grid in ``folder``, one JSON line each, or in memory where it is None.
 
     The file is replaced whole at every point, so that a killed run leaves all points before; its
-    first line is a hash of the grid's ``identity``, all that its numbers depend on, and the lines
-    below. A file that was changed or is another run's is refused and stays as it is. Who adds
-    points has ``claimed`` the folder.
+    first line is a hash of the grid's ``identity``, all that its numbers depend on, and each later
+    line ends with a hash of the line before it and of its own point. A file that was changed or is
+    another run's is refused and stays as it is; a last line that is not whole, as a power cut may
+    leave it, is left out with a warning. Who adds points has ``claimed`` the folder.
     """
 
     def __init__(self, folder: Path | None, identity: Record) -> None:
         """Read what is there; raise ``BadInput`` for a damaged file, or that of another run."""
         self._path = None if folder is None else folder / NAME
-        self._identity = json.dumps(plain(identity), ensure_ascii=False)
-        self._lines = ""
+        text = json.dumps(plain(identity), ensure_ascii=False)
+        self._hash = sha256(text.encode()).hexdigest()
+        self._text = f"{self._hash}\n"
         self.points: dict[tuple[float, ...], SweepPoint] = {}
         if self._path is None or not lexists(self._path):
             return
         what = "the file of a grid's points"
-        text = read_text(self._path, str(self._path), most=MAX_BYTES, what=what)
-        self._lines = text.partition("\n")[2]
-        if text and text != self._text():  # a power cut may leave it empty
+        stored = read_text(self._path, str(self._path), most=MAX_BYTES, what=what)
+        own, whole = self._hash, 0
+        head, *lines = stored.removesuffix("\n").split("\n")
+        for line in lines if head == own else ():
+            body = line.rpartition(CHECK)[0] + "}"
+            if self._line(body) != line:
+                break
+            self._append(body)
+            point = SweepPoint.read(json.loads(body))
+            self.points[point.values] = point
+            whole += 1
+        rest = lines[whole:] if head == own else [head, *lines]
+        if len(rest) > 1 or not own.startswith(head):
             raise BadInput(
                 f"{self._path}: is damaged or another run's; give another --out or remove the file"
             )
-        for record in map(json.loads, self._lines.splitlines()):
-            point = SweepPoint.read(record)
-            self.points[point.values] = point
+        if any(rest):
+            words = "its last line is torn and left out; what was in it is computed again"
+            warnings.warn(f"{self._path}: {words}", stacklevel=2)
 
     def add(self, point: SweepPoint) -> None:
         """Store a finished point, on disk before anything else is done."""
         self.points[point.values] = point
-        self._lines += json.dumps(plain(point), allow_nan=False) + "\n"
+        self._append(json.dumps(plain(point), allow_nan=False))
         if self._path is not None:
-            write_text(self._path, self._text())
+            write_text(self._path, self._text)
 
-    def _text(self) -> str:
-        return f"{sha256((self._identity + self._lines).encode()).hexdigest()}\n{self._lines}"
+    def _line(self, body: str) -> str:
+        """The next line of the file: a point, a JSON object, with its hash."""
+        own = sha256((self._hash + body).encode()).hexdigest()
+        return f'{body[:-1]}{CHECK}{own}"}}'
+
+    def _append(self, body: str) -> None:
+        line = self._line(body)
+        self._hash, self._text = line[-66:-2], f"{self._text}{line}\n"

@@ -10,7 +10,8 @@ from time import perf_counter
 
 import numpy as np
 
-from cases.comparison.quantity import AVERAGING, parse_definition
+from cases.comparison.doubt import averaging_notes
+from cases.comparison.quantity import AVERAGING, RELAXATION, parse_definition
 from cases.comparison.routes import methods_of
 from cases.output.claim import claimed
 from cases.scene.errors import BadInput
@@ -130,7 +131,14 @@ def every_answer(
             progress(done, len(todo), "points of the grid")
     points, reused = tuple(store.points[values] for values in tasks), len(tasks) - len(todo)
     own = tuple(units.number(q.kind, observable_name(q.observable)) for q in wanted.values())
-    return Sweep(name, axes, tuple(wanted), methods, points, reused, perf_counter() - start, own)
+    seconds = perf_counter() - start
+    given = {(a.quantity, a.method) for p in points for a in p.answers if a.value is not None}
+    notes = averaging_notes(system, [
+        (text, [m[0].route for method, m in asked if (text, method) in given],
+         q.limit is not None or q.kind == RELAXATION)
+        for text, q in wanted.items() if q.kind != AVERAGING
+    ])  # fmt: skip
+    return Sweep(name, axes, tuple(wanted), methods, points, reused, seconds, own, notes)
 
 
 def _systems(system: System, axes: Sequence[Axis]) -> dict[tuple[float, ...], System]:

@@ -50,6 +50,7 @@ def sweep_page(result: Sweep, scene: Scene) -> Page:
         f" {len(result.points)} points ({result.reused} from disk)"
     )
     errors = "An error is an estimate of the numerical error, or one standard error of sampling."
+    notes = filter(None, [stationary_note(scene.system), *map(named, result.averaging_notes)])
     return Page(
         "result",
         scene,
@@ -57,7 +58,7 @@ def sweep_page(result: Sweep, scene: Scene) -> Page:
         [
             sweep_table(
                 result,
-                (summary, errors, *filter(None, [stationary_note(scene.system)]), *reasons),
+                (summary, errors, *notes, *reasons),
             )
         ],
         sweep_panels(result),
