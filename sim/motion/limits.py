@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fpk.arrays import Array, Flags
+from fpk.errors import NotApplicable
 from fpk.limit import Limit
 from fpk.linear import diffusion_matrix, drift_matrix, modal_energies, natural_modes
 from fpk.observable import Coordinate
@@ -56,7 +57,10 @@ def largest_energy(system: System, start: Start) -> float:
     if start.kind == "state":
         return float(system.hamiltonian(*start.state(system.n)))
     if start.kind == "noise":
-        return REACHED * start.values["noise"] * temperature(system)
+        factor = start.values["noise"]
+        if factor > 0.0 and temperature(system) == inf:
+            raise NotApplicable("some motion is not damped: no stationary state to start from")
+        return REACHED * factor * temperature(system) if factor > 0.0 else 0.0
     return float(sum(start.values.values()))
 
 
@@ -78,9 +82,9 @@ def time_to_limit(system: System, limit: Limit, start: Start = REST) -> float:
 
     Of |q_i| it is when the rms displacement from rest and that speed times t are the distance to
     the limit, without stops and up to a factor 2 less; inf where that is not within the relaxation
-    time. Of H it is (√L − √E)²/N, E the energy of the start and N = Σ N_ii/m_i the power
-    of the noise: from rest the mean of H then is the limit L. Of modal energies it is that from
-    rest, N the power of the noise into the mode.
+    time. Of H it is (√L − √E)²/N, E the energy of the start and N = Σ N_ii/m_i the power of the
+    noise: from rest the mean of H then is the limit L. Of modal energies it is that from rest, N
+    the power of the noise into the mode.
     """
     away, energy = np.sqrt(energies_at(system, limit)), largest_energy(system, start)
     if limit.kind != "q":
@@ -102,8 +106,9 @@ def time_to_limit(system: System, limit: Limit, start: Start = REST) -> float:
     def reached(time: float) -> bool:
         return bool(speed * time + sqrt(flow(time)[1][i, i]) >= distance)
 
+    most = relaxation_time(system) if np.any(system.noise_matrix) else 0.0
     while not reached(time):
-        if time > relaxation_time(system):
+        if time > most:
             return inf
         time *= 2.0
     while distance > 0.0 and reached(time):

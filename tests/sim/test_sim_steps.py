@@ -127,6 +127,16 @@ def test_a_loose_mass_passes_a_limit_within_a_small_part_of_its_period(
     assert abs(1.0 - answer.survival[1] - right) < SIGMAS * answer.survival_error[1] < 0.05
 
 
+def test_a_rate_is_given_from_when_the_start_is_forgotten() -> None:
+    # By the equation the mean is 1.4565036, the rate 1.1035251; at t = 0.5 a tenth of that.
+    short, long = (passed(LOOSE, "q1=0.5", [t], paths=32768) for t in (0.5, 1.5))
+    assert short.certificate.certified and 0.0 < short.survival_error[0] < 1e-3
+    assert short.rate is None and short.mean.error == short.variance.error == inf
+    assert long.rate is not None and "continued" in long.settings
+    for number, right in ((long.mean, 1.4565036), (long.rate, 1.1035251)):
+        assert abs(number.value - right) < SIGMAS * number.error < 0.5 * right
+
+
 def test_two_loose_masses_are_two_of_one() -> None:
     # k, c → 0: nothing couples them.
     pair = System([1.0, 1.0], [1e-8, 1e-8], [1e-8, 1e-8], [0.5, 0.5])
@@ -231,6 +241,21 @@ def test_undamped_motion_against_a_stop_has_a_transient() -> None:
         exact = norm.pdf(at, scale=np.sqrt(variance))
         assert np.all(np.abs(answer.values[k] - exact) < SIGMAS * answer.errors[k])
     assert answer.certificate.certified and np.all(answer.errors < 0.1)
+
+
+@pytest.mark.parametrize(
+    ("system", "start", "words"),
+    [
+        (spring(2.0), "noise=1", "not damped"),
+        (System([1.0], [1.0], [0.0], [0.0]), "rest", "no noise"),
+    ],
+)
+def test_what_never_settles_or_moves_is_refused(system: System, start: str, words: str) -> None:
+    with pytest.raises(NotApplicable, match=words):
+        passed(system, "q1=0.5", [1.0], start)
+    begin, q = parse_start(start, system), parse_observable("q1", 1)
+    with pytest.raises(NotApplicable, match=words):
+        MonteCarlo().transient(system, q, begin, np.ones(1), (np.zeros(1),))
 
 
 def test_an_autocovariance_is_sampled_within_the_periods_between_stops() -> None:
