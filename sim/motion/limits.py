@@ -56,19 +56,17 @@ def largest_energy(system: System, start: Start) -> float:
     """Return the energy up to which the start reaches, without that of its own noise."""
     if start.kind == "state":
         return float(system.hamiltonian(*start.state(system.n)))
-    if start.kind == "noise":
-        factor = start.values["noise"]
-        if factor > 0.0 and temperature(system) == inf:
+    if start.kind == "noise" and not start.rest:
+        if (kT := temperature(system)) == inf:
             raise NotApplicable("some motion is not damped: no stationary state to start from")
-        return REACHED * factor * temperature(system) if factor > 0.0 else 0.0
+        return REACHED * start.values["noise"] * kT
     return float(sum(start.values.values()))
 
 
 def temperature_reached(system: System, start: Start, time: float) -> float:
     """Return the largest mean of m v² of a mass from the ``start`` to ``time``.
 
-    It is kT, or twice the energy Σ (N_ii/m_i) t that noise has brought by then and that of the
-    start where these are less; inf of undamped motion without an end.
+    It is kT, or less: twice the energy of the start and that of the noise by then, Σ (N_ii/m_i) t.
     """
     kT = temperature(system)
     if system.damping_terms or not 0.0 < time < inf:  # terms may feed energy in

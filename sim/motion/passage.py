@@ -66,7 +66,7 @@ def passage(
     modulation, loud = system.modulation, loudest(system)
     reach = reach_of(loud, limit, start, method.time or inf)
     dt, failures = motion_step(method, loud, reach, error=wanted)
-    first = first_step(dt, times, reach.start, factor=method.step_factor)
+    first = first_step(dt, times, reach.start, method.step_factor)
     last = float(np.max(times, initial=0.0))
     longest = horizon(method, dt, last, modulation)
     settled = settled_at(modulation)

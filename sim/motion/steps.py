@@ -32,7 +32,6 @@ TOO_LONG = 4.0
 """Steps of one's own, in units of the longest that is chosen, beyond which nothing is certified:
 the difference from half of it may then be less than the error."""
 
-
 STATIONARY = Reach()
 
 
@@ -55,10 +54,7 @@ def loudest(system: System) -> System:
 
 
 def longest_step(system: System, reach: Reach = STATIONARY) -> float:
-    """Return the step in which velocities change little enough to see what is between two steps.
-
-    It resolves contacts, too.
-    """
+    """Return the step in which velocities change little enough to see what is between two steps."""
     period = 2.0 * pi / highest_frequency(system)
     decay = float(np.max(np.abs(np.linalg.eigvals(system.damping / system.mass))))
     return min(
@@ -98,16 +94,12 @@ def motion_step(
     if not 0.0 < dt < limit and not method.allow_unstable:
         remedy = f"must be > 0 and below the stability limit 2/ω = {limit:.4g} of {method.scheme}"
         raise InvalidInput("dt", dt, remedy)
-    if dt <= too_long * longest:
-        return dt, []
-    return dt, [f"between steps as long as dt = {dt:g} not all is seen; use {longest:.2g}"]
+    words = f"between steps as long as dt = {dt:g} not all is seen; use {longest:.2g}"
+    return dt, [words] if dt > too_long * longest else []
 
 
-def first_step(dt: float, times: Array, start: float = inf, *, factor: float = 1.0) -> float:
-    """Return the step, ``dt`` at most, that is short beside ``times`` > 0 and ``Reach.start``.
-
-    ``factor`` is as of ``MonteCarlo.step_factor``.
-    """
+def first_step(dt: float, times: Array, start: float = inf, factor: float = 1.0) -> float:
+    """Return the step up to ``dt`` that is short beside ``times`` > 0 and ``Reach.start``."""
     asked = float(np.min(times[times > 0.0], initial=inf)) / STEPS_SINCE_START
     return min(dt, factor * min(asked, STEP_TO_LIMIT * start))
 

@@ -19,12 +19,10 @@ FEWEST_STEPS = 4.0
 a step, the noise of the energy above all, changes by a quarter in each, and the bias is then
 measured by the difference between two steps."""
 
-LARGEST_BIAS = 0.5
-"""Difference between two steps, in units of a number, from which it says nothing of the error: a
-number of which half or more is made by the step does not yet change in proportion to a power."""
-
-CHANCE = 3.0
-"""Standard errors up to which such a difference may be chance."""
+LARGEST_BIAS, CHANCE = 0.5, 3.0
+"""Difference between two steps, in units of a number, beyond which it does not show the error, and
+its standard errors that may be chance: a bias that falls with the step leaves as much, half of the
+number, at half the step."""
 
 
 def passage_of(
@@ -45,10 +43,9 @@ def passage_of(
     it is at least the error at half the step where that falls with the step. ``step`` is the longer
     one, the first where steps grow: where trajectories fail within few of them errors are inf and
     nothing is certified.
-    ``memory`` is the time after which a trajectory has forgotten its start: where some live and
-    none is followed for so long, moments, rate and later P(T > t) are not known. ``settled`` is the
-    time from which on the noise is constant, inf where there is none then: who lives then never
-    fails.
+    ``memory`` is the time after which a trajectory has forgotten its start: moments, rate and later
+    P(T > t) are not known where some live that were followed for less. ``settled`` is the time from
+    which on the noise is constant, inf where there is none then: who lives then never fails.
 
     Raises ``InvalidInput`` for a ``limit`` (its name) beyond which all begin.
     """
@@ -95,7 +92,7 @@ def passage_of(
         survival_error=error[3:],
         error_kind="sampling",
         certificate=certify(measured, tol=tol, sampled=True),
-        settings=settings | _seen(sampled, begin, bias, known=bool(best[0] < inf)),
+        settings=settings | _seen(sampled, begin, bias, best[0] < inf),
         failure=None if settled < inf else 1.0 - best[3:],
         failure_error=None if settled < inf else error[3:],
     )
@@ -125,13 +122,8 @@ def _relative(best: Array, error: Array, settled: float) -> float:
     return inf if settled < inf else float(np.max(error[3:], initial=0.0))
 
 
-def _seen(
-    sampled: Times, begin: float, bias: Array, *, known: bool
-) -> dict[str, str | float | int]:
-    """Numbers of trajectories and failures, the time that was followed, and the step's ``bias``.
-
-    ``known``: whether the mean is.
-    """
+def _seen(sampled: Times, begin: float, bias: Array, known: bool) -> dict[str, str | float | int]:
+    """Numbers of trajectories and failures, the time that was followed, and the step's ``bias``."""
     paths, events = sampled.fine.size, sampled.failed
     seen: dict[str, str | float | int] = {
         "trajectories": paths,

@@ -292,9 +292,9 @@ def test_random_systems_are_within_their_stated_errors(number: int) -> None:
         assert off(known, right) < SIGMAS
         if exact:  # else both are continued at a rate
             for x, y in ((answer.mean, reference.mean), (answer.rate, reference.rate)):
-                assert (
-                    x is None or y is None or off((x.value, x.error), (y.value, y.error)) < SIGMAS
-                )
+                if x is None or y is None or x.error == inf:
+                    continue  # the start is not forgotten
+                assert off((x.value, x.error), (y.value, y.error)) < SIGMAS
     try:
         settings = Splitting(replicas=128, repetitions=8, threads=1, seconds=5.0)
         rare = rare_failure(*asked, float(d.times[-1]), settings=settings)
