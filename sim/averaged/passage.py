@@ -137,7 +137,7 @@ def energy_passage(
         times,
         limit=limits.name,
         step=first,
-        memory=min(memory, 1.0 / filling),
+        memory=memory,
         tol=tol,
         settled=settled_at(modulation),
         failures=(),

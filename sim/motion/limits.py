@@ -14,7 +14,6 @@ from fpk.observable import Coordinate
 from fpk.start import REST, Start
 from fpk.system import System
 from sim.flow import flow_covariance
-from sim.relaxation import relaxation_time
 from sim.step_size import REACHED, highest_frequency, temperature
 
 AT_LIMIT = 1.0 - 1e-12
@@ -79,10 +78,10 @@ def time_to_limit(system: System, limit: Limit, start: Start = REST) -> float:
     """Return about the time in which noise and the speed of the ``start`` can reach the ``limit``.
 
     Of |q_i| it is when the rms displacement from rest and that speed times t are the distance to
-    the limit, without stops and up to a factor 2 less; inf where that is not within the relaxation
-    time. Of H it is (√L − √E)²/N, E the energy of the start and N = Σ N_ii/m_i the power of the
-    noise: from rest the mean of H then is the limit L. Of modal energies it is that from rest, N
-    the power of the noise into the mode.
+    the limit, without stops and up to a factor 2 less; inf where that is not within the shortest
+    natural period. Of H it is (√L − √E)²/N, E the energy of the start and N = Σ N_ii/m_i the power
+    of the noise: from rest the mean of H then is the limit L. Of modal energies it is that from
+    rest, N the power of the noise into the mode.
     """
     away, energy = np.sqrt(energies_at(system, limit)), largest_energy(system, start)
     if limit.kind != "q":
@@ -104,12 +103,9 @@ def time_to_limit(system: System, limit: Limit, start: Start = REST) -> float:
     def reached(time: float) -> bool:
         return bool(speed * time + sqrt(flow(time)[1][i, i]) >= distance)
 
-    most = relaxation_time(system) if np.any(system.noise_matrix) else 0.0
-    while not reached(time):
-        if time > most:
-            return inf
-        time *= 2.0
-    while distance > 0.0 and reached(time):
+    if not (distance > 0.0 and reached(time)):
+        return inf
+    while reached(time):
         time *= 0.5
     return time
 

@@ -87,7 +87,7 @@ def passage(
         times,
         limit=str(limit),
         step=first,
-        memory=min(relaxation_time(system), reach.limit),
+        memory=relaxation_time(system),
         tol=inf if wanted is None else wanted,
         settled=settled,
         failures=failures,

@@ -43,9 +43,10 @@ def passage_of(
     it is at least the error at half the step where that falls with the step. ``step`` is the longer
     one, the first where steps grow: where trajectories fail within few of them errors are inf and
     nothing is certified.
-    ``memory`` is the time after which a trajectory has forgotten its start: moments, rate and later
-    P(T > t) are not known where some live that were followed for less. ``settled`` is the time from
-    which on the noise is constant, inf where there is none then: who lives then never fails.
+    ``memory`` is the time after which a trajectory has forgotten its start, that in which half fail
+    where that is less: moments, rate and later P(T > t) are not known where all were followed for
+    less and some live. ``settled`` is the time from which on the noise is constant, inf where there
+    is none then: who lives then never fails.
 
     Raises ``InvalidInput`` for a ``limit`` (its name) beyond which all begin.
     """
@@ -53,6 +54,8 @@ def passage_of(
     if np.all(fine == 0.0):
         words = "all trajectories begin beyond it; take a higher one"
         raise InvalidInput("limit", limit, words)
+    # Where half have failed those that live are the same from then on, whatever the start.
+    memory = min(memory, float(np.median(np.where(fine <= until, fine, inf))))
     begin = max(tail_begin(fine, until, memory), settled)
     best = estimates(fine, until, times, begin)
     if settled == inf:  # some never fail, even where none of them is in the sample

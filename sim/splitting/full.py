@@ -109,7 +109,7 @@ def system_problem(
     reach = reach_of(system, limit, start, time)
     longest = min(
         chosen_step(system, energy=reach.energy, kT=reach.kT),
-        STEP_TO_LIMIT * min(reach.limit, reach.start),
+        STEP_TO_LIMIT * (min(reach.limit, reach.start) if start.kind == "state" else reach.limit),
         time / STEPS_SINCE_START,
     )
     if dt is not None and dt > TOO_LONG * longest:
