@@ -8,7 +8,7 @@ beyond the limit or times that do not ascend from 0 or later.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -87,6 +87,10 @@ class StartCurve:
     variance_error: Array
 
 
+LARGEST_ERROR = 0.1
+"""Error of a probability above which it is not certified: some tenths tell no two scenes apart."""
+
+
 @dataclass(frozen=True)
 class Passage:
     """First passage of a limit: moments of its time T, the failure rate, the reliability.
@@ -115,6 +119,14 @@ class Passage:
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
     failure: Array | None = None
     failure_error: Array | None = None
+
+    def __post_init__(self) -> None:
+        """Certify no probability whose error is above ``LARGEST_ERROR``."""
+        unknown = np.flatnonzero(~(self.survival_error <= LARGEST_ERROR))
+        if unknown.size and self.certificate.certified:
+            k = unknown[0]
+            words = f"P(T > {self.times[k]:g}) is known to {self.survival_error[k]:.2g} only"
+            object.__setattr__(self, "certificate", replace(self.certificate, failures=(words,)))
 
 
 def certified_passage(

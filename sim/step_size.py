@@ -58,14 +58,17 @@ def temperature(system: System) -> float:
     return noise / loss if loss > 0 else inf
 
 
-def contact_frequency(system: System, *, springs: bool = False, energy: float = 0.0) -> float:
+def contact_frequency(
+    system: System, *, springs: bool = False, energy: float = 0.0, kT: float | None = None
+) -> float:
     """Return the largest √(g'/m) that is reached, with ``springs`` √((g' + K_ii)/m_i); 0 if none.
 
     A mass that moves alone, the others following statically, has the potential
     ``½ k_eff q² + U(q)`` with k_eff the Schur complement of K. It reaches ``REACHED`` kT, or one kT
-    of contact energy where the stop is too far for that, or ``energy`` where that is more.
+    of contact energy where the stop is too far for that, or ``energy`` where that is more. ``kT``
+    None: that of the stationary state.
     """
-    kT, largest = temperature(system), 0.0
+    largest, kT = 0.0, temperature(system) if kT is None else kT
     kT = kT if isfinite(kT) else 0.0  # of undamped motion ``energy`` alone counts
 
     def excess(q: float, i: int, sign: float, k_eff: float, level: float) -> float:
@@ -116,13 +119,13 @@ def sampling_interval(system: System) -> float:
     return 2.0 * pi / highest_frequency(system) / SAMPLES_PER_PERIOD
 
 
-def chosen_step(system: System, *, energy: float = 0.0) -> float:
+def chosen_step(system: System, *, energy: float = 0.0, kT: float | None = None) -> float:
     """Return the step of ``exact_flow``; of a linear system any is exact: the sampling interval.
 
-    Damping terms need it short beside their own rates and the natural periods. ``energy`` is as of
-    ``contact_frequency``.
+    Damping terms need it short beside their own rates and the natural periods. ``energy`` and
+    ``kT`` are as of ``contact_frequency``.
     """
-    frequency = contact_frequency(system, springs=True, energy=energy)
+    frequency = contact_frequency(system, springs=True, energy=energy, kT=kT)
     steps = [sampling_interval(system)]
     share = STEP_PER_FREQUENCY
     if system.damping_terms:
@@ -134,16 +137,17 @@ def chosen_step(system: System, *, energy: float = 0.0) -> float:
     return min(steps)
 
 
-def step_for(system: System, error: float) -> float:
+def step_for(system: System, error: float, *, kT: float | None = None) -> float:
     """Return the step whose bias at the stops is a third of the relative sampling ``error`` of p.
 
-    It is no longer than ``chosen_step``.
+    It is no longer than ``chosen_step``. ``kT`` None: that of the stationary state.
     Within v h of a stop, v the thermal velocity, the force is not smooth over a step: of a force
     ``B x^e`` the bias of p there is ``BIAS X^e`` of itself, ``X = h² e B (v h)^(e−1)/m`` the square
     of the phase that the contact adds in a step. Farther stops are visited less often, and known
     to a larger error.
     """
-    kT, steps = temperature(system), [chosen_step(system)]
+    kT = temperature(system) if kT is None else kT
+    steps = [chosen_step(system, kT=kT)]
     for stop in system.stops:
         m, k_eff = float(system.mass[stop.index]), 1.0 / system.compliance[stop.index, stop.index]
         rarity = min(0.25 * k_eff * stop.clearance**2 / kT, RAREST)
@@ -164,9 +168,11 @@ def samples_in(system: System, dt: float, seconds: float) -> float:
     return seconds / (STEP_SECONDS * max(1.0, interval / dt) + SAMPLE_SECONDS)
 
 
-def stability_limit(system: System, scheme: Scheme, *, energy: float = 0.0) -> float:
+def stability_limit(
+    system: System, scheme: Scheme, *, energy: float = 0.0, kT: float | None = None
+) -> float:
     """Return 2/ω, where steps become unstable; ω of the contact, with the springs if they kick."""
-    square = contact_frequency(system, energy=energy) ** 2
+    square = contact_frequency(system, energy=energy, kT=kT) ** 2
     if scheme.springs_kicked or not scheme.kick_first:
         square += highest_frequency(system) ** 2
     return 2.0 / sqrt(square) if square > 0 else inf

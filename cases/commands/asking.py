@@ -41,7 +41,7 @@ def observed(words: str) -> Any:
 
 AT = click.option("--at", metavar="LIST", required=True, help=f'{LIST}, a pair "A x B".')
 TOL = click.option("--tol", type=float, help="Relative error wanted; a solver adapts to meet it.")
-SIMULATED = (parts.seed, parts.seconds, parts.threads)
+SIMULATED = (parts.seed, parts.seconds, parts.threads, parts.dt)
 MEMORY = click.option(
     "--memory",
     type=click.FloatRange(0.0, min_open=True),

@@ -59,6 +59,7 @@ tol = click.option("--tol", type=float, help="L1 error wanted; a solver adapts t
 seed = click.option("--seed", type=click.IntRange(0, 2**64 - 1), help="Seed of the simulation.")
 threads = click.option("--threads", type=click.IntRange(1), help="Threads of the simulation.")
 seconds = click.option("--seconds", type=float, help="Wall time after which the simulation stops.")
+dt = click.option("--dt", type=float, help="Step of the simulation; chosen if left out.")
 cluster = click.option(
     "--cluster", metavar="ADDRESS", help="Simulate on the Dask cluster there: tcp://HOST:PORT."
 )
@@ -72,7 +73,7 @@ def simulation_options(command: Any) -> Any:
         threads,
         seconds,
         click.option("--step-pair", is_flag=True, help="Simulate at half the step, too."),
-        click.option("--dt", type=float, help="Step of the simulation; chosen if left out."),
+        dt,
         click.option("--allow-unstable", is_flag=True, help="Take a --dt beyond the limit."),
         cluster,
         click.option(

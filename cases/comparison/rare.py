@@ -90,7 +90,8 @@ def passage_answer(
             answer = split_passage(system, question, settings, tol=tol, progress=progress)
             words = f"splitting: of {method.paths} plain paths {failed:.0f} pass by t = {last:g}"
             return replace(answer, settings={"sampled_by": words, **answer.settings})
-        if first.survival[-1] < ALIVE and tol is None and first.certificate.certified:
+        known = first.certificate.certified and first.mean.error < inf
+        if first.survival[-1] < ALIVE and tol is None and known:
             return first
     return method.passage(*asked, tol=tol, progress=progress)  # type: ignore[no-any-return]
 

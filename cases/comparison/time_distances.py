@@ -12,7 +12,7 @@ from scipy.special import stdtrit
 
 from cases.comparison.compare import ROUND_OFF, Norm
 from fpk.arrays import Array
-from fpk.evolution import Passage, Transient
+from fpk.evolution import LARGEST_ERROR, Passage, Transient
 from sim.diagnostics import FALSE_ALARMS
 
 BATCHES = 32
@@ -90,7 +90,7 @@ def _worst(
     """Yield the largest of the distances at the times, in units of their bands where judged."""
     a, b = pair
     unit = np.abs(b[0]) if norm == "relative" else np.ones(times.size)
-    known = (unit > 0.0) & np.isfinite(a[1]) & np.isfinite(b[1])
+    known = (unit > 0.0) & (a[1] <= LARGEST_ERROR) & (b[1] <= LARGEST_ERROR)
     if norm == "relative":
         known &= (a[1] <= MOST_ERROR * np.abs(a[0])) & (b[1] <= MOST_ERROR * unit)
     if not known.any():

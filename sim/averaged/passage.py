@@ -1,10 +1,10 @@
 """First passage of averaged energies by simulation: bridges between steps, at dt and dt/2."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from math import ceil, inf
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from fpk.number import SMALLEST
 from sim.averaged.paths import BATCHES, batch_stream, share_of
 from sim.averaged.square_root import SquareRootForm, square_root_step
 from sim.motion.failure_times import Times
+from sim.motion.steps import STEP_TO_LIMIT, first_step, stages
 from sim.motion.survival import followed_for, passage_of, settled_at
 
 EMPTY = 0.75
@@ -102,10 +103,16 @@ def energy_passage(
     Raises ``InvalidInput`` for starts that all lie beyond a limit.
     """
     own, exact = -(-paths // BATCHES), form.damping is None
+    # From rest the mean of Σ w X under the largest noise is the limit L at the time L/(w · d).
+    loudest = 1.0 if modulation is None else modulation.largest
+    filling = loudest * float(np.max(limits.weights @ form.noise / limits.values))
+    dt = min(dt, STEP_TO_LIMIT / filling)
+    first = first_step(dt, times)
     most = MOST_DRAWS / ((2 if exact else 3) * BATCHES * own * form.noise.size)
     most = (most if seconds is None else MOST_STEPS) * dt
     horizon = followed_for(most, float(np.max(times, initial=0.0)), modulation)
-    horizon = dt * ceil(horizon / dt)
+    steps = list(stages(first, dt, horizon, most=MOST_STEPS))
+    halved = [(0.5 * h, 2 * many) for h, many in steps]
     failed = partial(_failed, form, limits, modulation=modulation)
 
     def followed(batch: int) -> tuple[Array, Array, Array]:
@@ -113,11 +120,11 @@ def energy_passage(
         X = from_energies(form, starts(own, stream))
         if exact:
             ends = share_of(seconds, threads)
-            until, fine, coarse = failed(X, dt, horizon, stream, ends, strides=(1, 2))
+            until, fine, coarse = failed(X, halved, stream, ends, strides=(1, 2))
         else:
             ends = share_of(seconds and seconds * 2.0 / 3.0, threads)
-            until, fine = failed(X, dt, horizon, stream, ends)
-            _, coarse = failed(X, 2.0 * dt, until, stream)
+            until, fine = failed(X, halved, stream, ends)
+            _, coarse = failed(X, steps, stream, end=until)
         return fine, coarse, np.full(own, until)
 
     rows = []
@@ -129,7 +136,7 @@ def energy_passage(
         Times(*(np.concatenate(times) for times in zip(*rows, strict=True))),
         times,
         limit=limits.name,
-        step=dt,
+        step=first,
         memory=memory,
         tol=tol,
         settled=settled_at(modulation),
@@ -147,35 +154,37 @@ def _failed(
     form: SquareRootForm,
     limits: EnergyLimits,
     X: Array,
-    dt: float,
-    horizon: float,
+    steps: Sequence[tuple[float, int]],
     stream: np.random.Generator,
     ends: Callable[[], bool] = lambda: False,
     *,
     strides: tuple[int, ...] = (1,),
+    end: float = inf,
     modulation: Modulation | None = None,
 ) -> tuple[Any, ...]:
-    """Until when paths were followed, the ``horizon`` unless ``ends()``, and first passages.
+    """Until when paths were followed, for all ``steps`` unless ``ends()``, and first passages.
 
-    Those are seen every 1st, 2nd, … of steps dt/2 on the same paths, inf where none.
+    ``steps`` are (step, how many). Passages are seen every 1st, 2nd, … of them on the same paths,
+    until ``end`` at the least; inf where none.
     """
-    h, paths = 0.5 * dt, len(X)
+    paths, until, time = len(X), sum(h * many for h, many in steps), 0.0
     found = np.full((len(strides), paths), inf)
     # One exponential number for each limit, of all strides: see ``pass_energies``.
     chance = stream.exponential(size=(1, paths, len(limits.values))).repeat(len(strides), axis=0)
     before = np.repeat(limits.distances(form, X)[None], len(strides), axis=0)
     found[:, np.any(before[0] <= 0.0, axis=1)] = 0.0
     lanes, now = np.arange(paths), found.copy()
-    for step in range(1, round(horizon / h) + 1):
-        X = square_root_step(form, X, h, stream, modulation, (step - 1) * h)
+    for step, h in enumerate((h for h, many in steps for _ in range(many)), start=1):
+        X = square_root_step(form, X, h, stream, modulation, time)
+        time += h
         after = limits.distances(form, X)
         for s, stride in enumerate(strides):
             if step % stride == 0:
                 spread = long = stride * h
                 if modulation is not None:
-                    square = float(modulation.mean_square(np.array(step * h - long), long))
+                    square = float(modulation.mean_square(np.array(time - long), long))
                     spread = max(long * square, SMALLEST)
-                _see(now[s], chance[s], before[s], after, step * h, long, spread)
+                _see(now[s], chance[s], before[s], after, time, long, spread)
                 before[s] = after
         running = np.isinf(now).any(axis=0)
         alive = int(np.count_nonzero(running))
@@ -183,13 +192,13 @@ def _failed(
             found[:, lanes] = now
             X, lanes, now = X[running], lanes[running], now[:, running]
             chance, before = chance[:, running], before[:, running]
-        if not alive:
+        if not alive or time >= end:
             break
         if step % strides[-1] == 0 and ends():
-            horizon = step * h
+            until = time
             break
     found[:, lanes] = now
-    return horizon, *found
+    return until, *found
 
 
 def _see(

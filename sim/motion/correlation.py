@@ -35,7 +35,7 @@ def correlation(method: MonteCarlo, asked: Question) -> Curve:
     """
     system, row, at, progress = asked.system, asked.row, asked.at, asked.progress
     wanted = method.tol if asked.tol is None else asked.tol
-    dt = motion_step(method, system)
+    dt, too_long = motion_step(method, system)
     step = max(1, int(longest_step(system) / dt)) if needs_steps(system) else 1
     spacing = step * dt
     motions = [{"dt": 0.5 * dt, "stride": 2 * step}, {"dt": dt, "stride": step, "halved": True}]
@@ -76,9 +76,8 @@ def correlation(method: MonteCarlo, asked: Question) -> Curve:
         "error of the spline": spline,
     }
     scale = _variance(rounds[0])
-    return sampled_curve(
-        values, errors, scale, wanted, failures, settings, positive=scale - np.abs(values)
-    )
+    positive, failures = scale - np.abs(values), too_long + failures
+    return sampled_curve(values, errors, scale, wanted, failures, settings, positive=positive)
 
 
 def _record(trace: Array, samples: int, done: int, series: Array, row: int) -> None:

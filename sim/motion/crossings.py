@@ -44,7 +44,7 @@ def crossings(method: MonteCarlo, asked: Question) -> Curve:
     """
     system, row, at, progress = asked.system, asked.row, asked.at, asked.progress
     wanted = method.tol if asked.tol is None else asked.tol
-    dt = motion_step(method, system, error=wanted)
+    dt, too_long = motion_step(method, system, error=wanted)
     paths = -(-method.paths // LANES) * LANES
     order = np.argsort(at, kind="stable")
     time = method.time or RELAXATIONS * relaxation_time(system)
@@ -82,7 +82,7 @@ def crossings(method: MonteCarlo, asked: Question) -> Curve:
                 break
         failures = [] if done or method.seconds else ["it was ended before all chunks were done"]
         failures += interruption(watch) + losses(states[:, : 2 * system.n], dt)
-    failures += _drifting(ends, times)
+    failures += too_long + _drifting(ends, times)
     total = paths * pair[0].time
     bias = (rates - at_half).mean(axis=0)
     errors, values = np.zeros(at.size), np.zeros(at.size)

@@ -99,8 +99,15 @@ class Motion:
 
     @property
     def time(self) -> float:
-        """Time of the last sample, 0 at the start."""
-        return self.samples * self.stride * self.dt
+        """Time of the last sample, ``begin`` at the start."""
+        return self.begin + self.samples * self.stride * self.dt
+
+    def onward(self, dt: float, stride: int = 1) -> "Motion":
+        """Return the motion from the last sample on, in steps of another ``dt``."""
+        q, p = np.split(in_rows(self.last)[:, : 2 * self.system.n], 2, axis=1)
+        return replace(
+            self, q=q, p=p, dt=dt, stride=stride, word=self.next_word, begin=self.time, samples=0
+        )
 
     @property
     def next_word(self) -> int:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import ceil, inf, sqrt
+from math import inf, sqrt
 
 import numpy as np
 
@@ -19,20 +19,16 @@ from sim.arrays import LANES
 from sim.ensemble import MAX_COORDINATE
 from sim.montecarlo import MonteCarlo
 from sim.motion.failure_times import Times
-from sim.motion.limits import beyond, energies_of, energy_reached
+from sim.motion.limits import beyond, energies_of, reach_of
 from sim.motion.motion import Motion, gathered, in_blocks
 from sim.motion.passing import reader_of
 from sim.motion.starts import Origin
 from sim.motion.stationary import interruption, lost_words, not_met, working
-from sim.motion.steps import longest_step, loudest, motion_step, require_times
+from sim.motion.steps import first_step, loudest, motion_step, require_times, stages
 from sim.motion.survival import followed_for, passage_of, settled_at
 from sim.random import OTHER_SEED
 from sim.relaxation import relaxation_time
 from sim.workers import Workers
-
-TOO_LONG = 4.0
-"""Steps of one's own, in units of the longest that is chosen, that are not certified: the
-difference from half of it may then be less than the error."""
 
 AT_ONCE = 32768
 """Trajectories that run together: a chunk of them takes less than a second."""
@@ -68,8 +64,9 @@ def passage(
     require_times(times)
     wanted = tolerance(tol, method.tol)
     modulation, loud = system.modulation, loudest(system)
-    energy = energy_reached(loud, limit, start)
-    dt = motion_step(method, loud, energy=energy, error=wanted)
+    reach = reach_of(loud, limit, start, method.time or inf)
+    dt, failures = motion_step(method, loud, reach, error=wanted)
+    first = first_step(dt, times, reach.start, method.step_factor)
     last = float(np.max(times, initial=0.0))
     longest = horizon(method, dt, last, modulation)
     settled = settled_at(modulation)
@@ -77,21 +74,19 @@ def passage(
     hopeless = method.time or max(longest / HOPELESS, last, min(settled, longest))
     sampled, lost, number, done = Times(*np.zeros((3, 0))), 0, 0, False
     with working(method, system, wanted, start) as (workers, watch, origin):
-        rounds = Rounds(method, system, limit, origin, dt, longest, hopeless, workers)
+        rounds = Rounds(method, system, limit, origin, dt, first, longest, hopeless, workers)
         while not done:
             more, lost = rounds.run(number, watch.ends, progress)
             sampled, number = sampled.joined(more), number + 1
             enough = sampled.fine.size >= method.paths
             enough = enough and not not_met(method, wanted, _relative_error(sampled))
             done = bool(lost) or enough or watch.ends() or (number + 1) * AT_ONCE > 1 << 24
-    failures = interruption(watch) + lost_words(lost, dt)
-    if dt > TOO_LONG * (longest := longest_step(system)):
-        failures.append(f"between steps as long as dt = {dt:g} not all is seen; use {longest:.2g}")
+    failures += interruption(watch) + lost_words(lost, dt)
     return passage_of(
         sampled,
         times,
         limit=str(limit),
-        step=dt,
+        step=first,
         memory=relaxation_time(system),
         tol=inf if wanted is None else wanted,
         settled=settled,
@@ -110,13 +105,17 @@ def horizon(
 
 @dataclass(frozen=True, eq=False)
 class Rounds:
-    """Trajectories that are followed together, a round with random numbers of its own."""
+    """Trajectories that are followed together, a round with random numbers of its own.
+
+    Steps grow from ``first`` to ``dt`` as of ``stages``.
+    """
 
     method: MonteCarlo
     system: System
     limit: Limit
     origin: Origin
     dt: float
+    first: float
     horizon: float
     hopeless: float
     workers: Workers
@@ -147,9 +146,8 @@ class Rounds:
                 workers=self.workers,
                 modulation=self.system.modulation,
             )
-            for dt, halved in ((0.5 * self.dt, False), (self.dt, True))
+            for dt, halved in ((0.5 * self.first, False), (self.first, True))
         ]
-        readers = [reader_of(self.system, self.limit, motion.dt) for motion in pair]
         stream = np.random.Generator(
             np.random.Philox(key=np.array([seed, number + 2**63], dtype=np.uint64))
         )
@@ -159,9 +157,11 @@ class Rounds:
         failed = np.full((2, paths), inf)
         lanes, lost = np.arange(paths), 0
         until = np.full(paths, self.horizon)
-        steps = ceil(self.horizon / self.dt)
-        while True:
-            chunk = min(CHUNK, steps - pair[1].samples)
+        readers = [reader_of(self.system, self.limit, motion.dt) for motion in pair]
+        for dt, chunk in stages(self.first, self.dt, self.horizon, most=CHUNK):
+            if dt != pair[1].dt:
+                pair = [motion.onward(dt if motion.halved else 0.5 * dt) for motion in pair]
+                readers = [reader_of(self.system, self.limit, m.dt, m.begin) for m in pair]
             for motion, read, *arrays in zip(pair, readers, found, chances, strict=True):
                 motion.advance(chunk if motion.halved else 2 * chunk, read, *arrays)
             now = np.array([times.transpose(0, 2, 1).ravel()[: lanes.size] for times in found])
@@ -173,10 +173,10 @@ class Rounds:
             lost = int(np.count_nonzero(~finite & np.isinf(now).any(axis=0)))
             running = np.isinf(now).any(axis=0)
             alive = int(np.count_nonzero(running))
-            done = max(1.0 - alive / paths, pair[1].samples / steps)
+            done = max(1.0 - alive / paths, min(1.0, pair[1].time / self.horizon))
             progress(int(PROGRESS * done), PROGRESS, "first passage")
-            over = steps if np.isfinite(failed).any() else ceil(self.hopeless / self.dt)
-            if not alive or lost or pair[1].samples >= over or ends():
+            hopeless = not np.isfinite(failed).any() and pair[1].time >= self.hopeless
+            if not alive or lost or hopeless or ends():
                 break
             if 2 * alive <= pair[1].last.shape[0] * LANES and pair[1].last.shape[0] > 1:
                 kept = np.flatnonzero(running)

@@ -46,8 +46,8 @@ def pass_displacement(sources: int) -> Any:
 
     @cached_njit()
     def read(
-        trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, row: int,
-        momentum: int, inverse_mass: float, limit: float,
+        trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, begin: float,
+        row: int, momentum: int, inverse_mass: float, limit: float,
     ) -> int:  # fmt: skip
         for b in range(trace.shape[0]):
             own = time[b, 0]
@@ -69,7 +69,7 @@ def pass_displacement(sources: int) -> Any:
                         )
                         share = first_passage(cubic, limit)
                         if share <= 1.0:
-                            own[w] = (done + k + share) * dt
+                            own[w] = begin + (done + k + share) * dt
         return sources
 
     return read
@@ -92,8 +92,8 @@ def pass_energies(sources: int) -> Any:
 
     @cached_njit()
     def read(
-        trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, first: int,
-        rows: Integers, limits: Array, diffusion: Diffusion, spread: Array,
+        trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, begin: float,
+        first: int, rows: Integers, limits: Array, diffusion: Diffusion, spread: Array,
     ) -> int:  # fmt: skip
         variance, rise, before, after = np.empty(W), np.empty(W), np.empty(W), np.empty(W)
         for b in range(trace.shape[0]):
@@ -110,7 +110,7 @@ def pass_energies(sources: int) -> Any:
                         after[w] = distance_to(limit, H[w], variance[w], beta)
                         near += 2.0 * before[w] * after[w] < NATS * h
                     if k > 0 and near > 0:
-                        end = (done + k) * dt
+                        end = begin + (done + k) * dt
                         for w in range(W):
                             # Of several limits in one step the first one counts.
                             if own[w] > end - dt:
@@ -155,25 +155,27 @@ def diffusion_of(system: System, limit: Limit) -> Diffusion:
 
 
 @lru_cache(maxsize=64)  # all blocks ask for those of the same steps
-def spread_of(modulation: Modulation | None, dt: float, done: int, samples: int) -> Array:
-    """Return ∫e² dt over so many steps ``dt`` after the first ``done``, (samples,)."""
+def spread_of(
+    modulation: Modulation | None, dt: float, done: int, samples: int, begin: float = 0.0
+) -> Array:
+    """Return ∫e² dt over each of so many steps ``dt`` after the first ``done`` from ``begin``."""
     if modulation is None:
         return np.full(samples, dt)
-    begins = dt * np.arange(done, done + samples, dtype=float)
+    begins = begin + dt * np.arange(done, done + samples, dtype=float)
     return np.maximum(dt * modulation.mean_square(begins, dt), SMALLEST)
 
 
 def pass_under(
     trace: Array, samples: int, done: int, *arrays: Array, modulation: Modulation | None,
-    dt: float, **known: Any,
+    dt: float, begin: float, **known: Any,
 ) -> None:  # fmt: skip
     """Do ``pass_energies`` under the noise of the steps that are read."""
-    spread = spread_of(modulation, dt, done, samples)
-    pass_energies(trace, samples, done, *arrays, dt=dt, spread=spread, **known)
+    spread = spread_of(modulation, dt, done, samples, begin)
+    pass_energies(trace, samples, done, *arrays, dt=dt, begin=begin, spread=spread, **known)
 
 
-def reader_of(system: System, limit: Limit, dt: float) -> Reader:
-    """Return the reader of samples ``dt`` apart that sees ``limit`` passed.
+def reader_of(system: System, limit: Limit, dt: float, begin: float = 0.0) -> Reader:
+    """Return the reader of samples ``dt`` apart from ``begin`` on that sees ``limit`` passed.
 
     It takes the arrays ``time`` and ``chance`` of ``pass_energies``.
     """
@@ -183,6 +185,7 @@ def reader_of(system: System, limit: Limit, dt: float) -> Reader:
         return partial(
             pass_displacement,
             dt=dt,
+            begin=begin,
             row=row,
             momentum=n + row,
             inverse_mass=1.0 / float(system.mass[row]),
@@ -193,6 +196,7 @@ def reader_of(system: System, limit: Limit, dt: float) -> Reader:
         pass_under,
         modulation=system.modulation,
         dt=dt,
+        begin=begin,
         first=n,
         rows=2 * n + np.arange(limits.size),
         limits=limits,

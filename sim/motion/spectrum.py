@@ -44,7 +44,7 @@ def spectrum(method: MonteCarlo, asked: Question) -> Curve:
     """
     system, row, at, progress = asked.system, asked.row, asked.at, asked.progress
     wanted = method.tol if asked.tol is None else asked.tol
-    spacing, step, length = _sampling(method, system, at)
+    spacing, step, length, too_long = _sampling(method, system, at)
     powers: list[Array] = []
     means: list[Array] = []
     squares: list[Array] = []
@@ -78,7 +78,7 @@ def spectrum(method: MonteCarlo, asked: Question) -> Curve:
         "largest folding": float(np.max(folded)),
     }
     errors = np.sqrt(errors**2 + leakage**2 + folded**2)
-    return sampled_curve(values, errors, scale, wanted, failures, settings)
+    return sampled_curve(values, errors, scale, wanted, failures + too_long, settings)
 
 
 def _add_fourier(
@@ -97,8 +97,8 @@ def _add_fourier(
     sums += weights @ trace[:, 1 : t.size + 1, row]
 
 
-def _sampling(method: MonteCarlo, system: System, at: Array) -> tuple[float, int, int]:
-    """Time between samples, steps in it, and samples of a window (even).
+def _sampling(method: MonteCarlo, system: System, at: Array) -> tuple[float, int, int, list[str]]:
+    """Time between samples, steps in it, samples of a window (even); why they are not certified.
 
     Raises ``InvalidInput`` for too many frequencies, or one so high that a window has too many
     samples.
@@ -109,13 +109,15 @@ def _sampling(method: MonteCarlo, system: System, at: Array) -> tuple[float, int
     highest = max(float(np.max(np.abs(at))), highest_frequency(system))
     frequency = max(SAMPLING * highest, OF_CONTACT * contact_frequency(system))
     spacing = 2.0 * pi / frequency
-    dt = 0.5 * motion_step(method, system)
+    dt, failures = motion_step(method, system, too_long=1.0)  # no second step shows the bias
     window = method.time or WINDOW * relaxation_time(system)
     samples = 2 * ceil(0.5 * window / spacing)
     if samples > MOST_SAMPLES:
         words = f"a window takes {samples:.1e} samples at the highest frequency; ask for lower ones"
         raise InvalidInput("at", highest, words)
-    return spacing, ceil(spacing / dt) if needs_steps(system) else 1, samples
+    if not needs_steps(system):
+        return spacing, 1, samples, []
+    return spacing, ceil(2.0 * spacing / dt), samples, failures
 
 
 def _welch(

@@ -1,7 +1,7 @@
 """First passage from sampled failure times, and whether they are enough to certify it."""
 
 from collections.abc import Sequence
-from math import inf
+from math import inf, nan
 
 import numpy as np
 from scipy.special import gammaincinv
@@ -15,9 +15,14 @@ from fpk.number import Number
 from sim.motion.failure_times import LEAST_FAILURES, Times, errors_of, estimates, tail_begin
 
 FEWEST_STEPS = 4.0
-"""Steps within which half of the trajectories may fail at the least: what is assumed to be constant
-in a step, the noise of the energy above all, changes by a quarter in each, and the bias is then
+"""Steps within which half of the failures may come at the least: what is assumed to be constant in
+a step, the noise of the energy above all, changes by a quarter in each, and the bias is then
 measured by the difference between two steps."""
+
+LARGEST_BIAS, CHANCE = 0.5, 3.0
+"""Difference between two steps, in units of a number, beyond which it does not show the error, and
+its standard errors that may be chance: a bias that falls with the step leaves as much, half of the
+number, at half the step."""
 
 
 def passage_of(
@@ -36,17 +41,21 @@ def passage_of(
 
     Errors are those of leaving out groups, the difference between both steps added in quadrature:
     it is at least the error at half the step where that falls with the step. ``step`` is the longer
-    one: where trajectories fail within few of them errors are inf and nothing is certified.
-    ``memory`` is the time after which a trajectory has forgotten its start, infinite where it never
-    does: the rate then is that of the latest failures. ``settled`` is the time from which on the
-    noise is constant, inf where there is none then: who lives then never fails.
+    one, the first where steps grow: where trajectories fail within few of them errors are inf and
+    nothing is certified.
+    ``memory`` is the time after which a trajectory has forgotten its start, that in which half fail
+    where that is less: moments, rate and later P(T > t) are not known where all were followed for
+    less and some live. ``settled`` is the time from which on the noise is constant, inf where there
+    is none then: who lives then never fails.
 
-    Raises ``InvalidInput`` for a ``limit`` (its name) that all pass at time 0.
+    Raises ``InvalidInput`` for a ``limit`` (its name) beyond which all begin.
     """
     fine, until = sampled.fine, sampled.until
     if np.all(fine == 0.0):
-        words = "all trajectories begin beyond it or pass it at once; take a higher one"
+        words = "all trajectories begin beyond it; take a higher one"
         raise InvalidInput("limit", limit, words)
+    # Where half have failed those that live are the same from then on, whatever the start.
+    memory = min(memory, float(np.median(np.where(fine <= until, fine, inf))))
     begin = max(tail_begin(fine, until, memory), settled)
     best = estimates(fine, until, times, begin)
     if settled == inf:  # some never fail, even where none of them is in the sample
@@ -54,9 +63,12 @@ def passage_of(
     error, bias = errors_of(sampled, times, begin, best)
     exposure = float(np.sum(np.minimum(fine, until)))
     followed = float(np.max(until))
-    if followed < settled and sampled.failed < fine.size:
-        error[3:][times > followed] = inf  # the rate until then says nothing of later
-    if too_soon := _too_soon(fine, step):
+    if followed < settled + memory and sampled.failed < fine.size:
+        # The rate until then says nothing of later.
+        best[:3], error[:3] = (nan if settled < inf else best[:3]), inf
+        error[3:][times > followed] = inf
+    rough = _too_rough(times, best, error, bias)
+    if too_soon := _too_soon(fine[fine <= until], step):
         error[:] = inf
     measured = Measured(
         l1_error=_relative(best, error, settled),
@@ -66,7 +78,7 @@ def passage_of(
         tail_mass=1.0 - sampled.failed / fine.size,
         failures=(
             *failures,
-            *too_soon,
+            *(too_soon or rough),
             *(_too_few(sampled, begin, exposure) if settled < inf else ()),
         ),
     )
@@ -83,7 +95,7 @@ def passage_of(
         survival_error=error[3:],
         error_kind="sampling",
         certificate=certify(measured, tol=tol, sampled=True),
-        settings=settings | _seen(sampled, begin, bias),
+        settings=settings | _seen(sampled, begin, bias, best[0] < inf),
         failure=None if settled < inf else 1.0 - best[3:],
         failure_error=None if settled < inf else error[3:],
     )
@@ -113,7 +125,7 @@ def _relative(best: Array, error: Array, settled: float) -> float:
     return inf if settled < inf else float(np.max(error[3:], initial=0.0))
 
 
-def _seen(sampled: Times, begin: float, bias: Array) -> dict[str, str | float | int]:
+def _seen(sampled: Times, begin: float, bias: Array, known: bool) -> dict[str, str | float | int]:
     """Numbers of trajectories and failures, the time that was followed, and the step's ``bias``."""
     paths, events = sampled.fine.size, sampled.failed
     seen: dict[str, str | float | int] = {
@@ -123,21 +135,37 @@ def _seen(sampled: Times, begin: float, bias: Array) -> dict[str, str | float | 
     }
     if begin < inf:
         seen["failure rate from"] = begin
-    if 0 < events < paths and begin < inf:
+    if 0 < events < paths and known:
         seen["continued"] = "the moments, at the failure rate, where trajectories end first"
     if sampled.coarse is not None and events:
         seen |= {"step bias of the mean": float(bias[0]), "step bias of the rate": float(bias[2])}
     return seen
 
 
-def _too_soon(fine: Array, step: float) -> list[str]:
-    """Words where half of the trajectories that did not fail at once fail within few steps."""
-    typical = float(np.median(fine[fine > 0.0]))
+def _too_soon(failed: Array, step: float) -> list[str]:
+    """Words where half of the times > 0 at which trajectories ``failed`` lie within few steps."""
+    typical = float(np.median(failed[failed > 0.0])) if np.any(failed > 0.0) else inf
     if typical >= FEWEST_STEPS * step:
         return []
     return [
-        f"half of the trajectories fail within {typical / step:.2g} steps of dt = {step:.2g},"
+        f"half of the failures come within {typical / step:.2g} steps of dt = {step:.2g},"
         f" too few to see how; use dt = {typical / (2.0 * FEWEST_STEPS):.2g}"
+    ]
+
+
+def _too_rough(times: Array, best: Array, error: Array, bias: Array) -> list[str]:
+    """Words where a number changes so much with the step that this says nothing of its error.
+
+    ``best``, ``error`` and the part of it that is the ``bias`` of the step are as of ``errors_of``.
+    """
+    size = np.append(np.abs(best[:3]), np.minimum(best[3:], 1.0 - best[3:]))
+    with np.errstate(invalid="ignore"):
+        rough = bias > LARGEST_BIAS * size + CHANCE * np.sqrt(error**2 - bias**2)
+    names = ["mean", "variance", "failure rate", *(f"P(T <= {t:g})" for t in times)]
+    return [
+        f"the {names[k]} changes by {bias[k]:.2g} at twice the step, too much to tell"
+        " what is left; use a smaller dt"
+        for k in np.flatnonzero(rough)[:1]
     ]
 
 

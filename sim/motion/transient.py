@@ -18,13 +18,13 @@ from sim.arrays import LANES, MAX_TRAJECTORIES
 from sim.histogram import axis_of, values_of
 from sim.montecarlo import MonteCarlo
 from sim.motion.densities import Counted, answer_of
-from sim.motion.limits import largest_energy
+from sim.motion.limits import Reach, largest_energy, temperature_reached
 from sim.motion.motion import Motion, in_rows, needs_steps
 from sim.motion.starts import Origin
 from sim.motion.stationary import interruption, not_met, working
 from sim.motion.steps import loudest, motion_step, require_times
 from sim.random import OTHER_SEED
-from sim.step_size import REACHED, temperature
+from sim.step_size import REACHED
 from sim.workers import Workers
 
 ROUNDS = 8
@@ -53,8 +53,9 @@ def transient(
     require_times(times)
     wanted = tolerance(tol, method.tol)
     loud = loudest(system)
-    energy = largest_energy(system, start) + REACHED * temperature(loud)
-    dt = motion_step(method, loud, energy=energy, error=wanted)
+    kT = temperature_reached(loud, start, float(np.max(times)))
+    reach = Reach(kT, largest_energy(system, start) + REACHED * kT)
+    dt, failures = motion_step(method, loud, reach, error=wanted)
     mirror = effects_of(system).mirror and (start.kind != "state" or start.rest)
     paths = -(-method.paths // LANES) * LANES
 
@@ -75,14 +76,14 @@ def transient(
             enough = number + 1 >= ROUNDS or wanted is not None
             if watch.ends() or (enough and not not_met(method, wanted, error)):
                 break
-        words = interruption(watch)
+        failures += interruption(watch)
     return answer_of(
         counted,
         times,
         at,
         dt,
         settings={"seed": method.seed, "scheme": method.scheme},
-        failures=words,
+        failures=failures,
         tol=inf if wanted is None else wanted,
     )
 

@@ -96,6 +96,7 @@ def estimated(done: Repetitions, count: int, *, dt: float, settings: Splitting) 
     unit = float(np.max([coarse, fine]))
     unit = unit if np.isfinite(unit) else 0.0
     (at_long, long_error), (mean, own) = (mean_and_error(x - unit) for x in (coarse, fine))
+    own = own or mean / (settings.replicas * count)  # as if one of all paths had not failed
     bias, scale = at_long - mean, exp(unit)
     bias_error = hypot(own, long_error)
     error = hypot(own, max(abs(bias), bias_error))

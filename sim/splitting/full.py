@@ -13,9 +13,10 @@ from fpk.linear import natural_modes
 from fpk.observable import Coordinate
 from fpk.start import Start
 from fpk.system import System
-from sim.motion.limits import beyond, energies_at, energies_of, energy_reached
+from sim.motion.limits import beyond, energies_at, energies_of, reach_of
 from sim.motion.passing import diffusion_of
 from sim.motion.starts import Origin
+from sim.motion.steps import STEP_TO_LIMIT, STEPS_SINCE_START, TOO_LONG
 from sim.plan import step_arrays, watched
 from sim.random import mixed_seed
 from sim.schemes.exact_flow import EXACT_FLOW
@@ -90,9 +91,11 @@ def system_problem(
     dt: float | None,
     score: ScoreFunction | None,
 ) -> SystemProblem:
-    """Return the problem with its step, of ``chosen_step`` unless given, and its score.
+    """Return the problem with its step, chosen as in a plain simulation, and its score.
 
-    Raises ``InvalidInput`` for a start at or beyond the limit, ``NotApplicable`` without noise.
+    Steps are as many as ``STEPS_SINCE_START`` in the time at the least.
+    Raises ``InvalidInput`` for a start at or beyond the limit or a ``dt`` that is ``TOO_LONG``,
+    ``NotApplicable`` without noise.
     """
     if not np.any(system.noise_matrix):
         raise NotApplicable("no noise reaches a mass: whether the limit is passed is no chance")
@@ -103,8 +106,15 @@ def system_problem(
             raise InvalidInput("score", score, "must be left out where there are several limits")
         scores = [score]
     table = score_table(scores, [top * SHARES**2 for top in tops], time=time, steps=1)
-    dt = dt or chosen_step(system, energy=energy_reached(system, limit, start))
-    return SystemProblem(system, limit, start, time, dt, table)
+    reach = reach_of(system, limit, start, time)
+    longest = min(
+        chosen_step(system, energy=reach.energy, kT=reach.kT),
+        STEP_TO_LIMIT * (min(reach.limit, reach.start) if start.kind == "state" else reach.limit),
+        time / STEPS_SINCE_START,
+    )
+    if dt is not None and dt > TOO_LONG * longest:
+        raise InvalidInput("dt", dt, f"is too long to see a passage; use {longest:.2g}")
+    return SystemProblem(system, limit, start, time, dt or longest, table)
 
 
 def require_inside(system: System, limit: Limit, start: Start) -> None:

@@ -148,6 +148,8 @@ REFUSED = [
     ),
     (asked("passage", "--seed", "3"), "fpk: --seed 3: is not an option of nonintegrable by fem"),
     (asked("transient", "--threads", "1"), "fpk: --threads 1: is not an option"),
+    (asked("transient", "--dt", "0.1"), "fpk: --dt 0.1: is not an option"),
+    (asked("passage", "--dt", "-1", method="montecarlo"), "--dt -1.0: must be"),
     (asked("passage", "--seconds", "-1", method="montecarlo"), "--seconds -1.0: must be"),
     (asked("transient", "--times", "0,1"), "no density"),
     (asked("transient", "--of", "H7"), "H1..H2"),
@@ -169,14 +171,15 @@ def test_what_is_not_certified_is_said(fpk):
 
 
 @pytest.mark.parametrize("command", ["passage", "transient"])
-def test_a_simulation_takes_its_seed_time_and_threads(command, fpk, monkeypatch):
+def test_a_simulation_takes_its_seed_time_threads_and_step(command, fpk, monkeypatch):
     def refuse(self, *asked, **options):
-        raise NotApplicable(f"asked with {self.seed}, {self.seconds} and {self.threads}")
+        own = f"{self.seed}, {self.seconds}, {self.threads} and {self.dt}"
+        raise NotApplicable(f"asked with {own}")
 
     monkeypatch.setattr(MonteCarlo, command, refuse)
-    settings = "--seed", 7, "--seconds", 0.5, "--threads", 2
+    settings = "--seed", 7, "--seconds", 0.5, "--threads", 2, "--dt", 0.01
     status, _, err = fpk(*asked(command, *settings, method="montecarlo"))
-    assert status == 2 and "asked with 7, 0.5 and 2" in err
+    assert status == 2 and "asked with 7, 0.5, 2 and 0.01" in err
 
 
 def test_what_a_passage_that_is_not_certified_does_not_know_is_null(linear_scene, fpk):
@@ -204,7 +207,10 @@ def test_a_rare_passage_is_left_to_splitting_and_says_so(fpk, linear_scene):
     assert "nan" not in text and "# splitting" in text and "P(T <= t)" in text
 
 
-def test_a_limit_that_is_passed_at_once_is_refused_in_one_line(fpk):
-    question = asked("passage", "--limit", "H=1e-60", method="montecarlo")
-    status, out, err = fpk(*question, "--json")
-    assert (status, out) == (2, "") and err.count("\n") == 1 and "pass it at once" in err
+def test_a_limit_that_is_passed_soon_and_a_step_that_is_too_long_for_it(fpk, linear_scene):
+    question = "--limit", "H=1e-60", "--times", "1e-58"
+    asking = {"scene": linear_scene, "method": "montecarlo"}
+    answer = record(fpk, *asked("passage", *question, **asking))
+    assert 0.0 < answer["mean"] < 1e-58 and answer["survival_error"][0] < 0.01
+    status, out, err = fpk(*asked("passage", *question, "--dt", 0.1, **asking))
+    assert status == 1 and out and "not all is seen; use" in err and err.count("\n") == 1

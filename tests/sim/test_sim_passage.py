@@ -338,16 +338,32 @@ def test_the_tail_begins_after_what_the_start_has_left() -> None:
     assert abs(estimates(time, until, np.zeros(0), 0.0)[2] - 1.0) > 0.1
 
 
-def test_a_limit_that_is_passed_within_a_few_steps_is_not_certified() -> None:
-    answer = passed(oscillator(), "H=1e-6", paths=PATHS)
+def test_a_limit_that_is_passed_soon_is_passed_in_many_steps() -> None:
+    # H rises as D t/m at first: the mean time is L m/D.
+    for limit in (1e-6, 1e-60):
+        answer = passed(oscillator(), f"H={limit!r}", paths=PATHS)
+        assert answer.certificate.certified
+        assert (
+            abs(answer.mean.value - limit / 0.025) < 4.0 * answer.mean.error < 0.1 * limit / 0.025
+        )
+
+
+def test_failures_within_few_steps_are_not_certified() -> None:
+    fine, none = np.linspace(0.01, 0.2, 1000), np.zeros(0)
+    sampled = Times(fine, fine, np.full(1000, 10.0))
+    settings: Any = {"limit": "H=1", "memory": 1.0, "tol": np.inf, "failures": (), "settings": {}}
+    answer = passage_of(sampled, none, step=0.1, **settings)
     assert any("too few to see how; use dt" in text for text in answer.certificate.failures)
-    # H rises as 0.025 t at first: the mean is 4e-5, of which steps of 0.1 say nothing.
     assert answer.mean.error == answer.variance.error == np.inf
+    assert passage_of(sampled, none, step=0.02, **settings).certificate.certified
 
 
-def test_a_limit_that_is_passed_at_once_is_refused() -> None:
-    with pytest.raises(InvalidInput, match=r"limit = .*at once"):
-        passed(oscillator(), "H=1e-60")
+def test_starts_that_are_all_beyond_the_limit_are_refused() -> None:
+    with pytest.raises(InvalidInput, match=r"limit = .*begin beyond"):
+        passage_of(
+            Times(np.zeros(9), np.zeros(9), np.ones(9)), np.zeros(0), limit="H=1", step=0.1,
+            memory=1.0, tol=np.inf, failures=(), settings={},
+        )  # fmt: skip
 
 
 @pytest.mark.parametrize(("events", "bound"), [(0, 2.9957), (1, 4.7439), (10, 16.9622)])
