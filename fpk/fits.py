@@ -90,8 +90,9 @@ class Fits:
             rare = value * cell < self.batches * self.visit
             variance = np.where(rare, np.maximum(variance, poisson), variance)
             relative, visit = np.sqrt(variance), self.visit / cell
-            # The fit may leave p open by decades where nothing was seen; that nothing was does not.
-            chance = value * np.expm1(np.minimum(relative, LARGEST_LOG))
+            # ln p is normal: three errors of p reach as far up as three of ln p. The fit may leave
+            # p open by decades where nothing was seen; that nothing was does not.
+            chance = value * np.expm1(np.minimum(3.0 * relative, LARGEST_LOG)) / 3.0
             error = np.hypot(np.minimum(chance, value * relative + visit), visit)
             for axis, b in zip(self.axes, bins, strict=True):
                 if axis.edges[0] in axis.kinks:  # p may change by any factor in the first bin

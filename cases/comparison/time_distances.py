@@ -18,9 +18,9 @@ from sim.diagnostics import FALSE_ALARMS
 BATCHES = 32
 """Least number of independent batches from which a sample's standard error is estimated."""
 
-INDEPENDENT = 16
-"""Least number of independent parts of the sampled density in a window: histograms are smoothed
-over a fiftieth of their axis, and a window is at least a third of it."""
+INDEPENDENT = 6
+"""Least number of independent coefficients of the sampled density in a window: the fits to an axis
+have two times nine of them, and a window is at least a third of the axis."""
 
 MOST_ERROR = 0.3
 """Relative error above which a number is not compared."""
