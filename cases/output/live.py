@@ -15,7 +15,7 @@ from cases.output.page import MARKS, rounded, script_record
 from cases.output.pictures.choice import lines_of
 from cases.output.pictures.in_time import EVERY, asked_in_time, drawn_passage, shades_of, styled
 from cases.output.pictures.joint import LOWEST
-from cases.output.pictures.lines import MARKERS, TAIL, bins_within, dashes_of, walls_of
+from cases.output.pictures.lines import MARKERS, TAIL, dashes_of, marks_within, walls_of
 from cases.output.pictures.style import (
     COLOURS,
     SHOWN,
@@ -83,9 +83,7 @@ def _curves(curves: list[Answers], observable: Observable, model: Record | None)
             "colour": route.colour if len(curves) == 1 else COLOURS[k % len(COLOURS)],
         }
         if isinstance(density, SampledDensity):
-            few, middles, inside = bins_within(density, 2 * MARKERS, x)
-            values, errors = few.values[inside], few.standard_error[inside]
-            middles, values, errors = (v[values > 0.0] for v in (middles, values, errors))
+            middles, values, errors = marks_within(density, 2 * MARKERS, x)
             mark = MARKS[(k if len(curves) > 1 else int(route.solves == "averaged")) % len(MARKS)]
             own |= {"x": middles, "marks": mark, "band": True, "bars": BARS}
         else:

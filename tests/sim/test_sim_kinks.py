@@ -76,7 +76,7 @@ def test_a_low_quantile_of_the_energy() -> None:
     [("hertz", 1e5, 0.2289840), ("hertz", 1e6, 0.2299971), ("bilinear", 1e6, None)],
 )
 def test_impacts_of_a_stiff_stop(law: str, B: float, right: float | None) -> None:
-    """√(kT/(2 π m)) p(q = stop) times per unit of time, where p falls within 1e-3 of a clearance."""
+    """√(kT/(2 π m)) p(q = stop) per unit of time, where p falls within 1e-3 of a clearance."""
     exact = Gibbs((1.0,), (1.0,), 1.0, 0, ((1.0, 0.37, B, 1.5 if law == "hertz" else 1.0),))
     rate = exact.upcrossings(0.37)
     assert right is None or rate == pytest.approx(right, abs=1e-7)
@@ -90,7 +90,7 @@ def test_impacts_by_a_density_are_those_that_are_counted() -> None:
     """Of two masses against stiff stops there is no exact density."""
     contact = Contact(2, "both", 1e4, 0.37)
     system = System([1.0, 0.2], [1.0, 3.0], [0.4, 0.1], [0.4, 0.02], contacts=(contact,))
-    method, at = MonteCarlo(paths=4096, relaxations=2.0), np.array([-0.37, 0.37])
+    method, at = MonteCarlo(paths=4096, time=10.0), np.array([-0.37, 0.37])
     density = sampled(method, system, "q2,p2")
     value, error = upcrossings(density, 0.2, at)
     counted = method.crossings(system, parse_observable("q2", 2), at)

@@ -187,8 +187,8 @@ def density_figure(
         for route, sampled in samples_of(curve, observable).items():
             colour, ink = (route.colour,) * 2 if alone else (colours[curve.label], INK)
             mark = {**MARK, "marker": MARKS[route.solves] if alone else own_mark}
-            few, middles, inside = bins_within(sampled, MARKERS, x)
-            values, error = few.values[inside], 2.0 * few.standard_error[inside]
+            middles, values, error = marks_within(sampled, MARKERS, x)
+            error = 2.0 * error
             floor = 0.1 * lowest * values.max()  # a logarithm ends somewhere
             low = np.minimum(values, np.maximum(values - error, floor))
             axes.fill_between(middles, low, values + error, color=colour, alpha=0.25, linewidth=0)
@@ -216,8 +216,10 @@ def theory_differences(curve: Answers, observable: Observable, x: Array) -> Diff
     theories = lines_of(curve, observable).items()
     if not sampled or not theories:
         return None
-    few, middles, inside = bins_within(sampled[0], 2 * MARKERS, x)
-    return middles, 2.0 * few.standard_error[inside], {
+    few = joined(sampled[0], 2 * MARKERS)
+    middles = 0.5 * (few.edges[0][1:] + few.edges[0][:-1])
+    inside = (middles >= x[0]) & (middles <= x[-1])
+    return middles[inside], 2.0 * few.standard_error[inside], {
         f"simulation − {route.name}": bin_differences(few, theory)[inside]
         for route, theory in theories
     }  # fmt: skip
@@ -265,12 +267,14 @@ def difference_figure(
     return figure
 
 
-def bins_within(sampled: SampledDensity, count: int, x: Array) -> tuple[SampledDensity, Array, Any]:
-    """Return the histogram in about ``count`` joined bins, and which lie between the ends of ``x``.
+def marks_within(sampled: SampledDensity, count: int, x: Array) -> tuple[Array, Array, Array]:
+    """Return up to ``count`` equidistant points within ``x`` and the bins, p there and its error.
 
-    The middles of these (bins,) come second, third a mask over all joined bins.
+    Points at which the sample says nothing are left out.
     """
-    few = joined(sampled, count)
-    middles = 0.5 * (few.edges[0][1:] + few.edges[0][:-1])
-    inside = (middles >= x[0]) & (middles <= x[-1])
-    return few, middles[inside], inside
+    edges = sampled.edges[0]
+    ends = np.linspace(max(x[0], edges[0]), min(x[-1], edges[-1]), count + 1)
+    points = 0.5 * (ends[1:] + ends[:-1])
+    value, error = sampled.at(points)
+    seen = value > error
+    return points[seen], value[seen], error[seen]
