@@ -46,7 +46,7 @@ def simulate_energies(
     tol: float = inf,
     progress: Progress = silent,
 ) -> tuple[SampledDensity, ...]:
-    """Return histogram densities of energies H_i, pairs of them and H = Σ H_i, with their errors.
+    """Return sampled densities of energies H_i, pairs of them and H = Σ H_i, with their errors.
 
     ``paths`` in all are sampled every ``interval``, in ``steps`` steps, for ``time`` after
     ``burn_in``. Streams belong to batches of paths: the answer does not depend on ``threads``.

@@ -45,10 +45,10 @@ def transient(
     tol: float | None,
     progress: Progress,
 ) -> Transient:
-    """Return the densities of ``observable`` at ``times`` by histograms, with one standard error.
+    """Return the densities of ``observable`` at ``times`` with one standard error.
 
     In the error is, in quadrature, what changes at the step dt instead of dt/2, by the same random
-    numbers, and on bins twice as wide. ``tol`` is the expected L1 error wanted at every time.
+    numbers. ``tol`` is the expected L1 error wanted at every time.
     """
     require_times(times)
     wanted = tolerance(tol, method.tol)

@@ -4,9 +4,10 @@ from itertools import chain
 
 import numpy as np
 import pytest
-from random_stops import deviations, random_stops
+from random_stops import deviations, exact_density, random_stops
 from scipy.special import stdtrit
 from sim_gibbs import Gibbs
+from test_sim_transient import sampled as transient
 
 from fpk.contact import Contact
 from fpk.observable import parse_observable
@@ -97,6 +98,23 @@ def test_impacts_by_a_density_are_those_that_are_counted() -> None:
     both = np.hypot(error, counted.errors)
     assert np.all(np.abs(value - counted.values) < Z * both)
     assert np.all(both < 0.1 * value)
+
+
+@pytest.mark.parametrize("name", ["q1", "H", "q1,p1"])
+def test_kinks_after_a_long_time(name: str) -> None:
+    """After 8 relaxation times from rest a transient is the stationary density."""
+    gap, kT, B = 0.35, 0.5, 1e3
+    exact = Gibbs((1.0,), (1.0,), kT, 0, ((1.0, gap, B, 1.5), (-1.0, gap, B, 1.5)))
+    points = {
+        "q1": (np.array([0.0, 0.33, 0.35, 0.36, 0.37]),),
+        "H": (np.array([1e-3, 0.05, 0.5 * gap**2, 0.065, 0.1]),),
+        "q1,p1": (np.array([0.0, 0.33, 0.35, 0.36, 0.37]), np.array([0.0, 0.3, -0.5, 1.0, 0.1])),
+    }[name]
+    right = exact_density(exact, name, *points)
+    answer = transient(one_mass(kT, "both", B, gap), name, "rest", [20.0], *points)
+    assert answer.certificate.certified
+    assert np.all(np.abs(answer.values[0] - right) < Z * answer.errors[0])
+    assert np.all(answer.errors[0] < 0.2 * right)
 
 
 def test_random_stops() -> None:
