@@ -59,12 +59,6 @@ class EnergyProblem:
     dt: float
     score: Score
 
-    @property
-    def identity(self) -> tuple[Any, ...]:
-        """Values that a checkpoint must have been made with."""
-        numbers = (*self.numbers, self.first, self.top, self.time, self.dt)
-        return (numbers, self.table, self.score.table)
-
     def replicas(
         self, count: int, steps: int, seed: int, stream: np.random.Generator
     ) -> CompiledReplicas:

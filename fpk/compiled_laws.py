@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from inspect import getfile
 from pathlib import Path
 from typing import Any
-from zlib import crc32
 
 import numba
 from numba import types
@@ -14,6 +13,7 @@ from numba.extending import models, overload, register_model, typeof_impl
 
 from fpk.compiling import FLAGS, ROOT
 from fpk.contact_law import LAWS
+from fpk.recognition import fingerprint
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class CompiledLaws:
 
     names: tuple[str, ...]
     part: str
-    stamps: tuple[int, ...]
+    stamps: tuple[str, ...]
 
 
 class LawsType(types.Type):
@@ -40,7 +40,8 @@ class LawsType(types.Type):
 
 def compiled_laws(names: tuple[str, ...], part: str) -> CompiledLaws:
     """Return "force", "energy" or "slope" of the laws, to be called by ``of_law``."""
-    return CompiledLaws(names, part, tuple(_stamp(getattr(LAWS[name], part)) for name in names))
+    stamps = (fingerprint(getattr(LAWS[name], part)) for name in names)
+    return CompiledLaws(names, part, tuple(stamps))
 
 
 def law_files(names: Sequence[str], root: Path = ROOT) -> tuple[Path, ...]:
@@ -90,13 +91,6 @@ def _constant(context, builder, kind, value):  # type: ignore[no-untyped-def]
 def _compiled(function: Callable[..., Any]) -> Any:
     """Compiled without liberties of arithmetic: a law is what its file says."""
     return numba.njit(error_model="numpy")(function)
-
-
-def _stamp(function: Callable[..., Any]) -> int:
-    """A checksum of a function's code and of what it closes over."""
-    code = function.__code__
-    cells = [cell.cell_contents for cell in function.__closure__ or ()]
-    return crc32(repr((code.co_code, code.co_consts, code.co_names, cells)).encode())
 
 
 def _last(function: Any) -> Callable[[Any, Any, Any], Any]:

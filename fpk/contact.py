@@ -1,6 +1,6 @@
 """Contact of a mass with a stop, Eqs. (2) and (5)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from numbers import Integral, Real
 from typing import Any, Literal
@@ -10,6 +10,7 @@ import numpy as np
 import fpk.laws  # noqa: F401  (its modules register the laws)
 from fpk.contact_law import LAWS
 from fpk.errors import InvalidInput
+from fpk.recognition import REGISTRY
 
 MAX_EXPONENT = 100.0
 """Largest exponent of a contact law: at overlaps of 1e-3 or 1e3 in their unit the force already has
@@ -42,7 +43,7 @@ class Contact:
     side: Side
     stiffness: float
     clearance: float
-    law: str = "hertz"
+    law: str = field(default="hertz", metadata={REGISTRY: LAWS})
     exponent: float | None = None
 
     def __post_init__(self) -> None:

@@ -1,13 +1,11 @@
 """States of unfinished simulations on disk, and Ctrl-C between two pieces of one."""
 
-import hashlib
-import json
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field
 from io import BytesIO
 from math import inf
 from pathlib import Path
@@ -22,6 +20,7 @@ from numpy.typing import NDArray
 from fpk.compiling import ROOT, abandon, checksum
 from fpk.errors import Unavailable, reason_of
 from fpk.lock import locked
+from fpk.recognition import fingerprint
 
 INTERVAL = 2.0
 """Seconds between two saved states."""
@@ -36,11 +35,17 @@ DAMAGED = (BadZipFile, EOFError, KeyError, OSError, RuntimeError, ValueError)
 """Exceptions of NumPy and zipfile for bytes that are not the archive that was written."""
 
 
-def program_checksum(root: Path = ROOT) -> int:
-    """Return a checksum of all sources that the numbers of a simulation may depend on."""
-    rooms = [root / "fpk", root / "sim"]
-    # A room that is missing is an error, not empty.
-    return checksum([f for r in rooms for f in (r / "__init__.py", *sorted(r.rglob("*.py")))])
+PROGRAM = ("fpk", "averaging", "sim", "cases")
+"""All packages, whose sources any number may depend on."""
+
+
+def program_checksum(root: Path = ROOT, rooms: Sequence[str] = ("fpk", "sim")) -> int:
+    """Return a checksum of the sources in ``rooms``: by default those that simulations depend on.
+
+    Raises ``FileNotFoundError`` for a room that is missing.
+    """
+    own = [root / room for room in rooms]
+    return checksum([f for r in own for f in (r / "__init__.py", *sorted(r.rglob("*.py")))])
 
 
 @dataclass(eq=False)
@@ -146,23 +151,17 @@ class Checkpoint:
         return self.interrupted or steps > 0
 
 
-def checkpoint_of(folder: Path | None, settings: Any, name: str = "montecarlo") -> Checkpoint:
+def checkpoint_of(
+    folder: Path | None, settings: Any, name: str = "montecarlo", *, less: Container[str] = ()
+) -> Checkpoint:
     """Return the checkpoint in ``folder`` of the simulation with these settings, named ``name``-.
 
-    ``settings`` are records, arrays and numbers, every digit of which counts; so does the program.
+    ``settings`` and ``less`` as of ``canonical``; the program counts, too.
     """
     if folder is None:
         return Checkpoint()
-    text = json.dumps([program_checksum(), settings], default=_listed)
-    identity = hashlib.sha256(text.encode()).hexdigest()
+    identity = fingerprint([program_checksum(), settings], less)
     return Checkpoint(folder / f"{name}-{identity[:16]}.checkpoint", identity)
-
-
-def _listed(value: Any) -> Any:
-    """Array, or record by the fields that it was made from, as JSON has it."""
-    if is_dataclass(value):
-        return [type(value).__name__, *(getattr(value, f.name) for f in fields(value) if f.init)]
-    return value.tolist()
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from math import inf, isfinite
 from pathlib import Path
@@ -17,6 +17,7 @@ from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.method import Plan, Progress, Result, silent
 from fpk.observable import Observable
+from fpk.recognition import REGISTRY
 from fpk.route import ROUTES, Route, register
 from fpk.start import Start
 from fpk.system import System
@@ -36,6 +37,22 @@ Where only some trajectories make small steps it counts what they cost (``subste
 
 THREADS_PER_CORE = 4
 """Threads at most, in units of the cores that there are."""
+
+
+ANYWHERE = {
+    "MonteCarlo.threads": "the random numbers belong to a path, whatever thread makes its steps",
+    "MonteCarlo.cluster": "and whatever machine",
+}
+"""Fields on which no number of a simulation of a given length depends."""
+NOT_IN_STATE = {
+    **ANYWHERE,
+    "MonteCarlo.checkpoint": "it says where the state is",
+    "MonteCarlo.partial": "it says what Ctrl-C does, after which a state can be gone on from",
+    "MonteCarlo.seconds": "a later limit goes on from where an earlier one ended",
+    "MonteCarlo.longest": "so does this one",
+    "Setup.seconds": "the one of these two that holds; whether there is one is compared",
+}
+"""Fields on which the saved state of a simulation does not depend, beside its length so far."""
 
 
 def check_settings(own: Any, positive: Sequence[str], *ranges: tuple[str, int, int]) -> None:
@@ -92,7 +109,7 @@ class MonteCarlo(StationaryMotionMethod):
     paths: int = 8192
     time: float | None = None
     dt: float | None = None
-    scheme: str = "exact_flow"
+    scheme: str = field(default="exact_flow", metadata={REGISTRY: SCHEMES})
     seed: int = 1
     threads: int | None = None
     tol: float | None = None

@@ -3,15 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import ceil, inf, isinf
-from typing import Any, Literal
+from math import ceil, inf
+from typing import Literal
 
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput
 from fpk.observable import Observable
 from fpk.system import System
+from sim.checkpoint import Checkpoint, checkpoint_of
 from sim.histogram import Histogram
-from sim.montecarlo import MonteCarlo
+from sim.montecarlo import NOT_IN_STATE, MonteCarlo
 from sim.relaxation import relaxation_time
 from sim.schemes import SCHEMES, Scheme
 from sim.step_size import (
@@ -81,14 +82,9 @@ class Setup:
         """Steps before the sampling begins."""
         return ceil(self.method.burn_in * relaxation_time(self.system) / self.dt)
 
-    @property
-    def identity(self) -> tuple[Any, ...]:
-        """Values that a checkpoint must have been made with; the limit of wall time may differ."""
-        m = self.method
-        asked = (m.burn_in, self.time, self.tol, isinf(self.seconds))
-        steps = (self.scheme.name, self.scheme.small, self.dt, m.paths, m.seed)
-        edges = [h.edges for h in self.histograms or ()]
-        return (self.system, list(self.observables), *steps, *asked, edges)
+    def checkpoint(self) -> Checkpoint:
+        """Return the checkpoint in the folder of the method; another limit of time may go on."""
+        return checkpoint_of(self.method.checkpoint, (self, self.open), less=NOT_IN_STATE)
 
 
 def default_step(method: MonteCarlo, system: System) -> float:

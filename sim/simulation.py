@@ -11,7 +11,7 @@ from fpk.arrays import Array
 from fpk.effects import effects_of
 from fpk.method import Progress, Result, silent
 from sim.assessment import assessed
-from sim.checkpoint import Checkpoint, checkpoint_of, interruptible
+from sim.checkpoint import Checkpoint, interruptible
 from sim.ensemble import Ensemble
 from sim.histogram import axis_of, covering, extremes, sampled_density
 from sim.record import SNAPSHOTS, Record
@@ -49,7 +49,7 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
     sampling, and what there is by then is the result, not certified.
     """
     method, cut = setup.method, ""
-    checkpoint = checkpoint_of(method.checkpoint, setup.identity)
+    checkpoint = setup.checkpoint()
     products = moment_products(setup.system.n, terms=bool(setup.system.damping_terms))
     covered = partial(covering, setup.observables, axis=partial(axis_of, setup.system))
     with checkpoint.alone(), interruptible(method.partial) as checkpoint.stopped:

@@ -14,7 +14,7 @@ from importlib import import_module
 from typing import Any
 
 from fpk.errors import NotCertified, Unavailable
-from sim.checkpoint import program_checksum
+from sim.checkpoint import PROGRAM, program_checksum
 
 PATIENCE = 10.0
 """Seconds in which the scheduler must answer."""
@@ -92,13 +92,13 @@ def workers_of(address: str | None, threads: int = 1) -> Iterator[Workers]:
     with client:
         try:
             client.wait_for_workers(1, timeout=WORKERS_IN)
-            stamp = client.submit(program_checksum, pure=False).result()
+            stamp = client.submit(program_checksum, rooms=PROGRAM, pure=False).result()
         except TimeoutError:
             raise unavailable("has no worker; start one") from None
         except ImportError as error:
             words = f"its workers cannot import this program ({error}); install vibro-fpk there"
             raise unavailable(words) from None
-        if stamp != program_checksum():
+        if stamp != program_checksum(rooms=PROGRAM):
             raise unavailable("its workers run another version of this program; install the same")
         lost = distributed.KilledWorker, distributed.CancelledError, OSError
         threads = max(1, sum(client.nthreads().values()))

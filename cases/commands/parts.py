@@ -46,9 +46,6 @@ NARROWEST = 40
 NORMS = ("L1", "L2")
 """Keys of JSON with a capital letter: those of the contract."""
 
-STATE_SETTINGS = ("seed", "tol", "dt", "step_pair", "observable")
-"""Settings of a command that a saved state of its simulation depends on."""
-
 
 scene_name = click.argument("scene", metavar="SCENE", shell_complete=completed.scenes)
 as_json = click.option(
@@ -149,9 +146,12 @@ def narrowed(scene: "Scene", names: Sequence[str], *, whole: bool) -> "Scene":
 
 def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:
     """Claim the folder ``settings["checkpoint"]``, if it is asked for, until the command ends."""
+    if settings["checkpoint"] is None:
+        return
     from cases.output.claim import claimed
+    from sim.montecarlo import NOT_IN_STATE
 
-    own = {key: settings[key] for key in STATE_SETTINGS if key in settings}
+    own = {key: v for key, v in settings.items() if f"MonteCarlo.{key}" not in NOT_IN_STATE}
     context = claimed(settings["checkpoint"], {"scene": scene.text, "settings": own})
     click.get_current_context().with_resource(context)
 

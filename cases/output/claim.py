@@ -6,24 +6,28 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from cases.output.files import make_folder, write_text
-from cases.output.records import Record, plain, program_version
+from cases.output.records import Record, program_version
 from cases.scene.errors import BadInput
 from cases.scene.reading import read_text
 from fpk.lock import locked
+from fpk.recognition import canonical
+from sim.checkpoint import PROGRAM, program_checksum
 
 
 @contextmanager
 def claimed(folder: Path | None, identity: Record) -> Iterator[None]:
     """Return a context in which this process alone keeps states or points in ``folder``, if any.
 
-    ``run.json`` names what they depend on: ``identity`` and the version of the program. Raises
-    ``Unavailable`` where another process uses the folder, ``BadInput`` where it is another run's.
+    ``run.json`` names what they depend on: ``identity``, as of ``canonical``, the version and the
+    sources of the program. Raises ``Unavailable`` where another process uses the folder,
+    ``BadInput`` where it is another run's.
     """
     if folder is None:
         yield
         return
     path = make_folder(folder) / "run.json"
-    record = plain({**identity, "version": program_version()})
+    program = {"version": program_version(), "sources": program_checksum(rooms=PROGRAM)}
+    record = canonical({**identity, **program})
     text = json.dumps(record, ensure_ascii=False) + "\n"
     with locked(folder / "run.lock"):
         if not path.exists():

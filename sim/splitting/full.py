@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any
 
 import numpy as np
 
@@ -40,13 +39,6 @@ class SystemProblem:
     time: float
     dt: float
     score: Score
-
-    @property
-    def identity(self) -> tuple[Any, ...]:
-        """Values that a checkpoint must have been made with."""
-        limit, start = (list(x.values.items()) for x in (self.limit, self.start))
-        kinds = self.limit.kind, self.start.kind
-        return (self.system, kinds, limit, start, self.time, self.dt, self.score.table)
 
     def replicas(
         self, count: int, steps: int, seed: int, stream: np.random.Generator

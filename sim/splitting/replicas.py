@@ -46,7 +46,7 @@ class CompiledReplicas:
 
 
 class Problem(Protocol):
-    """First passage before ``time`` in steps of about ``dt``; can be pickled."""
+    """First passage before ``time`` in steps of about ``dt``: a dataclass that can be pickled."""
 
     @property
     def time(self) -> float:
@@ -55,10 +55,6 @@ class Problem(Protocol):
     @property
     def dt(self) -> float:
         """The longer one of the two steps."""
-
-    @property
-    def identity(self) -> tuple[Any, ...]:
-        """Values that a checkpoint must have been made with."""
 
     def replicas(
         self, count: int, steps: int, seed: int, stream: np.random.Generator

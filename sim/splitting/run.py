@@ -20,7 +20,12 @@ from sim.splitting.estimate import Repetitions, estimated
 from sim.splitting.full import system_problem
 from sim.splitting.replicas import Problem
 from sim.splitting.score import ScoreFunction
-from sim.splitting.settings import LEAST_REPETITIONS, RareFailure, Splitting
+from sim.splitting.settings import (
+    LEAST_REPETITIONS,
+    NOT_IN_REPETITION,
+    RareFailure,
+    Splitting,
+)
 from sim.workers import Workers, workers_of
 
 MOST_STEPS = 2**32
@@ -79,8 +84,7 @@ def failure_of(problem: Problem, settings: Splitting, progress: Progress) -> Rar
     """Return the probability of failure in ``problem``; see ``rare_failure``."""
     steps = step_count(problem)
     s = settings
-    identity = (*problem.identity, s.replicas, s.killed, s.seed)
-    checkpoint = checkpoint_of(s.checkpoint, identity, "splitting")
+    checkpoint = checkpoint_of(s.checkpoint, (problem, s), "splitting", less=NOT_IN_REPETITION)
     done = Repetitions()
     with (
         workers_of(s.cluster, s.threads or usable_cores()) as workers,

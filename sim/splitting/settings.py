@@ -11,6 +11,17 @@ from sim.splitting.arrays import MOST_REPLICAS
 LEAST_REPETITIONS = 8
 """Repetitions below which their spread says too little of the error."""
 
+NOT_IN_REPETITION = {
+    "Splitting.threads": "the random numbers belong to a repetition",
+    "Splitting.cluster": "wherever it is made",
+    "Splitting.checkpoint": "it says where the repetitions are stored",
+    "Splitting.partial": "it says what Ctrl-C does, after which one goes on",
+    "Splitting.repetitions": "it says how many are made, each of which is numbered",
+    "Splitting.tol": "so does this",
+    "Splitting.seconds": "and this",
+}
+"""Fields on which a finished repetition does not depend."""
+
 
 @dataclass(frozen=True)
 class Splitting:

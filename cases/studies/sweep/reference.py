@@ -3,7 +3,6 @@
 from contextlib import suppress
 
 from cases.comparison.routes import method_for
-from cases.output.records import Record
 from cases.studies.simulation import best_answer, deterministic
 from fpk.density import AnyDensity
 from fpk.errors import NotApplicable
@@ -19,11 +18,6 @@ REFERENCE_TOL = 2e-4
 """L1 error wanted of a reference that is not sampled: a fifth of what the simulation leaves."""
 SHARE = 3.5
 """Work that such a reference may take, over what it takes unasked elsewhere: a minute."""
-
-
-def settings_of(simulation: MonteCarlo) -> Record:
-    """Return the settings on which the results of ``simulation`` depend: no threads, no cluster."""
-    return {key: getattr(simulation, key) for key in ("paths", "time", "relaxations", "seed")}
 
 
 def solver_of(reference: str) -> Method | None:

@@ -11,6 +11,7 @@ from cases.output.records import Record, plain
 from cases.scene.errors import BadInput
 from cases.scene.reading import read_text
 from cases.studies.sweep.result import SweepPoint
+from fpk.recognition import fingerprint
 
 NAME = "points.jsonl"
 """Name of the file in a grid's folder."""
@@ -33,8 +34,7 @@ class PointStore:
     def __init__(self, folder: Path | None, identity: Record) -> None:
         """Read what is there; raise ``BadInput`` for a damaged file, or that of another run."""
         self._path = None if folder is None else folder / NAME
-        text = json.dumps(plain(identity), ensure_ascii=False)
-        self._hash = sha256(text.encode()).hexdigest()
+        self._hash = fingerprint(identity)
         self._text = f"{self._hash}\n"
         self.points: dict[tuple[float, ...], SweepPoint] = {}
         if self._path is None or not lexists(self._path):

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -20,15 +20,17 @@ from cases.scene.scene import Scene
 from cases.scene.units import NO_UNITS
 from cases.studies.sweep.answering import sweep_point
 from cases.studies.sweep.grid import Axis, parse_axes, place_words
-from cases.studies.sweep.reference import SIMULATION, settings_of, solver_of
+from cases.studies.sweep.reference import SIMULATION, solver_of
 from cases.studies.sweep.result import Sweep, SweepPoint
 from cases.studies.sweep.store import PointStore
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import Method, Progress, silent
 from fpk.observable import observable_name
+from fpk.recognition import canonical
 from fpk.system import System
-from sim.montecarlo import MonteCarlo
+from sim.checkpoint import PROGRAM, program_checksum
+from sim.montecarlo import ANYWHERE, MonteCarlo
 from sim.workers import workers_of
 
 METHODS = ("exact", "linear", "nonintegrable", "integrable")
@@ -106,15 +108,17 @@ def every_answer(
     methods = tuple(dict.fromkeys(methods)) or METHODS
     asked = tuple((method, _candidates(method, tol, simulation)) for method in methods)
     solver = solver_of(reference)
-    identity = {
-        "system": {f.name: getattr(system, f.name) for f in fields(system) if f.init},
+    about = {
+        "system": system,
         "keys": [axis.key for axis in axes],
-        "quantities": list(wanted),
-        "methods": methods,
-        "tol": tol,
-        "reference": reference,
-        **settings_of(simulation),
+        "quantities": [*wanted.values()],
+        "methods": asked,
+        "reference": solver,
+        "simulation": simulation,
+        "program": program_checksum(rooms=PROGRAM),
     }
+    timed = simulation.seconds is not None or simulation.tol is not None
+    identity = {} if folder is None else canonical(about, () if timed else ANYWHERE)
     tasks: dict[tuple[float, ...], Callable[[MonteCarlo], SweepPoint]] = {
         values: partial(sweep_point, own, values, tuple(wanted.values()), asked, solver)
         for values, own in _systems(system, axes).items()
@@ -161,7 +165,7 @@ def _finished(
     Else one after the other, as a simulation takes all cores; ``side_by_side``: one on each core.
     """
     alone = replace(method, cluster=None, threads=1)
-    if method.cluster is not None:
+    if todo and method.cluster is not None:
         with workers_of(method.cluster) as workers:
             yield from workers.as_finished([partial(point, alone) for point in todo])
     elif side_by_side:
