@@ -16,7 +16,6 @@ from averaging.hidden import (
     stop_panels,
 )
 from averaging.shell.averages import log_linear_states, shell_averages
-from averaging.shell.energy_shell import EnergyShell
 from averaging.weyl import Part, StateDensity
 from fpk.arrays import Array
 from fpk.density import Density, certified_density
@@ -42,9 +41,8 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
     system = source.system
     if observable[0].kind == "H":
         solution = source.solution
-        # Without clearance T is a series in H^(1/4) at H = 0, which one panel does not integrate.
-        touching = tuple(H for H in system.fact(EnergyShell).contact_energies if H == 0.0)
-        nodes = with_layers(solution.panels, touching, count=DEEP_LAYERS)
+        # u is smooth between the panels of the solution, T is not next to a contact energy.
+        nodes = with_layers(solution.panels, solution.process.nonsmooth, count=DEEP_LAYERS)
 
         def own(energy: Array) -> Array:
             """Relative error of T at the points themselves.

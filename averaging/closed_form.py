@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 from numpy.polynomial import polynomial
-from scipy.special import gammainccinv
+from scipy.special import gammainccinv, gammaincinv
 
 from averaging.energy_process import damping_and_noise, damping_by_energy, energy_process
 from averaging.hidden import gibbs_integral, rules_of
@@ -15,8 +15,8 @@ from averaging.zero_flux import ZeroFluxDensity, flux_residual
 from fpk.arrays import Array
 from fpk.certificate import Measured
 from fpk.errors import NotApplicable
-from fpk.line.mesh import DEEP_LAYERS, GRADING, initial_nodes, with_layers
-from fpk.probe import probed
+from fpk.line.mesh import DEEP_LAYERS, initial_nodes, with_layers
+from fpk.probe import Probe, probed
 from fpk.process import Process
 from fpk.quadrature import panel_rule
 from fpk.system import System
@@ -25,8 +25,6 @@ TAIL = 1e-17
 """Share of the probability beyond the last energy of a closed form."""
 POINTS = (16, 20)
 """Gauss points per panel of the normalisation, and of the finer rule that estimates its error."""
-LAYERS_AT_ZERO = 12
-"""Geometric panels above H = 0, where T ~ H^(n−1) times a series in H^(1/4) without clearance."""
 EPS, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
 
 
@@ -35,15 +33,24 @@ def closed_form(
     rate: Array,
     *,
     norm: tuple[float, float] | None = None,
+    reach: tuple[float, float, float] | None = None,
     residual: float | None = None,
 ) -> ZeroFluxDensity:
     """Return C T exp(−∫_0^H h dH) with h(H) = Σ rate_e H^e.
 
-    ``norm`` is ln C and its error where they are known, otherwise they follow from quadrature.
+    ``norm`` is ln C and its error; ``reach`` are two energies and a bound of the probability below
+    the first and above the second, which is the last node. Where they are not known they follow
+    from quadrature and from a probe of the process, from H = 0 on.
     ``residual`` is that of the equation which p solves; the flux is measured where none is given.
     """
-    probe = probed(process)
-    nodes = initial_nodes(probe, probe.extent(TAIL), process.nonsmooth)
+    if reach is None:
+        probe = probed(process)
+        begin, end = 0.0, probe.extent(TAIL)
+    else:
+        begin, end, tail = reach
+        probe = Probe(np.array([0.0, end]), np.full(2, -rate[0]), np.full(2, rate[0]))
+    nodes = initial_nodes(probe, end, process.nonsmooth)
+    nodes = nodes[np.searchsorted(nodes, begin, side="right") - 1 :]
     exponent: Array = np.asarray(polynomial.polyint(-rate), dtype=float)
     exponent[0], error = norm or _log_norm(process, nodes, exponent)
     p = ZeroFluxDensity(
@@ -55,15 +62,14 @@ def closed_form(
     )
     if residual is None:
         residual = flux_residual(process, nodes, p.log_density)
-    tail = probe.tail_bound(float(nodes[-1]), float(p.density(nodes[-1:])[0]))
+    if reach is None:
+        tail = probe.tail_bound(end, float(p.density(nodes[-1:])[0]))
     return replace(p, measured=Measured(error + 2.0 * tail, np.nan, np.nan, residual, tail))
 
 
 def _log_norm(process: Process, nodes: Array, exponent: Array) -> tuple[float, float]:
     """Return −ln ∫T exp(Σ exponent_e H^e) dH and its error, that of T and round-off included."""
     nodes = with_layers(nodes, process.nonsmooth, count=DEEP_LAYERS)
-    towards_zero = nodes[1] * GRADING ** np.arange(1.0, LAYERS_AT_ZERO + 1.0)
-    nodes = np.unique(np.concatenate([nodes, towards_zero]))
     norms = []
     for points in POINTS:
         energy, weights = (part.ravel() for part in panel_rule(nodes, points))
@@ -106,14 +112,15 @@ def state_closed_form(
     # Contact only takes states away: T exp(−αH) is below that of the chain without, a Gamma law.
     ratio = float(np.exp(log_gibbs_norm(replace(system, contacts=()), alpha)[0] - log_norm))
     beyond = max(TAIL * ratio, TINY)
-    end, tail = float(gammainccinv(system.n, beyond)) / alpha, beyond / max(ratio, TINY)
+    begin, end = (float(inv(system.n, beyond)) / alpha for inv in (gammaincinv, gammainccinv))
+    tail = 2.0 * beyond / max(ratio, TINY)
     # Where none is given it is that of the flux, T τ (noise α − damping) u, whose parts cancel.
     damping, noise = damping_and_noise(system)
     left = abs(noise * alpha - damping) / damping if residual is None else residual
     measured = Measured(error + 2.0 * tail, np.nan, np.nan, left, tail)
     return StateDensity(
         system,
-        partial(closed_form, process, rate, norm=norm, residual=residual),
+        partial(closed_form, process, rate, norm=norm, reach=(begin, end, tail), residual=residual),
         lambda order: partial(weyl, order),
         1.0 / alpha,
         unit,

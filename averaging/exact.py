@@ -83,7 +83,9 @@ class Exact(CrossingsMethod, Theory):
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
             source = _source(system, h)
-            densities = tuple(back_transformed(source, o, tol=self.tol) for o in observables)
+            densities = tuple(
+                back_transformed(source, o, tol=self.wanted(system)) for o in observables
+            )
             return Result(self, densities, settings=settings)
 
         return Plan(partial(energy_only_refusal, system, exponential=h.size == 1), solve)
@@ -91,7 +93,9 @@ class Exact(CrossingsMethod, Theory):
     def _crossings(self, asked: Question) -> Curve:
         """Return the upcrossings per unit time of q, by Rice's formula."""
         source = _source(asked.system, compatibility(asked.system))
-        return crossing_rates(source, asked.row, asked.at, tol=asked.tol or self.tol)
+        return crossing_rates(
+            source, asked.row, asked.at, tol=asked.tol or self.wanted(asked.system)
+        )
 
 
 def _source(system: System, h: Array) -> StateDensity:

@@ -66,7 +66,7 @@ class Linear(StationaryMotionMethod, Theory):
                 scale_errors=modes.variance_error,
                 residual=modes.residual,
             )
-            densities = tuple(gaussian.density(o, tol=self.tol) for o in observables)
+            densities = tuple(gaussian.density(o, tol=self.wanted(system)) for o in observables)
             return Result(self, densities, settings={"equation": "Lyapunov"})
 
         return Plan(lambda observable: energy_only_refusal(system, observable), solve)
@@ -77,14 +77,16 @@ class Linear(StationaryMotionMethod, Theory):
         error = asked.system.fact(linear_covariance).relative_error
         values, errors = rice_rates(q, v, error, asked.at)
         scale = v / (2.0 * np.pi * q)
-        return certified_curve(values, errors, scale=scale, of=density, tol=asked.tol or self.tol)
+        return certified_curve(
+            values, errors, scale=scale, of=density, tol=asked.tol or self.wanted(asked.system)
+        )
 
     def _spectrum(self, asked: Question) -> Curve:
         """Return the power spectral density of q from the transfer functions."""
         density, q, v = self._state(asked)
         values, errors = spectral_density(asked.system, asked.row, asked.at)
         return certified_curve(
-            values, errors, scale=q**3 / v, of=density, tol=asked.tol or self.tol
+            values, errors, scale=q**3 / v, of=density, tol=asked.tol or self.wanted(asked.system)
         )
 
     def _correlation(self, asked: Question) -> Curve:
@@ -92,7 +94,7 @@ class Linear(StationaryMotionMethod, Theory):
         density, q, _ = self._state(asked)
         values, errors = autocovariance(asked.system, asked.row, asked.at)
         return certified_curve(
-            values, errors, scale=q**2, of=density, tol=asked.tol or self.tol,
+            values, errors, scale=q**2, of=density, tol=asked.tol or self.wanted(asked.system),
             positive=q**2 - np.abs(values),
         )  # fmt: skip
 
@@ -105,7 +107,7 @@ class Linear(StationaryMotionMethod, Theory):
         values, errors = eigenvalue_sums(system, count)
         relative = float(np.max(errors / np.abs(values)))
         certificate = certify(
-            Measured(relative, None, None, residual, None), tol=tolerance(tol, self.tol)
+            Measured(relative, None, None, residual, None), tol=tolerance(tol, self.wanted(system))
         )
         return Rates(values, errors, certificate)
 

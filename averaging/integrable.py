@@ -76,14 +76,14 @@ class Integrable(CrossingsMethod, Theory):
             of_state = "" if modes.constant else ", damping of the state averaged"
             settings: dict[str, str | float | int] = {
                 "equation": self.route.equation + of_state,
-                "tol": self.tol,
+                "tol": self.wanted(system),
                 "nearest resonance": nearest_resonance(system, modes),
             }
             if modes.n > 1:
                 settings["neglected correlation of modes"] = float(correlations(modes).max())
             if neglected:
                 settings["contacts left out"] = neglected
-            densities = modal_densities(modes, observables, self.solver, tol=self.tol)
+            densities = modal_densities(modes, observables, self.solver, tol=self.wanted(system))
             return Result(self, densities, settings=settings, neglected=neglected)
 
         return Plan(lambda observable: self._refusal(observable, modes), solve)
@@ -98,7 +98,9 @@ class Integrable(CrossingsMethod, Theory):
         values, errors = upcrossings(of_both, mass, asked.at)
         velocity = float(np.sqrt(of_both.moment(0, 2).value)) / mass
         scale = velocity / (2.0 * np.pi * of_q.rms().value)
-        return certified_curve(values, errors, scale=scale, of=of_q, tol=asked.tol or self.tol)
+        return certified_curve(
+            values, errors, scale=scale, of=of_q, tol=asked.tol or self.wanted(system)
+        )
 
     def transient(
         self,

@@ -71,7 +71,9 @@ class NonIntegrable(CrossingsMethod, Theory):
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
             source, settings = self._state_density(system, process)
-            densities = tuple(back_transformed(source, o, tol=self.tol) for o in observables)
+            densities = tuple(
+                back_transformed(source, o, tol=self.wanted(system)) for o in observables
+            )
             return Result(self, densities, settings=settings)
 
         return Plan(partial(energy_only_refusal, system, exponential=exponential), solve)
@@ -79,7 +81,9 @@ class NonIntegrable(CrossingsMethod, Theory):
     def _crossings(self, asked: Question) -> Curve:
         """Return the upcrossings per unit time of q, by Rice's formula."""
         source, _ = self._state_density(asked.system, energy_process(asked.system))
-        return crossing_rates(source, asked.row, asked.at, tol=asked.tol or self.tol)
+        return crossing_rates(
+            source, asked.row, asked.at, tol=asked.tol or self.wanted(asked.system)
+        )
 
     def transient(
         self,
@@ -131,28 +135,30 @@ class NonIntegrable(CrossingsMethod, Theory):
         self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
     ) -> Rates:
         """Return the slowest rates at which the energy forgets its past."""
-        return total_energy(system).relaxation(self.solver, count, tol=tolerance(tol, self.tol))
+        return total_energy(system).relaxation(
+            self.solver, count, tol=tolerance(tol, self.wanted(system))
+        )
 
     def _tol_in_time(self, system: System) -> float:
         modulated = system.modulation is not None and self.solver == "fem"
-        return max(self.tol, MODULATED_TOL) if modulated else self.tol
+        return max(self.wanted(system), MODULATED_TOL if modulated else 0.0)
 
     def _state_density(self, system: System, process: Process) -> tuple[StateDensity, Settings]:
         if self.solver == "closed-form":
             return state_closed_form(system, averaged_rate(system)), {"equation": "(29)"}
         solution: Solution
         if self.solver == "quadrature":
-            solution = solve_by_quadrature(process, tol=self.tol)
+            solution = solve_by_quadrature(process, tol=self.wanted(system))
             settings: Settings = {"equation": "(11)", "panels": solution.nodes.size - 1}
         else:
-            solution = solve_stationary(process, tol=self.tol)
+            solution = solve_stationary(process, tol=self.wanted(system))
             settings = {
                 "equation": "FPK of (24)",
                 "degree": solution.degree,
                 "elements": solution.nodes.size - 1,
                 "unknowns": solution.unknowns,
             }
-        settings |= {"last energy": float(solution.nodes[-1]), "tol": self.tol}
+        settings |= {"last energy": float(solution.nodes[-1]), "tol": self.wanted(system)}
         return tabulated(system, solution), settings
 
 

@@ -20,7 +20,7 @@ ROUND_OFF = 16.0 * float(np.finfo(float).eps)
 class ZeroFluxDensity:
     """p = T u of a process of one energy from ln u, as (11) gives it; 0 beyond the nodes.
 
-    ``nodes`` are energies from 0 to the last one, between which p is smooth. ``log_u`` and
+    ``nodes`` are energies to the last one, between which p is smooth. ``log_u`` and
     ``relative_error``, that of u, take energies > 0 of any shape. ``measured`` is what was measured
     on p.
     """
@@ -33,7 +33,7 @@ class ZeroFluxDensity:
 
     @property
     def panels(self) -> Array:
-        """The nodes: between them quadrature of p is exact."""
+        """The nodes: between them u is smooth, and T but for layers above contact energies."""
         return self.nodes
 
     @property

@@ -153,7 +153,9 @@ CONSTANTS = {
         f"for `phase-space` {DYNAMICS} and {short(phase_space.RELAXATION_TOL)} if left out",
         f"to {short(first_passage.TOL)} (H) or"
         f" {short(first_passage.GLANCING_TOL)} (a displacement)",
-        f"of `fem` {short(NonIntegrable().tol)}, with two energies {short(questions.TOL)},",
+        f"of `fem` {short(theory.DEFAULT)}, with two energies {short(questions.TOL)},",
+        f"judged by an L1 error of {short(theory.DEFAULT)}, of systems with",
+        f"stops on more than two masses by {short(theory.DEFAULT_BY_LINES)}.",
         f"solved to {short(reference.REFERENCE_TOL)}",
         f"within {short(vtk.SUBDIVISION)} of the largest density",
         f"is at least {short(vtk.CUT)} of its maximum",
@@ -272,7 +274,7 @@ def test_tolerances_of_the_methods_are_their_defaults():
     rows = [line.split(" | ") for line in page.split("\n") if line.startswith("| `")]
     stated = {row[0].strip("| `"): row[-1].removesuffix(" |") for row in rows}
     for method in (Exact, Linear, NonIntegrable, Integrable, PhaseSpace):
-        assert stated[method().route.method] == short(method().tol)
+        assert stated[method().route.method] == short(method().tol or theory.DEFAULT)
 
 
 def test_the_version_to_cite_is_that_of_the_program():

@@ -20,9 +20,8 @@ from averaging.shell.table import ShellTable
 from fpk.arrays import Array
 from fpk.system import System
 
-ROUNDED = 0.5 * float(np.finfo(float).eps)
-"""For n = 1 the part beyond a stop is ~ √(H − V), V at the stop: a rounding of H is relative to T
-ε √(H/(H − V)), of either sign, half of it to be expected."""
+ROUNDED = 4.0 * float(np.finfo(float).eps)
+"""Bound of H − V at a stop by a few roundings of H and of V, relative to H."""
 TARGETS = (8e-13, 3e-14)
 """Disagreement of two rules, for n = 1 and more, that ends the refinement of the power over one
 contact mass, near round-off: the power cancels against the noise, and its error adds up in ln p."""
@@ -82,7 +81,8 @@ def shell_columns(system: System, energy: Array) -> Array:
     columns = np.empty((energy.size, without.size))
     columns[:] = without
     first = shell.contact_energies[0] if shell.contact_energies else np.inf
-    touching = (energy > first).nonzero()[0]
+    slack = ROUNDED if system.n == 1 else 0.0
+    touching = (energy > first * (1.0 - slack)).nonzero()[0]
     if touching.size:
         above = energy[touching]
         if shell.count == 1:
@@ -128,12 +128,13 @@ def _along_rays(system: System, energy: Array) -> Array:
         sums, errors = shell_integrals(shell, energy, orders=orders, combine=combine, target=target)
     a = n - 0.5 * c - 1.0
     flat = (2.0 * pi) ** (0.5 * c) * float(beta(a + 1.0, 0.5 * c)) / gamma(0.5 * c)
-    error = np.maximum(errors[:, 0], errors[:, 1])
+    error, states = np.maximum(errors[:, 0], errors[:, 1]), sums[:, 0]
     if n == 1:
         rises = energy[:, None] - shell.potential(shell.stops.clearance[:, None] / shell.stops.rows)
-        least = np.where(rises > 0.0, rises, np.inf).min(axis=1)
-        error = error + ROUNDED * np.sqrt(energy / least)
-    states = sums[:, 0]
+        # The part of T_lin beyond a stop is up to √(1 − V/H)/π, V at the stop.
+        rises = rises / energy[:, None] + np.array([-ROUNDED, ROUNDED])[:, None, None]
+        parts = np.diff(np.sqrt(np.maximum(rises, 0.0)), axis=0)[0].sum(axis=1) / pi
+        error = error + parts * flat / states
     ratios = states / flat, sums[:, 1] / (flat * (a + 1.0) / n), sums[:, 2] / states, error
     if not system.damping_terms:
         return np.array(ratios).T

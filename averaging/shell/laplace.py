@@ -30,38 +30,39 @@ from fpk.errors import NotApplicable
 from fpk.quadrature import panel_rule
 from fpk.system import System
 
-LEVELS = (1e-5, 1e-3, 0.1, 1.0, 2.0, 4.0, 8.0, 16.0, DEPTH)
-"""Contact energies, in units of 1/β₀, at which panels end beyond a stop: few, as the work of a pass
-rises with the square of the points."""
 POINTS = (15, 16)
 """Gauss points per panel, of the rule that estimates the error and of the answer."""
 WIDTHS = 1.8
 """Longest panel in units of the width of a displacement between its neighbours at β₀."""
-RADIANS, RISE = 2.0, 25.0
-"""Most radians of exp(−i Im β V) between two points of the answer where V is ``RISE``/β₀: sixteen
-points integrate 32 radians to about 1e-13 of what is left there."""
-ENDS = (1.6, 1e-13, 20.0)
-"""A line ends at Im β = 1.6 (1e-13 R)^(−1/2n) β₀, R at its beginning, at most at 20 β₀: what is
-missing beyond ``end`` was measured to be about (1.6/end)^2n, with Hertz stops and n = 4 to 30."""
+RADIANS, RISE = 1.8, 16.0
+"""Most radians of exp(−i Im β V) between two points of the answer where V, of springs or of a stop,
+is up to ``RISE``/β₀: sixteen points integrate 29 radians to about 1e-13 of what is left there."""
+ENDS = (1.6, 1e-13, 16.0)
+"""A line ends at Im β = 1.6 (1e-13 R)^(−1/m) β₀, R at its beginning, at most at 16 β₀: what is
+missing beyond ``end`` was measured to be about (1.6/end)^m, with Hertz stops and n = 4 to 30
+masses; m is 2n, and 2n + 3 where the systems with one contact mass are taken off."""
+LONG = 10.0
+"""End of a line over β₀ beyond which the systems with one contact mass are taken off."""
 ALIAS = 30.0
 """Nats by which the trapezoidal rule's nearest alias, T(H + 2π/step) e^(−2πβ₀/step) or the same of
 the power times T, is down."""
-NATS = 1.5
-"""Largest loss of digits, in nats, at the energies of a line farthest above n/β₀."""
+NATS = (0.4, 3.5)
+"""Loss of digits, in nats, at the least and the highest energy of a line. Just above n/β₀, where
+none are lost, the end of the line misses most."""
 SHORTER = (0.6, 1.2, 1.8)
 """Nats by which shorter ends of the same line miss more: their answers estimate what it misses."""
 MOSTLY = 0.5
 """R at the beginning of a line below which R itself is inverted, not R − 1."""
 SAFETY = 1.5
-"""Factor on both: the error is at the most 0.9 of their sum in 30 random chains of two contact
-masses, 4 to 30 masses, against integrals along rays."""
+"""Factor on both: the error is at the most 0.8 of their sum in 25 random chains of two contact
+masses, 3 to 20 masses, stops 1e-2 to 1e5 of the springs, against integrals along rays."""
 CHECKED = 4
 """Parts of a line at whose ends the rule over displacements is checked by a lower one."""
 MOST_POINTS = 4000
 """Points along one displacement: the kernel between two of them takes 256 MB then."""
 ROWS = 32
 """Points of one mass at which the integral over the next one is evaluated at once."""
-WINDOW = (0.3, 3.5)
+WINDOW = (0.3, 3.6)
 """Share of a line up to which nothing is taken off, and steepness of the fall to nothing."""
 MOST_MASSES = 10
 """Masses, and a quarter of the highest degree of damping terms, up to which two contact masses are
@@ -89,8 +90,8 @@ class Line(NamedTuple):
 class PartitionLines:
     """T, phase volume, T' and damping power of the shell, by lines of Z(β) on demand.
 
-    A line serves the energies from n/β₀ to a factor above, where no digits are lost. With few
-    masses the line would have to be long; there the systems with one contact mass alone are taken
+    A line serves energies above n/β₀, where up to ``NATS`` digits are lost. With few masses the
+    line would have to be long; there the systems with one contact mass alone are taken
     off, whose ratios are integrated along rays: what is left of R falls much faster. Held by the
     system as ``system.fact(PartitionLines)``.
     """
@@ -104,11 +105,12 @@ class PartitionLines:
         # The loss of digits at H = ρ n/β₀ is n (ρ − 1 − ln ρ) nats.
         shares = np.linspace(1.0, 80.0, 8000)
         loss = self.n * (shares - 1.0 - np.log(shares))
-        self.factor = float(np.interp(NATS, loss, shares))
+        self.first, last = np.interp(NATS, loss, shares).tolist()
+        self.factor = last / self.first
         terms = system.damping_terms
         self.groups = sorted({(term.degree, term.factors) for term in terms})
         most = self.n + 0.5 * max((order for _, order in self.groups), default=0)
-        alias = self.n * shares - most * np.log1p(shares)
+        alias = self.n * shares - most * np.log1p(shares / self.first)
         self.step = 2.0 * np.pi / float(shares[np.argmax(alias > ALIAS)])
         self.free, self.size = (
             np.bincount(self._rows(system), [1.0, *x], 1 + len(self.groups))
@@ -118,7 +120,7 @@ class PartitionLines:
         rest = np.exp(gammaln(self.n) - gammaln(self.n + 0.5 * order))
         self.of_degree = (degree == np.unique(degree)[:, None]) * rest
         self.alone: list[System] = []
-        if _end(self.n, 1.0) == ENDS[2]:
+        if self._end(1.0) > LONG:
             touching = ([c for c in system.contacts if c.index == i] for i in self.masses)
             self.alone = [replace(system, contacts=tuple(own)) for own in touching]
         self.lines: dict[int, Line] = {}
@@ -156,14 +158,18 @@ class PartitionLines:
         keys = zip(parts.degree.tolist(), parts.order.tolist(), strict=True)
         return [0, *(1 + self.groups.index(key) for key in keys)]
 
+    def _end(self, ratio: float) -> float:
+        """End of a line over its real part, where R is ``ratio`` at its beginning."""
+        constant, missing, most = ENDS
+        order = 2.0 * self.n + (3.0 if self.alone else 0.0)
+        return float(min(constant * (missing * ratio) ** (-1.0 / order), most))
+
     def _line(self, real: float) -> Line:
         """The line Re β = ``real``."""
-        end, grids = _end(self.n, 1.0), self._grids(real, 1.0)
-        least = self._transforms(self.system, np.array([real], complex), grids[1])[0, 0].real
-        for _ in range(2):
-            beta = np.array([complex(real, real * end)])
-            far = self._transforms(self.system, beta, grids[1])[0, 0]
-            end = _end(self.n, least / max(abs(far), least))
+        end = self._end(1.0)
+        both = np.array([real, complex(real, real * end)])
+        (least, far), *_ = np.abs(self._transforms(self.system, both, self._grids(real, end)[0]))
+        end = self._end(least / max(far, least))
         count = CHECKED * ceil(self.n * end / self.step / CHECKED)
         beta = np.empty(count + 1, dtype=complex)
         beta.real, beta.imag = real, real * end * np.arange(count + 1) / count
@@ -207,7 +213,9 @@ class PartitionLines:
                 x = before[rows, None]
                 low, high = np.searchsorted(q, [x[0, 0] - reach, x[-1, 0] + reach])
                 height = 0.5 * stiffness * (x - q[low:high]) ** 2
-                f[:, rows] = passed(height, beta[0], step, np.ascontiguousarray(g[:, low:high]))
+                f[:, rows] = passed(
+                    height, beta[0].real, step, np.ascontiguousarray(g[:, low:high])
+                )
             f *= np.sqrt(beta * stiffness / (2.0 * np.pi))[:, None, None]
         moments = f[:, 0] * beta[:, None] ** (0.5 * powers.sum(axis=1))
         rows = np.zeros((1 + len(self.groups), beta.size), dtype=complex)
@@ -218,19 +226,21 @@ class PartitionLines:
 
     def _grids(self, real: float, end: float) -> list[list[tuple[Array, Array]]]:
         """Displacements and weights by both rules, for β from ``real`` to (1 + i ``end``)."""
-        panels = [self._panels(j, real, end) for j in range(self.springs.size)]
-        return [
-            [(x.ravel(), w.ravel()) for x, w in (panel_rule(nodes, points) for nodes in panels)]
-            for points in POINTS
-        ]
+        masses = range(self.springs.size)
+        panels = [self._panels(j, real, end) for j in masses]
+        return [[self._rule(j, panels[j], points, real) for j in masses] for points in POINTS]
 
     def _panels(self, j: int, real: float, end: float) -> Array:
         """Nodes along the displacement of contact mass j."""
         longest = min(WIDTHS, POINTS[1] * RADIANS / (end * (2.0 * RISE) ** 0.5))
         width = longest / (real * float(self.springs[j : j + 2].sum())) ** 0.5
-        levels = [level / real for level in LEVELS]
-        mass, end = self.masses[j], DEPTH / real
-        nodes = stop_panels(self.system, mass, width=width, end=end, levels=levels)
+        levels = [1.0]
+        while levels[-1] < DEPTH:
+            turns = POINTS[1] * RADIANS / end if levels[-1] < RISE else DEPTH
+            levels.append(levels[-1] + min(levels[-1], turns))
+        levels = [level / real for level in levels]
+        mass, last = self.masses[j], DEPTH / real
+        nodes = stop_panels(self.system, mass, width=width, end=last, levels=levels)
         points = ceil((nodes[-1] - nodes[0]) / width) * POINTS[1]
         if points > MOST_POINTS:
             raise NotApplicable(
@@ -238,6 +248,23 @@ class PartitionLines:
                 f" chain would take {points} points of it, {MOST_POINTS} at the most"
             )
         return nodes
+
+    def _rule(self, j: int, nodes: Array, points: int, real: float) -> tuple[Array, Array]:
+        """Displacements and weights of contact mass j, of ``points`` on each panel.
+
+        Next to a stop they are Gauss points of the root of the overlap, in which the contact energy
+        of a Hertz law is a polynomial.
+        """
+        q, weights = panel_rule(nodes, points)
+        for stop in self.system.stops:
+            if stop.index == self.masses[j]:
+                overlap = stop.sign * nodes - stop.clearance
+                middle, root = overlap[1:] + overlap[:-1], np.sqrt(np.maximum(overlap, 0.0))
+                near = (middle > 0.0) & (middle < 2.0 * stop.overlap_at(1.0 / real))
+                s, ds = panel_rule(root, points)
+                q[near] = stop.sign * (stop.clearance + s[near] ** 2)
+                weights[near] = 2.0 * s[near] * np.abs(ds[near])
+        return q.ravel(), weights.ravel()
 
     def _inverted(self, energy: Array, rows: Sequence[tuple[int, int]]) -> tuple[Array, Array]:
         """Inverse transforms of rows of the lines, and their errors, (rows, energies) each.
@@ -248,7 +275,7 @@ class PartitionLines:
         index = np.floor(np.log(energy / self.unit) / np.log(self.factor)).astype(int)
         for k in np.unique(index).tolist():
             if k not in self.lines:
-                self.lines[k] = self._line(self.n / (self.unit * self.factor**k))
+                self.lines[k] = self._line(self.first * self.n / (self.unit * self.factor**k))
             line, here = self.lines[k], index == k
             s = energy[here, None] * line.beta
             window = self._windows(line.beta.size)
@@ -277,9 +304,3 @@ def by_lines(shell: EnergyShell) -> bool:
     """Whether averages over the shell follow from the partition function, not along rays."""
     degree = max((term.degree for term in shell.system.damping_terms), default=0)
     return shell.count > 2 or (shell.count == 2 and shell.system.n + 0.25 * degree > MOST_MASSES)
-
-
-def _end(masses: int, ratio: float) -> float:
-    """End of a line over its real part, where R is ``ratio`` at its beginning."""
-    constant, missing, most = ENDS
-    return float(min(constant * (missing * ratio) ** (-0.5 / masses), most))

@@ -11,7 +11,7 @@ from fpk.compiling import cached_njit
 
 
 @cached_njit()
-def passed(height: Array, begin: complex, step: float, g: Complexes) -> Complexes:
+def passed(height: Array, begin: float, step: float, g: Complexes) -> Complexes:
     """Return Σ_c exp(−β_k height_rc) g_kcm (points, rows, m) at β_k = begin + i k step.
 
     ``height`` (rows, columns), ``g`` (points, columns, m).
@@ -23,8 +23,7 @@ def passed(height: Array, begin: complex, step: float, g: Complexes) -> Complexe
     real, imaginary = np.zeros((points, count, rows)), np.zeros((points, count, rows))
     for c in range(columns):
         for r in range(rows):
-            size, angle = np.exp(-begin.real * height[r, c]), begin.imag * height[r, c]
-            z[0, r], z[1, r] = size * np.cos(angle), -size * np.sin(angle)
+            z[0, r], z[1, r] = np.exp(-begin * height[r, c]), 0.0
             if points > 1:
                 angle = step * height[r, c]
                 factor[0, r], factor[1, r] = np.cos(angle), -np.sin(angle)

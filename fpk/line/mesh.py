@@ -66,12 +66,17 @@ def _placed(energy: Array, rate: Array, ends: Array) -> Array:
 
 
 def with_layers(nodes: Array, nonsmooth: tuple[float, ...], *, count: int = GRADED_LAYERS) -> Array:
-    """Return the nodes and geometric layers above those that are nonsmooth energies."""
-    layers = GRADING ** np.arange(1.0, count + 1.0)
+    """Return the nodes and geometric layers above those that are nonsmooth energies.
+
+    They go from the last node down to ``count`` layers below the node next to H: wherever that is,
+    the distance of the ends of an element from H is in the ratio ``GRADING`` or nearer to 1.
+    """
     for H in nonsmooth:
-        if count and nodes[-1] > H:
-            gap = nodes[np.searchsorted(nodes, H, side="right")] - H
-            nodes = np.unique(np.concatenate([nodes, H + gap * layers]))
+        if count and nodes[0] <= H < nodes[-1]:
+            reach = float(nodes[-1]) - H
+            gap = float(nodes[np.searchsorted(nodes, H, side="right")]) - H
+            layers = np.arange(1.0, count + 1.0 + math.log(gap / reach) / math.log(GRADING))
+            nodes = np.unique(np.concatenate([nodes, H + reach * GRADING**layers]))
     return nodes
 
 

@@ -7,6 +7,7 @@ import pytest
 from averaging_systems import term_power
 from modal_terms import solved
 
+from averaging.closed_form import log_gibbs_norm
 from averaging.energy_process import energy_process
 from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
@@ -229,6 +230,30 @@ def test_the_energy_of_stops_on_every_mass_is_certified(n):
     H = np.linspace(*fem.panels[0][[0, -1]], 400)[1:-1]
     (a, ea), (b, eb) = fem.at(H), form.at(H)
     assert np.all(np.abs(a - b) <= ea + eb)
+
+
+@pytest.mark.parametrize(
+    ("n", "masses", "tol"),
+    [
+        (12, (3, 6, 9), 1e-10),
+        *(
+            pytest.param(n, range(1, n + 1), tol, marks=pytest.mark.slow)
+            for n, tol in ((3, 1e-5), (4, 1e-6), (10, 1e-10), (30, 1e-10))
+        ),
+    ],
+)
+def test_the_energy_of_many_stops_has_the_laplace_transform_of_the_configuration(n, masses, tol):
+    # E e^(−sH) = Z(β + s)/Z(β): passes over displacements, nothing of the lines in the complex β.
+    system, beta = chain(n, masses), 1.0 / TEMPERATURE
+    (p,) = solved(Exact(), system, "H")
+    assert p.certificate.certified, p.certificate.failures
+    assert p.l1_error <= tol
+    log_norm, error = log_gibbs_norm(system, beta)
+    for s in (-0.3, 0.0, 0.4, 2.0):
+        value = p.expectation(lambda H, s=s: np.exp(-s * beta * H))
+        other, other_error = log_gibbs_norm(system, (1.0 + s) * beta)
+        expected = np.exp(log_norm - other)
+        assert abs(value.value - expected) <= value.error + (error + other_error) * expected
 
 
 @pytest.mark.slow

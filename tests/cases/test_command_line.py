@@ -275,13 +275,27 @@ clearance = 1e99
 """
 
 
-@pytest.mark.parametrize("solver", ["fem", "quadrature", "closed-form"])
+@pytest.mark.parametrize("solver", ["fem", "quadrature"])
 def test_energies_whose_squares_overflow_are_not_blamed_on_the_damping(solver, fpk, tmp_path):
     (tmp_path / "far.toml").write_text(FAR)
     status, _, err = fpk("density", tmp_path / "far.toml", "--method", "nonintegrable",
                          "--solver", solver, "--of", "H", "--at", 0)  # fmt: skip
     assert status == 1 and err.count("\n") == 1
     assert "leave the range of double precision: choose other units" in err
+
+
+def test_the_closed_form_answers_at_energies_whose_squares_overflow(fpk, tmp_path):
+    # The same in the unit of the clearance: there p(H) is a number of order one.
+    near = FAR.replace("1e-99", "1.0").replace("1e99", "1.0")
+    near = near.replace("= 1.0\nclearance", "= 1e99\nclearance")
+    densities = []
+    for name, scene in (("far", FAR), ("near", near)):
+        (tmp_path / f"{name}.toml").write_text(scene)
+        asked = ("--method", "nonintegrable", "--solver", "closed-form", "--of", "H", "--at", 0)
+        status, out, _ = fpk("density", tmp_path / f"{name}.toml", *asked, "--json")
+        assert status == 0
+        densities.append(json.loads(out)["density"][0])
+    assert densities[0] * 1e198 == pytest.approx(densities[1], rel=1e-11)
 
 
 def test_show_names_the_ends_of_every_modal_energy(fpk, tmp_path):
