@@ -17,6 +17,7 @@ from fpk.arrays import Array
 from fpk.certificate import tolerance
 from fpk.dynamics import CrossingsMethod, Curve, Question, Rates
 from fpk.errors import NotApplicable
+from fpk.escape import require_held
 from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.line.stationary import solve_stationary
@@ -97,6 +98,7 @@ class NonIntegrable(CrossingsMethod, Theory):
         ``tol`` None: that of the method, but no less than ``MODULATED_TOL`` by finite elements
         under modulated noise.
         """
+        require_held(system)
         wanted = tolerance(tol, self._tol_in_time(system))
         one, begins = total_energy(system), total_energy_start(system, start)
         if observable == (ENERGY,):
@@ -131,6 +133,7 @@ class NonIntegrable(CrossingsMethod, Theory):
         self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
     ) -> Rates:
         """Return the slowest rates at which the energy forgets its past."""
+        require_held(system)
         return total_energy(system).relaxation(self.solver, count, tol=tolerance(tol, self.tol))
 
     def _tol_in_time(self, system: System) -> float:
