@@ -102,7 +102,7 @@ class Linear(StationaryMotionMethod, Theory):
         self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
     ) -> Rates:
         """Return sums of eigenvalues of the drift matrix: those of −L are no others."""
-        self.prepare(system)
+        self.planned(system, ())
         residual = system.fact(linear_covariance).residual
         values, errors = eigenvalue_sums(system, count)
         relative = float(np.max(errors / np.abs(values)))

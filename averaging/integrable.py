@@ -19,6 +19,7 @@ from fpk.clearance import CLEARANCE_RULE
 from fpk.density import Density
 from fpk.dynamics import CrossingsMethod, Curve, Question, Rates, certified_curve
 from fpk.errors import NotApplicable
+from fpk.escape import require_held
 from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.method import Plan, Progress, Result, silent
@@ -114,6 +115,7 @@ class Integrable(CrossingsMethod, Theory):
         progress: Progress = silent,
     ) -> Transient:
         """Return the densities of modal energies at times, as ``fpk.evolution`` says."""
+        require_held(system)
         modes = self._in_time(system)
         begins = modal_start(system, modes, start)
         asked, wanted = (modes, observable, begins, times, at), tolerance(tol, TOL)
@@ -146,6 +148,7 @@ class Integrable(CrossingsMethod, Theory):
         self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
     ) -> Rates:
         """Return the slowest relaxation rates of the modal energies."""
+        require_held(system)
         require_constant_noise(system.modulation)
         modes = self._in_time(system)
         solved = closed_form.relaxation if self.solver == "closed-form" else elements.relaxation

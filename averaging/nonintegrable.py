@@ -17,6 +17,7 @@ from fpk.arrays import Array
 from fpk.certificate import tolerance
 from fpk.dynamics import CrossingsMethod, Curve, Question, Rates
 from fpk.errors import NotApplicable
+from fpk.escape import require_held
 from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.line.stationary import solve_stationary
@@ -101,6 +102,7 @@ class NonIntegrable(CrossingsMethod, Theory):
         ``tol`` None: that of the method, but no less than ``MODULATED_TOL`` by finite elements
         under modulated noise.
         """
+        require_held(system)
         wanted = tolerance(tol, self._tol_in_time(system))
         one, begins = total_energy(system), total_energy_start(system, start)
         if observable == (ENERGY,):
@@ -135,6 +137,7 @@ class NonIntegrable(CrossingsMethod, Theory):
         self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
     ) -> Rates:
         """Return the slowest rates at which the energy forgets its past."""
+        require_held(system)
         return total_energy(system).relaxation(
             self.solver, count, tol=tolerance(tol, self.wanted(system))
         )

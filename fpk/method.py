@@ -8,6 +8,7 @@ from typing import Self
 
 from fpk.density import AnyDensity, Density
 from fpk.errors import NotApplicable
+from fpk.escape import require_held
 from fpk.observable import Observable, require_observables
 from fpk.route import Route
 from fpk.system import System
@@ -87,6 +88,8 @@ class Plan:
 class Method(ABC):
     """A route with its discretisation: a frozen record that can refine itself.
 
+    Whoever wants the plan of a stationary density asks ``planned``, not ``prepare``.
+
     A method of one's own derives from it as a frozen dataclass, defines the three below, and is
     registered with ``fpk.route.register``.
     """
@@ -126,9 +129,10 @@ class Method(ABC):
     def refusal(self, system: System, observable: Observable) -> str | None:
         """Return why the method does not give ``observable``, or None where it does."""
         try:
-            return self.prepare(system).refusal(observable)
+            self.planned(system, [observable])
         except NotApplicable as reason:
             return str(reason)
+        return None
 
     def solve(
         self,
@@ -156,8 +160,10 @@ class Method(ABC):
     def planned(self, system: System, observables: Sequence[Observable]) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` where it refuses an observable.
 
-        Raises it, too, where the method is not for the system.
+        Raises it, too, where the method is not for the system, and for every method with one
+        reason where the motion escapes, so that no density is stationary.
         """
+        require_held(system)
         plan = self.prepare(system)
         for observable in observables:
             if reason := plan.refusal(observable):

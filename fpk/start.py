@@ -7,6 +7,7 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.errors import InvalidInput
+from fpk.escape import escape
 from fpk.observable import number_text, parse_numbers
 from fpk.system import System
 
@@ -57,7 +58,8 @@ def parse_start(text: str, system: System) -> Start:
         parse_start("q1=0.2,p1=0.1", system)
 
     Raises ``InvalidInput`` for an unknown name, a mixture of kinds, a number that is not finite, an
-    energy or a factor below 0, or modal energies that are not all there.
+    energy or a factor below 0, modal energies that are not all there, or a stationary state where
+    the motion escapes.
     """
     if text.strip() == "rest":
         return REST
@@ -73,6 +75,8 @@ def parse_start(text: str, system: System) -> Start:
     kind = next((kind for kind, allowed in kinds.items() if names <= allowed), None)
     if kind is None or (kind == "modal" and names != modal):
         raise InvalidInput("start", text, REMEDY)
+    if kind == "noise" and values["noise"] > 0.0 and (reason := system.fact(escape)):
+        raise InvalidInput("start", text, f"there is no stationary state: {reason}")
     if kind != "state" and min(values.values()) < 0.0:
         raise InvalidInput("start", text, "must not be negative")
     return Start(kind, values)

@@ -113,9 +113,9 @@ def expected_seconds(method: MonteCarlo, system: System) -> float:
     """Return about how long a simulation takes, in seconds of wall time, to a factor of three.
 
     Without compiling, and without what long steps save far from stiff stops. Raises as
-    ``MonteCarlo.prepare`` does.
+    ``MonteCarlo.planned`` does.
     """
-    method.prepare(system)
+    method.planned(system, ())
     dt, relaxation = default_step(method, system), relaxation_time(system)
     time = method.time or min(method.relaxations * relaxation, method.most_steps * dt)
     whole = time + method.burn_in * relaxation

@@ -26,6 +26,7 @@ from fpk.arrays import Array
 from fpk.certificate import Measured, certify, tolerance
 from fpk.dynamics import Curve, Question, Rates, StationaryMotionMethod, certified_curve
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.escape import require_held
 from fpk.evolution import Passage
 from fpk.limit import Limit
 from fpk.method import Plan, Progress, Result, silent
@@ -96,7 +97,7 @@ class PhaseSpace(StationaryMotionMethod, Theory):
 
     def unasked(self, system: System, *, share: float = 1.0) -> Self:
         """Return the method with work for seconds; refuse where the full density is known."""
-        self.prepare(system)
+        self.planned(system, ())
         if system.n > UNASKED_MASSES:
             raise NotApplicable(f"{system.n} masses may take minutes; ask for it by its name")
         if system.damping_terms:
@@ -158,6 +159,7 @@ class PhaseSpace(StationaryMotionMethod, Theory):
         self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
     ) -> Rates:
         """Return the slowest eigenvalues of the expansion's FPK operator."""
+        require_held(system)
         frame = self._frame(system)
         options = self._options(tolerance(tol, RELAXATION_TOL), progress)
         with _breakdowns():

@@ -29,7 +29,6 @@ def density(asked: Asked, of: str, at: str) -> None:
     from cases.output.records import columns_text, listed
     from cases.scene.points import parse_points
     from fpk.dynamics import Curve
-    from fpk.errors import NotApplicable
     from fpk.method import Method, solved
     from fpk.observable import observable_name
 
@@ -37,9 +36,7 @@ def density(asked: Asked, of: str, at: str) -> None:
     parts.check_cluster(settings["cluster"])
 
     def work(method: Method, tol: float | None, progress: Any) -> Curve:
-        plan = method.prepare(asked.scene.system)
-        if reason := plan.refusal(observable):
-            raise NotApplicable(reason)
+        plan = method.planned(asked.scene.system, [observable])
         parts.checkpoint_folder(asked.scene, {**settings, "tol": tol, "observable": of})
         result = solved(plan, asked.scene.system, [observable], progress=progress)
         (p,) = result.densities

@@ -14,6 +14,7 @@ from cases.scene.expect import Theory
 from fpk.arrays import Array
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
+from fpk.escape import require_held
 from fpk.evolution import Passage, Transient
 from fpk.limit import Limit
 from fpk.method import Method, Plan, Progress, Result
@@ -141,6 +142,7 @@ class AveragedSimulation(Method):
         from sim.averaged.transient import energy_transient
         from sim.motion.steps import require_times
 
+        require_held(system)
         require_times(times)
         if reason := self._unknown(observable):
             raise NotApplicable(reason)

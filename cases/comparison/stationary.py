@@ -48,7 +48,7 @@ def answers_of(
         reasons: dict[Observable, str | None]
         try:
             taken = method if share is None else method.unasked(system, share=share)
-            plan = taken.prepare(system)
+            plan = taken.planned(system, ())
             reasons = {observable: plan.refusal(observable) for observable in observables}
         except NotApplicable as error:
             reasons = dict.fromkeys(observables, str(error))

@@ -61,7 +61,6 @@ def rms_record(system: System) -> list[dict[str, Any]]:
     for name in ROUTES:
         with suppress(NotApplicable, NotCertified):
             method = method_for(name)
-            method.prepare(system)
             result = method.solve(system, wanted)
             return [
                 {

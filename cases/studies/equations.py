@@ -19,6 +19,7 @@ from cases.studies.levels import Discretisation, Solution, TimedCoefficients, de
 from fpk.arrays import Array
 from fpk.density import Density
 from fpk.errors import NotApplicable, NotCertified
+from fpk.escape import require_held
 from fpk.line.stationary import solve_on_mesh, solve_stationary
 from fpk.observable import parse_observable
 from fpk.plane.on_mesh import solve_plane_on_mesh
@@ -122,6 +123,7 @@ def energy_equation(system: System) -> Equation:
     The closed form (29) is the reference; where damping depends on q or v it is the quadrature of
     (11), which shares with the elements the coefficients only.
     """
+    require_held(system)
     process, observable = energy_process(system), parse_observable("H", system.n)
     clock = TimedCoefficients(process.coefficients)
     try:
@@ -154,6 +156,7 @@ def modal_equation(system: System) -> Equation:
     plain elements of one degree (p itself is the polynomial, w = 1) on a mesh of their own, which
     share with the route the coefficients and the weak form only.
     """
+    require_held(system)
     modes = modal_analysis(system)
     if modes.n < 2:
         raise NotApplicable("one mass has one modal energy: nothing to solve in two dimensions")

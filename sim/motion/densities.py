@@ -13,6 +13,7 @@ from fpk.errors import InvalidInput
 from fpk.evolution import Transient
 from fpk.observable import Observable
 from fpk.sampled_density import SampledDensity
+from fpk.system import System
 from sim.histogram import Histogram, covering, rises, sampled_density, unresolved_words
 from sim.motion.stationary import lost_words
 
@@ -85,11 +86,13 @@ class Counted:
 def answer_of(
     counted: Counted, times: Array, at: tuple[Array, ...], dt: float, *,
     settings: Mapping[str, str | float | int], failures: Sequence[str] = (), tol: float,
+    system: System | None = None,
 ) -> Transient:  # fmt: skip
     """Return the densities at ``times`` at the points ``at``, ``dt`` being the longer step.
 
     In the error are, in quadrature, one standard error by the groups and what changes at the longer
-    step. Where the bins do not show the density errors are inf and nothing is certified.
+    step. Where the bins do not show the density errors are inf and nothing is certified. The
+    motion of ``system`` may be what loses trajectories.
     """
     fine = counted.densities()
     coarse = counted.densities(1) if counted.stepped else fine
@@ -110,7 +113,7 @@ def answer_of(
         minimum=min((x for c in certificates if (x := c.minimum) is not None), default=None),
         residual=worst(c.residual for c in certificates),
         tail_mass=max(map(outside, certificates)),
-        failures=(*failures, *lost_words(counted.lost, dt), *own, *wide[:1]),
+        failures=(*failures, *lost_words(counted.lost, dt, system), *own, *wide[:1]),
     )
     settings = {
         "trajectories": min(counted.paths),

@@ -81,7 +81,7 @@ def passage(
             enough = sampled.fine.size >= method.paths
             enough = enough and not not_met(method, wanted, _relative_error(sampled))
             done = bool(lost) or enough or watch.ends() or (number + 1) * AT_ONCE > 1 << 24
-    failures += interruption(watch) + lost_words(lost, dt)
+    failures += interruption(watch) + lost_words(lost, dt, system)
     return passage_of(
         sampled,
         times,

@@ -14,6 +14,7 @@ from fpk.certificate import Measured, certify
 from fpk.cores import usable_cores
 from fpk.dynamics import Curve
 from fpk.errors import InvalidInput
+from fpk.escape import escape
 from fpk.start import Start
 from fpk.system import System
 from sim.checkpoint import interruptible
@@ -92,10 +93,14 @@ def losses(states: Array, dt: float) -> list[str]:
     return lost_words(int(np.count_nonzero(~(np.abs(states) < MAX_COORDINATE).all(axis=1))), dt)
 
 
-def lost_words(lost: int, dt: float) -> list[str]:
-    """Return how many trajectories left the finite range, in words, if some did."""
-    words = f"{lost} trajectories left the finite range; use a smaller dt than {dt:g}"
-    return [words] if lost else []
+def lost_words(lost: int, dt: float, system: System | None = None) -> list[str]:
+    """Return how many trajectories left the finite range, in words, if some did, and what to do.
+
+    Where the motion of ``system`` escapes it is the reason, which no step changes.
+    """
+    reason = system and system.fact(escape)
+    remedy = f": {reason}" if reason else f"; use a smaller dt than {dt:g}"
+    return [f"{lost} trajectories left the finite range{remedy}"] if lost else []
 
 
 def sampled_curve(

@@ -84,6 +84,7 @@ def transient(
         dt,
         settings={"seed": method.seed, "scheme": method.scheme},
         failures=failures,
+        system=system,
         tol=inf if wanted is None else wanted,
     )
 

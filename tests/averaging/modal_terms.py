@@ -4,13 +4,24 @@ import numpy as np
 
 from averaging.modal.analysis import modal_analysis
 from fpk.damping import DampingTerm
+from fpk.errors import NotApplicable
+from fpk.method import silent
 from fpk.observable import parse_observable
 from fpk.system import System
 
 
 def solved(method, system, *names):
+    """Densities of the averaged equations, also where the motion itself escapes far out."""
     observables = [parse_observable(name, system.n) for name in names]
-    return method.solve(system, observables).densities
+    return method.prepare(system).solve(observables, silent).densities
+
+
+def refusal(method, system, name):
+    """Why the averaged equations have no such density, also where the motion itself escapes."""
+    try:
+        return method.prepare(system).refusal(parse_observable(name, system.n))
+    except NotApplicable as reason:
+        return str(reason)
 
 
 def random_system(rng, n):

@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from averaging_systems import both
+from modal_terms import refusal
 from scipy.integrate import quad
 
 from averaging.energy_process import energy_process
@@ -189,7 +190,7 @@ def test_what_has_no_stationary_density_is_refused_with_the_reason():
     grows = System(
         [1.0], [1.0], [0.1], [0.1], damping_terms=(DampingTerm(1, 1, -0.1, q=((1, 2),)),)
     )
-    assert "grows for ever" in NonIntegrable().refusal(grows, H)
+    assert "grows for ever" in refusal(NonIntegrable(), grows, "H")
     stopped = System(
         [1.0],
         [1.0],
@@ -198,7 +199,7 @@ def test_what_has_no_stationary_density_is_refused_with_the_reason():
         contacts=(Contact(1, "both", 10.0, 0.5),),
         damping_terms=grows.damping_terms,
     )
-    assert "grows for ever" in NonIntegrable("quadrature").refusal(stopped, H)
+    assert "grows for ever" in refusal(NonIntegrable("quadrature"), stopped, "H")
     # An odd term does nothing without contact; alone it damps nothing.
     odd = System([1.0], [1.0], [0.0], [0.1], damping_terms=(DampingTerm(1, 1, 0.1, q=((1, 1),)),))
     assert NonIntegrable().refusal(odd, q1)

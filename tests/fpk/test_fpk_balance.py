@@ -12,6 +12,7 @@ from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.equivalent import equivalent_temperature
 from fpk.errors import NotApplicable
+from fpk.method import silent
 from fpk.observable import Coordinate
 from fpk.system import System
 from sim import MonteCarlo
@@ -104,7 +105,7 @@ def test_terms_that_cancel_on_average_are_decided_alike_by_all(
     system = System([mass], [stiffness], [0.1], [0.02], damping_terms=terms)
     MonteCarlo().prepare(system)
     for method, energy in ((NonIntegrable(), Coordinate("H")), (Integrable(), Coordinate("H", 0))):
-        (density,) = method.solve(system, [(energy,)]).densities
+        (density,) = method.prepare(system).solve([(energy,)], silent).densities
         value, error = density.at(np.array([0.1]))
         assert abs(value[0] - 5.0 * np.exp(-0.5)) <= error[0] + 1e-12
         assert density.certificate.certified

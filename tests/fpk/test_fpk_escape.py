@@ -1,0 +1,325 @@
+"""Damping terms that let the motion escape: by mathematics, by integration, and over all routes."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from averaging import Integrable, NonIntegrable
+from averaging.phase_space.method import PhaseSpace
+from cases.comparison.routes import listed_routes
+from fpk.arrays import Array
+from fpk.contact import Contact
+from fpk.damping import DampingTerm
+from fpk.errors import InvalidInput, NotApplicable
+from fpk.escape import escape
+from fpk.limit import parse_limit
+from fpk.observable import parse_observable
+from fpk.start import REST, parse_start
+from fpk.system import System
+from sim import MonteCarlo
+
+Monomial = tuple[float, str]
+
+
+def damped(*terms: Monomial, n: int = 1, contacts: tuple[Contact, ...] = ()) -> System:
+    """c = 0.1 on each of n unit masses and terms such as (0.4, "q1 v2 v2 H") in c_11.
+
+    "21: q1" stands in c_21.
+    """
+    records = []
+    for coefficient, text in terms:
+        place, _, factors = text.rpartition(":")
+        i, j = (int(k) for k in place or "11")
+        powers: dict[str, dict[int, int]] = {"q": {}, "v": {}, "H": {}}
+        for kind, *mass in factors.split():
+            own, at = powers[kind], int("".join(mass) or 0)
+            own[at] = own.get(at, 0) + 1
+        q, v = (tuple(powers[kind].items()) for kind in "qv")
+        records.append(DampingTerm(i, j, coefficient, q, v, powers["H"].get(0, 0)))
+    one = [1.0] * n
+    damping, noise = [0.1] * n, [0.2] * n
+    return System(one, one, damping, noise, contacts=contacts, damping_terms=tuple(records))
+
+
+def stop(side: Any, exponent: float, stiffness: float = 4.0) -> tuple[Contact, ...]:
+    return (Contact(1, side, stiffness, 0.5, "power", exponent),)
+
+
+ODD = damped((0.4, "q1"))
+
+
+CASES = {
+    # dv/dq = −f(q, v) − q/v, q' = v: outwards on the left, v ~ −0.2 q².
+    "odd in q": (True, ODD),
+    "odd in v": (True, damped((0.4, "v1"))),  # v' = −0.4 v² for v < 0
+    "negative": (True, damped((-0.3, "v1 v1"))),
+    "outwards": (True, damped((-0.4, "q1 v1"))),  # v ~ exp(0.2 q²)
+    # Between v = 0.38 q and v = 2.6 q, where v settles: q' = 2.6 q.
+    "cone outwards": (True, damped((1, "q1 q1"), (-3, "q1 v1"), (1, "v1 v1"))),
+    "cone inwards": (False, damped((1, "q1 q1"), (3, "q1 v1"), (1, "v1 v1"))),
+    # v = C exp(−0.2 q) + a polynomial; on the axis q = 0 alone −0.2 v³ leads.
+    "exponential": (True, damped((0.4, "q1 q1"), (0.2, "v1"))),
+    # 0 < −q < 1.4: v' = −0.55 q v³ + 0.4 q² v³ is positive at any speed.
+    "in a strip": (True, damped((0.4, "q1 q1 v1 v1"), (0.55, "q1 v1 v1"))),
+    # |q| < √(0.6/v) is crossed before v grows by more than its square root.
+    "across a strip": (False, damped((0.4, "q1 q1 v1 v1"), (-0.6, "v1"))),
+    "van der Pol": (False, damped((1, "q1 q1"))),
+    "odd below even": (False, damped((-0.2, "q1"), (0.3, "q1 q1"))),
+    "rotating": (False, damped((0.3, "12: q1"), (-0.3, "21: q1"), n=2)),  # does no work
+    "energy": (False, damped((0.1, "H"), (0.4, "q1"), (-0.4, "v1"))),
+    "of another mass": (True, damped((0.4, "q2"), n=2)),
+    "force on another mass": (True, damped((0.4, "21: q1"), n=2)),
+    # A burst ends with q1 so far on the other side that q2 swings out farther, to the next one.
+    "bursts": (True, damped((1, "q1 q1"), (-0.3, "q2 q2"), n=2)),
+    "kept on the left": (False, damped((0.4, "q1"), contacts=stop("left", 5.0))),
+    "kept on the right": (True, damped((0.4, "q1"), contacts=stop("right", 5.0))),
+    "too soft a stop": (True, damped((0.4, "q1"), contacts=stop("both", 1.5, 50.0))),
+    # Force B x³: v = −s x² with 2 s² − 0.4 s + B = 0 has no root beyond B = 0.02.
+    "just too soft": (True, damped((0.4, "q1"), contacts=stop("left", 3.0, 0.01))),
+    "just stiff enough": (False, damped((0.4, "q1"), contacts=stop("left", 3.0, 0.04))),
+    "no stop keeps v": (True, damped((0.4, "v1"), contacts=stop("both", 5.0))),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_escapes_is_known_from_the_motion_far_out(name: str) -> None:
+    escapes, system = CASES[name]
+    assert (system.fact(escape) is not None) == escapes, system.fact(escape)
+
+
+def motion_of(system: System) -> Callable[[Array], Array]:
+    """dz/dt of z = (q, v) without noise: another program than the one that decides."""
+    n = system.n
+
+    def rate(z: Array) -> Array:
+        q, v = z[:n], z[n:]
+        c = system.damping.copy()
+        for t in system.damping_terms:
+            c[t.row, t.column] += t.value(q, v, system.hamiltonian(q, system.mass * v))
+        force = -c @ v - system.stiffness_matrix @ q
+        for s in system.stops:
+            force[s.index] -= s.sign * s.force(max(s.sign * q[s.index] - s.clearance, 0.0))
+        return np.concatenate([v, force / system.mass])
+
+    return rate
+
+
+def goes_out(system: System, start: Array, *, calls: int = 5000) -> bool | None:
+    """Whether the motion from ``start`` (2n,) gets 1e20 times as far; None where it takes long.
+
+    In the time s, ds = (1 + |dz/dt|/|z|) dt, in which |z| at most grows by e in a unit. It is back
+    at half of the distance.
+    """
+    rate, left, size = motion_of(system), [calls], float(np.linalg.norm(start))
+
+    def slowed(s: float, z: Array) -> Array:
+        left[0] -= 1
+        if not left[0]:
+            raise TimeoutError
+        change = rate(z)
+        return change / (1.0 + np.linalg.norm(change) / np.linalg.norm(z))
+
+    def away(s: float, z: Array) -> float:
+        return float(np.log(np.linalg.norm(z) / (1e20 * size)))
+
+    def back(s: float, z: Array) -> float:
+        return float(np.log(np.linalg.norm(z) / (0.5 * size)))
+
+    away.terminal = back.terminal = True  # type: ignore[attr-defined]
+    try:
+        path = solve_ivp(
+            slowed, (0.0, 1e12), start, method="LSODA", rtol=1e-6, atol=1e-12, events=(away, back)
+        )
+    except TimeoutError:
+        return None
+    return bool(path.t_events[0].size) if path.status == 1 else None
+
+
+def feeds_along(system: System, ray: Array) -> bool:
+    """Whether Σ c_ij v_i v_j falls without bound along R ``ray``, R → ∞, without stops."""
+    q, v = ray[: system.n], ray[system.n :]
+    H = system.hamiltonian(q, system.mass * v)
+    of_degree = {0: [float(v @ system.damping @ v)]}
+    for t in system.damping_terms:
+        power = float(t.value(q, v, H)) * v[t.row] * v[t.column]
+        of_degree.setdefault(t.degree, []).append(power)
+    for _, parts in sorted(of_degree.items(), reverse=True):
+        if abs(sum(parts)) > 1e-9 * sum(map(abs, parts)):
+            return sum(parts) < 0.0
+    return False
+
+
+def drawn(rng: np.random.Generator) -> System:
+    """One or two monomials of degree 1 to 4, three times in four below even ones on all masses."""
+    n, terms, top = int(rng.integers(1, 3)), [], 4
+    if rng.random() < 0.75:
+        even = ["q{0} q{0}", "v{1} v{1}", "H"], ["q{0} q{0} v{1} v{1}", "q{0} q{0} q{0} q{0}"]
+        top = int(rng.integers(2))
+        for i in range(1, n + 1):
+            factors = rng.choice(even[top]).format(rng.integers(1, n + 1), i)
+            terms.append((rng.uniform(0.1, 0.6), f"{i}{i}: {factors}"))
+        top = 2 * top + 1
+    for _ in range(rng.integers(1, 3)):
+        i = j = int(rng.integers(1, n + 1))
+        if rng.random() < 0.25:
+            j = int(rng.integers(1, n + 1))
+        factors = [
+            f"{'q' if rng.random() < 0.6 else 'v'}{rng.integers(1, n + 1)}"
+            for _ in range(rng.integers(1, top + 1))
+        ]
+        size = rng.choice([-1.0, 1.0]) * rng.uniform(0.1, 0.6)
+        terms.append((size, f"{i}{j}: {' '.join(factors)}"))
+    return damped(*((round(float(c), 2), text) for c, text in terms), n=n)
+
+
+@np.errstate(all="ignore")
+def judged(system: System, rng: np.random.Generator) -> bool | None:
+    """Whether the motion escapes by both judges; None where they differ or one is not sure.
+
+    It begins on rays along which the power falls without bound, and in other states far out in
+    which the damping terms feed energy in, some coordinates being up to 1e5 times smaller.
+    """
+    shape = (4000, 2 * system.n)
+    rays = rng.normal(size=shape) * (rng.random(shape) < 0.7)
+    feeding = [1e4 * ray for ray in rays[:400] if feeds_along(system, ray)]
+    small = np.where(rng.random(shape) < 0.5, 0.0, -5.0 * rng.random(shape))
+    z = 1e4 * 10.0**small * rng.normal(size=shape)
+    q, v = z[:, : system.n], z[:, system.n :]
+    H = system.hamiltonian(q, system.mass * v)
+    terms = system.damping_terms
+    power = sum(t.value(q, v, H) * v[:, t.row] * v[:, t.column] for t in terms)
+    for start in [*feeding[:8], *z[power < 0.0][:32]]:
+        # Beside a coordinate plane: within one a motion may go out that does not beside it.
+        out = goes_out(system, start + 1e-2 * rng.normal(size=start.size))
+        if out is not False:
+            return True if out and feeding else None
+    return False
+
+
+def every_refusal(system: System) -> dict[str, str | None]:
+    """Why each route gives no density of q1 and none of H."""
+    return {
+        f"{route.label} {name}": route.make().refusal(system, parse_observable(name, system.n))
+        for route in listed_routes()
+        for name in ("q1", "H")
+    }
+
+
+def test_the_reason_names_the_term_and_states_from_which_the_motion_escapes() -> None:
+    reason = ODD.fact(escape) or ""
+    assert reason.startswith(
+        "damping term 0.4 q1 of c_11 feeds energy in for q1 < -0.25 without bound: "
+        "the motion escapes"
+    )
+    assert "\n" not in reason
+    start = np.array([float(x) for x in re.findall(r"[qv]\d = (\S+?)[, ]", reason)])
+    assert goes_out(ODD, start)
+
+
+REASONS = {
+    "-0.3 v1^2 of c_11 feeds energy in for |v1| > 0.577 without bound": CASES["negative"][1],
+    "-0.3 q1^2 H of c_11 feeds energy in without bound": damped((-0.3, "q1 q1 H")),
+    "0.4 q1 of c_21 feeds energy in where q1 < 0 and v1 < 0 and v2 < 0": CASES[
+        "force on another mass"
+    ][1],
+}
+
+
+@pytest.mark.parametrize("words", REASONS)
+def test_the_reason_says_where_its_term_feeds_energy_in(words: str) -> None:
+    assert words in (REASONS[words].fact(escape) or "")
+
+
+@pytest.mark.parametrize("name", ["odd in q", "odd in v", "exponential", "of another mass"])
+def test_no_route_gives_a_density_of_a_motion_that_escapes(name: str) -> None:
+    _, system = CASES[name]
+    refusals = every_refusal(system)
+    assert len(refusals) > 20
+    assert all(refusals.values())
+    q1 = parse_observable("q1", system.n)
+    for method in (NonIntegrable(), PhaseSpace(), MonteCarlo()):
+        with pytest.raises(NotApplicable, match="the motion escapes"):
+            method.solve(system, [q1])
+    with pytest.raises(NotApplicable, match="the motion escapes"):
+        MonteCarlo().crossings(system, q1, np.zeros(1))
+
+
+def test_what_does_not_need_a_stationary_state_is_answered() -> None:
+    times, at = np.array([1.0]), (np.array([0.0]),)
+    H, q1 = (parse_observable(name, 1) for name in ("H", "q1"))
+    averaged = NonIntegrable().passage(ODD, parse_limit("H=1", 1), REST, times)
+    assert averaged.certificate.certified
+    for method in (NonIntegrable(), Integrable()):
+        with pytest.raises(NotApplicable, match="the motion escapes"):
+            method.transient(ODD, H, REST, times, at)
+        with pytest.raises(NotApplicable, match="the motion escapes"):
+            method.relaxation(ODD, 2)
+    with pytest.raises(NotApplicable, match="the motion escapes"):
+        PhaseSpace().relaxation(ODD, 2)
+    with pytest.raises(InvalidInput, match="no stationary state"):
+        parse_start("noise=0.5", ODD)
+    # After 10 time units most trajectories are gone: no smaller step brings them back.
+    method = MonteCarlo(paths=4096, seconds=0.5)
+    late = method.transient(ODD, q1, REST, np.array([10.0]), at).certificate
+    assert any("left the finite range: damping term" in words for words in late.failures)
+
+
+@pytest.mark.parametrize("name", ["across a strip", "just stiff enough", "odd in q"])
+def test_units_do_not_matter(name: str) -> None:
+    # Mass, length and time in units of 1e3, 1e-4 and 1e5 of the first ones.
+    mass, length, time = 1e3, 1e-4, 1e5
+    escapes, system = CASES[name]
+    rate, speed = mass / time, length / time
+    terms = [
+        replace(
+            t,
+            coefficient=t.coefficient
+            * rate
+            / (length ** sum(p for _, p in t.q) * speed ** sum(p for _, p in t.v)),
+        )
+        for t in system.damping_terms
+    ]
+    contacts = [
+        replace(
+            c,
+            clearance=c.clearance * length,
+            stiffness=c.stiffness * mass * length ** (1.0 - c.power) / time**2,
+        )
+        for c in system.contacts
+    ]
+    other = System(
+        system.mass * mass,
+        system.stiffness * mass / time**2,
+        system.damping * rate,
+        system.noise_intensity * mass**2 * length**2 / time**3,
+        contacts=tuple(contacts),
+        damping_terms=tuple(terms),
+    )
+    assert (escape(other) is not None) == escapes
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:lsoda")  # gives up on a motion: neither judge decides it
+def test_forty_random_polynomials_are_refused_where_both_judges_see_the_motion_escape() -> None:
+    """None of twenty that escape is given by any route, none of twenty others is refused for it."""
+    left = {True: 20, False: 20}
+    for seed in range(400):
+        rng = np.random.default_rng([20261126, seed])
+        system = drawn(rng)
+        escapes = judged(system, rng)
+        if escapes is None or not left[escapes]:
+            continue
+        left[escapes] -= 1
+        reasons = every_refusal(system)
+        if escapes:
+            assert all(reasons.values()), system.damping_terms
+        else:
+            assert reasons["montecarlo q1"] is reasons["montecarlo H"] is None, reasons
+        if not any(left.values()):
+            return
+    raise AssertionError(left)
